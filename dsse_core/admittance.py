@@ -1,0 +1,70 @@
+"""Bus and branch admittances of a network (MATPOWER ``makeYbus``), sparse, p.u."""
+
+from __future__ import annotations
+
+import cmath
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+
+from dsse_core.network import Network
+
+
+@dataclass(frozen=True)
+class Admittance:
+    """``ybus`` (n, n), ``yf`` and ``yt`` (n_branch, n): currents ``ybus v``, ``yf v``, ``yt v`` for voltages ``v``.
+
+    Rows of ``ybus`` follow ``network.buses``, rows of ``yf`` and ``yt`` follow ``network.active_branches``.
+    Every row stores an entry, be it zero, for its own bus.
+    """
+
+    ybus: sp.csr_array
+    yf: sp.csr_array
+    yt: sp.csr_array
+
+
+def build_admittance(network: Network) -> Admittance:
+    """Build the admittances; a branch with tap ``t = tap * exp(j shift)`` at its from side has
+
+    ``yff = (ys + j b / 2) / |t|^2``, ``yft = -ys / conj(t)``, ``ytf = -ys / t``, ``ytt = ys + j b / 2``.
+    """
+    branches = network.active_branches
+    n, n_branch = len(network.buses), len(branches)
+    f = np.array([network.row[b.from_bus] for b in branches], dtype=int)
+    t = np.array([network.row[b.to_bus] for b in branches], dtype=int)
+    ys = np.array([1 / complex(b.r, b.x) for b in branches], dtype=complex)
+    ratio = np.array([cmath.rect(b.tap, b.shift) for b in branches], dtype=complex)
+    ytt = ys + 0.5j * np.array([b.b for b in branches])
+    yff = ytt / abs(ratio) ** 2
+    yft = -ys / ratio.conj()
+    ytf = -ys / ratio
+    shunt = np.array([complex(bus.g_shunt, bus.b_shunt) for bus in network.buses], dtype=complex)
+
+    branch, bus = np.arange(n_branch), np.arange(n)
+    yf = sp.coo_array((np.r_[yff, yft], (np.r_[branch, branch], np.r_[f, t])), shape=(n_branch, n))
+    yt = sp.coo_array((np.r_[ytf, ytt], (np.r_[branch, branch], np.r_[f, t])), shape=(n_branch, n))
+    ybus = sp.coo_array(
+        (np.r_[yff, yft, ytf, ytt, shunt], (np.r_[f, f, t, t, bus], np.r_[f, t, f, t, bus])), shape=(n, n)
+    )
+    return Admittance(ybus.tocsr(), yf.tocsr(), yt.tocsr())
+
+
+def flat_start(network: Network, reference: int) -> tuple[np.ndarray, np.ndarray]:
+    """The voltages (vm, va) that the unloaded network would have with 1 p.u., 0 rad at bus ``reference``.
+
+    Walks from the reference over the branches and follows tap ratios and phase shifts.
+    """
+    v = np.zeros(len(network.buses), dtype=complex)
+    v[network.row[reference]] = 1.0
+    queue = [reference]
+    while queue:
+        here = queue.pop()
+        for branch in network.branches_at[here]:
+            there = branch.other_end(here)
+            if v[network.row[there]] == 0:
+                ratio = cmath.rect(branch.tap, branch.shift)
+                v[network.row[there]] = v[network.row[here]] * (1 / ratio if here == branch.from_bus else ratio)
+                queue.append(there)
+    v[v == 0] = 1.0  # buses out of reach of the reference; observability analysis names them
+    return abs(v), np.angle(v)

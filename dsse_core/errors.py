@@ -1,0 +1,58 @@
+"""The errors of the package: what is wrong, where, and what to do next."""
+
+from collections.abc import Sequence
+
+
+class DsseError(Exception):
+    """Base of every error that a caller may want to catch; its text is meant for the user."""
+
+
+class InvalidInputError(DsseError):
+    """Input that cannot be used. ``problems`` holds every problem found, not only the first."""
+
+    def __init__(self, what: str, problems: Sequence[str]) -> None:
+        self.what = what
+        self.problems = tuple(problems)
+        count = f"{len(self.problems)} problem" + ("s" if len(self.problems) != 1 else "")
+        super().__init__("\n".join([f"{what}: {count}", *(f"  - {p}" for p in self.problems)]))
+
+
+class PowerFlowDivergedError(DsseError):
+    """Newton's iteration did not reach the tolerance; names the bus with the largest mismatch."""
+
+    def __init__(self, network: str, bus: int, mismatch: float, iterations: int) -> None:
+        self.bus = bus
+        self.mismatch = mismatch
+        self.iterations = iterations
+        super().__init__(
+            f"power flow of {network!r} did not converge in {iterations} iterations: the largest mismatch "
+            f"is {mismatch:.3g} p.u. at bus {bus}; check the load, the branches and the units around that bus"
+        )
+
+
+class NotObservableError(DsseError):
+    """The measurements do not determine the state; names the buses and a meter that would cure it."""
+
+    def __init__(self, buses: Sequence[int], cures: Sequence[str]) -> None:
+        self.buses = tuple(buses)
+        self.cures = tuple(cures)
+        names = ", ".join(str(b) for b in self.buses)
+        remedy = (
+            "any one of these added meters would cure it: " + "; ".join(self.cures)
+            if self.cures
+            else "no single added meter would cure it; add meters among these buses"
+        )
+        super().__init__(f"the measurements do not determine the state of bus {names}; {remedy}")
+
+
+class EstimationDivergedError(DsseError):
+    """Gauss-Newton did not reach the tolerance; names the measurement with the largest weighted residual."""
+
+    def __init__(self, iterations: int, step: float, worst: str) -> None:
+        self.iterations = iterations
+        self.step = step
+        self.worst = worst
+        super().__init__(
+            f"state estimation did not converge in {iterations} iterations (last step {step:.3g}); the largest "
+            f"weighted residual is that of {worst}; check that meter's value, sign and unit"
+        )

@@ -1,0 +1,113 @@
+"""h(x) and H(x): what meters would read in state x, and the derivatives, for every kind of meter.
+
+With the metered bus' voltage ``u = C v`` and the metered current ``i = Y v`` one formula serves all kinds:
+``s = u conj(i)`` (P, Q of injections and of both branch ends), ``|i|``, ``|u|`` and ``arg u``. Injections
+and flows differ only in the rows of ``Y`` (from ``ybus``, ``yf`` or ``yt``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+
+from dsse_core.admittance import Admittance
+from dsse_core.measurement import MeasurementKind, Meter
+from dsse_core.network import Network
+
+CURRENT_FLOOR = 1e-9  # p.u.; below it the derivative of |i| is undefined and taken as 0
+
+
+@dataclass(frozen=True)
+class MeasurementModel:
+    """The measurement functions of ``meters``; ``x = [va; vm]``, shape (2 n_bus,), rad and p.u.
+
+    ``y`` (n_meas, n_bus) holds the admittance row of each meter, ``bus_row`` (n_meas,) its bus.
+    """
+
+    kinds: np.ndarray
+    bus_row: np.ndarray
+    y: sp.csr_array
+    meter_row: np.ndarray  # (nnz,): the meter of each stored entry of y
+    at_bus: np.ndarray  # (nnz,): 1 where the entry's column is the metered bus, the pattern of C
+
+    def predict(self, x: np.ndarray) -> np.ndarray:
+        """h(x), shape (n_meas,), p.u. and rad."""
+        u, i, _ = self._phasors(x)
+        s = u * i.conj()
+        return np.select(
+            [self._is(*kinds) for kinds in _ROWS],
+            [s.real, s.imag, abs(i), abs(u), np.angle(u)],
+        )
+
+    def jacobian(self, x: np.ndarray) -> sp.csr_array:
+        """H(x) = dh/dx, shape (n_meas, 2 n_bus).
+
+        With ``dv/dva = j v`` and ``dv/dvm = v / |v|``, ``du = C dv`` and ``di = Y dv``:
+        ``ds = conj(i) du + u conj(di)``, ``d|i| = Re(conj(i) di) / |i|``, ``d|u| = Re(conj(u) du) / |u|``,
+        ``d arg u = Im(conj(u) du) / |u|^2``.
+        """
+        u, i, v = self._phasors(x)
+        n_bus = self.y.shape[1]
+        row, column = self.meter_row, self.y.indices
+        data = []
+        for dv in (1j * v, v / abs(v)):
+            du = self.at_bus * dv[column]
+            di = self.y.data * dv[column]
+            ds = i.conj()[row] * du + u[row] * di.conj()
+            d_current = np.where(abs(i) > CURRENT_FLOOR, i.conj() / np.maximum(abs(i), CURRENT_FLOOR), 0.0)[row] * di
+            d_voltage = u.conj()[row] * du / abs(u)[row]
+            data.append(
+                np.select(
+                    [self._is(*kinds)[row] for kinds in _ROWS],
+                    [ds.real, ds.imag, d_current.real, d_voltage.real, d_voltage.imag / abs(u)[row]],
+                )
+            )
+        stacked = sp.coo_array(
+            (np.concatenate(data), (np.r_[row, row], np.r_[column, column + n_bus])),
+            shape=(len(self.kinds), 2 * n_bus),
+        )
+        return stacked.tocsr()
+
+    def _phasors(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        va, vm = np.split(x, 2)
+        v = vm * np.exp(1j * va)
+        return v[self.bus_row], self.y @ v, v
+
+    def _is(self, *kinds: MeasurementKind) -> np.ndarray:
+        return np.isin(self.kinds, kinds)
+
+
+_ROWS = (
+    (MeasurementKind.P_INJECTION, MeasurementKind.P_FLOW),
+    (MeasurementKind.Q_INJECTION, MeasurementKind.Q_FLOW),
+    (MeasurementKind.CURRENT,),
+    (MeasurementKind.VM,),
+    (MeasurementKind.VA,),
+)
+
+
+def build_measurement_model(network: Network, admittance: Admittance, meters: Sequence[Meter]) -> MeasurementModel:
+    """Select for each meter its bus and its admittance row: of ``ybus`` at a bus, of ``yf`` or ``yt`` on a branch."""
+    n, n_branch = len(network.buses), len(network.active_branches)
+    branch_row = {branch.id: k for k, branch in enumerate(network.active_branches)}
+
+    def admittance_row(meter: Meter) -> int:
+        if meter.branch is None:
+            return network.row[meter.bus]
+        at_from = network.branch(meter.branch).from_bus == meter.bus
+        return n + branch_row[meter.branch] + (0 if at_from else n_branch)
+
+    rows = np.array([admittance_row(meter) for meter in meters], dtype=int)
+    y = sp.csr_array(sp.vstack([admittance.ybus, admittance.yf, admittance.yt], format="csr")[rows])
+    bus_row = np.array([network.row[meter.bus] for meter in meters], dtype=int)
+    meter_row = np.repeat(np.arange(len(meters)), np.diff(y.indptr))
+    return MeasurementModel(
+        kinds=np.array([meter.kind for meter in meters], dtype="<U12"),
+        bus_row=bus_row,
+        y=y,
+        meter_row=meter_row,
+        at_bus=(y.indices == bus_row[meter_row]).astype(float),
+    )

@@ -1,0 +1,191 @@
+"""The network model: buses, branches and generators of a balanced grid, in per unit and radians.
+
+Sign conventions, here and everywhere inside the package:
+loads are positive when they consume, generators when they produce, injections when power enters the
+network at the bus, branch flows when power leaves the metered bus into the branch.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import cached_property
+
+from dsse_core.errors import InvalidInputError
+
+
+class Control(StrEnum):
+    """What a generator holds: the reference voltage, its active power and voltage, or its P and Q."""
+
+    SLACK = "slack"
+    VOLTAGE = "voltage"
+    POWER = "power"
+
+
+@dataclass(frozen=True, slots=True)
+class Bus:
+    """A node. ``p_load``, ``q_load`` in p.u.; ``g_shunt``, ``b_shunt`` in p.u. at 1 p.u. voltage."""
+
+    id: int
+    base_kv: float
+    name: str = ""
+    p_load: float = 0.0
+    q_load: float = 0.0
+    g_shunt: float = 0.0
+    b_shunt: float = 0.0
+
+    @property
+    def has_shunt(self) -> bool:
+        return self.g_shunt != 0.0 or self.b_shunt != 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Branch:
+    """A line or transformer: series ``r + jx``, total charging ``b``, in p.u.
+
+    The tap stands at the from side, MATPOWER's convention: without load
+    ``v_to = v_from / (tap * exp(j * shift))``; ``shift`` in rad.
+    """
+
+    id: str
+    from_bus: int
+    to_bus: int
+    r: float
+    x: float
+    b: float = 0.0
+    tap: float = 1.0
+    shift: float = 0.0
+    in_service: bool = True
+
+    def other_end(self, bus: int) -> int:
+        return self.to_bus if bus == self.from_bus else self.from_bus
+
+
+@dataclass(frozen=True, slots=True)
+class Generator:
+    """A source at a bus. ``p``, ``q``: scheduled production; ``vm``, ``va``: set-points of SLACK and VOLTAGE."""
+
+    bus: int
+    control: Control
+    p: float = 0.0
+    q: float = 0.0
+    vm: float = 1.0
+    va: float = 0.0
+
+
+@dataclass(frozen=True)
+class Network:
+    """Buses, branches and generators. At most one generator is the slack; an area's part may have none.
+
+    Raises:
+        InvalidInputError: listing every duplicate, dangling reference and impossible value.
+    """
+
+    name: str
+    base_mva: float
+    buses: tuple[Bus, ...]
+    branches: tuple[Branch, ...]
+    generators: tuple[Generator, ...] = ()
+
+    def __post_init__(self) -> None:
+        if problems := list(_find_problems(self)):
+            raise InvalidInputError(f"network {self.name!r}", problems)
+
+    @cached_property
+    def row(self) -> dict[int, int]:
+        """Bus id -> array position: the only place where the two are related."""
+        return {bus.id: row for row, bus in enumerate(self.buses)}
+
+    @cached_property
+    def active_branches(self) -> tuple[Branch, ...]:
+        """The branches in service, in the order of the rows of the branch admittances."""
+        return tuple(branch for branch in self.branches if branch.in_service)
+
+    @cached_property
+    def branches_at(self) -> dict[int, tuple[Branch, ...]]:
+        """Bus id -> branches in service that end there."""
+        at: dict[int, list[Branch]] = {bus.id: [] for bus in self.buses}
+        for branch in self.active_branches:
+            at[branch.from_bus].append(branch)
+            at[branch.to_bus].append(branch)
+        return {bus: tuple(branches) for bus, branches in at.items()}
+
+    @cached_property
+    def slack(self) -> Generator | None:
+        return next((g for g in self.generators if g.control is Control.SLACK), None)
+
+    def bus(self, bus_id: int) -> Bus:
+        return self.buses[self.row[bus_id]]
+
+    def branch(self, branch_id: str) -> Branch:
+        return self._branch_by_id[branch_id]
+
+    @cached_property
+    def _branch_by_id(self) -> dict[str, Branch]:
+        return {branch.id: branch for branch in self.branches}
+
+    def scheduled_injection(self, bus_id: int) -> complex:
+        """Scheduled generation minus load of a bus, p.u.; shunts do not count."""
+        bus = self.bus(bus_id)
+        return sum((complex(g.p, g.q) for g in self.generators if g.bus == bus_id), complex(0.0)) - complex(
+            bus.p_load, bus.q_load
+        )
+
+    def find_unreached_buses(self, start: int) -> tuple[int, ...]:
+        """Buses that no path of branches in service joins to ``start``, in network order."""
+        reached, queue = {start}, [start]
+        while queue:
+            here = queue.pop()
+            for branch in self.branches_at[here]:
+                if (there := branch.other_end(here)) not in reached:
+                    reached.add(there)
+                    queue.append(there)
+        return tuple(bus.id for bus in self.buses if bus.id not in reached)
+
+
+def _duplicates(items: Iterable[object]) -> list[object]:
+    seen: set[object] = set()
+    return [item for item in items if item in seen or seen.add(item)]
+
+
+def _find_problems(network: Network) -> Iterable[str]:
+    ids = {bus.id for bus in network.buses}
+    if not network.buses:
+        yield "it has no bus"
+    if not (math.isfinite(network.base_mva) and network.base_mva > 0):
+        yield f"base_mva is {network.base_mva}; it must be a positive power in MVA"
+    for bus_id in _duplicates(bus.id for bus in network.buses):
+        yield f"bus {bus_id} is defined twice; give each bus its own id"
+    for branch_id in _duplicates(branch.id for branch in network.branches):
+        yield f"branch {branch_id} is defined twice; give parallel branches ids of their own"
+    for bus in network.buses:
+        values = (bus.p_load, bus.q_load, bus.g_shunt, bus.b_shunt)
+        if not all(map(math.isfinite, values)):
+            yield f"bus {bus.id}: load or shunt is not a finite number"
+        if not (math.isfinite(bus.base_kv) and bus.base_kv > 0):
+            yield f"bus {bus.id}: base_kv is {bus.base_kv}; it must be positive"
+    for branch in network.branches:
+        for bus_id in (branch.from_bus, branch.to_bus):
+            if bus_id not in ids:
+                yield f"branch {branch.id} ends at bus {bus_id}, which is not defined"
+        if branch.from_bus == branch.to_bus:
+            yield f"branch {branch.id} joins bus {branch.from_bus} to itself"
+        values = (branch.r, branch.x, branch.b, branch.tap, branch.shift)
+        if not all(map(math.isfinite, values)):
+            yield f"branch {branch.id}: r, x, b, tap or shift is not a finite number"
+        elif branch.r == 0 and branch.x == 0:
+            yield f"branch {branch.id} has no impedance; merge its two buses or give it a small x"
+        if branch.tap <= 0:
+            yield f"branch {branch.id}: tap is {branch.tap}; it must be positive (1.0 for a line)"
+    for generator in network.generators:
+        if generator.bus not in ids:
+            yield f"generator at bus {generator.bus}, which is not defined"
+        if not all(map(math.isfinite, (generator.p, generator.q, generator.vm, generator.va))):
+            yield f"generator at bus {generator.bus}: p, q, vm or va is not a finite number"
+        elif generator.vm <= 0:
+            yield f"generator at bus {generator.bus}: vm is {generator.vm}; it must be positive"
+    slacks = [str(g.bus) for g in network.generators if g.control is Control.SLACK]
+    if len(slacks) > 1:
+        yield f"buses {', '.join(slacks)} are all slack; keep one"

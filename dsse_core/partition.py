@@ -1,0 +1,286 @@
+"""The division of a network into areas that meet at boundary buses and form a tree.
+
+Branches are divided among areas; a boundary bus is seen by every area whose branches meet there. Seen
+from the substation, the first area at a boundary bus owns it (its load, its generators, its meters); the
+others are children of the owner there. Neighbours are owner and child: the edges of the tree.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+from dsse_core.errors import InvalidInputError
+from dsse_core.measurement import Meter
+from dsse_core.network import Branch, Control, Network
+
+
+@dataclass(frozen=True, slots=True)
+class Neighbour:
+    """Another area met at boundary bus ``bus``; ``is_parent`` if it lies towards the substation."""
+
+    area: str
+    bus: int
+    is_parent: bool
+
+
+@dataclass(frozen=True)
+class Area:
+    """What one area knows of the grid: its own part of the network and its neighbours' names.
+
+    ``network`` holds the area's buses and branches; load, shunt and generators of a boundary bus stand only
+    in the network of its owner. ``slack_bus`` is where the local power flow holds the voltage; ``slack_vm``
+    its set-point in p.u., None when it is the voltage that the parent publishes for that bus.
+    """
+
+    name: str
+    network: Network
+    neighbours: tuple[Neighbour, ...]
+    slack_bus: int
+    slack_vm: float | None
+
+    @property
+    def is_reference(self) -> bool:
+        """Whether the area holds the substation, and with it the angle reference of the grid."""
+        return self.network.slack is not None
+
+    @property
+    def parent(self) -> Neighbour | None:
+        return next((n for n in self.neighbours if n.is_parent), None)
+
+    @property
+    def boundary_buses(self) -> tuple[int, ...]:
+        return tuple(dict.fromkeys(n.bus for n in self.neighbours))
+
+
+@dataclass(frozen=True)
+class Partition:
+    """The areas of a network, a tree rooted at the area of the substation."""
+
+    network: Network
+    areas: tuple[Area, ...]
+
+    def area(self, name: str) -> Area:
+        return self._by_name[name]
+
+    @cached_property
+    def _by_name(self) -> dict[str, Area]:
+        return {area.name: area for area in self.areas}
+
+    @cached_property
+    def _area_of_branch(self) -> dict[str, str]:
+        return {branch.id: area.name for area in self.areas for branch in area.network.branches}
+
+    @cached_property
+    def owner_of_bus(self) -> dict[int, str]:
+        """Bus id -> the area that owns it: its only area, or the one towards the substation."""
+        return {
+            bus.id: area.name
+            for area in self.areas
+            for bus in area.network.buses
+            if area.parent is None or bus.id != area.parent.bus
+        }
+
+    def area_of_meter(self, meter: Meter) -> str:
+        """The one area that a meter belongs to: that of its branch, or the owner of its bus."""
+        return self._area_of_branch[meter.branch] if meter.branch else self.owner_of_bus[meter.bus]
+
+    @cached_property
+    def boundaries(self) -> dict[int, tuple[str, ...]]:
+        """Boundary bus -> the areas that see it, its owner first."""
+        seen: dict[int, list[str]] = {}
+        for area in self.areas:
+            for bus in area.network.buses:
+                seen.setdefault(bus.id, []).append(area.name)
+        return {
+            bus: tuple(sorted(names, key=lambda name: name != self.owner_of_bus[bus]))
+            for bus, names in seen.items()
+            if len(names) > 1
+        }
+
+
+def build_partition(
+    network: Network,
+    area_buses: Mapping[str, Sequence[int]],
+    local_slack: Mapping[str, tuple[int, float]] | None = None,
+) -> Partition:
+    """Divide ``network`` into the named areas; ``area_buses`` lists the buses of each, boundary buses in several.
+
+    The local slack of an area is the substation or the first voltage-holding generator in it, else the
+    boundary bus towards the substation; ``local_slack`` (area -> bus, vm in p.u.) overrides it.
+
+    Raises:
+        InvalidInputError: listing every bus or branch in no area, area in pieces, unknown name, and the
+            cycle if areas form a loop.
+    """
+    local_slack = local_slack or {}
+    problems = _find_bus_problems(network, area_buses)
+    members = {name: set(buses) & network.row.keys() for name, buses in area_buses.items()}
+    branch_area, branch_problems = _assign_branches(network, members)
+    problems += branch_problems
+    for name, (bus, _) in local_slack.items():
+        if name not in members or bus not in members[name]:
+            problems.append(f"area {name}: slack_bus {bus} is not one of its buses")
+    if problems:
+        raise InvalidInputError(f"areas of network {network.name!r}", problems)
+
+    meeting: dict[int, list[str]] = {}
+    for name, buses in members.items():
+        for bus in buses:
+            meeting.setdefault(bus, []).append(name)
+    boundaries = {bus: names for bus, names in meeting.items() if len(names) > 1}
+    neighbours = _grow_tree(network, members, boundaries)
+    areas = []
+    for name in area_buses:
+        parent = next((n for n in neighbours[name] if n.is_parent), None)
+        part = _cut_out(network, name, members[name], branch_area, parent.bus if parent else None)
+        bus, vm = local_slack.get(name) or _default_slack(part, parent)
+        areas.append(Area(name, part, tuple(neighbours[name]), bus, vm))
+    return Partition(network, tuple(areas))
+
+
+def _find_bus_problems(network: Network, area_buses: Mapping[str, Sequence[int]]) -> list[str]:
+    problems = []
+    if not area_buses:
+        problems.append("there is no area; name at least one")
+    covered: set[int] = set()
+    for name, buses in area_buses.items():
+        covered.update(buses)
+        for bus in buses:
+            if bus not in network.row:
+                problems.append(f"area {name}: bus {bus} is not in the network")
+        for bus in sorted({bus for bus in buses if list(buses).count(bus) > 1}):
+            problems.append(f"area {name}: bus {bus} is listed twice")
+    for bus in network.buses:
+        if bus.id not in covered:
+            problems.append(f"bus {bus.id} is in no area; add it to the buses of one")
+    if network.slack is None:
+        problems.append("the network has no slack bus (substation); give it one source of kind 'slack'")
+    elif unreached := network.find_unreached_buses(network.slack.bus):
+        names = ", ".join(map(str, unreached))
+        problems.append(f"no path of branches in service joins bus {names} to the substation")
+    return problems
+
+
+def _assign_branches(network: Network, members: Mapping[str, set[int]]) -> tuple[dict[str, str], list[str]]:
+    """Give each branch in service to the one area that holds both its ends; find areas in pieces."""
+    branch_area: dict[str, str] = {}
+    problems = []
+    for branch in network.active_branches:
+        homes = [name for name, buses in members.items() if {branch.from_bus, branch.to_bus} <= buses]
+        if len(homes) == 1:
+            branch_area[branch.id] = homes[0]
+        elif not homes:
+            problems.append(
+                f"branch {branch.id} is in no area: no area lists both of its buses "
+                f"{branch.from_bus} and {branch.to_bus}; add one of them to the other's area"
+            )
+        else:
+            problems.append(
+                f"areas {', '.join(homes)} form a loop: all of them list both ends of branch {branch.id}; "
+                "two areas may share one bus only"
+            )
+    for name, buses in members.items():
+        if not buses:
+            continue
+        pieces = _connected_pieces(buses, [b for b in network.active_branches if branch_area.get(b.id) == name])
+        if len(pieces) > 1:
+            text = " | ".join(", ".join(map(str, sorted(piece))) for piece in pieces)
+            problems.append(f"area {name} is not connected by its own branches: it falls into buses {text}")
+        elif len(buses) == 1:
+            problems.append(f"area {name} has a single bus and no branch; add the bus to a neighbouring area instead")
+    return branch_area, problems
+
+
+def _connected_pieces(buses: set[int], branches: Sequence[Branch]) -> list[set[int]]:
+    piece_of = {bus: {bus} for bus in sorted(buses)}
+    for branch in branches:
+        a, b = piece_of[branch.from_bus], piece_of[branch.to_bus]
+        if a is not b:
+            a |= b
+            for bus in b:
+                piece_of[bus] = a
+    return list({id(piece): piece for piece in piece_of.values()}.values())
+
+
+def _grow_tree(
+    network: Network, members: Mapping[str, set[int]], boundaries: Mapping[int, list[str]]
+) -> dict[str, list[Neighbour]]:
+    """Walk from the substation over areas and boundary buses; a second way to the same place is a loop."""
+    assert network.slack is not None  # checked by _find_bus_problems
+    neighbours: dict[str, list[Neighbour]] = {name: [] for name in members}
+    root = next(name for name, buses in members.items() if network.slack.bus in buses)
+    entered_by: dict[str, tuple[int, str] | None] = {root: None}  # area -> (boundary bus, its owner)
+    owner: dict[int, str] = {}
+    queue = deque([root])
+    while queue:
+        name = queue.popleft()
+        here = entered_by[name]
+        for bus in sorted(members[name] & boundaries.keys()):
+            if here is not None and bus == here[0]:
+                continue
+            if bus in owner:
+                raise _loop_error(network, entered_by, name, owner[bus], bus)
+            owner[bus] = name
+            for other in boundaries[bus]:
+                if other == name:
+                    continue
+                if other in entered_by:
+                    raise _loop_error(network, entered_by, name, other, bus)
+                entered_by[other] = (bus, name)
+                neighbours[name].append(Neighbour(other, bus, is_parent=False))
+                neighbours[other].append(Neighbour(name, bus, is_parent=True))
+                queue.append(other)
+    return neighbours
+
+
+def _loop_error(
+    network: Network, entered_by: Mapping[str, tuple[int, str] | None], one: str, other: str, bus: int
+) -> InvalidInputError:
+    """Name the cycle that closes where areas ``one`` and ``other`` meet again at ``bus``."""
+
+    def path(name: str) -> list[str]:
+        names = [name]
+        while (entry := entered_by[names[-1]]) is not None:
+            names.append(entry[1])
+        return names
+
+    ours, theirs = path(one), path(other)
+    while len(ours) > 1 and len(theirs) > 1 and ours[-2] == theirs[-2]:
+        ours.pop()
+        theirs.pop()
+    cycle = [*reversed(ours), *theirs[:-1]]
+    text = " - ".join([*cycle, cycle[0]])
+    return InvalidInputError(
+        f"areas of network {network.name!r}",
+        [f"areas form a loop: {text}, closed at bus {bus}; move the cut so that the areas form a tree"],
+    )
+
+
+def _cut_out(
+    network: Network, name: str, buses: set[int], branch_area: Mapping[str, str], not_owned: int | None
+) -> Network:
+    """The part of the network that area ``name`` knows; the bus it does not own is left bare."""
+    return Network(
+        name=name,
+        base_mva=network.base_mva,
+        buses=tuple(
+            replace(bus, p_load=0.0, q_load=0.0, g_shunt=0.0, b_shunt=0.0) if bus.id == not_owned else bus
+            for bus in network.buses
+            if bus.id in buses
+        ),
+        branches=tuple(b for b in network.active_branches if branch_area[b.id] == name),
+        generators=tuple(g for g in network.generators if g.bus in buses and g.bus != not_owned),
+    )
+
+
+def _default_slack(part: Network, parent: Neighbour | None) -> tuple[int, float | None]:
+    if part.slack is not None:
+        return part.slack.bus, part.slack.vm
+    for generator in part.generators:
+        if generator.control is Control.VOLTAGE:
+            return generator.bus, generator.vm
+    assert parent is not None  # an area without the substation has been entered from another
+    return parent.bus, None
