@@ -7,8 +7,9 @@ the net load of all buses on its side. A boundary bus itself counts on the side 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
+from dsse_core.measurement import Measurement, MeasurementKind, Source
 from dsse_core.partition import Area, Partition
 
 
@@ -62,3 +63,11 @@ def scheduled_load_messages(partition: Partition) -> dict[str, dict[str, complex
         for n in area.neighbours:
             tell(n.area, area.name)
     return heard
+
+
+def measured_injections(area: Area, measurements: Sequence[Measurement]) -> dict[int, complex]:
+    """Bus -> telemetered p + jq, p.u., of the area's buses with a source whose P and Q are both measured."""
+    sources = {generator.bus for generator in area.network.generators}
+    read = {(m.meter.kind, m.meter.bus): m.value for m in measurements if m.meter.source is Source.TELEMETERED}
+    p, q = MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION
+    return {bus: complex(read[p, bus], read[q, bus]) for bus in sources if (p, bus) in read and (q, bus) in read}

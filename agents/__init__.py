@@ -1,0 +1,1 @@
+"""One process per area: wire messages, keys, the protocol without I/O, strategies, transport and the loop."""

@@ -1,0 +1,71 @@
+"""``python -m agents AREA_FILE``: the agent of one area in this process, until SIGTERM or Ctrl-C."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import signal
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from types import FrameType
+
+from agents.area_file import load_area_file
+from agents.inbox import Inbox
+from agents.loop import run_agent
+from agents.protocol import StopRequested
+from agents.strategies import STRATEGIES
+from agents.transport import Session
+from dsse_core.errors import DsseError, InvalidInputError
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one agent; 0 after an orderly end, 2 on wrong input or a bus that cannot be reached."""
+    parser = argparse.ArgumentParser(
+        prog="dsse agent",
+        description="Run the agent of one area until SIGTERM or Ctrl-C. `dsse split` writes the area files.",
+        epilog="example: dsse agent runs/split/area1.toml --connect tcp/192.0.2.7:7447",
+    )
+    parser.add_argument("area_file", type=Path, help="the area's file: network, meters, neighbours, endpoints")
+    parser.add_argument(
+        "--connect", action="append", metavar="ENDPOINT", help="Zenoh endpoint to use instead of the file's; repeatable"
+    )
+    parser.add_argument("--timeout", type=float, default=10.0, metavar="S", help="wait for the bus so long (10 s)")
+    arguments = parser.parse_args(argv)
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
+    try:
+        run_area(arguments.area_file, arguments.connect or (), arguments.timeout)
+    except DsseError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def run_area(path: Path, endpoints: Sequence[str] = (), timeout_s: float = 10.0) -> None:
+    """Run the agent of area file ``path``; ``endpoints``, if any, replace the file's.
+
+    Raises:
+        InvalidInputError: the area file cannot be used.
+        TransportError: no endpoint answers within ``timeout_s``.
+    """
+    content = load_area_file(path)
+    if content.strategy not in STRATEGIES:
+        known = ", ".join(STRATEGIES)
+        raise InvalidInputError(f"area file {path}", [f"strategy: {content.strategy!r} is unknown; known are {known}"])
+    if endpoints:
+        content = replace(content, endpoints=tuple(endpoints))
+    inbox = Inbox()
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        inbox.put("stop", StopRequested(signal.Signals(number).name))
+
+    signal.signal(signal.SIGTERM, stop)
+    signal.signal(signal.SIGINT, stop)
+    with Session.connect(content.endpoints, timeout_s) as session:
+        reason = run_agent(content, session, inbox)
+    logging.getLogger(__name__).info("area %s ends: %s", content.area.name, reason)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,208 @@
+"""The area file: all that one agent reads. TOML, per unit and radians, written by ``dsse split``."""
+
+from __future__ import annotations
+
+import dataclasses
+import tomllib
+import typing
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tomli_w
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
+
+from agents.keys import NAME
+from dsse_core.errors import InvalidInputError
+from dsse_core.measurement import Meter, find_meter_problems
+from dsse_core.network import Branch, Bus, Generator, Network
+from dsse_core.partition import Area, Neighbour
+
+FORMAT = 1
+
+
+@dataclass(frozen=True)
+class AreaFile:
+    """One area as its agent knows it.
+
+    Args:
+        run: name of the system that the area belongs to; a part of every key.
+        meters: the area's meters, virtual ones included; readings come by telemetry.
+        strategy: name of the boundary-exchange strategy.
+        endpoints: Zenoh endpoints to connect to, e.g. ``tcp/127.0.0.1:7447``.
+        beat_s: interval at which the last messages are repeated, s.
+        tolerance: the local estimate stops at max |dx| below it, p.u. and rad.
+        generation: load messages count the "telemetered" injection of substation and generators, or the
+            "scheduled" one.
+        load_error: added to the load at each boundary bus (eqs. 5.4, 5.5), p.u.
+        loss: neighbour -> share of the messages to it that the link drops.
+        seed: of the losses.
+    """
+
+    run: str
+    area: Area
+    meters: tuple[Meter, ...]
+    strategy: str
+    endpoints: tuple[str, ...]
+    beat_s: float = 0.2
+    tolerance: float = 1e-6
+    generation: str = "telemetered"
+    load_error: complex = 0j
+    loss: dict[str, float] = field(default_factory=dict)
+    seed: int = 0
+
+
+def save_area_file(path: Path, content: AreaFile) -> None:
+    """Write ``content`` as TOML."""
+    area, network = content.area, content.area.network
+    slack = {"bus": area.slack_bus} | ({} if area.slack_vm is None else {"vm": area.slack_vm})
+    table = {
+        "format": FORMAT,
+        "run": content.run,
+        "area": area.name,
+        "strategy": content.strategy,
+        "endpoints": list(content.endpoints),
+        "beat_s": content.beat_s,
+        "tolerance": content.tolerance,
+        "seed": content.seed,
+        "local_slack": slack,
+        "load_messages": {
+            "generation": content.generation,
+            "p_error": content.load_error.real,
+            "q_error": content.load_error.imag,
+        },
+        "neighbour": [_rows_of(n) | {"loss": content.loss.get(n.area, 0.0)} for n in area.neighbours],
+        "network": {
+            "base_mva": network.base_mva,
+            "bus": [_rows_of(bus) for bus in network.buses],
+            "branch": [_rows_of(branch) for branch in network.branches],
+            "generator": [_rows_of(generator) for generator in network.generators],
+        },
+        "meter": [_rows_of(meter) for meter in content.meters],
+    }
+    path.write_text(
+        f"# Area {area.name}: all that its agent reads. Per unit on base_mva, and radians.\n" + tomli_w.dumps(table)
+    )
+
+
+def load_area_file(path: Path) -> AreaFile:
+    """Read and check an area file.
+
+    Raises:
+        InvalidInputError: naming the file and every unknown, missing or impossible key.
+    """
+    what = f"area file {path}"
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InvalidInputError(what, [f"cannot be read: {error}"]) from None
+    except tomllib.TOMLDecodeError as error:
+        raise InvalidInputError(what, [f"is not TOML: {error}"]) from None
+    try:
+        t = _FileTable.model_validate(table)
+    except ValidationError as error:
+        raise InvalidInputError(what, [describe_schema_error(e) for e in error.errors()]) from None
+    network = Network(
+        name=t.area,
+        base_mva=t.network.base_mva,
+        buses=tuple(Bus(**vars(row)) for row in t.network.bus),
+        branches=tuple(Branch(**vars(row)) for row in t.network.branch),
+        generators=tuple(Generator(**vars(row)) for row in t.network.generator),
+    )
+    meters = tuple(Meter(**vars(row)) for row in t.meter)
+    neighbours = tuple(Neighbour(n.area, n.bus, n.is_parent) for n in t.neighbour)
+    problems = list(find_meter_problems(network, meters))
+    problems += [
+        f"neighbour {n.area}: bus {n.bus} is not in the network" for n in neighbours if n.bus not in network.row
+    ]
+    if t.local_slack.bus not in network.row:
+        problems.append(f"local_slack.bus: bus {t.local_slack.bus} is not in the network")
+    if sum(n.is_parent for n in neighbours) != (0 if network.slack else 1):
+        problems.append("neighbour: exactly one must be the parent, or none where the network holds the substation")
+    if problems:
+        raise InvalidInputError(what, problems)
+    return AreaFile(
+        run=t.run,
+        area=Area(t.area, network, neighbours, t.local_slack.bus, t.local_slack.vm),
+        meters=meters,
+        strategy=t.strategy,
+        endpoints=tuple(t.endpoints),
+        beat_s=t.beat_s,
+        tolerance=t.tolerance,
+        generation=t.load_messages.generation,
+        load_error=complex(t.load_messages.p_error, t.load_messages.q_error),
+        loss={n.area: n.loss for n in t.neighbour},
+        seed=t.seed,
+    )
+
+
+def describe_schema_error(error: Any) -> str:
+    """One line for one error of pydantic: the key's path, what is wrong, what was found."""
+    path = "".join(f"[{part + 1}]" if isinstance(part, int) else f".{part}" for part in error["loc"]).lstrip(".")
+    if error["type"] == "extra_forbidden":
+        return f"{path}: unknown key"
+    if error["type"] == "missing":
+        return f"{path}: missing key"
+    return f"{path}: {error['msg']}, found {error['input']!r:.80}"
+
+
+def _rows_of(item: Any) -> dict[str, Any]:
+    """A dataclass as a TOML table: values that equal their default are left out, and so is None."""
+    return {
+        f.name: getattr(item, f.name)
+        for f in dataclasses.fields(item)
+        if f.default is dataclasses.MISSING or getattr(item, f.name) != f.default
+    }
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+class _Slack(_Strict):
+    bus: int
+    vm: float | None = Field(None, gt=0)
+
+
+class _LoadMessages(_Strict):
+    generation: Literal["telemetered", "scheduled"] = "telemetered"
+    p_error: float = 0.0
+    q_error: float = 0.0
+
+
+def _rows_like(cls: type[Any], **extra: Any) -> Any:
+    """A list of strict tables whose keys are the fields of dataclass ``cls``."""
+    hints = typing.get_type_hints(cls)
+    keys = {
+        f.name: (hints[f.name], ... if f.default is dataclasses.MISSING else f.default) for f in dataclasses.fields(cls)
+    }
+    row = create_model(cls.__name__, __base__=_Strict, **(keys | extra))
+    return list[row]  # type: ignore[valid-type]
+
+
+_Name = Annotated[str, Field(pattern=f"^{NAME.pattern}$")]
+_NetworkTable: Any = create_model(
+    "_NetworkTable",
+    __base__=_Strict,
+    base_mva=(float, ...),
+    bus=(_rows_like(Bus), ...),
+    branch=(_rows_like(Branch), ...),
+    generator=(_rows_like(Generator), []),
+)
+_FileTable: Any = create_model(
+    "_FileTable",
+    __base__=_Strict,
+    format=(Literal[1], ...),
+    run=(_Name, ...),
+    area=(_Name, ...),
+    strategy=(str, ...),
+    endpoints=(list[str], Field(min_length=1)),
+    beat_s=(float, Field(0.2, gt=0)),
+    tolerance=(float, Field(1e-6, gt=0)),
+    seed=(int, 0),
+    local_slack=(_Slack, ...),
+    load_messages=(_LoadMessages, _LoadMessages()),
+    neighbour=(_rows_like(Neighbour, loss=(float, Field(0.0, ge=0, le=1))), []),
+    network=(_NetworkTable, ...),
+    meter=(_rows_like(Meter), ...),
+)

@@ -1,0 +1,58 @@
+"""Key expressions on the bus, all below ``dsse/v1/<run>/``; every chunk is made of ``[a-z0-9_-]``.
+
+==============================  ====================================================
+``area/<i>/boundary/<j>``       boundary messages of area i for neighbour j
+``area/<i>/load/<j>``           load messages of area i for neighbour j
+``area/<i>/state``              what area i knows, for whoever watches
+``telemetry/<i>``               meter readings for area i, from the plant or a gateway
+``live/<role>/<name>``          presence tokens of areas, plant and coordinator
+==============================  ====================================================
+"""
+
+import re
+
+NAME = re.compile(r"[a-z0-9_-]+")
+
+
+def _root(run: str) -> str:
+    return f"dsse/v1/{run}"
+
+
+def neighbour_key(run: str, sender: str, kind: str, receiver: str) -> str:
+    return f"{_root(run)}/area/{sender}/{kind}/{receiver}"
+
+
+def all_from_neighbours(run: str, receiver: str) -> str:
+    """What neighbours say to ``receiver``: messages of every kind."""
+    return f"{_root(run)}/area/*/*/{receiver}"
+
+
+def state_key(run: str, area: str) -> str:
+    return f"{_root(run)}/area/{area}/state"
+
+
+def all_states(run: str) -> str:
+    return state_key(run, "*")
+
+
+def telemetry_key(run: str, area: str) -> str:
+    return f"{_root(run)}/telemetry/{area}"
+
+
+def live_key(run: str, role: str, name: str) -> str:
+    return f"{_root(run)}/live/{role}/{name}"
+
+
+def all_live(run: str) -> str:
+    return live_key(run, "*", "*")
+
+
+def sender_of(key: str) -> str:
+    """The area that a key of an area's own belongs to; empty for other keys."""
+    chunks = key.split("/")
+    return chunks[4] if len(chunks) > 4 and chunks[3] == "area" else ""
+
+
+def role_and_name_of_live(key: str) -> tuple[str, str]:
+    chunks = key.split("/")
+    return chunks[-2], chunks[-1]

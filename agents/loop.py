@@ -1,0 +1,86 @@
+"""The loop of an agent: bus and clock on one side, the protocol on the other."""
+
+from __future__ import annotations
+
+import logging
+import random
+import time
+from collections.abc import Callable
+
+from agents.area_file import AreaFile
+from agents.inbox import Inbox
+from agents.keys import (
+    all_from_neighbours,
+    live_key,
+    neighbour_key,
+    role_and_name_of_live,
+    sender_of,
+    state_key,
+    telemetry_key,
+)
+from agents.link import LossyLink
+from agents.messages import Incarnation, MessageError, decode
+from agents.protocol import AreaProtocol, Event, Finish, PresenceChanged, Publish, Received, Refused
+from agents.strategies import make_strategy
+from agents.transport import Session
+
+log = logging.getLogger(__name__)
+
+
+def run_agent(content: AreaFile, session: Session, inbox: Inbox) -> str:
+    """Take part in the exchange until something puts ``StopRequested`` into ``inbox``; return its reason.
+
+    Subscribes first and shows its presence last, so that who sees the token can be sure to be heard.
+    """
+    now = time.monotonic()
+    incarnation = Incarnation(time.time_ns() // 1_000_000, random.getrandbits(32))
+    protocol = AreaProtocol(content, make_strategy(content), incarnation, now=now, started_at=time.time())
+    link = LossyLink(content.area.name, content.loss, content.seed, _publishers(content, session))
+    name, run = content.area.name, content.run
+    neighbours = {n.area for n in content.area.neighbours}
+    session.subscribe(all_from_neighbours(run, name), _put_messages_of(neighbours, inbox))
+    session.subscribe(telemetry_key(run, name), lambda key, payload: inbox.put(key, (key, payload)))
+    for neighbour in sorted(neighbours):
+        session.watch_presence(
+            live_key(run, "area", neighbour),
+            lambda key, alive: inbox.put(key, PresenceChanged(role_and_name_of_live(key)[1], alive)),
+        )
+    session.declare_presence(live_key(run, "area", name))
+    log.info("area %s of run %s, strategy %s, incarnation %s", name, run, content.strategy, incarnation)
+    events: list[Event] = []
+    while True:
+        for action in protocol.handle(events, time.monotonic()):
+            match action:
+                case Publish(message, to):
+                    link.send(message, to)
+                case Finish(reason):
+                    return reason
+        news = inbox.take(protocol.wait_s(time.monotonic()))
+        events = [_event_of(*item) if isinstance(item, tuple) else item for item in news]
+
+
+def _publishers(content: AreaFile, session: Session) -> Callable[[str | None, str, bytes], None]:
+    """One publisher per key, all declared at the start."""
+    run, name = content.run, content.area.name
+    publishers: dict[tuple[str | None, str], Callable[[bytes], None]] = {}
+    publishers[None, "state"] = session.publisher(state_key(run, name))
+    for n in content.area.neighbours:
+        for kind in ("load", "boundary"):
+            publishers[n.area, kind] = session.publisher(neighbour_key(run, name, kind, n.area))
+    return lambda to, kind, payload: publishers[to, kind](payload)
+
+
+def _put_messages_of(neighbours: set[str], inbox: Inbox) -> Callable[[str, bytes], None]:
+    def put(key: str, payload: bytes) -> None:
+        known = sender_of(key) in neighbours
+        inbox.put(key if known else "stranger", (key, payload) if known else Refused("unknown sender"))
+
+    return put
+
+
+def _event_of(key: str, payload: bytes) -> Event:
+    try:
+        return Received(decode(payload), sender_of(key))
+    except MessageError as error:
+        log.warning("refused a payload on %s: %s", key, error)
+        return Refused(error.reason)

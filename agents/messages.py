@@ -1,0 +1,245 @@
+"""What crosses the bus: message types and their MessagePack encoding.
+
+Every message is a fixed-order array ``[wire version, kind, run, sender, [start time, random], scan,
+sequence, time, ...body]``: absolute, idempotent, and strictly checked when decoded.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import msgpack
+
+WIRE_VERSION = 1
+MAX_BYTES = 8 * 1024 * 1024
+
+
+class MessageError(ValueError):
+    """A payload that is not a message of this version; ``reason`` is the short word under which it is counted."""
+
+    def __init__(self, reason: str, detail: str) -> None:
+        self.reason = reason
+        super().__init__(f"{reason}: {detail}")
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Incarnation:
+    """One life of a process: a restarted one is newer than its past."""
+
+    start_ms: int
+    random: int
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """Who says it, in which life, about which scan. ``sequence`` grows with every changed content."""
+
+    run: str
+    sender: str
+    incarnation: Incarnation
+    scan: int
+    sequence: int
+    time: float  # s since 1970, for people and logs; nothing is decided by it
+
+    @property
+    def order(self) -> tuple[Incarnation, int]:
+        """What makes one message of a sender newer than another."""
+        return (self.incarnation, self.sequence)
+
+
+@dataclass(frozen=True, slots=True)
+class LoadMessage:
+    """The net load, p.u., of everything on the sender's side of a boundary bus (thesis eqs. 5.1, 5.2)."""
+
+    kind: ClassVar[str] = "load"
+    header: Header
+    bus: int
+    p: float
+    q: float
+
+
+@dataclass(frozen=True, slots=True)
+class BoundaryMessage:
+    """The sender's corrected state at a boundary bus, p.u. and rad.
+
+    ``referenced``: its angle counts from the substation.
+    """
+
+    kind: ClassVar[str] = "boundary"
+    header: Header
+    bus: int
+    vm: float
+    va: float
+    referenced: bool
+
+
+@dataclass(frozen=True, slots=True)
+class TelemetryMessage:
+    """One scan of an area's meters: ids, values and sigmas, p.u. and rad."""
+
+    kind: ClassVar[str] = "telemetry"
+    header: Header
+    area: str
+    meters: tuple[str, ...]
+    values: tuple[float, ...]
+    sigmas: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class StateMessage:
+    """What an area knows and on what it rests, for whoever watches.
+
+    ``buses``, ``vm``, ``va``, ``sigma_vm``, ``sigma_va``: the estimate (empty before the first), p.u. and rad.
+    ``referenced``: angles count from the substation. ``removed``: meters taken out as bad data.
+    ``sent``, ``heard``: per neighbour the last sequence numbers of (load, boundary) messages.
+    ``messages``, ``bytes``, ``lost``: totals handed to the bus, ``lost`` of them dropped by the link;
+    ``refused``: received payloads by reason of refusal. ``notes``: in words, what is missing.
+    """
+
+    kind: ClassVar[str] = "state"
+    header: Header
+    buses: tuple[int, ...]
+    vm: tuple[float, ...]
+    va: tuple[float, ...]
+    sigma_vm: tuple[float, ...]
+    sigma_va: tuple[float, ...]
+    referenced: bool
+    objective: float
+    degrees_of_freedom: int
+    removed: tuple[str, ...]
+    sent: dict[str, tuple[int, int]]
+    heard: dict[str, tuple[int, int]]
+    messages: int
+    bytes: int
+    lost: int
+    refused: dict[str, int]
+    notes: tuple[str, ...]
+
+
+Message = LoadMessage | BoundaryMessage | TelemetryMessage | StateMessage
+
+_TYPES: Mapping[str, type[Any]] = {
+    cls.kind: cls for cls in (LoadMessage, BoundaryMessage, TelemetryMessage, StateMessage)
+}
+
+
+def encode(message: Message) -> bytes:
+    """The payload of ``message``; a boundary message takes well under 200 bytes."""
+    h = message.header
+    head = [WIRE_VERSION, message.kind, h.run, h.sender, [h.incarnation.start_ms, h.incarnation.random]]
+    body = [getattr(message, field.name) for field in dataclasses.fields(message)[1:]]
+    payload: bytes = msgpack.packb([*head, h.scan, h.sequence, h.time, *body])
+    return payload
+
+
+def decode(payload: bytes) -> Message:
+    """The message in ``payload``.
+
+    Raises:
+        MessageError: anything that is not a well-formed message of this wire version.
+    """
+    if len(payload) > MAX_BYTES:
+        raise MessageError("too large", f"{len(payload)} bytes, the limit is {MAX_BYTES}")
+    try:
+        fields = msgpack.unpackb(payload, use_list=False, strict_map_key=True, raw=False)
+    except Exception as error:
+        raise MessageError("not MessagePack", str(error)) from None
+    if not isinstance(fields, tuple) or len(fields) < 8:
+        raise MessageError("malformed", "not an array with a header of 8 fields")
+    if fields[0] != WIRE_VERSION:
+        raise MessageError("wire version", f"{fields[0]!r}, this program speaks {WIRE_VERSION}")
+    message_type = _TYPES.get(fields[1]) if isinstance(fields[1], str) else None
+    if message_type is None:
+        raise MessageError("malformed", f"unknown kind {fields[1]!r}")
+    header = Header(
+        run=_text("run", fields[2]),
+        sender=_text("sender", fields[3]),
+        incarnation=Incarnation(*_tuple_of(_count, 2)("incarnation", fields[4])),
+        scan=_count("scan", fields[5]),
+        sequence=_count("sequence", fields[6]),
+        time=_number("time", fields[7]),
+    )
+    places = dataclasses.fields(message_type)[1:]
+    if len(fields) != 8 + len(places):
+        raise MessageError("malformed", f"{message_type.kind} has {len(fields)} fields, not {8 + len(places)}")
+    body = {
+        place.name: _CHECKS[str(place.type)](place.name, value) for place, value in zip(places, fields[8:], strict=True)
+    }
+    _check_lengths(body)
+    message: Message = message_type(header=header, **body)
+    return message
+
+
+def _check_lengths(body: Mapping[str, Any]) -> None:
+    for group in (("buses", "vm", "va", "sigma_vm", "sigma_va"), ("meters", "values", "sigmas")):
+        if group[0] in body and len({len(body[name]) for name in group}) != 1:
+            raise MessageError("malformed", f"{', '.join(group)} differ in length")
+
+
+def _text(name: str, value: object) -> str:
+    if not isinstance(value, str) or len(value) > 1000:
+        raise MessageError("malformed", f"{name} is {value!r:.80}, not a text of at most 1000 characters")
+    return value
+
+
+def _count(name: str, value: object) -> int:
+    if type(value) is not int or value < 0:
+        raise MessageError("malformed", f"{name} is {value!r:.80}, not a count")
+    return value
+
+
+def _number(name: str, value: object) -> float:
+    if type(value) not in (int, float):
+        raise MessageError("malformed", f"{name} is {value!r:.80}, not a number")
+    try:
+        number = float(value)  # type: ignore[arg-type]
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise MessageError("not finite", f"{name} is {value!r:.80}")
+    return number
+
+
+def _flag(name: str, value: object) -> bool:
+    if not isinstance(value, bool):
+        raise MessageError("malformed", f"{name} is {value!r:.80}, not true or false")
+    return value
+
+
+def _tuple_of(
+    check: Callable[[str, object], Any], length: int | None = None
+) -> Callable[[str, object], tuple[Any, ...]]:
+    def check_all(name: str, value: object) -> tuple[Any, ...]:
+        if not isinstance(value, tuple) or (length is not None and len(value) != length):
+            raise MessageError(
+                "malformed", f"{name} is {value!r:.80}, not an array" + (f" of {length}" if length else "")
+            )
+        return tuple(check(name, item) for item in value)
+
+    return check_all
+
+
+def _map_of(check: Callable[[str, object], Any]) -> Callable[[str, object], dict[str, Any]]:
+    def check_all(name: str, value: object) -> dict[str, Any]:
+        if not isinstance(value, dict):
+            raise MessageError("malformed", f"{name} is {value!r:.80}, not a map")
+        return {_text(name, key): check(name, item) for key, item in value.items()}
+
+    return check_all
+
+
+_CHECKS: Mapping[str, Callable[[str, object], Any]] = {  # by the annotation of the field
+    "bool": _flag,
+    "float": _number,
+    "int": _count,
+    "str": _text,
+    "tuple[float, ...]": _tuple_of(_number),
+    "tuple[int, ...]": _tuple_of(_count),
+    "tuple[str, ...]": _tuple_of(_text),
+    "dict[str, int]": _map_of(_count),
+    "dict[str, tuple[int, int]]": _map_of(_tuple_of(_count, 2)),
+}

@@ -1,0 +1,295 @@
+"""The protocol of one area: events and time in, actions out. No bus, no clock, no randomness.
+
+Solve when there is news; tell a neighbour when what it should hear has changed; repeat the last words at a
+slow beat, so that a lost last message does not matter. Messages are absolute: of each sender the newest
+(incarnation, sequence) counts, whatever was lost, repeated or overtaken on the way.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+from agents.area_file import AreaFile
+from agents.messages import BoundaryMessage, Header, Incarnation, LoadMessage, Message, StateMessage, TelemetryMessage
+from agents.strategies.interface import Estimate, Knowledge, Strategy
+from dsse_core.boundary_load import load_message_for, measured_injections, own_net_load
+from dsse_core.measurement import Measurement, Source
+from dsse_core.partition import Neighbour
+
+NEWS_LOAD = 1e-9  # p.u.
+
+M = TypeVar("M", LoadMessage, BoundaryMessage)
+
+
+@dataclass(frozen=True, slots=True)
+class Received:
+    """A decoded message; ``key_sender``: the area that its key belongs to, empty for telemetry."""
+
+    message: Message
+    key_sender: str
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """A payload that could not be decoded."""
+
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class PresenceChanged:
+    """A neighbour's liveliness token appeared or vanished."""
+
+    area: str
+    alive: bool
+
+
+@dataclass(frozen=True, slots=True)
+class StopRequested:
+    reason: str
+
+
+Event = Received | Refused | PresenceChanged | StopRequested
+
+
+@dataclass(frozen=True, slots=True)
+class Publish:
+    """Send ``message`` to neighbour ``to``, or show it to whoever watches (None)."""
+
+    message: Message
+    to: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class Finish:
+    reason: str
+
+
+Action = Publish | Finish
+
+
+class AreaProtocol:
+    """One area's part in the exchange.
+
+    Args:
+        started_at: wall-clock time, s since 1970, at monotonic time ``now``; only stamps messages.
+    """
+
+    def __init__(
+        self, content: AreaFile, strategy: Strategy, incarnation: Incarnation, *, now: float, started_at: float
+    ) -> None:
+        self._content = content
+        self._area = content.area
+        self._strategy = strategy
+        self._incarnation = incarnation
+        self._clock_offset = started_at - now
+        self._now = now
+        self._next_beat = now + content.beat_s
+        self._by_name = {n.area: n for n in self._area.neighbours}
+        self._meters = {meter.id: meter for meter in content.meters}
+        self._telemetry: TelemetryMessage | None = None
+        self._measurements: tuple[Measurement, ...] = ()
+        self._loads: dict[str, LoadMessage] = {}
+        self._boundary: dict[str, BoundaryMessage] = {}
+        self._sent_load: dict[str, LoadMessage] = {}
+        self._sent_boundary: dict[str, BoundaryMessage] = {}
+        self._state: StateMessage | None = None
+        self._present: set[str] = set()
+        self._gone: set[str] = set()
+        self._refused: Counter[str] = Counter()
+
+    def wait_s(self, now: float) -> float:
+        """How long the protocol may be left alone, s."""
+        return max(0.0, self._next_beat - now)
+
+    def handle(self, events: Sequence[Event], now: float) -> list[Action]:
+        """Take in ``events``, all that arrived since the last call, and say what to do."""
+        self._now = now
+        for event in events:
+            match event:
+                case StopRequested(reason):
+                    return [Finish(reason)]
+                case Received(message, key_sender):
+                    self._take(message, key_sender)
+                case Refused(reason):
+                    self._refused[reason] += 1
+                case PresenceChanged(area, alive):
+                    (self._present if alive else self._gone).add(area)
+                    (self._gone if alive else self._present).discard(area)
+        actions: list[Action] = []
+        if self._telemetry is None:
+            actions += self._show_state(None, ["no telemetry yet"])
+        elif events:
+            actions += self._tell_loads()
+            estimate, notes = self._strategy.solve(self._knowledge())
+            if estimate is not None:
+                actions += self._tell_boundaries(estimate)
+            actions += self._show_state(estimate, notes)
+        if now >= self._next_beat:
+            self._next_beat = now + self._content.beat_s
+            actions += self._repeat(actions)
+        return actions
+
+    # What comes in
+
+    def _take(self, message: Message, key_sender: str) -> None:
+        """Keep ``message`` if it is the newest of its sender, else drop it; count what should not have come."""
+        reason = self._find_refusal(message, key_sender)
+        if reason:
+            self._refused[reason] += 1
+            return
+        match message:
+            case TelemetryMessage():
+                self._take_telemetry(message)
+            case LoadMessage():
+                _keep_newest(self._loads, message)
+            case BoundaryMessage():
+                _keep_newest(self._boundary, message)
+
+    def _find_refusal(self, message: Message, key_sender: str) -> str:
+        header = message.header
+        if header.run != self._content.run:
+            return "other run"
+        if isinstance(message, TelemetryMessage):
+            return "" if message.area == self._area.name else "telemetry of another area"
+        if isinstance(message, StateMessage) or header.sender not in self._by_name:
+            return "unknown sender"
+        if header.sender != key_sender:
+            return "sender does not own the key"
+        return "" if message.bus == self._by_name[header.sender].bus else "other boundary bus"
+
+    def _take_telemetry(self, message: TelemetryMessage) -> None:
+        if self._telemetry is not None and message.header.order <= self._telemetry.header.order:
+            return
+        readings = []
+        for meter_id, value, sigma in zip(message.meters, message.values, message.sigmas, strict=True):
+            meter = self._meters.get(meter_id)
+            if meter is None or meter.source is Source.VIRTUAL:
+                self._refused["unknown meter"] += 1
+            elif sigma <= 0:
+                self._refused["sigma not positive"] += 1
+            else:
+                readings.append(Measurement(meter, value, sigma))
+        virtual = [Measurement(m, 0.0, 0.0) for m in self._content.meters if m.source is Source.VIRTUAL]
+        self._telemetry = message
+        self._measurements = (*readings, *virtual)
+
+    # What goes out
+
+    def _knowledge(self) -> Knowledge:
+        return Knowledge(
+            measurements=self._measurements,
+            own_load=self._own_load(),
+            loads={name: complex(m.p, m.q) for name, m in sorted(self._loads.items())},
+            boundary=dict(self._boundary),
+        )
+
+    def _own_load(self) -> complex:
+        measured = {}
+        if self._content.generation == "telemetered":
+            measured = measured_injections(self._area, self._measurements)
+        return own_net_load(self._area, measured)
+
+    def _tell_loads(self) -> list[Action]:
+        """Tell a neighbour the net load on this side once all the other neighbours have told theirs."""
+        own = self._own_load()
+        heard = {name: complex(m.p, m.q) for name, m in sorted(self._loads.items())}
+        actions: list[Action] = []
+        for n in self._area.neighbours:
+            if any(other.area not in heard for other in self._area.neighbours if other.area != n.area):
+                continue
+            load = load_message_for(n.area, own, heard)
+            last = self._sent_load.get(n.area)
+            if last is None or abs(complex(last.p, last.q) - load) > NEWS_LOAD or last.header.scan != self._scan:
+                message = LoadMessage(self._header(last), n.bus, load.real, load.imag)
+                self._sent_load[n.area] = message
+                actions.append(Publish(message, n.area))
+        return actions
+
+    def _tell_boundaries(self, estimate: Estimate) -> list[Action]:
+        actions: list[Action] = []
+        for n in self._area.neighbours:
+            last = self._sent_boundary.get(n.area)
+            message = self._strategy.message_for(n, estimate, self._header(last))
+            if last is None or last.header.scan != self._scan or self._strategy.is_news(message, last):
+                self._sent_boundary[n.area] = message
+                actions.append(Publish(message, n.area))
+        return actions
+
+    def _show_state(self, estimate: Estimate | None, notes: Sequence[str]) -> list[Action]:
+        last = self._state
+        state = StateMessage(
+            header=self._header(last),
+            buses=() if estimate is None else tuple(bus.id for bus in self._area.network.buses),
+            vm=() if estimate is None else tuple(estimate.vm.tolist()),
+            va=() if estimate is None else tuple(estimate.va.tolist()),
+            sigma_vm=() if estimate is None else tuple(estimate.sigma_vm.tolist()),
+            sigma_va=() if estimate is None else tuple(estimate.sigma_va.tolist()),
+            referenced=estimate is not None and estimate.referenced,
+            objective=0.0 if estimate is None else estimate.objective,
+            degrees_of_freedom=0 if estimate is None else estimate.degrees_of_freedom,
+            removed=() if estimate is None else estimate.removed,
+            sent={n.area: self._sequences(n, self._sent_load, self._sent_boundary) for n in self._area.neighbours},
+            heard={n.area: self._sequences(n, self._loads, self._boundary) for n in self._area.neighbours},
+            messages=0,
+            bytes=0,
+            lost=0,
+            refused=dict(self._refused),
+            notes=(*notes, *self._what_is_missing()),
+        )
+        if last is not None and replace(state, header=last.header) == last and last.header.scan == self._scan:
+            return []
+        self._state = state
+        return [Publish(state, None)]
+
+    def _what_is_missing(self) -> list[str]:
+        notes = [f"neighbour {name} is gone" for name in sorted(self._gone)]
+        headers = [m.header for m in self._loads.values()] + [m.header for m in self._boundary.values()]
+        stale = {header.sender for header in headers if header.scan != self._scan}
+        notes += [f"news from {name} is of another scan" for name in sorted(stale)]
+        read = {m.meter.id for m in self._measurements}
+        silent = [m.id for m in self._content.meters if m.id not in read]
+        if self._telemetry is not None and silent:
+            notes.append(f"no reading from {len(silent)} meters, the first is {silent[0]}")
+        return notes
+
+    def _repeat(self, just_done: Sequence[Action]) -> list[Action]:
+        """The last message to each neighbour and the last state, except those sent this very moment."""
+        fresh = {id(action.message) for action in just_done if isinstance(action, Publish)}
+        last_words: list[Action] = []
+        for n in self._area.neighbours:
+            for message in (self._sent_load.get(n.area), self._sent_boundary.get(n.area)):
+                if message is not None:
+                    last_words.append(Publish(message, n.area))
+        if self._state is not None:
+            last_words.append(Publish(self._state, None))
+        return [a for a in last_words if isinstance(a, Publish) and id(a.message) not in fresh]
+
+    @property
+    def _scan(self) -> int:
+        return self._telemetry.header.scan if self._telemetry else 0
+
+    def _header(self, last: Message | None) -> Header:
+        return Header(
+            run=self._content.run,
+            sender=self._area.name,
+            incarnation=self._incarnation,
+            scan=self._scan,
+            sequence=last.header.sequence + 1 if last else 1,
+            time=self._now + self._clock_offset,
+        )
+
+    def _sequences(
+        self, n: Neighbour, loads: dict[str, LoadMessage], boundary: dict[str, BoundaryMessage]
+    ) -> tuple[int, int]:
+        load, state = loads.get(n.area), boundary.get(n.area)
+        return (load.header.sequence if load else 0, state.header.sequence if state else 0)
+
+
+def _keep_newest(kept: dict[str, M], message: M) -> None:
+    last = kept.get(message.header.sender)
+    if last is None or message.header.order > last.header.order:
+        kept[message.header.sender] = message

@@ -1,0 +1,14 @@
+"""Boundary-exchange strategies: what an area makes of what it knows, and what it tells its neighbours."""
+
+from collections.abc import Mapping
+
+from agents.area_file import AreaFile
+from agents.strategies.angle_offset import AngleOffset
+from agents.strategies.interface import Strategy
+
+STRATEGIES: Mapping[str, type[Strategy]] = {"angle-offset": AngleOffset}
+
+
+def make_strategy(content: AreaFile) -> Strategy:
+    """The strategy that the area file names."""
+    return STRATEGIES[content.strategy](content)

@@ -1,0 +1,139 @@
+"""``angle-offset``, the thesis's algorithm (section 4.1, steps 4-8), for any tree of areas.
+
+Each area: (a) puts the net load beyond a boundary bus there as a load, (b) solves its power flow from its
+local slack, which gives the starting point and a pseudo-measurement of the boundary injection, (c) runs
+bad-data processing and WLS on its own telemetry, (d) shifts its angles by the difference to its parent's
+angle at their boundary bus (eqs. 5.3, 5.8, 5.9). Magnitudes are not reconciled.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from agents.area_file import AreaFile
+from agents.messages import BoundaryMessage, Header
+from agents.strategies.interface import Estimate, Knowledge, Strategy
+from dsse_core.bad_data import BadDataReport, process_bad_data
+from dsse_core.boundary_load import boundary_loads, measured_injections
+from dsse_core.errors import DsseError
+from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
+from dsse_core.partition import Neighbour
+from dsse_core.power_flow import solve_power_flow
+
+BOUNDARY_INJECTION_SIGMA = 0.10  # of |S|: losses beyond are neglected, loads there are forecasts
+FLOOR_MVA = 1e-3
+SLACK_VOLTAGE_SIGMA = 0.01
+NEWS = 1e-9  # p.u., rad
+
+
+class AngleOffset(Strategy):
+    """The state of one area between messages: its relative estimate, reused while only the offset changes."""
+
+    def __init__(self, content: AreaFile) -> None:
+        self._content = content
+        self._area = content.area
+        self._solved_for: object = None
+        self._local: Estimate | None = None
+        self._notes: tuple[str, ...] = ()
+
+    def solve(self, known: Knowledge) -> tuple[Estimate | None, tuple[str, ...]]:
+        parent = self._area.parent
+        heard = known.boundary.get(parent.area) if parent else None
+        slack_vm = self._area.slack_vm if self._area.slack_vm is not None else heard.vm if heard else None
+        inputs = (known.measurements, dict(known.loads), slack_vm)
+        if inputs != self._solved_for:
+            self._solved_for = inputs
+            self._local, self._notes = self._estimate(known, slack_vm)
+        if self._local is None:
+            return None, self._notes
+        return self._shift(self._local, heard)
+
+    def message_for(self, neighbour: Neighbour, estimate: Estimate, header: Header) -> BoundaryMessage:
+        row = self._area.network.row[neighbour.bus]
+        return BoundaryMessage(
+            header, neighbour.bus, float(estimate.vm[row]), float(estimate.va[row]), estimate.referenced
+        )
+
+    def is_news(self, message: BoundaryMessage, last: BoundaryMessage) -> bool:
+        return (
+            abs(message.vm - last.vm) > NEWS
+            or abs(message.va - last.va) > NEWS
+            or message.referenced != last.referenced
+        )
+
+    def _estimate(self, known: Knowledge, slack_vm: float | None) -> tuple[Estimate | None, tuple[str, ...]]:
+        """Steps (a) to (c), angles relative to the local slack bus; None where telemetry alone is too little."""
+        loads = boundary_loads(self._area, known.loads, self._content.load_error)
+        silent = [n.area for n in self._area.neighbours if n.area not in known.loads]
+        notes = [f"no load message from {name} yet" for name in silent]
+        start = None
+        if slack_vm is None:
+            notes.append(f"no voltage from {self._area.parent.area} yet" if self._area.parent else "no slack voltage")
+        elif not silent:
+            try:
+                flow = solve_power_flow(self._area.network, slack=(self._area.slack_bus, slack_vm), extra_load=loads)
+                start = (flow.vm, flow.va)
+            except DsseError as error:
+                notes.append(f"local power flow: {error}")
+        measurements = self._local_measurements(known, loads, set(silent), slack_vm)
+        try:
+            report = process_bad_data(
+                self._area.network,
+                measurements,
+                reference=self._area.slack_bus,
+                start=start,
+                tolerance=self._content.tolerance,
+            )
+        except DsseError as error:
+            return None, (*notes, f"no estimate: {error}")
+        if report.detected:
+            notes.append(
+                f"bad data detected but not identified: J = {report.objective:.4g}, limit {report.chi_square_limit:.4g}"
+            )
+        return _as_estimate(report), tuple(notes)
+
+    def _local_measurements(
+        self, known: Knowledge, loads: dict[int, complex], silent: set[str], slack_vm: float | None
+    ) -> list[Measurement]:
+        """Own telemetry; at boundary buses the injection is what the network beyond takes, a pseudo-measurement."""
+        boundary = set(self._area.boundary_buses)
+        chosen = [m for m in known.measurements if not (m.meter.kind.of_injection and m.meter.bus in boundary)]
+        own = measured_injections(self._area, known.measurements) if self._content.generation == "telemetered" else {}
+        for bus in self._area.boundary_buses:
+            if silent & {n.area for n in self._area.neighbours if n.bus == bus}:
+                continue
+            s = own.get(bus, self._area.network.scheduled_injection(bus)) - loads[bus]
+            sigma = max(BOUNDARY_INJECTION_SIGMA * abs(s), FLOOR_MVA / self._area.network.base_mva)
+            for kind, value in ((MeasurementKind.P_INJECTION, s.real), (MeasurementKind.Q_INJECTION, s.imag)):
+                chosen.append(Measurement(Meter(kind, bus, source=Source.PSEUDO), value, sigma))
+        if slack_vm is not None and not any(m.meter.kind is MeasurementKind.VM for m in chosen):
+            meter = Meter(MeasurementKind.VM, self._area.slack_bus, source=Source.PSEUDO)
+            chosen.append(Measurement(meter, slack_vm, SLACK_VOLTAGE_SIGMA))
+        return chosen
+
+    def _shift(self, local: Estimate, heard: BoundaryMessage | None) -> tuple[Estimate, tuple[str, ...]]:
+        """Step (d): add the difference of boundary angles to all angles; the substation's area is the reference."""
+        network, parent = self._area.network, self._area.parent
+        if parent is None:
+            assert network.slack is not None
+            offset = network.slack.va - local.va[network.row[network.slack.bus]]
+            return replace(local, va=local.va + offset, referenced=True), self._notes
+        if heard is None or not heard.referenced:
+            return local, (*self._notes, f"angles are relative: no angle from {parent.area} yet")
+        offset = heard.va - local.va[network.row[parent.bus]]
+        return replace(local, va=local.va + offset, referenced=True), self._notes
+
+
+def _as_estimate(report: BadDataReport) -> Estimate:
+    result = report.result
+    sigma_vm, sigma_va = result.state_sigma()
+    return Estimate(
+        vm=result.vm,
+        va=result.va,
+        sigma_vm=sigma_vm,
+        sigma_va=sigma_va,
+        referenced=False,
+        objective=report.objective,
+        degrees_of_freedom=report.degrees_of_freedom,
+        removed=tuple(removed.measurement.meter.id for removed in report.removed),
+    )

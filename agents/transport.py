@@ -1,0 +1,178 @@
+"""Zenoh: sessions, publishers, subscribers, presence and the router. The only module that imports it.
+
+Endpoints are explicit: multicast scouting, gossip and shared memory are off. A session must be closed, or
+its process never exits; entities are kept referenced, or they vanish; nothing here may exist before a fork.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import time
+from collections.abc import Callable, Sequence
+from types import TracebackType
+from typing import Any, Self
+
+import zenoh
+
+from agents.messages import MAX_BYTES
+from dsse_core.errors import DsseError
+
+LEASE_MS = 2000
+
+
+class TransportError(DsseError):
+    """The bus cannot be reached or opened; names the endpoint."""
+
+
+def _config(mode: str, **sections: Any) -> zenoh.Config:
+    return zenoh.Config.from_json5(
+        json.dumps(
+            {
+                "mode": mode,
+                "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
+                "timestamping": {"enabled": True},
+                "transport": {
+                    "shared_memory": {"enabled": False},
+                    "unicast": {
+                        "open_timeout": 10000,
+                        "accept_timeout": 10000,
+                        "accept_pending": 1000,
+                        "max_sessions": 2000,
+                    },
+                    "link": {
+                        "tx": {
+                            "lease": LEASE_MS,
+                            "keep_alive": 4,
+                            "queue": {"congestion_control": {"block": {"wait_before_close": 1_000_000}}},
+                        },
+                        "rx": {"max_message_size": MAX_BYTES},
+                    },
+                },
+                **sections,
+            }
+        )
+    )
+
+
+class _Closing:
+    """A Zenoh session that closes with its block."""
+
+    def __init__(self, session: zenoh.Session) -> None:
+        self._session = session
+        self._kept: list[Any] = []
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the session; later calls do nothing."""
+        self._kept.clear()
+        with contextlib.suppress(zenoh.ZError):  # a link that no longer answers; the process is leaving anyway
+            self._session.close()  # type: ignore[no-untyped-call]
+
+
+class Session(_Closing):
+    """A client of one or more routers; it reconnects by itself."""
+
+    @classmethod
+    def connect(cls, endpoints: Sequence[str], timeout_s: float = 10.0) -> Session:
+        """Connect to the first of ``endpoints`` that answers within ``timeout_s``.
+
+        Raises:
+            TransportError: none answers, or one is not a Zenoh endpoint.
+        """
+        connect = {
+            "endpoints": list(endpoints),
+            "timeout_ms": int(timeout_s * 1000),
+            "exit_on_failure": True,
+            "retry": {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 2},
+        }
+        try:
+            return cls(zenoh.open(_config("client", connect=connect)))
+        except zenoh.ZError as error:
+            raise TransportError(
+                f"cannot reach {', '.join(endpoints)} within {timeout_s:g} s: {_short(error)}; "
+                "is the router running, and is the endpoint right (e.g. tcp/127.0.0.1:7447)?"
+            ) from None
+
+    def publisher(self, key: str) -> Callable[[bytes], None]:
+        """A function that puts a payload on ``key``."""
+        publisher = self._session.declare_publisher(
+            key,
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=zenoh.Priority.DATA_HIGH,
+            express=True,
+        )
+        self._kept.append(publisher)
+        return publisher.put
+
+    def subscribe(self, key_expression: str, callback: Callable[[str, bytes], None]) -> None:
+        """Call ``callback(key, payload)`` for every message, on a thread of Zenoh's; it must return at once."""
+
+        def on_sample(sample: zenoh.Sample) -> None:
+            callback(str(sample.key_expr), sample.payload.to_bytes())
+
+        self._kept.append(self._session.declare_subscriber(key_expression, on_sample))
+
+    def declare_presence(self, key: str) -> None:
+        """Show a liveliness token on ``key`` until the session closes or the process dies."""
+        self._kept.append(self._session.liveliness().declare_token(key))
+
+    def watch_presence(self, key_expression: str, callback: Callable[[str, bool], None]) -> None:
+        """Call ``callback(key, alive)`` for every token, those already there included."""
+
+        def on_sample(sample: zenoh.Sample) -> None:
+            callback(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
+
+        self._kept.append(self._session.liveliness().declare_subscriber(key_expression, on_sample, history=True))
+
+
+class Router(_Closing):
+    """A Zenoh router inside this process."""
+
+    endpoints: tuple[str, ...] = ()
+
+    @classmethod
+    def listen(cls, endpoints: Sequence[str]) -> Router:
+        """Open a router on ``endpoints``; port 0 takes a free one, ``Router.endpoints`` says which.
+
+        Raises:
+            TransportError: an endpoint is occupied or cannot be opened.
+        """
+        try:
+            session = zenoh.open(
+                _config(
+                    "router",
+                    listen={"endpoints": list(endpoints), "exit_on_failure": True},
+                    adminspace={"enabled": True},
+                )
+            )
+        except zenoh.ZError as error:
+            raise TransportError(
+                f"cannot listen on {', '.join(endpoints)}: {_short(error)}; is the port taken by another "
+                "program? Choose another, or port 0 for a free one"
+            ) from None
+        router = cls(session)
+        router.endpoints = _locators(session)
+        return router
+
+
+def _locators(session: zenoh.Session) -> tuple[str, ...]:
+    """The endpoints that this router really listens on, from its own administration space."""
+    deadline = time.monotonic() + 5.0
+    while time.monotonic() < deadline:
+        for reply in session.get(f"@/{session.zid()}/router", timeout=1.0):
+            if reply.ok is not None and (locators := json.loads(reply.ok.payload.to_string()).get("locators")):
+                return tuple(locators)
+    raise TransportError("the router does not say where it listens; this is a defect, please report it")
+
+
+def _short(error: Exception) -> str:
+    """The first sentence of Zenoh's error, without its source locations."""
+    return str(error).split(" at ", 1)[0].strip().rstrip(".")
