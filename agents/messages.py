@@ -14,6 +14,8 @@ from typing import Any, ClassVar
 
 import msgpack
 
+from dsse_core.boundary_load import NetLoad
+
 WIRE_VERSION = 1
 MAX_BYTES = 8 * 1024 * 1024
 
@@ -53,13 +55,21 @@ class Header:
 
 @dataclass(frozen=True, slots=True)
 class LoadMessage:
-    """The net load, p.u., of everything on the sender's side of a boundary bus (thesis eqs. 5.1, 5.2)."""
+    """The net load, p.u., of everything on the sender's side of a boundary bus (thesis eqs. 5.1, 5.2).
+
+    ``sigma``: standard deviation of ``p`` and ``q`` that comes from the meters among what is summed.
+    """
 
     kind: ClassVar[str] = "load"
     header: Header
     bus: int
     p: float
     q: float
+    sigma: float
+
+    @property
+    def load(self) -> NetLoad:
+        return NetLoad(complex(self.p, self.q), self.sigma**2)
 
 
 @dataclass(frozen=True, slots=True)

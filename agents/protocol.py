@@ -15,7 +15,7 @@ from typing import TypeVar
 from agents.area_file import AreaFile
 from agents.messages import BoundaryMessage, Header, Incarnation, LoadMessage, Message, StateMessage, TelemetryMessage
 from agents.strategies.interface import Estimate, Knowledge, Strategy
-from dsse_core.boundary_load import load_message_for, measured_injections, own_net_load
+from dsse_core.boundary_load import NetLoad, load_message_for, measured_net_loads, own_net_load
 from dsse_core.measurement import Measurement, Source
 from dsse_core.partition import Neighbour
 
@@ -182,29 +182,26 @@ class AreaProtocol:
     def _knowledge(self) -> Knowledge:
         return Knowledge(
             measurements=self._measurements,
-            own_load=self._own_load(),
-            loads={name: complex(m.p, m.q) for name, m in sorted(self._loads.items())},
+            loads=self._heard_loads(),
             boundary=dict(self._boundary),
         )
 
-    def _own_load(self) -> complex:
-        measured = {}
-        if self._content.generation == "telemetered":
-            measured = measured_injections(self._area, self._measurements)
-        return own_net_load(self._area, measured)
+    def _heard_loads(self) -> dict[str, NetLoad]:
+        return {name: message.load for name, message in sorted(self._loads.items())}
 
     def _tell_loads(self) -> list[Action]:
         """Tell a neighbour the net load on this side once all the other neighbours have told theirs."""
-        own = self._own_load()
-        heard = {name: complex(m.p, m.q) for name, m in sorted(self._loads.items())}
+        telemetered = self._content.generation == "telemetered"
+        own = own_net_load(self._area, measured_net_loads(self._area, self._measurements) if telemetered else {})
+        heard = self._heard_loads()
         actions: list[Action] = []
         for n in self._area.neighbours:
             if any(other.area not in heard for other in self._area.neighbours if other.area != n.area):
                 continue
             load = load_message_for(n.area, own, heard)
             last = self._sent_load.get(n.area)
-            if last is None or abs(complex(last.p, last.q) - load) > NEWS_LOAD or last.header.scan != self._scan:
-                message = LoadMessage(self._header(last), n.bus, load.real, load.imag)
+            if last is None or abs(last.load.s - load.s) > NEWS_LOAD or last.header.scan != self._scan:
+                message = LoadMessage(self._header(last), n.bus, load.s.real, load.s.imag, load.variance**0.5)
                 self._sent_load[n.area] = message
                 actions.append(Publish(message, n.area))
         return actions

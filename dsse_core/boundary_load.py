@@ -1,4 +1,4 @@
-"""Net loads at boundary buses: what an area's network leaves out, as one complex load per boundary bus.
+"""Net loads at boundary buses: what an area's network leaves out, as one load per boundary bus.
 
 The load at a boundary bus is loads minus generation of everything beyond it (thesis eqs. 5.1, 5.2, 5.6,
 5.7); losses beyond are neglected. It is summed hop by hop along the tree of areas: area i tells neighbour j
@@ -7,53 +7,69 @@ the net load of all buses on its side. A boundary bus itself counts on the side 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 from dsse_core.measurement import Measurement, MeasurementKind, Source
 from dsse_core.partition import Area, Partition
 
 
-def own_net_load(area: Area, measured_injection: Mapping[int, complex] | None = None) -> complex:
-    """Loads minus generation of the buses that ``area`` owns, p.u.
+@dataclass(frozen=True, slots=True)
+class NetLoad:
+    """Loads minus generation, ``s`` = p + jq in p.u.; ``variance`` of p and of q, as far as they were measured."""
 
-    ``measured_injection`` (bus -> p + jq) replaces the schedule of the buses that it names; the strategies
-    pass the telemetered injections of substation and generators.
-    """
-    measured_injection = measured_injection or {}
-    not_owned = area.parent.bus if area.parent else None
-    return -sum(
-        (
-            measured_injection.get(bus.id, area.network.scheduled_injection(bus.id))
-            for bus in area.network.buses
-            if bus.id != not_owned
-        ),
-        complex(0.0),
-    )
+    s: complex
+    variance: float = 0.0
 
 
-def load_message_for(neighbour: str, own: complex, heard: Mapping[str, complex]) -> complex:
-    """What an area tells ``neighbour``: its own net load and that of all its other neighbours, p.u."""
-    return own + sum((load for name, load in heard.items() if name != neighbour), complex(0.0))
+def add_loads(loads: Iterable[NetLoad]) -> NetLoad:
+    """The sum of loads whose errors are independent."""
+    loads = list(loads)
+    return NetLoad(sum((load.s for load in loads), complex(0.0)), sum(load.variance for load in loads))
 
 
-def boundary_loads(area: Area, heard: Mapping[str, complex], error: complex = 0j) -> dict[int, complex]:
-    """Boundary bus -> load beyond it, p.u.: what the neighbours there say, plus ``error`` (eqs. 5.4, 5.5).
-
-    The error is added once per boundary bus. Neighbours that have not been heard are left out.
-    """
-    loads = {n.bus: complex(error) for n in area.neighbours if n.area in heard}
-    for n in area.neighbours:
-        if n.area in heard:
-            loads[n.bus] += heard[n.area]
+def measured_net_loads(area: Area, measurements: Sequence[Measurement]) -> dict[int, NetLoad]:
+    """Bus -> net load, for the area's buses with a source whose P and Q injections are both telemetered."""
+    read = {(m.meter.kind, m.meter.bus): m for m in measurements if m.meter.source is Source.TELEMETERED}
+    loads = {}
+    for bus in {generator.bus for generator in area.network.generators}:
+        p, q = (read.get((kind, bus)) for kind in (MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION))
+        if p is not None and q is not None:
+            loads[bus] = NetLoad(-complex(p.value, q.value), max(p.sigma, q.sigma) ** 2)
     return loads
 
 
-def scheduled_load_messages(partition: Partition) -> dict[str, dict[str, complex]]:
-    """Receiving area -> (neighbour -> load message, p.u.) when every message is the schedule and none is lost."""
-    own = {area.name: own_net_load(area) for area in partition.areas}
-    heard: dict[str, dict[str, complex]] = {area.name: {} for area in partition.areas}
+def own_net_load(area: Area, measured: Mapping[int, NetLoad] | None = None) -> NetLoad:
+    """The net load of the buses that ``area`` owns: the schedule, or what is ``measured`` where it is (by bus)."""
+    not_owned = area.parent.bus if area.parent else None
+    scheduled = {bus.id: NetLoad(-area.network.scheduled_injection(bus.id)) for bus in area.network.buses}
+    return add_loads(load for bus, load in (scheduled | dict(measured or {})).items() if bus != not_owned)
 
-    def tell(sender: str, receiver: str) -> complex:
+
+def load_message_for(neighbour: str, own: NetLoad, heard: Mapping[str, NetLoad]) -> NetLoad:
+    """What an area tells ``neighbour``: its own net load and that of all its other neighbours."""
+    return add_loads([own, *(load for name, load in heard.items() if name != neighbour)])
+
+
+def boundary_loads(area: Area, heard: Mapping[str, NetLoad], error: complex = 0j) -> dict[int, NetLoad]:
+    """Boundary bus -> load beyond it: what the neighbours there say, plus ``error`` (eqs. 5.4, 5.5).
+
+    The error is added once per boundary bus. A bus whose neighbours have not all been heard is left out.
+    """
+    loads = {}
+    for bus in area.boundary_buses:
+        beyond = [n.area for n in area.neighbours if n.bus == bus]
+        if all(name in heard for name in beyond):
+            loads[bus] = add_loads([NetLoad(complex(error)), *(heard[name] for name in beyond)])
+    return loads
+
+
+def scheduled_load_messages(partition: Partition) -> dict[str, dict[str, NetLoad]]:
+    """Receiving area -> (neighbour -> load message) when every message is the schedule and none is lost."""
+    own = {area.name: own_net_load(area) for area in partition.areas}
+    heard: dict[str, dict[str, NetLoad]] = {area.name: {} for area in partition.areas}
+
+    def tell(sender: str, receiver: str) -> NetLoad:
         if sender not in heard[receiver]:
             beyond = {n.area: tell(n.area, sender) for n in partition.area(sender).neighbours if n.area != receiver}
             heard[receiver][sender] = load_message_for(receiver, own[sender], beyond)
@@ -63,11 +79,3 @@ def scheduled_load_messages(partition: Partition) -> dict[str, dict[str, complex
         for n in area.neighbours:
             tell(n.area, area.name)
     return heard
-
-
-def measured_injections(area: Area, measurements: Sequence[Measurement]) -> dict[int, complex]:
-    """Bus -> telemetered p + jq, p.u., of the area's buses with a source whose P and Q are both measured."""
-    sources = {generator.bus for generator in area.network.generators}
-    read = {(m.meter.kind, m.meter.bus): m.value for m in measurements if m.meter.source is Source.TELEMETERED}
-    p, q = MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION
-    return {bus: complex(read[p, bus], read[q, bus]) for bus in sources if (p, bus) in read and (q, bus) in read}

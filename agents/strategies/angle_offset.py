@@ -8,13 +8,14 @@ angle at their boundary bus (eqs. 5.3, 5.8, 5.9). Magnitudes are not reconciled.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 from agents.area_file import AreaFile
 from agents.messages import BoundaryMessage, Header
 from agents.strategies.interface import Estimate, Knowledge, Strategy
 from dsse_core.bad_data import BadDataReport, process_bad_data
-from dsse_core.boundary_load import boundary_loads, measured_injections
+from dsse_core.boundary_load import NetLoad, add_loads, boundary_loads, measured_net_loads
 from dsse_core.errors import DsseError
 from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.partition import Neighbour
@@ -71,11 +72,15 @@ class AngleOffset(Strategy):
             notes.append(f"no voltage from {self._area.parent.area} yet" if self._area.parent else "no slack voltage")
         elif not silent:
             try:
-                flow = solve_power_flow(self._area.network, slack=(self._area.slack_bus, slack_vm), extra_load=loads)
+                flow = solve_power_flow(
+                    self._area.network,
+                    slack=(self._area.slack_bus, slack_vm),
+                    extra_load={bus: load.s for bus, load in loads.items()},
+                )
                 start = (flow.vm, flow.va)
             except DsseError as error:
                 notes.append(f"local power flow: {error}")
-        measurements = self._local_measurements(known, loads, set(silent), slack_vm)
+        measurements = self._local_measurements(known, loads, slack_vm)
         try:
             report = process_bad_data(
                 self._area.network,
@@ -93,17 +98,19 @@ class AngleOffset(Strategy):
         return _as_estimate(report), tuple(notes)
 
     def _local_measurements(
-        self, known: Knowledge, loads: dict[int, complex], silent: set[str], slack_vm: float | None
+        self, known: Knowledge, loads: dict[int, NetLoad], slack_vm: float | None
     ) -> list[Measurement]:
         """Own telemetry; at boundary buses the injection is what the network beyond takes, a pseudo-measurement."""
         boundary = set(self._area.boundary_buses)
         chosen = [m for m in known.measurements if not (m.meter.kind.of_injection and m.meter.bus in boundary)]
-        own = measured_injections(self._area, known.measurements) if self._content.generation == "telemetered" else {}
-        for bus in self._area.boundary_buses:
-            if silent & {n.area for n in self._area.neighbours if n.bus == bus}:
-                continue
-            s = own.get(bus, self._area.network.scheduled_injection(bus)) - loads[bus]
-            sigma = max(BOUNDARY_INJECTION_SIGMA * abs(s), FLOOR_MVA / self._area.network.base_mva)
+        telemetered = self._content.generation == "telemetered"
+        own = measured_net_loads(self._area, known.measurements) if telemetered else {}
+        for bus, beyond in loads.items():
+            here = own.get(bus, NetLoad(-self._area.network.scheduled_injection(bus)))
+            total = add_loads([here, beyond])
+            s = -total.s
+            sigma = math.hypot(BOUNDARY_INJECTION_SIGMA * abs(s), FLOOR_MVA / self._area.network.base_mva)
+            sigma = math.hypot(sigma, math.sqrt(total.variance))
             for kind, value in ((MeasurementKind.P_INJECTION, s.real), (MeasurementKind.Q_INJECTION, s.imag)):
                 chosen.append(Measurement(Meter(kind, bus, source=Source.PSEUDO), value, sigma))
         if slack_vm is not None and not any(m.meter.kind is MeasurementKind.VM for m in chosen):

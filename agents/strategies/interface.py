@@ -10,6 +10,7 @@ import numpy as np
 
 from agents.area_file import AreaFile
 from agents.messages import BoundaryMessage, Header
+from dsse_core.boundary_load import NetLoad
 from dsse_core.measurement import Measurement
 from dsse_core.partition import Neighbour
 
@@ -18,14 +19,12 @@ from dsse_core.partition import Neighbour
 class Knowledge:
     """What an area knows at present.
 
-    ``measurements``: its telemetry of the current scan, virtual measurements included. ``own_load``: net load
-    of its own buses, p.u. ``loads``: neighbour -> load message, p.u. ``boundary``: neighbour -> its newest
-    boundary message. Neighbours that have not been heard are absent from both.
+    ``measurements``: its telemetry of the current scan, virtual measurements included. ``loads``: neighbour ->
+    load message; ``boundary``: neighbour -> its newest boundary message; silent neighbours are absent from both.
     """
 
     measurements: tuple[Measurement, ...]
-    own_load: complex
-    loads: Mapping[str, complex] = field(default_factory=dict)
+    loads: Mapping[str, NetLoad] = field(default_factory=dict)
     boundary: Mapping[str, BoundaryMessage] = field(default_factory=dict)
 
 

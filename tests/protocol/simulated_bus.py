@@ -5,6 +5,7 @@ from __future__ import annotations
 import heapq
 import itertools
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,7 +14,10 @@ from agents.link import LossyLink
 from agents.messages import Header, Incarnation, Message, StateMessage, TelemetryMessage, decode
 from agents.protocol import AreaProtocol, Event, Finish, PresenceChanged, Publish, Received
 from agents.strategies import make_strategy
+from coordinator.split import area_files
 from dsse_core.measurement import Measurement, Source
+from scenarios.scenario import Scenario, load_scenario
+from scenarios.telemetry import Telemetry, make_telemetry
 
 DELAY_S = 0.001
 
@@ -54,6 +58,7 @@ class SimulatedBus:
 
     def kill(self, name: str) -> None:
         del self.protocols[name]
+        del self.states[name]
         for n in self.files[name].area.neighbours:
             self.post(n.area, PresenceChanged(name, alive=False))
 
@@ -136,3 +141,21 @@ class SimulatedBus:
             for bus, vm, va in zip(state.buses, state.vm, state.va, strict=True):
                 seen.setdefault(bus, []).append(vm * complex(np.cos(va), np.sin(va)))
         return seen
+
+
+def area_files_of(scenario: Scenario, **changes: object) -> list[AreaFile]:
+    """What ``dsse split`` would write for each area; ``changes`` replace fields of every file."""
+    files = area_files(scenario, run="sim", endpoints=("tcp/127.0.0.1:7447",))
+    return [replace(content, **changes) for content in files]
+
+
+def bus_of(
+    name: str, *, loss: float | None = None, seed: int | None = None
+) -> tuple[SimulatedBus, Scenario, Telemetry]:
+    """A shipped scenario on the simulated bus."""
+    scenario = load_scenario(name)
+    telemetry = make_telemetry(scenario)
+    files = area_files_of(scenario)
+    if loss is not None:
+        files = [replace(f, loss={n.area: loss for n in f.area.neighbours}, seed=seed or 0) for f in files]
+    return SimulatedBus(files, telemetry.by_area), scenario, telemetry

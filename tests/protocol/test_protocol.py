@@ -1,0 +1,213 @@
+"""The protocol, without sockets and without sleeping: order, loss, restarts, refusals, repeats."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simulated_bus import SimulatedBus, area_files_of, bus_of
+
+from agents.messages import BoundaryMessage, Header, Incarnation, LoadMessage
+from agents.protocol import AreaProtocol, Finish, PresenceChanged, Publish, Received, Refused, StopRequested
+from agents.strategies import make_strategy
+from scenarios.scenario import load_scenario
+from scenarios.telemetry import make_telemetry
+
+
+def boundary_from(bus: SimulatedBus, sender: str, receiver: str) -> BoundaryMessage:
+    return [m for _, s, r, m in bus.delivered if (s, r) == (sender, receiver) and isinstance(m, BoundaryMessage)][-1]
+
+
+def test_without_loss_every_area_agrees_at_the_boundary_within_a_few_messages():
+    bus, scenario, _ = bus_of("ieee33")
+    bus.run_until_settled()
+    voltages = bus.voltages()
+    for boundary in scenario.partition.boundaries:
+        angles = [np.angle(v) for v in voltages[boundary]]
+        assert len(angles) == 3
+        assert max(angles) - min(angles) < 1e-9
+    assert max(seq for s in bus.states.values() for pair in s.sent.values() for seq in pair) <= 4
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("loss", [0.3, 0.6, 0.9])
+def test_loss_delays_the_result_but_does_not_change_it(loss, seed):
+    lossless, _, _ = bus_of("ieee33")
+    lossless.run_until_settled()
+    bus, _, _ = bus_of("ieee33", loss=loss, seed=seed)
+    bus.run_until_settled(limit_s=600.0)
+    assert sum(link.lost for link in bus.links.values()) > 0
+    for name, state in bus.states.items():
+        np.testing.assert_allclose(state.va, lossless.states[name].va, atol=1e-9)
+        np.testing.assert_allclose(state.vm, lossless.states[name].vm, atol=1e-9)
+
+
+def test_a_cut_link_delays_consensus_but_does_not_change_it():
+    whole, _, _ = bus_of("ieee33")
+    whole.run_until_settled()
+    bus, _, _ = bus_of("ieee33")
+    bus.cut("area1", "area2")
+    bus.run(5.0)
+    assert not bus.settled
+    assert not bus.states["area2"].referenced
+    assert "no angle from area1 yet" in " ".join(bus.states["area2"].notes)
+    bus.heal("area1", "area2")
+    bus.run_until_settled()
+    np.testing.assert_allclose(bus.states["area2"].va, whole.states["area2"].va, atol=1e-9)
+
+
+def test_a_lost_last_message_is_repeated_at_the_beat():
+    bus, _, _ = bus_of("industrial13")
+    lost = []
+
+    def lose_each_sequence_once(sender, receiver, message):
+        first = (sender, receiver, message.kind, message.header.sequence) not in lost
+        lost.append((sender, receiver, message.kind, message.header.sequence))
+        return first
+
+    bus.refuse_delivery = lose_each_sequence_once
+    bus.run_until_settled()
+    assert lost
+
+
+def test_a_restarted_area_is_heard_at_once_and_finds_the_same_state():
+    bus, _, _ = bus_of("ieee33")
+    bus.run_until_settled()
+    before = bus.states["area2"]
+    bus.kill("area2")
+    bus.run(1.0)
+    assert "neighbour area2 is gone" in bus.states["area1"].notes
+    bus.start("area2")
+    bus.send_telemetry("area2")
+    bus.run_until_settled()
+    after = bus.states["area2"]
+    assert after.header.incarnation > before.header.incarnation
+    assert after.header.sequence < before.header.sequence + 3
+    np.testing.assert_allclose(after.va, before.va, atol=1e-9)
+    assert boundary_from(bus, "area2", "area1").header.incarnation == after.header.incarnation
+    assert "neighbour area2 is gone" not in bus.states["area1"].notes
+
+
+def test_a_new_scan_brings_everyone_to_the_new_state():
+    bus, scenario, _ = bus_of("ieee33", loss=0.3, seed=1)
+    bus.run_until_settled()
+    first = bus.states["area3"]
+    bus.next_scan(make_telemetry(scenario, scan=2).by_area)
+    bus.run_until_settled()
+    assert {state.header.scan for state in bus.states.values()} == {2}
+    fresh, _, _ = bus_of("ieee33")
+    fresh.next_scan(make_telemetry(scenario, scan=2).by_area)
+    fresh.run_until_settled()
+    np.testing.assert_allclose(bus.states["area3"].va, fresh.states["area3"].va, atol=1e-9)
+    assert max(abs(np.array(bus.states["area3"].va) - first.va)) > 1e-6
+
+
+def test_an_area_estimates_alone_and_says_what_it_lacks():
+    bus, _, _ = bus_of("ieee33", loss=1.0)
+    bus.run(2.0)
+    state = bus.states["area2"]
+    assert state.vm
+    assert not state.referenced
+    assert "no load message from area1 yet" in state.notes
+
+
+# One protocol by itself
+
+
+@pytest.fixture
+def area1():
+    """The protocol of area1 of ieee33, its telemetry as one event, and its file."""
+    scenario = load_scenario("ieee33")
+    content = area_files_of(scenario)[0]
+    bus = SimulatedBus([content], {"area1": make_telemetry(scenario).by_area["area1"]})
+    (_, _, _, telemetry), *_ = [entry for entry in bus._queue if entry[2] == "area1"]
+    protocol = AreaProtocol(content, make_strategy(content), Incarnation(1, 1), now=0.0, started_at=1e9)
+    return protocol, telemetry, content
+
+
+def load_from_area2(sequence=1, **changes):
+    fields = {"run": "sim", "sender": "area2", "incarnation": Incarnation(5, 5), "scan": 1, "time": 0.0}
+    bus = changes.pop("bus", 6)
+    return LoadMessage(Header(sequence=sequence, **(fields | changes)), bus, 0.08 + sequence / 1000, 0.05, 0.001)
+
+
+def last_state(actions):
+    return [a.message for a in actions if isinstance(a, Publish) and a.to is None][-1]
+
+
+def test_before_any_telemetry_an_area_says_that_it_has_none(area1):
+    protocol, _, _ = area1
+    assert last_state(protocol.handle([], 0.0)).notes == ("no telemetry yet",)
+
+
+def test_nothing_new_means_nothing_said_until_the_beat(area1):
+    protocol, telemetry, content = area1
+    assert protocol.handle([telemetry], 0.0)
+    assert protocol.handle([telemetry], 0.01) == []
+    assert protocol.wait_s(0.01) == pytest.approx(content.beat_s - 0.01)
+    repeated = protocol.handle([], content.beat_s)
+    assert repeated
+    assert protocol.handle([], content.beat_s + 0.01) == []
+
+
+def test_a_repeat_is_the_same_message_with_the_same_sequence(area1):
+    protocol, telemetry, content = area1
+    first = {a.to: a.message for a in protocol.handle([telemetry], 0.0) if a.message.kind == "boundary"}
+    again = {a.to: a.message for a in protocol.handle([], content.beat_s) if a.message.kind == "boundary"}
+    assert first == again != {}
+
+
+@pytest.mark.parametrize(
+    ("message", "key_sender", "reason"),
+    [
+        (load_from_area2(run="other"), "area2", "other run"),
+        (load_from_area2(sender="area9"), "area9", "unknown sender"),
+        (load_from_area2(), "area3", "sender does not own the key"),
+        (load_from_area2(bus=5), "area2", "other boundary bus"),
+    ],
+)
+def test_what_should_not_have_come_is_refused_and_counted(area1, message, key_sender, reason):
+    protocol, telemetry, _ = area1
+    protocol.handle([telemetry], 0.0)
+    state = last_state(protocol.handle([Received(message, key_sender)], 0.01))
+    assert state.refused == {reason: 1}
+    assert state.heard["area2"] == (0, 0)
+
+
+def test_payloads_that_cannot_be_decoded_are_counted_by_reason(area1):
+    protocol, telemetry, _ = area1
+    state = last_state(protocol.handle([telemetry, Refused("malformed"), Refused("malformed")], 0.0))
+    assert state.refused == {"malformed": 2}
+
+
+def test_an_overtaken_message_changes_nothing(area1):
+    protocol, telemetry, _ = area1
+    protocol.handle([telemetry, Received(load_from_area2(3), "area2")], 0.0)
+    assert protocol.handle([Received(load_from_area2(2), "area2")], 0.01) == []
+
+
+def test_a_message_of_a_former_life_changes_nothing(area1):
+    protocol, telemetry, _ = area1
+    protocol.handle([telemetry, Received(load_from_area2(1), "area2")], 0.0)
+    late = load_from_area2(99, incarnation=Incarnation(4, 9))
+    assert protocol.handle([Received(late, "area2")], 0.01) == []
+
+
+def test_a_gone_neighbour_is_named(area1):
+    protocol, telemetry, _ = area1
+    protocol.handle([telemetry, PresenceChanged("area2", alive=True)], 0.0)
+    state = last_state(protocol.handle([PresenceChanged("area2", alive=False)], 0.01))
+    assert "neighbour area2 is gone" in state.notes
+
+
+def test_readings_of_unknown_meters_are_refused_and_missing_ones_named(area1):
+    protocol, telemetry, _ = area1
+    message = telemetry.message
+    strange = replace(message, meters=("vm@999", *message.meters[1:]))
+    state = last_state(protocol.handle([Received(strange, "")], 0.0))
+    assert state.refused == {"unknown meter": 1}
+    assert "no reading from 1 meters, the first is vm@1" in state.notes
+
+
+def test_a_stop_finishes_with_its_reason(area1):
+    protocol, _, _ = area1
+    assert protocol.handle([StopRequested("SIGTERM")], 0.0) == [Finish("SIGTERM")]

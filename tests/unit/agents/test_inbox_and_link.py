@@ -1,0 +1,82 @@
+"""The inbox keeps the newest of each slot; the lossy link drops the same messages in every run."""
+
+import threading
+import time
+
+import pytest
+
+from agents.inbox import MAX_WAITING, Inbox
+from agents.link import LossyLink, draw_fate
+from agents.messages import BoundaryMessage, Header, Incarnation, StateMessage, decode
+
+
+def test_the_newest_of_each_slot_is_taken_once():
+    inbox = Inbox()
+    for slot, item in [("a", 1), ("b", 2), ("a", 3)]:
+        inbox.put(slot, item)
+    assert inbox.take(0.0) == [2, 3]
+    assert inbox.take(0.0) == []
+
+
+def test_a_taker_wakes_when_news_arrives():
+    inbox = Inbox()
+    threading.Timer(0.05, inbox.put, ("a", 1)).start()
+    started = time.monotonic()
+    assert inbox.take(30.0) == [1]
+    assert time.monotonic() - started < 10.0
+
+
+def test_a_flood_is_dropped_and_counted():
+    inbox = Inbox()
+    for k in range(MAX_WAITING + 5):
+        inbox.put(k, k)
+    assert inbox.overflowed == 5
+    assert len(inbox.take(0.0)) == MAX_WAITING
+
+
+def message(sequence):
+    return BoundaryMessage(Header("r", "a", Incarnation(1, 1), 1, sequence, 0.0), 6, 0.95, 0.0, True)
+
+
+def send_many(seed, loss, count=400):
+    arrived = []
+    link = LossyLink("a", {"b": loss}, seed, lambda to, kind, payload: arrived.append(decode(payload).header.sequence))
+    for k in range(count):
+        link.send(message(k), "b")
+    return arrived, link
+
+
+def test_the_same_seed_loses_the_same_messages():
+    assert send_many(4, 0.3)[0] == send_many(4, 0.3)[0]
+    assert send_many(4, 0.3)[0] != send_many(5, 0.3)[0]
+
+
+def test_the_share_of_lost_messages_is_the_one_asked_for():
+    arrived, link = send_many(1, 0.3, count=5000)
+    assert link.messages == 5000
+    assert link.lost == 5000 - len(arrived)
+    assert abs(link.lost / 5000 - 0.3) < 4 * (0.3 * 0.7 / 5000) ** 0.5
+
+
+@pytest.mark.parametrize(("loss", "kept"), [(0.0, 400), (1.0, 0)])
+def test_no_loss_keeps_all_and_full_loss_keeps_none(loss, kept):
+    assert len(send_many(3, loss)[0]) == kept
+
+
+def test_the_two_directions_of_a_link_have_fates_of_their_own():
+    there = [draw_fate(1, "a", "b", k) for k in range(50)]
+    back = [draw_fate(1, "b", "a", k) for k in range(50)]
+    assert there != back
+
+
+def test_a_state_carries_the_totals_of_the_link_and_is_never_lost():
+    shown = []
+    link = LossyLink("a", {"b": 1.0}, 0, lambda to, kind, payload: shown.append((to, decode(payload))))
+    link.send(message(1), "b")
+    empty = ((),) * 5
+    state = StateMessage(message(1).header, *empty, False, 0.0, 0, (), {}, {}, 0, 0, 0, {}, ())
+    link.send(state, None)
+    ((to, seen),) = shown
+    assert to is None
+    assert (seen.messages, seen.lost) == (1, 1)
+    assert seen.bytes == link.bytes > 0

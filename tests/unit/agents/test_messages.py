@@ -1,0 +1,133 @@
+"""Every message survives the wire unchanged, and nothing malformed gets through."""
+
+import math
+
+import msgpack
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from agents.messages import (
+    WIRE_VERSION,
+    BoundaryMessage,
+    Header,
+    Incarnation,
+    LoadMessage,
+    MessageError,
+    StateMessage,
+    TelemetryMessage,
+    decode,
+    encode,
+)
+
+HEADER = Header("run-1", "area1", Incarnation(1_795_200_000_000, 2**32 - 1), 7, 3, 1_795_200_000.25)
+STATE = StateMessage(
+    header=HEADER,
+    buses=(1, 2),
+    vm=(1.0, 0.99),
+    va=(0.0, -0.01),
+    sigma_vm=(0.001, 0.002),
+    sigma_va=(0.0, 0.001),
+    referenced=True,
+    objective=12.5,
+    degrees_of_freedom=20,
+    removed=("p_flow@1:1-2",),
+    sent={"area2": (1, 4)},
+    heard={"area2": (1, 3)},
+    messages=12,
+    bytes=800,
+    lost=2,
+    refused={"malformed": 1},
+    notes=("no load message from area2 yet",),
+)
+MESSAGES = [
+    LoadMessage(HEADER, 6, 0.25, -0.1, 0.01),
+    BoundaryMessage(HEADER, 6, 0.95, -0.02, True),
+    TelemetryMessage(HEADER, "area1", ("vm@1",), (1.0,), (0.002,)),
+    STATE,
+]
+
+
+@pytest.mark.parametrize("message", MESSAGES, ids=lambda m: m.kind)
+def test_a_message_survives_the_wire_unchanged(message):
+    assert decode(encode(message)) == message
+
+
+def test_a_boundary_message_fits_in_200_bytes_even_with_long_names():
+    header = Header("r" * 32, "a" * 32, HEADER.incarnation, 2**31, 2**31, 1.8e9)
+    assert len(encode(BoundaryMessage(header, 2**31, 0.95, -0.02, True))) <= 200
+
+
+def fields_of(message):
+    return list(msgpack.unpackb(encode(message)))
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda f: f.__setitem__(0, WIRE_VERSION + 1), "wire version"),
+        (lambda f: f.__setitem__(1, "gossip"), "malformed"),
+        (lambda f: f.__setitem__(1, ["load"]), "malformed"),
+        (lambda f: f.__setitem__(2, 5), "malformed"),
+        (lambda f: f.__setitem__(4, [1]), "malformed"),
+        (lambda f: f.__setitem__(5, -1), "malformed"),
+        (lambda f: f.__setitem__(6, True), "malformed"),
+        (lambda f: f.__setitem__(7, math.inf), "not finite"),
+        (lambda f: f.__setitem__(9, math.nan), "not finite"),
+        (lambda f: f.__setitem__(9, "0.95"), "malformed"),
+        (lambda f: f.__setitem__(9, 2**64 - 1), None),
+        (lambda f: f.__setitem__(11, 1), "malformed"),
+        (lambda f: f.append(0), "malformed"),
+        (lambda f: f.pop(), "malformed"),
+    ],
+)
+def test_a_changed_field_is_refused_with_its_reason(change, reason):
+    fields = fields_of(BoundaryMessage(HEADER, 6, 0.95, -0.02, True))
+    change(fields)
+    if reason is None:
+        assert decode(msgpack.packb(fields)).vm == float(2**64 - 1)
+        return
+    with pytest.raises(MessageError) as caught:
+        decode(msgpack.packb(fields))
+    assert caught.value.reason == reason
+
+
+def test_arrays_of_a_state_must_have_one_length():
+    fields = fields_of(STATE)
+    fields[9] = [1.0]
+    with pytest.raises(MessageError, match="differ in length"):
+        decode(msgpack.packb(fields))
+
+
+def test_an_oversized_payload_is_refused_unread():
+    with pytest.raises(MessageError) as caught:
+        decode(bytes(8 * 1024 * 1024 + 1))
+    assert caught.value.reason == "too large"
+
+
+def refusal_of(payload):
+    """The reason for which ``payload`` is refused, None if it is a message; any other exception is a defect."""
+    try:
+        decode(payload)
+    except MessageError as error:
+        return error.reason
+    return None
+
+
+@given(st.binary(max_size=300))
+def test_any_bytes_decode_or_are_refused(payload):
+    assert refusal_of(payload) != ""
+
+
+@given(st.sampled_from(MESSAGES), st.data())
+def test_a_message_with_flipped_bytes_decodes_or_is_refused(message, data):
+    payload = bytearray(encode(message))
+    for _ in range(data.draw(st.integers(1, 4))):
+        payload[data.draw(st.integers(0, len(payload) - 1))] = data.draw(st.integers(0, 255))
+    assert refusal_of(bytes(payload[: data.draw(st.integers(0, len(payload)))])) != ""
+
+
+def test_a_restarted_area_is_newer_than_its_past_whatever_the_sequence():
+    old = Header("r", "a", Incarnation(1000, 5), 1, 99, 0.0)
+    new = Header("r", "a", Incarnation(2000, 1), 1, 1, 0.0)
+    assert new.order > old.order
