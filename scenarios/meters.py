@@ -1,0 +1,128 @@
+"""Which meters a scenario has, and the standard deviation of each."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+from dsse_core.measurement import MeasurementKind, Meter, Source
+from dsse_core.network import Network
+from scenarios.scenario_file import MeasurementsTable, SigmaTable
+
+KIND = MeasurementKind
+Place = TypeVar("Place", int, str)
+_OTHER_POWER = {
+    KIND.P_FLOW: KIND.Q_FLOW,
+    KIND.Q_FLOW: KIND.P_FLOW,
+    KIND.P_INJECTION: KIND.Q_INJECTION,
+    KIND.Q_INJECTION: KIND.P_INJECTION,
+}
+
+
+@dataclass(frozen=True)
+class SigmaRule:
+    """Standard deviation by kind of meter: ``relative`` to the true value, or ``absolute`` in p.u. (rad for angles).
+
+    The relative sigma of an active or reactive power refers to the apparent power at that place. Relative sigmas
+    of powers and currents are at least ``floor`` (p.u.; for currents, of that power at 1 p.u. voltage).
+    """
+
+    relative: dict[MeasurementKind, float]
+    absolute: dict[MeasurementKind, float]
+    floor: float
+
+    def sigma(self, meter: Meter, read: Callable[[Meter], float]) -> float:
+        """Standard deviation of ``meter``, p.u. or rad; ``read`` gives the true value of a meter. 0 if virtual."""
+        if meter.source is Source.VIRTUAL:
+            return 0.0
+        if meter.kind in self.absolute:
+            return self.absolute[meter.kind]
+        size = abs(read(meter))
+        if meter.kind in _OTHER_POWER:
+            size = math.hypot(size, read(replace(meter, kind=_OTHER_POWER[meter.kind])))
+        sigma = self.relative[meter.kind] * size
+        return sigma if meter.kind is KIND.VM else max(sigma, self.floor)
+
+
+def build_sigma_rule(table: MeasurementsTable, base_mva: float) -> SigmaRule:
+    """The sigmas of a scenario file, in p.u. and rad."""
+    by_kind: dict[MeasurementKind, SigmaTable | None] = {
+        KIND.VM: table.voltage,
+        KIND.P_FLOW: table.flow,
+        KIND.Q_FLOW: table.flow,
+        KIND.P_INJECTION: table.injection,
+        KIND.Q_INJECTION: table.injection,
+        KIND.CURRENT: table.current,
+    }
+    relative = {k: t.sigma_percent / 100 for k, t in by_kind.items() if t and t.sigma_percent is not None}
+    absolute = {k: t.sigma_pu for k, t in by_kind.items() if t and t.sigma_pu is not None}
+    if table.angle:
+        absolute[KIND.VA] = math.radians(table.angle.sigma_deg)
+    return SigmaRule(relative, absolute, table.floor_kva / 1000 / base_mva)
+
+
+def build_meters(table: MeasurementsTable, network: Network) -> tuple[Meter, ...]:
+    """The meters of a scenario file on ``network``; unknown places are left out (``find_place_problems`` tells).
+
+    A bus without load and source injects nothing: under ``zero_injection = "virtual"`` it gets that as an exact
+    constraint, and no ordinary injection meter.
+    """
+    all_buses = tuple(network.row)
+    all_branches = tuple(branch.id for branch in network.active_branches)
+    meters: list[Meter] = []
+    if table.voltage:
+        meters += [Meter(KIND.VM, bus) for bus in _known(table.voltage.buses, all_buses)]
+    if table.angle:
+        meters += [Meter(KIND.VA, bus) for bus in _known(table.angle.buses, all_buses)]
+    if table.flow:
+        branches = [network.branch(b) for b in _known(table.flow.branches, all_branches)]
+        meters += [Meter(kind, b.from_bus, b.id) for b in branches for kind in (KIND.P_FLOW, KIND.Q_FLOW)]
+    if table.current:
+        branches = [network.branch(b) for b in _known(table.current.branches, all_branches)]
+        meters += [Meter(KIND.CURRENT, b.from_bus, b.id) for b in branches]
+    virtual = _find_zero_injections(network) if table.zero_injection == "virtual" else ()
+    measured = _known(table.injection.buses, all_buses) if table.injection else ()
+    meters += [m for bus in measured if bus not in virtual for m in _injection_meters(bus, Source.TELEMETERED)]
+    meters += [m for bus in virtual for m in _injection_meters(bus, Source.VIRTUAL)]
+    return tuple(meters)
+
+
+def find_place_problems(table: MeasurementsTable, network: Network) -> Iterable[str]:
+    """Every bus and branch of ``table`` that is unknown, out of service or listed twice, with its key."""
+    for key in ("voltage", "angle", "injection"):
+        buses: tuple[int, ...] | None = (part := getattr(table, key)) and part.buses
+        for bus in sorted(set(buses or ())):
+            if bus not in network.row:
+                yield f"measurements.{key}.buses: bus {bus} is not in network {network.name!r}"
+            if (buses or ()).count(bus) > 1:
+                yield f"measurements.{key}.buses: bus {bus} is listed twice; keep one"
+    in_service = {branch.id: branch.in_service for branch in network.branches}
+    for key in ("flow", "current"):
+        branches: tuple[str, ...] | None = (part := getattr(table, key)) and part.branches
+        for branch in sorted(set(branches or ())):
+            if branch not in in_service:
+                yield (
+                    f"measurements.{key}.branches: branch {branch!r} is not in network {network.name!r}; "
+                    "a branch is called FROM-TO unless the network file gives it an id"
+                )
+            elif not in_service[branch]:
+                yield f"measurements.{key}.branches: branch {branch!r} is out of service; remove it from the list"
+            if (branches or ()).count(branch) > 1:
+                yield f"measurements.{key}.branches: branch {branch!r} is listed twice; keep one"
+
+
+def _known(listed: Sequence[Place] | None, places: Sequence[Place]) -> Sequence[Place]:
+    """The listed places that exist, each once; all places if none is listed."""
+    return places if listed is None else [place for place in dict.fromkeys(listed) if place in places]
+
+
+def _find_zero_injections(network: Network) -> tuple[int, ...]:
+    """Buses without load and source; a shunt is part of the network, not an injection."""
+    fed = {generator.bus for generator in network.generators}
+    return tuple(b.id for b in network.buses if b.p_load == 0 and b.q_load == 0 and b.id not in fed)
+
+
+def _injection_meters(bus: int, source: Source) -> list[Meter]:
+    return [Meter(kind, bus, source=source) for kind in (KIND.P_INJECTION, KIND.Q_INJECTION)]

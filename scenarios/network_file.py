@@ -1,0 +1,196 @@
+"""Network files: a whole grid in engineering units (kV, MW, Mvar, ohm) as TOML; per unit and radians come out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from dsse_core.errors import InvalidInputError
+from dsse_core.network import Branch, Bus, Control, Generator, Network
+from scenarios.shipped_files import find_shipped
+from scenarios.strict_toml import Table, load_strict, suggest
+
+Positive = Annotated[float, Field(gt=0)]
+
+
+class BusTable(Table):
+    """One ``[[bus]]``."""
+
+    id: int = Field(description="the number of the bus, its own in the network")
+    base_kv: Positive = Field(description="nominal voltage in kV")
+    name: str = ""
+    p_load_mw: float = 0.0
+    q_load_mvar: float = 0.0
+    g_shunt_mw: float = Field(default=0.0, description="MW that the shunt consumes at 1 p.u. voltage")
+    b_shunt_mvar: float = Field(default=0.0, description="Mvar that the shunt produces at 1 p.u. voltage")
+
+
+class BranchTable(Table):
+    """One ``[[branch]]``: a line or a transformer, its tap at the from side."""
+
+    from_: int = Field(alias="from", description="id of the bus at the tap side")
+    to: int = Field(description="id of the bus at the other end")
+    id: str | None = Field(default=None, pattern=r"^[a-z0-9_-]+$", description="lower-case letters, digits, _ and -")
+    r_ohm: float | None = None
+    x_ohm: float | None = None
+    b_us: float | None = Field(default=None, description="total charging in microsiemens")
+    r_pu: float | None = None
+    x_pu: float | None = None
+    b_pu: float | None = Field(default=None, description="total charging in p.u.")
+    tap_ratio: Positive = Field(default=1.0, description="divides the from-side voltage; 1.0 for a line")
+    shift_deg: float = 0.0
+    in_service: bool = True
+
+    @property
+    def is_in_ohm(self) -> bool:
+        return self.r_ohm is not None
+
+    @model_validator(mode="after")
+    def _has_one_complete_impedance(self) -> Self:
+        ohm = (self.r_ohm, self.x_ohm, self.b_us)
+        pu = (self.r_pu, self.x_pu, self.b_pu)
+        if any(v is not None for v in ohm) and any(v is not None for v in pu):
+            raise ValueError("mixes r_ohm/x_ohm/b_us with r_pu/x_pu/b_pu; give all of them in one of the two units")
+        if None in ohm[:2] and None in pu[:2]:
+            raise ValueError("has no complete impedance; give r_ohm and x_ohm, or r_pu and x_pu")
+        return self
+
+
+class SourceTable(Table):
+    """One ``[[source]]``: the substation or a generator."""
+
+    bus: int = Field(description="id of the bus that the source feeds")
+    kind: Literal["slack", "voltage", "power"] = Field(description="slack: the substation; voltage: holds P and vm")
+    p_mw: float = 0.0
+    q_mvar: float = 0.0
+    vm_pu: Positive | None = None
+    va_deg: float | None = None
+
+    @model_validator(mode="after")
+    def _has_the_set_points_of_its_kind(self) -> Self:
+        if self.kind == "power" and self.vm_pu is not None:
+            raise ValueError("vm_pu has no meaning for kind 'power'; remove it or use kind 'voltage'")
+        if self.kind != "power" and self.vm_pu is None:
+            raise ValueError(f"vm_pu is missing; a source of kind {self.kind!r} needs its voltage set-point in p.u.")
+        if self.kind != "slack" and self.va_deg is not None:
+            raise ValueError(f"va_deg has no meaning for kind {self.kind!r}; only the slack holds an angle")
+        return self
+
+
+class NetworkFile(Table):
+    """A whole network file."""
+
+    name: str = Field(min_length=1, description="the name of the network")
+    data_source: str = Field(min_length=1, description="where the data come from")
+    base_mva: Positive = Field(description="base of the per-unit system in MVA")
+    bus: list[BusTable] = Field(min_length=1, description="one [[bus]] for each bus")
+    branch: list[BranchTable] = Field(min_length=1, description="one [[branch]] for each line and transformer")
+    source: list[SourceTable] = Field(min_length=1, description="one [[source]] for the substation and each generator")
+
+
+def load_case(name: str) -> Network:
+    """The shipped network called ``name``.
+
+    Raises:
+        InvalidInputError: no such network; lists those that are shipped.
+    """
+    cases = find_shipped("cases")
+    if name not in cases:
+        problem = f"no shipped network has this name; shipped: {', '.join(cases)}{suggest(name, cases)}"
+        raise InvalidInputError(f"network {name!r}", [problem])
+    return load_network(cases[name])
+
+
+def load_network(path: Path) -> Network:
+    """Read a network file; its quantities in p.u. on ``base_mva`` and rad.
+
+    Raises:
+        InvalidInputError: listing every problem of the file, with key paths.
+    """
+    file = load_strict(path, NetworkFile)
+    problems = list(_find_unit_problems(file))
+    try:
+        network = _to_per_unit(file)
+    except InvalidInputError as error:
+        raise InvalidInputError(str(path), [*problems, *error.problems]) from None
+    if problems:
+        raise InvalidInputError(str(path), problems)
+    return network
+
+
+def _base_kv_by_bus(file: NetworkFile) -> dict[int, float]:
+    """Bus -> nominal voltage; of a bus that is defined twice, which Network reports, the first counts."""
+    return {bus.id: bus.base_kv for bus in reversed(file.bus)}
+
+
+def _find_unit_problems(file: NetworkFile) -> Iterable[str]:
+    base_kv = _base_kv_by_bus(file)
+    for i, branch in enumerate(file.branch):
+        from_kv, to_kv = base_kv.get(branch.from_), base_kv.get(branch.to)
+        if branch.is_in_ohm and None not in (from_kv, to_kv) and from_kv != to_kv:
+            yield (
+                f"branch[{i}].r_ohm: the branch joins bus {branch.from_} of {from_kv} kV and bus {branch.to} of "
+                f"{to_kv} kV, so an impedance in ohm is ambiguous; give r_pu and x_pu"
+            )
+
+
+def _to_per_unit(file: NetworkFile) -> Network:
+    base = file.base_mva
+    buses = tuple(
+        Bus(
+            id=b.id,
+            base_kv=b.base_kv,
+            name=b.name,
+            p_load=b.p_load_mw / base,
+            q_load=b.q_load_mvar / base,
+            g_shunt=b.g_shunt_mw / base,
+            b_shunt=b.b_shunt_mvar / base,
+        )
+        for b in file.bus
+    )
+    generators = tuple(
+        Generator(
+            bus=s.bus,
+            control=Control(s.kind),
+            p=s.p_mw / base,
+            q=s.q_mvar / base,
+            vm=1.0 if s.vm_pu is None else s.vm_pu,
+            va=math.radians(s.va_deg or 0.0),
+        )
+        for s in file.source
+    )
+    return Network(file.name, base, buses, tuple(_build_branches(file)), generators)
+
+
+def _build_branches(file: NetworkFile) -> Iterable[Branch]:
+    base_kv = _base_kv_by_bus(file)
+    taken = {branch.id for branch in file.branch}
+    for branch in file.branch:
+        branch_id = branch.id or _default_id(branch, taken)
+        taken.add(branch_id)
+        # An ohm is 1 / z_base p.u.; the base of an unknown bus does not matter, Network reports the bus.
+        z_base = base_kv.get(branch.from_, 1.0) ** 2 / file.base_mva
+        yield Branch(
+            id=branch_id,
+            from_bus=branch.from_,
+            to_bus=branch.to,
+            r=branch.r_pu if branch.r_pu is not None else (branch.r_ohm or 0.0) / z_base,
+            x=branch.x_pu if branch.x_pu is not None else (branch.x_ohm or 0.0) / z_base,
+            b=branch.b_pu if branch.b_pu is not None else (branch.b_us or 0.0) * 1e-6 * z_base,
+            tap=branch.tap_ratio,
+            shift=math.radians(branch.shift_deg),
+            in_service=branch.in_service,
+        )
+
+
+def _default_id(branch: BranchTable, taken: set[str | None]) -> str:
+    """``from-to``; parallel branches get ``#2``, ``#3``, ... behind it."""
+    plain = f"{branch.from_}-{branch.to}"
+    number = 1
+    while (branch_id := plain if number == 1 else f"{plain}#{number}") in taken:
+        number += 1
+    return branch_id

@@ -1,0 +1,198 @@
+"""The keys of a scenario file, as strict tables. docs/scenario-reference.md explains each of them."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, PlainValidator, StringConstraints, model_validator
+
+from scenarios.strict_toml import Table
+
+Positive = Annotated[float, Field(gt=0)]
+Probability = Annotated[float, Field(ge=0, le=1)]
+AreaName = Annotated[str, StringConstraints(pattern=r"^[a-z0-9_-]+$")]
+
+SIGMA_PERCENT = "standard deviation in percent of the true value"
+SIGMA_PU = "standard deviation in p.u."
+
+
+def _parse_buses(value: object) -> tuple[int, ...] | None:
+    if isinstance(value, list) and value and all(type(item) is int for item in value):
+        return tuple(value)
+    if value == "all":
+        return None
+    raise ValueError(f'must be "all" or a list of bus numbers that is not empty, found {value!r}')
+
+
+def _parse_branches(value: object) -> tuple[str, ...] | None:
+    if isinstance(value, list) and value and all(type(item) is str for item in value):
+        return tuple(value)
+    if value == "all":
+        return None
+    raise ValueError(f"must be \"all\" or a list of branch ids such as '3-4' that is not empty, found {value!r}")
+
+
+BusSelection = Annotated[tuple[int, ...] | None, PlainValidator(_parse_buses)]
+"""The listed buses; None means all."""
+BranchSelection = Annotated[tuple[str, ...] | None, PlainValidator(_parse_branches)]
+"""The listed branches; None means all that are in service."""
+
+
+class AreaTable(Table):
+    """``[areas.NAME]``."""
+
+    buses: list[int] = Field(min_length=1, description="numbers of the area's buses, shared boundary buses included")
+    slack_bus: int | None = None
+    slack_vm_pu: Positive | None = None
+
+    @model_validator(mode="after")
+    def _slack_is_complete(self) -> Self:
+        if (self.slack_bus is None) != (self.slack_vm_pu is None):
+            raise ValueError("slack_bus and slack_vm_pu belong together; give both or none")
+        return self
+
+
+class SigmaTable(Table):
+    """Meters whose sigma is given in percent or in p.u."""
+
+    sigma_percent: Positive | None = Field(default=None, description=SIGMA_PERCENT)
+    sigma_pu: Positive | None = Field(default=None, description=SIGMA_PU)
+
+    @model_validator(mode="after")
+    def _has_exactly_one_sigma(self) -> Self:
+        if (self.sigma_percent is None) == (self.sigma_pu is None):
+            found = "neither" if self.sigma_pu is None else "both"
+            raise ValueError(f"give exactly one of sigma_percent ({SIGMA_PERCENT}) and sigma_pu, found {found}")
+        return self
+
+
+class BusMeterTable(SigmaTable):
+    """``measurements.voltage`` and ``measurements.injection``."""
+
+    buses: BusSelection = Field(description='where the meters stand: "all" or a list of bus numbers')
+
+
+class BranchMeterTable(SigmaTable):
+    """``measurements.flow`` and ``measurements.current``."""
+
+    branches: BranchSelection = Field(description='where the meters stand: "all" or a list of branch ids')
+
+
+class AngleMeterTable(Table):
+    """``measurements.angle``."""
+
+    buses: BusSelection = Field(description='where the meters stand: "all" or a list of bus numbers')
+    sigma_deg: Positive = Field(description="standard deviation in degrees")
+
+
+class MeasurementsTable(Table):
+    """``[measurements]``."""
+
+    floor_kva: Positive = Field(
+        default=1.0, description="smallest standard deviation that a sigma_percent can mean, in kVA"
+    )
+    zero_injection: Literal["virtual", "measured"] = "virtual"
+    voltage: BusMeterTable | None = None
+    angle: AngleMeterTable | None = None
+    flow: BranchMeterTable | None = None
+    injection: BusMeterTable | None = None
+    current: BranchMeterTable | None = None
+
+    @model_validator(mode="after")
+    def _has_a_meter(self) -> Self:
+        if not any((self.voltage, self.angle, self.flow, self.injection, self.current)):
+            raise ValueError("there is no meter; give at least one of voltage, angle, flow, injection, current")
+        return self
+
+
+class GrossErrorTable(Table):
+    """One ``[[telemetry.gross_error]]``."""
+
+    meter: str = Field(description="id of the meter, e.g. p_flow@3:3-4")
+    sigmas: float = Field(description="what is added to the reading, in its standard deviations")
+
+
+class TelemetryTable(Table):
+    """``[telemetry]``."""
+
+    source: Literal["network", "area-power-flow"] = "network"
+    noise: bool = True
+    gross_error: list[GrossErrorTable] = Field(default_factory=list)
+
+
+class LoadMessagesTable(Table):
+    """``[load_messages]``."""
+
+    generation: Literal["telemetered", "scheduled"] = "telemetered"
+
+
+class LinkTable(Table):
+    """One ``[[faults.link]]``: from the sending to the receiving area."""
+
+    from_: str = Field(alias="from", description="the area that sends")
+    to: str = Field(description="the area that receives")
+    loss: Probability = Field(description="probability that a message of this link is lost, 0 to 1")
+
+
+class LoadErrorTable(Table):
+    """``[faults.load_error.NAME]``."""
+
+    p_mw: float = Field(description="MW added to the load at each boundary bus of the area")
+    q_mvar: float = Field(description="Mvar added to the load at each boundary bus of the area")
+
+
+class FaultsTable(Table):
+    """``[faults]``."""
+
+    loss: Probability = Field(default=0.0, description="probability that a message is lost, 0 to 1")
+    link: list[LinkTable] = Field(default_factory=list)
+    load_error: dict[str, LoadErrorTable] = Field(default_factory=dict)
+
+
+class TolerancesTable(Table):
+    """``[tolerances]``."""
+
+    consensus_va_rad: Positive = 1e-6
+    consensus_vm_pu: Positive = 1e-6
+    estimator: Positive = 1e-6
+
+
+class RunTable(Table):
+    """``[run]``."""
+
+    beat_s: Positive = 0.2
+    timeout_s: Positive = 30.0
+
+    @model_validator(mode="after")
+    def _has_time_for_a_few_beats(self) -> Self:
+        if self.timeout_s <= 2 * self.beat_s:
+            raise ValueError(f"timeout_s is {self.timeout_s}; it must exceed two beats of {self.beat_s} s")
+        return self
+
+
+class TransportTable(Table):
+    """``[transport]``."""
+
+    listen: str = Field(
+        default="tcp/127.0.0.1:0",
+        pattern=r"^tcp/[^\s:]+:[0-9]{1,5}$",
+        description="tcp/HOST:PORT; port 0 takes a free one",
+    )
+
+
+class ScenarioFile(Table):
+    """A whole scenario file."""
+
+    version: Literal[1] = Field(description="version of this format, 1")
+    description: str = Field(min_length=1, description="one line that says what the scenario shows")
+    seed: int = Field(default=1, ge=0, description="seed of noise and losses")
+    network: str = Field(description="name of a shipped network, or path of a .toml file relative to this file")
+    strategy: str = "angle-offset"
+    areas: dict[AreaName, AreaTable] = Field(description="one [areas.NAME] with its buses for each area")
+    measurements: MeasurementsTable = Field(description="where meters stand and how exact they are")
+    telemetry: TelemetryTable = TelemetryTable()
+    load_messages: LoadMessagesTable = LoadMessagesTable()
+    faults: FaultsTable = FaultsTable()
+    tolerances: TolerancesTable = TolerancesTable()
+    run: RunTable = RunTable()
+    transport: TransportTable = TransportTable()

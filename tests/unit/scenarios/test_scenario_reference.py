@@ -1,0 +1,82 @@
+"""docs/scenario-reference.md has every key of both file formats, with its default, and no other key."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from pydantic.fields import FieldInfo
+
+from scenarios import network_file, scenario_file
+from scenarios.strict_toml import Table
+
+REFERENCE = Path(__file__).parents[3] / "docs" / "scenario-reference.md"
+
+TABLE_OF_HEADING: dict[str, list[type[Table]]] = {
+    "Scenario file": [scenario_file.ScenarioFile],
+    "`[areas.NAME]`": [scenario_file.AreaTable],
+    "`[measurements]`": [scenario_file.MeasurementsTable],
+    "`measurements.voltage` and `measurements.injection`": [scenario_file.BusMeterTable, scenario_file.SigmaTable],
+    "`measurements.flow` and `measurements.current`": [scenario_file.BranchMeterTable],
+    "`measurements.angle`": [scenario_file.AngleMeterTable],
+    "`[telemetry]`": [scenario_file.TelemetryTable],
+    "`[[telemetry.gross_error]]`": [scenario_file.GrossErrorTable],
+    "`[load_messages]`": [scenario_file.LoadMessagesTable],
+    "`[faults]`": [scenario_file.FaultsTable],
+    "`[[faults.link]]`": [scenario_file.LinkTable],
+    "`[faults.load_error.NAME]`": [scenario_file.LoadErrorTable],
+    "`[tolerances]`": [scenario_file.TolerancesTable],
+    "`[run]`": [scenario_file.RunTable],
+    "`[transport]`": [scenario_file.TransportTable],
+    "Network file": [network_file.NetworkFile],
+    "`[[bus]]`": [network_file.BusTable],
+    "`[[branch]]`": [network_file.BranchTable],
+    "`[[source]]`": [network_file.SourceTable],
+}
+
+
+def documented_defaults() -> dict[str, dict[str, str]]:
+    """Heading -> key -> text of the default column."""
+    defaults: dict[str, dict[str, str]] = {}
+    heading = ""
+    for line in REFERENCE.read_text(encoding="utf-8").splitlines():
+        if line.startswith("#"):
+            heading = line.lstrip("#").strip()
+        elif row := re.match(r"\| `(\w+)` \| .+? \| (.+?) \| .+ \|$", line):
+            defaults.setdefault(heading, {})[row[1]] = row[2]
+    return defaults
+
+
+def default_text(field: FieldInfo) -> str | None:
+    """The default column that a key must have; None for tables, whose text is free."""
+    if field.is_required():
+        return "required"
+    if isinstance(field.default, Table) or field.default_factory is not None:
+        return None
+    if field.default is None:
+        return "none"
+    if isinstance(field.default, bool):
+        return f"`{str(field.default).lower()}`"
+    return f'`"{field.default}"`' if isinstance(field.default, str) else f"`{field.default}`"
+
+
+def test_every_table_has_its_heading() -> None:
+    tables = {
+        value
+        for module in (scenario_file, network_file)
+        for value in vars(module).values()
+        if isinstance(value, type) and issubclass(value, Table) and value is not Table
+    }
+    assert tables == {table for found in TABLE_OF_HEADING.values() for table in found}
+    assert documented_defaults().keys() == TABLE_OF_HEADING.keys()
+
+
+@pytest.mark.parametrize("heading", TABLE_OF_HEADING)
+def test_every_key_stands_under_its_heading_with_its_default(heading: str) -> None:
+    documented = documented_defaults()[heading]
+    fields = {field.alias or name: field for name, field in TABLE_OF_HEADING[heading][0].model_fields.items()}
+    assert documented.keys() == fields.keys()
+    for key, field in fields.items():
+        if (expected := default_text(field)) is not None:
+            assert documented[key] == expected, key
