@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import cmath
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
@@ -23,11 +24,17 @@ class Admittance:
     yf: sp.csr_array
     yt: sp.csr_array
 
+    @cached_property
+    def stacked(self) -> sp.csr_array:
+        """``ybus``, ``yf`` and ``yt`` below each other, shape (n + 2 n_branch, n)."""
+        return sp.csr_array(sp.vstack([self.ybus, self.yf, self.yt], format="csr"))
 
-def build_admittance(network: Network) -> Admittance:
+
+def build_admittance(network: Network, *, with_shunts: bool = True) -> Admittance:
     """Build the admittances; a branch with tap ``t = tap * exp(j shift)`` at its from side has
 
     ``yff = (ys + j b / 2) / |t|^2``, ``yft = -ys / conj(t)``, ``ytf = -ys / t``, ``ytt = ys + j b / 2``.
+    ``with_shunts=False`` leaves out charging and bus shunts, all that draws current without load.
     """
     branches = network.active_branches
     n, n_branch = len(network.buses), len(branches)
@@ -35,11 +42,11 @@ def build_admittance(network: Network) -> Admittance:
     t = np.array([network.row[b.to_bus] for b in branches], dtype=int)
     ys = np.array([1 / complex(b.r, b.x) for b in branches], dtype=complex)
     ratio = np.array([cmath.rect(b.tap, b.shift) for b in branches], dtype=complex)
-    ytt = ys + 0.5j * np.array([b.b for b in branches])
+    ytt = ys + 0.5j * np.array([b.b * with_shunts for b in branches])
     yff = ytt / abs(ratio) ** 2
     yft = -ys / ratio.conj()
     ytf = -ys / ratio
-    shunt = np.array([complex(bus.g_shunt, bus.b_shunt) for bus in network.buses], dtype=complex)
+    shunt = np.array([complex(bus.g_shunt, bus.b_shunt) * with_shunts for bus in network.buses], dtype=complex)
 
     branch, bus = np.arange(n_branch), np.arange(n)
     yf = sp.coo_array((np.r_[yff, yft], (np.r_[branch, branch], np.r_[f, t])), shape=(n_branch, n))

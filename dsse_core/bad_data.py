@@ -38,8 +38,8 @@ class BadDataReport:
 
 
 def chi_square_limit(degrees_of_freedom: int, confidence: float) -> float:
-    """The value that J exceeds with probability 1 - ``confidence`` when only noise is present; inf without redundancy."""
-    from scipy.special import chdtri
+    """The value that J exceeds with probability 1 - ``confidence`` under noise alone; inf without redundancy."""
+    from scipy.special import chdtri  # 0.1 s, which an agent without bad-data processing need not wait for
 
     return float(chdtri(degrees_of_freedom, 1 - confidence)) if degrees_of_freedom > 0 else float("inf")
 
@@ -105,8 +105,7 @@ def _find_worst(result: EstimationResult, threshold: float) -> RemovedMeasuremen
     largest = normalized.max(initial=0.0)
     if largest <= threshold:
         return None
-    tied = [k for k in np.flatnonzero(normalized >= largest * (1 - TIE))]
-    tied.sort(key=lambda k: result.measurements[k].meter.id)
+    tied = sorted(np.flatnonzero(normalized >= largest * (1 - TIE)), key=lambda k: result.measurements[k].meter.id)
     first, *others = tied
     return RemovedMeasurement(
         measurement=result.measurements[first],

@@ -92,7 +92,6 @@ def check_measurements(network: Network, measurements: Sequence[Measurement]) ->
 def find_meter_problems(network: Network, meters: Iterable[Meter]) -> Iterable[str]:
     """Every meter that does not fit the network, as text."""
     seen: set[str] = set()
-    branches = {branch.id: branch for branch in network.branches}
     for meter in meters:
         if meter.id in seen:
             yield f"meter {meter.id} is given twice; keep one reading of each quantity"
@@ -100,7 +99,7 @@ def find_meter_problems(network: Network, meters: Iterable[Meter]) -> Iterable[s
         if meter.bus not in network.row:
             yield f"meter {meter.id}: bus {meter.bus} is not in network {network.name!r}"
         if meter.kind.of_branch:
-            branch = branches.get(meter.branch or "")
+            branch = network.branch_by_id.get(meter.branch or "")
             if branch is None:
                 yield f"meter {meter.id}: branch {meter.branch} is not in network {network.name!r}"
             elif not branch.in_service:

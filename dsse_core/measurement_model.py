@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
@@ -35,25 +36,24 @@ class MeasurementModel:
 
     def predict(self, x: np.ndarray) -> np.ndarray:
         """h(x), shape (n_meas,), p.u. and rad."""
-        u, i, _ = self._phasors(x)
+        u, i, _, _ = self._phasors(x)
         s = u * i.conj()
         return np.select(
-            [self._is(*kinds) for kinds in _ROWS],
+            list(self._chosen),
             [s.real, s.imag, abs(i), abs(u), np.angle(u)],
         )
 
     def jacobian(self, x: np.ndarray) -> sp.csr_array:
         """H(x) = dh/dx, shape (n_meas, 2 n_bus).
 
-        With ``dv/dva = j v`` and ``dv/dvm = v / |v|``, ``du = C dv`` and ``di = Y dv``:
+        With ``dv/dva = j v`` and ``dv/dvm = exp(j va)``, ``du = C dv`` and ``di = Y dv``:
         ``ds = conj(i) du + u conj(di)``, ``d|i| = Re(conj(i) di) / |i|``, ``d|u| = Re(conj(u) du) / |u|``,
         ``d arg u = Im(conj(u) du) / |u|^2``.
         """
-        u, i, v = self._phasors(x)
-        n_bus = self.y.shape[1]
+        u, i, v, phase = self._phasors(x)
         row, column = self.meter_row, self.y.indices
         data = []
-        for dv in (1j * v, v / abs(v)):
+        for dv in (1j * v, phase):
             du = self.at_bus * dv[column]
             di = self.y.data * dv[column]
             ds = i.conj()[row] * du + u[row] * di.conj()
@@ -61,23 +61,31 @@ class MeasurementModel:
             d_voltage = u.conj()[row] * du / abs(u)[row]
             data.append(
                 np.select(
-                    [self._is(*kinds)[row] for kinds in _ROWS],
+                    list(self._chosen[:, row]),
                     [ds.real, ds.imag, d_current.real, d_voltage.real, d_voltage.imag / abs(u)[row]],
                 )
             )
-        stacked = sp.coo_array(
-            (np.concatenate(data), (np.r_[row, row], np.r_[column, column + n_bus])),
-            shape=(len(self.kinds), 2 * n_bus),
-        )
-        return stacked.tocsr()
+        n_bus = self.y.shape[1]
+        order, indices, indptr = self._pattern
+        return sp.csr_array((np.concatenate(data)[order], indices, indptr), shape=(len(self.kinds), 2 * n_bus))
 
-    def _phasors(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    @cached_property
+    def _pattern(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Where the derivatives by va, then by vm, of all stored entries of y go in the rows of H."""
+        order = np.argsort(np.concatenate([self.meter_row, self.meter_row]), kind="stable")
+        indices = np.concatenate([self.y.indices, self.y.indices + self.y.shape[1]])[order]
+        return order, indices, 2 * self.y.indptr
+
+    def _phasors(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         va, vm = np.split(x, 2)
-        v = vm * np.exp(1j * va)
-        return v[self.bus_row], self.y @ v, v
+        phase = np.exp(1j * va)
+        v = vm * phase
+        return v[self.bus_row], self.y @ v, v, phase
 
-    def _is(self, *kinds: MeasurementKind) -> np.ndarray:
-        return np.isin(self.kinds, kinds)
+    @cached_property
+    def _chosen(self) -> np.ndarray:
+        """Which formula serves which meter, shape (len(_ROWS), n_meas)."""
+        return np.array([np.isin(self.kinds, kinds) for kinds in _ROWS])
 
 
 _ROWS = (
@@ -101,7 +109,7 @@ def build_measurement_model(network: Network, admittance: Admittance, meters: Se
         return n + branch_row[meter.branch] + (0 if at_from else n_branch)
 
     rows = np.array([admittance_row(meter) for meter in meters], dtype=int)
-    y = sp.csr_array(sp.vstack([admittance.ybus, admittance.yf, admittance.yt], format="csr")[rows])
+    y = sp.csr_array(admittance.stacked[rows])
     bus_row = np.array([network.row[meter.bus] for meter in meters], dtype=int)
     meter_row = np.repeat(np.arange(len(meters)), np.diff(y.indptr))
     return MeasurementModel(

@@ -8,6 +8,7 @@ network at the bus, branch flows when power leaves the metered bus into the bran
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
@@ -120,10 +121,10 @@ class Network:
         return self.buses[self.row[bus_id]]
 
     def branch(self, branch_id: str) -> Branch:
-        return self._branch_by_id[branch_id]
+        return self.branch_by_id[branch_id]
 
     @cached_property
-    def _branch_by_id(self) -> dict[str, Branch]:
+    def branch_by_id(self) -> dict[str, Branch]:
         return {branch.id: branch for branch in self.branches}
 
     def scheduled_injection(self, bus_id: int) -> complex:
@@ -146,8 +147,7 @@ class Network:
 
 
 def _duplicates(items: Iterable[object]) -> list[object]:
-    seen: set[object] = set()
-    return [item for item in items if item in seen or seen.add(item)]
+    return [item for item, count in Counter(items).items() if count > 1]
 
 
 def _find_problems(network: Network) -> Iterable[str]:
@@ -157,23 +157,23 @@ def _find_problems(network: Network) -> Iterable[str]:
     if not (math.isfinite(network.base_mva) and network.base_mva > 0):
         yield f"base_mva is {network.base_mva}; it must be a positive power in MVA"
     for bus_id in _duplicates(bus.id for bus in network.buses):
-        yield f"bus {bus_id} is defined twice; give each bus its own id"
+        yield f"bus {bus_id} is defined more than once; give each bus its own id"
     for branch_id in _duplicates(branch.id for branch in network.branches):
-        yield f"branch {branch_id} is defined twice; give parallel branches ids of their own"
+        yield f"branch {branch_id} is defined more than once; give parallel branches ids of their own"
     for bus in network.buses:
-        values = (bus.p_load, bus.q_load, bus.g_shunt, bus.b_shunt)
-        if not all(map(math.isfinite, values)):
+        if not all(map(math.isfinite, (bus.p_load, bus.q_load, bus.g_shunt, bus.b_shunt))):
             yield f"bus {bus.id}: load or shunt is not a finite number"
         if not (math.isfinite(bus.base_kv) and bus.base_kv > 0):
             yield f"bus {bus.id}: base_kv is {bus.base_kv}; it must be positive"
     for branch in network.branches:
+        if not branch.id:
+            yield f"a branch from bus {branch.from_bus} to bus {branch.to_bus} has an empty id; give it one"
         for bus_id in (branch.from_bus, branch.to_bus):
             if bus_id not in ids:
                 yield f"branch {branch.id} ends at bus {bus_id}, which is not defined"
         if branch.from_bus == branch.to_bus:
             yield f"branch {branch.id} joins bus {branch.from_bus} to itself"
-        values = (branch.r, branch.x, branch.b, branch.tap, branch.shift)
-        if not all(map(math.isfinite, values)):
+        if not all(map(math.isfinite, (branch.r, branch.x, branch.b, branch.tap, branch.shift))):
             yield f"branch {branch.id}: r, x, b, tap or shift is not a finite number"
         elif branch.r == 0 and branch.x == 0:
             yield f"branch {branch.id} has no impedance; merge its two buses or give it a small x"
@@ -181,11 +181,18 @@ def _find_problems(network: Network) -> Iterable[str]:
             yield f"branch {branch.id}: tap is {branch.tap}; it must be positive (1.0 for a line)"
     for generator in network.generators:
         if generator.bus not in ids:
-            yield f"generator at bus {generator.bus}, which is not defined"
+            yield f"a generator stands at bus {generator.bus}, which is not defined"
         if not all(map(math.isfinite, (generator.p, generator.q, generator.vm, generator.va))):
             yield f"generator at bus {generator.bus}: p, q, vm or va is not a finite number"
         elif generator.vm <= 0:
             yield f"generator at bus {generator.bus}: vm is {generator.vm}; it must be positive"
+    set_points: dict[int, set[float]] = {}
+    for generator in network.generators:
+        if generator.control is not Control.POWER:
+            set_points.setdefault(generator.bus, set()).add(generator.vm)
+    for bus_id, values in set_points.items():
+        if len(values) > 1:
+            yield f"generators at bus {bus_id} hold different voltages, vm {sorted(values)}; give them one set-point"
     slacks = [str(g.bus) for g in network.generators if g.control is Control.SLACK]
     if len(slacks) > 1:
         yield f"buses {', '.join(slacks)} are all slack; keep one"

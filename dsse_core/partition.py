@@ -7,8 +7,9 @@ others are children of the owner there. Neighbours are owner and child: the edge
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Mapping, Sequence
+import math
+from collections import Counter, deque
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -120,9 +121,7 @@ def build_partition(
     members = {name: set(buses) & network.row.keys() for name, buses in area_buses.items()}
     branch_area, branch_problems = _assign_branches(network, members)
     problems += branch_problems
-    for name, (bus, _) in local_slack.items():
-        if name not in members or bus not in members[name]:
-            problems.append(f"area {name}: slack_bus {bus} is not one of its buses")
+    problems += _find_slack_problems(members, local_slack)
     if problems:
         raise InvalidInputError(f"areas of network {network.name!r}", problems)
 
@@ -141,6 +140,18 @@ def build_partition(
     return Partition(network, tuple(areas))
 
 
+def _find_slack_problems(
+    members: Mapping[str, set[int]], local_slack: Mapping[str, tuple[int, float]]
+) -> Iterator[str]:
+    for name, (bus, vm) in local_slack.items():
+        if name not in members:
+            yield f"local slack of area {name}, which is not one of the areas {', '.join(members)}"
+        elif bus not in members[name]:
+            yield f"area {name}: slack_bus {bus} is not one of its buses"
+        if not (math.isfinite(vm) and vm > 0):
+            yield f"area {name}: slack_vm is {vm}; it must be a positive voltage in p.u."
+
+
 def _find_bus_problems(network: Network, area_buses: Mapping[str, Sequence[int]]) -> list[str]:
     problems = []
     if not area_buses:
@@ -148,11 +159,13 @@ def _find_bus_problems(network: Network, area_buses: Mapping[str, Sequence[int]]
     covered: set[int] = set()
     for name, buses in area_buses.items():
         covered.update(buses)
-        for bus in buses:
-            if bus not in network.row:
-                problems.append(f"area {name}: bus {bus} is not in the network")
-        for bus in sorted({bus for bus in buses if list(buses).count(bus) > 1}):
-            problems.append(f"area {name}: bus {bus} is listed twice")
+        for bus_id, count in Counter(buses).items():
+            if bus_id not in network.row:
+                problems.append(f"area {name}: bus {bus_id} is not in the network")
+            if count > 1:
+                problems.append(f"area {name}: bus {bus_id} is listed {count} times; list it once")
+        if not buses:
+            problems.append(f"area {name} lists no bus; give it some or leave it out")
     for bus in network.buses:
         if bus.id not in covered:
             problems.append(f"bus {bus.id} is in no area; add it to the buses of one")
@@ -185,7 +198,7 @@ def _assign_branches(network: Network, members: Mapping[str, set[int]]) -> tuple
     for name, buses in members.items():
         if not buses:
             continue
-        pieces = _connected_pieces(buses, [b for b in network.active_branches if branch_area.get(b.id) == name])
+        pieces = _connected_pieces(buses, network.active_branches)
         if len(pieces) > 1:
             text = " | ".join(", ".join(map(str, sorted(piece))) for piece in pieces)
             problems.append(f"area {name} is not connected by its own branches: it falls into buses {text}")
@@ -195,9 +208,12 @@ def _assign_branches(network: Network, members: Mapping[str, set[int]]) -> tuple
 
 
 def _connected_pieces(buses: set[int], branches: Sequence[Branch]) -> list[set[int]]:
+    """The sets of ``buses`` that branches with both ends among them join."""
     piece_of = {bus: {bus} for bus in sorted(buses)}
     for branch in branches:
-        a, b = piece_of[branch.from_bus], piece_of[branch.to_bus]
+        if not {branch.from_bus, branch.to_bus} <= buses:
+            continue
+        b, a = sorted((piece_of[branch.from_bus], piece_of[branch.to_bus]), key=len)
         if a is not b:
             a |= b
             for bus in b:
@@ -213,17 +229,13 @@ def _grow_tree(
     neighbours: dict[str, list[Neighbour]] = {name: [] for name in members}
     root = next(name for name, buses in members.items() if network.slack.bus in buses)
     entered_by: dict[str, tuple[int, str] | None] = {root: None}  # area -> (boundary bus, its owner)
-    owner: dict[int, str] = {}
     queue = deque([root])
     while queue:
         name = queue.popleft()
         here = entered_by[name]
         for bus in sorted(members[name] & boundaries.keys()):
             if here is not None and bus == here[0]:
-                continue
-            if bus in owner:
-                raise _loop_error(network, entered_by, name, owner[bus], bus)
-            owner[bus] = name
+                continue  # all areas there have been entered together with this one
             for other in boundaries[bus]:
                 if other == name:
                     continue
@@ -252,6 +264,8 @@ def _loop_error(
         ours.pop()
         theirs.pop()
     cycle = [*reversed(ours), *theirs[:-1]]
+    if len(ours) > 1 and len(theirs) > 1 and entered_by[ours[-2]] == entered_by[theirs[-2]]:
+        cycle.remove(ours[-1])  # both branch off at one bus: the loop does not run through its owner
     text = " - ".join([*cycle, cycle[0]])
     return InvalidInputError(
         f"areas of network {network.name!r}",

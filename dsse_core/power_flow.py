@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import cmath
+import math
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,9 +13,12 @@ import scipy.sparse.linalg as spla
 
 from dsse_core.admittance import Admittance, build_admittance, flat_start
 from dsse_core.errors import InvalidInputError, PowerFlowDivergedError
-from dsse_core.measurement import MeasurementKind, Meter
-from dsse_core.measurement_model import build_measurement_model
+from dsse_core.measurement import MeasurementKind, Meter, find_meter_problems
+from dsse_core.measurement_model import MeasurementModel, build_measurement_model
 from dsse_core.network import Control, Network
+
+LARGEST_STEP = 1e6  # p.u. or rad; beyond it there is nothing to find
+ROUND_OFF = 1e-15  # of the sum of a bus' admittances: what its mismatch cannot fall below
 
 
 @dataclass(frozen=True)
@@ -32,7 +37,13 @@ class PowerFlowResult:
         return complex(self.injection.sum())
 
     def read(self, meter: Meter) -> float:
-        """What a perfect meter would read, p.u. or rad."""
+        """What a perfect meter would read, p.u. or rad.
+
+        Raises:
+            InvalidInputError: the meter does not fit the network.
+        """
+        if problems := list(find_meter_problems(self.network, [meter])):
+            raise InvalidInputError(f"meter of network {self.network.name!r}", problems)
         model = build_measurement_model(self.network, self._admittance, [meter])
         return float(model.predict(np.r_[self.va, self.vm])[0])
 
@@ -54,42 +65,49 @@ def solve_power_flow(
     Args:
         slack: (bus, vm in p.u.) of a local slack that replaces the network's own, at angle 0.
         extra_load: bus -> complex load in p.u., on top of the network's.
-        tolerance: largest power mismatch allowed, p.u.
+        tolerance: largest power mismatch allowed, p.u.; at buses with impedances near zero, round-off.
 
     Raises:
-        InvalidInputError: no slack bus, or buses that it does not reach.
+        InvalidInputError: no slack bus, buses that it does not reach, unknown buses in the arguments.
         PowerFlowDivergedError: names the bus with the largest mismatch.
     """
+    extra_load = extra_load or {}
     slack_bus, slack_vm, slack_va = _slack_of(network, slack)
-    if unreached := network.find_unreached_buses(slack_bus):
-        names = ", ".join(map(str, unreached))
-        raise InvalidInputError(
-            f"power flow of network {network.name!r}",
-            [f"no path of branches in service joins bus {names} to the slack bus {slack_bus}"],
-        )
+    if problems := list(_find_problems(network, slack_bus, slack_vm, extra_load)):
+        raise InvalidInputError(f"power flow of network {network.name!r}", problems)
+    held = {g.bus: g.vm for g in network.generators if g.control is Control.VOLTAGE} | {slack_bus: slack_vm}
     vm, va = flat_start(network, slack_bus)
-    vm, va = vm * slack_vm / vm[network.row[slack_bus]], va + slack_va
-    held = {g.bus: g.vm for g in network.generators if g.control is Control.VOLTAGE and g.bus != slack_bus}
     for bus, set_point in held.items():
         vm[network.row[bus]] = set_point
-    vm[network.row[slack_bus]] = slack_vm
-
     scheduled = np.array([network.scheduled_injection(bus.id) for bus in network.buses], dtype=complex)
-    for bus, load in (extra_load or {}).items():
+    for bus, load in extra_load.items():
         scheduled[network.row[bus]] -= load
     admittance = build_admittance(network)
     p_rows = np.array([network.row[bus.id] for bus in network.buses if bus.id != slack_bus], dtype=int)
-    q_rows = np.array([network.row[b.id] for b in network.buses if b.id != slack_bus and b.id not in held], dtype=int)
-    x, iterations, mismatch = _newton(
-        network, admittance, np.r_[va, vm], scheduled, p_rows, q_rows, tolerance, max_iterations
+    q_rows = np.array([network.row[bus.id] for bus in network.buses if bus.id not in held], dtype=int)
+    x, iterations = _newton(
+        network, admittance, np.r_[va + slack_va, vm], scheduled, p_rows, q_rows, tolerance, max_iterations
     )
-    if not abs(mismatch).max(initial=0.0) <= tolerance:
-        row = int(np.nanargmax(np.where(np.isfinite(mismatch), abs(mismatch), np.inf)))
-        bus = network.buses[np.r_[p_rows, q_rows][row]].id
-        raise PowerFlowDivergedError(network.name, bus, float(abs(mismatch[row])), iterations)
     va, vm = np.split(x, 2)
     v = vm * np.exp(1j * va)
     return PowerFlowResult(network, vm, va, v * (admittance.ybus @ v).conj(), iterations)
+
+
+def _find_problems(
+    network: Network, slack_bus: int, slack_vm: float, extra_load: Mapping[int, complex]
+) -> Iterator[str]:
+    if slack_bus not in network.row:
+        yield f"the slack bus {slack_bus} is not in the network"
+    elif unreached := network.find_unreached_buses(slack_bus):
+        names = ", ".join(map(str, unreached))
+        yield f"no path of branches in service joins bus {names} to the slack bus {slack_bus}"
+    if not (math.isfinite(slack_vm) and slack_vm > 0):
+        yield f"the slack voltage is {slack_vm}; it must be a positive number in p.u."
+    for bus, load in extra_load.items():
+        if bus not in network.row:
+            yield f"extra load at bus {bus}, which is not in the network"
+        if not cmath.isfinite(load):
+            yield f"the extra load at bus {bus} is {load}, not a finite number"
 
 
 def _slack_of(network: Network, slack: tuple[int, float] | None) -> tuple[int, float, float]:
@@ -111,25 +129,38 @@ def _newton(
     q_rows: np.ndarray,
     tolerance: float,
     max_iterations: int,
-) -> tuple[np.ndarray, int, np.ndarray]:
+) -> tuple[np.ndarray, int]:
     """Newton's iteration on the injections: P of all buses but the slack, Q of those that hold no voltage."""
     buses = [bus.id for bus in network.buses]
+    rows = np.r_[p_rows, q_rows]
     meters = [Meter(MeasurementKind.P_INJECTION, buses[row]) for row in p_rows]
     meters += [Meter(MeasurementKind.Q_INJECTION, buses[row]) for row in q_rows]
     model = build_measurement_model(network, admittance, meters)
     target = np.r_[scheduled.real[p_rows], scheduled.imag[q_rows]]
     unknown = np.r_[p_rows, len(buses) + q_rows]
+    limit = np.maximum(tolerance, ROUND_OFF * abs(admittance.ybus).sum(axis=1))[rows]
     mismatch = target - model.predict(x)
     iterations = 0
-    while iterations < max_iterations and abs(mismatch).max(initial=0.0) > tolerance:
+    while (abs(mismatch) > limit).any():
+        following = _newton_step(model, x, target, unknown, mismatch) if iterations < max_iterations else None
+        if following is None:
+            worst = int(np.argmax(abs(mismatch)))
+            raise PowerFlowDivergedError(network.name, buses[rows[worst]], float(abs(mismatch[worst])), iterations)
+        x, mismatch = following
         iterations += 1
-        try:
-            step = spla.splu(model.jacobian(x)[:, unknown].tocsc()).solve(mismatch)
-        except RuntimeError:  # SuperLU: the Jacobian is singular, the nose of the voltage curve
-            break
-        x = x.copy()
-        x[unknown] += step
-        mismatch = target - model.predict(x)
-        if not np.isfinite(mismatch).all():
-            break
-    return x, iterations, mismatch
+    return x, iterations
+
+
+def _newton_step(
+    model: MeasurementModel, x: np.ndarray, target: np.ndarray, unknown: np.ndarray, mismatch: np.ndarray
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """The next state and its mismatch; None at the nose of the voltage curve (singular) or out of all bounds."""
+    try:
+        step = spla.splu(model.jacobian(x)[:, unknown].tocsc()).solve(mismatch)
+    except RuntimeError:  # SuperLU: exactly singular
+        return None
+    x = x.copy()
+    x[unknown] += step
+    if not abs(step).max(initial=0.0) < LARGEST_STEP or (x[len(x) // 2 :] == 0).any():
+        return None
+    return x, target - model.predict(x)

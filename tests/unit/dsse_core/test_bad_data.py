@@ -1,0 +1,163 @@
+"""Detection, identification and removal of gross errors; critical measurements are told, not divided by zero."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.stats
+
+from dsse_core.bad_data import chi_square_limit, find_critical, normalized_residuals, process_bad_data
+from dsse_core.estimation import estimate_state
+from dsse_core.measurement import MeasurementKind, Meter, Source
+from dsse_core.power_flow import solve_power_flow
+
+Kind = MeasurementKind
+FLOWS = (Kind.P_FLOW, Kind.Q_FLOW)
+INJECTIONS = (Kind.P_INJECTION, Kind.Q_INJECTION)
+
+
+def with_errors(measurements, sigmas_by_id):
+    return [replace(m, value=m.value + sigmas_by_id.get(m.meter.id, 0.0) * m.sigma) for m in measurements]
+
+
+@pytest.fixture
+def noisy33(case, meters_of, read):
+    network = case("ieee33")
+    meters = [m for m in meters_of(network, Kind.VM, *FLOWS, *INJECTIONS) if not m.branch or m.bus != 1]
+    return network, read(solve_power_flow(network), meters, noise=np.random.default_rng(2))
+
+
+@pytest.mark.parametrize("dof", [1, 7, 99])
+@pytest.mark.parametrize("confidence", [0.95, 0.99])
+def test_the_limit_is_the_quantile_of_the_chi_square_distribution(dof, confidence):
+    assert chi_square_limit(dof, confidence) == pytest.approx(scipy.stats.chi2.ppf(confidence, dof))
+
+
+def test_without_redundancy_nothing_is_ever_detected(chain, read):
+    network = chain(2)
+    meters = [Meter(Kind.VM, 1), Meter(Kind.P_FLOW, 1, "1-2"), Meter(Kind.Q_FLOW, 1, "1-2")]
+    wrong = with_errors(read(solve_power_flow(network), meters), {"p_flow@1:1-2": 10})
+    report = process_bad_data(network, wrong)
+    assert not report.detected
+    assert report.degrees_of_freedom == 0
+    assert report.chi_square_limit == float("inf")
+    assert report.critical == tuple(m.id for m in meters)
+
+
+def test_clean_measurements_are_left_alone(noisy33):
+    network, noisy = noisy33
+    report = process_bad_data(network, noisy)
+    assert report.removed == ()
+    assert not report.detected
+    assert report.objective < report.chi_square_limit
+    assert report.objective == report.result.objective
+
+
+@pytest.mark.parametrize("wrong", ["p_flow@3:3-4", "q_injection@14", "vm@25", "q_flow@33:32-33"])
+def test_a_single_gross_error_is_found_and_removed(noisy33, wrong):
+    network, noisy = noisy33
+    report = process_bad_data(network, with_errors(noisy, {wrong: 25}))
+    assert [r.measurement.meter.id for r in report.removed] == [wrong]
+    assert report.removed[0].normalized_residual > 10
+    assert not report.detected
+    assert wrong not in {m.meter.id for m in report.result.measurements}
+
+
+def test_several_gross_errors_are_found_one_at_a_time_the_largest_first(noisy33):
+    network, noisy = noisy33
+    wrong = {"p_flow@3:3-4": 60, "vm@25": -30, "q_injection@9": 20}
+    report = process_bad_data(network, with_errors(noisy, wrong))
+    assert {r.measurement.meter.id for r in report.removed} == set(wrong)
+    residuals = [r.normalized_residual for r in report.removed]
+    assert residuals == sorted(residuals, reverse=True)
+    assert not report.detected
+
+
+def test_removing_the_error_brings_back_the_estimate(noisy33):
+    network, noisy = noisy33
+    clean = estimate_state(network, [m for m in noisy if m.meter.id != "p_flow@3:3-4"])
+    report = process_bad_data(network, with_errors(noisy, {"p_flow@3:3-4": 50}))
+    np.testing.assert_allclose(report.result.vm, clean.vm, atol=1e-9)
+
+
+def test_the_normalised_residual_is_the_error_itself_in_units_of_what_redundancy_leaves(meshed, meters_of, read):
+    """For one error e among exact readings |r_k| / sqrt(Omega_kk) = e sqrt(Omega_kk) / R_kk, and it is the largest."""
+    exact = read(solve_power_flow(meshed), meters_of(meshed, Kind.VM, *FLOWS), sigma=1e-4)
+    result = estimate_state(meshed, with_errors(exact, {"p_flow@3:3-4": 1.0}), tolerance=1e-10)
+    k = [m.meter.id for m in result.measurements].index("p_flow@3:3-4")
+    expected = np.sqrt(result.residual_variance[k]) / 1e-4
+    normalized = normalized_residuals(result)
+    assert normalized[k] == pytest.approx(expected, rel=1e-3)
+    assert normalized.argmax() == k
+
+
+def test_critical_measurements_are_reported_and_never_blamed(chain, meters_of, read):
+    """Bus 6 hangs on one flow measurement; the rest of the chain is redundant."""
+    network = chain(6)
+    meters = [m for m in meters_of(network, Kind.VM, *FLOWS) if m.bus != 6 and m.branch != "5-6"]
+    hanging = [Meter(kind, 5, "5-6") for kind in FLOWS]
+    readings = with_errors(
+        read(solve_power_flow(network), meters + hanging, noise=np.random.default_rng(0)),
+        {"p_flow@5:5-6": 40, "p_flow@2:2-3": 40},
+    )
+    with np.errstate(all="raise"):
+        report = process_bad_data(network, readings)
+    assert set(report.critical) == {"p_flow@5:5-6", "q_flow@5:5-6"}
+    assert [r.measurement.meter.id for r in report.removed] == ["p_flow@2:2-3"]
+    assert not report.detected
+
+
+def test_measurements_become_critical_when_the_last_redundant_one_is_removed(chain, read):
+    network = chain(2)
+    meters = [Meter(Kind.VM, 1), *(Meter(Kind.P_FLOW, b, "1-2") for b in (1, 2)), Meter(Kind.Q_FLOW, 1, "1-2")]
+    exact = read(solve_power_flow(network), meters)
+    assert not {m.id for m in meters[1:3]} & set(find_critical(estimate_state(network, exact)))
+    report = process_bad_data(network, with_errors(exact, {"p_flow@2:1-2": 100}))
+    assert len(report.removed) == 1
+    assert set(report.critical) == {m.meter.id for m in report.result.measurements}
+
+
+def test_a_critical_pair_cannot_be_told_apart_so_the_id_decides_and_the_other_is_named(chain, read):
+    network = chain(3)
+    meters = [Meter(Kind.VM, 1), Meter(Kind.VM, 2), *(Meter(k, 2, "2-3") for k in FLOWS)]
+    meters += [Meter(k, 1, "1-2") for k in FLOWS]
+    exact = read(solve_power_flow(network), meters, sigma=0.001)
+    for wrong in ("vm@1", "vm@2"):
+        for order in (exact, exact[::-1]):
+            report = process_bad_data(network, with_errors(order, {wrong: 30}))
+            assert len(report.removed) == 1
+            removed = report.removed[0]
+            tie = {removed.measurement.meter.id, *removed.indistinguishable_from}
+            assert {"vm@1", "vm@2"} <= tie
+            assert removed.measurement.meter.id == min(tie)
+
+
+def test_many_small_deviations_are_detected_but_nothing_is_removed(noisy33):
+    """J exceeds the limit though no normalised residual exceeds the threshold: wrong sigmas, not bad data."""
+    network, noisy = noisy33
+    truth = solve_power_flow(network)
+    rng = np.random.default_rng(4)
+    moved = [replace(m, value=truth.read(m.meter) + 1.5 * m.sigma * rng.choice([-1, 1])) for m in noisy]
+    report = process_bad_data(network, moved, threshold=3.5)
+    assert report.detected
+    assert report.removed == ()
+    assert report.objective >= report.chi_square_limit
+
+
+def test_virtual_measurements_are_never_blamed(meshed, meters_of, read, zero_injections):
+    virtual = zero_injections(meshed)
+    meters = [m for m in meters_of(meshed, Kind.VM, *FLOWS, *INJECTIONS) if m.bus != 7 or not m.kind.of_injection]
+    exact = read(solve_power_flow(meshed), meters + virtual)
+    result = estimate_state(meshed, with_errors(exact, {"p_flow@7:4-7": 50}))
+    is_virtual = np.array([m.meter.source is Source.VIRTUAL for m in result.measurements])
+    assert (normalized_residuals(result)[is_virtual] == 0).all()
+    report = process_bad_data(meshed, with_errors(exact, {"p_flow@7:4-7": 50}))
+    assert [r.measurement.meter.id for r in report.removed] == ["p_flow@7:4-7"]
+    assert not any(m.id in report.critical for m in virtual)
+
+
+def test_the_order_of_the_measurements_does_not_matter(noisy33):
+    network, noisy = noisy33
+    wrong = with_errors(noisy, {"p_flow@3:3-4": 40, "q_flow@30:30-31": 40})
+    forward, backward = process_bad_data(network, wrong), process_bad_data(network, wrong[::-1])
+    assert [r.measurement for r in forward.removed] == [r.measurement for r in backward.removed]

@@ -1,0 +1,254 @@
+"""The WLS estimate: exact round trips, its statistics against dense algebra, and what it refuses."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dsse_core.errors import EstimationDivergedError, InvalidInputError
+from dsse_core.estimation import estimate_state
+from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
+from dsse_core.network import Branch, Bus, Control, Generator, Network
+from dsse_core.power_flow import solve_power_flow
+
+Kind = MeasurementKind
+FLOWS = (Kind.P_FLOW, Kind.Q_FLOW)
+INJECTIONS = (Kind.P_INJECTION, Kind.Q_INJECTION)
+
+SETS = {
+    "flows": (Kind.VM, *FLOWS),
+    "injections": (Kind.VM, *INJECTIONS),
+    "phasors": (Kind.VM, Kind.VA),
+    "currents": (Kind.VM, *INJECTIONS, Kind.CURRENT),
+    "everything": tuple(Kind),
+}
+
+
+def dense_statistics(result):
+    """(covariance of the free state variables, Omega) by dense algebra, with constraints by the dense KKT matrix."""
+    virtual = np.array([m.meter.source is Source.VIRTUAL for m in result.measurements])
+    H = result.jacobian.toarray()
+    C, H = H[virtual], H[~virtual]
+    sigma = np.array([m.sigma for m in result.measurements])[~virtual]
+    G = H.T @ np.diag(sigma**-2) @ H
+    KKT = np.block([[G, C.T], [C, np.zeros((len(C), len(C)))]])
+    covariance = np.linalg.inv(KKT)[: len(G), : len(G)]
+    return covariance, np.diag(sigma**2) - H @ covariance @ H.T, virtual
+
+
+@pytest.mark.parametrize("kinds", SETS.values(), ids=SETS)
+@pytest.mark.parametrize("name", ["industrial13", "ieee33", "meshed"])
+@pytest.mark.parametrize("constrained", [False, True])
+def test_perfect_measurements_give_back_the_power_flow(
+    name, kinds, constrained, case, meshed, meters_of, zero_injections, read
+):
+    network = meshed if name == "meshed" else case(name)
+    truth = solve_power_flow(network)
+    virtual = zero_injections(network) if constrained else []
+    taken = {m.id for m in virtual}
+    meters = [m for m in meters_of(network, *kinds) if m.id not in taken] + virtual
+    result = estimate_state(network, read(truth, meters))
+    np.testing.assert_allclose(result.vm, truth.vm, atol=1e-9)
+    np.testing.assert_allclose((result.va - truth.va + np.pi) % (2 * np.pi) - np.pi, 0.0, atol=1e-9)
+    assert result.objective < 1e-12
+    assert result.degrees_of_freedom == len(meters) - (2 * len(network.buses) - 1)
+
+
+@pytest.mark.parametrize("name", ["industrial13", "meshed"])
+def test_zero_injections_hold_exactly_also_against_noise(name, case, meshed, meters_of, zero_injections, read):
+    network = meshed if name == "meshed" else case(name)
+    virtual = zero_injections(network)
+    assert virtual
+    taken = {m.id for m in virtual}
+    meters = [m for m in meters_of(network, Kind.VM, *FLOWS, *INJECTIONS) if m.id not in taken] + virtual
+    noisy = read(solve_power_flow(network), meters, noise=np.random.default_rng(3))
+    result = estimate_state(network, noisy)
+    assert abs(result.residual[-len(virtual) :]).max() < 1e-12
+    assert (result.residual_variance[-len(virtual) :] == 0).all()
+    assert result.objective > 1.0
+
+
+def test_the_estimate_minimises_the_weighted_squares(meshed, meters_of, read):
+    noisy = read(solve_power_flow(meshed), meters_of(meshed, *SETS["everything"]), noise=np.random.default_rng(1))
+    result = estimate_state(meshed, noisy, tolerance=1e-10)
+    weight = np.array([m.sigma**-2.0 for m in noisy])
+    assert result.objective == pytest.approx(result.residual @ (weight * result.residual))
+    gradient = result.jacobian.T @ (weight * result.residual)
+    assert abs(gradient).max() < 1e-5 * abs(result.jacobian.T @ weight).max()
+
+
+@pytest.mark.parametrize("constrained", [False, True])
+def test_covariance_and_residual_variance_equal_dense_algebra(meshed, meters_of, zero_injections, read, constrained):
+    virtual = zero_injections(meshed) if constrained else []
+    taken = {m.id for m in virtual}
+    meters = [m for m in meters_of(meshed, Kind.VM, *FLOWS, *INJECTIONS) if m.id not in taken] + virtual
+    truth = solve_power_flow(meshed)
+    sigmas = iter(np.random.default_rng(0).uniform(0.001, 0.05, len(meters)))
+    noisy = [replace(m, sigma=next(sigmas)) if m.sigma else m for m in read(truth, meters)]
+    result = estimate_state(meshed, noisy)
+    covariance, Omega, is_virtual = dense_statistics(result)
+    np.testing.assert_allclose(result.residual_variance[~is_virtual], np.diag(Omega), rtol=1e-7, atol=1e-16)
+
+    rows = [0, 3, 8, 12]
+    full = np.zeros((2 * len(meshed.buses),) * 2)
+    full[np.ix_(result.free, result.free)] = covariance
+    np.testing.assert_allclose(result.state_covariance(rows), full[np.ix_(rows, rows)], rtol=1e-7, atol=1e-16)
+    sigma_vm, sigma_va = result.state_sigma()
+    np.testing.assert_allclose(np.r_[sigma_va, sigma_vm], np.sqrt(np.diag(full)), rtol=1e-7, atol=1e-16)
+    assert sigma_va[meshed.row[10]] == 0.0
+
+
+def test_residual_variances_survive_impedances_near_zero_and_sigmas_over_four_decades(chain, meters_of, read):
+    """The normal equations lose every digit here: condition 1e10, squared."""
+    network = chain(33, short=(5, 9, 20))
+    sigma = {Kind.VM: 0.1, Kind.P_FLOW: 1e-5, Kind.Q_FLOW: 1e-5, Kind.P_INJECTION: 0.1, Kind.Q_INJECTION: 0.1}
+    meters = [Meter(Kind.VM, 1)]
+    meters += [Meter(k, b.from_bus, b.id) for b in network.branches for k in FLOWS]
+    meters += [m for m in meters_of(network, *INJECTIONS) if m.bus != 1]
+    truth = solve_power_flow(network)
+    result = estimate_state(network, [replace(m, sigma=sigma[m.meter.kind]) for m in read(truth, meters)])
+    np.testing.assert_allclose(result.vm, truth.vm, atol=1e-9)
+    sigmas = np.array([m.sigma for m in result.measurements])
+    Q = np.linalg.qr(result.jacobian.toarray() / sigmas[:, None])[0]
+    np.testing.assert_allclose(result.residual_variance / sigmas**2, 1 - (Q**2).sum(axis=1), atol=1e-10)
+
+
+def test_the_objective_is_chi_square_distributed_with_the_degrees_of_freedom(meshed, meters_of, zero_injections, read):
+    """200 draws: the mean lies within four standard errors, sqrt(2 dof / 200)."""
+    truth = solve_power_flow(meshed)
+    virtual = zero_injections(meshed)
+    taken = {m.id for m in virtual}
+    meters = [m for m in meters_of(meshed, Kind.VM, *FLOWS, *INJECTIONS) if m.id not in taken] + virtual
+    rng = np.random.default_rng(11)
+    results = [estimate_state(meshed, read(truth, meters, sigma=0.003, noise=rng)) for _ in range(200)]
+    dof = results[0].degrees_of_freedom
+    objectives = np.array([r.objective for r in results])
+    assert objectives.mean() == pytest.approx(dof, abs=4 * math.sqrt(2 * dof / 200))
+    assert objectives.var() == pytest.approx(2 * dof, rel=0.5)
+    errors = np.array([r.vm - truth.vm for r in results])
+    assert errors.std(axis=0) == pytest.approx(results[0].state_sigma()[0], rel=0.25)
+
+
+def behind_a_vector_group(shift_deg, slack_va=0.0):
+    return Network(
+        "vector group",
+        1.0,
+        (Bus(1, 110.0), Bus(2, 20.0), Bus(3, 20.0, p_load=0.4, q_load=0.1)),
+        (Branch("1-2", 1, 2, 0.005, 0.1, shift=math.radians(shift_deg)), Branch("2-3", 2, 3, 0.05, 0.2)),
+        (Generator(1, Control.SLACK, va=slack_va),),
+    )
+
+
+@pytest.mark.parametrize("shift_deg", [0, 30, 150, 175, 179.9, -150, -179.9, 180])
+def test_angles_near_pi_behind_phase_shifters_are_wrapped(shift_deg, meters_of, read):
+    network = behind_a_vector_group(shift_deg)
+    truth = solve_power_flow(network)
+    perfect = read(truth, meters_of(network, Kind.VM, Kind.VA))
+    turned = [replace(m, value=m.value + 2 * np.pi) if m.meter.kind is Kind.VA else m for m in perfect]
+    for measurements in (perfect, turned):
+        result = estimate_state(network, measurements)
+        assert abs(np.exp(1j * result.va) - np.exp(1j * truth.va)).max() < 1e-9
+        assert result.objective < 1e-12
+
+
+def test_the_reference_angle_is_the_set_point_of_the_slack(meters_of, read):
+    network = behind_a_vector_group(30, slack_va=0.5)
+    truth = solve_power_flow(network)
+    result = estimate_state(network, read(truth, meters_of(network, *Kind)))
+    np.testing.assert_allclose(result.va, truth.va, atol=1e-9)
+
+
+def test_a_reference_elsewhere_stands_at_zero_or_at_the_angle_of_the_start(meshed, meters_of, read):
+    truth = solve_power_flow(meshed)
+    perfect = read(truth, meters_of(meshed, Kind.VM, *FLOWS))
+    row = meshed.row[4]
+    result = estimate_state(meshed, perfect, reference=4)
+    np.testing.assert_allclose(np.exp(1j * (result.va - truth.va + truth.va[row])), np.ones(len(truth.va)), atol=1e-9)
+    started = estimate_state(meshed, perfect, reference=4, start=(truth.vm, truth.va))
+    np.testing.assert_allclose(started.va, truth.va, atol=1e-9)
+    assert started.iterations == 1
+
+
+def test_a_wrong_reference_is_refused(meshed, meters_of, read):
+    perfect = read(solve_power_flow(meshed), meters_of(meshed, Kind.VM, Kind.VA))
+    with pytest.raises(InvalidInputError, match="bus 99"):
+        estimate_state(meshed, perfect, reference=99)
+
+
+def test_current_magnitudes_sharpen_the_estimate(case, meters_of, read):
+    network = case("ieee33")
+    truth = solve_power_flow(network)
+    without = estimate_state(network, read(truth, meters_of(network, Kind.VM, *INJECTIONS)))
+    currents = read(truth, meters_of(network, Kind.CURRENT), sigma=1e-4)
+    sharp = estimate_state(network, [*without.measurements, *currents])
+    assert (sharp.state_sigma()[1][1:] < without.state_sigma()[1][1:]).all()
+
+
+def test_current_magnitudes_as_uncertain_as_large_do_not_make_the_iteration_swing(case, read):
+    """Flows and currents with 0.01 of noise on currents down to 0.008: Gauss-Newton's full steps overshoot."""
+    network = case("ieee33")
+    kinds = (*FLOWS, Kind.CURRENT)
+    meters = [Meter(Kind.VM, b.id) for b in network.buses]
+    meters += [Meter(k, b.from_bus, b.id) for b in network.active_branches for k in kinds]
+    truth = solve_power_flow(network)
+    for seed in range(10):
+        noisy = read(truth, meters, sigma=0.01, noise=np.random.default_rng(seed))
+        ammeters_read_no_negative = [
+            replace(m, value=max(m.value, 0.0)) if m.meter.kind is Kind.CURRENT else m for m in noisy
+        ]
+        assert estimate_state(network, ammeters_read_no_negative).iterations < 30
+
+
+def test_a_state_that_explains_nothing_is_refused_with_the_worst_meter(chain, meters_of, read):
+    network = chain(4)
+    perfect = read(solve_power_flow(network), meters_of(network, Kind.VM, *INJECTIONS))
+    absurd = [replace(m, value=-500.0) if m.meter.id == "p_injection@3" else m for m in perfect]
+    with pytest.raises(EstimationDivergedError, match="largest weighted residual is that of") as caught:
+        estimate_state(network, absurd)
+    assert caught.value.iterations <= 50
+
+
+def test_wrong_measurements_are_all_reported_at_once(meshed):
+    wrong = [
+        Measurement(Meter(Kind.VM, 10), 1.0, 0.0),
+        Measurement(Meter(Kind.VM, 10), 1.0, 0.01),
+        Measurement(Meter(Kind.VM, 99), 1.0, 0.01),
+        Measurement(Meter(Kind.VM, 2), math.nan, 0.01),
+        Measurement(Meter(Kind.VA, 3), 0.0, -1.0),
+        Measurement(Meter(Kind.P_FLOW, 2, "none"), 0.0, 0.01),
+        Measurement(Meter(Kind.P_FLOW, 6, "6-2"), 0.0, 0.01),
+        Measurement(Meter(Kind.P_FLOW, 10, "3-4"), 0.0, 0.01),
+        Measurement(Meter(Kind.P_FLOW, 10), 0.0, 0.01),
+        Measurement(Meter(Kind.VM, 4, "3-4"), 1.0, 0.01),
+        Measurement(Meter(Kind.VM, 5, source=Source.VIRTUAL), 0.0, 0.0),
+        Measurement(Meter(Kind.P_INJECTION, 7, source=Source.VIRTUAL), 0.1, 0.0),
+    ]
+    with pytest.raises(InvalidInputError) as caught:
+        estimate_state(meshed, wrong)
+    text = str(caught.value)
+    for expected in (
+        "vm@10: sigma is 0.0",
+        "vm@10 is given twice",
+        "bus 99 is not in network",
+        "vm@2: the value is nan",
+        "va@3: sigma is -1.0",
+        "branch none is not in network",
+        "branch 6-2 is out of service",
+        "branch 3-4 does not end at bus 10",
+        "p_flow@10: branch None",
+        "vm@4:3-4: a vm meter stands at a bus",
+        "vm@5: only an injection of exactly 0 can be virtual",
+        "p_injection@7: only an injection of exactly 0 can be virtual",
+    ):
+        assert expected in text
+    assert len(caught.value.problems) == 12
+
+
+@pytest.mark.parametrize("kinds", [(Kind.VM, *INJECTIONS), (Kind.VM, *FLOWS)])
+def test_a_feeder_of_5000_buses_is_estimated(chain, meters_of, read, kinds):
+    network = chain(5000)
+    truth = solve_power_flow(network)
+    meters = [m for m in meters_of(network, *kinds) if m.kind is not Kind.VM or m.bus == 1]
+    result = estimate_state(network, read(truth, meters))
+    np.testing.assert_allclose(result.vm, truth.vm, atol=1e-9)

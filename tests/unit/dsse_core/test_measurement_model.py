@@ -1,0 +1,120 @@
+"""h(x) against the branch equations, H(x) against finite differences."""
+
+import cmath
+
+import numpy as np
+import pytest
+
+from dsse_core.admittance import build_admittance, flat_start
+from dsse_core.measurement import MeasurementKind, Meter
+from dsse_core.measurement_model import build_measurement_model
+
+Kind = MeasurementKind
+
+
+def random_state(network, seed):
+    rng = np.random.default_rng(seed)
+    n = len(network.buses)
+    return np.r_[rng.uniform(-1.0, 1.0, n), rng.uniform(0.85, 1.15, n)]
+
+
+def model_of(network, meters):
+    return build_measurement_model(network, build_admittance(network), meters)
+
+
+@pytest.mark.parametrize("kind", list(Kind))
+@pytest.mark.parametrize("seed", range(3))
+def test_every_derivative_agrees_with_central_differences(meshed, meters_of, kind, seed):
+    model, x, step = model_of(meshed, meters_of(meshed, kind)), random_state(meshed, seed), 1e-6
+    numerical = np.column_stack(
+        [(model.predict(x + step * e) - model.predict(x - step * e)) / (2 * step) for e in np.eye(len(x))]
+    )
+    np.testing.assert_allclose(model.jacobian(x).toarray(), numerical, atol=2e-8)
+
+
+@pytest.mark.parametrize("kind", [Kind.P_FLOW, Kind.Q_INJECTION, Kind.VM])
+def test_the_derivatives_hold_also_where_newton_has_passed_through_a_negative_magnitude(meshed, meters_of, kind):
+    model, x, step = model_of(meshed, meters_of(meshed, kind)), random_state(meshed, 5), 1e-6
+    x[-1] = -0.4
+    numerical = np.column_stack(
+        [(model.predict(x + step * e) - model.predict(x - step * e)) / (2 * step) for e in np.eye(len(x))]
+    )
+    np.testing.assert_allclose(model.jacobian(x).toarray(), numerical, atol=2e-8)
+
+
+def test_the_derivatives_of_mixed_meters_stand_in_the_order_of_the_meters(meshed, meters_of):
+    meters = meters_of(meshed, *Kind)
+    np.random.default_rng(0).shuffle(meters)
+    x = random_state(meshed, 9)
+    H = model_of(meshed, meters).jacobian(x).toarray()
+    for row in (0, 7, len(meters) // 2, len(meters) - 1):
+        np.testing.assert_array_equal(H[row], model_of(meshed, [meters[row]]).jacobian(x).toarray()[0])
+
+
+def branch_current(branch, v_from, v_to, at_from):
+    """Textbook pi-equivalent behind an ideal transformer at the from side; current into the branch."""
+    ratio = cmath.rect(branch.tap, branch.shift)
+    behind = v_from / ratio
+    series = (behind - v_to) / complex(branch.r, branch.x)
+    charging = 0.5j * branch.b
+    if at_from:
+        return (series + charging * behind) / ratio.conjugate()
+    return -series + charging * v_to
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_flows_and_currents_at_both_ends_follow_from_the_branch_equations(meshed, meters_of, seed):
+    x = random_state(meshed, seed)
+    va, vm = np.split(x, 2)
+    v = dict(zip(meshed.row, vm * np.exp(1j * va), strict=True))
+    for kind, value_of in ((Kind.P_FLOW, lambda s, i: s.real), (Kind.Q_FLOW, lambda s, i: s.imag),
+                           (Kind.CURRENT, lambda s, i: abs(i))):  # fmt: skip
+        meters = meters_of(meshed, kind)
+        for meter, found in zip(meters, model_of(meshed, meters).predict(x), strict=True):
+            branch = meshed.branch(meter.branch)
+            i = branch_current(branch, v[branch.from_bus], v[branch.to_bus], meter.bus == branch.from_bus)
+            assert found == pytest.approx(value_of(v[meter.bus] * i.conjugate(), i), abs=1e-13)
+
+
+def test_injections_are_the_flows_that_leave_the_bus_plus_what_its_shunt_draws(meshed, meters_of):
+    x = random_state(meshed, 4)
+    va, vm = np.split(x, 2)
+    v = dict(zip(meshed.row, vm * np.exp(1j * va), strict=True))
+    p = model_of(meshed, meters_of(meshed, Kind.P_INJECTION)).predict(x)
+    q = model_of(meshed, meters_of(meshed, Kind.Q_INJECTION)).predict(x)
+    for row, bus in enumerate(meshed.buses):
+        i = complex(bus.g_shunt, bus.b_shunt) * v[bus.id]
+        for b in meshed.branches_at[bus.id]:
+            i += branch_current(b, v[b.from_bus], v[b.to_bus], b.from_bus == bus.id)
+        assert complex(p[row], q[row]) == pytest.approx(v[bus.id] * i.conjugate(), abs=1e-13)
+
+
+def test_voltages_read_as_they_are(meshed, meters_of):
+    x = random_state(meshed, 1)
+    n = len(meshed.buses)
+    np.testing.assert_allclose(model_of(meshed, meters_of(meshed, Kind.VA)).predict(x), x[:n], atol=1e-15)
+    np.testing.assert_allclose(model_of(meshed, meters_of(meshed, Kind.VM)).predict(x), x[n:], atol=1e-15)
+
+
+def test_the_flat_start_carries_no_current_through_a_radial_network_without_shunts(case, meters_of):
+    network = case("industrial13")
+    vm, va = flat_start(network, 1)
+    currents = model_of(network, meters_of(network, Kind.CURRENT)).predict(np.r_[va, vm])
+    assert currents.max() < 1e-12
+
+
+def test_the_flat_start_follows_phase_shifts_and_taps_in_both_directions(meshed):
+    vm, va = flat_start(meshed, 10)
+    angle = dict(zip(meshed.row, np.degrees(va), strict=True))
+    magnitude = dict(zip(meshed.row, vm, strict=True))
+    assert angle[2] == pytest.approx(-150)
+    assert (angle[5] - angle[4] + 180) % 360 - 180 == pytest.approx(-30)
+    assert magnitude[2] == pytest.approx(1 / 1.03)
+    assert magnitude[5] == pytest.approx(0.97 / 1.03)
+
+
+def test_a_current_magnitude_without_current_has_derivative_zero_and_not_nan(chain):
+    network = chain(3)
+    vm, va = flat_start(network, 1)
+    H = model_of(network, [Meter(Kind.CURRENT, 1, "1-2")]).jacobian(np.r_[va, vm])
+    assert (H.toarray() == 0).all()

@@ -1,0 +1,78 @@
+"""A network refuses everything that it cannot mean, all of it at once."""
+
+import math
+
+import pytest
+
+from dsse_core.errors import InvalidInputError
+from dsse_core.network import Branch, Bus, Control, Generator, Network
+
+
+def test_every_problem_is_reported_at_once():
+    with pytest.raises(InvalidInputError) as caught:
+        Network(
+            "wrong",
+            -1.0,
+            (Bus(1, 10.0), Bus(1, 10.0), Bus(2, 0.0, p_load=math.nan), Bus(3, 10.0)),
+            (
+                Branch("a", 1, 2, 0.0, 0.0),
+                Branch("a", 1, 9, 0.1, 0.1),
+                Branch("b", 3, 3, 0.1, math.inf),
+                Branch("c", 2, 3, 0.1, 0.1, tap=0.0),
+                Branch("", 2, 3, 0.1, 0.1),
+            ),
+            (
+                Generator(1, Control.SLACK),
+                Generator(2, Control.SLACK, vm=-1.0),
+                Generator(9, Control.POWER, p=math.nan),
+                Generator(3, Control.VOLTAGE, vm=1.0),
+                Generator(3, Control.VOLTAGE, vm=1.02),
+            ),
+        )
+    text = str(caught.value)
+    for expected in (
+        "network 'wrong': 16 problems",
+        "base_mva is -1.0",
+        "bus 1 is defined more than once",
+        "branch a is defined more than once",
+        "bus 2: load or shunt is not a finite number",
+        "bus 2: base_kv is 0.0",
+        "branch a has no impedance",
+        "branch a ends at bus 9",
+        "branch b joins bus 3 to itself",
+        "branch b: r, x, b, tap or shift is not a finite number",
+        "branch c: tap is 0.0",
+        "a branch from bus 2 to bus 3 has an empty id",
+        "generator at bus 2: vm is -1.0",
+        "a generator stands at bus 9",
+        "generator at bus 9: p, q, vm or va is not a finite number",
+        "generators at bus 3 hold different voltages, vm [1.0, 1.02]",
+        "buses 1, 2 are all slack",
+    ):
+        assert expected in text
+
+
+def test_a_network_without_a_bus_is_refused():
+    with pytest.raises(InvalidInputError, match="it has no bus"):
+        Network("empty", 1.0, (), ())
+
+
+def test_a_slack_and_a_generator_at_one_bus_may_hold_the_same_voltage():
+    Network("ok", 1.0, (Bus(1, 10.0),), (), (Generator(1, Control.SLACK), Generator(1, Control.VOLTAGE)))
+
+
+def test_an_id_is_not_a_row(meshed):
+    assert meshed.row[10] == 0
+    assert meshed.bus(10).id == 10
+    assert meshed.branch("5-4").other_end(5) == 4
+    assert meshed.slack.bus == 10
+
+
+def test_a_branch_out_of_service_joins_nothing(meshed):
+    assert "6-2" not in {b.id for b in meshed.active_branches}
+    assert "6-2" not in {b.id for b in meshed.branches_at[6]}
+    assert meshed.find_unreached_buses(10) == ()
+
+
+def test_the_scheduled_injection_is_generation_minus_load(meshed):
+    assert meshed.scheduled_injection(5) == pytest.approx(-0.20 - 0.07j)
