@@ -10,7 +10,7 @@ import numpy as np
 
 from dsse_core.boundary_load import boundary_loads, scheduled_load_messages
 from dsse_core.errors import InvalidInputError
-from dsse_core.measurement import Measurement, Meter, Source
+from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.power_flow import PowerFlowResult, solve_power_flow
 from scenarios.scenario import Scenario
 
@@ -84,4 +84,5 @@ def _read(scenario: Scenario, scan: int, meter: Meter, read: Callable[[Meter], f
     sigmas_off = scenario.telemetry.gross_errors.get(meter.id, 0.0)
     if scenario.telemetry.noise:
         sigmas_off += np.random.default_rng([scenario.seed, scan, zlib.crc32(meter.id.encode())]).standard_normal()
-    return Measurement(meter, read(meter) + sigmas_off * sigma, sigma)
+    value = read(meter) + sigmas_off * sigma
+    return Measurement(meter, max(value, 0.0) if meter.kind is MeasurementKind.CURRENT else value, sigma)

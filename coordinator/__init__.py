@@ -1,0 +1,57 @@
+"""Launches router, plant and agents, watches them, compares and reports; the command line.
+
+``coordinator.run(scenario)`` is what ``dsse run`` does. Importing this package imports nothing heavy: a process
+that becomes an agent must not pay for what only the coordinator needs.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from coordinator.observer import Progress
+    from coordinator.result import RunResult
+    from scenarios.scenario import Scenario
+
+__all__ = ["run"]
+
+
+def run(
+    scenario: str | Path | Scenario,
+    *,
+    out: str | Path | None = None,
+    seed: int | None = None,
+    timeout_s: float | None = None,
+    on_update: Callable[[Progress], None] | None = None,
+    plots: bool = True,
+) -> RunResult:
+    """Run a scenario as real processes until its areas agree, and compare them with the centralised estimate.
+
+    Args:
+        scenario: name of a shipped scenario, path of a scenario file, or a loaded one.
+        out: the run folder, new or empty; by default ``runs/<scenario>-<time>``.
+        seed: replaces the scenario's.
+        timeout_s: replaces the scenario's time limit, s.
+        on_update: called about ten times a second with what the areas are doing.
+        plots: draw the PNG files, too.
+
+    Raises:
+        InvalidInputError: the scenario or the folder cannot be used.
+        TransportError: the router cannot listen where the scenario says.
+    """
+    started = time.monotonic()
+    from coordinator.processes import Launcher
+
+    with Launcher() as launcher:  # the other processes' imports run beside ours
+        launcher.preload("coordinator.router_process", "agents.__main__", "coordinator.plant")
+        from coordinator.run_scenario import run_scenario
+
+        result = run_scenario(launcher, scenario, started, out, seed, timeout_s, on_update)
+    if plots:
+        from coordinator.plots import draw_plots
+
+        draw_plots(result)
+    return result

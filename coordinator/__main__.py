@@ -1,0 +1,24 @@
+"""``dsse``: an agent starts with nothing but what it needs; everything else goes to the command line."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command in ``argv`` (default: that of the process) and return its exit code."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # spinning threads would take the agents' cores
+    if arguments[:1] == ["agent"]:
+        from agents.__main__ import main as agent
+
+        return agent(arguments[1:])
+    from coordinator.cli import run_command
+
+    return run_command(arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

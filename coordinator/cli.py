@@ -1,0 +1,253 @@
+"""The command line ``dsse``: every command in a few lines that call the package and print."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, NoReturn
+
+import click
+
+from dsse_core.errors import DsseError
+
+if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts fast
+    from coordinator.observer import Progress
+    from scenarios.scenario import Scenario
+
+DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+PROGRESS_LINE_S = 1.0
+
+scenario_argument = click.argument("scenario")
+seed_option = click.option("--seed", type=click.IntRange(min=0), help="Use this seed instead of the scenario's.")
+run_id_option = click.option("--run", "run_id", help="Name of the run, a part of every key.  [default: the scenario's]")
+
+
+def run_command(arguments: Sequence[str]) -> int:
+    """Run ``dsse`` with ``arguments``; a user's mistake becomes one message and exit code 2."""
+    try:
+        code = commands.main(list(arguments), prog_name="dsse", standalone_mode=False)
+    except DsseError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except click.ClickException as error:
+        error.show()
+        return 2
+    except (KeyboardInterrupt, click.Abort):
+        print("interrupted", file=sys.stderr)
+        return 1
+    return int(code or 0)
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+def commands() -> None:
+    """Decentralised state estimation of power grids: one process per area, over Zenoh.
+
+    \b
+    Example:  dsse run ieee33
+    """
+
+
+@commands.command(short_help="Run a scenario as real processes and judge it.")
+@scenario_argument
+@click.option("--out", type=click.Path(path_type=Path), help="Run folder, new or empty.  [default: runs/SCENARIO-TIME]")
+@click.option("--timeout", type=float, metavar="S", help="Time limit in seconds instead of the scenario's.")
+@seed_option
+@click.option("--quiet", is_flag=True, help="Print the verdict only.")
+@click.option("--no-plots", is_flag=True, help="Draw no pictures.")
+def run(scenario: str, out: Path | None, timeout: float | None, seed: int | None, quiet: bool, no_plots: bool) -> int:
+    """Run SCENARIO, a shipped name or a file: start router, plant and one agent per area, watch, judge.
+
+    Exit code 0: the areas agree; 1: they do not; 2: wrong input.
+
+    \b
+    Examples:  dsse run ieee33
+               dsse run my/scenario.toml --seed 7 --out results
+    """
+    import coordinator
+
+    signal.signal(signal.SIGTERM, _interrupt)
+    with _progress(scenario, quiet) as show:
+        result = coordinator.run(scenario, out=out, seed=seed, timeout_s=timeout, on_update=show, plots=False)
+    from coordinator.report import format_verdict
+
+    print(format_verdict(result), flush=True)
+    if not no_plots:
+        from coordinator.plots import draw_plots
+
+        draw_plots(result)
+    return 0 if result.verdict.consensus else 1
+
+
+@commands.command(short_help="Check a scenario without running it.")
+@scenario_argument
+def check(scenario: str) -> None:
+    """Check SCENARIO without running it: keys, network, areas, meters, observability of the grid and each area.
+
+    \b
+    Example:  dsse check my/scenario.toml
+    """
+    prepared = _prepare(scenario, None)
+    from coordinator.report import format_check
+
+    print(format_check(prepared))
+
+
+@commands.command()
+def scenarios() -> None:
+    """List the shipped scenarios.
+
+    \b
+    Example:  dsse scenarios
+    """
+    from scenarios.scenario import list_scenarios
+
+    listed = list_scenarios()
+    width = max(len(name) for name, _ in listed)
+    for name, description in listed:
+        print(f"{name:{width}}  {description}")
+
+
+@commands.command(short_help="Solve the power flow of the whole network.")
+@scenario_argument
+def powerflow(scenario: str) -> None:
+    """Solve the power flow of SCENARIO's whole network: the truth that its meters read.
+
+    \b
+    Example:  dsse powerflow industrial13
+    """
+    from coordinator.report import format_power_flow
+    from dsse_core.power_flow import solve_power_flow
+    from scenarios.scenario import load_scenario
+
+    print(format_power_flow(solve_power_flow(load_scenario(scenario).network)))
+
+
+@commands.command(short_help="Estimate the whole grid in one place.")
+@scenario_argument
+@seed_option
+def estimate(scenario: str, seed: int | None) -> None:
+    """Estimate the whole grid of SCENARIO in one place, with bad-data processing: what a control centre would do.
+
+    \b
+    Example:  dsse estimate ieee33 --seed 7
+    """
+    prepared = _prepare(scenario, seed)
+    from coordinator.report import format_estimate
+    from dsse_core.bad_data import process_bad_data
+    from scenarios.telemetry import make_telemetry
+
+    telemetry = make_telemetry(prepared)
+    report = process_bad_data(prepared.network, telemetry.union, tolerance=prepared.tolerances.estimator)
+    print(format_estimate(report, telemetry.truth))
+
+
+@commands.command(short_help="Write one file per area.")
+@scenario_argument
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for the area files.")
+@run_id_option
+@click.option(
+    "--connect",
+    "endpoints",
+    multiple=True,
+    default=[DEFAULT_ENDPOINT],
+    show_default=True,
+    help="Endpoint of the router; repeatable.",
+)
+@seed_option
+def split(scenario: str, out: Path, run_id: str | None, endpoints: tuple[str, ...], seed: int | None) -> None:
+    """Write one file per area of SCENARIO: all that `dsse agent` needs, here or on another host.
+
+    \b
+    Example:  dsse split ieee33 --out areas --connect tcp/192.0.2.7:7447
+    """
+    prepared = _prepare(scenario, seed)
+    from coordinator.split import choose_run_id, write_area_files
+
+    for path in write_area_files(prepared, choose_run_id(prepared, run_id), endpoints, out).values():
+        print(path)
+
+
+@commands.command(
+    short_help="Run the agent of one area.", context_settings={"ignore_unknown_options": True}, add_help_option=False
+)
+@click.argument("arguments", nargs=-1, type=click.UNPROCESSED)
+def agent(arguments: tuple[str, ...]) -> int:
+    """Run the agent of one area from its area file.
+
+    \b
+    Example:  dsse agent areas/area1.toml --connect tcp/192.0.2.7:7447
+    """
+    from agents.__main__ import main
+
+    return main(arguments)
+
+
+@commands.command(short_help="Publish the meter readings of a scenario.")
+@scenario_argument
+@click.option(
+    "--connect",
+    "endpoints",
+    multiple=True,
+    default=[DEFAULT_ENDPOINT],
+    show_default=True,
+    help="Endpoint of the router; repeatable.",
+)
+@run_id_option
+@click.option("--timeout", type=float, default=10.0, show_default=True, metavar="S", help="Wait for the bus so long.")
+@seed_option
+def plant(scenario: str, endpoints: tuple[str, ...], run_id: str | None, timeout: float, seed: int | None) -> int:
+    """Publish the meter readings of SCENARIO on the bus until Ctrl-C; in the field a gateway does this.
+
+    \b
+    Example:  dsse plant ieee33 --connect tcp/192.0.2.7:7447
+    """
+    prepared = _prepare(scenario, seed)
+    from coordinator.plant import run_plant
+    from coordinator.split import choose_run_id
+
+    return run_plant(prepared, choose_run_id(prepared, run_id), endpoints, timeout)
+
+
+def _prepare(scenario: str, seed: int | None) -> Scenario:
+    from agents.strategies import STRATEGIES
+    from scenarios.check import check_scenario
+    from scenarios.scenario import load_scenario
+
+    loaded = load_scenario(scenario, strategies=tuple(STRATEGIES))
+    check_scenario(loaded)
+    return loaded if seed is None else replace(loaded, seed=seed)
+
+
+@contextmanager
+def _progress(title: str, quiet: bool) -> Iterator[Callable[[Progress], None] | None]:
+    """How progress is shown: not at all, as a table that lives in the terminal, or as a line now and then."""
+    if quiet:
+        yield None
+    elif sys.stderr.isatty():
+        from coordinator.live import live_table
+
+        with live_table(title) as show:
+            yield show
+    else:
+        yield _print_now_and_then()
+
+
+def _print_now_and_then() -> Callable[[Progress], None]:
+    last = 0.0
+
+    def show(progress: Progress) -> None:
+        nonlocal last
+        if progress.elapsed_s - last >= PROGRESS_LINE_S:
+            last = progress.elapsed_s
+            areas = ", ".join(f"{area.name} {area.state}" for area in progress.areas)
+            print(f"{progress.elapsed_s:6.1f} s  {areas}", file=sys.stderr)
+
+    return show
+
+
+def _interrupt(*_: object) -> NoReturn:
+    raise KeyboardInterrupt

@@ -1,0 +1,246 @@
+"""What the coordinator knows of a run, and whether the areas agree. No bus, no clock, no centralised result.
+
+Consensus: every area is alive, has an estimate of the current scan whose angles count from the substation,
+agrees with the others at every boundary bus, has heard the last words of its neighbours, and nothing has
+changed for two beats, of which every area was heard to repeat itself.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from agents.messages import StateMessage
+from dsse_core.partition import Partition
+
+QUIET_BEATS = 2
+
+
+@dataclass(frozen=True, slots=True)
+class AreaProgress:
+    """One area as the live table shows it; gaps are those to its neighbours at its boundary buses, p.u. and rad."""
+
+    name: str
+    state: str
+    scan: int
+    exchanges: int
+    gap_vm: float | None
+    gap_va: float | None
+    messages: int
+    lost: int
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """A run at one moment. ``obstacles``: in words, what stands between it and consensus."""
+
+    elapsed_s: float
+    areas: tuple[AreaProgress, ...]
+    obstacles: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """An area's published state at time ``time`` (s, the observer's clock): tuples over its buses, p.u. and rad."""
+
+    time: float
+    area: str
+    buses: tuple[int, ...]
+    vm: tuple[float, ...]
+    va: tuple[float, ...]
+
+
+@dataclass
+class _Watched:
+    alive: bool = False
+    state: StateMessage | None = None
+    repeats: int = 0  # of the state, since anything changed anywhere
+
+
+@dataclass
+class Observer:
+    """Takes in states and presence of areas with the time of their arrival.
+
+    Args:
+        tolerance_va, tolerance_vm: within which areas agree at a boundary bus, rad and p.u.
+        beat_s: interval at which areas repeat themselves.
+        compare_magnitudes: whether the strategy reconciles voltage magnitudes at all.
+    """
+
+    partition: Partition
+    tolerance_va: float
+    tolerance_vm: float
+    beat_s: float
+    compare_magnitudes: bool
+    history: list[Sample] = field(default_factory=list)
+    changed_at: float = -math.inf
+
+    def __post_init__(self) -> None:
+        self._watched = {area.name: _Watched() for area in self.partition.areas}
+
+    @property
+    def states(self) -> Mapping[str, StateMessage]:
+        """The newest state of every area that has shown one."""
+        return {name: w.state for name, w in self._watched.items() if w.state is not None}
+
+    @property
+    def scan(self) -> int:
+        """The current scan: the newest that any area works on; 0 before telemetry."""
+        return max((state.header.scan for state in self.states.values()), default=0)
+
+    @property
+    def exchanges(self) -> int:
+        """The most changed messages on one directed link, load and boundary messages together."""
+        return max((count_exchanges(state) for state in self.states.values()), default=0)
+
+    def take_state(self, state: StateMessage, now: float) -> bool:
+        """Keep ``state`` if it is as new as the area's last; whether it says something new."""
+        watched = self._watched.get(state.header.sender)
+        if watched is None:
+            return False
+        last = watched.state
+        if last is not None and state.header.order < last.header.order:
+            return False
+        watched.state = state  # a repeat carries newer message counts
+        if last is not None and state.header.order == last.header.order:
+            watched.repeats += 1
+            return False
+        self._note_change(now)
+        if state.buses:
+            self.history.append(Sample(now, state.header.sender, state.buses, state.vm, state.va))
+        return True
+
+    def take_presence(self, area: str, alive: bool, now: float) -> bool:
+        """Note that an area's token appeared or vanished; whether that is new."""
+        watched = self._watched.get(area)
+        if watched is None or watched.alive == alive:
+            return False
+        watched.alive = alive
+        self._note_change(now)
+        return True
+
+    def find_obstacles(self, now: float) -> tuple[str, ...]:
+        """What is missing to consensus at time ``now``, in words that name areas and buses; empty at consensus."""
+        states, obstacles = self.states, []
+        for name, watched in self._watched.items():
+            obstacle = self._find_area_obstacle(name, watched)
+            if obstacle:
+                obstacles.append(obstacle)
+        for bus, names in self.partition.boundaries.items():
+            obstacles += self._find_disagreements(
+                bus, [name for name in names if name in states and states[name].buses]
+            )
+        obstacles += self._find_unheard()
+        if not obstacles and not self._quiet(now):
+            obstacles.append(f"something has changed within the last {QUIET_BEATS} beats")
+        return tuple(obstacles)
+
+    def find_absent(self) -> tuple[str, ...]:
+        """The areas that are not on the bus."""
+        return tuple(name for name, watched in self._watched.items() if not watched.alive)
+
+    def progress(self, elapsed_s: float, now: float) -> Progress:
+        """The run as the live table shows it."""
+        return Progress(elapsed_s, tuple(map(self._area_progress, self._watched)), self.find_obstacles(now))
+
+    def _note_change(self, now: float) -> None:
+        self.changed_at = now
+        for watched in self._watched.values():
+            watched.repeats = 0
+
+    def _quiet(self, now: float) -> bool:
+        beats_heard = min((watched.repeats for watched in self._watched.values()), default=0)
+        return now - self.changed_at >= QUIET_BEATS * self.beat_s and beats_heard >= QUIET_BEATS
+
+    def _find_area_obstacle(self, name: str, watched: _Watched) -> str | None:
+        state = watched.state
+        if not watched.alive:
+            return f"{name} is not on the bus"
+        if state is None:
+            return f"{name} has not shown a state"
+        notes = f": {'; '.join(state.notes)}" if state.notes else ""
+        if state.header.scan == 0:
+            return f"{name} has no telemetry"
+        if state.header.scan != self.scan:
+            return f"{name} works on scan {state.header.scan}, the current one is {self.scan}"
+        if not state.buses:
+            return f"{name} has no estimate{notes}"
+        if not state.referenced:
+            return f"the angles of {name} do not count from the substation yet{notes}"
+        return None
+
+    def _find_disagreements(self, bus: int, names: list[str]) -> list[str]:
+        found = []
+        for other in names[1:]:
+            vm, va = self._gap_at(bus, names[0], other)
+            if va > self.tolerance_va:
+                found.append(f"{names[0]} and {other} differ by {math.degrees(va):.3g} deg at bus {bus}")
+            if self.compare_magnitudes and vm > self.tolerance_vm:
+                found.append(f"{names[0]} and {other} differ by {vm:.3g} p.u. at bus {bus}")
+        return found
+
+    def _gap_at(self, bus: int, one: str, other: str) -> tuple[float, float]:
+        """Differences of magnitude and (wrapped) angle that two areas publish for ``bus``, p.u. and rad."""
+        vm, va = zip(*(_voltage(self.states[name], bus) for name in (one, other)), strict=True)
+        return abs(vm[0] - vm[1]), abs(math.remainder(va[0] - va[1], 2 * math.pi))
+
+    def _find_unheard(self) -> list[str]:
+        states, found = self.states, []
+        for area in self.partition.areas:
+            for n in area.neighbours:
+                sender, receiver = states.get(area.name), states.get(n.area)
+                if sender is None or receiver is None:
+                    continue
+                sent, heard = sender.sent.get(n.area, (0, 0)), receiver.heard.get(area.name, (0, 0))
+                for kind, said, got in zip(("load", "boundary"), sent, heard, strict=True):
+                    if said == 0:
+                        found.append(f"{area.name} has sent {n.area} no {kind} message")
+                    elif got != said:
+                        found.append(f"{n.area} has not heard the last {kind} message of {area.name}")
+        return found
+
+    def _area_progress(self, name: str) -> AreaProgress:
+        watched = self._watched[name]
+        state = watched.state
+        if state is None:
+            return AreaProgress(name, "starting" if not watched.alive else "joined", 0, 0, None, None, 0, 0, ())
+        gaps = self._gaps_to_neighbours(name)
+        return AreaProgress(
+            name=name,
+            state=self._word_for(watched, state, gaps),
+            scan=state.header.scan,
+            exchanges=count_exchanges(state),
+            gap_vm=max((vm for vm, _ in gaps), default=None),
+            gap_va=max((va for _, va in gaps), default=None),
+            messages=state.messages,
+            lost=state.lost,
+            notes=state.notes,
+        )
+
+    def _gaps_to_neighbours(self, name: str) -> list[tuple[float, float]]:
+        states = self.states
+        if not states[name].buses:
+            return []
+        neighbours = self.partition.area(name).neighbours
+        return [self._gap_at(n.bus, name, n.area) for n in neighbours if n.area in states and states[n.area].buses]
+
+    def _word_for(self, watched: _Watched, state: StateMessage, gaps: list[tuple[float, float]]) -> str:
+        if not watched.alive:
+            return "gone"
+        if not state.buses:
+            return "waits for telemetry" if state.header.scan == 0 else "no estimate"
+        if not state.referenced:
+            return "relative angles"
+        return "agrees" if all(va <= self.tolerance_va for _, va in gaps) else "adjusts"
+
+
+def count_exchanges(state: StateMessage) -> int:
+    """The most changed messages that an area has sent to one neighbour; they are numbered from 1."""
+    return max((load + boundary for load, boundary in state.sent.values()), default=0)
+
+
+def _voltage(state: StateMessage, bus: int) -> tuple[float, float]:
+    row = state.buses.index(bus)
+    return state.vm[row], state.va[row]

@@ -1,0 +1,93 @@
+"""The plant: a process that makes the readings of all meters and publishes them, area by area, on the bus."""
+
+from __future__ import annotations
+
+import logging
+import random
+import signal
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+
+from agents.inbox import Inbox
+from agents.keys import live_key, role_and_name_of_live, telemetry_key
+from agents.messages import Header, Incarnation, TelemetryMessage, encode
+from agents.transport import Session
+from dsse_core.errors import DsseError
+from dsse_core.measurement import Measurement, Source
+from scenarios.scenario import Scenario
+from scenarios.telemetry import make_telemetry
+
+log = logging.getLogger(__name__)
+SCAN = 1
+
+
+def run_plant(scenario: Scenario, run: str, endpoints: Sequence[str], timeout_s: float = 10.0) -> int:
+    """Publish the telemetry of ``scenario`` for ``run`` until SIGTERM or Ctrl-C; 0, or 2 after a user's mistake.
+
+    An area is served when it appears and then at every beat: it subscribes before it shows itself.
+    """
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
+    inbox = Inbox()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: inbox.put("stop", None))
+    try:
+        payloads = make_payloads(scenario, run)
+        with Session.connect(endpoints, timeout_s) as session:
+            publishers = {area: session.publisher(telemetry_key(run, area)) for area in payloads}
+            session.watch_presence(
+                live_key(run, "area", "*"), lambda key, alive: inbox.put(key, key) if alive else None
+            )
+            session.declare_presence(live_key(run, "plant", "plant"))
+            log.info("plant of run %s, seed %s, %s areas", run, scenario.seed, len(payloads))
+            _serve(payloads, publishers, inbox, scenario.run.beat_s)
+    except DsseError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def make_payloads(scenario: Scenario, run: str) -> dict[str, bytes]:
+    """Area -> its encoded readings. Virtual measurements are no readings: agents know them from their files."""
+    header = Header(
+        run=run,
+        sender="plant",
+        incarnation=Incarnation(time.time_ns() // 1_000_000, random.getrandbits(32)),
+        scan=SCAN,
+        sequence=1,
+        time=time.time(),
+    )
+    return {
+        area: encode(make_message(header, area, measurements))
+        for area, measurements in make_telemetry(scenario, SCAN).by_area.items()
+    }
+
+
+def make_message(header: Header, area: str, measurements: Sequence[Measurement]) -> TelemetryMessage:
+    """One scan of ``area``'s meters as a message."""
+    readings = [m for m in measurements if m.meter.source is not Source.VIRTUAL]
+    return TelemetryMessage(
+        header,
+        area,
+        tuple(m.meter.id for m in readings),
+        tuple(float(m.value) for m in readings),
+        tuple(float(m.sigma) for m in readings),
+    )
+
+
+def _serve(
+    payloads: Mapping[str, bytes], publishers: Mapping[str, Callable[[bytes], None]], inbox: Inbox, beat_s: float
+) -> None:
+    next_beat = time.monotonic()
+    areas: list[str] = []
+    while True:
+        now = time.monotonic()
+        if now >= next_beat:
+            next_beat = now + beat_s
+            areas = list(payloads)
+        for area in areas:
+            publishers[area](payloads[area])
+        news = inbox.take(next_beat - time.monotonic())
+        if None in news:
+            return
+        areas = [name for key in news if (name := role_and_name_of_live(key)[1]) in payloads]

@@ -1,0 +1,149 @@
+"""The pictures of a run: magnitudes and angles per bus, their errors, and the gap against time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+
+mpl.use("Agg")
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from coordinator.comparison import Comparison, Voltages, rows_of, wrapped_deg
+from coordinator.result import RunResult
+
+TRUE: dict[str, Any] = {"color": "black", "marker": "o", "markerfacecolor": "none", "markersize": 7}
+CENTRALISED: dict[str, Any] = {"color": "tab:blue", "marker": "x", "markersize": 6}
+DECENTRALISED: dict[str, Any] = {"color": "tab:red", "marker": ".", "markersize": 6}
+MAX_LABELS = 45
+SMALLEST = 1e-12  # what a logarithmic axis shows for 0
+
+
+def draw_plots(result: RunResult) -> tuple[Path, ...]:
+    """Draw ``magnitudes.png``, ``angles.png``, ``errors.png`` and ``gap.png`` into the run folder; their paths."""
+    figures = {
+        "magnitudes.png": _draw_states(result, "voltage magnitude (p.u.)", lambda voltages: voltages.vm),
+        "angles.png": _draw_states(result, "voltage angle (degrees)", lambda voltages: np.degrees(voltages.va)),
+        "errors.png": _draw_errors(result),
+        "gap.png": _draw_gap(result),
+    }
+    for name, figure in figures.items():
+        figure.savefig(result.folder / name, dpi=130)
+    return tuple(result.folder / name for name in figures)
+
+
+def _new_figure(result: RunResult, title: str, rows: int = 1) -> tuple[Figure, list[Axes]]:
+    n = len(result.scenario.network.buses)
+    figure = Figure(figsize=(min(max(8.0, 0.27 * n), 20.0), 4.6 + 2.2 * (rows - 1)), layout="constrained")
+    axes = figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0].tolist()
+    scenario = result.scenario
+    figure.suptitle(f"{title}: {scenario.name}, {scenario.strategy}, seed {scenario.seed}")
+    return figure, axes
+
+
+def _draw_states(result: RunResult, label: str, of: Callable[[Voltages], np.ndarray]) -> Figure:
+    figure, (axis,) = _new_figure(result, "True and estimated states")
+    comparison, order = result.comparison, _bus_order(result.comparison)
+    x = np.arange(len(order))
+    for name, voltages, style in (
+        ("true (power flow)", comparison.truth, TRUE),
+        ("centralised WLS", comparison.centralised, CENTRALISED),
+        ("decentralised", comparison.decentralised, DECENTRALISED),
+    ):
+        axis.plot(x, of(voltages)[order], linestyle="none", label=name, **style)
+    axis.set_ylabel(label)
+    _label_buses(axis, comparison, order)
+    axis.legend(loc="best", framealpha=0.9)
+    return figure
+
+
+def _draw_errors(result: RunResult) -> Figure:
+    figure, axes = _new_figure(result, "Errors of the estimates", rows=2)
+    comparison, order = result.comparison, _bus_order(result.comparison)
+    pairs = (
+        ("centralised - true", comparison.centralised, comparison.truth, CENTRALISED | {"linestyle": "none"}),
+        ("decentralised - true", comparison.decentralised, comparison.truth, DECENTRALISED | {"linestyle": "none"}),
+        ("decentralised - centralised", comparison.decentralised, comparison.centralised, {"color": "0.45"}),
+    )
+    for name, one, other, style in pairs:
+        for axis, difference in zip(axes, (one.vm - other.vm, wrapped_deg(one.va - other.va)), strict=True):
+            drawn = difference[order]
+            if "marker" in style:
+                axis.plot(drawn, label=name, **style)
+            else:
+                axis.step(np.arange(len(drawn)), drawn, where="mid", label=name, linewidth=1, **style)
+    for axis, label in zip(axes, ("magnitude error (p.u.)", "angle error (degrees)"), strict=True):
+        axis.axhline(0, color="0.3", linewidth=0.6)
+        axis.set_ylabel(label)
+        _label_buses(axis, comparison, order, named=axis is axes[-1])
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize="small")
+    return figure
+
+
+def _draw_gap(result: RunResult) -> Figure:
+    """Per area, the largest gap to the centralised estimate after each state that it published."""
+    figure = Figure(figsize=(8.0, 6.0), layout="constrained")
+    axes = figure.subplots(2, 1, sharex=True)
+    scenario = result.scenario
+    figure.suptitle(f"Gap to the centralised estimate: {scenario.name}, {scenario.strategy}, seed {scenario.seed}")
+    end = result.timing_s["verdict"]
+    for area in result.areas:
+        samples = [sample for sample in result.history if sample.area == area.name]
+        rows = rows_of(result.comparison.partition, area.name)
+        central = result.comparison.centralised
+        vm = [abs(np.array(s.vm) - central.vm[rows]).max() for s in samples]
+        va = [abs(wrapped_deg(np.array(s.va) - central.va[rows])).max() for s in samples]
+        times = [s.time for s in samples]
+        for axis, gap in zip(axes, (vm, va), strict=True):
+            drawn = np.maximum(gap, SMALLEST).tolist()
+            axis.step([*times, end], drawn + drawn[-1:] if drawn else [np.nan], where="post", label=area.name)
+            axis.plot(times, drawn, linestyle="none", marker=".", color=axis.lines[-1].get_color())
+    for axis, label in zip(axes, ("magnitude (p.u.)", "angle (degrees)"), strict=True):
+        axis.set_yscale("log")
+        axis.set_ylabel(f"largest gap, {label}")
+        axis.grid(alpha=0.3, which="both")
+        if result.verdict.consensus:
+            axis.axvline(end, color="0.3", linestyle=":", label="consensus noted")
+    axes[-1].set_xlabel("time since the start of the run (s)")
+    axes[0].legend(loc="best", fontsize="small", ncols=max(1, -(-len(result.areas) // 12)))
+    return figure
+
+
+def _bus_order(comparison: Comparison) -> np.ndarray:
+    """Rows of all buses, area after area, within an area by number."""
+    names = [area.name for area in comparison.partition.areas]
+    owner = comparison.partition.owner_of_bus
+    buses = comparison.partition.network.buses
+    return np.array(sorted(range(len(buses)), key=lambda row: (names.index(owner[buses[row].id]), buses[row].id)))
+
+
+def _label_buses(axis: Axes, comparison: Comparison, order: np.ndarray, named: bool = True) -> None:
+    """Bus numbers below, areas shaded in turn with their names, boundary buses as dotted lines."""
+    buses, partition = comparison.partition.network.buses, comparison.partition
+    ids = [buses[row].id for row in order]
+    owners = [partition.owner_of_bus[bus] for bus in ids]
+    step = -(-len(ids) // MAX_LABELS)
+    axis.set_xticks(range(0, len(ids), step), [str(bus) for bus in ids[::step]], fontsize="small")
+    axis.set_xlim(-0.7, len(ids) - 0.3)
+    axis.grid(axis="y", alpha=0.3)
+    for number, area in enumerate(dict.fromkeys(owners)):
+        first, last = owners.index(area), len(owners) - 1 - owners[::-1].index(area)
+        axis.axvspan(first - 0.5, last + 0.5, color="0.5", alpha=0.12 if number % 2 else 0.03, linewidth=0)
+        if named and len(set(owners)) <= 12:
+            axis.annotate(
+                area,
+                ((first + last) / 2, 0),
+                (0, 4),
+                ("data", "axes fraction"),
+                "offset points",
+                ha="center",
+                color="0.3",
+            )
+    for bus in partition.boundaries:
+        axis.axvline(ids.index(bus), color="0.4", linestyle=":", linewidth=1)
+    if named:
+        axis.set_xlabel("bus (dotted: boundary bus)")

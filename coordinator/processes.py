@@ -1,0 +1,144 @@
+"""The coordinator's end of the warmed parent: start processes, hear of their end, leave none behind."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import queue
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from multiprocessing.connection import Pipe
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from coordinator.zygote import STOP_S, Ended, Preload, Start, Started, Stop
+from dsse_core.errors import DsseError
+
+ONE_THREAD = {
+    name: "1" for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+}
+ROOT = Path(__file__).resolve().parent.parent  # where this package was imported from
+
+
+class LaunchError(DsseError):
+    """Processes cannot be started here."""
+
+
+class Launcher:
+    """Starts the processes of a run from one warmed parent; leaving its block stops all of them.
+
+    ``news``, if given, is called with every ``Started`` and ``Ended``, on a thread of its own.
+    """
+
+    def __init__(self, news: Callable[[Started | Ended], None] | None = None) -> None:
+        if not hasattr(os, "fork"):
+            raise LaunchError("this system cannot fork processes; run on Linux or macOS, or under WSL on Windows")
+        self.on_news = news or (lambda _: None)
+        self._orders, theirs = Pipe()
+        path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH", "")]))
+        self._zygote = subprocess.Popen(
+            # -P: a folder of the user's called "agents" or "scenarios" must not stand in for ours
+            [sys.executable, "-P", "-m", "coordinator.zygote", str(theirs.fileno())],
+            pass_fds=[theirs.fileno()],
+            stdin=subprocess.DEVNULL,
+            start_new_session=True,
+            env={**os.environ, **ONE_THREAD, "PYTHONPATH": path},
+        )
+        theirs.close()
+        self._any_started = False
+        self._closing = False
+        self._reader = threading.Thread(target=self._read_news, name="process news", daemon=True)
+        self._reader.start()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def pid(self) -> int:
+        """Process id of the warmed parent, and id of the process group of all."""
+        return self._zygote.pid
+
+    def preload(self, *modules: str) -> None:
+        """Have the parent import ``modules`` now."""
+        self._send(Preload(modules))
+
+    def start(self, name: str, target: str, *arguments: Any, log: Path) -> None:
+        """Start process ``name``, which calls ``target`` ("module:function") and writes its output to ``log``."""
+        self._any_started = True
+        self._send(Start(name, target, arguments, log))
+
+    def close(self) -> None:
+        """Stop every process and wait for their end; later calls do nothing."""
+        if self._closing:
+            return
+        self._closing = True
+        try:
+            if self._any_started:
+                self._send(Stop())
+                self._zygote.wait(STOP_S + 2.0)
+        except (LaunchError, subprocess.TimeoutExpired):
+            pass
+        finally:  # also on a second Ctrl-C
+            if self._zygote.poll() != 0:
+                self._kill_group()
+            self._reader.join(1.0)
+            self._orders.close()
+
+    def _kill_group(self) -> None:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self.pid, signal.SIGKILL)
+        self._zygote.wait()
+
+    def _send(self, order: Preload | Start | Stop) -> None:
+        try:
+            self._orders.send(order)
+        except OSError:
+            raise LaunchError(
+                f"the parent of all processes has ended with {describe_end(self._zygote.wait())}"
+            ) from None
+
+    def _read_news(self) -> None:
+        try:
+            while True:
+                news = self._orders.recv()
+                self.on_news(news)  # looked up now: it may have been set while we waited
+        except (EOFError, OSError):
+            if not self._closing:
+                self.on_news(Ended("parent of all processes", self.pid, self._zygote.wait()))
+
+
+def describe_end(code: int) -> str:
+    """How a process ended, in words."""
+    return f"exit code {code}" if code >= 0 else f"signal {signal.Signals(-code).name}"
+
+
+def read_end(log: Path, lines: int = 24, width: int = 160) -> str:
+    """The last lines of a log file, long ones cut off."""
+    try:
+        last = log.read_text(encoding="utf-8", errors="replace").splitlines()[-lines:]
+    except OSError:
+        return ""
+    return "\n".join(line if len(line) <= width else line[: width - 3] + "..." for line in last)
+
+
+class News(queue.SimpleQueue[Any]):
+    """What arrives from bus and processes, in order, for the one loop of the coordinator."""
+
+    def take(self, timeout_s: float) -> list[Any]:
+        """Wait up to ``timeout_s`` for something; everything that has arrived."""
+        items: list[Any] = []
+        try:
+            items.append(self.get(timeout=max(0.0, timeout_s)))
+            while True:
+                items.append(self.get_nowait())
+        except queue.Empty:
+            return items

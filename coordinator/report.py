@@ -1,0 +1,179 @@
+"""What the command line prints: verdict, power flow, estimate, and progress, as plain text."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from coordinator.result import AreaResult, RunResult
+from dsse_core.bad_data import BadDataReport
+from dsse_core.power_flow import PowerFlowResult
+from scenarios.scenario import Scenario
+
+
+def format_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Columns padded to their widest cell; the first is flush left, the others right."""
+    lines = [header, *rows]
+    widths = [max(len(line[column]) for line in lines) for column in range(len(header))]
+    return "\n".join(
+        "  ".join(
+            cell.ljust(width) if column == 0 else cell.rjust(width)
+            for column, (cell, width) in enumerate(zip(line, widths, strict=True))
+        ).rstrip()
+        for line in lines
+    )
+
+
+def format_verdict(result: RunResult) -> str:
+    """The verdict of a run: a line that says it, the table of gaps, the areas, what was wrong, where the files are."""
+    scenario, verdict = result.scenario, result.verdict
+    outcome = "consensus" if verdict.consensus else "NO CONSENSUS"
+    lines = [
+        f"{outcome} after {verdict.wall_s:.2f} s: {scenario.name}, {len(scenario.network.buses)} buses in "
+        f"{len(result.areas)} areas, strategy {scenario.strategy}, seed {scenario.seed}"
+    ]
+    if verdict.reason:
+        lines.append(f"  {verdict.reason}")
+    lines += ["", _format_gaps(result), "", _format_areas(result), ""]
+    lines += _format_findings(result)
+    lines.append(f"files: {result.folder}")
+    return "\n".join(lines)
+
+
+def _format_gaps(result: RunResult) -> str:
+    verdict, central = result.verdict, result.comparison.centralised_error
+    return format_table(
+        ("largest difference over all buses", "p.u.", "deg"),
+        [
+            ("decentralised to centralised (same telemetry)", _pu(verdict.gap_vm_pu), _deg(verdict.gap_va_deg)),
+            ("decentralised to truth", _pu(verdict.error_vm_pu), _deg(verdict.error_va_deg)),
+            ("centralised to truth", _pu(central.vm_pu), _deg(central.va_deg)),
+        ],
+    )
+
+
+def _format_areas(result: RunResult) -> str:
+    gaps = ("gap p.u.", "gap deg", "error p.u.", "error deg")
+    header = ("area", "buses", *gaps, "exchanges", "messages", "bytes", "lost")
+    verdict = result.verdict
+    total = (
+        *("all", str(len(result.scenario.network.buses))),
+        *(_pu(verdict.gap_vm_pu), _deg(verdict.gap_va_deg), _pu(verdict.error_vm_pu), _deg(verdict.error_va_deg)),
+        *(str(n) for n in (verdict.exchanges, verdict.messages, verdict.bytes, verdict.lost)),
+    )
+    return format_table(header, [*(_area_row(area) for area in result.areas), total])
+
+
+def _area_row(area: AreaResult) -> tuple[str, ...]:
+    return (
+        *(area.name, str(area.buses)),
+        *(_pu(area.gap_vm_pu), _deg(area.gap_va_deg), _pu(area.error_vm_pu), _deg(area.error_va_deg)),
+        *(str(n) for n in (area.exchanges, area.messages, area.bytes, area.lost)),
+    )
+
+
+def _format_findings(result: RunResult) -> list[str]:
+    """Degraded areas and removed meters, one line each; nothing where all is well."""
+    lines = []
+    for area in result.areas:
+        if area.degraded:
+            refused = [f"{count} messages refused: {reason}" for reason, count in area.refused.items()]
+            lines.append(f"degraded: {area.name}: " + "; ".join([*area.notes, *refused]))
+        if area.removed:
+            lines.append(f"removed as bad data by {area.name}: {', '.join(area.removed)}")
+    if result.centralised.removed:
+        ids = (removed.measurement.meter.id for removed in result.centralised.removed)
+        lines.append(f"removed as bad data by the centralised estimate: {', '.join(ids)}")
+    if result.centralised.detected:
+        lines.append("the centralised estimate still holds bad data that it cannot identify")
+    return lines
+
+
+def format_power_flow(result: PowerFlowResult) -> str:
+    """Voltages and injections of all buses, and the losses."""
+    base = result.network.base_mva
+    rows = [
+        (
+            str(bus.id),
+            f"{result.vm[row]:.5f}",
+            f"{math.degrees(result.va[row]):.4f}",
+            _mega(result.injection[row].real * base),
+            _mega(result.injection[row].imag * base),
+        )
+        for row, bus in enumerate(result.network.buses)
+    ]
+    table = format_table(("bus", "vm p.u.", "va deg", "injection MW", "Mvar"), rows)
+    losses = result.losses * base
+    return f"{table}\n\nlosses {_mega(losses.real)} MW, {_mega(losses.imag)} Mvar; {result.iterations} iterations"
+
+
+def format_estimate(report: BadDataReport, truth: PowerFlowResult) -> str:
+    """The centralised estimate beside the truth, and its bad-data report."""
+    estimate = report.result
+    sigma_vm, sigma_va = estimate.state_sigma()
+    rows = [
+        (
+            str(bus.id),
+            f"{estimate.vm[row]:.5f}",
+            f"{sigma_vm[row]:.5f}",
+            f"{truth.vm[row]:.5f}",
+            f"{math.degrees(estimate.va[row]):.4f}",
+            f"{math.degrees(sigma_va[row]):.4f}",
+            f"{math.degrees(truth.va[row]):.4f}",
+        )
+        for row, bus in enumerate(estimate.network.buses)
+    ]
+    table = format_table(("bus", "vm p.u.", "sigma", "true", "va deg", "sigma", "true"), rows)
+    return "\n".join([table, "", *_format_bad_data(report)])
+
+
+def _format_bad_data(report: BadDataReport) -> list[str]:
+    lines = [
+        f"J = {report.objective:.4g} with {report.degrees_of_freedom} degrees of freedom, "
+        f"limit {report.chi_square_limit:.4g}; {report.result.iterations} iterations"
+    ]
+    for removed in report.removed:
+        others = removed.indistinguishable_from
+        lines.append(
+            f"removed as bad data: {removed.measurement.meter} (normalised residual {removed.normalized_residual:.3g})"
+            + (f"; the data cannot tell it from {', '.join(others)}" if others else "")
+        )
+    if report.detected:
+        lines.append("bad data is still detected, but no normalised residual stands out")
+    elif not report.removed:
+        lines.append("no bad data detected")
+    if report.critical:
+        lines.append(f"critical, their errors cannot be seen: {', '.join(report.critical)}")
+    return lines
+
+
+def format_check(scenario: Scenario) -> str:
+    """What a checked scenario consists of."""
+    partition = scenario.partition
+    lines = [
+        f"{scenario.name} is sound: {scenario.description}",
+        f"network {scenario.network.name}: {len(scenario.network.buses)} buses, "
+        f"{len(scenario.network.active_branches)} branches in service; {len(scenario.meters)} meters, "
+        f"strategy {scenario.strategy}, seed {scenario.seed}",
+    ]
+    for area in partition.areas:
+        meters = sum(partition.area_of_meter(meter) == area.name for meter in scenario.meters)
+        towards = f"beyond {area.parent.area} at bus {area.parent.bus}" if area.parent else "with the substation"
+        slack = "voltage heard from there" if area.slack_vm is None else f"{area.slack_vm:g} p.u."
+        lines.append(
+            f"  {area.name}: {len(area.network.buses)} buses, {towards}, {meters} meters, "
+            f"local slack bus {area.slack_bus} ({slack})"
+        )
+    return "\n".join(lines)
+
+
+def _pu(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2e}" if 0 < value < 1e-5 else f"{value:.5f}"
+
+
+def _deg(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2e}" if 0 < value < 1e-4 else f"{value:.4f}"
+
+
+def _mega(value: float) -> str:
+    return f"{value:.4f}" if abs(value) >= 5e-5 else "0"

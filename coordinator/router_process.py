@@ -1,0 +1,57 @@
+"""``python -m coordinator.router_process``: the router, a small process of its own that both sides only visit."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from agents.inbox import Inbox
+from agents.transport import Router
+from dsse_core.errors import DsseError
+
+FOREVER_S = 3600.0
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a router until SIGTERM or Ctrl-C; 0 after an orderly end, 2 if it cannot listen."""
+    parser = argparse.ArgumentParser(
+        prog="python -m coordinator.router_process",
+        description="Run the Zenoh router that agents, plant and coordinator connect to, until SIGTERM or Ctrl-C.",
+        epilog="example: python -m coordinator.router_process --listen tcp/0.0.0.0:7447",
+    )
+    parser.add_argument(
+        "--listen", action="append", metavar="ENDPOINT", help="where to listen (tcp/127.0.0.1:7447); repeatable"
+    )
+    parser.add_argument(
+        "--endpoints-file", type=Path, metavar="FILE", help="write the real endpoints there, one a line"
+    )
+    arguments = parser.parse_args(argv)
+    inbox = Inbox()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: inbox.put("stop", True))
+    try:
+        with Router.listen(arguments.listen or ["tcp/127.0.0.1:7447"]) as router:
+            print("listening on", ", ".join(router.endpoints), flush=True)
+            if arguments.endpoints_file:
+                _write_whole(arguments.endpoints_file, "\n".join(router.endpoints))
+            while not inbox.take(FOREVER_S):
+                pass
+    except DsseError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def _write_whole(path: Path, text: str) -> None:
+    """Write so that a reader sees all of it or nothing."""
+    draft = path.with_name(path.name + ".part")
+    draft.write_text(text, encoding="utf-8")
+    os.replace(draft, path)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

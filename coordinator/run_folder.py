@@ -1,0 +1,41 @@
+"""The folder of one run: where it is, and that it is new or empty."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from dsse_core.errors import InvalidInputError
+
+
+def make_run_folder(out: str | Path | None, name: str) -> Path:
+    """Make folder ``out``, or ``runs/<name>-<time>``, with its ``areas`` and ``logs``.
+
+    Raises:
+        InvalidInputError: ``out`` holds something already, or cannot be made.
+    """
+    folder = Path(out) if out is not None else _find_free(Path("runs"), f"{name}-{time.strftime('%Y%m%d-%H%M%S')}")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        occupied = any(folder.iterdir())
+        if not occupied:
+            (folder / "areas").mkdir()
+            (folder / "logs").mkdir()
+    except OSError as error:
+        raise InvalidInputError(f"run folder {folder}", [f"cannot be made: {error.strerror}"]) from None
+    if occupied:
+        raise InvalidInputError(f"run folder {folder}", ["is not empty; choose a new one, or remove what it holds"])
+    return folder
+
+
+def _find_free(parent: Path, name: str) -> Path:
+    """``parent/name``, or with -2, -3 ... appended; made at once, so that no other run takes it."""
+    parent.mkdir(parents=True, exist_ok=True)
+    number = 1
+    while True:
+        folder = parent / (name if number == 1 else f"{name}-{number}")
+        try:
+            folder.mkdir()
+            return folder
+        except FileExistsError:
+            number += 1

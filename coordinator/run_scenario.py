@@ -1,0 +1,285 @@
+"""One run from the scenario to its verdict: start the processes, watch them, compare, write the files."""
+
+from __future__ import annotations
+
+import secrets
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from agents.keys import all_live, all_states, live_key, role_and_name_of_live
+from agents.messages import MessageError, StateMessage, decode
+from agents.strategies import STRATEGIES
+from agents.transport import Session, TransportError
+from coordinator.comparison import compare
+from coordinator.events import EventLog
+from coordinator.observer import Observer, Progress
+from coordinator.processes import Launcher, News, describe_end, read_end
+from coordinator.result import RunResult, make_area_results, make_verdict, write_result
+from coordinator.run_folder import make_run_folder
+from coordinator.split import default_run_id, write_area_files
+from coordinator.zygote import Ended, Started
+from dsse_core.bad_data import process_bad_data
+from dsse_core.errors import InvalidInputError
+from scenarios.check import check_scenario
+from scenarios.scenario import Scenario, load_scenario
+from scenarios.telemetry import make_telemetry
+
+ROUTER, PLANT = "router", "plant"
+ROUTER_START_S = 10.0
+UPDATE_S = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class _StateHeard:
+    at: float
+    state: StateMessage
+
+
+@dataclass(frozen=True, slots=True)
+class _PresenceSeen:
+    at: float
+    key: str
+    alive: bool
+
+
+@dataclass(frozen=True, slots=True)
+class _ProcessNews:
+    at: float
+    news: Started | Ended
+
+
+@dataclass
+class _Run:
+    """One run under way: its processes, what arrives from them, and what is known so far."""
+
+    scenario: Scenario
+    id: str
+    folder: Path
+    launcher: Launcher
+    events: EventLog
+    started: float
+    news: News = field(default_factory=News)
+    timing_s: dict[str, float] = field(default_factory=dict)
+
+    def log_of(self, process: str) -> Path:
+        return self.folder / "logs" / f"{process}.log"
+
+    def note_time(self, moment: str) -> None:
+        self.timing_s[moment] = round(time.monotonic() - self.started, 4)
+
+
+def run_scenario(
+    launcher: Launcher,
+    scenario: str | Path | Scenario,
+    started: float,
+    out: str | Path | None = None,
+    seed: int | None = None,
+    timeout_s: float | None = None,
+    on_update: Callable[[Progress], None] | None = None,
+) -> RunResult:
+    """Run ``scenario`` with the processes of ``launcher``; see ``coordinator.run``. ``started``: monotonic time."""
+    scenario = prepare_scenario(scenario, seed)
+    if timeout_s is not None:
+        if timeout_s <= 0:
+            raise InvalidInputError("time limit", [f"is {timeout_s} s; it must be positive"])
+        scenario = replace(scenario, run=replace(scenario.run, timeout_s=timeout_s))
+    folder = make_run_folder(out, default_run_id(scenario))
+    with EventLog(folder / "events.jsonl", started) as events:
+        run_id = f"{default_run_id(scenario)}-{secrets.token_hex(4)}"
+        run = _Run(scenario, run_id, folder, launcher, events, started)
+        events.write("run started", run=run_id, scenario=scenario.name, seed=scenario.seed, parent_pid=launcher.pid)
+        launcher.on_news = lambda news: run.news.put(_ProcessNews(time.monotonic(), news))
+        run.note_time("scenario_loaded")
+        try:
+            endpoints = _start_router(run)
+            return _run_with_router(run, endpoints, on_update)
+        finally:
+            launcher.close()
+            _note_ends(run)
+            events.write("run ended")
+
+
+def prepare_scenario(scenario: str | Path | Scenario, seed: int | None = None) -> Scenario:
+    """Load a scenario by name or path, replace its seed, and check that it can be estimated.
+
+    Raises:
+        InvalidInputError: every problem found.
+    """
+    if not isinstance(scenario, Scenario):
+        scenario = load_scenario(scenario, strategies=tuple(STRATEGIES))
+    if seed is not None:
+        scenario = replace(scenario, seed=seed)
+    check_scenario(scenario)
+    return scenario
+
+
+def _start_router(run: _Run) -> tuple[str, ...]:
+    """Start the router and wait until it says where it listens."""
+    said = (run.folder / "logs" / "router.endpoints").absolute()
+    listen = run.scenario.transport.listen
+    arguments = ["--listen", listen, "--endpoints-file", str(said)]
+    run.launcher.start(ROUTER, "coordinator.router_process:main", arguments, log=run.log_of(ROUTER).absolute())
+    deadline = time.monotonic() + ROUTER_START_S
+    while not said.exists():
+        for item in run.news.take(0.002):
+            reason = _take_process_news(run, item)
+            if reason:
+                raise TransportError(_last_words(run, ROUTER) or reason)
+        if time.monotonic() > deadline:
+            raise TransportError(f"the router has not opened {listen} within {ROUTER_START_S:g} s")
+    run.note_time("router_listens")
+    return tuple(said.read_text(encoding="utf-8").split())
+
+
+def _run_with_router(run: _Run, endpoints: tuple[str, ...], on_update: Callable[[Progress], None] | None) -> RunResult:
+    scenario = run.scenario
+    files = write_area_files(scenario, run.id, endpoints, run.folder / "areas")
+    run.launcher.start(
+        PLANT, "coordinator.plant:run_plant", scenario, run.id, endpoints, log=run.log_of(PLANT).absolute()
+    )
+    for name, path in files.items():
+        run.launcher.start(name, "agents.__main__:main", [str(path.absolute())], log=run.log_of(name).absolute())
+    run.note_time("agents_started")
+    observer = Observer(
+        scenario.partition,
+        tolerance_va=scenario.tolerances.consensus_va,
+        tolerance_vm=scenario.tolerances.consensus_vm,
+        beat_s=scenario.run.beat_s,
+        compare_magnitudes=scenario.strategy != "angle-offset",  # which does not reconcile them
+    )
+    with Session.connect(endpoints) as session:
+        _listen(run, session)
+        telemetry = make_telemetry(scenario)  # the processes are busy meanwhile
+        centralised = process_bad_data(scenario.network, telemetry.union, tolerance=scenario.tolerances.estimator)
+        run.note_time("centralised_estimated")
+        interrupted = False
+        try:
+            reason = _watch(run, observer, on_update)
+        except KeyboardInterrupt:
+            reason, interrupted = "interrupted", True
+        wall_s = time.monotonic() - run.started
+    run.timing_s["last_change"] = round(max(0.0, observer.changed_at - run.started), 4)
+    run.note_time("verdict")
+    run.events.write("consensus" if reason is None else "no consensus", reason=reason)
+    comparison = compare(scenario.partition, observer.states, telemetry.truth, centralised)
+    result = RunResult(
+        scenario=scenario,
+        run=run.id,
+        folder=run.folder,
+        verdict=make_verdict(observer, comparison, reason, round(wall_s, 4)),
+        areas=make_area_results(observer, comparison),
+        comparison=comparison,
+        centralised=centralised,
+        history=tuple(replace(sample, time=sample.time - run.started) for sample in observer.history),
+        timing_s=run.timing_s,
+    )
+    write_result(result)
+    if interrupted:
+        raise KeyboardInterrupt
+    return result
+
+
+def _listen(run: _Run, session: Session) -> None:
+    """Have states and presence put into the run's news, each with the time of its arrival."""
+
+    def on_state(key: str, payload: bytes) -> None:
+        try:
+            message = decode(payload)
+        except MessageError as error:
+            run.news.put(error)
+        else:
+            if isinstance(message, StateMessage):
+                run.news.put(_StateHeard(time.monotonic(), message))
+
+    session.subscribe(all_states(run.id), on_state)
+    session.watch_presence(
+        all_live(run.id), lambda key, alive: run.news.put(_PresenceSeen(time.monotonic(), key, alive))
+    )
+    session.declare_presence(live_key(run.id, "coordinator", "coordinator"))
+
+
+def _watch(run: _Run, observer: Observer, on_update: Callable[[Progress], None] | None) -> str | None:
+    """Take in news until consensus (None), the end of a process or the time limit (the reason)."""
+    deadline = run.started + run.scenario.run.timeout_s
+    check_s = min(run.scenario.run.beat_s / 10, UPDATE_S)
+    next_check = next_update = 0.0
+    while True:
+        for item in run.news.take(check_s):
+            reason = _take(run, observer, item)
+            if reason:
+                return reason
+        now = time.monotonic()
+        if now < next_check:
+            continue
+        next_check = now + check_s
+        obstacles = observer.find_obstacles(now)
+        if on_update and (now >= next_update or not obstacles):
+            next_update = now + UPDATE_S
+            on_update(observer.progress(now - run.started, now))
+        if not obstacles:
+            return None
+        if now >= deadline:
+            return f"no consensus within {run.scenario.run.timeout_s:g} s: " + "; ".join(obstacles)
+
+
+def _take(run: _Run, observer: Observer, item: object) -> str | None:
+    """Take in one piece of news; the reason to end the run, if it is one."""
+    match item:
+        case _StateHeard(at, state):
+            if state.header.run == run.id and observer.take_state(state, at):
+                run.events.write(
+                    "state changed",
+                    at,
+                    area=state.header.sender,
+                    scan=state.header.scan,
+                    sequence=state.header.sequence,
+                    estimated=bool(state.buses),
+                    referenced=state.referenced,
+                    sent=state.sent,
+                    heard=state.heard,
+                    notes=list(state.notes),
+                )
+        case _PresenceSeen(at, key, alive):
+            role, name = role_and_name_of_live(key)
+            run.events.write("appeared" if alive else "vanished", at, role=role, name=name)
+            if role == "area":
+                observer.take_presence(name, alive, at)
+                if not observer.find_absent():
+                    run.timing_s.setdefault("areas_joined", round(at - run.started, 4))
+        case MessageError():
+            run.events.write("refused", reason=str(item))
+        case _ProcessNews():
+            return _take_process_news(run, item)
+    return None
+
+
+def _take_process_news(run: _Run, item: _ProcessNews) -> str | None:
+    """Write it down; an end is a reason to end the run."""
+    match item.news:
+        case Started(name, pid):
+            run.events.write("process started", item.at, name=name, pid=pid)
+        case Ended(name, pid, code):
+            run.events.write("process ended", item.at, name=name, pid=pid, code=code)
+            kind = f"area {name}" if name in run.scenario.partition.owner_of_bus.values() else name
+            end = read_end(run.log_of(name))
+            return f"{kind} died with {describe_end(code)}" + (
+                f"; the end of its log {run.log_of(name)}:\n{end}" if end else f"; its log {run.log_of(name)} is empty"
+            )
+    return None
+
+
+def _note_ends(run: _Run) -> None:
+    """Write down the orderly ends that arrived while stopping."""
+    for item in run.news.take(0.0):
+        if isinstance(item, _ProcessNews):
+            _take_process_news(run, item)
+
+
+def _last_words(run: _Run, process: str) -> str | None:
+    """The error that a process refused its input with, if its log ends with one."""
+    for line in reversed(read_end(run.log_of(process), width=10_000).splitlines()):
+        if line.startswith("error: "):
+            return line.removeprefix("error: ")
+    return None

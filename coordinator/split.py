@@ -1,0 +1,59 @@
+"""``dsse split``: a scenario becomes one file per area, which is all that an agent reads."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from agents.area_file import AreaFile, save_area_file
+from agents.keys import NAME
+from dsse_core.errors import InvalidInputError
+from scenarios.scenario import Scenario
+
+
+def default_run_id(scenario: Scenario) -> str:
+    """The scenario's name, reduced to the letters that a key may contain."""
+    return re.sub(r"[^a-z0-9_-]+", "-", scenario.name.lower()).strip("-") or "run"
+
+
+def area_files(scenario: Scenario, run: str, endpoints: Sequence[str]) -> list[AreaFile]:
+    """What each area is to know, in scenario order."""
+    partition = scenario.partition
+    return [
+        AreaFile(
+            run=run,
+            area=area,
+            meters=tuple(m for m in scenario.meters if partition.area_of_meter(m) == area.name),
+            strategy=scenario.strategy,
+            endpoints=tuple(endpoints),
+            beat_s=scenario.run.beat_s,
+            tolerance=scenario.tolerances.estimator,
+            generation=scenario.generation,
+            load_error=scenario.load_error[area.name],
+            loss={n.area: scenario.loss[area.name, n.area] for n in area.neighbours},
+            seed=scenario.seed,
+        )
+        for area in partition.areas
+    ]
+
+
+def choose_run_id(scenario: Scenario, given: str | None) -> str:
+    """``given``, or the scenario's own.
+
+    Raises:
+        InvalidInputError: ``given`` has letters that a key may not contain.
+    """
+    if given is not None and not NAME.fullmatch(given):
+        raise InvalidInputError("run", [f"{given!r} may only contain a-z, 0-9, _ and -"])
+    return given if given is not None else default_run_id(scenario)
+
+
+def write_area_files(scenario: Scenario, run: str, endpoints: Sequence[str], folder: Path) -> dict[str, Path]:
+    """Write ``<area>.toml`` for every area of ``scenario`` into ``folder``; area -> file."""
+    folder.mkdir(parents=True, exist_ok=True)
+    files = {}
+    for content in area_files(scenario, run, endpoints):
+        files[content.area.name] = folder / f"{content.area.name}.toml"
+        save_area_file(files[content.area.name], content)
+    return files

@@ -1,0 +1,194 @@
+"""The warmed parent: imports once what router, plant and agents need, then forks each of them in milliseconds.
+
+It obeys the coordinator over one socket and dies with it: when the socket closes, for whatever reason, it
+stops its children. It holds no thread and no Zenoh session, so forking is safe. It and its children are one
+process group of their own, so that Ctrl-C in a terminal reaches the coordinator only.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import faulthandler
+import gc
+import importlib
+import logging
+import os
+import signal
+import sys
+import time
+import traceback
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection, wait
+from pathlib import Path
+from typing import Any, NoReturn
+
+STOP_S = 3.0  # from SIGTERM to SIGKILL
+
+
+@dataclass(frozen=True, slots=True)
+class Preload:
+    """Import these modules."""
+
+    modules: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Fork process ``name``: it calls ``target`` ("module:function") and exits with what that returns."""
+
+    name: str
+    target: str
+    arguments: tuple[Any, ...]
+    log: Path
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """Stop all children and exit."""
+
+
+@dataclass(frozen=True, slots=True)
+class Started:
+    """To the coordinator: process ``name`` runs."""
+
+    name: str
+    pid: int
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """To the coordinator: a process is gone; ``code`` is its exit code, negative for the signal that killed it."""
+
+    name: str
+    pid: int
+    code: int
+
+
+@dataclass
+class Zygote:
+    """Serves the commands that arrive on ``orders``."""
+
+    orders: Connection[Any, Any]
+    children: dict[int, str] = field(default_factory=dict)  # pid -> name
+    stopped: bool = False
+
+    def serve(self) -> None:
+        """Obey until told to stop, until the coordinator is gone, or until SIGTERM."""
+        wake_read, wake_write = os.pipe()
+        os.set_blocking(wake_read, False)
+        os.set_blocking(wake_write, False)
+        signal.set_wakeup_fd(wake_write, warn_on_full_buffer=False)
+        signal.signal(signal.SIGCHLD, lambda *_: None)  # the byte on the pipe is what counts
+        signal.signal(signal.SIGTERM, self._on_sigterm)
+        self._inherited = (wake_read, wake_write)
+        try:
+            while not self.stopped:
+                ready = wait([self.orders, wake_read])
+                if wake_read in ready:
+                    os.read(wake_read, 4096)
+                    self._reap()
+                if self.orders in ready:
+                    self._obey(self.orders.recv())
+        except EOFError:  # the coordinator is gone
+            pass
+        finally:
+            self._stop_children()
+
+    def _on_sigterm(self, *_: object) -> None:
+        self.stopped = True
+
+    def _obey(self, order: Preload | Start | Stop) -> None:
+        match order:
+            case Preload(modules):
+                for module in modules:
+                    importlib.import_module(module)
+                gc.freeze()  # the children share these pages as long as no collector touches them
+            case Start():
+                self._fork(order)
+            case Stop():
+                self.stopped = True
+
+    def _fork(self, order: Start) -> None:
+        pid = os.fork()
+        if pid == 0:
+            self._become(order)
+        self.children[pid] = order.name
+        self._report(Started(order.name, pid))
+
+    def _become(self, order: Start) -> NoReturn:
+        """In the child: leave everything of the parent behind, call the target, exit."""
+        code = 1
+        try:
+            signal.set_wakeup_fd(-1)
+            for number in (signal.SIGCHLD, signal.SIGTERM):
+                signal.signal(number, signal.SIG_DFL)
+            self.orders.close()
+            for fd in self._inherited:
+                os.close(fd)
+            _redirect(order.log)
+            faulthandler.enable(all_threads=False)
+            code = _call(order)
+        except BaseException:
+            traceback.print_exc()
+        finally:
+            logging.shutdown()
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(code)  # nothing of the parent's stack may run here
+
+    def _reap(self) -> None:
+        while self.children:
+            pid, status = os.waitpid(-1, os.WNOHANG)
+            if pid == 0:
+                return
+            self._report(Ended(self.children.pop(pid), pid, os.waitstatus_to_exitcode(status)))
+
+    def _report(self, news: Started | Ended) -> None:
+        with contextlib.suppress(OSError):  # nobody listens any more; the next receive says so
+            self.orders.send(news)
+
+    def _stop_children(self) -> None:
+        """SIGTERM to all but the router, then to the router, so that agents say goodbye on a bus that works."""
+        deadline = time.monotonic() + STOP_S
+        router = next(iter(self.children), None)
+        for group in ([pid for pid in self.children if pid != router], [router]):
+            for pid in group:
+                if pid in self.children:
+                    os.kill(pid, signal.SIGTERM)
+            while any(pid in self.children for pid in group) and time.monotonic() < deadline:
+                self._reap()
+                time.sleep(0.002)
+        for pid in self.children:
+            os.kill(pid, signal.SIGKILL)
+        while self.children:
+            self._reap()
+            time.sleep(0.002)
+
+
+def _redirect(log: Path) -> None:
+    """Standard output and error go to ``log``, standard input is empty."""
+    nothing = os.open(os.devnull, os.O_RDONLY)
+    file = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+    for source, target in ((nothing, 0), (file, 1), (file, 2)):
+        os.dup2(source, target)
+    os.close(nothing)
+    os.close(file)
+    for stream in (sys.stdout, sys.stderr):
+        stream.reconfigure(line_buffering=True)  # type: ignore[union-attr]
+
+
+def _call(order: Start) -> int:
+    module, function = order.target.split(":")
+    try:
+        return int(getattr(importlib.import_module(module), function)(*order.arguments) or 0)
+    except SystemExit as request:
+        if isinstance(request.code, str):
+            print(request.code, file=sys.stderr)
+            return 1
+        return request.code or 0
+
+
+if __name__ == "__main__":
+    from coordinator import zygote  # the classes that the coordinator pickles, not their copies in __main__
+
+    zygote.Zygote(Connection(int(sys.argv[1]))).serve()

@@ -1,0 +1,140 @@
+"""The command ``dsse`` as a user runs it: real processes, real Zenoh on loopback."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import psutil
+import pytest
+
+ROOT = Path(__file__).parents[2]
+DEADLINE_S = 60.0
+COMMAND = [sys.executable, "-P", "-m", "coordinator"]
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
+
+
+@dataclass
+class RunUnderWay:
+    """``dsse run`` in the background, in a session of its own as in a terminal."""
+
+    process: subprocess.Popen[str]
+    folder: Path
+
+    def events(self) -> list[dict[str, object]]:
+        path = self.folder / "events.jsonl"
+        lines = path.read_text().splitlines(keepends=True) if path.exists() else []
+        return [json.loads(line) for line in lines if line.endswith("\n")]
+
+    def pids(self) -> dict[str, int]:
+        """Name -> process id of all that the run has started."""
+        events = self.events()
+        parent = {"parent": events[0]["parent_pid"]} if events else {}
+        return parent | {e["name"]: e["pid"] for e in events if e["event"] == "process started"}  # type: ignore
+
+    def wait_until_joined(self, *names: str) -> None:
+        """Until the areas ``names`` and the plant are on the bus."""
+        wanted = {*names, "plant"}
+        wait_until(lambda: wanted <= {e["name"] for e in self.events() if e["event"] == "appeared"})
+
+    def end(self) -> tuple[int, str, str]:
+        """Wait for the end: exit code, standard output, standard error."""
+        out, err = self.process.communicate(timeout=DEADLINE_S)
+        return self.process.returncode, out, err
+
+
+def wait_until(holds: Callable[[], bool], deadline_s: float = DEADLINE_S) -> None:
+    deadline = time.monotonic() + deadline_s
+    while not holds():
+        assert time.monotonic() < deadline, f"did not happen within {deadline_s} s"
+        time.sleep(0.01)
+
+
+def is_gone(pid: int) -> bool:
+    """Whether the process has ended; one that nobody has collected yet counts as gone."""
+    try:
+        return psutil.Process(pid).status() == psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return True
+
+
+@pytest.fixture
+def dsse(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
+    """Run ``dsse`` with arguments in an empty folder and wait for its end."""
+
+    def run(*arguments: object) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [*COMMAND, *map(str, arguments)],
+            cwd=tmp_path,
+            env=ENVIRONMENT,
+            capture_output=True,
+            text=True,
+            timeout=DEADLINE_S,
+            check=False,
+        )
+
+    return run
+
+
+@pytest.fixture
+def start_run(tmp_path: Path) -> Iterator[Callable[..., RunUnderWay]]:
+    """Start ``dsse run`` with arguments, its run folder being ``out``; killed after the test if still there."""
+    started = []
+
+    def start(*arguments: object) -> RunUnderWay:
+        folder = tmp_path / "out"
+        process = subprocess.Popen(
+            [*COMMAND, "run", *map(str, arguments), "--out", str(folder), "--no-plots"],
+            cwd=tmp_path,
+            env=ENVIRONMENT,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+        started.append(RunUnderWay(process, folder))
+        return started[-1]
+
+    yield start
+    for run in started:
+        run.process.kill()
+        run.process.communicate()
+
+
+@pytest.fixture
+def assert_nothing_left() -> Callable[[dict[str, int]], None]:
+    """Check that processes end within the deadline; names those that do not."""
+
+    def check(pids: dict[str, int]) -> None:
+        assert pids
+        wait_until(lambda: all(is_gone(pid) for pid in pids.values()), 20.0)
+
+    return check
+
+
+@pytest.fixture
+def edited_scenario(tmp_path: Path) -> Callable[..., Path]:
+    """A copy of a shipped scenario with some of its text replaced."""
+
+    def edit(name: str, *replacements: tuple[str, str]) -> Path:
+        text = (ROOT / "scenarios" / "shipped" / f"{name}.toml").read_text()
+        for old, new in replacements:
+            assert text.count(old) == 1, f"{old!r} stands {text.count(old)} times in {name}.toml"
+            text = text.replace(old, new)
+        path = tmp_path / "edited.toml"
+        path.write_text(text)
+        return path
+
+    return edit
+
+
+@pytest.fixture
+def deaf_scenario(edited_scenario: Callable[..., Path]) -> Path:
+    """A scenario that never reaches consensus: every message between areas is lost."""
+    return edited_scenario("industrial13-lossy", ("loss = 0.3", "loss = 1.0"))

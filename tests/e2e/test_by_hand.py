@@ -1,0 +1,54 @@
+"""Router, plant and agents started one by one, as on several hosts: nobody needs the coordinator."""
+
+from __future__ import annotations
+
+import queue
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from agents.keys import all_states
+from agents.messages import StateMessage, decode
+from agents.transport import Session
+
+COMMAND = [sys.executable, "-m", "coordinator"]
+DEADLINE_S = 30.0
+
+
+def free_endpoint() -> str:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+def test_agents_started_by_hand_agree_and_end_with_exit_code_0(dsse, tmp_path: Path):
+    endpoint = free_endpoint()
+    assert dsse("split", "industrial13", "--out", "areas", "--connect", endpoint).returncode == 0
+    commands = [
+        [sys.executable, "-m", "coordinator.router_process", "--listen", endpoint],
+        [*COMMAND, "agent", str(tmp_path / "areas" / "area1.toml")],
+        [sys.executable, "-m", "agents", str(tmp_path / "areas" / "area2.toml")],
+        [*COMMAND, "plant", "industrial13", "--connect", endpoint],
+    ]
+    processes = [subprocess.Popen(command) for command in commands]
+    try:
+        states: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+        with Session.connect([endpoint], DEADLINE_S) as session:
+            session.subscribe(all_states("industrial13"), lambda key, payload: states.put(payload))
+            deadline = time.monotonic() + DEADLINE_S
+            referenced: set[str] = set()
+            while referenced != {"area1", "area2"}:
+                state = decode(states.get(timeout=deadline - time.monotonic()))
+                assert isinstance(state, StateMessage)
+                if state.referenced:
+                    referenced.add(state.header.sender)
+        for process in reversed(processes):  # the router last
+            process.send_signal(signal.SIGTERM)
+            assert process.wait(DEADLINE_S) == 0
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()

@@ -1,0 +1,121 @@
+"""However a run ends, no process of it is left."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import coordinator
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_to_the_terminals_process_group_stops_everything(
+    start_run, deaf_scenario, assert_nothing_left, number: signal.Signals
+):
+    run = start_run(deaf_scenario)
+    run.wait_until_joined("area1", "area2")
+    os.killpg(run.process.pid, number)
+    code, out, err = run.end()
+    assert code == 1
+    assert "interrupted" in err
+    assert "Traceback" not in out + err
+    assert_nothing_left(run.pids())
+    assert run.events()[-1]["event"] == "run ended"
+    assert json.loads((run.folder / "result.json").read_text())["verdict"]["reason"] == "interrupted"
+
+
+def test_ctrl_c_does_not_reach_the_agents_who_are_stopped_in_order(start_run, deaf_scenario):
+    run = start_run(deaf_scenario)
+    run.wait_until_joined("area1", "area2")
+    os.killpg(run.process.pid, signal.SIGINT)
+    run.end()
+    ends = {e["name"]: e["code"] for e in run.events() if e["event"] == "process ended"}
+    assert ends == {"area1": 0, "area2": 0, "plant": 0, "router": 0}
+    assert "SIGTERM" in (run.folder / "logs" / "area1.log").read_text()
+
+
+def test_a_killed_coordinator_leaves_nothing_behind(start_run, deaf_scenario, assert_nothing_left):
+    run = start_run(deaf_scenario)
+    run.wait_until_joined("area1", "area2")
+    run.process.kill()
+    run.end()
+    assert_nothing_left(run.pids())
+
+
+def test_a_killed_parent_of_all_ends_the_run_and_leaves_nothing_behind(start_run, deaf_scenario, assert_nothing_left):
+    run = start_run(deaf_scenario)
+    run.wait_until_joined("area1", "area2")
+    os.kill(run.pids()["parent"], signal.SIGKILL)
+    code, out, _ = run.end()
+    assert code == 1
+    assert "parent of all processes died with signal SIGKILL" in out
+    assert_nothing_left(run.pids())
+
+
+def test_the_time_limit_ends_the_run_and_says_what_was_missing(start_run, deaf_scenario, assert_nothing_left):
+    run = start_run(deaf_scenario, "--timeout", "2.5")
+    code, out, _ = run.end()
+    assert code == 1
+    assert "NO CONSENSUS" in out
+    assert "no consensus within 2.5 s" in out
+    assert "the angles of area1 do not count from the substation" in out
+    assert_nothing_left(run.pids())
+
+
+@pytest.mark.parametrize("victim", ["area2", "plant", "router"])
+def test_a_crashed_process_ends_the_run(start_run, deaf_scenario, assert_nothing_left, victim: str):
+    run = start_run(deaf_scenario)
+    run.wait_until_joined("area1", "area2")
+    os.kill(run.pids()[victim], signal.SIGKILL)
+    code, out, _ = run.end()
+    assert code == 1
+    assert f"{victim} died with signal SIGKILL" in out
+    assert_nothing_left(run.pids())
+
+
+def test_an_exception_in_the_callers_code_leaves_nothing_behind(tmp_path: Path, deaf_scenario, assert_nothing_left):
+    def fail(progress: object) -> None:
+        raise RuntimeError("mine")
+
+    with pytest.raises(RuntimeError, match="mine"):
+        coordinator.run(deaf_scenario, out=tmp_path / "out", on_update=fail, plots=False)
+    events = [json.loads(line) for line in (tmp_path / "out" / "events.jsonl").read_text().splitlines()]
+    assert_nothing_left({e["name"]: e["pid"] for e in events if e["event"] == "process started"})
+    assert events[-1]["event"] == "run ended"
+
+
+def test_a_script_without_a_main_guard_may_run_a_scenario(tmp_path: Path, assert_nothing_left: Callable[..., None]):
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import coordinator\n"
+        "print('once')\n"
+        "result = coordinator.run('industrial13', out='out', plots=False)\n"
+        "print(result.verdict.consensus)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, str(script)],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert (done.stdout, done.stderr) == ("once\nTrue\n", "")
+
+
+def test_folders_of_the_user_with_our_names_do_not_disturb(tmp_path: Path, dsse):
+    for name in ("agents", "scenarios"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "__init__.py").write_text("raise ImportError('not ours')")
+    done = dsse("run", "industrial13", "--no-plots", "--quiet")
+    assert done.returncode == 0, done.stderr

@@ -1,0 +1,205 @@
+"""Consensus as the coordinator sees it: each condition alone keeps a run from it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from agents.messages import Header, Incarnation, StateMessage
+from coordinator.observer import Observer
+from scenarios.scenario import load_scenario
+
+PARTITION = load_scenario("ieee33").partition
+AREAS = tuple(area.name for area in PARTITION.areas)
+BEAT = 0.2
+
+
+def a_state(area: str, sequence: int = 1, **changes: object) -> StateMessage:
+    """A state of an area that agrees with everybody: 1 p.u. at 0 rad, everything heard."""
+    here = PARTITION.area(area)
+    n = len(here.network.buses)
+    said = {neighbour.area: (1, 2) for neighbour in here.neighbours}
+    state = StateMessage(
+        header=Header("run", area, Incarnation(1, 1), 1, sequence, 0.0),
+        buses=tuple(bus.id for bus in here.network.buses),
+        vm=(1.0,) * n,
+        va=(0.0,) * n,
+        sigma_vm=(0.001,) * n,
+        sigma_va=(0.001,) * n,
+        referenced=True,
+        objective=1.0,
+        degrees_of_freedom=1,
+        removed=(),
+        sent=said,
+        heard=said,
+        messages=5,
+        bytes=500,
+        lost=1,
+        refused={},
+        notes=(),
+    )
+    return replace(state, **changes)  # type: ignore[arg-type]
+
+
+def with_scan(state: StateMessage, scan: int) -> StateMessage:
+    return replace(state, header=replace(state.header, scan=scan))
+
+
+def watch(*states: StateMessage, beats: int = 3, alive: tuple[str, ...] = AREAS, magnitudes: bool = False) -> Observer:
+    """An observer that has seen ``states`` in place of the agreeing ones, and all of them ``beats`` times again."""
+    observer = Observer(PARTITION, tolerance_va=1e-6, tolerance_vm=1e-6, beat_s=BEAT, compare_magnitudes=magnitudes)
+    for area in alive:
+        observer.take_presence(area, True, 0.0)
+    shown = {area: a_state(area) for area in AREAS} | {state.header.sender: state for state in states}
+    for beat in range(beats + 1):
+        for state in shown.values():
+            observer.take_state(state, beat * BEAT)
+    return observer
+
+
+def obstacles(observer: Observer, beats: int = 3) -> str:
+    return "; ".join(observer.find_obstacles(beats * BEAT))
+
+
+def shifted(state: StateMessage, vm: float = 0.0, va: float = 0.0) -> StateMessage:
+    return replace(state, vm=tuple(v + vm for v in state.vm), va=tuple(a + va for a in state.va))
+
+
+def test_areas_that_agree_and_are_quiet_for_two_beats_are_in_consensus():
+    assert watch().find_obstacles(3 * BEAT) == ()
+
+
+def test_an_area_that_is_not_on_the_bus_keeps_the_run_from_consensus():
+    assert obstacles(watch(alive=AREAS[:2])) == f"{AREAS[2]} is not on the bus"
+
+
+def test_an_area_that_vanishes_is_missed_and_one_that_returns_is_waited_for():
+    observer = watch()
+    observer.take_presence("area2", False, 3 * BEAT)
+    assert "area2 is not on the bus" in obstacles(observer, 20)
+    observer.take_presence("area2", True, 4 * BEAT)
+    assert "changed" in obstacles(observer, 20)  # nobody has repeated itself since
+
+
+def test_an_area_without_a_state_keeps_the_run_from_consensus():
+    observer = Observer(PARTITION, 1e-6, 1e-6, BEAT, False)
+    observer.take_presence("area1", True, 0.0)
+    assert "area1 has not shown a state" in obstacles(observer)
+
+
+def test_an_area_without_telemetry_is_named():
+    assert "area2 has no telemetry" in obstacles(watch(with_scan(a_state("area2"), 0)))
+
+
+def test_an_area_on_an_older_scan_is_named():
+    states = [with_scan(a_state(area), 7 if area == "area3" else 8) for area in AREAS]
+    assert obstacles(watch(*states)) == "area3 works on scan 7, the current one is 8"
+
+
+def test_an_area_without_an_estimate_says_why():
+    nothing = {key: () for key in ("buses", "vm", "va", "sigma_vm", "sigma_va")}
+    text = obstacles(watch(a_state("area2", notes=("no estimate: singular",), **nothing)))
+    assert text == "area2 has no estimate: no estimate: singular"
+
+
+def test_relative_angles_are_no_consensus_even_where_they_happen_to_agree():
+    assert "the angles of area3 do not count from the substation" in obstacles(
+        watch(a_state("area3", referenced=False))
+    )
+
+
+def test_angles_that_differ_at_a_boundary_bus_are_named_with_bus_and_size():
+    assert (
+        obstacles(watch(shifted(a_state("area2"), va=math.radians(0.5))))
+        == "area1 and area2 differ by 0.5 deg at bus 6"
+    )
+
+
+def test_angles_within_the_tolerance_agree():
+    assert obstacles(watch(shifted(a_state("area2"), va=0.9e-6))) == ""
+
+
+def test_angles_a_full_turn_apart_are_equal():
+    assert obstacles(watch(shifted(a_state("area2"), va=2 * math.pi))) == ""
+
+
+@pytest.mark.parametrize(
+    ("magnitudes", "expected"), [(False, ""), (True, "area1 and area2 differ by 0.01 p.u. at bus 6")]
+)
+def test_magnitudes_count_only_where_the_strategy_reconciles_them(magnitudes: bool, expected: str):
+    assert obstacles(watch(shifted(a_state("area2"), vm=0.01), magnitudes=magnitudes)) == expected
+
+
+@pytest.mark.parametrize(("heard", "kind"), [((0, 2), "load"), ((1, 1), "boundary")])
+def test_last_words_that_were_not_heard_are_named(heard: tuple[int, int], kind: str):
+    assert (
+        obstacles(watch(a_state("area2", heard={"area1": heard})))
+        == f"area2 has not heard the last {kind} message of area1"
+    )
+
+
+def test_an_area_that_has_told_its_neighbour_nothing_is_named():
+    silent = a_state("area2", sent={"area1": (1, 0)})
+    text = obstacles(watch(silent, a_state("area1", heard={"area2": (1, 0), "area3": (1, 2)})))
+    assert text == "area2 has sent area1 no boundary message"
+
+
+def test_a_change_restarts_the_two_beats():
+    observer = watch()
+    observer.take_state(a_state("area1", sequence=2), 3 * BEAT)
+    assert obstacles(observer, 3) == "something has changed within the last 2 beats"
+
+
+def test_silence_is_not_quiet_because_every_area_must_be_heard_to_repeat_itself():
+    assert obstacles(watch(beats=0), 100) == "something has changed within the last 2 beats"
+
+
+def test_an_older_message_does_not_replace_a_newer_one():
+    observer = watch(a_state("area1", sequence=5))
+    assert not observer.take_state(a_state("area1", sequence=4), 1.0)
+    assert observer.states["area1"].header.sequence == 5
+
+
+def test_a_repeat_brings_newer_counts():
+    observer = watch()
+    assert not observer.take_state(a_state("area1", messages=99), 1.0)
+    assert observer.states["area1"].messages == 99
+
+
+def test_a_restarted_area_is_heard_at_once_although_it_counts_from_one_again():
+    observer = watch(a_state("area1", sequence=9))
+    restarted = a_state("area1")
+    restarted = replace(restarted, header=replace(restarted.header, incarnation=Incarnation(2, 0)))
+    assert observer.take_state(restarted, 1.0)
+    assert observer.states["area1"].header.incarnation == Incarnation(2, 0)
+
+
+def test_a_stranger_is_ignored():
+    observer = watch()
+    assert not observer.take_state(
+        replace(a_state("area1"), header=Header("run", "x", Incarnation(1, 1), 1, 1, 0.0)), 1.0
+    )
+    assert not observer.take_presence("x", True, 1.0)
+
+
+def test_exchanges_are_the_most_changed_messages_on_one_directed_link():
+    observer = watch(a_state("area1", sent={"area2": (1, 2), "area3": (2, 5)}))
+    assert observer.exchanges == 7
+
+
+def test_history_keeps_every_changed_estimate_with_its_time():
+    observer = watch()
+    observer.take_state(a_state("area1", sequence=2), 9.0)
+    assert [sample.time for sample in observer.history if sample.area == "area1"] == [0.0, 9.0]
+
+
+def test_progress_shows_state_and_gap_of_every_area():
+    progress = watch(shifted(a_state("area2"), va=0.1)).progress(1.5, 3 * BEAT)
+    assert [area.name for area in progress.areas] == list(AREAS)
+    by_name = {area.name: area for area in progress.areas}
+    assert by_name["area2"].state == "adjusts"
+    assert by_name["area2"].gap_va == pytest.approx(0.1)
+    assert by_name["area3"].state == "agrees"
+    assert progress.obstacles

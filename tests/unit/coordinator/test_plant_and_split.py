@@ -1,0 +1,65 @@
+"""What the plant publishes and what the area files hold."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from agents.area_file import load_area_file
+from agents.messages import TelemetryMessage, decode
+from coordinator.plant import make_payloads
+from coordinator.split import choose_run_id, default_run_id, write_area_files
+from dsse_core.errors import InvalidInputError
+from dsse_core.measurement import Source
+from scenarios.scenario import load_scenario
+
+
+def readings(seed: int) -> dict[str, tuple[object, ...]]:
+    payloads = make_payloads(replace(load_scenario("ieee33"), seed=seed), "run")
+    messages = {area: decode(payload) for area, payload in payloads.items()}
+    assert all(isinstance(message, TelemetryMessage) for message in messages.values())
+    return {area: (m.meters, m.values, m.sigmas) for area, m in messages.items()}  # type: ignore[union-attr]
+
+
+def test_the_same_seed_gives_the_same_telemetry_and_another_seed_another():
+    assert readings(3) == readings(3)
+    assert readings(3) != readings(4)
+
+
+def test_virtual_measurements_are_not_sent_because_area_files_hold_them(tmp_path: Path):
+    scenario = load_scenario("industrial13")
+    files = write_area_files(scenario, "run", ["tcp/127.0.0.1:7447"], tmp_path)
+    payloads = make_payloads(scenario, "run")
+    for area, path in files.items():
+        message = decode(payloads[area])
+        assert isinstance(message, TelemetryMessage)
+        meters = load_area_file(path).meters
+        assert set(message.meters) == {meter.id for meter in meters if meter.source is not Source.VIRTUAL}
+
+
+def test_an_area_file_holds_the_area_and_nothing_of_the_others(tmp_path: Path):
+    scenario = load_scenario("ieee33-lossy")
+    files = write_area_files(scenario, "run", ["tcp/127.0.0.1:7447"], tmp_path)
+    assert list(files) == ["area1", "area2", "area3"]
+    for name, path in files.items():
+        content = load_area_file(path)
+        assert content.area == scenario.partition.area(name)
+        assert content.loss == {n.area: 0.3 for n in content.area.neighbours}
+        assert content.seed == scenario.seed
+        assert all(meter.bus in content.area.network.row for meter in content.meters)
+
+
+def test_the_faults_of_a_directed_link_go_to_the_area_that_sends(tmp_path: Path):
+    scenario = load_scenario("ieee33")
+    scenario = replace(scenario, loss=scenario.loss | {("area1", "area2"): 0.7})
+    files = write_area_files(scenario, "run", ["tcp/127.0.0.1:7447"], tmp_path)
+    assert load_area_file(files["area1"]).loss == {"area2": 0.7, "area3": 0.0}
+    assert load_area_file(files["area2"]).loss == {"area1": 0.0}
+
+
+def test_a_run_id_is_made_of_what_a_key_may_contain():
+    assert default_run_id(replace(load_scenario("ieee33"), name="My Grid (2)")) == "my-grid-2"
+    with pytest.raises(InvalidInputError, match="My/Run"):
+        choose_run_id(load_scenario("ieee33"), "My/Run")

@@ -1,0 +1,123 @@
+"""The warmed parent: processes start, their end is told, and none is left behind."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+
+from coordinator.processes import Launcher, LaunchError, News, describe_end, read_end
+from coordinator.zygote import Ended, Started
+
+DEADLINE_S = 20.0
+
+
+def take_until(news: News, kind: type, name: str):
+    """The first ``kind`` of news about process ``name``."""
+    deadline = time.monotonic() + DEADLINE_S
+    while time.monotonic() < deadline:
+        for item in news.take(0.1):
+            if isinstance(item, kind) and item.name == name:
+                return item
+    raise AssertionError(f"no {kind.__name__} of {name} within {DEADLINE_S} s")
+
+
+def is_gone(pid: int) -> bool:
+    """Whether the process ends within the deadline; one that init has not collected yet counts as gone."""
+    deadline = time.monotonic() + DEADLINE_S
+    while time.monotonic() < deadline:
+        try:
+            if psutil.Process(pid).status() == psutil.STATUS_ZOMBIE:
+                return True
+        except psutil.NoSuchProcess:
+            return True
+        time.sleep(0.01)
+    return False
+
+
+def test_a_process_runs_its_target_with_its_output_in_its_log(tmp_path: Path):
+    news = News()
+    with Launcher(news.put) as launcher:
+        launcher.start("one", "builtins:print", "hello", log=tmp_path / "one.log")
+        assert take_until(news, Ended, "one").code == 0
+    assert read_end(tmp_path / "one.log") == "hello"
+
+
+def test_an_exception_ends_in_the_log_and_in_exit_code_1(tmp_path: Path):
+    news = News()
+    with Launcher(news.put) as launcher:
+        launcher.start("one", "builtins:int", "no number", log=tmp_path / "one.log")
+        assert take_until(news, Ended, "one").code == 1
+    assert "ValueError" in read_end(tmp_path / "one.log")
+
+
+def test_the_exit_code_of_a_process_is_told(tmp_path: Path):
+    news = News()
+    with Launcher(news.put) as launcher:
+        launcher.start("one", "sys:exit", 7, log=tmp_path / "one.log")
+        launcher.start("two", "builtins:int", 5, log=tmp_path / "two.log")
+        codes = {}
+        while len(codes) < 2:
+            codes |= {item.name: item.code for item in news.take(DEADLINE_S) if isinstance(item, Ended)}
+    assert codes == {"one": 7, "two": 5}
+
+
+def test_a_killed_process_is_told_with_its_signal(tmp_path: Path):
+    news = News()
+    with Launcher(news.put) as launcher:
+        launcher.start("one", "time:sleep", 60, log=tmp_path / "one.log")
+        os.kill(take_until(news, Started, "one").pid, signal.SIGKILL)
+        assert describe_end(take_until(news, Ended, "one").code) == "signal SIGKILL"
+
+
+def test_leaving_the_block_stops_all_processes(tmp_path: Path):
+    news = News()
+    with Launcher(news.put) as launcher:
+        for name in ("one", "two"):
+            launcher.start(name, "time:sleep", 60, log=tmp_path / f"{name}.log")
+        pids = [take_until(news, Started, name).pid for name in ("one", "two")]
+    assert all(is_gone(pid) for pid in [*pids, launcher.pid])
+
+
+def test_a_process_that_ignores_sigterm_is_killed(tmp_path: Path):
+    news = News()
+    with Launcher(news.put) as launcher:
+        ignore = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); print('deaf'); time.sleep(60)"
+        launcher.start("deaf", "builtins:exec", ignore, log=tmp_path / "deaf.log")
+        pid = take_until(news, Started, "deaf").pid
+        deadline = time.monotonic() + DEADLINE_S
+        while read_end(tmp_path / "deaf.log") != "deaf" and time.monotonic() < deadline:
+            news.take(0.02)
+    assert is_gone(pid)
+
+
+def test_an_exception_in_the_block_leaves_nothing_behind(tmp_path: Path):
+    news = News()
+    with pytest.raises(RuntimeError, match="mine"), Launcher(news.put) as launcher:  # noqa: PT012
+        launcher.start("one", "time:sleep", 60, log=tmp_path / "one.log")
+        pid = take_until(news, Started, "one").pid
+        raise RuntimeError("mine")
+    assert is_gone(pid)
+    assert is_gone(launcher.pid)
+
+
+def test_the_end_of_the_parent_is_told_and_its_children_are_stopped(tmp_path: Path):
+    news = News()
+    with Launcher(news.put) as launcher:
+        launcher.start("one", "time:sleep", 60, log=tmp_path / "one.log")
+        pid = take_until(news, Started, "one").pid
+        os.kill(launcher.pid, signal.SIGKILL)
+        assert take_until(news, Ended, "parent of all processes").code == -signal.SIGKILL
+        with pytest.raises(LaunchError, match="SIGKILL"):
+            launcher.start("two", "time:sleep", 60, log=tmp_path / "two.log")
+    assert is_gone(pid)
+
+
+def test_a_launcher_that_started_nothing_closes_at_once():
+    with Launcher() as launcher:
+        launcher.preload("json")
+    assert is_gone(launcher.pid)

@@ -1,0 +1,156 @@
+"""The files of a run: their schema and what stands in them when something is missing."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agents.messages import Header, Incarnation, StateMessage
+from coordinator.comparison import Voltages, compare, largest_gap
+from coordinator.observer import Observer
+from coordinator.plots import draw_plots
+from coordinator.report import format_verdict
+from coordinator.result import BUS_COLUMNS, RunResult, as_json, make_area_results, make_verdict, write_result
+from dsse_core.bad_data import process_bad_data
+from scenarios.scenario import load_scenario
+from scenarios.telemetry import make_telemetry
+
+ROOT = Path(__file__).parents[3]
+SHIFT = np.radians(0.5)  # of area2's published angles
+
+
+def a_state_of(area, central, va_shift: float = 0.0) -> StateMessage:
+    """The area publishes the centralised estimate, its angles off by ``va_shift``."""
+    rows = [central.network.row[bus.id] for bus in area.network.buses]
+    n = len(rows)
+    said = {neighbour.area: (1, 2) for neighbour in area.neighbours}
+    return StateMessage(
+        header=Header("run", area.name, Incarnation(1, 1), 1, 1, 0.0),
+        buses=tuple(bus.id for bus in area.network.buses),
+        vm=tuple(central.vm[rows].tolist()),
+        va=tuple((central.va[rows] + va_shift).tolist()),
+        sigma_vm=(0.001,) * n,
+        sigma_va=(0.001,) * n,
+        referenced=True,
+        objective=1.0,
+        degrees_of_freedom=2,
+        removed=("vm@6",),
+        sent=said,
+        heard=said,
+        messages=5,
+        bytes=500,
+        lost=1,
+        refused={},
+        notes=("neighbour area3 is gone",) if area.name == "area1" else (),
+    )
+
+
+def a_result(folder: Path, missing: str | None = None, relative: str | None = None) -> RunResult:
+    scenario = load_scenario("ieee33")
+    telemetry = make_telemetry(scenario)
+    central = process_bad_data(scenario.network, telemetry.union)
+    observer = Observer(scenario.partition, 1e-6, 1e-6, 0.2, False)
+    for area in scenario.partition.areas:
+        state = a_state_of(area, central.result, SHIFT if area.name == "area2" else 0.0)
+        if area.name != missing:
+            observer.take_state(replace(state, referenced=area.name != relative), 0.5)
+    comparison = compare(scenario.partition, observer.states, telemetry.truth, central)
+    return RunResult(
+        scenario=scenario,
+        run="run",
+        folder=folder,
+        verdict=make_verdict(observer, comparison, None if missing is None else "not", 1.0),
+        areas=make_area_results(observer, comparison),
+        comparison=comparison,
+        centralised=central,
+        history=tuple(observer.history),
+        timing_s={"verdict": 1.0},
+    )
+
+
+def test_the_verdict_has_every_documented_key_and_the_gap_that_was_put_in(tmp_path: Path):
+    write_result(a_result(tmp_path))
+    content = json.loads((tmp_path / "result.json").read_text())
+    assert content["version"] == 1
+    verdict = content["verdict"]
+    assert verdict["consensus"] is True
+    assert verdict["gap_vm_pu"] == pytest.approx(0.0, abs=1e-12)
+    assert verdict["gap_va_deg"] == pytest.approx(0.5)
+    assert verdict["error_vm_pu"] == content["centralised"]["error_vm_pu"]
+    assert (verdict["exchanges"], verdict["messages"], verdict["bytes"], verdict["lost"]) == (3, 15, 1500, 3)
+    assert verdict["wall_s"] == 1.0
+
+
+def test_gaps_are_told_per_area(tmp_path: Path):
+    areas = as_json(a_result(tmp_path))["areas"]
+    assert areas["area2"]["gap_va_deg"] == pytest.approx(0.5)
+    assert areas["area1"]["gap_va_deg"] == pytest.approx(0.0, abs=1e-9)
+    assert areas["area1"]["degraded"] is True
+    assert areas["area3"]["degraded"] is False
+
+
+def test_every_key_of_result_json_is_documented(tmp_path: Path):
+    documented = set(re.findall(r"`([^`]+)`", (ROOT / "docs" / "result.md").read_text()))
+    words = {word for name in documented for word in name.split(".")}
+
+    def keys(table: dict[str, object]) -> set[str]:
+        named = {key for key in table if key not in {"area1", "area2", "area3"}}
+        return named.union(*(keys(value) for value in table.values() if isinstance(value, dict)))
+
+    content = as_json(a_result(tmp_path))
+    del content["versions"]
+    assert keys(content) - words == set()
+
+
+def test_an_area_without_a_state_is_null_and_not_zero(tmp_path: Path):
+    result = a_result(tmp_path, missing="area3")
+    write_result(result)
+    content = json.loads((tmp_path / "result.json").read_text())
+    assert content["verdict"]["gap_vm_pu"] is None
+    assert content["areas"]["area3"]["gap_vm_pu"] is None
+    assert content["areas"]["area1"]["gap_vm_pu"] is not None
+    assert "area3" in format_verdict(result)
+
+
+def test_angles_that_do_not_count_from_the_substation_have_no_gap(tmp_path: Path):
+    verdict = a_result(tmp_path, relative="area3").verdict
+    assert verdict.gap_va_deg is None
+    assert verdict.gap_vm_pu == pytest.approx(0.0, abs=1e-12)
+
+
+def test_buses_csv_has_one_row_per_bus_from_its_owner(tmp_path: Path):
+    write_result(a_result(tmp_path))
+    with (tmp_path / "buses.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert tuple(rows[0]) == BUS_COLUMNS
+    assert [int(row["bus"]) for row in rows] == list(range(1, 34))
+    boundary = rows[5]
+    assert boundary["area"] == "area1"
+    assert boundary["decentralised_va_deg"] == boundary["centralised_va_deg"]  # not area2's shifted one
+    assert float(rows[6]["decentralised_va_deg"]) == pytest.approx(float(rows[6]["centralised_va_deg"]) + 0.5)
+
+
+def test_a_bus_that_nobody_knows_is_an_empty_cell(tmp_path: Path):
+    write_result(a_result(tmp_path, missing="area3"))
+    with (tmp_path / "buses.csv").open() as file:
+        row = list(csv.DictReader(file))[32]
+    assert row["decentralised_vm_pu"] == ""
+    assert row["true_vm_pu"] != ""
+
+
+def test_a_gap_of_angles_is_wrapped():
+    one, other = (Voltages(np.ones(1), np.array([va])) for va in (np.pi - 0.01, -np.pi + 0.01))
+    assert largest_gap(one, other).va_deg == pytest.approx(np.degrees(0.02))
+
+
+@pytest.mark.parametrize("missing", [None, "area3"])
+def test_plots_are_drawn_also_where_an_area_is_missing(tmp_path: Path, missing: str | None):
+    paths = draw_plots(a_result(tmp_path, missing=missing))
+    assert [path.name for path in paths] == ["magnitudes.png", "angles.png", "errors.png", "gap.png"]
+    assert all(path.stat().st_size > 10_000 for path in paths)
