@@ -69,7 +69,8 @@ def run(scenario: str, out: Path | None, timeout: float | None, seed: int | None
     """
     import coordinator
 
-    signal.signal(signal.SIGTERM, _interrupt)
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, _interrupt)
     with _progress(scenario, quiet) as show:
         result = coordinator.run(scenario, out=out, seed=seed, timeout_s=timeout, on_update=show, plots=False)
     from coordinator.report import format_verdict

@@ -45,6 +45,7 @@ class Launcher:
             [sys.executable, "-P", "-m", "coordinator.zygote", str(theirs.fileno())],
             pass_fds=[theirs.fileno()],
             stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
             start_new_session=True,
             env={**os.environ, **ONE_THREAD, "PYTHONPATH": path},
         )

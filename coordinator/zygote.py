@@ -1,8 +1,9 @@
 """The warmed parent: imports once what router, plant and agents need, then forks each of them in milliseconds.
 
-It obeys the coordinator over one socket and dies with it: when the socket closes, for whatever reason, it
-stops its children. It holds no thread and no Zenoh session, so forking is safe. It and its children are one
-process group of their own, so that Ctrl-C in a terminal reaches the coordinator only.
+It obeys the coordinator over one socket. A coordinator that ends in order has its processes stopped; one
+that is killed stops nothing: the areas go on until SIGTERM to this process, which then stops them. It holds
+no thread and no Zenoh session, so forking is safe. It and its children are one process group of their own,
+so that Ctrl-C in a terminal reaches the coordinator only.
 """
 
 from __future__ import annotations
@@ -73,7 +74,7 @@ class Zygote:
     stopped: bool = False
 
     def serve(self) -> None:
-        """Obey until told to stop, until the coordinator is gone, or until SIGTERM."""
+        """Obey until told to stop or until SIGTERM; without a coordinator, until no child is left."""
         wake_read, wake_write = os.pipe()
         os.set_blocking(wake_read, False)
         os.set_blocking(wake_write, False)
@@ -82,15 +83,18 @@ class Zygote:
         signal.signal(signal.SIGTERM, self._on_sigterm)
         self._inherited = (wake_read, wake_write)
         try:
-            while not self.stopped:
-                ready = wait([self.orders, wake_read])
+            orphaned = False
+            while not self.stopped and not (orphaned and not self.children):
+                ready = wait([wake_read] if orphaned else [self.orders, wake_read])
                 if wake_read in ready:
                     os.read(wake_read, 4096)
                     self._reap()
                 if self.orders in ready:
-                    self._obey(self.orders.recv())
-        except EOFError:  # the coordinator is gone
-            pass
+                    try:
+                        self._obey(self.orders.recv())
+                    except (EOFError, ConnectionError):
+                        orphaned = True
+                        _redirect(Path(os.devnull))  # who reads the coordinator's pipes shall see their end
         finally:
             self._stop_children()
 

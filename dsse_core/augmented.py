@@ -24,31 +24,47 @@ BLOCK = 256  # right-hand sides solved at once; bounds memory at (n_meas + n_sta
 class AugmentedFactor:
     """The factorised system for ``H`` (n_meas, n_state) and ``sigma`` (n_meas,), 0 where a row must hold exactly.
 
+    ``information`` (n_state, n_state), symmetric, is what is known of the state from elsewhere: the lower
+    right block becomes ``-information``.
+
     Raises:
         RuntimeError: the matrix is exactly singular.
     """
 
-    def __init__(self, H: sp.csr_array, sigma: np.ndarray) -> None:
+    def __init__(self, H: sp.csr_array, sigma: np.ndarray, information: sp.csr_array | None = None) -> None:
         self._n_meas, self._n_state = H.shape
         self._variance = sigma**2
         row_scale = reciprocal_row_lengths(H)
         scaled = scale_rows(H, row_scale)
-        column_scale = _reciprocal(np.bincount(H.indices, scaled.data**2, self._n_state))
-        scaled.data *= column_scale[H.indices]
         scaled_variance = self._variance * row_scale**2
         positive = scaled_variance[scaled_variance > 0]
         self._a = PIVOT_SCALE / float(np.median(positive)) if positive.size else 1.0
+        square = np.bincount(H.indices, scaled.data**2, self._n_state)
+        if information is not None:
+            square += abs(information.diagonal()) / self._a
+        column_scale = _reciprocal(square)
+        scaled.data *= column_scale[H.indices]
         self._scale = np.concatenate([row_scale, column_scale])
-        self._lu = spla.splu(build_tableau(self._a * scaled_variance, scaled, np.zeros(self._n_state)))
+        tableau = build_tableau(self._a * scaled_variance, scaled, np.zeros(self._n_state))
+        if information is not None:
+            D = sp.diags_array(column_scale)
+            below = sp.coo_array(D @ information @ D / self._a)
+            at = tuple(self._n_meas + index for index in below.coords)
+            tableau = sp.csc_array(tableau - sp.coo_array((below.data, at), shape=tableau.shape))
+        self._lu = spla.splu(tableau)
+
+    def solve(self, above: np.ndarray, below: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(s, dx) of ``R s + H dx = above``, ``H's - information dx = below``; vectors or columns."""
+        solution = self._solve(np.concatenate([above, below / self._a]))
+        return self._a * solution[: self._n_meas], solution[self._n_meas :]
 
     def solve_step(self, residual: np.ndarray) -> np.ndarray:
         """The step dx, shape (n_state,), for the residuals z - h(x), shape (n_meas,)."""
-        return self._solve(np.concatenate([residual, np.zeros(self._n_state)]))[self._n_meas :]
+        return self.solve(residual, np.zeros(self._n_state))[1]
 
     def covariance_times(self, B: np.ndarray) -> np.ndarray:
         """``G^-1 B`` (n_state, k), ``G = H'WH`` under the constraints: columns of the state's covariance."""
-        above = np.zeros((self._n_meas, B.shape[1]))
-        return self._solve(np.vstack([above, B]))[self._n_meas :] / -self._a
+        return -self.solve(np.zeros((self._n_meas, B.shape[1])), B)[1]
 
     def state_variance(self) -> np.ndarray:
         """diag(G^-1), shape (n_state,)."""

@@ -13,11 +13,16 @@ from pathlib import Path
 import pytest
 
 import coordinator
+from agents.inbox import Inbox
+from agents.keys import all_states
+from agents.messages import decode
+from agents.transport import Session
+from conftest import wait_until
 
 ROOT = Path(__file__).parents[2]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_to_the_terminals_process_group_stops_everything(
     start_run, deaf_scenario, assert_nothing_left, number: signal.Signals
 ):
@@ -43,11 +48,22 @@ def test_ctrl_c_does_not_reach_the_agents_who_are_stopped_in_order(start_run, de
     assert "SIGTERM" in (run.folder / "logs" / "area1.log").read_text()
 
 
-def test_a_killed_coordinator_leaves_nothing_behind(start_run, deaf_scenario, assert_nothing_left):
-    run = start_run(deaf_scenario)
-    run.wait_until_joined("area1", "area2")
+def test_a_killed_coordinator_stops_nothing_and_one_signal_to_the_parent_stops_all(start_run, assert_nothing_left):
+    run = start_run("ieee33")
+    run.wait_until_joined("area1", "area2", "area3")
     run.process.kill()
     run.end()
+    states = Inbox()
+    with Session.connect((run.folder / "logs" / "router.endpoints").read_text().split()) as session:
+        session.subscribe(all_states(run.events()[0]["run"]), lambda key, payload: states.put(key, decode(payload)))
+        seen = {}
+        wait_until(
+            lambda: (
+                seen.update({s.header.sender: s for s in states.take(0.1)})
+                or (len(seen) == 3 and all(s.referenced for s in seen.values()))
+            )
+        )
+    os.kill(run.pids()["parent"], signal.SIGTERM)
     assert_nothing_left(run.pids())
 
 

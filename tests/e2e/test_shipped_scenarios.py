@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import coordinator
+from agents.link import draw_fate
 from coordinator.result import RunResult
 
 GOLDEN = Path(__file__).parents[1] / "golden"
@@ -69,6 +70,11 @@ def test_losses_delay_the_agreement_and_do_not_change_it(name: str, seed: int, t
     lossy = run(name, tmp_path / "lossy", seed)
     assert_within_bounds(lossy)
     assert lossy.verdict.lost > 0
+    for area in lossy.areas:  # the n-th message of a link meets the fate that the seed gives it, in every run
+        (sent_to, *others) = lossy.scenario.partition.area(area.name).neighbours
+        if not others:
+            fates = [draw_fate(seed, area.name, sent_to.area, n) for n in range(area.messages)]
+            assert area.lost == sum(fate < 0.3 for fate in fates)
     clean = run(name.removesuffix("-lossy"), tmp_path / "clean", seed)
     np.testing.assert_array_equal(lossy.comparison.centralised.vm, clean.comparison.centralised.vm)  # same telemetry
     np.testing.assert_allclose(lossy.comparison.decentralised.vm, clean.comparison.decentralised.vm, atol=1e-7)
