@@ -66,6 +66,7 @@ def save_area_file(path: Path, content: AreaFile) -> None:
         "tolerance": content.tolerance,
         "seed": content.seed,
         "local_slack": slack,
+        **({"reference": dict(zip(("bus", "va"), area.reference, strict=True))} if area.reference else {}),
         "load_messages": {
             "generation": content.generation,
             "p_error": content.load_error.real,
@@ -117,13 +118,22 @@ def load_area_file(path: Path) -> AreaFile:
     ]
     if t.local_slack.bus not in network.row:
         problems.append(f"local_slack.bus: bus {t.local_slack.bus} is not in the network")
+    if t.reference and t.reference.bus not in network.row:
+        problems.append(f"reference.bus: bus {t.reference.bus} is not in the network")
     if sum(n.is_parent for n in neighbours) != (0 if network.slack else 1):
         problems.append("neighbour: exactly one must be the parent, or none where the network holds the substation")
     if problems:
         raise InvalidInputError(what, problems)
     return AreaFile(
         run=t.run,
-        area=Area(t.area, network, neighbours, t.local_slack.bus, t.local_slack.vm),
+        area=Area(
+            t.area,
+            network,
+            neighbours,
+            t.local_slack.bus,
+            t.local_slack.vm,
+            (t.reference.bus, t.reference.va) if t.reference else None,
+        ),
         meters=meters,
         strategy=t.strategy,
         endpoints=tuple(t.endpoints),
@@ -164,6 +174,11 @@ class _Slack(_Strict):
     vm: float | None = Field(None, gt=0)
 
 
+class _Reference(_Strict):
+    bus: int
+    va: float = 0.0
+
+
 class _LoadMessages(_Strict):
     generation: Literal["telemetered", "scheduled"] = "telemetered"
     p_error: float = 0.0
@@ -201,6 +216,7 @@ _FileTable: Any = create_model(
     tolerance=(float, Field(1e-6, gt=0)),
     seed=(int, 0),
     local_slack=(_Slack, ...),
+    reference=(_Reference | None, None),
     load_messages=(_LoadMessages, _LoadMessages()),
     neighbour=(_rows_like(Neighbour, loss=(float, Field(0.0, ge=0, le=1))), []),
     network=(_NetworkTable, ...),

@@ -34,8 +34,9 @@ def run_agent(content: AreaFile, session: Session, inbox: Inbox) -> str:
     """
     now = time.monotonic()
     incarnation = Incarnation(time.time_ns() // 1_000_000, random.getrandbits(32))
-    protocol = AreaProtocol(content, make_strategy(content), incarnation, now=now, started_at=time.time())
-    link = LossyLink(content.area.name, content.loss, content.seed, _publishers(content, session))
+    strategy = make_strategy(content)
+    protocol = AreaProtocol(content, strategy, incarnation, now=now, started_at=time.time())
+    link = LossyLink(content.area.name, content.loss, content.seed, _publishers(content, session, strategy.kind))
     name, run = content.area.name, content.run
     neighbours = {n.area for n in content.area.neighbours}
     session.subscribe(all_from_neighbours(run, name), _put_messages_of(neighbours, inbox))
@@ -59,13 +60,13 @@ def run_agent(content: AreaFile, session: Session, inbox: Inbox) -> str:
         events = [_event_of(*item) if isinstance(item, tuple) else item for item in news]
 
 
-def _publishers(content: AreaFile, session: Session) -> Callable[[str | None, str, bytes], None]:
+def _publishers(content: AreaFile, session: Session, kind_of_strategy: str) -> Callable[[str | None, str, bytes], None]:
     """One publisher per key, all declared at the start."""
     run, name = content.run, content.area.name
     publishers: dict[tuple[str | None, str], Callable[[bytes], None]] = {}
     publishers[None, "state"] = session.publisher(state_key(run, name))
     for n in content.area.neighbours:
-        for kind in ("load", "boundary"):
+        for kind in ("load", kind_of_strategy):
             publishers[n.area, kind] = session.publisher(neighbour_key(run, name, kind, n.area))
     return lambda to, kind, payload: publishers[to, kind](payload)
 

@@ -18,6 +18,7 @@ from dsse_core.boundary_load import NetLoad
 
 WIRE_VERSION = 1
 MAX_BYTES = 8 * 1024 * 1024
+Integer = int  # may be negative; an int in a message is a count
 
 
 class MessageError(ValueError):
@@ -88,6 +89,22 @@ class BoundaryMessage:
 
 
 @dataclass(frozen=True, slots=True)
+class InformationMessage:
+    """The sender's cost-to-go at a boundary bus, ``1/2 y' L y - e' y`` of ``y = (vm, va, p, q)``: 14 numbers.
+
+    ``L``: the upper triangle of the symmetric 4x4 matrix, row by row. ``referenced``: the sender's side knows
+    the substation's angle.
+    """
+
+    kind: ClassVar[str] = "information"
+    header: Header
+    bus: int
+    L: tuple[float, ...]
+    e: tuple[float, ...]
+    referenced: bool
+
+
+@dataclass(frozen=True, slots=True)
 class TelemetryMessage:
     """One scan of an area's meters: ids, values and sigmas, p.u. and rad."""
 
@@ -119,7 +136,7 @@ class StateMessage:
     sigma_va: tuple[float, ...]
     referenced: bool
     objective: float
-    degrees_of_freedom: int
+    degrees_of_freedom: Integer
     removed: tuple[str, ...]
     sent: dict[str, tuple[int, int]]
     heard: dict[str, tuple[int, int]]
@@ -130,10 +147,11 @@ class StateMessage:
     notes: tuple[str, ...]
 
 
-Message = LoadMessage | BoundaryMessage | TelemetryMessage | StateMessage
+BoundaryNews = BoundaryMessage | InformationMessage
+Message = LoadMessage | BoundaryNews | TelemetryMessage | StateMessage
 
 _TYPES: Mapping[str, type[Any]] = {
-    cls.kind: cls for cls in (LoadMessage, BoundaryMessage, TelemetryMessage, StateMessage)
+    cls.kind: cls for cls in (LoadMessage, BoundaryMessage, InformationMessage, TelemetryMessage, StateMessage)
 }
 
 
@@ -179,12 +197,14 @@ def decode(payload: bytes) -> Message:
     body = {
         place.name: _CHECKS[str(place.type)](place.name, value) for place, value in zip(places, fields[8:], strict=True)
     }
-    _check_lengths(body)
+    _check_lengths(message_type, body)
     message: Message = message_type(header=header, **body)
     return message
 
 
-def _check_lengths(body: Mapping[str, Any]) -> None:
+def _check_lengths(message_type: type[Any], body: Mapping[str, Any]) -> None:
+    if message_type is InformationMessage and (len(body["L"]), len(body["e"])) != (10, 4):
+        raise MessageError("malformed", f"L and e have {len(body['L'])} and {len(body['e'])} numbers, not 10 and 4")
     for group in (("buses", "vm", "va", "sigma_vm", "sigma_va"), ("meters", "values", "sigmas")):
         if group[0] in body and len({len(body[name]) for name in group}) != 1:
             raise MessageError("malformed", f"{', '.join(group)} differ in length")
@@ -199,6 +219,12 @@ def _text(name: str, value: object) -> str:
 def _count(name: str, value: object) -> int:
     if type(value) is not int or value < 0:
         raise MessageError("malformed", f"{name} is {value!r:.80}, not a count")
+    return value
+
+
+def _integer(name: str, value: object) -> int:
+    if type(value) is not int:
+        raise MessageError("malformed", f"{name} is {value!r:.80}, not an integer")
     return value
 
 
@@ -246,6 +272,7 @@ _CHECKS: Mapping[str, Callable[[str, object], Any]] = {  # by the annotation of 
     "bool": _flag,
     "float": _number,
     "int": _count,
+    "Integer": _integer,
     "str": _text,
     "tuple[float, ...]": _tuple_of(_number),
     "tuple[int, ...]": _tuple_of(_count),

@@ -13,7 +13,17 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 from agents.area_file import AreaFile
-from agents.messages import BoundaryMessage, Header, Incarnation, LoadMessage, Message, StateMessage, TelemetryMessage
+from agents.messages import (
+    BoundaryMessage,
+    BoundaryNews,
+    Header,
+    Incarnation,
+    InformationMessage,
+    LoadMessage,
+    Message,
+    StateMessage,
+    TelemetryMessage,
+)
 from agents.strategies.interface import Estimate, Knowledge, Strategy
 from dsse_core.boundary_load import NetLoad, load_message_for, measured_net_loads, own_net_load
 from dsse_core.measurement import Measurement, Source
@@ -21,7 +31,7 @@ from dsse_core.partition import Neighbour
 
 NEWS_LOAD = 1e-9  # p.u.
 
-M = TypeVar("M", LoadMessage, BoundaryMessage)
+M = TypeVar("M", bound=LoadMessage | BoundaryNews)
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,9 +103,10 @@ class AreaProtocol:
         self._telemetry: TelemetryMessage | None = None
         self._measurements: tuple[Measurement, ...] = ()
         self._loads: dict[str, LoadMessage] = {}
-        self._boundary: dict[str, BoundaryMessage] = {}
+        self._boundary: dict[str, BoundaryNews] = {}
         self._sent_load: dict[str, LoadMessage] = {}
-        self._sent_boundary: dict[str, BoundaryMessage] = {}
+        self._sent_boundary: dict[str, BoundaryNews] = {}
+        self._told: Estimate | None = None
         self._state: StateMessage | None = None
         self._present: set[str] = set()
         self._gone: set[str] = set()
@@ -103,7 +114,7 @@ class AreaProtocol:
 
     def wait_s(self, now: float) -> float:
         """How long the protocol may be left alone, s."""
-        return max(0.0, self._next_beat - now)
+        return 0.0 if self._strategy.restless else max(0.0, self._next_beat - now)
 
     def handle(self, events: Sequence[Event], now: float) -> list[Action]:
         """Take in ``events``, all that arrived since the last call, and say what to do."""
@@ -122,10 +133,11 @@ class AreaProtocol:
         actions: list[Action] = []
         if self._telemetry is None:
             actions += self._show_state(None, ["no telemetry yet"])
-        elif events:
+        elif events or self._strategy.restless:
             actions += self._tell_loads()
             estimate, notes = self._strategy.solve(self._knowledge())
-            if estimate is not None:
+            if estimate is not None and not self._strategy.restless and estimate is not self._told:
+                self._told = estimate
                 actions += self._tell_boundaries(estimate)
             actions += self._show_state(estimate, notes)
         if now >= self._next_beat:
@@ -146,7 +158,7 @@ class AreaProtocol:
                 self._take_telemetry(message)
             case LoadMessage():
                 _keep_newest(self._loads, message)
-            case BoundaryMessage():
+            case BoundaryMessage() | InformationMessage():
                 _keep_newest(self._boundary, message)
 
     def _find_refusal(self, message: Message, key_sender: str) -> str:
@@ -159,7 +171,11 @@ class AreaProtocol:
             return "unknown sender"
         if header.sender != key_sender:
             return "sender does not own the key"
-        return "" if message.bus == self._by_name[header.sender].bus else "other boundary bus"
+        if message.bus != self._by_name[header.sender].bus:
+            return "other boundary bus"
+        if isinstance(message, LoadMessage):
+            return ""
+        return self._strategy.find_refusal(message) if message.kind == self._strategy.kind else "other strategy"
 
     def _take_telemetry(self, message: TelemetryMessage) -> None:
         if self._telemetry is not None and message.header.order <= self._telemetry.header.order:
@@ -211,7 +227,7 @@ class AreaProtocol:
         for n in self._area.neighbours:
             last = self._sent_boundary.get(n.area)
             message = self._strategy.message_for(n, estimate, self._header(last))
-            if last is None or last.header.scan != self._scan or self._strategy.is_news(message, last):
+            if last is None or last.header.scan != self._scan or self._strategy.is_news(n, message, last):
                 self._sent_boundary[n.area] = message
                 actions.append(Publish(message, n.area))
         return actions
@@ -280,7 +296,7 @@ class AreaProtocol:
         )
 
     def _sequences(
-        self, n: Neighbour, loads: dict[str, LoadMessage], boundary: dict[str, BoundaryMessage]
+        self, n: Neighbour, loads: dict[str, LoadMessage], boundary: dict[str, BoundaryNews]
     ) -> tuple[int, int]:
         load, state = loads.get(n.area), boundary.get(n.area)
         return (load.header.sequence if load else 0, state.header.sequence if state else 0)

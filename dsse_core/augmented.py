@@ -24,14 +24,14 @@ BLOCK = 256  # right-hand sides solved at once; bounds memory at (n_meas + n_sta
 class AugmentedFactor:
     """The factorised system for ``H`` (n_meas, n_state) and ``sigma`` (n_meas,), 0 where a row must hold exactly.
 
-    ``information`` (n_state, n_state), symmetric, is what is known of the state from elsewhere: the lower
-    right block becomes ``-information``.
+    ``damping`` (scalar) is added to every diagonal entry of the information about the state: the lower right
+    block becomes ``-damping I``.
 
     Raises:
         RuntimeError: the matrix is exactly singular.
     """
 
-    def __init__(self, H: sp.csr_array, sigma: np.ndarray, information: sp.csr_array | None = None) -> None:
+    def __init__(self, H: sp.csr_array, sigma: np.ndarray, damping: float = 0.0) -> None:
         self._n_meas, self._n_state = H.shape
         self._variance = sigma**2
         row_scale = reciprocal_row_lengths(H)
@@ -40,22 +40,19 @@ class AugmentedFactor:
         positive = scaled_variance[scaled_variance > 0]
         self._a = PIVOT_SCALE / float(np.median(positive)) if positive.size else 1.0
         square = np.bincount(H.indices, scaled.data**2, self._n_state)
-        if information is not None:
-            square += abs(information.diagonal()) / self._a
-        column_scale = _reciprocal(square)
+        column_scale = _reciprocal(square + damping / self._a)
         scaled.data *= column_scale[H.indices]
         self._scale = np.concatenate([row_scale, column_scale])
-        tableau = build_tableau(self._a * scaled_variance, scaled, np.zeros(self._n_state))
-        if information is not None:
-            D = sp.diags_array(column_scale)
-            below = sp.coo_array(D @ information @ D / self._a)
-            at = tuple(self._n_meas + index for index in below.coords)
-            tableau = sp.csc_array(tableau - sp.coo_array((below.data, at), shape=tableau.shape))
-        self._lu = spla.splu(tableau)
+        self._tableau = build_tableau(self._a * scaled_variance, scaled, -damping / self._a * column_scale**2)
+        self._lu = spla.splu(self._tableau)
 
     def solve(self, above: np.ndarray, below: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(s, dx) of ``R s + H dx = above``, ``H's - information dx = below``; vectors or columns."""
-        solution = self._solve(np.concatenate([above, below / self._a]))
+        """(s, dx) of ``R s + H dx = above``, ``H's - damping dx = below``; vectors or columns."""
+        scale = self._scale.reshape(-1, *(1,) * (above.ndim - 1))
+        b = scale * np.concatenate([above, below / self._a])
+        scaled = self._lu.solve(b)
+        scaled = scaled + self._lu.solve(b - self._tableau @ scaled)  # one refinement: information is a difference
+        solution = scale * scaled
         return self._a * solution[: self._n_meas], solution[self._n_meas :]
 
     def solve_step(self, residual: np.ndarray) -> np.ndarray:

@@ -33,7 +33,8 @@ class Area:
 
     ``network`` holds the area's buses and branches; load, shunt and generators of a boundary bus stand only
     in the network of its owner. ``slack_bus`` is where the local power flow holds the voltage; ``slack_vm``
-    its set-point in p.u., None when it is the voltage that the parent publishes for that bus.
+    its set-point in p.u., None when it is the voltage that the parent publishes for that bus. ``reference``:
+    bus and angle (rad) of the substation, in every area that sees it.
     """
 
     name: str
@@ -41,6 +42,7 @@ class Area:
     neighbours: tuple[Neighbour, ...]
     slack_bus: int
     slack_vm: float | None
+    reference: tuple[int, float] | None = None
 
     @property
     def is_reference(self) -> bool:
@@ -136,7 +138,9 @@ def build_partition(
         parent = next((n for n in neighbours[name] if n.is_parent), None)
         part = _cut_out(network, name, members[name], branch_area, parent.bus if parent else None)
         bus, vm = local_slack.get(name) or _default_slack(part, parent)
-        areas.append(Area(name, part, tuple(neighbours[name]), bus, vm))
+        assert network.slack is not None  # checked by _find_bus_problems
+        reference = (network.slack.bus, network.slack.va) if network.slack.bus in members[name] else None
+        areas.append(Area(name, part, tuple(neighbours[name]), bus, vm, reference))
     return Partition(network, tuple(areas))
 
 

@@ -4,9 +4,10 @@ from collections.abc import Mapping
 
 from agents.area_file import AreaFile
 from agents.strategies.angle_offset import AngleOffset
+from agents.strategies.information import Information
 from agents.strategies.interface import Strategy
 
-STRATEGIES: Mapping[str, type[Strategy]] = {"angle-offset": AngleOffset}
+STRATEGIES: Mapping[str, type[Strategy]] = {"angle-offset": AngleOffset, "information": Information}
 
 
 def make_strategy(content: AreaFile) -> Strategy:

@@ -12,7 +12,7 @@ import math
 from dataclasses import replace
 
 from agents.area_file import AreaFile
-from agents.messages import BoundaryMessage, Header
+from agents.messages import BoundaryMessage, BoundaryNews, Header
 from agents.strategies.interface import Estimate, Knowledge, Strategy
 from dsse_core.bad_data import BadDataReport, process_bad_data
 from dsse_core.boundary_load import NetLoad, add_loads, boundary_loads, measured_net_loads
@@ -30,6 +30,8 @@ NEWS = 1e-9  # p.u., rad
 class AngleOffset(Strategy):
     """The state of one area between messages: its relative estimate, reused while only the offset changes."""
 
+    kind = BoundaryMessage.kind
+
     def __init__(self, content: AreaFile) -> None:
         self._content = content
         self._area = content.area
@@ -40,6 +42,7 @@ class AngleOffset(Strategy):
     def solve(self, known: Knowledge) -> tuple[Estimate | None, tuple[str, ...]]:
         parent = self._area.parent
         heard = known.boundary.get(parent.area) if parent else None
+        assert heard is None or isinstance(heard, BoundaryMessage)  # the protocol passes no other kind
         slack_vm = self._area.slack_vm if self._area.slack_vm is not None else heard.vm if heard else None
         inputs = (known.measurements, dict(known.loads), slack_vm)
         if inputs != self._solved_for:
@@ -55,7 +58,9 @@ class AngleOffset(Strategy):
             header, neighbour.bus, float(estimate.vm[row]), float(estimate.va[row]), estimate.referenced
         )
 
-    def is_news(self, message: BoundaryMessage, last: BoundaryMessage) -> bool:
+    def is_news(self, neighbour: Neighbour, message: BoundaryNews, last: BoundaryNews) -> bool:
+        assert isinstance(message, BoundaryMessage)
+        assert isinstance(last, BoundaryMessage)
         return (
             abs(message.vm - last.vm) > NEWS
             or abs(message.va - last.va) > NEWS

@@ -5,11 +5,12 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
 from agents.area_file import AreaFile
-from agents.messages import BoundaryMessage, Header
+from agents.messages import BoundaryNews, Header
 from dsse_core.boundary_load import NetLoad
 from dsse_core.measurement import Measurement
 from dsse_core.partition import Neighbour
@@ -25,7 +26,7 @@ class Knowledge:
 
     measurements: tuple[Measurement, ...]
     loads: Mapping[str, NetLoad] = field(default_factory=dict)
-    boundary: Mapping[str, BoundaryMessage] = field(default_factory=dict)
+    boundary: Mapping[str, BoundaryNews] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,9 @@ class Estimate:
 
 
 class Strategy(ABC):
-    """One area's side of a boundary-exchange strategy."""
+    """One area's side of a boundary-exchange strategy. ``kind``: that of the messages it sends and takes."""
+
+    kind: ClassVar[str]
 
     @abstractmethod
     def __init__(self, content: AreaFile) -> None: ...
@@ -55,10 +58,19 @@ class Strategy(ABC):
     def solve(self, known: Knowledge) -> tuple[Estimate | None, tuple[str, ...]]:
         """The estimate that ``known`` allows, None if it allows none, and in words what is missing."""
 
+    @property
+    def restless(self) -> bool:
+        """Whether to solve again at once, without waiting for news."""
+        return False
+
+    def find_refusal(self, message: BoundaryNews) -> str:
+        """Why a neighbour's message cannot be used, in short; empty if it can."""
+        return ""
+
     @abstractmethod
-    def message_for(self, neighbour: Neighbour, estimate: Estimate, header: Header) -> BoundaryMessage:
+    def message_for(self, neighbour: Neighbour, estimate: Estimate, header: Header) -> BoundaryNews:
         """What ``neighbour`` is to hear of ``estimate``."""
 
     @abstractmethod
-    def is_news(self, message: BoundaryMessage, last: BoundaryMessage) -> bool:
-        """Whether ``message`` differs from the last one sent enough to be worth sending at once."""
+    def is_news(self, neighbour: Neighbour, message: BoundaryNews, last: BoundaryNews) -> bool:
+        """Whether ``message`` to ``neighbour`` differs from the last one sent enough to be worth sending at once."""

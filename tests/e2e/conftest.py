@@ -6,16 +6,14 @@ import json
 import os
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import psutil
 import pytest
+from waiting import DEADLINE_S, is_gone, wait_until
 
 ROOT = Path(__file__).parents[2]
-DEADLINE_S = 60.0
 COMMAND = [sys.executable, "-P", "-m", "coordinator"]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
 
@@ -47,21 +45,6 @@ class RunUnderWay:
         """Wait for the end: exit code, standard output, standard error."""
         out, err = self.process.communicate(timeout=DEADLINE_S)
         return self.process.returncode, out, err
-
-
-def wait_until(holds: Callable[[], bool], deadline_s: float = DEADLINE_S) -> None:
-    deadline = time.monotonic() + deadline_s
-    while not holds():
-        assert time.monotonic() < deadline, f"did not happen within {deadline_s} s"
-        time.sleep(0.01)
-
-
-def is_gone(pid: int) -> bool:
-    """Whether the process has ended; one that nobody has collected yet counts as gone."""
-    try:
-        return psutil.Process(pid).status() == psutil.STATUS_ZOMBIE
-    except psutil.NoSuchProcess:
-        return True
 
 
 @pytest.fixture

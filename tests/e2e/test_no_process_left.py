@@ -11,13 +11,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from waiting import wait_until
 
 import coordinator
 from agents.inbox import Inbox
 from agents.keys import all_states
 from agents.messages import decode
 from agents.transport import Session
-from conftest import wait_until
 
 ROOT = Path(__file__).parents[2]
 

@@ -77,8 +77,14 @@ class SimulatedBus:
     def send_telemetry(self, name: str) -> None:
         read = [m for m in self.telemetry[name] if m.meter.source is not Source.VIRTUAL]
         header = Header(self.files[name].run, "plant", Incarnation(0, 0), self.scan, self.scan, 1e9 + self.now)
-        ids, values, sigmas = zip(*((m.meter.id, m.value, m.sigma) for m in read), strict=True)
-        self.post(name, Received(TelemetryMessage(header, name, ids, values, sigmas), ""))
+        message = TelemetryMessage(
+            header,
+            name,
+            meters=tuple(m.meter.id for m in read),
+            values=tuple(m.value for m in read),
+            sigmas=tuple(m.sigma for m in read),
+        )
+        self.post(name, Received(message, ""))
 
     def post(self, receiver: str, event: Event, delay_s: float = DELAY_S) -> None:
         heapq.heappush(self._queue, (self.now + delay_s, next(self._order), receiver, event))
