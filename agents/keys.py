@@ -1,7 +1,8 @@
 """Key expressions on the bus, all below ``dsse/v1/<run>/``; every chunk is made of ``[a-z0-9_-]``.
 
 ==============================  ====================================================
-``area/<i>/boundary/<j>``       boundary messages of area i for neighbour j
+``area/<i>/boundary/<j>``       boundary messages of area i for neighbour j, angle-offset
+``area/<i>/information/<j>``    the same of strategy information
 ``area/<i>/load/<j>``           load messages of area i for neighbour j
 ``area/<i>/state``              what area i knows, for whoever watches
 ``telemetry/<i>``               meter readings for area i, from the plant or a gateway

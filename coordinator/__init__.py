@@ -24,6 +24,7 @@ def run(
     *,
     out: str | Path | None = None,
     seed: int | None = None,
+    strategy: str | None = None,
     timeout_s: float | None = None,
     on_update: Callable[[Progress], None] | None = None,
     plots: bool = True,
@@ -33,7 +34,7 @@ def run(
     Args:
         scenario: name of a shipped scenario, path of a scenario file, or a loaded one.
         out: the run folder, new or empty; by default ``runs/<scenario>-<time>``.
-        seed: replaces the scenario's.
+        seed, strategy: replace the scenario's.
         timeout_s: replaces the scenario's time limit, s.
         on_update: called about ten times a second with what the areas are doing.
         plots: draw the PNG files, too.
@@ -49,7 +50,7 @@ def run(
         launcher.preload("coordinator.router_process", "agents.__main__", "coordinator.plant")
         from coordinator.run_scenario import run_scenario
 
-        result = run_scenario(launcher, scenario, started, out, seed, timeout_s, on_update)
+        result = run_scenario(launcher, scenario, started, out, seed, strategy, timeout_s, on_update)
     if plots:
         from coordinator.plots import draw_plots
 

@@ -22,6 +22,7 @@ DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 PROGRESS_LINE_S = 1.0
 
 scenario_argument = click.argument("scenario")
+strategy_option = click.option("--strategy", help="Use this strategy instead of the scenario's.")
 seed_option = click.option("--seed", type=click.IntRange(min=0), help="Use this seed instead of the scenario's.")
 run_id_option = click.option("--run", "run_id", help="Name of the run, a part of every key.  [default: the scenario's]")
 
@@ -58,13 +59,23 @@ def commands() -> None:
 @seed_option
 @click.option("--quiet", is_flag=True, help="Print the verdict only.")
 @click.option("--no-plots", is_flag=True, help="Draw no pictures.")
-def run(scenario: str, out: Path | None, timeout: float | None, seed: int | None, quiet: bool, no_plots: bool) -> int:
+@strategy_option
+def run(
+    scenario: str,
+    out: Path | None,
+    timeout: float | None,
+    seed: int | None,
+    quiet: bool,
+    no_plots: bool,
+    strategy: str | None,
+) -> int:
     """Run SCENARIO, a shipped name or a file: start router, plant and one agent per area, watch, judge.
 
     Exit code 0: the areas agree; 1: they do not; 2: wrong input.
 
     \b
     Examples:  dsse run ieee33
+               dsse run ieee33-lossy --strategy information
                dsse run my/scenario.toml --seed 7 --out results
     """
     import coordinator
@@ -72,7 +83,9 @@ def run(scenario: str, out: Path | None, timeout: float | None, seed: int | None
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, _interrupt)
     with _progress(scenario, quiet) as show:
-        result = coordinator.run(scenario, out=out, seed=seed, timeout_s=timeout, on_update=show, plots=False)
+        result = coordinator.run(
+            scenario, out=out, seed=seed, strategy=strategy, timeout_s=timeout, on_update=show, plots=False
+        )
     from coordinator.report import format_verdict
 
     print(format_verdict(result), flush=True)

@@ -76,11 +76,12 @@ def run_scenario(
     started: float,
     out: str | Path | None = None,
     seed: int | None = None,
+    strategy: str | None = None,
     timeout_s: float | None = None,
     on_update: Callable[[Progress], None] | None = None,
 ) -> RunResult:
     """Run ``scenario`` with the processes of ``launcher``; see ``coordinator.run``. ``started``: monotonic time."""
-    scenario = prepare_scenario(scenario, seed)
+    scenario = prepare_scenario(scenario, seed, strategy)
     if timeout_s is not None:
         if timeout_s <= 0:
             raise InvalidInputError("time limit", [f"is {timeout_s} s; it must be positive"])
@@ -101,8 +102,10 @@ def run_scenario(
             events.write("run ended")
 
 
-def prepare_scenario(scenario: str | Path | Scenario, seed: int | None = None) -> Scenario:
-    """Load a scenario by name or path, replace its seed, and check that it can be estimated.
+def prepare_scenario(
+    scenario: str | Path | Scenario, seed: int | None = None, strategy: str | None = None
+) -> Scenario:
+    """Load a scenario by name or path, replace its seed and strategy, and check that it can be estimated.
 
     Raises:
         InvalidInputError: every problem found.
@@ -111,6 +114,11 @@ def prepare_scenario(scenario: str | Path | Scenario, seed: int | None = None) -
         scenario = load_scenario(scenario, strategies=tuple(STRATEGIES))
     if seed is not None:
         scenario = replace(scenario, seed=seed)
+    if strategy is not None:
+        if strategy not in STRATEGIES:
+            problem = f"strategy: unknown strategy {strategy!r}; allowed: {', '.join(STRATEGIES)}"
+            raise InvalidInputError(f"scenario {scenario.name!r}", [problem])
+        scenario = replace(scenario, strategy=strategy)
     check_scenario(scenario)
     return scenario
 

@@ -86,6 +86,17 @@ def test_another_seed_means_other_telemetry(tmp_path: Path):
     assert one.verdict.gap_vm_pu != other.verdict.gap_vm_pu
 
 
+@pytest.mark.parametrize("name", ["industrial13", "ieee33", "industrial13-lossy", "ieee33-lossy", "ieee33-load-error"])
+def test_the_information_strategy_gives_the_centralised_estimate(name: str, tmp_path: Path):
+    """In exact arithmetic the fixed point is the centralised estimate; what is left is the tolerances' and rounding."""
+    result = coordinator.run(name, out=tmp_path / "out", strategy="information", plots=False)
+    assert result.verdict.consensus, result.verdict.reason
+    assert result.verdict.gap_vm_pu is not None
+    assert result.verdict.gap_vm_pu <= 1e-8
+    assert result.verdict.gap_va_deg is not None
+    assert result.verdict.gap_va_deg <= np.degrees(1e-8)
+
+
 # Thesis modes: no noise, each area measures its own power flow, which differs from the whole grid's by the losses
 # that the load messages neglect. Tolerances and offsets are those of the issue.
 THESIS = {
