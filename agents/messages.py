@@ -70,7 +70,7 @@ class LoadMessage:
 
     @property
     def load(self) -> NetLoad:
-        return NetLoad(complex(self.p, self.q), self.sigma**2)
+        return NetLoad(complex(self.p, self.q), self.sigma * self.sigma)
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,6 +122,7 @@ class StateMessage:
 
     ``buses``, ``vm``, ``va``, ``sigma_vm``, ``sigma_va``: the estimate (empty before the first), p.u. and rad.
     ``referenced``: angles count from the substation. ``removed``: meters taken out as bad data.
+    ``critical``: meters that cannot be spared, whatever they read.
     ``sent``, ``heard``: per neighbour the last sequence numbers of (load, boundary) messages.
     ``messages``, ``bytes``, ``lost``: totals handed to the bus, ``lost`` of them dropped by the link;
     ``refused``: received payloads by reason of refusal. ``notes``: in words, what is missing.
@@ -138,6 +139,7 @@ class StateMessage:
     objective: float
     degrees_of_freedom: Integer
     removed: tuple[str, ...]
+    critical: tuple[str, ...]
     sent: dict[str, tuple[int, int]]
     heard: dict[str, tuple[int, int]]
     messages: int

@@ -12,6 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
+import numpy as np
+
 from agents.area_file import AreaFile
 from agents.messages import (
     BoundaryMessage,
@@ -135,7 +137,7 @@ class AreaProtocol:
             actions += self._show_state(None, ["no telemetry yet"])
         elif events or self._strategy.restless:
             actions += self._tell_loads()
-            estimate, notes = self._strategy.solve(self._knowledge())
+            estimate, notes = self._solve()
             if estimate is not None and not self._strategy.restless and estimate is not self._told:
                 self._told = estimate
                 actions += self._tell_boundaries(estimate)
@@ -195,6 +197,13 @@ class AreaProtocol:
 
     # What goes out
 
+    def _solve(self) -> tuple[Estimate | None, tuple[str, ...]]:
+        """The strategy's estimate; numbers beyond all reason, a neighbour's perhaps, leave none and no crash."""
+        try:
+            return self._strategy.solve(self._knowledge())
+        except (ArithmeticError, np.linalg.LinAlgError, ValueError) as error:
+            return None, (f"no estimate: {type(error).__name__}: {error}",)
+
     def _knowledge(self) -> Knowledge:
         return Knowledge(
             measurements=self._measurements,
@@ -245,6 +254,7 @@ class AreaProtocol:
             objective=0.0 if estimate is None else estimate.objective,
             degrees_of_freedom=0 if estimate is None else estimate.degrees_of_freedom,
             removed=() if estimate is None else estimate.removed,
+            critical=() if estimate is None else estimate.critical,
             sent={n.area: self._sequences(n, self._sent_load, self._sent_boundary) for n in self._area.neighbours},
             heard={n.area: self._sequences(n, self._loads, self._boundary) for n in self._area.neighbours},
             messages=0,

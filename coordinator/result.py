@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from coordinator.comparison import Comparison, Gap
+from coordinator.comparison import Comparison
 from coordinator.observer import Observer, Sample, count_exchanges
 from dsse_core.bad_data import BadDataReport
 from scenarios.scenario import Scenario
@@ -60,6 +60,7 @@ class AreaResult:
     objective: float | None
     degrees_of_freedom: int | None
     removed: tuple[str, ...]
+    critical: tuple[str, ...]
     notes: tuple[str, ...]
 
     @property
@@ -70,7 +71,10 @@ class AreaResult:
 
 @dataclass(frozen=True)
 class RunResult:
-    """Everything about one run. ``timing_s``: moments in seconds since the call."""
+    """Everything about one run. ``timing_s``: moments in seconds since the call.
+
+    ``centralised`` is None where that estimate failed; ``centralised_failure`` says why.
+    """
 
     scenario: Scenario
     run: str
@@ -78,7 +82,8 @@ class RunResult:
     verdict: Verdict
     areas: tuple[AreaResult, ...]
     comparison: Comparison
-    centralised: BadDataReport
+    centralised: BadDataReport | None
+    centralised_failure: str | None
     history: tuple[Sample, ...]
     timing_s: Mapping[str, float]
 
@@ -126,6 +131,7 @@ def _make_area_result(name: str, observer: Observer, comparison: Comparison) -> 
         objective=state.objective if state and estimated else None,
         degrees_of_freedom=state.degrees_of_freedom if state and estimated else None,
         removed=state.removed if state else (),
+        critical=state.critical if state else (),
         notes=state.notes if state else ("never heard of",),
     )
 
@@ -158,7 +164,7 @@ def as_json(result: RunResult) -> dict[str, Any]:
         "run": result.run,
         "verdict": asdict(result.verdict),
         "areas": {area.name: _area_json(area) for area in result.areas},
-        "centralised": _centralised_json(result.centralised, result.comparison.centralised_error),
+        "centralised": _centralised_json(result),
         "timing_s": dict(result.timing_s),
         "versions": {"python": platform.python_version()} | {name: _version_of(name) for name in DISTRIBUTIONS},
     }
@@ -170,8 +176,12 @@ def _area_json(area: AreaResult) -> dict[str, Any]:
     return fields | {"degraded": area.degraded}
 
 
-def _centralised_json(report: BadDataReport, error: Gap) -> dict[str, Any]:
+def _centralised_json(result: RunResult) -> dict[str, Any]:
+    report, error = result.centralised, result.comparison.centralised_error
+    if report is None:
+        return {"failure": result.centralised_failure}
     return {
+        "failure": None,
         "error_vm_pu": error.vm_pu,
         "error_va_deg": error.va_deg,
         "objective": report.objective,

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from dsse_core.errors import EstimationDivergedError, InvalidInputError, NotObservableError
 from dsse_core.estimation import EstimationResult, estimate_state
-from dsse_core.measurement import Measurement, Source
+from dsse_core.measurement import Measurement, MeasurementKind, Source
 from dsse_core.network import Network
+from dsse_core.observability import find_indispensable
 
-CRITICAL_REDUNDANCY = 1e-8  # Omega_ii / R_ii below which a residual says nothing about its measurement
+# Omega_ii / R_ii below which a residual says nothing about its measurement: what meters 1e6 times coarser leave.
+CRITICAL_REDUNDANCY = 1e-12
+DEAD_VM = 0.5  # p.u.; no grid works below it, and weighted squares find states that almost would
 TIE = 1e-6  # relative difference of normalised residuals that are equal in exact arithmetic
 
 
@@ -26,7 +30,11 @@ class RemovedMeasurement:
 
 @dataclass(frozen=True)
 class BadDataReport:
-    """The clean estimate and how it was reached. ``detected``: the chi-square limit is still exceeded."""
+    """The clean estimate and how it was reached.
+
+    ``critical``: ids of the meters that cannot be spared, whatever they read. ``detected``: the chi-square limit
+    is still exceeded.
+    """
 
     result: EstimationResult
     removed: tuple[RemovedMeasurement, ...]
@@ -45,16 +53,22 @@ def chi_square_limit(degrees_of_freedom: int, confidence: float) -> float:
 
 
 def find_critical(result: EstimationResult) -> tuple[str, ...]:
-    """Ids of the measurements without redundancy: their residual is zero whatever they read."""
+    """Ids of the measurements without redundancy, in the order of ``result``.
+
+    Their residual is zero whatever they read; or it is not, because losses or current magnitudes check them a
+    little, but without them the state is not observable.
+    """
+    indispensable = find_indispensable(result.network, [m.meter for m in result.measurements], result.reference)
     return tuple(
         m.meter.id
         for m, variance in zip(result.measurements, result.residual_variance, strict=True)
-        if m.meter.source is not Source.VIRTUAL and variance <= CRITICAL_REDUNDANCY * m.sigma**2
+        if m.meter.source is not Source.VIRTUAL
+        and (variance <= CRITICAL_REDUNDANCY * m.sigma**2 or m.meter.id in indispensable)
     )
 
 
 def normalized_residuals(result: EstimationResult) -> np.ndarray:
-    """|r_i| / sqrt(Omega_ii) (eq. 3.23), shape (n_meas,); 0 for virtual and critical measurements."""
+    """|r_i| / sqrt(Omega_ii) (eq. 3.23), shape (n_meas,); 0 for virtual measurements and where Omega_ii is 0."""
     sigma = np.array([m.sigma for m in result.measurements])
     telling = result.residual_variance > CRITICAL_REDUNDANCY * sigma**2
     telling &= np.array([m.meter.source is not Source.VIRTUAL for m in result.measurements], dtype=bool)
@@ -73,42 +87,85 @@ def process_bad_data(
 ) -> BadDataReport:
     """Estimate; while J exceeds the chi-square limit, remove the largest normalised residual and repeat.
 
+    Voltmeters that read less than DEAD_VM are judged first, by the estimate without them.
     Stops when the test passes or when no normalised residual exceeds ``threshold``. Equal residuals are
-    broken by meter id; the others of the tie are reported as indistinguishable.
+    broken by meter id; the others of the tie are reported as indistinguishable. A measurement without which
+    the state is not observable is critical: it stays, and the next largest residual is looked at. If without
+    a measurement the estimation diverges, the last good estimate stands, and ``detected`` with it.
 
     Raises:
-        As ``estimate_state``.
+        As ``estimate_state``, about all ``measurements``.
     """
-    remaining = list(measurements)
-    removed: list[RemovedMeasurement] = []
-    while True:
-        result = estimate_state(network, remaining, reference=reference, start=start, tolerance=tolerance)
-        limit = chi_square_limit(result.degrees_of_freedom, confidence)
-        detected = result.objective >= limit
-        worst = _find_worst(result, threshold) if detected else None
-        if worst is None:
-            return BadDataReport(
-                result=result,
-                removed=tuple(removed),
-                critical=find_critical(result),
-                detected=detected,
-                objective=result.objective,
-                chi_square_limit=limit,
-                degrees_of_freedom=result.degrees_of_freedom,
-            )
-        removed.append(worst)
-        remaining.remove(worst.measurement)
+
+    def estimate(chosen: Sequence[Measurement]) -> EstimationResult:
+        return estimate_state(network, chosen, reference=reference, start=start, tolerance=tolerance)
+
+    removed = _find_dead_voltmeters(measurements, estimate, threshold)
+    dead = [r.measurement for r in removed]
+    result = estimate([m for m in measurements if m not in dead])
+    kept: set[str] = set()  # critical, found out by trying
+    while _exceeds_limit(result, confidence) and (worst := _find_worst(result, threshold, kept)):
+        try:
+            result = estimate([m for m in result.measurements if m is not worst.measurement])
+            removed.append(worst)
+        except NotObservableError:
+            kept.add(worst.measurement.meter.id)
+        except EstimationDivergedError:
+            break
+    critical = kept.union(find_critical(result))
+    return BadDataReport(
+        result=result,
+        removed=tuple(removed),
+        critical=tuple(m.meter.id for m in result.measurements if m.meter.id in critical),
+        detected=_exceeds_limit(result, confidence),
+        objective=result.objective,
+        chi_square_limit=chi_square_limit(result.degrees_of_freedom, confidence),
+        degrees_of_freedom=result.degrees_of_freedom,
+    )
 
 
-def _find_worst(result: EstimationResult, threshold: float) -> RemovedMeasurement | None:
+def _find_dead_voltmeters(
+    measurements: Sequence[Measurement], estimate: Callable[[Sequence[Measurement]], EstimationResult], threshold: float
+) -> list[RemovedMeasurement]:
+    """Voltmeters below DEAD_VM that the estimate without them contradicts; none where there is no such estimate.
+
+    (z - vm) / sqrt(sigma^2 + sigma_vm^2) is the normalised residual of the meter in the linear model, but taken
+    at a state that the reading has not moved.
+    """
+    suspects = [m for m in measurements if m.meter.kind is MeasurementKind.VM and m.value < DEAD_VM]
+    if not suspects:
+        return []
+    try:
+        result = estimate([m for m in measurements if m not in suspects])
+    except (InvalidInputError, NotObservableError, EstimationDivergedError):
+        return []  # the estimate with all of them says what is wrong
+    sigma_vm, _ = result.state_sigma()
+    dead = []
+    for m in suspects:
+        row = result.network.row[m.meter.bus]
+        normalized = float(abs(m.value - result.vm[row]) / np.hypot(m.sigma, sigma_vm[row]))
+        if normalized > threshold:
+            dead.append(RemovedMeasurement(m, normalized, ()))
+    return dead
+
+
+def _exceeds_limit(result: EstimationResult, confidence: float) -> bool:
+    return result.objective >= chi_square_limit(result.degrees_of_freedom, confidence)
+
+
+def _find_worst(result: EstimationResult, threshold: float, kept: Collection[str]) -> RemovedMeasurement | None:
+    """The largest normalised residual above ``threshold`` but for the meters ``kept``, with those that equal it."""
     normalized = normalized_residuals(result)
-    largest = normalized.max(initial=0.0)
-    if largest <= threshold:
+    ids = [m.meter.id for m in result.measurements]
+    candidates = [k for k in np.flatnonzero(normalized > threshold) if ids[k] not in kept]
+    largest = max((normalized[k] for k in candidates), default=0.0)
+    tied = sorted((k for k in candidates if normalized[k] >= largest * (1 - TIE)), key=lambda k: ids[k])
+    if not tied:
         return None
-    tied = sorted(np.flatnonzero(normalized >= largest * (1 - TIE)), key=lambda k: result.measurements[k].meter.id)
-    first, *others = tied
+    first = tied[0]
+    equal = np.flatnonzero(abs(normalized - largest) <= TIE * largest)
     return RemovedMeasurement(
         measurement=result.measurements[first],
         normalized_residual=float(normalized[first]),
-        indistinguishable_from=tuple(result.measurements[k].meter.id for k in others),
+        indistinguishable_from=tuple(sorted(ids[k] for k in equal if k != first)),
     )

@@ -2,7 +2,8 @@
 
 The load at a boundary bus is loads minus generation of everything beyond it (thesis eqs. 5.1, 5.2, 5.6,
 5.7); losses beyond are neglected. It is summed hop by hop along the tree of areas: area i tells neighbour j
-the net load of all buses on its side. A boundary bus itself counts on the side of its owner.
+the net load of all buses on its side. A boundary bus itself counts on the side of its owner. Shunts and line
+charging count as loads at 1 p.u. voltage; what they take more or less at another voltage is neglected.
 """
 
 from __future__ import annotations
@@ -40,10 +41,20 @@ def measured_net_loads(area: Area, measurements: Sequence[Measurement]) -> dict[
 
 
 def own_net_load(area: Area, measured: Mapping[int, NetLoad] | None = None) -> NetLoad:
-    """The net load of the buses that ``area`` owns: the schedule, or what is ``measured`` where it is (by bus)."""
+    """The net load of the buses that ``area`` owns: the schedule, or what is ``measured`` where it is (by bus).
+
+    Shunts, which no injection meter sees, and the charging of the area's branches are added.
+    """
     not_owned = area.parent.bus if area.parent else None
     scheduled = {bus.id: NetLoad(-area.network.scheduled_injection(bus.id)) for bus in area.network.buses}
-    return add_loads(load for bus, load in (scheduled | dict(measured or {})).items() if bus != not_owned)
+    owned = [load for bus, load in (scheduled | dict(measured or {})).items() if bus != not_owned]
+    return add_loads([*owned, NetLoad(_shunt_load(area))])
+
+
+def _shunt_load(area: Area) -> complex:
+    """What bus shunts and line charging consume at 1 p.u.; a bus that is not owned is bare in ``area.network``."""
+    shunts = sum((complex(bus.g_shunt, -bus.b_shunt) for bus in area.network.buses), complex(0.0))
+    return shunts - 1j * sum(branch.b for branch in area.network.active_branches)
 
 
 def load_message_for(neighbour: str, own: NetLoad, heard: Mapping[str, NetLoad]) -> NetLoad:

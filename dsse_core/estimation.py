@@ -21,6 +21,9 @@ from dsse_core.observability import check_observable, find_reference
 # do that are as uncertain as they are large, and half steps settle it.
 FULL_STEPS = 10
 LARGEST_STEP = 1e6  # p.u. or rad; beyond it the iteration has left every state of interest
+# A longer step is shortened: a dead voltmeter must not throw all voltages to zero, where nothing converges.
+MAX_DVM = 0.2  # p.u.
+MAX_DVA = 1.0  # rad
 
 
 @dataclass(frozen=True)
@@ -28,11 +31,13 @@ class EstimationResult:
     """The estimate. ``vm`` p.u., ``va`` rad: shape (n_bus,), network order; ``residual`` z - h(x): (n_meas,).
 
     ``objective`` is J(x) (eq. 3.9), which under the model's assumptions is chi-square distributed with
-    ``degrees_of_freedom`` = measurements + constraints - state variables.
+    ``degrees_of_freedom`` = measurements + constraints - state variables. ``reference``: the bus whose angle
+    is given.
     """
 
     network: Network
     measurements: tuple[Measurement, ...]
+    reference: int
     vm: np.ndarray
     va: np.ndarray
     residual: np.ndarray
@@ -78,7 +83,8 @@ def estimate_state(
     """Find the state that minimises J(x) = (z - h(x))' W (z - h(x)), W = diag(1 / sigma^2) (eqs. 3.8-3.14).
 
     Virtual measurements hold exactly. Gauss-Newton from the flat start, or from ``start`` = (vm, va), until
-    max |dx| < ``tolerance``. Current magnitudes enter after the first step off the flat start.
+    max |dx| < ``tolerance``; no step moves a voltage by more than MAX_DVM and MAX_DVA. Current magnitudes enter
+    after the first step off the flat start.
 
     Args:
         reference: bus whose angle is given: that of ``start``, else the set-point of the slack bus, 0 elsewhere.
@@ -112,7 +118,7 @@ def estimate_state(
         if not step <= LARGEST_STEP:
             raise EstimationDivergedError(iteration, step, _name_worst(measurements, r, sigma))
         x = x.copy()
-        x[free] += dx if iteration <= FULL_STEPS or step < tolerance else dx / 2
+        x[free] += dx * _step_length(dx, len(vm) - 1, halved=iteration > FULL_STEPS and step >= tolerance)
         if step < tolerance and (off_flat_start or not is_current.any()):
             break
     else:
@@ -122,6 +128,7 @@ def estimate_state(
     return EstimationResult(
         network=network,
         measurements=measurements,
+        reference=reference,
         vm=vm,
         va=va,
         residual=r,
@@ -132,6 +139,12 @@ def estimate_state(
         jacobian=H,
         factor=AugmentedFactor(H, sigma),
     )
+
+
+def _step_length(dx: np.ndarray, n_angles: int, *, halved: bool) -> float:
+    """The part of the step [dva; dvm] to take: the whole, or half, and no more than MAX_DVA and MAX_DVM allow."""
+    dva, dvm = (float(abs(part).max(initial=0.0)) for part in (dx[:n_angles], dx[n_angles:]))
+    return 1.0 / max(2.0 if halved else 1.0, dva / MAX_DVA, dvm / MAX_DVM)
 
 
 def _flat_start(network: Network, reference: int) -> tuple[np.ndarray, np.ndarray]:

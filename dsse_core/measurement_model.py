@@ -19,6 +19,7 @@ from dsse_core.measurement import MeasurementKind, Meter
 from dsse_core.network import Network
 
 CURRENT_FLOOR = 1e-9  # p.u.; below it the derivative of |i| is undefined and taken as 0
+VOLTAGE_FLOOR = 1e-9  # p.u.; the same for |u| and arg u
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,7 @@ class MeasurementModel:
         ``d arg u = Im(conj(u) du) / |u|^2``.
         """
         u, i, v, phase = self._phasors(x)
+        vm = np.maximum(abs(u), VOLTAGE_FLOOR)
         row, column = self.meter_row, self.y.indices
         data = []
         for dv in (1j * v, phase):
@@ -58,11 +60,11 @@ class MeasurementModel:
             di = self.y.data * dv[column]
             ds = i.conj()[row] * du + u[row] * di.conj()
             d_current = np.where(abs(i) > CURRENT_FLOOR, i.conj() / np.maximum(abs(i), CURRENT_FLOOR), 0.0)[row] * di
-            d_voltage = u.conj()[row] * du / abs(u)[row]
+            d_voltage = u.conj()[row] * du / vm[row]
             data.append(
                 np.select(
                     list(self._chosen[:, row]),
-                    [ds.real, ds.imag, d_current.real, d_voltage.real, d_voltage.imag / abs(u)[row]],
+                    [ds.real, ds.imag, d_current.real, d_voltage.real, d_voltage.imag / vm[row]],
                 )
             )
         n_bus = self.y.shape[1]

@@ -2,7 +2,8 @@
 
 Decided by numerical rank, never by counting: null vectors of the Jacobian at the no-load state (weights,
 loading, charging and shunts play no part) are found by block inverse iteration on one sparse
-factorisation. Current magnitudes do not count: their derivative does not exist without load.
+factorisation. Current magnitudes do not count: their derivative does not exist without load. The same
+factorisation tells which meters cannot be spared.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
 from dsse_core.admittance import build_admittance, flat_start
-from dsse_core.augmented import build_tableau, reciprocal_row_lengths, scale_rows
+from dsse_core.augmented import AugmentedFactor, build_tableau, reciprocal_row_lengths, scale_rows
 from dsse_core.errors import InvalidInputError, NotObservableError
 from dsse_core.measurement import MeasurementKind, Meter, find_meter_problems
 from dsse_core.measurement_model import build_measurement_model
@@ -28,6 +29,9 @@ SHIFT = 1e-20  # keeps the factorisation from being exactly singular
 WIDTH = 4  # null vectors sought: one meter cures at most 2, and 4 random ones touch every undetermined variable
 TOUCHED = 1e-6  # entry of a null vector from which on a variable counts as undetermined
 MAX_CURES = 4
+# Residual of random readings of size 1. A voltmeter that only the sum of 5,000 injections checks keeps 1e-6,
+# an indispensable meter 1e-14.
+NO_RESIDUAL = 1e-10
 
 _QUANTITY = {
     MeasurementKind.VM: "voltage magnitude",
@@ -71,6 +75,21 @@ def find_reference(network: Network, reference: int | None) -> int:
     if reference not in network.row:
         raise InvalidInputError(f"network {network.name!r}", [f"the reference, bus {reference}, is not in it"])
     return reference
+
+
+def find_indispensable(network: Network, meters: Sequence[Meter], reference: int) -> set[str]:
+    """Ids of the meters, virtual ones included, without any one of which ``meters`` no longer determine the state.
+
+    Decided at no load and without current magnitudes, as ``check_observable`` does: losses and currents may
+    check such a meter a little, but could not replace it. Fitted to random readings, an indispensable meter has
+    no residual. ``meters`` must determine the state.
+    """
+    meters = [meter for meter in meters if meter.kind is not MeasurementKind.CURRENT]
+    free = np.delete(np.arange(2 * len(network.buses)), network.row[reference])
+    A = _scaled_jacobian(network, meters, reference)[:, free]
+    readings = np.random.default_rng(0).standard_normal((len(meters), WIDTH))
+    residual, _ = AugmentedFactor(A, np.ones(len(meters))).solve(readings, np.zeros((len(free), WIDTH)))
+    return {meters[row].id for row in np.flatnonzero(abs(residual).max(axis=1) < NO_RESIDUAL)}
 
 
 def find_null_vectors(network: Network, meters: Sequence[Meter], reference: int) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from dsse_core.errors import InvalidInputError, NotObservableError
 from dsse_core.measurement import MeasurementKind, Meter, Source
@@ -17,15 +17,19 @@ def check_scenario(scenario: Scenario) -> None:
     """Check that all meters together observe the grid and, under ``angle-offset``, each area's own meters its part.
 
     Raises:
-        InvalidInputError: naming every area and bus that is not observable, with a meter that would cure it, and
-            every local slack voltage that is missing.
+        InvalidInputError: naming every area and bus that is not observable, with a meter that would cure it,
+            every local slack voltage that is missing, angle meters in areas that do not share an angle and, under
+            ``angle-offset``, a substation whose production nobody knows.
     """
     problems = find_missing_local_slacks(scenario)
+    problems += _find_angle_problems(scenario)
     problems += _find_gaps("whole grid", scenario.network, scenario.meters, None)
     if scenario.strategy == "angle-offset":
+        problems += _find_substation_problems(scenario)
         for area in scenario.partition.areas:
             own = [m for m in scenario.meters if scenario.partition.area_of_meter(m) == area.name]
-            problems += _find_gaps(f"area {area.name}", area.network, meters_in_area(area, own), area.slack_bus)
+            reference = scenario.network.slack.bus if area.is_reference and scenario.network.slack else area.slack_bus
+            problems += _find_gaps(f"area {area.name}", area.network, meters_in_area(area, own), reference)
     if problems:
         raise InvalidInputError(f"scenario {scenario.name!r}", problems)
 
@@ -34,15 +38,42 @@ def meters_in_area(area: Area, own: Sequence[Meter]) -> list[Meter]:
     """What the local estimator of ``area`` works with under ``angle-offset``, its ``own`` meters given.
 
     At boundary buses the load messages, P and Q pseudo-measurements, stand in for injection meters; an area without
-    voltage meter gets its local slack voltage as a pseudo-measurement.
+    voltage meter gets its local slack voltage as a pseudo-measurement. Only the substation's area uses angle meters.
     """
     kind = MeasurementKind
     boundary = area.boundary_buses
     meters = [m for m in own if not (m.kind.of_injection and m.bus in boundary)]
+    if not area.is_reference:
+        meters = [m for m in meters if m.kind is not kind.VA]
     meters += [Meter(k, bus, source=Source.PSEUDO) for bus in boundary for k in (kind.P_INJECTION, kind.Q_INJECTION)]
     if not any(m.kind is kind.VM for m in meters):
         meters.append(Meter(kind.VM, area.slack_bus, source=Source.PSEUDO))
     return meters
+
+
+def _find_angle_problems(scenario: Scenario) -> Iterator[str]:
+    """Angle meters count from the substation; readings of an area's own power flow would count from its local slack."""
+    buses = [str(m.bus) for m in scenario.meters if m.kind is MeasurementKind.VA]
+    if buses and scenario.telemetry.source == "area-power-flow":
+        yield (
+            f"measurements.angle: bus {', '.join(buses)} has an angle meter, but with telemetry.source "
+            "'area-power-flow' the areas have no common angle to read; remove measurements.angle or use the "
+            "source 'network'"
+        )
+
+
+def _find_substation_problems(scenario: Scenario) -> Iterator[str]:
+    """What the substation produces is an outcome, not a schedule: load messages need it from its meters."""
+    slack = scenario.network.slack
+    if slack is None or scenario.generation != "telemetered" or len(scenario.partition.areas) == 1:
+        return
+    metered = {m.kind for m in scenario.meters if m.bus == slack.bus and m.source is Source.TELEMETERED}
+    if not {MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION} <= metered:
+        yield (
+            f"load_messages.generation is 'telemetered', but the substation, bus {slack.bus}, has no meters of P and Q "
+            f"injection; add bus {slack.bus} to measurements.injection.buses, or set generation = 'scheduled' and "
+            "give the substation's p_mw and q_mvar in the network file"
+        )
 
 
 def _find_gaps(place: str, network: Network, meters: Sequence[Meter], reference: int | None) -> list[str]:

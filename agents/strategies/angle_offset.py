@@ -72,6 +72,7 @@ class AngleOffset(Strategy):
         loads = boundary_loads(self._area, known.loads, self._content.load_error)
         silent = [n.area for n in self._area.neighbours if n.area not in known.loads]
         notes = [f"no load message from {name} yet" for name in silent]
+        reference, angle = self._reference()
         start = None
         if slack_vm is None:
             notes.append(f"no voltage from {self._area.parent.area} yet" if self._area.parent else "no slack voltage")
@@ -82,7 +83,7 @@ class AngleOffset(Strategy):
                     slack=(self._area.slack_bus, slack_vm),
                     extra_load={bus: load.s for bus, load in loads.items()},
                 )
-                start = (flow.vm, flow.va)
+                start = (flow.vm, flow.va + angle - flow.va[self._area.network.row[reference]])
             except DsseError as error:
                 notes.append(f"local power flow: {error}")
         measurements = self._local_measurements(known, loads, slack_vm)
@@ -90,7 +91,7 @@ class AngleOffset(Strategy):
             report = process_bad_data(
                 self._area.network,
                 measurements,
-                reference=self._area.slack_bus,
+                reference=reference,
                 start=start,
                 tolerance=self._content.tolerance,
             )
@@ -102,12 +103,22 @@ class AngleOffset(Strategy):
             )
         return _as_estimate(report), tuple(notes)
 
+    def _reference(self) -> tuple[int, float]:
+        """Bus and angle that local angles count from: the substation's, elsewhere 0 at the local slack bus."""
+        slack = self._area.network.slack
+        return (slack.bus, slack.va) if slack else (self._area.slack_bus, 0.0)
+
     def _local_measurements(
         self, known: Knowledge, loads: dict[int, NetLoad], slack_vm: float | None
     ) -> list[Measurement]:
-        """Own telemetry; at boundary buses the injection is what the network beyond takes, a pseudo-measurement."""
+        """Own telemetry; at boundary buses the injection is what the network beyond takes, a pseudo-measurement.
+
+        Angle meters count from the substation: only its own area, whose angles do so from the start, can use them.
+        """
         boundary = set(self._area.boundary_buses)
         chosen = [m for m in known.measurements if not (m.meter.kind.of_injection and m.meter.bus in boundary)]
+        if not self._area.is_reference:
+            chosen = [m for m in chosen if m.meter.kind is not MeasurementKind.VA]
         telemetered = self._content.generation == "telemetered"
         own = measured_net_loads(self._area, known.measurements) if telemetered else {}
         for bus, beyond in loads.items():
@@ -125,14 +136,12 @@ class AngleOffset(Strategy):
 
     def _shift(self, local: Estimate, heard: BoundaryMessage | None) -> tuple[Estimate, tuple[str, ...]]:
         """Step (d): add the difference of boundary angles to all angles; the substation's area is the reference."""
-        network, parent = self._area.network, self._area.parent
+        parent = self._area.parent
         if parent is None:
-            assert network.slack is not None
-            offset = network.slack.va - local.va[network.row[network.slack.bus]]
-            return replace(local, va=local.va + offset, referenced=True), self._notes
+            return replace(local, referenced=True), self._notes
         if heard is None or not heard.referenced:
             return local, (*self._notes, f"angles are relative: no angle from {parent.area} yet")
-        offset = heard.va - local.va[network.row[parent.bus]]
+        offset = heard.va - local.va[self._area.network.row[parent.bus]]
         return replace(local, va=local.va + offset, referenced=True), self._notes
 
 
@@ -148,4 +157,5 @@ def _as_estimate(report: BadDataReport) -> Estimate:
         objective=report.objective,
         degrees_of_freedom=report.degrees_of_freedom,
         removed=tuple(removed.measurement.meter.id for removed in report.removed),
+        critical=report.critical,
     )

@@ -34,6 +34,7 @@ class Estimate:
     """An area's state as published: arrays of shape (n_bus,) in the order of the area's buses, p.u. and rad.
 
     ``referenced``: ``va`` counts from the substation. ``removed``: meters taken out as bad data.
+    ``critical``: meters that cannot be spared, whatever they read.
     """
 
     vm: np.ndarray
@@ -44,6 +45,7 @@ class Estimate:
     objective: float
     degrees_of_freedom: int
     removed: tuple[str, ...]
+    critical: tuple[str, ...] = ()
 
 
 class Strategy(ABC):

@@ -1,13 +1,20 @@
 """The thesis's algorithm on trees of areas that the thesis does not have, and on its own."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from simulated_bus import SimulatedBus, area_files_of, bus_of
 
+from agents.messages import LoadMessage
+from agents.strategies import angle_offset
 from dsse_core.bad_data import process_bad_data
+from dsse_core.boundary_load import boundary_loads
+from dsse_core.measurement import MeasurementKind, Meter, Source
+from dsse_core.network import Control
 from dsse_core.partition import build_partition
+from dsse_core.power_flow import solve_power_flow
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 
@@ -120,3 +127,115 @@ def test_a_bad_meter_is_removed_by_the_area_that_owns_it():
     bus, _ = settle(scenario)
     assert bus.states["area3"].removed == ("p_flow@28:28-29",)
     assert "p_flow@28:28-29" not in bus.states["area1"].removed + bus.states["area2"].removed
+
+
+def with_angle_meters(scenario, buses):
+    kind = MeasurementKind.VA
+    rule = replace(scenario.sigma_rule, absolute={**scenario.sigma_rule.absolute, kind: math.radians(0.05)})
+    return replace(scenario, meters=(*scenario.meters, *(Meter(kind, bus) for bus in buses)), sigma_rule=rule)
+
+
+def with_sources(scenario, change):
+    """The scenario with every generator changed, divided as before."""
+    network = replace(scenario.network, generators=tuple(change(g) for g in scenario.network.generators))
+    areas = {area.name: [bus.id for bus in area.network.buses] for area in scenario.partition.areas}
+    return replace(scenario, network=network, partition=build_partition(network, areas))
+
+
+@pytest.mark.parametrize("slack_deg", [0.0, 30.0])
+def test_angle_meters_count_from_the_substation_in_every_area(slack_deg):
+    """Only the substation's own area can use them; the others must neither fail on them nor throw them out."""
+    scenario = with_angle_meters(load_scenario("ieee33"), [1, 2, 5, 16, 17, 18, 30])
+    scenario = with_sources(
+        scenario, lambda g: replace(g, va=math.radians(slack_deg)) if g.control is Control.SLACK else g
+    )
+    scenario = replace(scenario, telemetry=replace(scenario.telemetry, noise=False))
+    bus, telemetry = settle(scenario)
+    for area in scenario.partition.areas:
+        state = bus.states[area.name]
+        rows = [scenario.network.row[b] for b in state.buses]
+        assert state.referenced
+        assert not [meter for meter in state.removed if meter.startswith("va@")]
+        # exact readings; what remains are the losses that load messages neglect
+        np.testing.assert_allclose(state.va, telemetry.truth.va[rows], atol=math.radians(0.1))
+    area1 = bus.states["area1"]
+    assert area1.va[area1.buses.index(1)] == pytest.approx(math.radians(slack_deg), abs=1e-12)
+
+
+def test_angle_meters_sharpen_the_angles_of_the_substations_area():
+    scenario = load_scenario("ieee33")
+    plain, _ = settle(scenario)
+    sharp, _ = settle(with_angle_meters(scenario, [3, 4, 5]))
+    at = plain.states["area1"].buses.index(5)
+    assert sharp.states["area1"].sigma_va[at] < plain.states["area1"].sigma_va[at]
+
+
+def test_a_wrong_schedule_does_not_matter_where_generation_is_telemetered():
+    """Load messages, and the injection at a boundary bus with a generator (16), take the reading of the source."""
+    scenario = load_scenario("ieee33")
+    partition = build_partition(
+        scenario.network, {"a": [b for b in range(1, 34) if b not in (17, 18)], "b": [16, 17, 18]}
+    )
+    links = {(a.name, n.area): 0.0 for a in partition.areas for n in a.neighbours}
+    scenario = replace(scenario, partition=partition, load_error={"a": 0j, "b": 0j}, loss=links)
+    assert {1, 16} <= {g.bus for g in scenario.network.generators if g.control is not Control.POWER}
+
+    def forget(g):
+        """A schedule that is far off where it does not move the truth: P and Q of the slack, Q where V is held."""
+        return replace(g, q=g.q + 0.5, p=g.p + (0.5 if g.control is Control.SLACK else 0.0))
+
+    right, _ = settle(scenario, generation="telemetered")
+    wrong, _ = settle(with_sources(scenario, forget), generation="telemetered")
+    for area, state in right.states.items():
+        assert wrong.states[area].removed == state.removed
+        np.testing.assert_allclose(wrong.states[area].vm, state.vm, atol=1e-9)
+        np.testing.assert_allclose(wrong.states[area].sigma_vm, state.sigma_vm, atol=1e-9)
+        np.testing.assert_allclose(wrong.states[area].va, state.va, atol=1e-9)
+
+
+@pytest.fixture
+def estimations(monkeypatch):
+    """(network name, measurements, start) of every estimation that an area makes."""
+    made = []
+
+    def note(network, measurements, **options):
+        made.append((network.name, measurements, options["start"]))
+        return process_bad_data(network, measurements, **options)
+
+    monkeypatch.setattr(angle_offset, "process_bad_data", note)
+    return made
+
+
+def test_the_local_power_flow_is_the_starting_point(estimations):
+    scenario = load_scenario("ieee33")
+    bus, _ = settle(scenario)
+    for area in scenario.partition.areas:
+        told = {s: m.load for _, s, r, m in bus.delivered if r == area.name and isinstance(m, LoadMessage)}
+        flow = solve_power_flow(
+            area.network,
+            slack=(area.slack_bus, area.slack_vm),
+            extra_load={b: load.s for b, load in boundary_loads(area, told).items()},
+        )
+        vm, va = [start for name, _, start in estimations if name == area.name][-1]
+        np.testing.assert_allclose(vm, flow.vm, atol=1e-9)
+        np.testing.assert_allclose(va, flow.va, atol=1e-9)
+
+
+def test_the_boundary_injection_is_as_uncertain_as_the_meters_in_the_load_messages_make_it(estimations):
+    """Equation [7] of docs/theory.md, at the bus of a child, where nothing but the message counts."""
+    scenario = load_scenario("industrial13")
+    bus, _ = settle(scenario)
+    told = [m for _, _, receiver, m in bus.delivered if receiver == "area1" and isinstance(m, LoadMessage)][-1]
+    floor = 1e-3 / scenario.network.base_mva
+    assert told.sigma > 0.5 * 0.10 * abs(told.load.s)
+    used = [measurements for name, measurements, _ in estimations if name == "area1"][-1]
+    pseudo = [m for m in used if m.meter.source is Source.PSEUDO and m.meter.kind.of_injection]
+    assert [m.meter.id for m in pseudo] == ["p_injection@3", "q_injection@3"]
+    for m in pseudo:
+        assert m.sigma == pytest.approx(math.sqrt((0.10 * abs(told.load.s)) ** 2 + floor**2 + told.sigma**2))
+
+
+def test_the_only_voltmeter_of_an_area_is_published_as_critical():
+    bus, _ = settle(load_scenario("industrial13"))
+    assert "vm@4" in bus.states["area1"].critical
+    assert "vm@1" in bus.states["area2"].critical

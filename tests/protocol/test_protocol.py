@@ -211,3 +211,12 @@ def test_readings_of_unknown_meters_are_refused_and_missing_ones_named(area1):
 def test_a_stop_finishes_with_its_reason(area1):
     protocol, _, _ = area1
     assert protocol.handle([StopRequested("SIGTERM")], 0.0) == [Finish("SIGTERM")]
+
+
+def test_numbers_beyond_all_reason_leave_a_note_and_no_crash(area1):
+    protocol, telemetry, _ = area1
+    absurd = LoadMessage(load_from_area2().header, 6, 1e300, 1e300, 1e300)
+    protocol.handle([telemetry], 0.0)
+    other = replace(absurd, header=replace(absurd.header, sender="area3"))
+    state = last_state(protocol.handle([Received(absurd, "area2"), Received(other, "area3")], 0.01))
+    assert state.header.sequence == 2

@@ -32,6 +32,7 @@ STATE = StateMessage(
     objective=12.5,
     degrees_of_freedom=20,
     removed=("p_flow@1:1-2",),
+    critical=("vm@1",),
     sent={"area2": (1, 4)},
     heard={"area2": (1, 3)},
     messages=12,

@@ -32,6 +32,7 @@ def a_state(area: str, sequence: int = 1, **changes: object) -> StateMessage:
         objective=1.0,
         degrees_of_freedom=1,
         removed=(),
+        critical=(),
         sent=said,
         heard=said,
         messages=5,

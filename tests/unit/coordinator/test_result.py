@@ -41,6 +41,7 @@ def a_state_of(area, central, va_shift: float = 0.0) -> StateMessage:
         objective=1.0,
         degrees_of_freedom=2,
         removed=("vm@6",),
+        critical=("vm@1",),
         sent=said,
         heard=said,
         messages=5,
@@ -69,6 +70,7 @@ def a_result(folder: Path, missing: str | None = None, relative: str | None = No
         areas=make_area_results(observer, comparison),
         comparison=comparison,
         centralised=central,
+        centralised_failure=None,
         history=tuple(observer.history),
         timing_s={"verdict": 1.0},
     )
@@ -93,6 +95,7 @@ def test_gaps_are_told_per_area(tmp_path: Path):
     assert areas["area1"]["gap_va_deg"] == pytest.approx(0.0, abs=1e-9)
     assert areas["area1"]["degraded"] is True
     assert areas["area3"]["degraded"] is False
+    assert areas["area1"]["critical"] == ("vm@1",)
 
 
 def test_every_key_of_result_json_is_documented(tmp_path: Path):

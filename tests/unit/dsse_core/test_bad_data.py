@@ -7,9 +7,13 @@ import pytest
 import scipy.stats
 
 from dsse_core.bad_data import chi_square_limit, find_critical, normalized_residuals, process_bad_data
+from dsse_core.errors import EstimationDivergedError
 from dsse_core.estimation import estimate_state
 from dsse_core.measurement import MeasurementKind, Meter, Source
+from dsse_core.network import Control, Generator
 from dsse_core.power_flow import solve_power_flow
+from scenarios.scenario import load_scenario
+from scenarios.telemetry import make_telemetry
 
 Kind = MeasurementKind
 FLOWS = (Kind.P_FLOW, Kind.Q_FLOW)
@@ -115,6 +119,117 @@ def test_measurements_become_critical_when_the_last_redundant_one_is_removed(cha
     report = process_bad_data(network, with_errors(exact, {"p_flow@2:1-2": 100}))
     assert len(report.removed) == 1
     assert set(report.critical) == {m.meter.id for m in report.result.measurements}
+
+
+@pytest.fixture
+def with_an_ammeter(chain, read):
+    """Flows alone determine the chain; the ammeter checks them, but without load it could replace none."""
+    network = chain(3)
+    meters = [Meter(Kind.VM, 1), *(Meter(k, b, f"{b}-{b + 1}") for b in (1, 2) for k in FLOWS)]
+    return network, read(solve_power_flow(network), [*meters, Meter(Kind.CURRENT, 2, "2-3")], sigma=1e-3)
+
+
+@pytest.mark.parametrize("wrong", ["p_flow@2:2-3", "current@2:2-3"])
+def test_a_meter_that_only_an_ammeter_checks_is_critical_and_stays(with_an_ammeter, wrong):
+    network, exact = with_an_ammeter
+    report = process_bad_data(network, with_errors(exact, {wrong: 30}))
+    (removed,) = report.removed
+    assert removed.measurement.meter.id == "current@2:2-3"
+    assert set(report.critical) == {m.meter.id for m in exact if m.meter.kind is not Kind.CURRENT}
+
+
+def test_the_only_voltmeter_is_critical_though_losses_check_it_and_is_kept_however_wrong(case, meters_of, read):
+    network = case("ieee33")
+    meters = [Meter(Kind.VM, 1), *meters_of(network, *FLOWS, *INJECTIONS)]
+    readings = read(solve_power_flow(network), meters, sigma=0.002)
+    result = estimate_state(network, readings)
+    assert result.residual_variance[0] > 1e-6 * 0.002**2
+    assert find_critical(result) == ("vm@1",)
+    report = process_bad_data(network, [replace(readings[0], value=0.5, sigma=0.01), *readings[1:]])
+    assert report.critical == ("vm@1",)
+    assert "vm@1" in {m.meter.id for m in report.result.measurements}
+
+
+def test_several_voltmeters_are_not_critical(case, meters_of, read):
+    network = case("ieee33")
+    meters = [Meter(Kind.VM, 1), Meter(Kind.VM, 18), *meters_of(network, *FLOWS)]
+    assert find_critical(estimate_state(network, read(solve_power_flow(network), meters))) == ()
+
+
+def with_a_sharp_and_a_rough_voltmeter(chain, read, rough):
+    network = chain(3)
+    truth = solve_power_flow(network)
+    flows = [Meter(k, b, f"{b}-{b + 1}") for b in (1, 2) for k in FLOWS]
+    sharp = read(truth, [Meter(Kind.VM, 1)], sigma=1e-6) + read(truth, [Meter(Kind.VM, 2)], sigma=rough)
+    return network, sharp + read(truth, flows, sigma=1e-3)
+
+
+def test_a_precise_meter_that_only_much_coarser_ones_check_is_not_critical(chain, read):
+    network, exact = with_a_sharp_and_a_rough_voltmeter(chain, read, 0.02)
+    wrong = [replace(exact[0], value=exact[0].value + 0.1), *exact[1:]]
+    result = estimate_state(network, wrong)
+    assert "vm@1" not in find_critical(result)
+    assert normalized_residuals(result)[0] == pytest.approx(5.0, rel=0.1)
+
+
+def test_where_a_removal_makes_the_estimation_diverge_the_last_good_estimate_stands(chain, read, monkeypatch):
+    network, exact = with_a_sharp_and_a_rough_voltmeter(chain, read, 0.02)
+    wrong = [replace(exact[0], value=exact[0].value + 0.1), *exact[1:]]
+    complete = estimate_state(network, wrong)
+
+    def diverge_after_a_removal(network, measurements, **options):
+        if len(measurements) < len(wrong):
+            raise EstimationDivergedError(50, 1.0, "vm@2")
+        return estimate_state(network, measurements, **options)
+
+    monkeypatch.setattr("dsse_core.bad_data.estimate_state", diverge_after_a_removal)
+    report = process_bad_data(network, wrong)
+    assert report.detected
+    assert report.removed == ()
+    assert report.objective == complete.objective
+    assert [m.meter.id for m in report.result.measurements] == [m.meter.id for m in wrong]
+
+
+@pytest.mark.parametrize(
+    ("name", "dead"), [("industrial13", "vm@1"), ("industrial13", "vm@4"), ("ieee33", "vm@1"), ("ieee33", "vm@16")]
+)
+@pytest.mark.parametrize("reading", [0.0, 0.05, 0.3])
+def test_a_dead_voltmeter_is_identified(name, dead, reading):
+    scenario = load_scenario(name)
+    telemetry = make_telemetry(scenario)
+    readings = [replace(m, value=reading) if m.meter.id == dead else m for m in telemetry.union]
+    with np.errstate(divide="raise", invalid="raise"):
+        report = process_bad_data(scenario.network, readings)
+    assert [r.measurement.meter.id for r in report.removed] == [dead]
+    assert report.removed[0].normalized_residual > 100
+    assert not report.detected
+    np.testing.assert_allclose(report.result.vm, telemetry.truth.vm, atol=0.01)
+
+
+def test_a_low_voltage_that_the_other_meters_confirm_is_no_dead_voltmeter(chain, meters_of, read):
+    """A line that ends just below 0.5 p.u., and one that lies below from its beginning, as with a wrong base."""
+    for vm in (0.51, 0.4):
+        network = replace(chain(3), generators=(Generator(1, Control.SLACK, vm=vm),))
+        light = replace(network, buses=tuple(replace(b, p_load=0.05, q_load=0.05) for b in network.buses))
+        truth = solve_power_flow(light)
+        assert truth.vm[2] < 0.5
+        report = process_bad_data(light, read(truth, meters_of(light, Kind.VM, *FLOWS), sigma=1e-3))
+        assert report.removed == ()
+
+
+def test_a_nearly_critical_pair_is_told_apart_by_its_residuals_and_not_by_its_ids(chain, read):
+    """A rough third voltmeter makes the residuals of the pair differ by less than a percent: that decides."""
+    network = chain(3)
+    truth = solve_power_flow(network)
+    flows = [Meter(k, b, f"{b}-{b + 1}") for b in (1, 2) for k in FLOWS]
+    pair = read(truth, [Meter(Kind.VM, 1), Meter(Kind.VM, 2), *flows], sigma=0.001)
+    third = read(truth, [Meter(Kind.VM, 3)], sigma=0.02)
+    wrong = with_errors(pair + third, {"vm@2": 30})
+    normalized = normalized_residuals(estimate_state(network, wrong))
+    assert 0.99 < normalized[0] / normalized[1] < 0.9999
+    (removed,) = process_bad_data(network, wrong).removed
+    assert removed.measurement.meter.id == "vm@2"
+    assert removed.indistinguishable_from == ()
 
 
 def test_a_critical_pair_cannot_be_told_apart_so_the_id_decides_and_the_other_is_named(chain, read):

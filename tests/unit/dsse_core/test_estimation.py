@@ -11,6 +11,8 @@ from dsse_core.estimation import estimate_state
 from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.network import Branch, Bus, Control, Generator, Network
 from dsse_core.power_flow import solve_power_flow
+from scenarios.scenario import load_scenario
+from scenarios.telemetry import make_telemetry
 
 Kind = MeasurementKind
 FLOWS = (Kind.P_FLOW, Kind.Q_FLOW)
@@ -198,6 +200,47 @@ def test_current_magnitudes_as_uncertain_as_large_do_not_make_the_iteration_swin
             replace(m, value=max(m.value, 0.0)) if m.meter.kind is Kind.CURRENT else m for m in noisy
         ]
         assert estimate_state(network, ammeters_read_no_negative).iterations < 30
+
+
+def test_charging_at_the_flat_start_does_not_lead_current_magnitudes_astray(meters_of, read):
+    """Without load cables carry charging alone, at right angles to the current to come: |i| enters a step later."""
+    network = Network(
+        "cables",
+        1.0,
+        (Bus(1, 10.0), Bus(2, 10.0, p_load=0.1, q_load=0.05), Bus(3, 10.0, p_load=0.1, q_load=0.05)),
+        tuple(Branch(f"{i}-{i + 1}", i, i + 1, 0.02, 0.05, b=0.08) for i in (1, 2)),
+        (Generator(1, Control.SLACK),),
+    )
+    truth = solve_power_flow(network)
+    rough = read(truth, [Meter(k, b) for b in (2, 3) for k in INJECTIONS], sigma=0.3)
+    sharp = read(truth, [Meter(Kind.VM, 1), *meters_of(network, Kind.CURRENT)], sigma=1e-4)
+    result = estimate_state(network, rough + sharp)
+    np.testing.assert_allclose(result.vm, truth.vm, atol=1e-6)
+    assert result.iterations < 8
+
+
+@pytest.mark.parametrize("name", ["industrial13", "ieee33"])
+@pytest.mark.parametrize("reading", [0.0, 0.05])
+def test_a_dead_voltmeter_does_not_throw_the_iteration_out_of_all_bounds(name, reading):
+    scenario = load_scenario(name)
+    union = make_telemetry(scenario).union
+    assert union[0].meter.id == "vm@1"
+    with np.errstate(divide="raise", invalid="raise"):
+        result = estimate_state(scenario.network, [replace(union[0], value=reading), *union[1:]])
+    assert result.objective > 1e4
+
+
+@pytest.mark.parametrize(
+    ("kind", "value", "steps"),
+    [(Kind.VM, 2.1, 6), (Kind.VA, 2.5, 3)],  # from 1 p.u. by 0.2, from 0 rad by 1
+)
+def test_a_voltage_far_from_the_start_is_reached_in_steps(chain, read, meters_of, kind, value, steps):
+    network = chain(2)
+    exact = read(solve_power_flow(network), meters_of(network, Kind.VM, Kind.VA))
+    moved = [replace(m, value=value) if m.meter == Meter(kind, 2) else m for m in exact]
+    result = estimate_state(network, [m for m in moved if m.meter != Meter(Kind.VA, 1)])
+    assert {Kind.VM: result.vm, Kind.VA: result.va}[kind][1] == pytest.approx(value)
+    assert result.iterations == steps + 1
 
 
 def test_a_state_that_explains_nothing_is_refused_with_the_worst_meter(chain, meters_of, read):

@@ -118,3 +118,10 @@ def test_a_current_magnitude_without_current_has_derivative_zero_and_not_nan(cha
     vm, va = flat_start(network, 1)
     H = model_of(network, [Meter(Kind.CURRENT, 1, "1-2")]).jacobian(np.r_[va, vm])
     assert (H.toarray() == 0).all()
+
+
+def test_at_zero_voltage_the_derivatives_of_a_voltmeter_are_zero_and_not_infinite(meshed, meters_of):
+    model = build_measurement_model(meshed, build_admittance(meshed), meters_of(meshed, *Kind))
+    with np.errstate(all="raise"):
+        H = model.jacobian(np.zeros(2 * len(meshed.buses)))
+    assert np.isfinite(H.data).all()

@@ -13,7 +13,7 @@ from dsse_core.errors import InvalidInputError, NotObservableError
 from dsse_core.measurement import MeasurementKind, Meter, Source
 from dsse_core.measurement_model import build_measurement_model
 from dsse_core.network import Branch, Bus, Control, Generator, Network
-from dsse_core.observability import check_observable
+from dsse_core.observability import check_observable, find_indispensable
 
 Kind = MeasurementKind
 P_FLOW, Q_FLOW = Kind.P_FLOW, Kind.Q_FLOW
@@ -206,3 +206,33 @@ def test_the_verdict_is_the_rank_and_every_named_meter_really_cures(grid):
     assert error.buses == tuple(b.id for k, b in enumerate(network.buses) if loose[k] or loose[n + k])
     for cure in error.cures:
         check_observable(network, [*meters, *meters_named(cure)])
+
+
+@settings(max_examples=150, deadline=None)
+@given(measured_grids())
+def test_a_meter_is_indispensable_when_the_others_do_not_determine_the_state(grid):
+    network, chosen = grid
+    meters = [Meter(Kind.VM, 1), *(m for m in chosen if m.id != "vm@1"), Meter(Kind.CURRENT, 1, "b0")]
+    flows = [m for b in network.branches for m in pq(b.from_bus, b.id) if m.id not in {meter.id for meter in meters}]
+    meters += flows[: len(flows) // 2]
+    try:
+        check_observable(network, meters)
+    except NotObservableError:
+        return
+    needed = set()
+    for k, meter in enumerate(meters):
+        try:
+            check_observable(network, meters[:k] + meters[k + 1 :])
+        except NotObservableError:
+            needed.add(meter.id)
+    assert find_indispensable(network, meters, 1) == needed
+
+
+@pytest.mark.parametrize("short", [(), (5, 20)])
+def test_indispensable_meters_of_a_feeder_of_5000_buses_are_told_from_hardly_checked_ones(chain, short):
+    """With injections alone nothing can be spared; a second voltmeter at the far end checks every one of them."""
+    network = chain(5000 if not short else 500, short=short)
+    n = len(network.buses)
+    meters = [Meter(Kind.VM, 1), *(m for b in range(2, n + 1) for m in pq(b))]
+    assert find_indispensable(network, meters, 1) == {m.id for m in meters}
+    assert find_indispensable(network, [*meters, Meter(Kind.VM, n)], 1) == set()

@@ -1,12 +1,13 @@
 """Areas form a tree; every way in which they do not is told; load messages add up to the load of the grid."""
 
 import math
+from dataclasses import replace
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dsse_core.boundary_load import boundary_loads, own_net_load, scheduled_load_messages
+from dsse_core.boundary_load import NetLoad, boundary_loads, own_net_load, scheduled_load_messages
 from dsse_core.errors import InvalidInputError
 from dsse_core.measurement import MeasurementKind, Meter
 from dsse_core.network import Branch, Bus, Control, Generator, Network
@@ -23,7 +24,7 @@ def grid(*ends, loads=None, slack=1, generators=()):
         "grid",
         1.0,
         tuple(Bus(i, 10.0, p_load=loads.get(i, i / 100), q_load=i / 200, b_shunt=0.01) for i in ids),
-        tuple(Branch(f"{f}-{t}", f, t, 0.01, 0.02) for f, t in ends),
+        tuple(Branch(f"{f}-{t}", f, t, 0.01, 0.02, b=0.004) for f, t in ends),
         (Generator(slack, Control.SLACK, p=0.3, q=0.1), *generators),
     )
 
@@ -218,6 +219,7 @@ def divided_trees(draw):
 def test_what_an_area_owns_and_hears_is_the_net_load_of_the_whole_grid(divided):
     network, areas = divided
     total = -sum((network.scheduled_injection(bus.id) for bus in network.buses), 0j)
+    total -= 1j * sum(bus.b_shunt for bus in network.buses) + 1j * sum(branch.b for branch in network.branches)
     partition = build_partition(network, areas)
     heard = scheduled_load_messages(partition)
     for area in partition.areas:
@@ -247,6 +249,30 @@ def test_every_bus_has_one_owner_every_branch_one_area_and_the_areas_are_a_tree(
         assert sum(n.is_parent for n in area.neighbours) == (0 if area.is_reference else 1)
         assert math.isclose(sum(b.p_load for b in area.network.buses if b.id != (area.parent and area.parent.bus)),
                             sum(b.p_load for b in area.network.buses), abs_tol=1e-12)  # fmt: skip
+
+
+def test_a_shunt_counts_as_the_load_that_it_is_at_nominal_voltage_also_where_the_injection_is_metered():
+    """The capacitor of bus 2, 0.6 p.u., and its resistor: beyond bus 3 it is the same whether load or shunt."""
+    network = row(5)
+    source = Generator(2, Control.POWER, p=0.1)
+    plain = replace(network.buses[1], b_shunt=0.0, g_shunt=0.0)
+    as_shunt, as_load = (
+        replace(network, buses=(network.buses[0], bus, *network.buses[2:]), generators=(*network.generators, source))
+        for bus in (
+            replace(plain, g_shunt=0.05, b_shunt=0.6),
+            replace(plain, p_load=plain.p_load + 0.05, q_load=plain.q_load - 0.6),
+        )
+    )
+    told = [
+        scheduled_load_messages(build_partition(n, {"a": [1, 2, 3], "b": [3, 4, 5]}))["b"]["a"].s
+        for n in (as_shunt, as_load)
+    ]
+    assert told[0] == pytest.approx(told[1])
+
+    area = build_partition(as_shunt, {"a": [1, 2, 3], "b": [3, 4, 5]}).area("a")
+    read = NetLoad(-as_shunt.scheduled_injection(2), variance=1e-4)  # an injection meter does not see the shunt
+    assert own_net_load(area, {2: read}).s == pytest.approx(own_net_load(area).s)
+    assert own_net_load(area, {2: read}).variance == 1e-4
 
 
 def test_an_unheard_neighbour_leaves_its_boundary_bus_out():

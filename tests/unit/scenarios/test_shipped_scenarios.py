@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from dsse_core.errors import InvalidInputError
-from dsse_core.measurement import MeasurementKind, Source
+from dsse_core.measurement import MeasurementKind, Meter, Source
 from scenarios.check import check_scenario, meters_in_area
 from scenarios.scenario import list_scenarios, load_scenario
 from scenarios.shipped_files import find_shipped
@@ -115,6 +115,42 @@ def test_an_area_that_its_own_meters_do_not_observe_is_named_with_its_buses() ->
     whole, area = caught.value.problems
     assert whole.startswith("whole grid: the measurements do not determine the state of bus 17, 18;")
     assert area.startswith("area area2: the measurements do not determine the state of bus 17, 18;")
+
+
+def test_angle_meters_are_refused_where_each_area_reads_its_own_power_flow() -> None:
+    scenario = load_scenario("ieee33-thesis")
+    angles = tuple(Meter(MeasurementKind.VA, bus) for bus in (16, 30))
+    with pytest.raises(InvalidInputError) as caught:
+        check_scenario(replace(scenario, meters=(*scenario.meters, *angles)))
+    (problem,) = caught.value.problems
+    assert problem.startswith(
+        "measurements.angle: bus 16, 30 has an angle meter, but with telemetry.source 'area-power"
+    )
+    shared = load_scenario("ieee33")
+    check_scenario(replace(shared, meters=(*shared.meters, *angles)))
+
+
+def test_only_the_substations_area_is_checked_with_its_angle_meters() -> None:
+    scenario = load_scenario("ieee33")
+    for area in scenario.partition.areas:
+        angle = Meter(MeasurementKind.VA, area.network.buses[-1].id)
+        assert (angle in meters_in_area(area, [angle])) == (area.name == "area1")
+
+
+@pytest.mark.parametrize("missing", [MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION])
+def test_a_substation_without_injection_meters_is_refused_where_generation_is_telemetered(
+    missing: MeasurementKind,
+) -> None:
+    scenario = load_scenario("ieee33")
+    meters = tuple(m for m in scenario.meters if not (m.kind is missing and m.bus == 1))
+    scenario = replace(scenario, meters=meters)
+    with pytest.raises(InvalidInputError) as caught:
+        check_scenario(scenario)
+    (problem,) = caught.value.problems
+    assert "the substation, bus 1, has no meters of P and Q injection" in problem
+    assert "measurements.injection.buses" in problem
+    check_scenario(replace(scenario, generation="scheduled"))
+    check_scenario(replace(scenario, strategy="information"))  # there load messages only start the iteration
 
 
 def test_only_angle_offset_asks_that_each_area_be_observable_alone() -> None:
