@@ -31,7 +31,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--connect", action="append", metavar="ENDPOINT", help="Zenoh endpoint to use instead of the file's; repeatable"
     )
-    parser.add_argument("--timeout", type=float, default=10.0, metavar="S", help="wait for the bus so long (10 s)")
+    parser.add_argument("--timeout", type=_seconds, default=10.0, metavar="S", help="wait for the bus so long (10 s)")
     arguments = parser.parse_args(argv)
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
     try:
@@ -40,6 +40,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"error: {error}", file=sys.stderr)
         return 2
     return 0
+
+
+def _seconds(text: str) -> float:
+    value = float(text)
+    if not 0 < value <= 86400:
+        raise argparse.ArgumentTypeError(f"{text} s; a time must be positive and at most a day")
+    return value
 
 
 def run_area(path: Path, endpoints: Sequence[str] = (), timeout_s: float = 10.0) -> None:
@@ -60,9 +67,10 @@ def run_area(path: Path, endpoints: Sequence[str] = (), timeout_s: float = 10.0)
     def stop(number: int, frame: FrameType | None) -> None:
         inbox.put("stop", StopRequested(signal.Signals(number).name))
 
-    signal.signal(signal.SIGTERM, stop)
-    signal.signal(signal.SIGINT, stop)
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # Zenoh's connecting would defer Python's handler to its end
     with Session.connect(content.endpoints, timeout_s) as session:
+        signal.signal(signal.SIGTERM, stop)
+        signal.signal(signal.SIGINT, stop)
         reason = run_agent(content, session, inbox)
     logging.getLogger(__name__).info("area %s ends: %s", content.area.name, reason)
 

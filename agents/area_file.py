@@ -116,6 +116,7 @@ def load_area_file(path: Path) -> AreaFile:
     problems += [
         f"neighbour {n.area}: bus {n.bus} is not in the network" for n in neighbours if n.bus not in network.row
     ]
+    problems += [f"neighbour {n.area}: is the area itself" for n in neighbours if n.area == t.area]
     if t.local_slack.bus not in network.row:
         problems.append(f"local_slack.bus: bus {t.local_slack.bus} is not in the network")
     if t.reference and t.reference.bus not in network.row:
@@ -212,13 +213,13 @@ _FileTable: Any = create_model(
     area=(_Name, ...),
     strategy=(str, ...),
     endpoints=(list[str], Field(min_length=1)),
-    beat_s=(float, Field(0.2, gt=0)),
+    beat_s=(float, Field(0.2, gt=0, le=86400)),
     tolerance=(float, Field(1e-6, gt=0)),
     seed=(int, 0),
     local_slack=(_Slack, ...),
     reference=(_Reference | None, None),
     load_messages=(_LoadMessages, _LoadMessages()),
-    neighbour=(_rows_like(Neighbour, loss=(float, Field(0.0, ge=0, le=1))), []),
+    neighbour=(_rows_like(Neighbour, area=(_Name, ...), loss=(float, Field(0.0, ge=0, le=1))), []),
     network=(_NetworkTable, ...),
     meter=(_rows_like(Meter), ...),
 )

@@ -19,7 +19,7 @@ from agents.keys import (
     telemetry_key,
 )
 from agents.link import LossyLink
-from agents.messages import Incarnation, MessageError, decode
+from agents.messages import Incarnation, MessageError, StateMessage, decode
 from agents.protocol import AreaProtocol, Event, Finish, PresenceChanged, Publish, Received, Refused
 from agents.strategies import make_strategy
 from agents.transport import Session
@@ -49,15 +49,28 @@ def run_agent(content: AreaFile, session: Session, inbox: Inbox) -> str:
     session.declare_presence(live_key(run, "area", name))
     log.info("area %s of run %s, strategy %s, incarnation %s", name, run, content.strategy, incarnation)
     events: list[Event] = []
+    told: object = None
     while True:
         for action in protocol.handle(events, time.monotonic()):
             match action:
                 case Publish(message, to):
                     link.send(message, to)
+                    if isinstance(message, StateMessage):
+                        told = _log_change(message, told)
                 case Finish(reason):
                     return reason
         news = inbox.take(protocol.wait_s(time.monotonic()))
         events = [_event_of(*item) if isinstance(item, tuple) else item for item in news]
+
+
+def _log_change(state: StateMessage, told: object) -> object:
+    """Log what the area works with when that has changed; return what was told."""
+    what = "no estimate" if not state.buses else "estimates" if state.referenced else "estimates, angles relative"
+    removed = [f"removed as bad data: {', '.join(state.removed)}"] if state.removed else []
+    line = "; ".join([f"scan {state.header.scan}: {what}", *removed, *state.notes])
+    if line != told:
+        log.info("%s", line)
+    return line
 
 
 def _publishers(content: AreaFile, session: Session, kind_of_strategy: str) -> Callable[[str | None, str, bytes], None]:

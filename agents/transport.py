@@ -19,6 +19,7 @@ from agents.messages import MAX_BYTES
 from dsse_core.errors import DsseError
 
 LEASE_MS = 2000
+LONGEST_WAIT_S = 86400.0
 
 
 class TransportError(DsseError):
@@ -87,6 +88,8 @@ class Session(_Closing):
         Raises:
             TransportError: none answers, or one is not a Zenoh endpoint.
         """
+        if not 0 < timeout_s <= LONGEST_WAIT_S:
+            raise TransportError(f"a wait of {timeout_s} s for the bus; it must be positive and at most a day")
         connect = {
             "endpoints": list(endpoints),
             "timeout_ms": int(timeout_s * 1000),
@@ -98,7 +101,7 @@ class Session(_Closing):
         except zenoh.ZError as error:
             raise TransportError(
                 f"cannot reach {', '.join(endpoints)} within {timeout_s:g} s: {_short(error)}; "
-                "is the router running, and is the endpoint right (e.g. tcp/127.0.0.1:7447)?"
+                "is the router running (dsse router), and is the endpoint right (e.g. tcp/127.0.0.1:7447)?"
             ) from None
 
     def publisher(self, key: str) -> Callable[[bytes], None]:

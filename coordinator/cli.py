@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
@@ -20,6 +21,7 @@ if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 PROGRESS_LINE_S = 1.0
+SECONDS = click.FloatRange(min=0, min_open=True, max=86400)
 
 scenario_argument = click.argument("scenario")
 strategy_option = click.option("--strategy", help="Use this strategy instead of the scenario's.")
@@ -36,6 +38,10 @@ def run_command(arguments: Sequence[str]) -> int:
         return 2
     except click.ClickException as error:
         error.show()
+        return 2
+    except OSError as error:  # a full disk, a folder that cannot be written, a file that is none
+        name = f"{error.filename}: " if error.filename else ""
+        _say(f"error: {name}{error.strerror or error}; choose another place, or make room there")
         return 2
     except (KeyboardInterrupt, click.Abort):
         print("interrupted", file=sys.stderr)
@@ -55,7 +61,7 @@ def commands() -> None:
 @commands.command(short_help="Run a scenario as real processes and judge it.")
 @scenario_argument
 @click.option("--out", type=click.Path(path_type=Path), help="Run folder, new or empty.  [default: runs/SCENARIO-TIME]")
-@click.option("--timeout", type=float, metavar="S", help="Time limit in seconds instead of the scenario's.")
+@click.option("--timeout", type=SECONDS, metavar="S", help="Time limit in seconds instead of the scenario's.")
 @seed_option
 @click.option("--quiet", is_flag=True, help="Print the verdict only.")
 @click.option("--no-plots", is_flag=True, help="Draw no pictures.")
@@ -81,14 +87,15 @@ def run(
     import coordinator
 
     for number in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, _interrupt)
+        if signal.getsignal(number) != signal.SIG_IGN:  # as nohup has it
+            signal.signal(number, _interrupt)
     with _progress(scenario, quiet) as show:
         result = coordinator.run(
             scenario, out=out, seed=seed, strategy=strategy, timeout_s=timeout, on_update=show, plots=False
         )
     from coordinator.report import format_verdict
 
-    print(format_verdict(result), flush=True)
+    _show(format_verdict(result))
     if not no_plots:
         from coordinator.plots import draw_plots
 
@@ -200,6 +207,21 @@ def agent(arguments: tuple[str, ...]) -> int:
     return main(arguments)
 
 
+@commands.command(short_help="Run the router that all the others connect to.")
+@click.option(
+    "--listen", "endpoints", multiple=True, default=[DEFAULT_ENDPOINT], show_default=True, help="Where; repeatable."
+)
+def router(endpoints: tuple[str, ...]) -> int:
+    """Run the Zenoh router that agents, plant and coordinator connect to, until Ctrl-C.
+
+    \b
+    Example:  dsse router --listen tcp/0.0.0.0:7447
+    """
+    from coordinator.router_process import main
+
+    return main([part for endpoint in endpoints for part in ("--listen", endpoint)])
+
+
 @commands.command(short_help="Publish the meter readings of a scenario.")
 @scenario_argument
 @click.option(
@@ -211,7 +233,7 @@ def agent(arguments: tuple[str, ...]) -> int:
     help="Endpoint of the router; repeatable.",
 )
 @run_id_option
-@click.option("--timeout", type=float, default=10.0, show_default=True, metavar="S", help="Wait for the bus so long.")
+@click.option("--timeout", type=SECONDS, default=10.0, show_default=True, metavar="S", help="Wait for the bus so long.")
 @seed_option
 def plant(scenario: str, endpoints: tuple[str, ...], run_id: str | None, timeout: float, seed: int | None) -> int:
     """Publish the meter readings of SCENARIO on the bus until Ctrl-C; in the field a gateway does this.
@@ -236,6 +258,20 @@ def _prepare(scenario: str, seed: int | None) -> Scenario:
     return loaded if seed is None else replace(loaded, seed=seed)
 
 
+def _show(text: str) -> None:
+    """Print in one piece; a reader who has left changes nothing but that nobody reads."""
+    try:
+        sys.stdout.write(text + "\n")
+        sys.stdout.flush()
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _say(text: str) -> None:
+    with suppress(OSError):
+        print(text, file=sys.stderr, flush=True)
+
+
 @contextmanager
 def _progress(title: str, quiet: bool) -> Iterator[Callable[[Progress], None] | None]:
     """How progress is shown: not at all, as a table that lives in the terminal, or as a line now and then."""
@@ -258,7 +294,7 @@ def _print_now_and_then() -> Callable[[Progress], None]:
         if progress.elapsed_s - last >= PROGRESS_LINE_S:
             last = progress.elapsed_s
             areas = ", ".join(f"{area.name} {area.state}" for area in progress.areas)
-            print(f"{progress.elapsed_s:6.1f} s  {areas}", file=sys.stderr)
+            _say(f"{progress.elapsed_s:6.1f} s  {areas}")
 
     return show
 

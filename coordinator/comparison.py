@@ -68,14 +68,15 @@ class Comparison:
 
 
 def compare(
-    partition: Partition, states: Mapping[str, StateMessage], truth: PowerFlowResult, centralised: BadDataReport
+    partition: Partition, states: Mapping[str, StateMessage], truth: PowerFlowResult, centralised: BadDataReport | None
 ) -> Comparison:
     """Put the areas' published ``states`` beside ``centralised`` and ``truth``.
 
-    An area without estimate counts as nan; so do the angles of one whose angles do not count from the substation.
+    A centralised estimate that failed (None) and an area without estimate count as nan; so do the angles of one
+    whose angles do not count from the substation.
     """
     n = len(partition.network.buses)
-    whole, sigma = Voltages(np.full(n, np.nan), np.full(n, np.nan)), Voltages(np.full(n, np.nan), np.full(n, np.nan))
+    whole, sigma, unknown = (Voltages(np.full(n, np.nan), np.full(n, np.nan)) for _ in range(3))
     by_area = {}
     for area in partition.areas:
         state = states.get(area.name)
@@ -90,7 +91,7 @@ def compare(
     return Comparison(
         partition=partition,
         truth=Voltages(truth.vm, truth.va),
-        centralised=Voltages(centralised.result.vm, centralised.result.va),
+        centralised=Voltages(centralised.result.vm, centralised.result.va) if centralised else unknown,
         decentralised=whole,
         sigma=sigma,
         by_area=by_area,

@@ -29,11 +29,12 @@ def run_plant(scenario: Scenario, run: str, endpoints: Sequence[str], timeout_s:
     """
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
     inbox = Inbox()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: inbox.put("stop", None))
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # Zenoh's connecting would defer Python's handler to its end
     try:
         payloads = make_payloads(scenario, run)
         with Session.connect(endpoints, timeout_s) as session:
+            for number in (signal.SIGTERM, signal.SIGINT):
+                signal.signal(number, lambda *_: inbox.put("stop", None))
             publishers = {area: session.publisher(telemetry_key(run, area)) for area in payloads}
             session.watch_presence(
                 live_key(run, "area", "*"), lambda key, alive: inbox.put(key, key) if alive else None

@@ -20,6 +20,7 @@ TRUE: dict[str, Any] = {"color": "black", "marker": "o", "markerfacecolor": "non
 CENTRALISED: dict[str, Any] = {"color": "tab:blue", "marker": "x", "markersize": 6}
 DECENTRALISED: dict[str, Any] = {"color": "tab:red", "marker": ".", "markersize": 6}
 MAX_LABELS = 45
+MAX_LEGEND = 10
 SMALLEST = 1e-12  # what a logarithmic axis shows for 0
 
 
@@ -109,7 +110,12 @@ def _draw_gap(result: RunResult) -> Figure:
         if result.verdict.consensus:
             axis.axvline(end, color="0.3", linestyle=":", label="consensus noted")
     axes[-1].set_xlabel("time since the start of the run (s)")
-    axes[0].legend(loc="best", fontsize="small", ncols=max(1, -(-len(result.areas) // 12)))
+    lines, labels = axes[0].get_legend_handles_labels()
+    if len(labels) > MAX_LEGEND:  # every area is drawn; those that ended farthest off are named
+        ends = {area.name: -(area.gap_vm_pu or 0.0) for area in result.areas}
+        named = sorted(labels, key=lambda label: ends.get(label, -np.inf))[:MAX_LEGEND]
+        lines, labels = [lines[labels.index(label)] for label in named], named
+    figure.legend(lines, labels, loc="outside lower center", ncols=6, fontsize="small")
     return figure
 
 

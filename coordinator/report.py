@@ -81,6 +81,9 @@ def _format_findings(result: RunResult) -> list[str]:
             lines.append(f"degraded: {area.name}: " + "; ".join([*area.notes, *refused]))
         if area.removed:
             lines.append(f"removed as bad data by {area.name}: {', '.join(area.removed)}")
+    if result.centralised is None:
+        lines.append(f"there is no centralised estimate to compare with: {result.centralised_failure}")
+        return lines
     if result.centralised.removed:
         ids = (removed.measurement.meter.id for removed in result.centralised.removed)
         lines.append(f"removed as bad data by the centralised estimate: {', '.join(ids)}")

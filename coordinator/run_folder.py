@@ -14,8 +14,10 @@ def make_run_folder(out: str | Path | None, name: str) -> Path:
     Raises:
         InvalidInputError: ``out`` holds something already, or cannot be made.
     """
-    folder = Path(out) if out is not None else _find_free(Path("runs"), f"{name}-{time.strftime('%Y%m%d-%H%M%S')}")
+    folder = Path(out) if out is not None else Path("runs")
     try:
+        if out is None:
+            folder = _find_free(folder, f"{name[:100]}-{time.strftime('%Y%m%d-%H%M%S')}")
         folder.mkdir(parents=True, exist_ok=True)
         occupied = any(folder.iterdir())
         if not occupied:

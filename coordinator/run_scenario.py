@@ -21,7 +21,7 @@ from coordinator.run_folder import make_run_folder
 from coordinator.split import default_run_id, write_area_files
 from coordinator.zygote import Ended, Started
 from dsse_core.bad_data import process_bad_data
-from dsse_core.errors import InvalidInputError
+from dsse_core.errors import DsseError, InvalidInputError
 from scenarios.check import check_scenario
 from scenarios.scenario import Scenario, load_scenario
 from scenarios.telemetry import make_telemetry
@@ -29,6 +29,7 @@ from scenarios.telemetry import make_telemetry
 ROUTER, PLANT = "router", "plant"
 ROUTER_START_S = 10.0
 UPDATE_S = 0.1
+LONGEST_S = 86400.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,8 +84,8 @@ def run_scenario(
     """Run ``scenario`` with the processes of ``launcher``; see ``coordinator.run``. ``started``: monotonic time."""
     scenario = prepare_scenario(scenario, seed, strategy)
     if timeout_s is not None:
-        if timeout_s <= 0:
-            raise InvalidInputError("time limit", [f"is {timeout_s} s; it must be positive"])
+        if not 0 < timeout_s <= LONGEST_S:
+            raise InvalidInputError("time limit", [f"is {timeout_s} s; it must be positive and at most {LONGEST_S} s"])
         scenario = replace(scenario, run=replace(scenario.run, timeout_s=timeout_s))
     folder = make_run_folder(out, default_run_id(scenario))
     with EventLog(folder / "events.jsonl", started) as events:
@@ -102,9 +103,7 @@ def run_scenario(
             events.write("run ended")
 
 
-def prepare_scenario(
-    scenario: str | Path | Scenario, seed: int | None = None, strategy: str | None = None
-) -> Scenario:
+def prepare_scenario(scenario: str | Path | Scenario, seed: int | None = None, strategy: str | None = None) -> Scenario:
     """Load a scenario by name or path, replace its seed and strategy, and check that it can be estimated.
 
     Raises:
@@ -160,7 +159,11 @@ def _run_with_router(run: _Run, endpoints: tuple[str, ...], on_update: Callable[
     with Session.connect(endpoints) as session:
         _listen(run, session)
         telemetry = make_telemetry(scenario)  # the processes are busy meanwhile
-        centralised = process_bad_data(scenario.network, telemetry.union, tolerance=scenario.tolerances.estimator)
+        centralised, failure = None, None
+        try:
+            centralised = process_bad_data(scenario.network, telemetry.union, tolerance=scenario.tolerances.estimator)
+        except DsseError as error:  # the areas go on: their consensus does not need it
+            failure = str(error)
         run.note_time("centralised_estimated")
         interrupted = False
         try:
@@ -180,6 +183,7 @@ def _run_with_router(run: _Run, endpoints: tuple[str, ...], on_update: Callable[
         areas=make_area_results(observer, comparison),
         comparison=comparison,
         centralised=centralised,
+        centralised_failure=failure,
         history=tuple(replace(sample, time=sample.time - run.started) for sample in observer.history),
         timing_s=run.timing_s,
     )

@@ -51,6 +51,9 @@ def choose_run_id(scenario: Scenario, given: str | None) -> str:
 
 def write_area_files(scenario: Scenario, run: str, endpoints: Sequence[str], folder: Path) -> dict[str, Path]:
     """Write ``<area>.toml`` for every area of ``scenario`` into ``folder``; area -> file."""
+    if strange := [e for e in endpoints if not re.fullmatch(r"[a-z-]+/.+", e)]:
+        problems = [f"{e!r} is no Zenoh endpoint; one looks like tcp/192.0.2.7:7447" for e in strange]
+        raise InvalidInputError("endpoints", problems)
     folder.mkdir(parents=True, exist_ok=True)
     files = {}
     for content in area_files(scenario, run, endpoints):

@@ -18,6 +18,8 @@ from scenarios.scenario_file import ScenarioFile
 from scenarios.shipped_files import find_shipped
 from scenarios.strict_toml import load_strict, suggest
 
+RESERVED = {"all", "coordinator", "plant", "router"}
+
 
 @dataclass(frozen=True, slots=True)
 class TelemetrySettings:
@@ -100,6 +102,10 @@ def load_scenario(name_or_path: str | Path, *, strategies: Collection[str] = ("a
     network, network_problems = _load_network_of(file, path)
     problems += network_problems
     problems += _find_fault_problems(file)
+    problems += [
+        f"areas.{name}: this name belongs to a process of every run; choose another"
+        for name in sorted(RESERVED & file.areas.keys())
+    ]
     if network is None:
         raise InvalidInputError(str(path), problems)
     problems += find_place_problems(file.measurements, network)

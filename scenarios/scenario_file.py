@@ -9,6 +9,8 @@ from pydantic import Field, PlainValidator, StringConstraints, model_validator
 from scenarios.strict_toml import Table
 
 Positive = Annotated[float, Field(gt=0)]
+Sigma = Annotated[float, Field(ge=1e-9, le=1e6)]
+Seconds = Annotated[float, Field(gt=0, le=86400)]
 Probability = Annotated[float, Field(ge=0, le=1)]
 AreaName = Annotated[str, StringConstraints(pattern=r"^[a-z0-9_-]+$")]
 
@@ -55,8 +57,8 @@ class AreaTable(Table):
 class SigmaTable(Table):
     """Meters whose sigma is given in percent or in p.u."""
 
-    sigma_percent: Positive | None = Field(default=None, description=SIGMA_PERCENT)
-    sigma_pu: Positive | None = Field(default=None, description=SIGMA_PU)
+    sigma_percent: Sigma | None = Field(default=None, description=SIGMA_PERCENT)
+    sigma_pu: Sigma | None = Field(default=None, description=SIGMA_PU)
 
     @model_validator(mode="after")
     def _has_exactly_one_sigma(self) -> Self:
@@ -82,7 +84,7 @@ class AngleMeterTable(Table):
     """``measurements.angle``."""
 
     buses: BusSelection = Field(description='where the meters stand: "all" or a list of bus numbers')
-    sigma_deg: Positive = Field(description="standard deviation in degrees")
+    sigma_deg: Sigma = Field(description="standard deviation in degrees")
 
 
 class MeasurementsTable(Table):
@@ -160,8 +162,8 @@ class TolerancesTable(Table):
 class RunTable(Table):
     """``[run]``."""
 
-    beat_s: Positive = 0.2
-    timeout_s: Positive = 30.0
+    beat_s: Seconds = 0.2
+    timeout_s: Seconds = 30.0
 
     @model_validator(mode="after")
     def _has_time_for_a_few_beats(self) -> Self:
@@ -175,7 +177,7 @@ class TransportTable(Table):
 
     listen: str = Field(
         default="tcp/127.0.0.1:0",
-        pattern=r"^tcp/[^\s:]+:[0-9]{1,5}$",
+        pattern=r"^tcp/[^\s:]+:([0-9]{1,4}|[1-5][0-9]{4}|6[0-4][0-9]{3}|65[0-4][0-9]{2}|655[0-2][0-9]|6553[0-5])$",
         description="tcp/HOST:PORT; port 0 takes a free one",
     )
 

@@ -184,3 +184,51 @@ def test_every_command_explains_itself_with_an_example(dsse, command: str):
     done = dsse(command, "--help")
     assert done.returncode == 0
     assert f"dsse {command}" in done.stdout.lower().split("example")[-1]
+
+
+@pytest.mark.parametrize("timeout", ["nan", "inf", "0", "-1"])
+@pytest.mark.parametrize("command", [("run", "industrial13"), ("plant", "industrial13"), ("agent", "area1.toml")])
+def test_a_time_limit_that_is_none_is_refused(dsse, command, timeout: str):
+    done = dsse(*command, "--timeout", timeout)
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+    assert done.stderr
+
+
+def test_an_area_may_not_be_called_like_a_process(dsse, edited_scenario):
+    path = edited_scenario("industrial13", ("[areas.area1]", "[areas.router]"))
+    done = dsse("check", path)
+    assert done.returncode == 2
+    assert "areas.router: this name belongs to a process of every run" in done.stderr
+
+
+def test_area_files_cannot_be_written_where_a_file_stands(dsse, tmp_path: Path):
+    (tmp_path / "taken").write_text("")
+    done = dsse("split", "ieee33", "--out", "taken")
+    assert done.returncode == 2
+    assert "taken" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_an_endpoint_that_is_none_is_refused_before_files_are_written(dsse, tmp_path: Path):
+    done = dsse("split", "ieee33", "--out", "areas", "--connect", "garbage")
+    assert done.returncode == 2
+    assert "'garbage' is no Zenoh endpoint" in done.stderr
+    assert not (tmp_path / "areas").exists()
+
+
+def test_a_reader_who_leaves_changes_neither_the_result_nor_the_exit_code(start_run, tmp_path: Path):
+    run = start_run("industrial13")
+    assert run.process.stdout is not None
+    run.process.stdout.close()
+    assert run.process.wait(60) == 0
+    assert (run.folder / "result.json").exists()
+
+
+def test_without_a_centralised_estimate_the_run_still_ends_with_its_own_verdict(dsse, edited_scenario):
+    error = 'noise = true\n\n[[telemetry.gross_error]]\nmeter = "p_flow@1:1-2"\nsigmas = 1e8\n'
+    path = edited_scenario("ieee33", ("noise = true", error))
+    done = dsse("run", path, "--out", "out", "--timeout", "3", "--no-plots", "--quiet")
+    assert done.returncode == 1
+    assert "there is no centralised estimate to compare with" in done.stdout
+    assert "NO CONSENSUS" in done.stdout
