@@ -33,8 +33,8 @@ class Admittance:
 def build_admittance(network: Network, *, with_shunts: bool = True) -> Admittance:
     """Build the admittances; a branch with tap ``t = tap * exp(j shift)`` at its from side has
 
-    ``yff = (ys + j b / 2) / |t|^2``, ``yft = -ys / conj(t)``, ``ytf = -ys / t``, ``ytt = ys + j b / 2``.
-    ``with_shunts=False`` leaves out charging and bus shunts, all that draws current without load.
+    ``yff = (ys + (g + j b) / 2) / |t|^2``, ``yft = -ys / conj(t)``, ``ytf = -ys / t``, ``ytt = ys + (g + j b) / 2``.
+    ``with_shunts=False`` leaves out g, b and bus shunts, all that draws current without load.
     """
     branches = network.active_branches
     n, n_branch = len(network.buses), len(branches)
@@ -42,7 +42,7 @@ def build_admittance(network: Network, *, with_shunts: bool = True) -> Admittanc
     t = np.array([network.row[b.to_bus] for b in branches], dtype=int)
     ys = np.array([1 / complex(b.r, b.x) for b in branches], dtype=complex)
     ratio = np.array([cmath.rect(b.tap, b.shift) for b in branches], dtype=complex)
-    ytt = ys + 0.5j * np.array([b.b * with_shunts for b in branches])
+    ytt = ys + 0.5 * np.array([complex(b.g, b.b) * with_shunts for b in branches], dtype=complex)
     yff = ytt / abs(ratio) ** 2
     yft = -ys / ratio.conj()
     ytf = -ys / ratio

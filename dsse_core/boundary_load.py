@@ -54,7 +54,7 @@ def own_net_load(area: Area, measured: Mapping[int, NetLoad] | None = None) -> N
 def _shunt_load(area: Area) -> complex:
     """What bus shunts and line charging consume at 1 p.u.; a bus that is not owned is bare in ``area.network``."""
     shunts = sum((complex(bus.g_shunt, -bus.b_shunt) for bus in area.network.buses), complex(0.0))
-    return shunts - 1j * sum(branch.b for branch in area.network.active_branches)
+    return shunts + sum(complex(branch.g, -branch.b) for branch in area.network.active_branches)
 
 
 def load_message_for(neighbour: str, own: NetLoad, heard: Mapping[str, NetLoad]) -> NetLoad:

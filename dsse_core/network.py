@@ -44,9 +44,9 @@ class Bus:
 
 @dataclass(frozen=True, slots=True)
 class Branch:
-    """A line or transformer: series ``r + jx``, total charging ``b``, in p.u.
+    """A line or transformer: series ``r + jx``, total charging ``b`` and leakage or iron losses ``g``, in p.u.
 
-    The tap stands at the from side, MATPOWER's convention: without load
+    Half of ``g + jb`` stands at each end. The tap stands at the from side, MATPOWER's convention: without load
     ``v_to = v_from / (tap * exp(j * shift))``; ``shift`` in rad.
     """
 
@@ -59,6 +59,7 @@ class Branch:
     tap: float = 1.0
     shift: float = 0.0
     in_service: bool = True
+    g: float = 0.0
 
     def other_end(self, bus: int) -> int:
         return self.to_bus if bus == self.from_bus else self.from_bus
@@ -114,6 +115,13 @@ class Network:
         return {bus: tuple(branches) for bus, branches in at.items()}
 
     @cached_property
+    def _generators_at(self) -> dict[int, list[Generator]]:
+        at: dict[int, list[Generator]] = {}
+        for generator in self.generators:
+            at.setdefault(generator.bus, []).append(generator)
+        return at
+
+    @cached_property
     def slack(self) -> Generator | None:
         return next((g for g in self.generators if g.control is Control.SLACK), None)
 
@@ -130,9 +138,8 @@ class Network:
     def scheduled_injection(self, bus_id: int) -> complex:
         """Scheduled generation minus load of a bus, p.u.; shunts do not count."""
         bus = self.bus(bus_id)
-        return sum((complex(g.p, g.q) for g in self.generators if g.bus == bus_id), complex(0.0)) - complex(
-            bus.p_load, bus.q_load
-        )
+        produced = sum((complex(g.p, g.q) for g in self._generators_at.get(bus_id, ())), complex(0.0))
+        return produced - complex(bus.p_load, bus.q_load)
 
     def find_unreached_buses(self, start: int) -> tuple[int, ...]:
         """Buses that no path of branches in service joins to ``start``, in network order."""
@@ -144,6 +151,15 @@ class Network:
                     reached.add(there)
                     queue.append(there)
         return tuple(bus.id for bus in self.buses if bus.id not in reached)
+
+    def find_supply_problems(self) -> list[str]:
+        """That there is no substation, or which buses no path of branches in service joins to it, as text."""
+        if self.slack is None:
+            return ["the network has no slack bus (substation); give it one source of kind 'slack'"]
+        if unreached := self.find_unreached_buses(self.slack.bus):
+            names = ", ".join(map(str, unreached))
+            return [f"no path of branches in service joins bus {names} to the substation"]
+        return []
 
 
 def _duplicates(items: Iterable[object]) -> list[object]:
@@ -173,8 +189,8 @@ def _find_problems(network: Network) -> Iterable[str]:
                 yield f"branch {branch.id} ends at bus {bus_id}, which is not defined"
         if branch.from_bus == branch.to_bus:
             yield f"branch {branch.id} joins bus {branch.from_bus} to itself"
-        if not all(map(math.isfinite, (branch.r, branch.x, branch.b, branch.tap, branch.shift))):
-            yield f"branch {branch.id}: r, x, b, tap or shift is not a finite number"
+        if not all(map(math.isfinite, (branch.r, branch.x, branch.b, branch.g, branch.tap, branch.shift))):
+            yield f"branch {branch.id}: r, x, b, g, tap or shift is not a finite number"
         elif branch.r == 0 and branch.x == 0:
             yield f"branch {branch.id} has no impedance; merge its two buses or give it a small x"
         if branch.tap <= 0:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -90,6 +90,13 @@ class Partition:
         """The one area that a meter belongs to: that of its branch, or the owner of its bus."""
         return self._area_of_branch[meter.branch] if meter.branch else self.owner_of_bus[meter.bus]
 
+    def meters_by_area(self, meters: Iterable[Meter]) -> dict[str, list[Meter]]:
+        """Area -> its meters among ``meters``, in their order; every area is there."""
+        found: dict[str, list[Meter]] = {area.name: [] for area in self.areas}
+        for meter in meters:
+            found[self.area_of_meter(meter)].append(meter)
+        return found
+
     @cached_property
     def boundaries(self) -> dict[int, tuple[str, ...]]:
         """Boundary bus -> the areas that see it, its owner first."""
@@ -102,6 +109,25 @@ class Partition:
             for bus, names in seen.items()
             if len(names) > 1
         }
+
+    @cached_property
+    def longest_path(self) -> tuple[str, ...]:
+        """The areas on the longest path of the tree: news from its one end to its other passes them all."""
+        return self._farthest_from(self._farthest_from(self.areas[0].name)[-1])
+
+    def _farthest_from(self, start: str) -> tuple[str, ...]:
+        """The longest path that starts at area ``start``."""
+        before: dict[str, str | None] = {start: None}
+        queue = [start]
+        for name in queue:  # which grows: breadth first, the last is the farthest
+            for neighbour in self.area(name).neighbours:
+                if neighbour.area not in before:
+                    before[neighbour.area] = name
+                    queue.append(neighbour.area)
+        path = [queue[-1]]
+        while (previous := before[path[-1]]) is not None:
+            path.append(previous)
+        return tuple(reversed(path))
 
 
 def build_partition(
@@ -120,23 +146,23 @@ def build_partition(
     """
     local_slack = local_slack or {}
     problems = _find_bus_problems(network, area_buses)
-    members = {name: set(buses) & network.row.keys() for name, buses in area_buses.items()}
-    branch_area, branch_problems = _assign_branches(network, members)
+    members = {name: {bus for bus in buses if bus in network.row} for name, buses in area_buses.items()}
+    meeting: dict[int, list[str]] = {}
+    for name, buses in members.items():
+        for bus in buses:
+            meeting.setdefault(bus, []).append(name)
+    branches, branch_problems = _assign_branches(network, members, meeting)
     problems += branch_problems
     problems += _find_slack_problems(members, local_slack)
     if problems:
         raise InvalidInputError(f"areas of network {network.name!r}", problems)
 
-    meeting: dict[int, list[str]] = {}
-    for name, buses in members.items():
-        for bus in buses:
-            meeting.setdefault(bus, []).append(name)
     boundaries = {bus: names for bus, names in meeting.items() if len(names) > 1}
     neighbours = _grow_tree(network, members, boundaries)
     areas = []
     for name in area_buses:
         parent = next((n for n in neighbours[name] if n.is_parent), None)
-        part = _cut_out(network, name, members[name], branch_area, parent.bus if parent else None)
+        part = _cut_out(network, name, members[name], branches[name], parent.bus if parent else None)
         bus, vm = local_slack.get(name) or _default_slack(part, parent)
         assert network.slack is not None  # checked by _find_bus_problems
         reference = (network.slack.bus, network.slack.va) if network.slack.bus in members[name] else None
@@ -173,28 +199,28 @@ def _find_bus_problems(network: Network, area_buses: Mapping[str, Sequence[int]]
     for bus in network.buses:
         if bus.id not in covered:
             problems.append(f"bus {bus.id} is in no area; add it to the buses of one")
-    if network.slack is None:
-        problems.append("the network has no slack bus (substation); give it one source of kind 'slack'")
-    elif unreached := network.find_unreached_buses(network.slack.bus):
-        names = ", ".join(map(str, unreached))
-        problems.append(f"no path of branches in service joins bus {names} to the substation")
-    return problems
+    return problems + network.find_supply_problems()
 
 
-def _assign_branches(network: Network, members: Mapping[str, set[int]]) -> tuple[dict[str, str], list[str]]:
-    """Give each branch in service to the one area that holds both its ends; find areas in pieces."""
-    branch_area: dict[str, str] = {}
+def _assign_branches(
+    network: Network, members: Mapping[str, set[int]], meeting: Mapping[int, Sequence[str]]
+) -> tuple[dict[str, list[Branch]], list[str]]:
+    """Give each branch in service to the one area that holds both its ends; find areas in pieces.
+
+    ``meeting``: bus -> the areas that list it.
+    """
+    inside: dict[str, list[Branch]] = {name: [] for name in members}
     problems = []
     for branch in network.active_branches:
-        homes = [name for name, buses in members.items() if {branch.from_bus, branch.to_bus} <= buses]
-        if len(homes) == 1:
-            branch_area[branch.id] = homes[0]
-        elif not homes:
+        homes = [name for name in meeting.get(branch.from_bus, ()) if branch.to_bus in members[name]]
+        for name in homes:
+            inside[name].append(branch)
+        if not homes:
             problems.append(
                 f"branch {branch.id} is in no area: no area lists both of its buses "
                 f"{branch.from_bus} and {branch.to_bus}; add one of them to the other's area"
             )
-        else:
+        elif len(homes) > 1:
             problems.append(
                 f"areas {', '.join(homes)} form a loop: all of them list both ends of branch {branch.id}; "
                 "two areas may share one bus only"
@@ -202,21 +228,19 @@ def _assign_branches(network: Network, members: Mapping[str, set[int]]) -> tuple
     for name, buses in members.items():
         if not buses:
             continue
-        pieces = _connected_pieces(buses, network.active_branches)
+        pieces = _connected_pieces(buses, inside[name])
         if len(pieces) > 1:
             text = " | ".join(", ".join(map(str, sorted(piece))) for piece in pieces)
             problems.append(f"area {name} is not connected by its own branches: it falls into buses {text}")
         elif len(buses) == 1:
             problems.append(f"area {name} has a single bus and no branch; add the bus to a neighbouring area instead")
-    return branch_area, problems
+    return inside, problems
 
 
 def _connected_pieces(buses: set[int], branches: Sequence[Branch]) -> list[set[int]]:
-    """The sets of ``buses`` that branches with both ends among them join."""
+    """The sets of ``buses`` that ``branches``, which end among them, join."""
     piece_of = {bus: {bus} for bus in sorted(buses)}
     for branch in branches:
-        if not {branch.from_bus, branch.to_bus} <= buses:
-            continue
         b, a = sorted((piece_of[branch.from_bus], piece_of[branch.to_bus]), key=len)
         if a is not b:
             a |= b
@@ -278,18 +302,18 @@ def _loop_error(
 
 
 def _cut_out(
-    network: Network, name: str, buses: set[int], branch_area: Mapping[str, str], not_owned: int | None
+    network: Network, name: str, buses: set[int], branches: Sequence[Branch], not_owned: int | None
 ) -> Network:
     """The part of the network that area ``name`` knows; the bus it does not own is left bare."""
+    own = [network.bus(bus) for bus in sorted(buses, key=network.row.__getitem__)]
     return Network(
         name=name,
         base_mva=network.base_mva,
         buses=tuple(
             replace(bus, p_load=0.0, q_load=0.0, g_shunt=0.0, b_shunt=0.0) if bus.id == not_owned else bus
-            for bus in network.buses
-            if bus.id in buses
+            for bus in own
         ),
-        branches=tuple(b for b in network.active_branches if branch_area[b.id] == name),
+        branches=tuple(branches),
         generators=tuple(g for g in network.generators if g.bus in buses and g.bus != not_owned),
     )
 

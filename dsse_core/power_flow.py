@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -42,10 +42,18 @@ class PowerFlowResult:
         Raises:
             InvalidInputError: the meter does not fit the network.
         """
-        if problems := list(find_meter_problems(self.network, [meter])):
-            raise InvalidInputError(f"meter of network {self.network.name!r}", problems)
-        model = build_measurement_model(self.network, self._admittance, [meter])
-        return float(model.predict(np.r_[self.va, self.vm])[0])
+        return float(self.read_all([meter])[0])
+
+    def read_all(self, meters: Sequence[Meter]) -> np.ndarray:
+        """What perfect meters would read, p.u. or rad, shape (n_meas,).
+
+        Raises:
+            InvalidInputError: listing every meter that does not fit the network or is given twice.
+        """
+        if problems := list(find_meter_problems(self.network, meters)):
+            raise InvalidInputError(f"meters of network {self.network.name!r}", problems)
+        model = build_measurement_model(self.network, self._admittance, meters)
+        return model.predict(np.r_[self.va, self.vm])
 
     @cached_property
     def _admittance(self) -> Admittance:

@@ -1,1 +1,1 @@
-"""The side that knows the whole grid: networks, scenario files, telemetry made from the truth, faults as numbers."""
+"""The side that knows the whole grid: networks, scenarios, importers, telemetry made or read, faults as numbers."""

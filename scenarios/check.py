@@ -26,10 +26,11 @@ def check_scenario(scenario: Scenario) -> None:
     problems += _find_gaps("whole grid", scenario.network, scenario.meters, None)
     if scenario.strategy == "angle-offset":
         problems += _find_substation_problems(scenario)
+        meters = scenario.partition.meters_by_area(scenario.meters)
         for area in scenario.partition.areas:
-            own = [m for m in scenario.meters if scenario.partition.area_of_meter(m) == area.name]
             reference = scenario.network.slack.bus if area.is_reference and scenario.network.slack else area.slack_bus
-            problems += _find_gaps(f"area {area.name}", area.network, meters_in_area(area, own), reference)
+            local = meters_in_area(area, meters[area.name])
+            problems += _find_gaps(f"area {area.name}", area.network, local, reference)
     if problems:
         raise InvalidInputError(f"scenario {scenario.name!r}", problems)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
@@ -41,9 +42,14 @@ class SigmaRule:
             return self.absolute[meter.kind]
         size = abs(read(meter))
         if meter.kind in _OTHER_POWER:
-            size = math.hypot(size, read(replace(meter, kind=_OTHER_POWER[meter.kind])))
+            size = math.hypot(size, read(other_power(meter)))
         sigma = self.relative[meter.kind] * size
         return sigma if meter.kind is KIND.VM else max(sigma, self.floor)
+
+
+def other_power(meter: Meter) -> Meter:
+    """The meter of Q for one of P and of P for one of Q at the same place; ``meter`` itself for other kinds."""
+    return replace(meter, kind=_OTHER_POWER.get(meter.kind, meter.kind))
 
 
 def build_sigma_rule(table: MeasurementsTable, base_mva: float) -> SigmaRule:
@@ -82,7 +88,7 @@ def build_meters(table: MeasurementsTable, network: Network) -> tuple[Meter, ...
     if table.current:
         branches = [network.branch(b) for b in _known(table.current.branches, all_branches)]
         meters += [Meter(KIND.CURRENT, b.from_bus, b.id) for b in branches]
-    virtual = _find_zero_injections(network) if table.zero_injection == "virtual" else ()
+    virtual = find_virtual_buses(table, network)
     measured = _known(table.injection.buses, all_buses) if table.injection else ()
     meters += [m for bus in measured if bus not in virtual for m in _injection_meters(bus, Source.TELEMETERED)]
     meters += [m for bus in virtual for m in _injection_meters(bus, Source.VIRTUAL)]
@@ -93,15 +99,16 @@ def find_place_problems(table: MeasurementsTable, network: Network) -> Iterable[
     """Every bus and branch of ``table`` that is unknown, out of service or listed twice, with its key."""
     for key in ("voltage", "angle", "injection"):
         buses: tuple[int, ...] | None = (part := getattr(table, key)) and part.buses
-        for bus in sorted(set(buses or ())):
+        for bus, count in sorted(Counter(buses or ()).items()):
             if bus not in network.row:
                 yield f"measurements.{key}.buses: bus {bus} is not in network {network.name!r}"
-            if (buses or ()).count(bus) > 1:
+            if count > 1:
                 yield f"measurements.{key}.buses: bus {bus} is listed twice; keep one"
+    yield from _find_zero_injection_problems(table, network)
     in_service = {branch.id: branch.in_service for branch in network.branches}
     for key in ("flow", "current"):
         branches: tuple[str, ...] | None = (part := getattr(table, key)) and part.branches
-        for branch in sorted(set(branches or ())):
+        for branch, count in sorted(Counter(branches or ()).items()):
             if branch not in in_service:
                 yield (
                     f"measurements.{key}.branches: branch {branch!r} is not in network {network.name!r}; "
@@ -109,19 +116,42 @@ def find_place_problems(table: MeasurementsTable, network: Network) -> Iterable[
                 )
             elif not in_service[branch]:
                 yield f"measurements.{key}.branches: branch {branch!r} is out of service; remove it from the list"
-            if (branches or ()).count(branch) > 1:
+            if count > 1:
                 yield f"measurements.{key}.branches: branch {branch!r} is listed twice; keep one"
+
+
+def _find_zero_injection_problems(table: MeasurementsTable, network: Network) -> Iterable[str]:
+    listed = table.zero_injection if isinstance(table.zero_injection, tuple) else ()
+    empty = _find_zero_injections(network)
+    for bus, count in sorted(Counter(listed).items()):
+        if bus not in network.row:
+            yield f"measurements.zero_injection: bus {bus} is not in network {network.name!r}"
+        elif bus not in empty:
+            yield f"measurements.zero_injection: bus {bus} has a load or a source in the network file; remove it here"
+        if count > 1:
+            yield f"measurements.zero_injection: bus {bus} is listed twice; keep one"
 
 
 def _known(listed: Sequence[Place] | None, places: Sequence[Place]) -> Sequence[Place]:
     """The listed places that exist, each once; all places if none is listed."""
-    return places if listed is None else [place for place in dict.fromkeys(listed) if place in places]
+    if listed is None:
+        return places
+    existing = set(places)
+    return [place for place in dict.fromkeys(listed) if place in existing]
 
 
-def _find_zero_injections(network: Network) -> tuple[int, ...]:
+def find_virtual_buses(table: MeasurementsTable, network: Network) -> dict[int, None]:
+    """The buses that inject exactly nothing, for every estimator."""
+    empty = _find_zero_injections(network)
+    if table.zero_injection == "virtual":
+        return empty
+    return {} if table.zero_injection == "measured" else {b: None for b in table.zero_injection if b in empty}
+
+
+def _find_zero_injections(network: Network) -> dict[int, None]:
     """Buses without load and source; a shunt is part of the network, not an injection."""
     fed = {generator.bus for generator in network.generators}
-    return tuple(b.id for b in network.buses if b.p_load == 0 and b.q_load == 0 and b.id not in fed)
+    return {b.id: None for b in network.buses if b.p_load == 0 and b.q_load == 0 and b.id not in fed}
 
 
 def _injection_meters(bus: int, source: Source) -> list[Meter]:

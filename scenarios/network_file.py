@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Iterable
+import re
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -15,6 +17,7 @@ from scenarios.shipped_files import find_shipped
 from scenarios.strict_toml import Table, load_strict, suggest
 
 Positive = Annotated[float, Field(gt=0)]
+BRANCH_ID = re.compile(r"[a-z0-9_-]+")
 
 
 class BusTable(Table):
@@ -34,13 +37,17 @@ class BranchTable(Table):
 
     from_: int = Field(alias="from", description="id of the bus at the tap side")
     to: int = Field(description="id of the bus at the other end")
-    id: str | None = Field(default=None, pattern=r"^[a-z0-9_-]+$", description="lower-case letters, digits, _ and -")
+    id: str | None = Field(
+        default=None, pattern=f"^{BRANCH_ID.pattern}$", description="lower-case letters, digits, _ and -"
+    )
     r_ohm: float | None = None
     x_ohm: float | None = None
     b_us: float | None = Field(default=None, description="total charging in microsiemens")
+    g_us: float | None = Field(default=None, description="total leakage or iron losses in microsiemens")
     r_pu: float | None = None
     x_pu: float | None = None
     b_pu: float | None = Field(default=None, description="total charging in p.u.")
+    g_pu: float | None = Field(default=None, description="total leakage or iron losses in p.u.")
     tap_ratio: Positive = Field(default=1.0, description="divides the from-side voltage; 1.0 for a line")
     shift_deg: float = 0.0
     in_service: bool = True
@@ -51,10 +58,12 @@ class BranchTable(Table):
 
     @model_validator(mode="after")
     def _has_one_complete_impedance(self) -> Self:
-        ohm = (self.r_ohm, self.x_ohm, self.b_us)
-        pu = (self.r_pu, self.x_pu, self.b_pu)
+        ohm = (self.r_ohm, self.x_ohm, self.b_us, self.g_us)
+        pu = (self.r_pu, self.x_pu, self.b_pu, self.g_pu)
         if any(v is not None for v in ohm) and any(v is not None for v in pu):
-            raise ValueError("mixes r_ohm/x_ohm/b_us with r_pu/x_pu/b_pu; give all of them in one of the two units")
+            raise ValueError(
+                "mixes ohm and microsiemens with r_pu/x_pu/b_pu/g_pu; give all of them in one of the two units"
+            )
         if None in ohm[:2] and None in pu[:2]:
             raise ValueError("has no complete impedance; give r_ohm and x_ohm, or r_pu and x_pu")
         return self
@@ -170,7 +179,7 @@ def _build_branches(file: NetworkFile) -> Iterable[Branch]:
     base_kv = _base_kv_by_bus(file)
     taken = {branch.id for branch in file.branch}
     for branch in file.branch:
-        branch_id = branch.id or _default_id(branch, taken)
+        branch_id = branch.id or default_branch_id(branch.from_, branch.to, taken)
         taken.add(branch_id)
         # An ohm is 1 / z_base p.u.; the base of an unknown bus does not matter, Network reports the bus.
         z_base = base_kv.get(branch.from_, 1.0) ** 2 / file.base_mva
@@ -181,16 +190,106 @@ def _build_branches(file: NetworkFile) -> Iterable[Branch]:
             r=branch.r_pu if branch.r_pu is not None else (branch.r_ohm or 0.0) / z_base,
             x=branch.x_pu if branch.x_pu is not None else (branch.x_ohm or 0.0) / z_base,
             b=branch.b_pu if branch.b_pu is not None else (branch.b_us or 0.0) * 1e-6 * z_base,
+            g=branch.g_pu if branch.g_pu is not None else (branch.g_us or 0.0) * 1e-6 * z_base,
             tap=branch.tap_ratio,
             shift=math.radians(branch.shift_deg),
             in_service=branch.in_service,
         )
 
 
-def _default_id(branch: BranchTable, taken: set[str | None]) -> str:
-    """``from-to``; parallel branches get ``#2``, ``#3``, ... behind it."""
-    plain = f"{branch.from_}-{branch.to}"
+def default_branch_id(from_bus: int, to_bus: int, taken: Collection[str | None]) -> str:
+    """``from-to``; parallel branches get ``#2``, ``#3``, ... behind it. ``taken``: the ids of others."""
+    plain = f"{from_bus}-{to_bus}"
     number = 1
     while (branch_id := plain if number == 1 else f"{plain}#{number}") in taken:
         number += 1
     return branch_id
+
+
+def save_network(path: Path, network: Network, data_source: str) -> None:
+    """Write a network file that ``load_network`` reads back; impedances in p.u., numbers to 15 digits.
+
+    Raises:
+        InvalidInputError: listing every branch whose id a network file cannot hold.
+    """
+    if problems := list(_find_id_problems(network)):
+        raise InvalidInputError(str(path), problems)
+    head = {"name": network.name, "data_source": data_source, "base_mva": float(network.base_mva)}
+    base = network.base_mva
+    rows = {
+        "bus": [_bus_row(bus, base) for bus in network.buses],
+        "branch": [_branch_row(branch) for branch in network.branches],
+        "source": [_source_row(generator, base) for generator in network.generators],
+    }
+    lines = [f"{key} = {_toml(value)}" for key, value in head.items()]
+    for table, items in rows.items():
+        lines += ["", f"{table} = [", *(f"    {_inline(item)}," for item in items), "]"]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _find_id_problems(network: Network) -> Iterable[str]:
+    """Ids that are neither written nor what ``load_network`` would call the branch."""
+    taken: set[str | None] = {branch.id for branch in network.branches if _written_id(branch)}
+    for branch in network.branches:
+        if not _written_id(branch):
+            expected = default_branch_id(branch.from_bus, branch.to_bus, taken)
+            taken.add(expected)
+            if branch.id != expected:
+                yield (
+                    f"branch {branch.id!r}: a network file has ids of lower-case letters, digits, _ and -, "
+                    f"or calls this branch {expected!r}; rename it"
+                )
+
+
+def _written_id(branch: Branch) -> str | None:
+    """The id where the file must give it."""
+    is_default = branch.id.partition("#")[0] == f"{branch.from_bus}-{branch.to_bus}"
+    return None if is_default or not BRANCH_ID.fullmatch(branch.id) else branch.id
+
+
+def _bus_row(bus: Bus, base: float) -> dict[str, object]:
+    row: dict[str, object] = {"id": bus.id, "base_kv": bus.base_kv}
+    if bus.name:
+        row["name"] = bus.name
+    for key in ("p_load", "q_load", "g_shunt", "b_shunt"):
+        if power := getattr(bus, key):
+            row[f"{key}_{'mw' if key in ('p_load', 'g_shunt') else 'mvar'}"] = power * base
+    return row
+
+
+def _branch_row(branch: Branch) -> dict[str, object]:
+    row: dict[str, object] = {"from": branch.from_bus, "to": branch.to_bus}
+    if (branch_id := _written_id(branch)) is not None:
+        row["id"] = branch_id
+    row |= {"r_pu": branch.r, "x_pu": branch.x}
+    optional = {
+        "b_pu": (branch.b, 0.0),
+        "g_pu": (branch.g, 0.0),
+        "tap_ratio": (branch.tap, 1.0),
+        "shift_deg": (math.degrees(branch.shift), 0.0),
+        "in_service": (branch.in_service, True),
+    }
+    return row | {key: value for key, (value, default) in optional.items() if value != default}
+
+
+def _source_row(generator: Generator, base: float) -> dict[str, object]:
+    row: dict[str, object] = {"bus": generator.bus, "kind": str(generator.control)}
+    row |= {k: p * base for k, p in (("p_mw", generator.p), ("q_mvar", generator.q)) if p}
+    if generator.control is not Control.POWER:
+        row["vm_pu"] = generator.vm
+    if generator.control is Control.SLACK:
+        row["va_deg"] = math.degrees(generator.va)
+    return row
+
+
+def _inline(row: Mapping[str, object]) -> str:
+    return "{ " + ", ".join(f"{key} = {_toml(value)}" for key, value in row.items()) + " }"
+
+
+def _toml(value: object) -> str:
+    """A TOML value; texts are JSON's, which are TOML's but for the delete character."""
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return f"{value:.15g}" if isinstance(value, float) else str(value)

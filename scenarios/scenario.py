@@ -3,31 +3,39 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Iterable
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
 from dsse_core.errors import InvalidInputError
-from dsse_core.measurement import Meter, Source
+from dsse_core.measurement import Measurement, Meter, Source
 from dsse_core.network import Network
 from dsse_core.partition import Partition, build_partition
-from scenarios.meters import SigmaRule, build_meters, build_sigma_rule, find_place_problems
+from scenarios.cutting import cut_at, cut_into
+from scenarios.meters import SigmaRule, build_meters, build_sigma_rule, find_place_problems, find_virtual_buses
 from scenarios.network_file import load_case, load_network
-from scenarios.scenario_file import ScenarioFile
+from scenarios.readings_file import load_readings
+from scenarios.scenario_file import CountTable, ScenarioFile, SwitchesTable
 from scenarios.shipped_files import find_shipped
 from scenarios.strict_toml import load_strict, suggest
 
+AreaBuses = Mapping[str, Sequence[int]]
 RESERVED = {"all", "coordinator", "plant", "router"}
 
 
 @dataclass(frozen=True, slots=True)
 class TelemetrySettings:
-    """How readings are made: ``gross_errors`` is meter id -> error in standard deviations."""
+    """How readings are made: ``gross_errors`` is meter id -> error in standard deviations.
 
-    source: Literal["network", "area-power-flow"]
+    ``readings``: meter id -> what a real meter read, of source ``file`` only, else empty.
+    """
+
+    source: Literal["network", "area-power-flow", "file"]
     noise: bool
     gross_errors: dict[str, float]
+    readings: dict[str, Measurement] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +82,7 @@ class Scenario:
     sigma_rule: SigmaRule
     telemetry: TelemetrySettings
     generation: Literal["telemetered", "scheduled"]
+    admm_penalty: float
     load_error: dict[str, complex]
     loss: dict[tuple[str, str], float]
     tolerances: Tolerances
@@ -86,38 +95,50 @@ def list_scenarios() -> tuple[tuple[str, str], ...]:
     return tuple((name, load_strict(path, ScenarioFile).description) for name, path in find_shipped("shipped").items())
 
 
-def load_scenario(name_or_path: str | Path, *, strategies: Collection[str] = ("angle-offset",)) -> Scenario:
+def load_scenario(
+    name_or_path: str | Path,
+    *,
+    strategies: Collection[str] = ("angle-offset",),
+    changes: Mapping[str, object] | None = None,
+) -> Scenario:
     """Read a shipped scenario by name, or a scenario file by its path (a ``Path``, or text with ``/`` or ``.toml``).
+
+    ``changes``: values that replace the file's, by key path such as ``faults.loss`` or ``faults.link[0].loss``.
 
     Raises:
         InvalidInputError: unknown name; or every problem of the file: first of its keys and types, then of what
             they say about the network, areas, meters and faults.
     """
     path = _find_file(name_or_path)
-    file = load_strict(path, ScenarioFile)
+    file = load_strict(path, ScenarioFile, changes)
     problems = []
     if file.strategy not in strategies:
         allowed = ", ".join(sorted(strategies))
         problems.append(f"strategy: unknown strategy {file.strategy!r}; allowed: {allowed}")
     network, network_problems = _load_network_of(file, path)
     problems += network_problems
-    problems += _find_fault_problems(file)
+    area_buses, area_problems = _find_area_buses(file, network)
+    problems += area_problems
+    problems += _find_fault_problems(file, area_buses)
     problems += [
         f"areas.{name}: this name belongs to a process of every run; choose another"
-        for name in sorted(RESERVED & file.areas.keys())
+        for name in sorted(RESERVED & (area_buses or {}).keys())
     ]
     if network is None:
         raise InvalidInputError(str(path), problems)
     problems += find_place_problems(file.measurements, network)
-    partition, partition_problems = _build_partition_of(file, network)
+    partition, partition_problems = _build_partition_of(file, network, area_buses)
     problems += partition_problems
-    meters = _build_meters_of(file, network)
-    problems += _find_gross_error_problems(file, meters)
+    readings, reading_problems = _load_readings_of(file, path, network)
+    problems += reading_problems
+    meters = _build_meters_of(file, network, area_buses or {}, readings)
+    if not reading_problems:
+        problems += _find_gross_error_problems(file, meters)
     if partition is not None:
-        problems += _find_link_problems(file, _find_links(partition))
+        problems += _find_link_problems(file, partition)
     if partition is None or problems:
         raise InvalidInputError(str(path), problems)
-    return _build_scenario(path, file, partition, meters)
+    return _build_scenario(path, file, partition, meters, readings)
 
 
 def _find_file(name_or_path: str | Path) -> Path:
@@ -145,25 +166,72 @@ def _load_network_of(file: ScenarioFile, path: Path) -> tuple[Network | None, li
         return None, [f"network: {error.what}: {problem}{hint}" for problem in error.problems]
 
 
-def _build_partition_of(file: ScenarioFile, network: Network) -> tuple[Partition | None, list[str]]:
-    buses = {name: area.buses for name, area in file.areas.items()}
-    slacks = {
-        name: (area.slack_bus, area.slack_vm_pu)
-        for name, area in file.areas.items()
-        if area.slack_bus is not None and area.slack_vm_pu is not None
-    }
+def _find_area_buses(file: ScenarioFile, network: Network | None) -> tuple[AreaBuses | None, list[str]]:
+    """Area -> its buses, as listed or as cut; None where there is no network to cut or no such cut."""
     try:
-        return build_partition(network, buses, slacks), []
+        match file.areas:
+            case CountTable(count=count):
+                return (None if network is None else cut_into(network, count)), []
+            case SwitchesTable(switches=switches):
+                return (None if network is None else cut_at(network, switches)), []
+            case lists:
+                return {name: area.buses for name, area in lists.items()}, []
     except InvalidInputError as error:
         return None, [f"areas: {problem}" for problem in error.problems]
 
 
-def _build_meters_of(file: ScenarioFile, network: Network) -> tuple[Meter, ...]:
-    meters = build_meters(file.measurements, network)
-    if file.telemetry.source == "network":
+def _build_partition_of(
+    file: ScenarioFile, network: Network, area_buses: AreaBuses | None
+) -> tuple[Partition | None, list[str]]:
+    if area_buses is None:
+        return None, []
+    slacks = {
+        name: (area.slack_bus, area.slack_vm_pu)
+        for name, area in (file.areas.items() if isinstance(file.areas, dict) else ())
+        if area.slack_bus is not None and area.slack_vm_pu is not None
+    }
+    try:
+        return build_partition(network, area_buses, slacks), []
+    except InvalidInputError as error:
+        return None, [f"areas: {problem}" for problem in error.problems]
+
+
+def _load_readings_of(
+    file: ScenarioFile, path: Path, network: Network
+) -> tuple[tuple[Measurement, ...], Sequence[str]]:
+    """The readings of source ``file``, else none; and what is wrong with them or with the meters given instead."""
+    tables = file.measurements.kinds
+    if file.telemetry.file is None:
+        return (), () if tables else (
+            "measurements: there is no meter; give at least one of voltage, angle, flow, injection, current, "
+            "or real readings with telemetry.source = 'file'",
+        )
+    problems = [
+        f"measurements.{key}: with telemetry.source 'file' the meters are those that have a reading; remove it"
+        for key in tables
+    ]
+    try:
+        readings = load_readings(path.parent / file.telemetry.file, network)
+    except InvalidInputError as error:
+        return (), [*problems, *(f"telemetry.file: {error.what}: {problem}" for problem in error.problems)]
+    virtual = find_virtual_buses(file.measurements, network)
+    problems += [
+        f"telemetry.file: {m.meter.id} has a reading, but measurements.zero_injection says that bus {m.meter.bus} "
+        "injects exactly nothing; remove the reading, or set zero_injection to 'measured' or to a list without this bus"
+        for m in readings
+        if m.meter.kind.of_injection and m.meter.bus in virtual
+    ]
+    return readings, problems
+
+
+def _build_meters_of(
+    file: ScenarioFile, network: Network, area_buses: AreaBuses, readings: Sequence[Measurement]
+) -> tuple[Meter, ...]:
+    meters = (*(m.meter for m in readings), *build_meters(file.measurements, network))
+    if file.telemetry.source != "area-power-flow":
         return meters
-    members = [bus for area in file.areas.values() for bus in area.buses]
-    return tuple(m for m in meters if not (m.kind.of_injection and members.count(m.bus) > 1))
+    areas_at = Counter(bus for buses in area_buses.values() for bus in buses)
+    return tuple(m for m in meters if not (m.kind.of_injection and areas_at[m.bus] > 1))
 
 
 def _find_links(partition: Partition) -> tuple[tuple[str, str], ...]:
@@ -171,20 +239,25 @@ def _find_links(partition: Partition) -> tuple[tuple[str, str], ...]:
     return tuple((n.area, area.name) for area in partition.areas for n in area.neighbours)
 
 
-def _find_fault_problems(file: ScenarioFile) -> Iterable[str]:
+def _find_fault_problems(file: ScenarioFile, areas: Collection[str] | None) -> Iterable[str]:
+    """Names of no area; nothing as long as no names are known (None)."""
+    if areas is None:
+        return
     for name in file.faults.load_error:
-        if name not in file.areas:
-            yield f"faults.load_error.{name}: there is no area {name!r}; areas: {', '.join(file.areas)}"
+        if name not in areas:
+            yield f"faults.load_error.{name}: there is no area {name!r}; areas: {', '.join(areas)}"
     for i, link in enumerate(file.faults.link):
         for key, name in (("from", link.from_), ("to", link.to)):
-            if name not in file.areas:
-                yield f"faults.link[{i}].{key}: there is no area {name!r}; areas: {', '.join(file.areas)}"
+            if name not in areas:
+                yield f"faults.link[{i}].{key}: there is no area {name!r}; areas: {', '.join(areas)}"
 
 
-def _find_link_problems(file: ScenarioFile, links: Collection[tuple[str, str]]) -> Iterable[str]:
+def _find_link_problems(file: ScenarioFile, partition: Partition) -> Iterable[str]:
+    links = _find_links(partition)
+    areas = {area.name for area in partition.areas}
     named = [(link.from_, link.to) for link in file.faults.link]
     for i, (sender, receiver) in enumerate(named):
-        if {sender, receiver} <= file.areas.keys() and (sender, receiver) not in links:
+        if {sender, receiver} <= areas and (sender, receiver) not in links:
             pairs = ", ".join(f"{a} to {b}" for a, b in links) or "none"
             yield f"faults.link[{i}]: {sender} and {receiver} are not neighbours; links: {pairs}"
         if (sender, receiver) in named[:i]:
@@ -206,7 +279,13 @@ def _find_gross_error_problems(file: ScenarioFile, meters: Collection[Meter]) ->
             yield f"{key}: {meter} is given twice; keep one"
 
 
-def _build_scenario(path: Path, file: ScenarioFile, partition: Partition, meters: tuple[Meter, ...]) -> Scenario:
+def _build_scenario(
+    path: Path,
+    file: ScenarioFile,
+    partition: Partition,
+    meters: tuple[Meter, ...],
+    readings: tuple[Measurement, ...],
+) -> Scenario:
     base_mva = partition.network.base_mva
     errors = {name: complex(e.p_mw, e.q_mvar) / base_mva for name, e in file.faults.load_error.items()}
     overrides = {(link.from_, link.to): link.loss for link in file.faults.link}
@@ -224,8 +303,10 @@ def _build_scenario(path: Path, file: ScenarioFile, partition: Partition, meters
             source=file.telemetry.source,
             noise=file.telemetry.noise,
             gross_errors={error.meter: error.sigmas for error in file.telemetry.gross_error},
+            readings={m.meter.id: m for m in readings},
         ),
         generation=file.load_messages.generation,
+        admm_penalty=file.admm.penalty,
         load_error={area.name: errors.get(area.name, 0j) for area in partition.areas},
         loss={link: overrides.get(link, file.faults.loss) for link in _find_links(partition)},
         tolerances=Tolerances(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, PlainValidator, StringConstraints, model_validator
+from pydantic import Discriminator, Field, PlainValidator, StringConstraints, Tag, model_validator
 
 from scenarios.strict_toml import Table
 
@@ -36,6 +36,18 @@ def _parse_branches(value: object) -> tuple[str, ...] | None:
 
 BusSelection = Annotated[tuple[int, ...] | None, PlainValidator(_parse_buses)]
 """The listed buses; None means all."""
+
+
+def _parse_zero_injection(value: object) -> Literal["virtual", "measured"] | tuple[int, ...]:
+    if isinstance(value, list) and all(type(item) is int for item in value):
+        return tuple(value)
+    if value in ("virtual", "measured"):
+        return "virtual" if value == "virtual" else "measured"
+    raise ValueError(f'must be "virtual", "measured" or a list of bus numbers, found {value!r}')
+
+
+ZeroInjection = Annotated[Literal["virtual", "measured"] | tuple[int, ...], PlainValidator(_parse_zero_injection)]
+"""Which buses inject exactly nothing: all without load and source, none, or those listed."""
 BranchSelection = Annotated[tuple[str, ...] | None, PlainValidator(_parse_branches)]
 """The listed branches; None means all that are in service."""
 
@@ -52,6 +64,36 @@ class AreaTable(Table):
         if (self.slack_bus is None) != (self.slack_vm_pu is None):
             raise ValueError("slack_bus and slack_vm_pu belong together; give both or none")
         return self
+
+
+class CountTable(Table):
+    """``areas = { count = N }``."""
+
+    count: int = Field(ge=1, description="how many areas, cut so that their sizes are balanced")
+
+
+class SwitchesTable(Table):
+    """``areas = { switches = [...] }``."""
+
+    switches: list[str] = Field(min_length=1, description="ids of the branches to cut at, none of them in a loop")
+
+
+def _kind_of_areas(value: object) -> str:
+    """The member of ``Areas`` that ``value`` is meant to be, as its tag."""
+    if isinstance(value, dict):
+        if not isinstance(value.get("switches", {}), dict):
+            return "[switches]"
+        if any(not isinstance(item, dict) for item in value.values()):
+            return "[count]"
+    return "[lists]"
+
+
+Areas = Annotated[
+    Annotated[dict[AreaName, AreaTable], Tag("[lists]")]
+    | Annotated[CountTable, Tag("[count]")]
+    | Annotated[SwitchesTable, Tag("[switches]")],
+    Discriminator(_kind_of_areas),
+]
 
 
 class SigmaTable(Table):
@@ -93,18 +135,17 @@ class MeasurementsTable(Table):
     floor_kva: Positive = Field(
         default=1.0, description="smallest standard deviation that a sigma_percent can mean, in kVA"
     )
-    zero_injection: Literal["virtual", "measured"] = "virtual"
+    zero_injection: ZeroInjection = "virtual"
     voltage: BusMeterTable | None = None
     angle: AngleMeterTable | None = None
     flow: BranchMeterTable | None = None
     injection: BusMeterTable | None = None
     current: BranchMeterTable | None = None
 
-    @model_validator(mode="after")
-    def _has_a_meter(self) -> Self:
-        if not any((self.voltage, self.angle, self.flow, self.injection, self.current)):
-            raise ValueError("there is no meter; give at least one of voltage, angle, flow, injection, current")
-        return self
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """The tables of meters that are given."""
+        return tuple(key for key in ("voltage", "angle", "flow", "injection", "current") if getattr(self, key))
 
 
 class GrossErrorTable(Table):
@@ -117,15 +158,32 @@ class GrossErrorTable(Table):
 class TelemetryTable(Table):
     """``[telemetry]``."""
 
-    source: Literal["network", "area-power-flow"] = "network"
+    source: Literal["network", "area-power-flow", "file"] = "network"
+    file: str | None = Field(default=None, description="path of a readings file, relative to this file")
     noise: bool = True
     gross_error: list[GrossErrorTable] = Field(default_factory=list)
+
+    @model_validator(mode="after")
+    def _has_a_file_exactly_when_it_is_the_source(self) -> Self:
+        if self.source == "file" and self.file is None:
+            raise ValueError("source 'file' needs the path of the readings; give file = \"readings.csv\"")
+        if self.source != "file" and self.file is not None:
+            raise ValueError(f"file has no meaning for source {self.source!r}; remove it or set source = 'file'")
+        if self.source == "file" and "noise" in self.model_fields_set:
+            raise ValueError("noise has no meaning for source 'file', whose readings are real; remove it")
+        return self
 
 
 class LoadMessagesTable(Table):
     """``[load_messages]``."""
 
     generation: Literal["telemetered", "scheduled"] = "telemetered"
+
+
+class AdmmTable(Table):
+    """``[admm]``."""
+
+    penalty: Annotated[float, Field(ge=1e-6, le=1e6)] = 1.0
 
 
 class LinkTable(Table):
@@ -190,10 +248,13 @@ class ScenarioFile(Table):
     seed: int = Field(default=1, ge=0, description="seed of noise and losses")
     network: str = Field(description="name of a shipped network, or path of a .toml file relative to this file")
     strategy: str = "angle-offset"
-    areas: dict[AreaName, AreaTable] = Field(description="one [areas.NAME] with its buses for each area")
-    measurements: MeasurementsTable = Field(description="where meters stand and how exact they are")
+    areas: Areas = Field(
+        description="one [areas.NAME] with its buses for each area, or { count = N }, or { switches = [...] }"
+    )
+    measurements: MeasurementsTable = MeasurementsTable()
     telemetry: TelemetryTable = TelemetryTable()
     load_messages: LoadMessagesTable = LoadMessagesTable()
+    admm: AdmmTable = AdmmTable()
     faults: FaultsTable = FaultsTable()
     tolerances: TolerancesTable = TolerancesTable()
     run: RunTable = RunTable()

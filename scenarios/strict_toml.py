@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Tag, ValidationError
 from pydantic_core import ErrorDetails
 
 from dsse_core.errors import InvalidInputError
@@ -23,8 +24,8 @@ class Table(BaseModel):
 Model = TypeVar("Model", bound=Table)
 
 
-def load_strict(path: Path, model: type[Model]) -> Model:
-    """Read a TOML file into ``model``.
+def load_strict(path: Path, model: type[Model], changes: Mapping[str, object] | None = None) -> Model:
+    """Read a TOML file into ``model``; ``changes``: key path -> the value it has instead of the file's.
 
     Raises:
         InvalidInputError: the file cannot be read, is not TOML (with line and column), or does not fit the
@@ -38,10 +39,34 @@ def load_strict(path: Path, model: type[Model]) -> Model:
         raise InvalidInputError(str(path), [f"not UTF-8 text ({error.reason} at byte {error.start})"]) from None
     except tomllib.TOMLDecodeError as error:
         raise InvalidInputError(str(path), [f"not valid TOML: {error}"]) from None
+    if problems := [problem for key, value in (changes or {}).items() if (problem := _change(content, key, value))]:
+        raise InvalidInputError(str(path), problems)
     try:
         return model.model_validate(content)
     except ValidationError as error:
         raise InvalidInputError(str(path), [_describe(model, e) for e in error.errors()]) from None
+
+
+def _change(content: Any, key: str, value: object) -> str | None:
+    """Set ``key``, a path such as ``faults.link[0].loss``, in ``content``; what is wrong with the path, if it is."""
+    if not re.fullmatch(r"[\w-]+(\[\d+\])*(\.[\w-]+(\[\d+\])*)*", key, re.ASCII):
+        return f"{key!r} is no key; one looks like faults.loss or faults.link[0].loss"
+    steps = [int(word) if bracket else word for bracket, word in re.findall(r"(\[?)([\w-]+)", key)]
+    for i, step in enumerate(steps):
+        here = _key_path(steps[:i]) or "the file"
+        if isinstance(step, int):
+            if not isinstance(content, list) or step >= len(content):
+                length = f"a list of {len(content)}" if isinstance(content, list) else "no list"
+                return f"{key}: {here} is {length}; items count from 0"
+        elif not isinstance(content, dict):
+            return f"{key}: {here} is no table in the file"
+        elif i + 1 < len(steps):
+            content.setdefault(step, {})
+        if i + 1 == len(steps):
+            content[step] = value
+        else:
+            content = content[step]
+    return None
 
 
 def suggest(word: str, allowed: Iterable[str]) -> str:
@@ -52,7 +77,7 @@ def suggest(word: str, allowed: Iterable[str]) -> str:
 
 def _describe(model: type[Table], error: ErrorDetails) -> str:
     location = [step for step in error["loc"] if step != "[key]"]
-    key = _key_path(location)
+    key = _key_path(step for step in location if not _is_tag(step))
     if error["type"] == "extra_forbidden":
         allowed = _allowed_keys(model, location[:-1])
         return f"{key}: unknown key; allowed here: {', '.join(allowed)}{suggest(str(location[-1]), allowed)}"
@@ -65,6 +90,11 @@ def _describe(model: type[Table], error: ErrorDetails) -> str:
     found = "a table" if isinstance(error["input"], dict) else repr(error["input"])
     text = error["msg"].replace("Input should", "must", 1).replace("String should", "must", 1)
     return f"{key}: {text}, found {found}" + (f" ({meaning})" if meaning else "")
+
+
+def _is_tag(step: int | str) -> bool:
+    """Whether ``step`` is no key but the tag of a union's member, which tags in brackets set apart from keys."""
+    return isinstance(step, str) and re.fullmatch(r"\[[a-z]+\]", step) is not None
 
 
 def _key_path(location: Iterable[int | str]) -> str:
@@ -93,6 +123,10 @@ def _annotation_at(model: type[Table], location: Iterable[int | str]) -> Any:
     """The type annotation at ``location``; a step into a dict or list leaves the table inside it."""
     annotation: Any = model
     for step in location:
+        if _is_tag(step):
+            members = (part for part in get_args(annotation) if Tag(str(step)) in getattr(part, "__metadata__", ()))
+            annotation = getattr(next(members, None), "__origin__", None)
+            continue
         table = _table_in(annotation)
         names_an_item = isinstance(step, int) or get_origin(annotation) is dict
         if table is None:

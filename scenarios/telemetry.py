@@ -1,10 +1,10 @@
-"""Telemetry: what the meters of every area read in one scan, made from the truth, noise and gross errors."""
+"""Telemetry: what the meters of every area read in one scan, made from the truth, noise and gross errors, or real."""
 
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from dsse_core.boundary_load import boundary_loads, scheduled_load_messages
 from dsse_core.errors import InvalidInputError
 from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.power_flow import PowerFlowResult, solve_power_flow
+from scenarios.meters import other_power
 from scenarios.scenario import Scenario
 
 
@@ -19,11 +20,11 @@ from scenarios.scenario import Scenario
 class Telemetry:
     """One scan. ``by_area``: area -> its measurements; ``union``: all of them, for the centralised WLS.
 
-    ``truth`` is the power flow of the whole grid, ``area_power_flows`` those that the readings come from under
-    ``area-power-flow`` (their angles refer to each area's local slack), else empty.
+    ``truth`` is the power flow of the whole grid, None where the readings are real. ``area_power_flows``: those that
+    the readings come from under ``area-power-flow`` (their angles refer to each area's local slack), else empty.
     """
 
-    truth: PowerFlowResult
+    truth: PowerFlowResult | None
     by_area: dict[str, tuple[Measurement, ...]]
     union: tuple[Measurement, ...]
     area_power_flows: dict[str, PowerFlowResult]
@@ -38,15 +39,22 @@ def make_telemetry(scenario: Scenario, scan: int = 1) -> Telemetry:
         InvalidInputError: ``area-power-flow`` and an area without local slack voltage.
         PowerFlowDivergedError: the grid, or an area by itself, has no power flow solution.
     """
-    truth = solve_power_flow(scenario.network)
-    area_power_flows = _solve_area_power_flows(scenario) if scenario.telemetry.source == "area-power-flow" else {}
-    area_of = {meter.id: scenario.partition.area_of_meter(meter) for meter in scenario.meters}
-    union = tuple(
-        _read(scenario, scan, meter, area_power_flows.get(area_of[meter.id], truth).read) for meter in scenario.meters
-    )
-    by_area = {
-        area.name: tuple(m for m in union if area_of[m.meter.id] == area.name) for area in scenario.partition.areas
-    }
+    meters_by_area = scenario.partition.meters_by_area(scenario.meters)
+    truth, area_power_flows = None, {}
+    if scenario.telemetry.source == "file":
+        union = tuple(_real_reading(scenario, meter) for meter in scenario.meters)
+    else:
+        truth = solve_power_flow(scenario.network)
+        exact: dict[str, float] = {}
+        if scenario.telemetry.source == "area-power-flow":
+            area_power_flows = _solve_area_power_flows(scenario)
+            for name, power_flow in area_power_flows.items():
+                exact |= _read_exactly(power_flow, meters_by_area[name])
+        else:
+            exact = _read_exactly(truth, scenario.meters)
+        union = tuple(_read(scenario, scan, meter, lambda meter: exact[meter.id]) for meter in scenario.meters)
+    reading = {measurement.meter: measurement for measurement in union}
+    by_area = {name: tuple(reading[meter] for meter in meters) for name, meters in meters_by_area.items()}
     return Telemetry(truth, by_area, union, area_power_flows)
 
 
@@ -75,6 +83,19 @@ def _solve_area_power_flows(scenario: Scenario) -> dict[str, PowerFlowResult]:
             extra_load={bus: load.s for bus, load in loads.items()},
         )
     return results
+
+
+def _read_exactly(power_flow: PowerFlowResult, meters: Sequence[Meter]) -> dict[str, float]:
+    """Id of each meter, and of the one of the other power at its place -> what it would read without error."""
+    places = {m.id: m for meter in meters for m in (meter, other_power(meter))}
+    return dict(zip(places, power_flow.read_all(list(places.values())).tolist(), strict=True))
+
+
+def _real_reading(scenario: Scenario, meter: Meter) -> Measurement:
+    if meter.source is Source.VIRTUAL:
+        return Measurement(meter, 0.0, 0.0)
+    real = scenario.telemetry.readings[meter.id]
+    return replace(real, value=real.value + scenario.telemetry.gross_errors.get(meter.id, 0.0) * real.sigma)
 
 
 def _read(scenario: Scenario, scan: int, meter: Meter, read: Callable[[Meter], float]) -> Measurement:

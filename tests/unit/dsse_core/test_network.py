@@ -40,7 +40,7 @@ def test_every_problem_is_reported_at_once():
         "branch a has no impedance",
         "branch a ends at bus 9",
         "branch b joins bus 3 to itself",
-        "branch b: r, x, b, tap or shift is not a finite number",
+        "branch b: r, x, b, g, tap or shift is not a finite number",
         "branch c: tap is 0.0",
         "a branch from bus 2 to bus 3 has an empty id",
         "generator at bus 2: vm is -1.0",

@@ -108,6 +108,20 @@ def test_every_meter_belongs_to_one_area():
     assert partition.area_of_meter(Meter(Kind.Q_FLOW, 3, "2-3")) == "a"
 
 
+def test_meters_are_grouped_by_area_in_their_order_and_no_area_is_missing():
+    partition = build_partition(row(5), {"a": [1, 2], "b": [2, 3], "c": [3, 4, 5]})
+    meters = [Meter(Kind.VM, 3), Meter(Kind.VM, 1), Meter(Kind.P_FLOW, 3, "2-3")]
+    assert partition.meters_by_area(meters) == {"a": [meters[1]], "b": [meters[0], meters[2]], "c": []}
+
+
+def test_the_longest_path_runs_between_the_two_areas_farthest_apart():
+    network = grid((1, 2), (2, 3), (2, 4), (4, 5), (3, 6))
+    areas = {"a": [1, 2], "b": [2, 3], "c": [2, 4], "d": [4, 5], "e": [3, 6]}
+    path = build_partition(network, areas).longest_path
+    assert path in (("d", "c", "a", "b", "e"), ("e", "b", "a", "c", "d"))
+    assert build_partition(row(3), {"all": [1, 2, 3]}).longest_path == ("all",)
+
+
 def test_all_slips_in_the_lists_of_buses_are_told_at_once():
     problems = problems_of(
         row(6),

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import pytest
 
 from dsse_core.errors import InvalidInputError
-from dsse_core.network import Control, Network
+from dsse_core.network import Branch, Bus, Control, Network
 from dsse_core.power_flow import solve_power_flow
-from scenarios.network_file import load_case, load_network
+from scenarios.network_file import load_case, load_network, save_network
 
 GOOD = """
 name = "two"
@@ -79,7 +79,7 @@ def test_a_default_id_makes_way_for_the_same_id_given_to_a_later_branch(tmp_path
 
 def test_mixed_units_are_refused(tmp_path: Path) -> None:
     (problem,) = problems_of(tmp_path, changed("b_us = 100.0", "b_pu = 0.1"))
-    assert problem.startswith("branch[0]: mixes r_ohm/x_ohm/b_us with r_pu/x_pu/b_pu")
+    assert problem.startswith("branch[0]: mixes ohm and microsiemens with r_pu/x_pu/b_pu/g_pu")
 
 
 def test_half_an_impedance_is_refused(tmp_path: Path) -> None:
@@ -131,3 +131,47 @@ def test_the_33_bus_feeder_loses_what_the_literature_says_only_with_its_load_at_
     buses = tuple(replace(b, q_load=q_load_mvar / feeder.base_mva) if b.id == 28 else b for b in feeder.buses)
     passive = replace(feeder, buses=buses, generators=feeder.generators[:1])
     assert solve_power_flow(passive).losses.real * feeder.base_mva * 1000 == pytest.approx(loss_kw, abs=0.001)
+
+
+@pytest.mark.parametrize("name", ["ieee33", "industrial13"])
+def test_a_network_that_was_written_is_read_back(tmp_path: Path, name: str) -> None:
+    network = load_case(name)
+    assert_same(written_and_read(tmp_path, network), network)
+
+
+def test_every_key_of_a_network_is_written(tmp_path: Path) -> None:
+    network = load(tmp_path, changed("base_kv = 20.0 }", 'base_kv = 20.0, name = "say \\"hi\\" \\u007f ü" }'))
+    lossy = replace(network, branches=(replace(network.branches[0], g=0.003), *network.branches[1:]))
+    assert_same(written_and_read(tmp_path, lossy), lossy)
+
+
+def written_and_read(tmp_path: Path, network: Network) -> Network:
+    save_network(tmp_path / "written.toml", network, "a test")
+    return load_network(tmp_path / "written.toml")
+
+
+def assert_same(one: Network, other: Network) -> None:
+    """Equal but for the last digits of numbers."""
+    assert (one.name, one.base_mva) == (other.name, other.base_mva)
+    for ours, theirs in zip(
+        (*one.buses, *one.branches, *one.generators), (*other.buses, *other.branches, *other.generators), strict=True
+    ):
+        for field in fields(ours):
+            value = getattr(theirs, field.name)
+            expected = pytest.approx(value, rel=1e-13) if isinstance(value, float) else value
+            assert getattr(ours, field.name) == expected, field.name
+
+
+def test_an_id_that_a_network_file_cannot_hold_is_refused_when_writing(tmp_path: Path) -> None:
+    branches = (Branch("1-2#2", 1, 2, 0.01, 0.01), Branch("Main St", 2, 3, 0.01, 0.01))
+    network = Network("named", 1.0, tuple(Bus(i, 20.0) for i in (1, 2, 3)), branches)
+    with pytest.raises(InvalidInputError) as caught:
+        save_network(tmp_path / "written.toml", network, "a test")
+    assert ["'1-2#2'" in caught.value.problems[0], "'Main St'" in caught.value.problems[1]] == [True, True]
+
+
+def test_conductance_is_read_in_microsiemens_or_per_unit(tmp_path: Path) -> None:
+    network = load(tmp_path, changed("b_us = 100.0", "b_us = 100.0, g_us = 5.0"))
+    assert network.branch("1-2").g == pytest.approx(5e-6 * 20**2 / 10)
+    network = load(tmp_path, changed("b_pu = 0.002", "b_pu = 0.002, g_pu = 0.001"))
+    assert network.branch("2-3").g == pytest.approx(0.001)

@@ -16,6 +16,8 @@ REFERENCE = Path(__file__).parents[3] / "docs" / "scenario-reference.md"
 TABLE_OF_HEADING: dict[str, list[type[Table]]] = {
     "Scenario file": [scenario_file.ScenarioFile],
     "`[areas.NAME]`": [scenario_file.AreaTable],
+    "`areas = { count = N }`": [scenario_file.CountTable],
+    "`areas = { switches = [...] }`": [scenario_file.SwitchesTable],
     "`[measurements]`": [scenario_file.MeasurementsTable],
     "`measurements.voltage` and `measurements.injection`": [scenario_file.BusMeterTable, scenario_file.SigmaTable],
     "`measurements.flow` and `measurements.current`": [scenario_file.BranchMeterTable],
@@ -23,6 +25,7 @@ TABLE_OF_HEADING: dict[str, list[type[Table]]] = {
     "`[telemetry]`": [scenario_file.TelemetryTable],
     "`[[telemetry.gross_error]]`": [scenario_file.GrossErrorTable],
     "`[load_messages]`": [scenario_file.LoadMessagesTable],
+    "`[admm]`": [scenario_file.AdmmTable],
     "`[faults]`": [scenario_file.FaultsTable],
     "`[[faults.link]]`": [scenario_file.LinkTable],
     "`[faults.load_error.NAME]`": [scenario_file.LoadErrorTable],

@@ -1,0 +1,56 @@
+"""Networks and readings of other projects: MATPOWER, pandapower, power-grid-model. docs/importing.md explains them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+from dsse_core.errors import InvalidInputError
+from scenarios.importers.imported import Imported
+
+__all__ = ["Imported", "import_grid"]
+
+
+def import_grid(path: Path, *, name: str | None = None, frequency_hz: float = 50.0) -> Imported:
+    """Read a file of another project, which its ending and content tell.
+
+    ``name``: of the network, that of the file if None. ``frequency_hz`` is for power-grid-model alone, whose files do
+    not hold it.
+
+    Raises:
+        InvalidInputError: unknown format, missing optional package, or everything that the network model cannot hold.
+    """
+    imported = _read(path, frequency_hz)
+    return imported if name is None else replace(imported, network=replace(imported.network, name=name))
+
+
+def _read(path: Path, frequency_hz: float) -> Imported:
+    try:
+        if path.suffix == ".m":
+            from scenarios.importers.matpower import read_matpower
+
+            return read_matpower(path)
+        if path.suffix != ".json":
+            raise InvalidInputError(str(path), [f"the ending {path.suffix!r} is not known; .m and .json are"])
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InvalidInputError(str(path), [f"cannot read the file ({error.strerror}); check the path"]) from None
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise InvalidInputError(str(path), [f"not JSON: {error}"]) from None
+    if isinstance(content, dict) and content.get("_class") == "pandapowerNet":
+        from scenarios.importers.pandapower import read_pandapower
+
+        return read_pandapower(path)
+    if isinstance(content, dict) and "is_batch" in content and "data" in content:
+        if content["is_batch"] or content.get("type") != "input":
+            problem = (
+                f"power-grid-model data of type {content.get('type')!r}, batch {content['is_batch']}; give input data"
+            )
+            raise InvalidInputError(str(path), [problem])
+        from scenarios.importers.power_grid_model import read_power_grid_model
+
+        return read_power_grid_model(path, frequency_hz)
+    raise InvalidInputError(
+        str(path), ["neither a pandapower network (to_json) nor power-grid-model input (json_serialize_to_file)"]
+    )

@@ -1,0 +1,168 @@
+"""What every importer hands over, and the arithmetic that they share: readings combined, open ends folded away."""
+
+from __future__ import annotations
+
+import importlib
+import math
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import ModuleType
+from typing import Literal
+
+from dsse_core.admittance import build_admittance
+from dsse_core.errors import InvalidInputError
+from dsse_core.measurement import Measurement, Meter
+from dsse_core.network import Branch, Bus, Control, Network
+
+LONGEST_LIST = 12
+
+
+@dataclass(frozen=True, slots=True)
+class Remark:
+    """Something that a reader of the source must know: what was done, to what."""
+
+    what: Literal["fused", "changed", "left out", "note"]
+    text: str
+
+
+@dataclass(frozen=True)
+class Imported:
+    """A network, and what its meters read, as another project's file has them; p.u. and rad.
+
+    ``converted``: kind of element -> how many. ``zero_injection``: as in a scenario file. ``substation``: where its
+    voltage is metered, the slack bus if None.
+    """
+
+    network: Network
+    data_source: str
+    converted: Mapping[str, int]
+    remarks: tuple[Remark, ...] = ()
+    readings: tuple[Measurement, ...] = ()
+    zero_injection: Literal["virtual", "measured"] | tuple[int, ...] = "virtual"
+    substation: int | None = None
+
+
+def load_extra(module: str, extra: str, what: str) -> ModuleType:
+    """Import an optional package.
+
+    Raises:
+        InvalidInputError: it is not installed; says how to install it.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        problem = f"reading it needs the package {extra} ({error}); install it: pip install 'consensus-dsse[{extra}]'"
+        raise InvalidInputError(what, [problem]) from None
+
+
+def combine_readings(readings: Iterable[Measurement]) -> tuple[tuple[Measurement, ...], tuple[Remark, ...]]:
+    """One reading for each meter: several of one quantity become their weighted mean, which every WLS takes alike.
+
+    The mean of readings with standard deviations sigma_k has the weights 1 / sigma_k^2 and the standard deviation
+    ``1 / sqrt(sum 1 / sigma_k^2)``.
+    """
+    by_meter: dict[str, list[Measurement]] = {}
+    for m in readings:
+        by_meter.setdefault(m.meter.id, []).append(m)
+    combined, remarks = [], []
+    for meter_id, of_meter in by_meter.items():
+        weights = [m.sigma**-2 for m in of_meter]
+        mean = sum(w * m.value for w, m in zip(weights, of_meter, strict=True)) / sum(weights)
+        combined.append(
+            of_meter[0] if len(of_meter) == 1 else Measurement(of_meter[0].meter, mean, sum(weights) ** -0.5)
+        )
+        if len(of_meter) > 1:
+            remarks.append(Remark("changed", f"{len(of_meter)} readings of {meter_id}: their weighted mean"))
+    return tuple(combined), tuple(remarks)
+
+
+def sum_readings(meter: Meter, readings: Sequence[tuple[float, float]]) -> Measurement:
+    """The reading of a sum whose terms (value, sigma) are measured independently."""
+    return Measurement(meter, sum(v for v, _ in readings), math.sqrt(sum(s**2 for _, s in readings)))
+
+
+def open_end_shunt(branch: Branch, connected: int) -> complex:
+    """What a branch with its other end open draws at bus ``connected``, as an admittance in p.u.
+
+    With the open end eliminated: ``y = y_cc - y_co y_oc / y_oo``.
+    """
+    ends = (Bus(branch.from_bus, 1.0), Bus(branch.to_bus, 1.0))
+    y = build_admittance(Network("open end", 1.0, ends, (replace(branch, in_service=True),))).ybus.toarray()
+    c = 0 if branch.from_bus == connected else 1
+    return complex(y[c, c] - y[c, 1 - c] * y[1 - c, c] / y[1 - c, 1 - c])
+
+
+def add_shunts(bus: Bus, shunts: Iterable[complex]) -> Bus:
+    """``bus`` with admittances added to its shunt."""
+    total = sum(shunts, complex(0.0))
+    return replace(bus, g_shunt=bus.g_shunt + total.real, b_shunt=bus.b_shunt + total.imag)
+
+
+def leave_out_islands(network: Network) -> tuple[Network, list[Remark]]:
+    """``network`` without the buses that no closed branch joins to its slack, and what was left out with them.
+
+    Raises:
+        InvalidInputError: a source that holds a voltage stands in such an island, so that it may be meant to live.
+    """
+    assert network.slack is not None
+    dead = set(network.find_unreached_buses(network.slack.bus))
+    if not dead:
+        return network, []
+    holding = sorted({g.bus for g in network.generators if g.bus in dead and g.control is Control.VOLTAGE})
+    if holding:
+        problem = (
+            f"no closed branch joins bus {listed(sorted(dead))} to the substation, bus {network.slack.bus}, but the "
+            f"source at bus {listed(holding)} holds a voltage there; import each island by itself, or take it out"
+        )
+        raise InvalidInputError(f"network {network.name!r}", [problem])
+    return without_buses(network, dead, "no closed branch joins them to the substation")
+
+
+def without_buses(network: Network, gone: Collection[int], reason: str) -> tuple[Network, list[Remark]]:
+    """``network`` without some buses and all that ends or stands there, and a remark that says so."""
+    load = network.base_mva * sum(bus.p_load for bus in network.buses if bus.id in gone)
+    sources = sum(g.bus in gone for g in network.generators)
+    branches = tuple(b for b in network.branches if b.from_bus not in gone and b.to_bus not in gone)
+    text = (
+        f"{'buses' if len(gone) > 1 else 'bus'} {listed(sorted(gone))} with {load:g} MW of load, {sources} sources and "
+        f"{len(network.branches) - len(branches)} branches: {reason}"
+    )
+    rest = replace(
+        network,
+        buses=tuple(bus for bus in network.buses if bus.id not in gone),
+        branches=branches,
+        generators=tuple(g for g in network.generators if g.bus not in gone),
+    )
+    return rest, [Remark("left out", text)]
+
+
+def fuse(buses: Iterable[int], joined: Iterable[tuple[int, int]]) -> dict[int, int]:
+    """Bus -> the smallest bus that closed switches or links join it to, itself included."""
+    root = {bus: bus for bus in buses}
+
+    def find(bus: int) -> int:
+        while root[bus] != bus:
+            root[bus] = root[root[bus]]
+            bus = root[bus]
+        return bus
+
+    for one, other in joined:
+        a, b = sorted((find(one), find(other)))
+        root[b] = a
+    return {bus: find(bus) for bus in root}
+
+
+def fused_remarks(representative: Mapping[int, int], by: str) -> list[Remark]:
+    """One remark for each group of buses that became one."""
+    groups: dict[int, list[int]] = {}
+    for bus, root in representative.items():
+        if bus != root:
+            groups.setdefault(root, []).append(bus)
+    return [Remark("fused", f"bus {listed(group)} into bus {root}, joined by {by}") for root, group in groups.items()]
+
+
+def listed(items: Collection[object]) -> str:
+    """``1, 2, 3``, the end of a long list only counted."""
+    shown = [str(item) for item in list(items)[:LONGEST_LIST]]
+    more = len(items) - len(shown)
+    return ", ".join(shown) + (f" and {more} more" if more else "")

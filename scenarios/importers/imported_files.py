@@ -1,0 +1,81 @@
+"""What ``dsse import`` writes: a network file, a scenario on it, the readings if there are any, and what was done."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from scenarios.cutting import cut_into
+from scenarios.importers.imported import Imported
+from scenarios.network_file import save_network
+from scenarios.readings_file import save_readings
+
+FILES = ("network.toml", "scenario.toml", "readings.csv", "import.txt")
+LONGEST_KIND = 8
+DEFAULT_METERS = """
+# The source has no measurements. These meters are made up: change them to those that there are.
+[measurements]
+zero_injection = "virtual"               # buses without load and source inject exactly nothing
+voltage = {{ buses = [{substation}], sigma_percent = 0.2 }}
+flow = {{ branches = "all", sigma_percent = 1.0 }}        # P and Q at the from end
+injection = {{ buses = "all", sigma_percent = 10.0 }}     # P and Q
+
+[telemetry]
+source = "network"                       # readings of the power flow, with noise
+"""
+REAL_METERS = """
+[measurements]
+zero_injection = {zero_injection}
+
+[telemetry]
+source = "file"                          # the measurements of the source
+file = "readings.csv"
+"""
+
+
+def write_imported(folder: Path, imported: Imported, n_area: int) -> tuple[Path, str]:
+    """Write the files into ``folder``; the scenario's path, and a summary of what was converted.
+
+    Raises:
+        InvalidInputError: before anything is written, where the network cannot be cut into ``n_area`` areas.
+    """
+    cut_into(imported.network, n_area)
+    folder.mkdir(parents=True, exist_ok=True)
+    network = imported.network
+    save_network(folder / "network.toml", network, imported.data_source)
+    if imported.readings:
+        save_readings(folder / "readings.csv", network, imported.readings)
+        zero = imported.zero_injection
+        meters = REAL_METERS.format(zero_injection=list(zero) if isinstance(zero, tuple) else f'"{zero}"')
+    else:
+        slack = network.slack.bus if network.slack else network.buses[0].id
+        meters = DEFAULT_METERS.format(substation=slack if imported.substation is None else imported.substation)
+    path = folder / "scenario.toml"
+    path.write_text(_head(imported, n_area) + meters, encoding="utf-8")
+    (folder / "import.txt").write_text(summarise(imported, full=True) + "\n", encoding="utf-8")
+    return path, summarise(imported, full=False)
+
+
+def _head(imported: Imported, n_area: int) -> str:
+    kind = "measurements" if imported.readings else "power flow"
+    text = f"{imported.data_source}, its {kind}".replace("\\", "/").replace('"', "'")
+    return (
+        "# Written by dsse import; import.txt says what was converted, and docs/importing.md how.\n\n"
+        f'version = 1\ndescription = "{" ".join(text.split())}"\n'
+        'network = "network.toml"\nstrategy = "information"\n'
+        f"areas = {{ count = {n_area} }}\n"
+    )
+
+
+def summarise(imported: Imported, *, full: bool) -> str:
+    """A line for the elements, one for the readings, and one for each remark; of a long kind only the first ones."""
+    counts = ", ".join(f"{count} {name}" for name, count in imported.converted.items() if count)
+    lines = [("source", imported.data_source), ("converted", counts)]
+    if imported.readings:
+        lines.append(("readings", f"{len(imported.readings)} meters"))
+    for what in ("changed", "fused", "left out", "note"):
+        texts = [remark.text for remark in imported.remarks if remark.what == what]
+        shown = texts if full else texts[:LONGEST_KIND]
+        lines += [(what, text) for text in shown]
+        if len(shown) < len(texts):
+            lines.append((what, f"... {len(texts) - len(shown)} more in import.txt"))
+    return "\n".join(f"{what:9}  {text}" for what, text in lines)

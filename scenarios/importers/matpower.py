@@ -1,0 +1,132 @@
+"""MATPOWER case files, version 2, as networks. Columns and their meaning: MATPOWER's ``caseformat``."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+from dsse_core.errors import InvalidInputError
+from dsse_core.network import Branch, Bus, Control, Generator, Network
+from scenarios.importers.imported import Imported, Remark, leave_out_islands, listed, without_buses
+from scenarios.importers.matpower_program import BASE_KV, BR_R, BR_X, PD, QD, Case, Matrix, run_program
+from scenarios.network_file import default_branch_id
+
+BUS_I, BUS_TYPE, GS, BS, VA_BUS = 0, 1, 4, 5, 8
+F_BUS, T_BUS, BR_B, TAP, SHIFT, BR_STATUS = 0, 1, 4, 8, 9, 10
+GEN_BUS, PG, QG, VG, GEN_STATUS = 0, 1, 2, 5, 7
+PQ, PV, REF, ISOLATED = 1, 2, 3, 4
+
+
+def read_matpower(path: Path) -> Imported:
+    """Read a MATPOWER case.
+
+    Raises:
+        InvalidInputError: listing every statement that is not understood, and whatever the network cannot hold.
+    """
+    case = run_program(path.read_text(encoding="utf-8", errors="replace"))
+    if case.problems or case.base_mva is None:
+        raise InvalidInputError(str(path), case.problems)
+    return _build(path, case, case.base_mva)
+
+
+def _build(path: Path, case: Case, base: float) -> Imported:
+    buses, remarks = _build_buses(case.matrices["bus"], base)
+    isolated = {int(row[BUS_I]) for row in case.matrices["bus"] if row[BUS_TYPE] == ISOLATED}
+    generators, problems = _build_generators(case.matrices["bus"], case.matrices["gen"], base)
+    if problems:
+        raise InvalidInputError(str(path), problems)
+    try:
+        network = Network(path.stem, base, buses, _build_branches(case.matrices["branch"]), generators)
+        if isolated:
+            network, gone = without_buses(network, isolated, "they are isolated, type 4")
+            remarks += gone
+        network, gone = leave_out_islands(network)
+        remarks += gone
+    except InvalidInputError as error:
+        raise InvalidInputError(str(path), error.problems) from None
+    open_branches = [branch.id for branch in network.branches if not branch.in_service]
+    if open_branches:
+        remarks.append(Remark("note", f"branch {listed(open_branches)} out of service, kept as open branches"))
+    converted = {
+        "buses": len(network.buses),
+        "branches": len(network.branches),
+        "generators": len(network.generators),
+    }
+    return Imported(
+        network,
+        f"MATPOWER case {path.name}",
+        converted,
+        (*(Remark("changed", change) for change in case.changes), *remarks),
+    )
+
+
+def _build_buses(rows: Matrix, base: float) -> tuple[tuple[Bus, ...], list[Remark]]:
+    without_kv = [int(row[BUS_I]) for row in rows if row[BASE_KV] == 0]
+    buses = tuple(
+        Bus(
+            id=int(row[BUS_I]),
+            base_kv=row[BASE_KV] or 1.0,
+            p_load=row[PD] / base,
+            q_load=row[QD] / base,
+            g_shunt=row[GS] / base,
+            b_shunt=row[BS] / base,
+        )
+        for row in rows
+    )
+    text = f"bus {listed(without_kv)}: the case gives no base voltage, 1 kV is written; p.u. do not depend on it"
+    return buses, [Remark("changed", text)] if without_kv else []
+
+
+def _build_branches(rows: Matrix) -> tuple[Branch, ...]:
+    taken: set[str | None] = set()
+    branches = []
+    for row in rows:
+        from_bus, to_bus = int(row[F_BUS]), int(row[T_BUS])
+        branch_id = default_branch_id(from_bus, to_bus, taken)
+        taken.add(branch_id)
+        branches.append(
+            Branch(
+                id=branch_id,
+                from_bus=from_bus,
+                to_bus=to_bus,
+                r=row[BR_R],
+                x=row[BR_X],
+                b=row[BR_B],
+                tap=row[TAP] or 1.0,
+                shift=math.radians(row[SHIFT]),
+                in_service=row[BR_STATUS] > 0,
+            )
+        )
+    return tuple(branches)
+
+
+def _build_generators(bus_rows: Matrix, rows: Matrix, base: float) -> tuple[tuple[Generator, ...], list[str]]:
+    """A bus' type says what its generators hold; of those at the reference, one is the slack."""
+    kinds = {int(row[BUS_I]): row[BUS_TYPE] for row in bus_rows}
+    angles = {int(row[BUS_I]): math.radians(row[VA_BUS]) for row in bus_rows}
+    references = [bus for bus, kind in kinds.items() if kind == REF]
+    working = [row for row in rows if row[GEN_STATUS] > 0]
+    problems = []
+    if len(references) != 1:
+        named = f"buses {listed(references)} are" if references else "no bus is"
+        problems.append(f"{named} of type 3 (reference); the network model holds exactly one substation")
+    elif references[0] not in {int(row[GEN_BUS]) for row in working}:
+        problems.append(f"the reference, bus {references[0]}, has no generator in service that says its voltage")
+    generators: list[Generator] = []
+    slack_found = False
+    for row in working:
+        bus = int(row[GEN_BUS])
+        control = {PV: Control.VOLTAGE, REF: Control.VOLTAGE}.get(int(kinds.get(bus, PQ)), Control.POWER)
+        if kinds.get(bus) == REF and not slack_found:
+            control, slack_found = Control.SLACK, True
+        generators.append(
+            Generator(
+                bus=bus,
+                control=control,
+                p=row[PG] / base,
+                q=row[QG] / base,
+                vm=row[VG] if control is not Control.POWER else 1.0,
+                va=angles[bus] if control is Control.SLACK else 0.0,
+            )
+        )
+    return tuple(generators), problems

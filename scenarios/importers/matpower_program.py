@@ -1,0 +1,204 @@
+"""A MATPOWER case file as the program that it is: its matrices, after the conversions of units that follow them.
+
+Statements other than the known ones are refused, since they could change the data; readers that look for the
+matrices only take the kW of ``case33bw`` for MW.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+PD, QD, BASE_KV, BR_R, BR_X = 2, 3, 9, 2, 3  # columns
+COLUMNS = {"bus": 13, "branch": 11, "gen": 10}
+"""Matrix -> how many columns it has at least."""
+NUMBERS = {"bus": (0, 1), "branch": (0, 1), "gen": (0,)}
+"""Matrix -> its columns of bus numbers and types."""
+NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+HARMLESS = re.compile(
+    r"function\b.*|mpc\.version='?2'?|define_constants|end"
+    r"|\[[A-Z_0-9,~ ]+\]=idx_(?:bus|brch|gen|cost)"
+    r"|Vbase=mpc\.bus\(1,BASE_KV\)\*1e3|Sbase=mpc\.baseMVA\*1e6"
+)
+BASE_MVA = re.compile(rf"mpc\.baseMVA=({NUMBER})(?:/({NUMBER}))?")
+CELL = re.compile(rf"({NUMBER})(?:/(?:({NUMBER})|sqrt\(({NUMBER})\)))?")  # 135/sqrt(3) is among them
+POWER_FACTOR = re.compile(rf"pf=({NUMBER})")
+OHM = "mpc.branch(:,[BR_R,BR_X])=mpc.branch(:,[BR_R,BR_X])/(Vbase^2/Sbase)"
+KILOWATT = "mpc.bus(:,[PD,QD])=mpc.bus(:,[PD,QD])/1e3"
+Q_OF_MVA = "mpc.bus(:,QD)=mpc.bus(:,PD)*sin(acos(pf))"
+P_OF_MVA = "mpc.bus(:,PD)=mpc.bus(:,PD)*pf"
+
+Matrix = list[list[float]]
+
+
+@dataclass
+class Case:
+    """The program as far as executed. ``changes``: the conversions; ``problems``: what is not understood."""
+
+    base_mva: float | None = None
+    power_factor: float | None = None
+    matrices: dict[str, Matrix] = field(default_factory=dict)
+    changes: list[str] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
+
+
+def run_program(text: str) -> Case:
+    """Execute a case file; ``problems`` holds, with line numbers, every statement that is not understood."""
+    case = Case()
+    for line, statement in _split_statements(text):
+        _execute(case, statement, line)
+    case.problems += [f"mpc.{name} is missing" for name in COLUMNS if name not in case.matrices]
+    if case.base_mva is None:
+        case.problems.append("mpc.baseMVA is missing")
+    return case
+
+
+def _split_statements(text: str) -> Iterator[tuple[int, str]]:
+    """(line, statement) of a program: without comments, continued lines joined, brackets kept whole."""
+    statement, start, depth = "", 0, 0
+    in_comment = False
+    for number, raw in enumerate(text.splitlines(), start=1):
+        if raw.strip() in ("%{", "%}"):
+            in_comment = raw.strip() == "%{"
+        if in_comment:
+            continue
+        line = _without_comment(raw)
+        continued = line.rstrip().endswith("...")
+        line = line.rstrip().removesuffix("...")
+        for character in line:
+            if not statement.strip():
+                start = number
+            depth += (character in "[{(") - (character in "]})")
+            if character == ";" and depth == 0:
+                yield start, statement
+                statement = ""
+            else:
+                statement += character
+        if depth > 0:
+            statement += " " if continued else "\n"
+        elif not continued:
+            yield start, statement
+            statement = ""
+    if statement.strip():
+        yield start, statement
+
+
+def _without_comment(line: str) -> str:
+    """A line without its comment; a % between quotes starts none."""
+    quoted = False
+    for i, character in enumerate(line):
+        if character == "'":
+            quoted = not quoted
+        if character == "%" and not quoted:
+            return line[:i]
+    return line
+
+
+def _execute(case: Case, statement: str, line: int) -> None:
+    """Do what a statement says, or note that it is not understood."""
+    name, equals, value = (part.strip() for part in statement.partition("="))
+    if equals and (found := re.fullmatch(r"mpc\.(\w+)", name)) and value[:1] in ("[", "{"):
+        if found[1] in COLUMNS:
+            _take_matrix(case, found[1], value, line)
+        elif found[1] in ("dcline", "if", "load", "softlims") and value.strip("[]{} \n"):
+            case.problems.append(f"line {line}: mpc.{found[1]}: the network model cannot hold it; remove it")
+        return
+    plain = _normalised(statement)
+    if not plain or HARMLESS.fullmatch(plain) or re.fullmatch(r"mpc\.(?!version)\w+='[^']*'", plain):
+        return
+    if found := BASE_MVA.fullmatch(plain):
+        case.base_mva = float(found[1]) / float(found[2] or 1)
+    elif found := POWER_FACTOR.fullmatch(plain):
+        case.power_factor = float(found[1])
+    elif action := CONVERSIONS.get(plain):
+        try:
+            case.changes.append(action(case))
+        except (KeyError, TypeError, ZeroDivisionError):
+            case.problems.append(f"line {line}: {plain!r} uses what no line before it has given")
+    else:
+        case.problems.append(
+            f"line {line}: {plain[:80]!r} is a statement that this reader does not know and that could change the "
+            "data; run the case in MATPOWER, save it with savecase, and import that file"
+        )
+
+
+def _normalised(statement: str) -> str:
+    """Without blanks, but those between items of a list, which become commas."""
+    text = re.sub(r"\s*,\s*|(?<=[\w\]])\s+(?=\w)", ",", " ".join(statement.split()))
+    if text.startswith("function"):
+        return text
+    return text.replace(" ", "")
+
+
+def _take_matrix(case: Case, name: str, text: str, line: int) -> None:
+    rows: Matrix = []
+    inside = text.strip().removeprefix("[").removesuffix("]")
+    for offset, raw in enumerate(inside.split("\n")):
+        for cells in (part.replace(",", " ").split() for part in raw.split(";")):
+            if not cells:
+                continue
+            row = [number for cell in cells if (number := _number(cell)) is not None]
+            if len(row) < len(cells):
+                case.problems.append(
+                    f"line {line + offset}: mpc.{name}: a row holds more than numbers: {raw.strip()!r}"
+                )
+                continue
+            elif not all(row[column].is_integer() for column in NUMBERS[name] if column < len(row)):
+                case.problems.append(f"line {line + offset}: mpc.{name}: a bus number or type is no integer")
+            if len(row) < COLUMNS[name]:
+                problem = f"mpc.{name}: a row has {len(row)} columns, at least {COLUMNS[name]} are needed (version 2)"
+                case.problems.append(f"line {line + offset}: {problem}")
+            rows.append(row)
+    case.matrices[name] = rows
+
+
+def _number(cell: str) -> float | None:
+    if cell in ("Inf", "-Inf"):  # limits, which power flow does not use
+        return float(cell)
+    if (found := CELL.fullmatch(cell)) is None:
+        return None
+    return float(found[1]) / (float(found[2] or 1) * math.sqrt(float(found[3] or 1)))
+
+
+def _ohm_to_pu(case: Case) -> str:
+    z_base = case.matrices["bus"][0][BASE_KV] ** 2 / _given(case.base_mva)
+    for row in case.matrices["branch"]:
+        row[BR_R] /= z_base
+        row[BR_X] /= z_base
+    return "branch impedances from ohm to p.u., as the case file says"
+
+
+def _kw_to_mw(case: Case) -> str:
+    for row in case.matrices["bus"]:
+        row[PD], row[QD] = row[PD] / 1e3, row[QD] / 1e3
+    return "loads from kW and kvar to MW and Mvar, as the case file says"
+
+
+def _q_of_mva(case: Case) -> str:
+    factor = math.sin(math.acos(_given(case.power_factor)))
+    for row in case.matrices["bus"]:
+        row[QD] = row[PD] * factor
+    return f"reactive loads from MVA by the power factor {case.power_factor}, as the case file says"
+
+
+def _p_of_mva(case: Case) -> str:
+    factor = _given(case.power_factor)
+    for row in case.matrices["bus"]:
+        row[PD] *= factor
+    return f"active loads from MVA by the power factor {case.power_factor}, as the case file says"
+
+
+def _given(value: float | None) -> float:
+    if value is None:
+        raise KeyError
+    return value
+
+
+CONVERSIONS: dict[str, Callable[[Case], str]] = {
+    OHM: _ohm_to_pu,
+    KILOWATT: _kw_to_mw,
+    Q_OF_MVA: _q_of_mva,
+    P_OF_MVA: _p_of_mva,
+}

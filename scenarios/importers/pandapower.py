@@ -1,0 +1,275 @@
+"""pandapower networks: its own reader, and its own conversion to per unit, of which this is the translation.
+
+``pandapower.converter.to_ppc`` fuses buses at closed switches, models transformers (T model), puts charged line ends
+at open switches and takes unsupplied buses out; what is left are MATPOWER's matrices with conductances.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from dsse_core.errors import InvalidInputError
+from dsse_core.network import Branch, Bus, Control, Generator, Network
+from scenarios.importers.imported import (
+    Imported,
+    Remark,
+    add_shunts,
+    fused_remarks,
+    listed,
+    load_extra,
+    open_end_shunt,
+)
+from scenarios.importers.matpower import BR_B, BS, BUS_I, F_BUS, GS, SHIFT, T_BUS, TAP
+from scenarios.importers.matpower_program import BASE_KV, BR_R, BR_X, PD, QD
+from scenarios.network_file import default_branch_id
+
+SUPPORTED = {
+    *("bus", "line", "trafo", "impedance", "switch"),
+    *("ext_grid", "gen", "sgen", "load", "motor", "storage", "shunt", "ward"),
+}
+BRANCHES = ("line", "trafo", "impedance", "switch")
+COUNTED = ("line", "trafo", "impedance", "load", "gen", "shunt", "ward", "motor", "storage")
+NO_ELEMENTS = {"controller", "measurement"}
+
+
+@dataclass(frozen=True)
+class Conversion:
+    """What pandapower made of its network, and how its elements are called here.
+
+    ``sgen``: the static generators, which are out of service in ``net``.
+    ``bus_of``: index of a supplied bus -> its bus id here; ``branch_of``: (element type, index) -> branch id;
+    ``open_ends``: the branches that are now shunts, as (element type, index).
+    """
+
+    net: Any
+    sgen: Any
+    network: Network
+    bus_of: dict[int, int]
+    branch_of: dict[tuple[str, int], str]
+    open_ends: frozenset[tuple[str, int]]
+
+
+def read_pandapower(path: Path) -> Imported:
+    """Read a pandapower network saved with ``pandapower.to_json``, and its measurement table.
+
+    Raises:
+        InvalidInputError: pandapower is missing or cannot read the file; every element that the network model cannot
+            hold; every measurement that no meter can be.
+    """
+    pandapower = load_extra("pandapower", "pandapower", str(path))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            net = pandapower.from_json(str(path))
+        except Exception as error:  # whatever a foreign reader raises
+            raise InvalidInputError(str(path), [f"pandapower cannot read it: {error}"]) from None
+        if problems := list(_find_unsupported(net)):
+            raise InvalidInputError(str(path), problems)
+        sgen = net.sgen.copy()  # sources here, negative loads in pandapower's matrices, clipped to limits there
+        net.sgen["in_service"] = False
+        try:
+            ppc = load_extra("pandapower.converter.pypower.to_ppc", "pandapower", str(path)).to_ppc(
+                net, init="flat", calculate_voltage_angles=True, check_connectivity=True, mode="pf"
+            )
+        except Exception as error:
+            raise InvalidInputError(str(path), [f"pandapower cannot convert it: {error}"]) from None
+    try:
+        conversion, remarks = _convert(path.stem, net, sgen, ppc)
+    except InvalidInputError as error:
+        raise InvalidInputError(str(path), error.problems) from None
+    from scenarios.importers.pandapower_measurements import read_measurements
+
+    readings, reading_remarks = read_measurements(str(path), conversion)
+    converted = {"buses": len(conversion.network.buses)}
+    converted |= {name: int(net[name].in_service.sum()) for name in COUNTED if len(net[name])}
+    converted["sgen"] = int(sgen.in_service.sum())
+    return Imported(
+        network=conversion.network,
+        data_source=f"pandapower network {net.name or path.name}",
+        converted=converted,
+        remarks=(*remarks, *reading_remarks),
+        readings=readings,
+        zero_injection="measured" if readings else "virtual",
+    )
+
+
+def _find_unsupported(net: Any) -> Iterator[str]:
+    """Every element in service that the network model cannot hold."""
+    for name in sorted(net.keys()):
+        table = net[name]
+        if name.startswith(("res_", "_")) or name in SUPPORTED | NO_ELEMENTS or not hasattr(table, "columns"):
+            continue
+        if "in_service" in table.columns and len(working := table.index[table.in_service.astype(bool)]):
+            named = f"{name} {listed(list(working))}"
+            yield f"{named}: the network model cannot hold it; replace it, or take it out of service"
+    sources = [f"ext_grid {i} at bus {bus}" for i, bus in net.ext_grid.bus[net.ext_grid.in_service].items()]
+    if "slack" in net.gen.columns:
+        slack = net.gen.in_service & net.gen.slack.astype(bool)
+        sources += [f"gen {i} at bus {bus}" for i, bus in net.gen.bus[slack].items()]
+    if len(sources) != 1:
+        found = listed(sources) if sources else "none"
+        yield f"exactly one source must hold voltage and angle (ext_grid, or gen with slack), found {found}"
+    for part in ("p", "q"):
+        column = f"const_i_{part}_percent"
+        if column in net.load.columns and len(bad := net.load.index[net.load.in_service & (net.load[column] != 0)]):
+            named = f"load {listed(list(bad))}"
+            yield f"{named}: {column} is not 0; the network model holds constant power and impedance only"
+
+
+def _convert(name: str, net: Any, sgen: Any, ppc: dict[str, Any]) -> tuple[Conversion, list[Remark]]:
+    base = float(ppc["baseMVA"])
+    row_of = net._pd2ppc_lookups["bus"]
+    row_of_bus = {int(bus): int(row_of[bus]) for bus in net.bus.index if 0 <= row_of[bus] < len(ppc["bus"])}
+    id_of_row: dict[int, int] = {}
+    for bus, row in sorted(row_of_bus.items()):
+        id_of_row.setdefault(row, bus)
+    bus_of = {bus: id_of_row[row] for bus, row in row_of_bus.items()}
+    auxiliary = {row: int(net.bus.index.max()) + 1 + row for row in range(len(ppc["bus"])) if row not in id_of_row}
+    ids = id_of_row | auxiliary
+    buses = [_build_bus(net, row, ids[int(row[BUS_I].real)], base) for row in ppc["bus"]]
+    buses, branches, open_ends = _fold_open_ends(buses, _build_branches(net, ppc, ids), set(auxiliary.values()))
+    network = Network(
+        name=name,
+        base_mva=base,
+        buses=tuple(_with_impedance_loads(net, buses, bus_of, base)),
+        branches=tuple(branches.values()),
+        generators=tuple(_build_generators(net, sgen, bus_of, base)),
+    )
+    remarks = [
+        *fused_remarks(bus_of, "closed switches"),
+        *_find_left_out(net, bus_of, {*branches, *open_ends}),
+    ]
+    if open_ends:
+        remarks.append(Remark("changed", f"{_named(open_ends)}: open at one end, written as the shunt that it is"))
+    conversion = Conversion(
+        net, sgen, network, bus_of, {e: branch.id for e, branch in branches.items()}, frozenset(open_ends)
+    )
+    return conversion, remarks
+
+
+def _build_bus(net: Any, row: Any, bus_id: int, base: float) -> Bus:
+    name = net.bus.name.get(bus_id)
+    return Bus(
+        id=bus_id,
+        base_kv=float(row[BASE_KV].real),
+        name=name if isinstance(name, str) else "",
+        p_load=float(row[PD].real) / base,
+        q_load=float(row[QD].real) / base,
+        g_shunt=float(row[GS].real) / base,
+        b_shunt=float(row[BS].real) / base,
+    )
+
+
+def _with_impedance_loads(net: Any, buses: list[Bus], bus_of: dict[int, int], base: float) -> list[Bus]:
+    """The share of loads that is a constant impedance, moved from the load to the shunt of its bus."""
+    shunts: dict[int, complex] = {}
+    for _, load in net.load[net.load.in_service].iterrows():
+        p = load.p_mw * load.scaling * load.get("const_z_p_percent", 0.0) / 100 / base
+        q = load.q_mvar * load.scaling * load.get("const_z_q_percent", 0.0) / 100 / base
+        if (p or q) and load.bus in bus_of:
+            bus = bus_of[int(load.bus)]
+            shunts[bus] = shunts.get(bus, 0j) + complex(p, -q)
+    return [
+        add_shunts(replace(b, p_load=b.p_load - y.real, q_load=b.q_load + y.imag), [y])
+        if (y := shunts.get(b.id, 0j))
+        else b
+        for b in buses
+    ]
+
+
+def _build_generators(net: Any, sgen: Any, bus_of: dict[int, int], base: float) -> list[Generator]:
+    """External grid, generators that hold a voltage, and static generators, in service at supplied buses."""
+    generators = []
+    for _, grid in net.ext_grid[net.ext_grid.in_service].iterrows():
+        va = math.radians(grid.va_degree)
+        generators.append(Generator(bus_of[int(grid.bus)], Control.SLACK, vm=float(grid.vm_pu), va=va))
+    for _, gen in net.gen[net.gen.in_service].iterrows():
+        if gen.bus in bus_of:
+            control = Control.SLACK if gen.get("slack", False) else Control.VOLTAGE
+            p = gen.p_mw * gen.scaling / base
+            generators.append(Generator(bus_of[int(gen.bus)], control, p=float(p), vm=float(gen.vm_pu)))
+    for _, gen in sgen[sgen.in_service].iterrows():
+        if gen.bus in bus_of:
+            p, q = (float(power * gen.scaling / base) for power in (gen.p_mw, gen.q_mvar))
+            generators.append(Generator(bus_of[int(gen.bus)], Control.POWER, p, q))
+    return generators
+
+
+def _build_branches(net: Any, ppc: dict[str, Any], ids: dict[int, int]) -> dict[tuple[str, int], Branch]:
+    """(element type, index) -> branch, of those in service."""
+    rows, elements = ppc["branch"], _elements_of_rows(net, ppc)
+    lopsided = {
+        elements[k]
+        for key in ("branch_r_asym", "branch_x_asym", "branch_g_asym", "branch_b_asym")
+        for k, difference in enumerate(ppc.get(key, ()))
+        if difference
+    }
+    if lopsided:
+        text = "its two ends differ in impedance or losses, which the network model cannot hold"
+        raise InvalidInputError("branches", [f"{_named(sorted(lopsided))}: {text}"])
+    conductance = ppc.get("branch_g", [0.0] * len(rows))
+    taken: set[str | None] = set()
+    branches = {}
+    for element, row, g in zip(elements, rows, conductance, strict=True):
+        ends = ids[int(row[F_BUS].real)], ids[int(row[T_BUS].real)]
+        branch_id = default_branch_id(*ends, taken)
+        taken.add(branch_id)
+        branches[element] = Branch(
+            id=branch_id,
+            from_bus=ends[0],
+            to_bus=ends[1],
+            r=float(row[BR_R].real),
+            x=float(row[BR_X].real),
+            b=float(row[BR_B].real),
+            tap=float(row[TAP].real) or 1.0,
+            shift=math.radians(float(row[SHIFT].real)),
+            g=float(g.real),
+        )
+    return branches
+
+
+def _elements_of_rows(net: Any, ppc: dict[str, Any]) -> list[tuple[str, int]]:
+    """The element (type, index) of each row of branches; pandapower keeps the rows in service only."""
+    element_of: dict[int, tuple[str, int]] = {}
+    for name, (start, end) in net._pd2ppc_lookups["branch"].items():
+        index = net.switch.index[net._impedance_bb_switches] if name == "switch" else net[name].index
+        element_of |= {row: (name, int(i)) for row, i in zip(range(start, end), index, strict=True)}
+    return [element_of[row] for row, in_service in enumerate(ppc["internal"]["branch_is"]) if in_service]
+
+
+def _fold_open_ends(
+    buses: list[Bus], branches: dict[tuple[str, int], Branch], auxiliary: set[int]
+) -> tuple[list[Bus], dict[tuple[str, int], Branch], list[tuple[str, int]]]:
+    """Replace each branch that ends at one of pandapower's auxiliary buses, its open end, by its shunt."""
+    branches = dict(branches)
+    shunts: dict[int, list[complex]] = {}
+    folded = [e for e, branch in branches.items() if auxiliary & {branch.from_bus, branch.to_bus}]
+    for element in folded:
+        branch = branches[element]
+        connected = branch.to_bus if branch.from_bus in auxiliary else branch.from_bus
+        shunts.setdefault(connected, []).append(open_end_shunt(branch, connected))
+    kept = [add_shunts(bus, shunts[bus.id]) if bus.id in shunts else bus for bus in buses if bus.id not in auxiliary]
+    for element in folded:
+        del branches[element]
+    return kept, branches, folded
+
+
+def _find_left_out(net: Any, bus_of: dict[int, int], converted: Collection[tuple[str, int]]) -> Iterator[Remark]:
+    """Buses without supply with what stands there, and branches that are out of service."""
+    dark = [int(bus) for bus in net.bus.index if bus not in bus_of]
+    if dark:
+        load = net.load[net.load.in_service & net.load.bus.isin(dark)]
+        p_mw = float((load.p_mw * load.scaling).sum())
+        yield Remark("left out", f"bus {listed(dark)} with {p_mw:g} MW of load: out of service or unsupplied")
+    for name in BRANCHES[:-1]:
+        if missing := [int(i) for i in net[name].index if (name, int(i)) not in converted]:
+            yield Remark("left out", f"{name} {listed(missing)}: out of service, open at both ends or unsupplied")
+
+
+def _named(elements: Collection[tuple[str, int]]) -> str:
+    return listed([f"{name} {index}" for name, index in elements])

@@ -1,0 +1,117 @@
+"""pandapower's measurement table as readings: injections are positive into the network, flows into the branch.
+
+pandapower counts power at a bus as consumption, currents in kA and angles in degrees. Where closed switches fuse
+buses, the powers measured at them add up; that is their injection only if all of them are measured.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+from dsse_core.errors import InvalidInputError
+from dsse_core.measurement import Measurement, MeasurementKind, Meter
+from scenarios.importers.imported import Remark, combine_readings, listed, sum_readings
+
+if TYPE_CHECKING:
+    from scenarios.importers.pandapower import Conversion
+
+KIND = MeasurementKind
+AT_BUS = {"v": KIND.VM, "va": KIND.VA, "p": KIND.P_INJECTION, "q": KIND.Q_INJECTION}
+ON_BRANCH = {"p": KIND.P_FLOW, "q": KIND.Q_FLOW, "i": KIND.CURRENT}
+SIDES = {"line": ("from", "to"), "trafo": ("hv", "lv")}
+FEEDING = ("load", "sgen", "gen", "ext_grid", "motor", "storage", "ward")
+
+
+def read_measurements(what: str, conversion: Conversion) -> tuple[tuple[Measurement, ...], list[Remark]]:
+    """The readings of a converted network, one for each meter, and what was made of the others.
+
+    Raises:
+        InvalidInputError: listing every measurement that no meter can be.
+    """
+    problems: list[str] = []
+    ignored: list[int] = []
+    readings: list[Measurement] = []
+    powers: dict[tuple[KIND, int], list[Measurement]] = {}
+    for index, row in conversion.net.measurement.iterrows():
+        if not (math.isfinite(row.value) and math.isfinite(row.std_dev) and row.std_dev > 0):
+            problems.append(f"measurement {index}: value {row.value}, std_dev {row.std_dev}; std_dev must be positive")
+        elif not _is_live(conversion, row):
+            ignored.append(index)
+        elif isinstance(found := _read(conversion, row), str):
+            problems.append(f"measurement {index}: {found}")
+        elif found.meter.kind.of_injection:
+            powers.setdefault((found.meter.kind, int(row.element)), []).append(found)
+        else:
+            readings.append(found)
+    sums, sum_problems = _sum_at_fused_buses(conversion, powers)
+    if problems or sum_problems:
+        raise InvalidInputError(what, [*problems, *sum_problems])
+    combined, remarks = combine_readings([*readings, *sums])
+    if ignored:
+        text = f"measurement {listed(ignored)}: of an element that is out of service or unsupplied"
+        remarks = (*remarks, Remark("left out", text))
+    return combined, list(remarks)
+
+
+def _is_live(conversion: Conversion, row: Any) -> bool:
+    if row.element_type == "bus":
+        return row.element in conversion.bus_of
+    element = (row.element_type, int(row.element))
+    return row.element_type not in SIDES or element in conversion.branch_of or element in conversion.open_ends
+
+
+def _read(conversion: Conversion, row: Any) -> Measurement | str:
+    """The measurement in p.u. and rad, of the fused bus; or why it cannot be one."""
+    network, base = conversion.network, conversion.network.base_mva
+    if row.element_type == "bus" and (kind := AT_BUS.get(row.measurement_type)):
+        meter = Meter(kind, conversion.bus_of[int(row.element)])
+        size = {KIND.VM: 1.0, KIND.VA: math.radians(1)}.get(kind, -1 / base)
+        return Measurement(meter, row.value * size, row.std_dev * abs(size))
+    if row.element_type not in SIDES or (kind := ON_BRANCH.get(row.measurement_type)) is None:
+        return f"{row.measurement_type!r} of a {row.element_type} is no kind of meter here"
+    element = (row.element_type, int(row.element))
+    if element in conversion.open_ends:
+        return f"{row.element_type} {row.element} is open at one end and became a shunt, whose flow no meter reads"
+    table, sides = conversion.net[row.element_type], SIDES[row.element_type]
+    ends = [int(table.at[row.element, f"{side}_bus"]) for side in sides]
+    if row.side not in (*sides, *ends):
+        return f"its side is {row.side!r}; a {row.element_type} has {' and '.join(sides)}"
+    at = sides.index(row.side) if row.side in sides else ends.index(row.side)
+    branch = network.branch(conversion.branch_of[element])
+    bus = (branch.from_bus, branch.to_bus)[at]
+    size = math.sqrt(3) * network.bus(bus).base_kv / base if kind is KIND.CURRENT else 1 / base
+    return Measurement(Meter(kind, bus, branch.id), row.value * size, row.std_dev * size)
+
+
+def _sum_at_fused_buses(
+    conversion: Conversion, powers: dict[tuple[KIND, int], list[Measurement]]
+) -> tuple[list[Measurement], list[str]]:
+    """The injections of buses here from the powers measured at pandapower's: their sum where several were fused."""
+    fed = _find_fed_members(conversion)
+    measured: dict[Meter, dict[int, Measurement]] = {}
+    for (_, element), of_element in powers.items():
+        (mean,), _ = combine_readings(of_element)
+        measured.setdefault(mean.meter, {})[element] = mean
+    sums, problems = [], []
+    for meter, of_buses in measured.items():
+        missing = fed.get(meter.bus, set()) - of_buses.keys()
+        if missing:
+            joined = listed(sorted({meter.bus, *of_buses, *missing}))
+            problems.append(
+                f"measurements of {meter.id}: closed switches join bus {joined}, but bus {listed(sorted(missing))}, "
+                "where something feeds or consumes, is not measured; measure it, or take the measurements out"
+            )
+        sums.append(sum_readings(meter, [(m.value, m.sigma) for m in of_buses.values()]))
+    return sums, problems
+
+
+def _find_fed_members(conversion: Conversion) -> dict[int, set[int]]:
+    """Bus -> the pandapower buses that became it and where something feeds or consumes."""
+    fed: dict[int, set[int]] = {}
+    for name in FEEDING:
+        table = conversion.sgen if name == "sgen" else conversion.net[name]
+        for bus in table.bus[table.in_service]:
+            if bus in conversion.bus_of:
+                fed.setdefault(conversion.bus_of[bus], set()).add(int(bus))
+    return fed

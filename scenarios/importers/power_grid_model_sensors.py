@@ -1,0 +1,230 @@
+"""power-grid-model's sensors as readings: p.u. and rad, injections positive into the network, flows into the branch.
+
+``power_sigma`` is the standard deviation of the complex power, so that P and Q have ``power_sigma / sqrt(2)`` each.
+The power of a node is the sum of what stands there: it is an injection only if a sensor sees every part of it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from dsse_core.errors import InvalidInputError
+from dsse_core.measurement import Measurement, MeasurementKind, Meter
+from scenarios.importers.imported import Remark, combine_readings, listed, sum_readings
+
+if TYPE_CHECKING:
+    from scenarios.importers.power_grid_model import Conversion
+
+KIND = MeasurementKind
+BASE_VA = 1e6
+BRANCH_FROM, BRANCH_TO, SOURCE, SHUNT, LOAD, GENERATOR, NODE = 0, 1, 2, 3, 4, 5, 9
+SIGN_AT_APPLIANCE = {LOAD: -1.0, GENERATOR: 1.0, SOURCE: 1.0}
+PARTS = (("p", KIND.P_INJECTION, KIND.P_FLOW), ("q", KIND.Q_INJECTION, KIND.Q_FLOW))
+
+
+@dataclass(frozen=True)
+class _Appliance:
+    bus: int
+    constant_impedance: bool
+
+
+@dataclass
+class _Reader:
+    """The sensors read so far. ``of_appliances``: (kind, bus) -> appliance -> what its sensors say."""
+
+    conversion: Conversion
+    readings: list[Measurement] = field(default_factory=list)
+    of_appliances: dict[tuple[KIND, int], dict[int, list[Measurement]]] = field(default_factory=dict)
+    problems: list[str] = field(default_factory=list)
+    unsupplied: list[int] = field(default_factory=list)
+    remarks: list[Remark] = field(default_factory=list)
+
+    @cached_property
+    def appliances(self) -> dict[int, _Appliance]:
+        """Loads, generators and a stiff source in service at supplied nodes; a source with an impedance is a branch."""
+        from scenarios.importers.power_grid_model import APPLIANCES, CONSTANT_IMPEDANCE, rows
+
+        data, bus_of = self.conversion.data, self.conversion.bus_of
+        return {
+            int(a["id"]): _Appliance(bus_of[int(a["node"])], name != "source" and int(a["type"]) == CONSTANT_IMPEDANCE)
+            for name in (*APPLIANCES, "source")
+            for a in rows(data, name)
+            if a["status"] and int(a["node"]) in bus_of and int(a["id"]) not in self.conversion.branch_of
+        }
+
+    @cached_property
+    def fed_buses(self) -> frozenset[int]:
+        return frozenset(appliance.bus for appliance in self.appliances.values())
+
+    @cached_property
+    def source_nodes(self) -> frozenset[int]:
+        """Where a source behind an impedance feeds."""
+        network, branch_of = self.conversion.network, self.conversion.branch_of
+        sources = [int(source["id"]) for source in self.conversion.data["source"]]
+        return frozenset(network.branch(branch_of[source]).to_bus for source in sources if source in branch_of)
+
+
+def read_sensors(what: str, conversion: Conversion) -> tuple[tuple[Measurement, ...], list[Remark]]:
+    """The readings of a converted network, one for each meter, and what was made of the other sensors.
+
+    Raises:
+        InvalidInputError: listing every sensor that no meter can be.
+    """
+    from scenarios.importers.power_grid_model import rows
+
+    reader = _Reader(conversion)
+    angles = [s for s in rows(conversion.data, "sym_voltage_sensor") if not math.isnan(s["u_angle_measured"])]
+    _check_angles(reader, angles)
+    for sensor in rows(conversion.data, "sym_voltage_sensor"):
+        _read_voltage(reader, sensor)
+    for sensor in rows(conversion.data, "sym_power_sensor"):
+        _read_power(reader, sensor)
+    for sensor in rows(conversion.data, "sym_current_sensor"):
+        _read_current(reader, sensor)
+    injections = list(_sum_injections(reader))
+    if reader.problems:
+        raise InvalidInputError(what, reader.problems)
+    combined, remarks = combine_readings([*reader.readings, *injections])
+    if reader.unsupplied:
+        text = f"sensor {listed(reader.unsupplied)}: of something out of service or unsupplied"
+        reader.remarks.append(Remark("left out", text))
+    return combined, [*reader.remarks, *remarks]
+
+
+def _check_angles(reader: _Reader, sensors: list[Any]) -> None:
+    """One angle only turns the whole grid, which changes nothing; several need a meter that counts from no bus."""
+    ids = listed([int(sensor["id"]) for sensor in sensors])
+    if len(sensors) == 1:
+        text = f"the angle of voltage sensor {ids}: it only turns the whole grid; angles count from the substation here"
+        reader.remarks.append(Remark("left out", text))
+    elif sensors:
+        reader.problems.append(
+            f"sym_voltage_sensor {ids}: their angles count from a common clock, angles here from the substation; "
+            "leave u_angle_measured out of all but one"
+        )
+
+
+def _read_voltage(reader: _Reader, sensor: Any) -> None:
+    node = int(sensor["measured_object"])
+    if node not in reader.conversion.bus_of:
+        reader.unsupplied.append(int(sensor["id"]))
+        return
+    bus = reader.conversion.bus_of[node]
+    base = reader.conversion.network.bus(bus).base_kv * 1000
+    value, sigma = float(sensor["u_measured"]) / base, float(sensor["u_sigma"]) / base
+    reader.readings.append(Measurement(Meter(KIND.VM, bus), value, sigma))
+
+
+def _read_power(reader: _Reader, sensor: Any) -> None:
+    terminal, place = int(sensor["measured_terminal_type"]), int(sensor["measured_object"])
+    if terminal in (BRANCH_FROM, BRANCH_TO):
+        _read_flow(reader, sensor, _end_of(reader, place, terminal), 1.0)
+    elif terminal == SHUNT:
+        reader.problems.append(
+            f"sym_power_sensor {sensor['id']}: the power of shunt {place} follows from the voltage; no meter reads it; "
+            "remove the sensor"
+        )
+    elif terminal == NODE:
+        _read_node(reader, sensor, place)
+    elif terminal in SIGN_AT_APPLIANCE:
+        _read_appliance(reader, sensor, place, SIGN_AT_APPLIANCE[terminal])
+    else:
+        reader.problems.append(f"sym_power_sensor {sensor['id']}: the network model has no place of type {terminal}")
+
+
+def _end_of(reader: _Reader, component: int, terminal: int) -> tuple[int, str] | None:
+    """(bus, branch) where a branch component is metered; None if it is not closed at both ends."""
+    branch_id = reader.conversion.branch_of.get(component)
+    if branch_id is None:
+        return None
+    branch = reader.conversion.network.branch(branch_id)
+    return (branch.from_bus if terminal == BRANCH_FROM else branch.to_bus), branch_id
+
+
+def _read_flow(reader: _Reader, sensor: Any, end: tuple[int, str] | None, sign: float) -> None:
+    if end is None:
+        reader.unsupplied.append(int(sensor["id"]))
+        return
+    for part, _, kind in PARTS:
+        if reading := _power_of(sensor, part, sign):
+            reader.readings.append(Measurement(Meter(kind, *end), *reading))
+
+
+def _power_of(sensor: Any, part: str, sign: float) -> tuple[float, float] | None:
+    """(value, sigma) of P or Q in p.u.; None if it is not measured."""
+    value, sigma = float(sensor[f"{part}_measured"]), float(sensor[f"{part}_sigma"])
+    if math.isnan(sigma):
+        sigma = float(sensor["power_sigma"]) / math.sqrt(2)
+    return None if math.isnan(value) else (sign * value / BASE_VA, sigma / BASE_VA)
+
+
+def _read_node(reader: _Reader, sensor: Any, node: int) -> None:
+    """The injection of a node includes its shunts and its source; a meter of injection here does not."""
+    bus = reader.conversion.bus_of.get(node)
+    if bus is None:
+        reader.unsupplied.append(int(sensor["id"]))
+    elif bus in reader.conversion.shunted or bus in reader.source_nodes:
+        reader.problems.append(
+            f"sym_power_sensor {sensor['id']}: the power of node {node} includes a shunt or a source behind its "
+            "impedance, which no injection meter sees; put sensors at what else stands there"
+        )
+    elif bus not in reader.fed_buses:
+        text = f"power sensor {sensor['id']} of node {node}: nothing stands there, so that it injects exactly nothing"
+        reader.remarks.append(Remark("left out", text))
+    else:
+        for part, kind, _ in PARTS:
+            if reading := _power_of(sensor, part, 1.0):
+                reader.readings.append(Measurement(Meter(kind, bus), *reading))
+
+
+def _read_appliance(reader: _Reader, sensor: Any, component: int, sign: float) -> None:
+    appliance = reader.appliances.get(component)
+    if component in reader.conversion.branch_of:  # a source behind its impedance
+        _read_flow(reader, sensor, _end_of(reader, component, BRANCH_TO), -sign)
+    elif appliance is None:
+        reader.unsupplied.append(int(sensor["id"]))
+    elif appliance.constant_impedance:
+        reader.problems.append(
+            f"sym_power_sensor {sensor['id']}: {component} is a constant impedance, a shunt here, whose power no meter "
+            "reads; make it constant power, or remove the sensor"
+        )
+    else:
+        for part, kind, _ in PARTS:
+            if reading := _power_of(sensor, part, sign):
+                at = reader.of_appliances.setdefault((kind, appliance.bus), {})
+                at.setdefault(component, []).append(Measurement(Meter(kind, appliance.bus), *reading))
+
+
+def _sum_injections(reader: _Reader) -> Iterator[Measurement]:
+    """The injections of the buses where every appliance is measured; the others are unknown whatever is measured."""
+    at_bus: dict[int, set[int]] = {}
+    for component, appliance in reader.appliances.items():
+        if not appliance.constant_impedance:
+            at_bus.setdefault(appliance.bus, set()).add(component)
+    for (kind, bus), of_appliances in reader.of_appliances.items():
+        if missing := at_bus[bus] - of_appliances.keys():
+            text = (
+                f"sensors of {listed(sorted(of_appliances))} at bus {bus} ({kind}): {listed(sorted(missing))} stands "
+                "there, too, without a sensor, so that they say nothing about the grid"
+            )
+            reader.remarks.append(Remark("left out", text))
+        else:
+            means = [combine_readings(readings)[0][0] for readings in of_appliances.values()]
+            yield sum_readings(Meter(kind, bus), [(m.value, m.sigma) for m in means])
+
+
+def _read_current(reader: _Reader, sensor: Any) -> None:
+    terminal = int(sensor["measured_terminal_type"])
+    end = _end_of(reader, int(sensor["measured_object"]), terminal) if terminal in (BRANCH_FROM, BRANCH_TO) else None
+    if end is None:
+        reader.unsupplied.append(int(sensor["id"]))
+        return
+    size = math.sqrt(3) * reader.conversion.network.bus(end[0]).base_kv * 1000 / BASE_VA
+    value, sigma = float(sensor["i_measured"]) * size, float(sensor["i_sigma"]) * size
+    reader.readings.append(Measurement(Meter(KIND.CURRENT, *end), value, sigma))
+    text = f"the angle of current sensor {sensor['id']}: current meters here have a magnitude only"
+    reader.remarks.append(Remark("left out", text))

@@ -1,0 +1,212 @@
+"""MATPOWER cases: the power flow is that of MATPOWER's own equations, and what is not understood is refused."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dsse_core.errors import InvalidInputError
+from dsse_core.network import Control
+from dsse_core.power_flow import solve_power_flow
+from scenarios.importers import Imported, import_grid
+
+MESHED = """
+function mpc = meshed
+%MESHED  made up: 50 % of it are corner cases
+mpc.version = '2';
+mpc.baseMVA = 50/3;   %% written as a quotient
+mpc.bus = [
+    10  3   0     0    0    0    1  1  5  110  1  1.1  0.9;
+    20  1   3     1    0.1  2    1  1  0  20   1  1.1  0.9;  40 1 1.5 -0.4 0 0 1 1 0 20 1 1.1 0.9;
+    30, 2,  0,    0,   0,   0,   1, 1, 0, 20,  1, 1.1, 0.9;
+    50  1   1     0.3  0    0    1  1  0  135/sqrt(3) 1 1.1 0.9
+];
+mpc.gen = [
+    10  0    0    10  -10  1.02  100  1  10  0;
+    30  2    0.5  10  -10  1.01  100  1  10  0;
+    50  0.5  0.2  10  -10  1.00  100  1  10  0;
+    40  9    9    10  -10  1.03  100  0  10  0;
+];
+%   fbus tbus r    x    b
+mpc.branch = [
+    10  20  0.002 0.05 0     0 0 0 0.98 30  1 -360 360;
+    20  30  0.02  0.03 0.01  0 0 0 0    0   1 -360 360;
+    30  40  0.02  0.03 0.01  0 0 0 0    0   1 -360 360;
+    40  20  0.03  0.05 0.02  0 0 0 0    0   1 -360 360;
+    20  30  0.05  0.06 0     0 0 0 0    0   1 -360 360;
+    50  40  0.01  0.08 0     0 0 0 1.05 -30 1 -360 360;
+    10  50  0.01  0.08 0     0 0 0 0    0   0 -360 360;
+];
+mpc.gencost = [ 2 0 0 3 0 20 0 ];
+mpc.bus_name = { 'ten % of it'; 'twenty' };
+"""
+DISTRIBUTION = """
+function mpc = feeder
+mpc.version = '2';
+mpc.baseMVA = 10;
+mpc.bus = [  %% (Pd and Qd are specified in kW & kVAr here, converted below)
+    1  3  0    0   0  0  1  1  0  12.66  1  1  1;
+    2  1  100  60  0  0  1  1  0  12.66  1  1.1  0.9;
+    3  1  90   40  0  0  1  1  0  12.66  1  1.1  0.9;
+];
+mpc.gen = [ 1  0  0  10  -10  1  100  1  10  0 ];
+mpc.branch = [ %% ohm
+    1  2  0.0922  0.0470  0  0  0  0  0  0  1  -360  360;
+    2  3  0.4930  0.2511  0  0  0  0  0  0  1  -360  360;
+];
+[PQ, PV, REF, NONE, BUS_I, BUS_TYPE, PD, QD, GS, BS, BUS_AREA, VM, ...
+    VA, BASE_KV, ZONE, VMAX, VMIN, LAM_P, LAM_Q, MU_VMAX, MU_VMIN] = idx_bus;
+[F_BUS, T_BUS, BR_R, BR_X] = idx_brch;
+Vbase = mpc.bus(1, BASE_KV) * 1e3;      %% in Volts
+Sbase = mpc.baseMVA * 1e6;              %% in VA
+mpc.branch(:, [BR_R BR_X]) = mpc.branch(:, [BR_R BR_X]) / (Vbase^2 / Sbase);
+mpc.bus(:, [PD, QD]) = mpc.bus(:, [PD, QD]) / 1e3;
+"""
+
+
+def read(tmp_path: Path, text: str) -> Imported:
+    path = tmp_path / "case.m"
+    path.write_text(text, encoding="utf-8")
+    return import_grid(path)
+
+
+def problems_of(tmp_path: Path, text: str) -> tuple[str, ...]:
+    with pytest.raises(InvalidInputError) as caught:
+        read(tmp_path, text)
+    assert "case.m" in caught.value.what
+    return caught.value.problems
+
+
+def changed(text: str, old: str, new: str) -> str:
+    assert old in text
+    return text.replace(old, new, 1)
+
+
+def test_the_power_flow_meets_matpowers_own_equations(tmp_path: Path) -> None:
+    makeybus = pytest.importorskip("pandapower.pypower.makeYbus")
+    network = read(tmp_path, MESHED).network
+    result = solve_power_flow(network, tolerance=1e-12)
+    base = 50 / 3
+    bus = np.zeros((5, 15))
+    bus[:, 0], bus[:, 7], bus[:, 9] = range(5), 1, 1
+    bus[1, 4:6] = 0.1, 2
+    rows = {10: 0, 20: 1, 40: 2, 30: 3, 50: 4}
+    branch = np.zeros((6, 26), dtype=complex)
+    branch[:, :11] = [
+        [0, 1, 0.002, 0.05, 0, 0, 0, 0, 0.98, 30, 1],
+        [1, 3, 0.02, 0.03, 0.01, 0, 0, 0, 0, 0, 1],
+        [3, 2, 0.02, 0.03, 0.01, 0, 0, 0, 0, 0, 1],
+        [2, 1, 0.03, 0.05, 0.02, 0, 0, 0, 0, 0, 1],
+        [1, 3, 0.05, 0.06, 0, 0, 0, 0, 0, 0, 1],
+        [4, 2, 0.01, 0.08, 0, 0, 0, 0, 1.05, -30, 1],
+    ]
+    ybus, _, _ = makeybus.makeYbus(base, bus, branch)
+    order = [network.row[i] for i in rows]
+    v = (result.vm * np.exp(1j * result.va))[order]
+    s = v * (ybus @ v).conj() * base
+    np.testing.assert_allclose(s[[1, 2]], [-3 - 1j, -1.5 + 0.4j], atol=1e-8)
+    assert s[3].real == pytest.approx(2, abs=1e-8)
+    assert s[4] == pytest.approx(-0.5 - 0.1j, abs=1e-8)
+    assert (abs(v[3]), abs(v[0])) == pytest.approx((1.01, 1.02), abs=1e-12)
+    assert math.degrees(np.angle(v[0])) == pytest.approx(5, abs=1e-10)
+
+
+def test_the_elements_keep_their_numbers_states_and_meanings(tmp_path: Path) -> None:
+    network = read(tmp_path, MESHED).network
+    assert [bus.id for bus in network.buses] == [10, 20, 40, 30, 50]
+    assert [branch.id for branch in network.branches] == [
+        "10-20", "20-30", "30-40", "40-20", "20-30#2", "50-40", "10-50",
+    ]  # fmt: skip
+    assert not network.branch("10-50").in_service
+    assert [(g.bus, g.control) for g in network.generators] == [
+        (10, Control.SLACK),
+        (30, Control.VOLTAGE),
+        (50, Control.POWER),
+    ]
+
+
+def test_conversions_after_the_matrices_are_done_and_told(tmp_path: Path) -> None:
+    imported = read(tmp_path, DISTRIBUTION)
+    network = imported.network
+    z_base = 12.66**2 / 10
+    assert network.branch("1-2").r == pytest.approx(0.0922 / z_base)
+    assert network.branch("2-3").x == pytest.approx(0.2511 / z_base)
+    assert network.bus(2).p_load == pytest.approx(0.1 / 10)
+    assert network.bus(3).q_load == pytest.approx(0.04 / 10)
+    told = [remark.text for remark in imported.remarks if remark.what == "changed"]
+    assert any("ohm" in text for text in told)
+    assert any("kW" in text for text in told)
+
+
+def test_a_power_factor_turns_apparent_into_active_and_reactive_load(tmp_path: Path) -> None:
+    kilowatts = "mpc.bus(:, [PD, QD]) = mpc.bus(:, [PD, QD]) / 1e3;"
+    text = changed(
+        DISTRIBUTION,
+        kilowatts,
+        kilowatts
+        + "\npf = 0.8;\nmpc.bus(:, QD) = mpc.bus(:, PD) * sin(acos(pf));\nmpc.bus(:, PD) = mpc.bus(:, PD) * pf;",
+    )
+    bus = read(tmp_path, text).network.bus(2)
+    assert (bus.p_load, bus.q_load) == pytest.approx((0.1 * 0.8 / 10, 0.1 * 0.6 / 10))
+
+
+def test_every_statement_that_is_not_known_is_refused_with_its_line(tmp_path: Path) -> None:
+    text = DISTRIBUTION + "mpc.bus(2, PD) = 7;\nscale = rand(1);\n"
+    problems = problems_of(tmp_path, text)
+    line = text[: text.index("mpc.bus(2")].count("\n") + 1
+    assert [problem.split(":")[0] for problem in problems] == [f"line {line}", f"line {line + 1}"]
+    assert "savecase" in problems[0]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("    2  1  100  60", "    2  1  1OO  60", "mpc.bus: a row holds more than numbers"),
+        ("mpc.baseMVA = 10;", "", "mpc.baseMVA is missing"),
+        ("mpc.version = '2'", "mpc.version = '1'", "line 3: "),
+        ("    2  1  100", "    2.5  1  100", "mpc.bus: a bus number or type is no integer"),
+        ("    2  1  100", "    2  NaN  100", "mpc.bus: a row holds more than numbers"),
+        ("    1  3  0    0   0  0  1", "    1  1  0    0   0  0  1", "no bus is of type 3"),
+        ("    2  1  100", "    2  3  100", "buses 1, 2 are of type 3"),
+        ("mpc.gen = [ 1", "mpc.gen = [ 2", "has no generator in service"),
+        (
+            "-360  360;\n];",
+            "-360  360;\n];\nmpc.dcline = [ 1 3 1 1 0.9 ];",
+            "mpc.dcline: the network model cannot hold it",
+        ),
+        ("    2  3  0.4930  0.2511", "    2  9  0.4930  0.2511", "bus 9, which is not defined"),
+        ("  0  0  0  0  0  0  1  -360  360;\n    2  3", "  0\n    2  3", "has 5 columns, at least 11"),
+    ],
+)
+def test_a_case_that_the_network_model_cannot_hold_is_refused(tmp_path: Path, old: str, new: str, words: str) -> None:
+    assert words in "\n".join(problems_of(tmp_path, changed(DISTRIBUTION, old, new)))
+
+
+def test_buses_without_supply_are_left_out_and_told(tmp_path: Path) -> None:
+    text = changed(
+        DISTRIBUTION,
+        "    3  1  90 ",
+        "4 1 50 0 0 0 1 1 0 12.66 1 1 1; 5 4 50 0 0 0 1 1 0 12.66 1 1 1;\n    3  1  90 ",
+    )
+    imported = read(tmp_path, text)
+    assert list(imported.network.row) == [1, 2, 3]
+    told = [remark.text for remark in imported.remarks if remark.what == "left out"]
+    assert told[0].startswith("bus 5 with 0.05 MW of load")
+    assert told[1].startswith("bus 4 with 0.05 MW of load")
+
+
+def test_an_island_that_holds_its_own_voltage_is_refused(tmp_path: Path) -> None:
+    text = changed(DISTRIBUTION, "    3  1  90 ", "    4  2  50   0   0  0  1  1  0  12.66  1  1  1;\n    3  1  90 ")
+    text = changed(text, "mpc.gen = [ 1", "mpc.gen = [ 4  1  0  10  -10  1  100  1  10  0; 1")
+    assert "bus 4 holds a voltage there" in "\n".join(problems_of(tmp_path, text))
+
+
+def test_a_case_reads_the_same_through_another_reader(tmp_path: Path) -> None:
+    frames = pytest.importorskip("matpowercaseframes")
+    network = read(tmp_path, DISTRIBUTION[: DISTRIBUTION.index("[PQ,")]).network
+    case = frames.CaseFrames(str(tmp_path / "case.m"))
+    assert [bus.p_load * 10 for bus in network.buses] == pytest.approx(list(case.bus.PD))
+    assert [branch.r for branch in network.branches] == pytest.approx(list(case.branch.BR_R))

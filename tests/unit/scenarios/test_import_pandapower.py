@@ -1,0 +1,207 @@
+"""pandapower networks: power flow and estimate are pandapower's own; what the model cannot hold is refused by name."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dsse_core.errors import InvalidInputError
+from dsse_core.estimation import estimate_state
+from dsse_core.power_flow import solve_power_flow
+from scenarios.importers import Imported, import_grid
+
+pp: Any = pytest.importorskip("pandapower")
+networks: Any = pytest.importorskip("pandapower.networks")
+estimation: Any = pytest.importorskip("pandapower.estimation")
+
+pytestmark = pytest.mark.filterwarnings("ignore::Warning:pandapower", "ignore::Warning:pandas")
+
+BUNDLED: dict[str, Callable[[], Any]] = {
+    "case33bw, radial": networks.case33bw,
+    "case4gs, meshed": networks.case4gs,
+    "case9, generators": networks.case9,
+    "case118, taps and shunts": networks.case118,
+    "CIGRE MV with DER": lambda: networks.create_cigre_network_mv(with_der="pv_wind"),
+    "CIGRE LV, closed switches": networks.create_cigre_network_lv,
+    "MV Oberrhein": lambda: networks.mv_oberrhein(separation_by_sub=True)[1],
+    "Kerber": networks.create_kerber_landnetz_freileitung_1,
+    "open ring": networks.simple_mv_open_ring_net,
+}
+
+
+def imported(tmp_path: Path, net: Any) -> Imported:
+    path = tmp_path / "net.json"
+    pp.to_json(net, str(path))
+    return import_grid(path)
+
+
+def problems_of(tmp_path: Path, net: Any) -> str:
+    with pytest.raises(InvalidInputError) as caught:
+        imported(tmp_path, net)
+    assert "net.json" in caught.value.what
+    return "\n".join(caught.value.problems)
+
+
+def small_grid() -> Any:
+    """110 / 20 kV, Dyn5 with tap changer, a ring, a closed bus switch (14 to 15), an open line end, a dark island."""
+    net = pp.create_empty_network(sn_mva=10)
+    for bus in (5, 10, 11, 12, 13, 14, 15, 16, 30, 31):
+        pp.create_bus(net, 110 if bus == 5 else 20, index=bus, name=f"B{bus}")
+    pp.create_ext_grid(net, 5, vm_pu=1.02, va_degree=7)
+    pp.create_transformer(net, 5, 10, "25 MVA 110/20 kV", tap_pos=-3)
+    for ends in ((10, 11), (11, 12), (12, 13), (13, 10), (12, 14), (15, 16), (16, 11), (30, 31)):
+        pp.create_line(net, *ends, 2.5, "NA2XS2Y 1x185 RM/25 12/20 kV", parallel=2 if ends == (10, 11) else 1)
+    pp.create_switch(net, 14, 15, et="b")
+    pp.create_switch(net, 16, 6, et="l", closed=False)
+    pp.create_line(net, 13, 15, 1, "NAYY 4x50 SE", in_service=False)
+    for bus, p, q in ((11, 1, 0.3), (13, 2, 0.5), (14, 0.5, 0.1), (15, 0.7, 0.2), (16, 0.4, 0.1), (31, 5, 1)):
+        pp.create_load(net, bus, p, q, scaling=0.9)
+    pp.create_sgen(net, 16, 1.2, -0.1, scaling=0.8)
+    pp.create_shunt(net, 12, -0.4, 0.02, step=2)
+    pp.create_ward(net, 13, 0.1, 0.05, 0.2, 0.1)
+    return net
+
+
+@pytest.mark.parametrize("name", BUNDLED)
+def test_the_power_flow_of_bundled_networks_is_pandapowers(tmp_path: Path, name: str) -> None:
+    net = BUNDLED[name]()
+    check_power_flow(imported(tmp_path, net), net)
+
+
+def check_power_flow(grid: Imported, net: Any) -> None:
+    """Compare all buses at 1e-8 p.u. and rad with runpp."""
+    result = solve_power_flow(grid.network, tolerance=1e-11)
+    pp.runpp(net, calculate_voltage_angles=True, tolerance_mva=1e-9, numba=False)
+    buses = list(grid.network.row)
+    theirs = net.res_bus.loc[buses]
+    np.testing.assert_allclose(result.vm, theirs.vm_pu, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(np.exp(1j * result.va), np.exp(1j * np.radians(theirs.va_degree)), rtol=0, atol=1e-8)
+
+
+def test_switches_islands_open_ends_and_taps_are_as_in_pandapower_and_told(tmp_path: Path) -> None:
+    net = small_grid()
+    grid = imported(tmp_path, net)
+    check_power_flow(grid, net)
+    assert list(grid.network.row) == [5, 10, 11, 12, 13, 14, 16]
+    assert grid.network.bus(16).name == "B16"
+    told = {(remark.what, remark.text) for remark in grid.remarks}
+    assert ("fused", "bus 15 into bus 14, joined by closed switches") in told
+    assert ("changed", "line 6: open at one end, written as the shunt that it is") in told
+    assert ("left out", "bus 30, 31 with 4.5 MW of load: out of service or unsupplied") in told
+    assert ("left out", "line 7, 8: out of service, open at both ends or unsupplied") in told
+
+
+def test_loads_of_constant_impedance_become_shunts(tmp_path: Path) -> None:
+    net = small_grid()
+    net.load.loc[0, ["const_z_p_percent", "const_z_q_percent"]] = 40.0
+    grid = imported(tmp_path, net)
+    check_power_flow(grid, net)
+    assert grid.network.bus(11).p_load == pytest.approx(0.6 * 0.9 / 10)
+
+
+def test_static_generators_are_not_cut_to_their_limits(tmp_path: Path) -> None:
+    net = small_grid()
+    net.sgen["min_q_mvar"], net.sgen["max_q_mvar"] = -0.01, 0.01
+    grid = imported(tmp_path, net)
+    check_power_flow(grid, net)
+
+
+def test_everything_that_the_model_cannot_hold_is_named_at_once(tmp_path: Path) -> None:
+    net = small_grid()
+    pp.create_xward(net, 12, 0, 0, 0, 0, 0.1, 0.1, 1.0, name="x")
+    pp.create_dcline(net, 11, 13, 1, 1, 0, 1, 1)
+    pp.create_asymmetric_load(net, 11, p_a_mw=0.1)
+    pp.create_ext_grid(net, 13)
+    net.load.loc[0, "const_i_p_percent"] = 10.0
+    text = problems_of(tmp_path, net)
+    for words in ("xward 0", "dcline 0", "asymmetric_load 0", "ext_grid 1 at bus 13", "load 0: const_i_p_percent"):
+        assert words in text
+
+
+def test_an_impedance_that_differs_by_direction_is_refused(tmp_path: Path) -> None:
+    net = small_grid()
+    pp.create_impedance(net, 11, 13, 0.01, 0.02, 10, rtf_pu=0.03)
+    assert "impedance 0: its two ends differ" in problems_of(tmp_path, net)
+
+
+def measured_grid() -> Any:
+    """``small_grid`` with every kind of measurement, both ends of lines and transformer, some twice, with noise."""
+    net = small_grid()
+    pp.runpp(net, calculate_voltage_angles=True, numba=False)
+    rng = np.random.default_rng(3)
+
+    def measure(
+        kind: str, element_type: str, value: float, sigma: float, element: int, side: str | None = None
+    ) -> None:
+        noisy = value + sigma * rng.standard_normal()
+        pp.create_measurement(net, kind, element_type, noisy, sigma, element, side=side, check_existing=False)
+
+    for bus in (5, 11, 13, 13, 15):
+        measure("v", "bus", net.res_bus.vm_pu[bus], 0.003, bus)
+    measure("va", "bus", net.res_bus.va_degree[13], 0.05, 13)
+    consumed = net.res_bus[["p_mw", "q_mvar"]].copy()  # of what is connected, shunts included; a meter sees none
+    consumed.loc[12] -= net.res_shunt.loc[0, ["p_mw", "q_mvar"]]
+    consumed.loc[13] -= [
+        net.ward.pz_mw[0] * net.res_bus.vm_pu[13] ** 2,
+        net.ward.qz_mvar[0] * net.res_bus.vm_pu[13] ** 2,
+    ]
+    for bus in (5, 10, 11, 12, 13, 14, 15, 16, 11):
+        measure("p", "bus", consumed.p_mw[bus], 0.05, bus)
+        measure("q", "bus", consumed.q_mvar[bus], 0.05, bus)
+    for line, side in ((0, "from"), (1, "to"), (2, "from"), (3, "to"), (4, "from"), (5, "from")):
+        measure("p", "line", net.res_line[f"p_{side}_mw"][line], 0.02, line, side)
+        measure("q", "line", net.res_line[f"q_{side}_mvar"][line], 0.02, line, side)
+    measure("i", "line", net.res_line.i_from_ka[0], 0.002, 0, "from")
+    for side in ("hv", "lv"):
+        measure("p", "trafo", net.res_trafo[f"p_{side}_mw"][0], 0.02, 0, side)
+        measure("q", "trafo", net.res_trafo[f"q_{side}_mvar"][0], 0.02, 0, side)
+    measure("i", "trafo", net.res_trafo.i_lv_ka[0], 0.002, 0, "lv")
+    measure("v", "bus", 1.0, 0.003, 31)
+    return net
+
+
+def test_the_estimate_from_the_measurement_table_is_pandapowers(tmp_path: Path) -> None:
+    net = measured_grid()
+    grid = imported(tmp_path, net)
+    result = estimate_state(grid.network, grid.readings, tolerance=1e-10)
+    assert estimation.estimate(net, init="results", tolerance=1e-9, maximum_iterations=50)
+    theirs = net.res_bus_est.loc[list(grid.network.row)]
+    np.testing.assert_allclose(result.vm, theirs.vm_pu, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(result.va, np.radians(theirs.va_degree), rtol=0, atol=1e-6)
+    assert grid.zero_injection == "measured"
+    told = {remark.text for remark in grid.remarks}
+    assert "2 readings of vm@13: their weighted mean" in told
+    assert any("unsupplied" in text and text.startswith("measurement ") for text in told)
+
+
+def test_a_half_measured_bus_of_closed_switches_is_refused(tmp_path: Path) -> None:
+    net = measured_grid()
+    net.measurement = net.measurement[~((net.measurement.element == 14) & (net.measurement.measurement_type == "p"))]
+    text = problems_of(tmp_path, net)
+    assert "p_injection@14: closed switches join bus 14, 15, but bus 14, where something feeds or consumes" in text
+
+
+def test_every_measurement_that_no_meter_can_be_is_named(tmp_path: Path) -> None:
+    net = measured_grid()
+    pp.create_measurement(net, "p", "line", 0.0, 0.1, 6, side="to")
+    pp.create_measurement(net, "ia", "line", 0.0, 0.1, 0, side="to")
+    net.measurement.loc[0, "std_dev"] = 0.0
+    text = problems_of(tmp_path, net)
+    assert "measurement 0: value" in text
+    assert "line 6 is open at one end" in text
+    assert "'ia' of a line is no kind of meter" in text
+
+
+def test_a_missing_package_is_named_with_the_command_that_installs_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "net.json"
+    pp.to_json(small_grid(), str(path))
+    monkeypatch.setitem(sys.modules, "pandapower", None)
+    with pytest.raises(InvalidInputError, match=r"pip install 'consensus-dsse\[pandapower\]'"):
+        import_grid(path)

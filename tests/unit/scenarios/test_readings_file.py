@@ -1,0 +1,222 @@
+"""Readings files: engineering units become per unit; every mistake is refused with its line; the truth is unknown."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+
+from dsse_core.errors import InvalidInputError
+from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
+from scenarios.check import check_scenario
+from scenarios.network_file import load_case
+from scenarios.readings_file import load_readings, save_readings
+from scenarios.scenario import Scenario, load_scenario
+from scenarios.telemetry import make_telemetry
+
+KIND = MeasurementKind
+NETWORK = load_case("ieee33")
+UNITS = ("pu", "kv", "deg", "mw", "mvar", "a")
+HEADER = ",".join(["meter", *(f"{column}_{unit}" for unit in UNITS for column in ("value", "sigma"))])
+SCENARIO = """
+version = 1
+description = "real readings"
+network = "ieee33"
+strategy = "information"
+areas = { count = 2 }
+
+[telemetry]
+source = "file"
+file = "readings.csv"
+"""
+
+
+def load(tmp_path: Path, text: str) -> tuple[Measurement, ...]:
+    path = tmp_path / "readings.csv"
+    path.write_text(text, encoding="utf-8")
+    return load_readings(path, NETWORK)
+
+
+def problems_of(tmp_path: Path, text: str) -> tuple[str, ...]:
+    with pytest.raises(InvalidInputError) as caught:
+        load(tmp_path, text)
+    assert "readings.csv" in caught.value.what
+    return caught.value.problems
+
+
+def all_readings() -> tuple[Measurement, ...]:
+    """What the meters of the shipped scenario read."""
+    return tuple(m for m in make_telemetry(load_scenario("ieee33")).union if m.meter.source is not Source.VIRTUAL)
+
+
+def scenario_with(tmp_path: Path, readings: tuple[Measurement, ...], more: str = "") -> Scenario:
+    save_readings(tmp_path / "readings.csv", NETWORK, readings)
+    (tmp_path / "real.toml").write_text(SCENARIO + more, encoding="utf-8")
+    return load_scenario(tmp_path / "real.toml", strategies=("information",))
+
+
+def test_every_unit_becomes_per_unit_and_radians(tmp_path: Path) -> None:
+    text = f"""{HEADER}
+vm@1,1.01,0.002,,,,,,,,,,
+vm@2,,,12.8,0.01,,,,,,,,
+va@3,,,,,-0.5,0.1,,,,,,
+p_flow@3:3-4,,,,,,,2.2,0.02,,,,
+q_flow@4:3-4,,,,,,,,,-0.3,0.02,,
+q_injection@5,0.01,0.002,,,,,,,,,,
+current@3:3-4,,,,,,,,,,,120,1
+"""
+    read = {m.meter.id: (m.value, m.sigma) for m in load(tmp_path, text)}
+    base = NETWORK.base_mva
+    ampere = math.sqrt(3) * 12.66 / base / 1000
+    expected = {
+        "vm@1": (1.01, 0.002),
+        "vm@2": (12.8 / 12.66, 0.01 / 12.66),
+        "va@3": (math.radians(-0.5), math.radians(0.1)),
+        "p_flow@3:3-4": (2.2 / base, 0.02 / base),
+        "q_flow@4:3-4": (-0.3 / base, 0.02 / base),
+        "q_injection@5": (0.01, 0.002),
+        "current@3:3-4": (120 * ampere, ampere),
+    }
+    assert read.keys() == expected.keys()
+    for meter, pair in expected.items():
+        assert read[meter] == pytest.approx(pair), meter
+
+
+def test_what_was_written_is_read_back(tmp_path: Path) -> None:
+    extra = (Measurement(Meter(KIND.VA, 3), 0.01, 0.001), Measurement(Meter(KIND.CURRENT, 3, "3-4"), 0.2, 0.01))
+    readings = all_readings() + extra
+    save_readings(tmp_path / "readings.csv", NETWORK, readings)
+    back = load_readings(tmp_path / "readings.csv", NETWORK)
+    assert [m.meter for m in back] == [m.meter for m in readings]
+    for ours, theirs in zip(back, readings, strict=True):
+        assert (ours.value, ours.sigma) == pytest.approx((theirs.value, theirs.sigma), rel=1e-12)
+
+
+def test_a_spreadsheets_mark_at_the_start_and_empty_lines_do_no_harm(tmp_path: Path) -> None:
+    assert len(load(tmp_path, "\ufeffmeter,value_pu,sigma_pu\r\nvm@1,1,0.01\r\n,,\r\n\r\n")) == 1
+
+
+def test_all_problems_are_named_at_once_with_their_lines(tmp_path: Path) -> None:
+    text = """meter,value_pu,sigma_pu,value_mw,sigma_mw
+vm@1,1.0,0.01,,
+vm@99,1.0,0.01,,
+p_flow@9:3-4,,,1,0.1
+p_flow@8:21-8,,,1,0.1
+volt@1,1.0,0.01,,
+vm@2,,,1,0.1
+p_injection@5,1,0.1,1,0.1
+p_injection@6,,,,
+p_injection@7,,,"1,5",0.1
+p_injection@8,,,nan,0.1
+vm@3,1.0,0,,
+vm@1,1.0,0.01,,
+vm@4,-1.0,0.01,,
+vm@5,1.0
+"""
+    problems = problems_of(tmp_path, text)
+    for line, words in {
+        3: "bus 99 is not in network",
+        4: "branch 3-4 does not end at bus 9",
+        5: "branch 21-8 is out of service",
+        6: "'volt@1' is no meter id",
+        7: "cannot be in mw; its columns are value_pu,sigma_pu or value_kv,sigma_kv",
+        8: "fill exactly one pair of value and sigma, found 2",
+        9: "fill exactly one pair of value and sigma, found 0",
+        10: "must be finite numbers",
+        11: "must be finite numbers",
+        12: "sigma is 0 in p.u.",
+        13: "has a reading in line 2 already",
+        14: "the value is negative",
+        15: "2 columns, but the header has 5",
+    }.items():
+        assert any(problem.startswith(f"line {line}: ") and words in problem for problem in problems), (line, problems)
+    assert len(problems) == 13
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "the first column must be 'meter', found an empty file"),
+        ("meter;value_pu;sigma_pu\n", "separated by ';'"),
+        ("meter,value,sigma\nvm@1,1,1\n", "unknown column 'value'"),
+        ("meter,value_pu\nvm@1,1\n", "come pairs value_UNIT,sigma_UNIT"),
+        ("meter,sigma_pu,value_pu\nvm@1,1,1\n", "come pairs value_UNIT,sigma_UNIT"),
+        ("meter,value_pu,sigma_pu,value_pu,sigma_pu\n", "each unit once"),
+        ("meter,value_pu,sigma_pu\n", "there is no reading"),
+        ('meter,value_pu,sigma_pu\n"vm@1,1,1\n', "not valid CSV"),
+    ],
+)
+def test_a_wrong_header_or_an_empty_file_is_refused(tmp_path: Path, text: str, words: str) -> None:
+    assert words in "\n".join(problems_of(tmp_path, text))
+
+
+def test_a_scenario_takes_its_readings_from_the_file_and_knows_no_truth(tmp_path: Path) -> None:
+    readings = all_readings()
+    scenario = scenario_with(tmp_path, readings)
+    check_scenario(scenario)
+    telemetry = make_telemetry(scenario)
+    assert telemetry.truth is None
+    assert {m.meter.id: m.value for m in telemetry.union if m.meter.source is not Source.VIRTUAL} == pytest.approx(
+        {m.meter.id: m.value for m in readings}
+    )
+    assert sum(len(of_area) for of_area in telemetry.by_area.values()) == len(telemetry.union)
+
+
+def test_a_gross_error_falsifies_a_real_reading(tmp_path: Path) -> None:
+    more = '[[telemetry.gross_error]]\nmeter = "vm@22"\nsigmas = 10\n'
+    scenario = scenario_with(tmp_path, all_readings(), more)
+    true = {m.meter.id: m for m in all_readings()}["vm@22"]
+    read = {m.meter.id: m for m in make_telemetry(scenario).union}["vm@22"]
+    assert read.value == pytest.approx(true.value + 10 * true.sigma)
+
+
+def scenario_problems(tmp_path: Path, more: str, readings: tuple[Measurement, ...] | None = None) -> str:
+    with pytest.raises(InvalidInputError) as caught:
+        scenario_with(tmp_path, all_readings() if readings is None else readings, more)
+    return "\n".join(caught.value.problems)
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        ("noise = true", "noise has no meaning for source 'file'"),
+        (
+            '[measurements]\nvoltage = { buses = "all", sigma_pu = 0.1 }',
+            "measurements.voltage: with telemetry.source 'file'",
+        ),
+        ("[measurements]\nzero_injection = [2, 2]", "measurements.zero_injection: bus 2 has a load or a source"),
+        ("[measurements]\nzero_injection = [99]", "measurements.zero_injection: bus 99 is not in network"),
+        ('[measurements]\nzero_injection = "all"', 'must be "virtual", "measured" or a list of bus numbers'),
+    ],
+)
+def test_what_contradicts_real_readings_is_refused(tmp_path: Path, more: str, words: str) -> None:
+    assert words in scenario_problems(tmp_path, more)
+
+
+def test_a_file_without_source_and_a_source_without_file_are_refused(tmp_path: Path) -> None:
+    text = SCENARIO.replace('file = "readings.csv"\n', "")
+    (tmp_path / "real.toml").write_text(text, encoding="utf-8")
+    with pytest.raises(InvalidInputError, match="source 'file' needs the path of the readings"):
+        load_scenario(tmp_path / "real.toml", strategies=("information",))
+    (tmp_path / "real.toml").write_text(SCENARIO.replace('source = "file"\n', ""), encoding="utf-8")
+    with pytest.raises(InvalidInputError, match="file has no meaning for source 'network'"):
+        load_scenario(tmp_path / "real.toml", strategies=("information",))
+
+
+def test_problems_of_the_readings_are_those_of_the_scenario(tmp_path: Path) -> None:
+    (tmp_path / "real.toml").write_text(SCENARIO, encoding="utf-8")
+    with pytest.raises(InvalidInputError, match=r"telemetry.file: .*readings.csv: cannot read the file"):
+        load_scenario(tmp_path / "real.toml", strategies=("information",))
+
+
+def test_a_reading_where_nothing_is_injected_is_refused_or_the_bus_is_declared_measured(tmp_path: Path) -> None:
+    industrial = SCENARIO.replace('"ieee33"', '"industrial13"')
+    network = load_case("industrial13")
+    save_readings(tmp_path / "readings.csv", network, [Measurement(Meter(KIND.P_INJECTION, 2), 0.0, 0.01)])
+    (tmp_path / "real.toml").write_text(industrial, encoding="utf-8")
+    with pytest.raises(InvalidInputError, match=r"p_injection@2 has a reading, but .* bus 2 injects exactly nothing"):
+        load_scenario(tmp_path / "real.toml", strategies=("information",))
+    (tmp_path / "real.toml").write_text(industrial + "[measurements]\nzero_injection = [6, 7]\n", encoding="utf-8")
+    meters = load_scenario(tmp_path / "real.toml", strategies=("information",)).meters
+    assert {m.bus for m in meters if m.source is Source.VIRTUAL} == {6, 7}
