@@ -37,6 +37,7 @@ class AreaFile:
         load_error: added to the load at each boundary bus (eqs. 5.4, 5.5), p.u.
         loss: neighbour -> share of the messages to it that the link drops.
         seed: of the losses.
+        penalty: of strategy ``admm``.
     """
 
     run: str
@@ -50,6 +51,7 @@ class AreaFile:
     load_error: complex = 0j
     loss: dict[str, float] = field(default_factory=dict)
     seed: int = 0
+    penalty: float = 1.0
 
 
 def save_area_file(path: Path, content: AreaFile) -> None:
@@ -65,6 +67,7 @@ def save_area_file(path: Path, content: AreaFile) -> None:
         "beat_s": content.beat_s,
         "tolerance": content.tolerance,
         "seed": content.seed,
+        "admm": {"penalty": content.penalty},
         "local_slack": slack,
         **({"reference": dict(zip(("bus", "va"), area.reference, strict=True))} if area.reference else {}),
         "load_messages": {
@@ -144,6 +147,7 @@ def load_area_file(path: Path) -> AreaFile:
         load_error=complex(t.load_messages.p_error, t.load_messages.q_error),
         loss={n.area: n.loss for n in t.neighbour},
         seed=t.seed,
+        penalty=t.admm.penalty,
     )
 
 
@@ -186,6 +190,10 @@ class _LoadMessages(_Strict):
     q_error: float = 0.0
 
 
+class _Admm(_Strict):
+    penalty: float = Field(default=1.0, gt=0)
+
+
 def _rows_like(cls: type[Any], **extra: Any) -> Any:
     """A list of strict tables whose keys are the fields of dataclass ``cls``."""
     hints = typing.get_type_hints(cls)
@@ -219,6 +227,7 @@ _FileTable: Any = create_model(
     local_slack=(_Slack, ...),
     reference=(_Reference | None, None),
     load_messages=(_LoadMessages, _LoadMessages()),
+    admm=(_Admm, _Admm()),
     neighbour=(_rows_like(Neighbour, area=(_Name, ...), loss=(float, Field(0.0, ge=0, le=1))), []),
     network=(_NetworkTable, ...),
     meter=(_rows_like(Meter), ...),

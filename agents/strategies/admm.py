@@ -1,0 +1,158 @@
+"""``admm``: consensus ADMM (``dsse_core.consensus_admm``), for comparison; its fixed point is the centralised estimate.
+
+An area waits for those of its neighbours whose turn it is, takes one step on its own telemetry and what its
+boundaries pull it to, and tells the neighbours (``admm_boundary``). Load messages and the local power flow only
+start the iteration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from agents.area_file import AreaFile
+from agents.messages import AdmmMessage, BoundaryNews, Header
+from agents.strategies.admm_boundary import ANGLE, MOVED, BoundaryIteration
+from agents.strategies.interface import Estimate, Knowledge, Strategy
+from agents.strategies.start import start_state
+from dsse_core.consensus_admm import VA, compute_weight, pull
+from dsse_core.exchange import EXACT_SIGMA, AreaModel, build_area_model, solve_step, state_variance
+from dsse_core.measurement import Measurement, MeasurementKind
+from dsse_core.partition import Neighbour
+
+BEYOND_REASON = 1e18
+MOST_STEPS = 50  # between two messages
+
+
+class Admm(Strategy):
+    """One area's state x and its boundaries' iterations."""
+
+    kind = AdmmMessage.kind
+
+    def __init__(self, content: AreaFile) -> None:
+        self._content = content
+        self._area = content.area
+        self._measurements: tuple[Measurement, ...] = ()
+        self._model: AreaModel | None = None
+        self._x = np.zeros(0)
+        self._boundaries = {n.area: BoundaryIteration(n) for n in content.area.neighbours}
+        self._sigma = np.zeros(0)
+        self._moved = 0.0  # in the last step, p.u. and rad
+        self._shown: Estimate | None = None
+
+    def solve(self, known: Knowledge) -> tuple[Estimate | None, tuple[str, ...]]:
+        changed = known.measurements != self._measurements or self._model is None
+        if changed:
+            self._take_measurements(known)
+        changed |= self._hear(known.boundary)
+        boundaries = list(self._boundaries.values())
+        # Stepping at other boundaries meanwhile takes more messages and no less time. Who is gone is not waited for.
+        waits = any(b.is_owed for b in boundaries if b.neighbour.area in known.present)
+        for _ in range(MOST_STEPS):
+            stepped = [] if waits else [b for b in boundaries if b.step(self._y(b))]
+            moving = self._moved > MOVED and not any(b.is_owed for b in boundaries)
+            if not (stepped or changed or moving):
+                break
+            changed = False
+            self._take_step()
+            for b in boundaries:
+                if b in stepped or b.z is None:
+                    b.set_told(self._y(b))
+        for b in boundaries:
+            b.note_sent()
+        return self._shown, self._notes()
+
+    def message_for(self, neighbour: Neighbour, estimate: Estimate, header: Header) -> AdmmMessage:
+        b = self._boundaries[neighbour.area]
+        return AdmmMessage(
+            header,
+            neighbour.bus,
+            iteration=b.k,
+            r=tuple(b.told.tolist()),
+            r_before=tuple(b.told_before.tolist()),
+            weight=tuple(b.weight.tolist()),
+            unsettled=b.unsettled,
+            referenced=b.angle_known,
+        )
+
+    def is_news(self, neighbour: Neighbour, message: BoundaryNews, last: BoundaryNews) -> bool:
+        assert isinstance(message, AdmmMessage)
+        assert isinstance(last, AdmmMessage)
+        return (message.iteration, message.weight, message.referenced) != (last.iteration, last.weight, last.referenced)
+
+    def awaits_answer(self, neighbour: Neighbour) -> bool:
+        return self._boundaries[neighbour.area].awaits_answer
+
+    def find_refusal(self, message: BoundaryNews) -> str:
+        assert isinstance(message, AdmmMessage)
+        largest = np.abs([message.r, message.r_before, message.weight]).max()
+        return "" if largest < BEYOND_REASON and min(message.weight) > 0 else "numbers beyond reason"
+
+    @property
+    def _has_own_angle(self) -> bool:
+        angle_meters = any(m.meter.kind is MeasurementKind.VA for m in self._measurements)
+        return self._area.reference is not None or angle_meters
+
+    def _take_measurements(self, known: Knowledge) -> None:
+        """A new scan: state and iterations so far are the start for it."""
+        reference = self._area.reference[0] if self._area.reference else None
+        model = self._model = build_area_model(self._area, known.measurements, reference)
+        self._measurements = known.measurements
+        if all(b.z is None for b in self._boundaries.values()):
+            self._x = start_state(self._content, known.loads)
+        self._sigma = self._own_sigma(model)
+        for b in self._boundaries.values():
+            b.weight = compute_weight(model, self._x, b.neighbour)
+
+    def _hear(self, messages: Mapping[str, BoundaryNews]) -> bool:
+        """Take in the newest messages; whether what they say beside r changes how the area is pulled."""
+        before = [b.terms for b in self._boundaries.values()]
+        heard = {name: m for name, m in messages.items() if isinstance(m, AdmmMessage)}
+        for name, b in self._boundaries.items():
+            b.heard = heard.get(name)
+            b.angle_known = self._has_own_angle or any(m.referenced for other, m in heard.items() if other != name)
+        return before != [b.terms for b in self._boundaries.values()]
+
+    def _take_step(self) -> None:
+        """One Gauss-Newton step on the own J plus all pulls: solving to the end each time saves no message."""
+        assert self._model is not None
+        pulls = {}
+        for name, b in self._boundaries.items():
+            if (pulled := b.pull(self._content.penalty)) is not None:
+                pulls[name] = pulled
+            if (angle := b.angle_to_follow) is not None:  # turned at once: meters see no difference
+                self._x[: len(self._area.network.buses)] += angle - self._y(b)[VA]
+        dx = solve_step(self._model, self._x, pulls)
+        self._x, self._moved = self._x + dx, float(abs(dx).max(initial=0.0))
+        self._shown = self._estimate(self._model)
+
+    def _y(self, boundary: BoundaryIteration) -> np.ndarray:
+        assert self._model is not None
+        return self._model.boundary(self._x, boundary.neighbour)[0]
+
+    def _own_sigma(self, model: AreaModel) -> np.ndarray:
+        """Standard deviations of x from the area's own meters alone, its angles relative to its parent's bus."""
+        given = {}
+        if self._area.parent and not self._has_own_angle:
+            given[self._area.parent.area] = pull(np.where(ANGLE, EXACT_SIGMA**-2.0, 0.0), np.zeros(4))
+        sigma: np.ndarray = np.sqrt(np.maximum(state_variance(model, self._x, given), 0.0))
+        return sigma
+
+    def _estimate(self, model: AreaModel) -> Estimate:
+        n = len(self._area.network.buses)
+        weighted = model.residual(self._x) / model.sigma
+        owned = n - (self._area.parent is not None)
+        return Estimate(
+            vm=self._x[n : 2 * n],
+            va=self._x[:n],
+            sigma_vm=self._sigma[n : 2 * n],
+            sigma_va=self._sigma[:n],
+            referenced=self._has_own_angle or any(b.angle_heard for b in self._boundaries.values()),
+            objective=float(weighted @ weighted),
+            degrees_of_freedom=len(model.z) - 2 * owned + self._area.is_reference,
+            removed=(),
+        )
+
+    def _notes(self) -> tuple[str, ...]:
+        return tuple(f"no word from {name} yet" for name, b in self._boundaries.items() if b.heard is None)

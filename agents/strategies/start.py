@@ -1,0 +1,33 @@
+"""Where the iterations of ``information`` and ``admm`` start; what they end at does not depend on it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from agents.area_file import AreaFile
+from dsse_core.admittance import flat_start
+from dsse_core.boundary_load import NetLoad, boundary_loads
+from dsse_core.errors import DsseError
+from dsse_core.power_flow import solve_power_flow
+
+
+def start_state(content: AreaFile, heard: Mapping[str, NetLoad]) -> np.ndarray:
+    """``x`` of ``dsse_core.exchange.AreaModel``: the local power flow once load messages allow one, else flat."""
+    area, network = content.area, content.area.network
+    bus = area.reference[0] if area.reference else area.slack_bus
+    vm, va = flat_start(network, bus)
+    loads = boundary_loads(area, heard, content.load_error)
+    if len(loads) == len(area.boundary_buses) and area.slack_vm is not None:
+        try:
+            beyond = {b: load.s for b, load in loads.items()}
+            flow = solve_power_flow(network, slack=(area.slack_bus, area.slack_vm), extra_load=beyond)
+            vm, va = flow.vm, flow.va
+        except DsseError:
+            pass  # a start, no more: a wrong load message must not stop the estimate
+    if area.reference:
+        va = va + area.reference[1] - va[network.row[bus]]
+    children = [heard.get(n.area) for n in area.neighbours if not n.is_parent]
+    powers = [part for load in children for part in ((load.s.real, load.s.imag) if load else (0.0, 0.0))]
+    return np.concatenate([va, vm, powers])

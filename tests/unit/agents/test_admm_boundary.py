@@ -1,0 +1,143 @@
+"""Two sides of one boundary: each r is used once, whatever is lost, repeated or restarted."""
+
+import numpy as np
+import pytest
+
+from agents.messages import AdmmMessage, Header, Incarnation
+from agents.strategies.admm_boundary import BoundaryIteration
+from dsse_core.consensus_admm import RELAXATION
+from dsse_core.partition import Neighbour
+
+HEADER = Header("r", "a", Incarnation(1, 1), 1, 1, 0.0)
+
+
+class Side:
+    """An area whose only knowledge is that y is near ``target``, with three times the weight of the penalty."""
+
+    def __init__(self, target: float, *, is_parent: bool, referenced: bool = True) -> None:
+        self.boundary = BoundaryIteration(Neighbour("other", 6, is_parent=not is_parent))
+        self.boundary.angle_known = referenced
+        self.target = np.full(4, target)
+        self.used: list[tuple[int, float]] = []
+        self.boundary.set_told(self.y)
+
+    @property
+    def y(self) -> np.ndarray:
+        z = self.boundary.z
+        return self.target if z is None else (3 * self.target + z) / 4
+
+    def message(self) -> AdmmMessage:
+        b = self.boundary
+        told, before = tuple(b.told.tolist()), tuple(b.told_before.tolist())
+        return AdmmMessage(HEADER, 6, b.k, told, before, tuple(b.weight.tolist()), b.unsettled, b.angle_known)
+
+    def take(self, message: AdmmMessage) -> int:
+        """Steps taken on hearing ``message``."""
+        self.boundary.heard = message
+        steps = 0
+        while self.boundary.step(self.y):
+            self.boundary.set_told(self.y)
+            steps += 1
+        self.boundary.note_sent()
+        return steps
+
+
+def pair() -> tuple[Side, Side]:
+    return Side(1.0, is_parent=True), Side(3.0, is_parent=False)
+
+
+def run(owner: Side, child: Side, drop=lambda number: False) -> int:
+    """Messages back and forth until nobody has anything to say; the owner repeats itself after a loss."""
+    number = 0
+    owner.take(child.message())
+    for number in range(1, 200):
+        if drop(2 * number):
+            continue
+        if not child.take(owner.message()) and not child.boundary.is_owed:
+            break
+        if not drop(2 * number + 1):
+            owner.take(child.message())
+    return number
+
+
+def test_both_sides_end_at_the_same_y_and_their_gradients_cancel():
+    owner, child = pair()
+    run(owner, child)
+    np.testing.assert_allclose(owner.y, 2.0, atol=1e-9)
+    np.testing.assert_allclose(child.y, 2.0, atol=1e-9)
+    np.testing.assert_allclose((owner.boundary.z - owner.y) + (child.boundary.z - child.y), 0.0, atol=1e-9)
+
+
+def test_what_is_lost_changes_no_iterate():
+    clean, lossy = pair(), pair()
+    run(*clean)
+    run(*lossy, drop=lambda number: number % 3 == 0)
+    np.testing.assert_array_equal(lossy[0].boundary.z, clean[0].boundary.z)
+    np.testing.assert_array_equal(lossy[1].boundary.z, clean[1].boundary.z)
+
+
+def test_a_repeated_message_is_taken_in_once():
+    owner, child = pair()
+    assert owner.take(child.message()) == 1
+    message = owner.message()
+    assert child.take(message) == 2  # the answer and the next step
+    assert child.take(message) == 0
+
+
+def test_of_two_that_are_at_the_same_iteration_the_owner_goes_first():
+    owner, child = pair()
+    child.boundary.note_sent()
+    at_zero = owner.message()
+    assert child.take(at_zero) == 0
+    assert child.boundary.is_owed
+    assert owner.take(child.message()) == 1
+
+
+def test_a_neighbour_that_is_one_ahead_is_answered_with_its_iteration_before():
+    owner, child = pair()
+    owner.take(child.message())
+    message = owner.message()
+    assert (message.iteration, message.r_before) == (1, (1.0,) * 4)
+    child.boundary.heard = message
+    assert child.boundary.step(child.y)
+    np.testing.assert_array_equal(child.boundary.z, message.r_before)  # the first z is what is heard first
+    assert child.boundary.k == 1
+
+
+def test_a_side_that_has_restarted_goes_on_from_the_iteration_it_hears():
+    owner, child = pair()
+    for _ in range(5):
+        owner.take(child.message())
+        child.take(owner.message())
+    late = child.boundary.k
+    owner = Side(1.5, is_parent=True)
+    assert owner.take(child.message()) >= 1
+    assert owner.boundary.k >= late
+    run(owner, child)
+    np.testing.assert_allclose([owner.y, child.y], 2.25, atol=1e-9)
+
+
+def test_the_step_is_over_relaxed():
+    owner, child = pair()
+    owner.take(child.message())
+    z = owner.boundary.z
+    child.take(owner.message())
+    owner.boundary.heard = child.message()
+    owner.boundary.step(owner.y)
+    r = np.array(child.message().r_before)
+    np.testing.assert_allclose(owner.boundary.z, z + RELAXATION * (r - z))
+
+
+@pytest.mark.parametrize("is_parent", [True, False])
+def test_a_side_that_knows_no_angle_takes_that_of_the_other_and_pulls_nothing(is_parent):
+    knowing = Side(1.0, is_parent=is_parent, referenced=True)
+    ignorant = Side(3.0, is_parent=not is_parent, referenced=False)
+    assert ignorant.boundary.angle_to_follow is None
+    ignorant.take(knowing.message())
+    assert ignorant.boundary.angle_to_follow == 1.0
+    knowing.take(ignorant.message())
+    assert knowing.boundary.angle_to_follow is None
+    pulls = knowing.boundary.pull(1.0)
+    assert pulls is not None
+    assert np.diag(pulls.R).tolist() == [1.0, 1.0, 1.0, 0.0]
+    assert knowing.boundary.pull(4.0).R[0, 0] == 2.0
