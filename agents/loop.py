@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import random
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from agents.area_file import AreaFile
 from agents.inbox import Inbox
@@ -36,7 +36,8 @@ def run_agent(content: AreaFile, session: Session, inbox: Inbox) -> str:
     incarnation = Incarnation(time.time_ns() // 1_000_000, random.getrandbits(32))
     strategy = make_strategy(content)
     protocol = AreaProtocol(content, strategy, incarnation, now=now, started_at=time.time())
-    link = LossyLink(content.area.name, content.loss, content.seed, _publishers(content, session, strategy.kind))
+    kinds = ("load", strategy.kind, *strategy.other_kinds)
+    link = LossyLink(content.area.name, content.loss, content.seed, _publishers(content, session, kinds))
     name, run = content.area.name, content.run
     neighbours = {n.area for n in content.area.neighbours}
     session.subscribe(all_from_neighbours(run, name), _put_messages_of(neighbours, inbox))
@@ -73,13 +74,13 @@ def _log_change(state: StateMessage, told: object) -> object:
     return line
 
 
-def _publishers(content: AreaFile, session: Session, kind_of_strategy: str) -> Callable[[str | None, str, bytes], None]:
+def _publishers(content: AreaFile, session: Session, kinds: Sequence[str]) -> Callable[[str | None, str, bytes], None]:
     """One publisher per key, all declared at the start."""
     run, name = content.run, content.area.name
     publishers: dict[tuple[str | None, str], Callable[[bytes], None]] = {}
     publishers[None, "state"] = session.publisher(state_key(run, name))
     for n in content.area.neighbours:
-        for kind in ("load", kind_of_strategy):
+        for kind in kinds:
             publishers[n.area, kind] = session.publisher(neighbour_key(run, name, kind, n.area))
     return lambda to, kind, payload: publishers[to, kind](payload)
 

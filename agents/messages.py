@@ -90,18 +90,64 @@ class BoundaryMessage:
 
 @dataclass(frozen=True, slots=True)
 class InformationMessage:
-    """The sender's cost-to-go at a boundary bus, ``1/2 y' L y - e' y`` of ``y = (vm, va, p, q)``: 14 numbers.
+    """The sender's cost-to-go at a boundary bus, ``1/2 |R y - z|^2`` of ``y = (p, q, vm, va)``: 14 numbers.
 
-    ``L``: the upper triangle of the symmetric 4x4 matrix, row by row. ``referenced``: the sender's side knows
-    the substation's angle.
+    ``R``: the upper triangle of the 4x4 matrix, row by row. ``referenced``: the sender's side knows the
+    substation's angle.
     """
 
     kind: ClassVar[str] = "information"
     header: Header
     bus: int
-    L: tuple[float, ...]
-    e: tuple[float, ...]
+    R: tuple[float, ...]
+    z: tuple[float, ...]
     referenced: bool
+
+
+@dataclass(frozen=True, slots=True)
+class AdmmMessage:
+    """What the sender tells in its ``iteration`` at a boundary: ``r = 2 y - z`` of ``y = (p, q, vm, va)``.
+
+    ``r_before``: that of the iteration before, should its message have been lost. ``weight``: the sender's own
+    information about each of y, which the penalty is a multiple of. ``referenced``: the sender's side knows the
+    substation's angle.
+    """
+
+    kind: ClassVar[str] = "admm"
+    header: Header
+    bus: int
+    iteration: int
+    r: tuple[float, ...]
+    r_before: tuple[float, ...]
+    weight: tuple[float, ...]
+    unsettled: bool
+    referenced: bool
+
+
+@dataclass(frozen=True, slots=True)
+class TallyMessage:
+    """Bad data of the whole feeder: what the sender's side of the tree of areas adds, and what is decided.
+
+    ``removed``: meters taken out, in order; figures of the same list only are combined. ``finished``: from the
+    substation's side, no more will be. ``sent``, ``heard``: (start_ms, random, sequence) of the last information
+    message to the receiver and of the newest from it, on which the figures rest. ``settled``: they are final, all
+    areas of this side included; only then ``objective`` (J), ``degrees_of_freedom`` and ``worst`` with its
+    ``normalized`` residuals count. ``no_load``: as ``InformationMessage.R``, of the no-load model, empty until known.
+    """
+
+    kind: ClassVar[str] = "tally"
+    header: Header
+    bus: int
+    removed: tuple[str, ...]
+    finished: bool
+    settled: bool
+    sent: tuple[int, ...]
+    heard: tuple[int, ...]
+    objective: float
+    degrees_of_freedom: Integer
+    worst: tuple[str, ...]
+    normalized: tuple[float, ...]
+    no_load: tuple[float, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +168,7 @@ class StateMessage:
 
     ``buses``, ``vm``, ``va``, ``sigma_vm``, ``sigma_va``: the estimate (empty before the first), p.u. and rad.
     ``referenced``: angles count from the substation. ``removed``: meters taken out as bad data.
-    ``critical``: meters that cannot be spared, whatever they read.
+    ``critical``: meters that cannot be spared, whatever they read. ``checked``: bad data have been looked for.
     ``sent``, ``heard``: per neighbour the last sequence numbers of (load, boundary) messages.
     ``messages``, ``bytes``, ``lost``: totals handed to the bus, ``lost`` of them dropped by the link;
     ``refused``: received payloads by reason of refusal. ``notes``: in words, what is missing.
@@ -140,6 +186,7 @@ class StateMessage:
     degrees_of_freedom: Integer
     removed: tuple[str, ...]
     critical: tuple[str, ...]
+    checked: bool
     sent: dict[str, tuple[int, int]]
     heard: dict[str, tuple[int, int]]
     messages: int
@@ -149,11 +196,20 @@ class StateMessage:
     notes: tuple[str, ...]
 
 
-BoundaryNews = BoundaryMessage | InformationMessage
-Message = LoadMessage | BoundaryNews | TelemetryMessage | StateMessage
+BoundaryNews = BoundaryMessage | InformationMessage | AdmmMessage
+Message = LoadMessage | BoundaryNews | TallyMessage | TelemetryMessage | StateMessage
 
 _TYPES: Mapping[str, type[Any]] = {
-    cls.kind: cls for cls in (LoadMessage, BoundaryMessage, InformationMessage, TelemetryMessage, StateMessage)
+    cls.kind: cls
+    for cls in (
+        LoadMessage,
+        BoundaryMessage,
+        InformationMessage,
+        AdmmMessage,
+        TallyMessage,
+        TelemetryMessage,
+        StateMessage,
+    )
 }
 
 
@@ -204,10 +260,21 @@ def decode(payload: bytes) -> Message:
     return message
 
 
+_EQUALLY_LONG = (
+    ("worst", "normalized"),
+    ("buses", "vm", "va", "sigma_vm", "sigma_va"),
+    ("meters", "values", "sigmas"),
+)
+
+
 def _check_lengths(message_type: type[Any], body: Mapping[str, Any]) -> None:
-    if message_type is InformationMessage and (len(body["L"]), len(body["e"])) != (10, 4):
-        raise MessageError("malformed", f"L and e have {len(body['L'])} and {len(body['e'])} numbers, not 10 and 4")
-    for group in (("buses", "vm", "va", "sigma_vm", "sigma_va"), ("meters", "values", "sigmas")):
+    if message_type is InformationMessage and (len(body["R"]), len(body["z"])) != (10, 4):
+        raise MessageError("malformed", f"R and z have {len(body['R'])} and {len(body['z'])} numbers, not 10 and 4")
+    if message_type is AdmmMessage and {len(body[name]) for name in ("r", "r_before", "weight")} != {4}:
+        raise MessageError("malformed", "r, r_before and weight do not have 4 numbers each")
+    if message_type is TallyMessage and len(body["no_load"]) not in (0, 10):
+        raise MessageError("malformed", f"no_load has {len(body['no_load'])} numbers, not 10 or none")
+    for group in _EQUALLY_LONG:
         if group[0] in body and len({len(body[name]) for name in group}) != 1:
             raise MessageError("malformed", f"{', '.join(group)} differ in length")
 

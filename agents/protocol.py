@@ -16,6 +16,7 @@ import numpy as np
 
 from agents.area_file import AreaFile
 from agents.messages import (
+    AdmmMessage,
     BoundaryMessage,
     BoundaryNews,
     Header,
@@ -24,8 +25,10 @@ from agents.messages import (
     LoadMessage,
     Message,
     StateMessage,
+    TallyMessage,
     TelemetryMessage,
 )
+from agents.reminders import Reminders
 from agents.strategies.interface import Estimate, Knowledge, Strategy
 from dsse_core.boundary_load import NetLoad, load_message_for, measured_net_loads, own_net_load
 from dsse_core.measurement import Measurement, Source
@@ -33,7 +36,7 @@ from dsse_core.partition import Neighbour
 
 NEWS_LOAD = 1e-9  # p.u.
 
-M = TypeVar("M", bound=LoadMessage | BoundaryNews)
+M = TypeVar("M", bound=LoadMessage | BoundaryNews | TallyMessage)
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +103,7 @@ class AreaProtocol:
         self._clock_offset = started_at - now
         self._now = now
         self._next_beat = now + content.beat_s
+        self._reminders = Reminders(content.beat_s)
         self._by_name = {n.area: n for n in self._area.neighbours}
         self._meters = {meter.id: meter for meter in content.meters}
         self._telemetry: TelemetryMessage | None = None
@@ -108,6 +112,8 @@ class AreaProtocol:
         self._boundary: dict[str, BoundaryNews] = {}
         self._sent_load: dict[str, LoadMessage] = {}
         self._sent_boundary: dict[str, BoundaryNews] = {}
+        self._tallies: dict[str, TallyMessage] = {}
+        self._sent_tally: dict[str, TallyMessage] = {}
         self._told: Estimate | None = None
         self._state: StateMessage | None = None
         self._present: set[str] = set()
@@ -116,7 +122,8 @@ class AreaProtocol:
 
     def wait_s(self, now: float) -> float:
         """How long the protocol may be left alone, s."""
-        return 0.0 if self._strategy.restless else max(0.0, self._next_beat - now)
+        next_repeat = min(self._next_beat, self._reminders.next_due())
+        return 0.0 if self._strategy.restless else max(0.0, next_repeat - now)
 
     def handle(self, events: Sequence[Event], now: float) -> list[Action]:
         """Take in ``events``, all that arrived since the last call, and say what to do."""
@@ -141,7 +148,13 @@ class AreaProtocol:
             if estimate is not None and not self._strategy.restless and estimate is not self._told:
                 self._told = estimate
                 actions += self._tell_boundaries(estimate)
+            if estimate is not None and not self._strategy.restless:
+                estimate, contradictions = self._strategy.judge(self._knowledge(), estimate)
+                notes += contradictions
+                actions += self._tell_tallies()
             actions += self._show_state(estimate, notes)
+            self._stop_answered_reminders()
+        actions += [Publish(self._sent_boundary[name], name) for name in self._reminders.take_due(now)]
         if now >= self._next_beat:
             self._next_beat = now + self._content.beat_s
             actions += self._repeat(actions)
@@ -160,8 +173,10 @@ class AreaProtocol:
                 self._take_telemetry(message)
             case LoadMessage():
                 _keep_newest(self._loads, message)
-            case BoundaryMessage() | InformationMessage():
+            case BoundaryMessage() | InformationMessage() | AdmmMessage():
                 _keep_newest(self._boundary, message)
+            case TallyMessage():
+                _keep_newest(self._tallies, message)
 
     def _find_refusal(self, message: Message, key_sender: str) -> str:
         header = message.header
@@ -175,7 +190,7 @@ class AreaProtocol:
             return "sender does not own the key"
         if message.bus != self._by_name[header.sender].bus:
             return "other boundary bus"
-        if isinstance(message, LoadMessage):
+        if isinstance(message, LoadMessage | TallyMessage):
             return ""
         return self._strategy.find_refusal(message) if message.kind == self._strategy.kind else "other strategy"
 
@@ -209,6 +224,10 @@ class AreaProtocol:
             measurements=self._measurements,
             loads=self._heard_loads(),
             boundary=dict(self._boundary),
+            present=frozenset(self._present),
+            scan=self._scan,
+            tallies={name: m for name, m in self._tallies.items() if m.header.scan == self._scan},
+            told=dict(self._sent_boundary),
         )
 
     def _heard_loads(self) -> dict[str, NetLoad]:
@@ -238,8 +257,26 @@ class AreaProtocol:
             message = self._strategy.message_for(n, estimate, self._header(last))
             if last is None or last.header.scan != self._scan or self._strategy.is_news(n, message, last):
                 self._sent_boundary[n.area] = message
+                self._reminders.start(n.area, self._now)
                 actions.append(Publish(message, n.area))
         return actions
+
+    def _tell_tallies(self) -> list[Action]:
+        actions: list[Action] = []
+        for n in self._area.neighbours:
+            last = self._sent_tally.get(n.area)
+            message = self._strategy.tally_for(n, self._header(last))
+            if message is None:
+                continue
+            if last is None or last.header.scan != self._scan or replace(message, header=last.header) != last:
+                self._sent_tally[n.area] = message
+                actions.append(Publish(message, n.area))
+        return actions
+
+    def _stop_answered_reminders(self) -> None:
+        for n in self._area.neighbours:
+            if not self._strategy.awaits_answer(n):
+                self._reminders.stop(n.area)
 
     def _show_state(self, estimate: Estimate | None, notes: Sequence[str]) -> list[Action]:
         last = self._state
@@ -255,6 +292,7 @@ class AreaProtocol:
             degrees_of_freedom=0 if estimate is None else estimate.degrees_of_freedom,
             removed=() if estimate is None else estimate.removed,
             critical=() if estimate is None else estimate.critical,
+            checked=estimate is not None and estimate.checked,
             sent={n.area: self._sequences(n, self._sent_load, self._sent_boundary) for n in self._area.neighbours},
             heard={n.area: self._sequences(n, self._loads, self._boundary) for n in self._area.neighbours},
             messages=0,
@@ -284,7 +322,7 @@ class AreaProtocol:
         fresh = {id(action.message) for action in just_done if isinstance(action, Publish)}
         last_words: list[Action] = []
         for n in self._area.neighbours:
-            for message in (self._sent_load.get(n.area), self._sent_boundary.get(n.area)):
+            for message in (d.get(n.area) for d in (self._sent_load, self._sent_boundary, self._sent_tally)):
                 if message is not None:
                     last_words.append(Publish(message, n.area))
         if self._state is not None:

@@ -43,20 +43,25 @@ class Progress:
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """An area's published state at time ``time`` (s, the observer's clock): tuples over its buses, p.u. and rad."""
+    """An area's published state at time ``time`` (s, the observer's clock): tuples over its buses, p.u. and rad.
+
+    ``referenced``: ``va`` counts from the substation.
+    """
 
     time: float
     area: str
     buses: tuple[int, ...]
     vm: tuple[float, ...]
     va: tuple[float, ...]
+    referenced: bool
 
 
 @dataclass
 class _Watched:
     alive: bool = False
     state: StateMessage | None = None
-    repeats: int = 0  # of the state, since anything changed anywhere
+    repeats: int = 0  # of the state, since change number ``change``, the last anywhere that it knows of
+    change: int = 0
 
 
 @dataclass
@@ -79,11 +84,13 @@ class Observer:
 
     def __post_init__(self) -> None:
         self._watched = {area.name: _Watched() for area in self.partition.areas}
+        self._states: dict[str, StateMessage] = {}
+        self._changes = 0
 
     @property
     def states(self) -> Mapping[str, StateMessage]:
         """The newest state of every area that has shown one."""
-        return {name: w.state for name, w in self._watched.items() if w.state is not None}
+        return self._states
 
     @property
     def scan(self) -> int:
@@ -103,13 +110,14 @@ class Observer:
         last = watched.state
         if last is not None and state.header.order < last.header.order:
             return False
-        watched.state = state  # a repeat carries newer message counts
+        watched.state = self._states[state.header.sender] = state  # a repeat carries newer message counts
         if last is not None and state.header.order == last.header.order:
-            watched.repeats += 1
+            watched.repeats = self._repeats(watched) + 1
+            watched.change = self._changes
             return False
         self._note_change(now)
         if state.buses:
-            self.history.append(Sample(now, state.header.sender, state.buses, state.vm, state.va))
+            self.history.append(Sample(now, state.header.sender, state.buses, state.vm, state.va, state.referenced))
         return True
 
     def take_presence(self, area: str, alive: bool, now: float) -> bool:
@@ -123,9 +131,9 @@ class Observer:
 
     def find_obstacles(self, now: float) -> tuple[str, ...]:
         """What is missing to consensus at time ``now``, in words that name areas and buses; empty at consensus."""
-        states, obstacles = self.states, []
+        states, scan, obstacles = self.states, self.scan, []
         for name, watched in self._watched.items():
-            obstacle = self._find_area_obstacle(name, watched)
+            obstacle = self._find_area_obstacle(name, watched, scan)
             if obstacle:
                 obstacles.append(obstacle)
         for bus, names in self.partition.boundaries.items():
@@ -133,9 +141,15 @@ class Observer:
                 bus, [name for name in names if name in states and states[name].buses]
             )
         obstacles += self._find_unheard()
-        if not obstacles and not self._quiet(now):
+        if not obstacles and not self.is_quiet(now):
             obstacles.append(f"something has changed within the last {QUIET_BEATS} beats")
         return tuple(obstacles)
+
+    def is_quiet(self, now: float) -> bool:
+        """Whether nothing has changed for so long that there may be consensus."""
+        if now - self.changed_at < QUIET_BEATS * self.beat_s:
+            return False
+        return min(map(self._repeats, self._watched.values()), default=0) >= QUIET_BEATS
 
     def find_absent(self) -> tuple[str, ...]:
         """The areas that are not on the bus."""
@@ -147,14 +161,13 @@ class Observer:
 
     def _note_change(self, now: float) -> None:
         self.changed_at = now
-        for watched in self._watched.values():
-            watched.repeats = 0
+        self._changes += 1
 
-    def _quiet(self, now: float) -> bool:
-        beats_heard = min((watched.repeats for watched in self._watched.values()), default=0)
-        return now - self.changed_at >= QUIET_BEATS * self.beat_s and beats_heard >= QUIET_BEATS
+    def _repeats(self, watched: _Watched) -> int:
+        """How often the area has repeated its state since anything changed anywhere."""
+        return watched.repeats if watched.change == self._changes else 0
 
-    def _find_area_obstacle(self, name: str, watched: _Watched) -> str | None:
+    def _find_area_obstacle(self, name: str, watched: _Watched, scan: int) -> str | None:
         state = watched.state
         if not watched.alive:
             return f"{name} is not on the bus"
@@ -163,12 +176,14 @@ class Observer:
         notes = f": {'; '.join(state.notes)}" if state.notes else ""
         if state.header.scan == 0:
             return f"{name} has no telemetry"
-        if state.header.scan != self.scan:
-            return f"{name} works on scan {state.header.scan}, the current one is {self.scan}"
+        if state.header.scan != scan:
+            return f"{name} works on scan {state.header.scan}, the current one is {scan}"
         if not state.buses:
             return f"{name} has no estimate{notes}"
         if not state.referenced:
             return f"the angles of {name} do not count from the substation yet{notes}"
+        if not state.checked:
+            return f"{name} waits until bad data have been looked for in the whole feeder{notes}"
         return None
 
     def _find_disagreements(self, bus: int, names: list[str]) -> list[str]:

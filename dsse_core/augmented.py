@@ -18,20 +18,21 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
 PIVOT_SCALE = 1e-3  # median of the scaled a R; anything from 1 to 1e-6 works, with fewer digits at the ends
+LARGEST_DAMPING = 1e-6  # of the scaled tableau
 BLOCK = 256  # right-hand sides solved at once; bounds memory at (n_meas + n_state, BLOCK)
 
 
 class AugmentedFactor:
     """The factorised system for ``H`` (n_meas, n_state) and ``sigma`` (n_meas,), 0 where a row must hold exactly.
 
-    ``damping`` (scalar) is added to every diagonal entry of the information about the state: the lower right
-    block becomes ``-damping I``.
+    ``damping``, a number or one per state variable, is added to the diagonal of the information about the state:
+    the lower right block becomes ``-diag(damping)``.
 
     Raises:
-        RuntimeError: the matrix is exactly singular.
+        RuntimeError: the matrix is exactly singular, and no damping mends that.
     """
 
-    def __init__(self, H: sp.csr_array, sigma: np.ndarray, damping: float = 0.0) -> None:
+    def __init__(self, H: sp.csr_array, sigma: np.ndarray, damping: float | np.ndarray = 0.0) -> None:
         self._n_meas, self._n_state = H.shape
         self._variance = sigma**2
         row_scale = reciprocal_row_lengths(H)
@@ -43,8 +44,16 @@ class AugmentedFactor:
         column_scale = _reciprocal(square + damping / self._a)
         scaled.data *= column_scale[H.indices]
         self._scale = np.concatenate([row_scale, column_scale])
-        self._tableau = build_tableau(self._a * scaled_variance, scaled, -damping / self._a * column_scale**2)
-        self._lu = spla.splu(self._tableau)
+        below = damping / self._a * column_scale**2
+        while True:
+            self._tableau = build_tableau(self._a * scaled_variance, scaled, -below)
+            try:
+                self._lu = spla.splu(self._tableau)
+                break
+            except RuntimeError:  # exactly singular: a damping that rounding has swallowed must be larger
+                if not below.any() or below.max() > LARGEST_DAMPING:
+                    raise
+                below = below * 1e3
 
     def solve(self, above: np.ndarray, below: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(s, dx) of ``R s + H dx = above``, ``H's - damping dx = below``; vectors or columns."""

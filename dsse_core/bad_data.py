@@ -16,6 +16,8 @@ from dsse_core.observability import find_indispensable
 # Omega_ii / R_ii below which a residual says nothing about its measurement: what meters 1e6 times coarser leave.
 CRITICAL_REDUNDANCY = 1e-12
 DEAD_VM = 0.5  # p.u.; no grid works below it, and weighted squares find states that almost would
+CONFIDENCE = 0.99  # of the chi-square test
+THRESHOLD = 3.0  # of normalised residuals
 TIE = 1e-6  # relative difference of normalised residuals that are equal in exact arithmetic
 
 
@@ -69,10 +71,15 @@ def find_critical(result: EstimationResult) -> tuple[str, ...]:
 
 def normalized_residuals(result: EstimationResult) -> np.ndarray:
     """|r_i| / sqrt(Omega_ii) (eq. 3.23), shape (n_meas,); 0 for virtual measurements and where Omega_ii is 0."""
-    sigma = np.array([m.sigma for m in result.measurements])
-    telling = result.residual_variance > CRITICAL_REDUNDANCY * sigma**2
-    telling &= np.array([m.meter.source is not Source.VIRTUAL for m in result.measurements], dtype=bool)
-    return np.where(telling, abs(result.residual) / np.sqrt(np.where(telling, result.residual_variance, 1.0)), 0.0)
+    return normalize_residuals(result.measurements, result.residual, result.residual_variance)
+
+
+def normalize_residuals(measurements: Sequence[Measurement], residual: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """The same of ``residual`` z - h(x) with ``variance`` diag(Omega), each of shape (n_meas,)."""
+    sigma = np.array([m.sigma for m in measurements])
+    telling = variance > CRITICAL_REDUNDANCY * sigma**2
+    telling &= np.array([m.meter.source is not Source.VIRTUAL for m in measurements], dtype=bool)
+    return np.where(telling, abs(residual) / np.sqrt(np.where(telling, variance, 1.0)), 0.0)
 
 
 def process_bad_data(
@@ -82,8 +89,8 @@ def process_bad_data(
     reference: int | None = None,
     start: tuple[np.ndarray, np.ndarray] | None = None,
     tolerance: float = 1e-6,
-    confidence: float = 0.99,
-    threshold: float = 3.0,
+    confidence: float = CONFIDENCE,
+    threshold: float = THRESHOLD,
 ) -> BadDataReport:
     """Estimate; while J exceeds the chi-square limit, remove the largest normalised residual and repeat.
 

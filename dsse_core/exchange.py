@@ -2,11 +2,12 @@
 
 Four numbers separate the two sides of a boundary bus b between an owner and one of its children:
 
-``y = (vm_b, va_b, p, q)``, ``p + jq`` = power flowing from bus b into the child's branches.
+``y = (p, q, vm_b, va_b)``, ``p + jq`` = power flowing from bus b into the child's branches.
 
 In the child y is a function of its own state; in the owner p and q are two extra state variables per child.
-Each side tells the other its cost-to-go, the least J that its measurements can reach as a function of y:
-``phi(y) = 1/2 y' L y - e' y``. On a tree of areas the fixed point is the centralised estimate.
+Each side tells the other its cost-to-go, the least J that its measurements can reach as a function of y, as
+four measurements of y with variance 1: ``1/2 |R y - z|^2``. On a tree of areas the fixed point is the
+centralised estimate.
 """
 
 from __future__ import annotations
@@ -18,44 +19,44 @@ import numpy as np
 import scipy.sparse as sp
 
 from dsse_core.admittance import build_admittance
-from dsse_core.augmented import AugmentedFactor
+from dsse_core.augmented import AugmentedFactor, scale_rows
 from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.measurement_model import MeasurementModel, build_measurement_model
 from dsse_core.partition import Area, Neighbour
 
 DAMPING = 0.3  # tau, p.u. and rad: undamped steps diverge while transit power is seen through losses only
-LARGEST_STEP = 0.1  # p.u. and rad, per variable
-FLOW_SIGMA = 1e-6  # p.u.; least sigma of what a message rests on: keeps L finite where p and q are exact functions
-EXACT_SIGMA = 1e-8  # p.u.; of exact injections in an area's own step: it may have more of them than variables
+LARGEST_STEP = 0.1  # p.u. and rad, of any voltage
+SMALL_STEP = 1e-3  # p.u. and rad; after a smaller one the damping falls in proportion
+EXACT_SIGMA = 1e-9  # p.u.; of exact injections: with the boundary's voltage given, there may be more than variables
 NOT_YET = 1e-6  # information given to eliminated variables that nothing determines yet
-NO_INFORMATION = 1e-9  # diagonal entry of L: a standard deviation of 3e4 p.u. or rad
-TELLS_NOTHING = 1e-14  # relative eigenvalue of L, its diagonal scaled to 1, that is rounding
-INDEFINITE = 1e-6  # relative size from which on a negative eigenvalue of L is no rounding
+# The same in the no-load model, relative to what the rows tell of the variable: far below the redundancy of 1e-6 of a
+# voltmeter that only the sum of thousands of injections checks, and far above rounding.
+NO_LOAD_NOT_YET = 1e-14
+ROUNDING = 1e-14  # relative; what is left of a difference of equal numbers
+BEYOND_REASON = 1e18  # entries of R and z
 
 
 @dataclass(frozen=True)
 class BoundaryInformation:
-    """Cost-to-go ``1/2 y' L y - e' y`` of one side of a boundary, ``L`` (4, 4) symmetric, ``e`` (4,)."""
+    """Cost-to-go ``1/2 |R y - z|^2`` of one side of a boundary: ``R`` (4, 4) upper triangular, ``z`` (4,).
 
-    L: np.ndarray
-    e: np.ndarray
+    A row of zeros tells nothing. ``L = R'R`` is its information matrix.
+    """
+
+    R: np.ndarray
+    z: np.ndarray
 
     @property
-    def is_semidefinite(self) -> bool:
-        """Whether ``L`` is positive semidefinite but for rounding, its diagonal scaled to 1."""
-        diagonal = np.diag(self.L)
-        empty = self.L[diagonal <= NO_INFORMATION]
-        if diagonal.min() < -NO_INFORMATION or (empty**2).max(initial=0.0) > NO_INFORMATION * diagonal.max():
-            return False
-        _, w, _ = _decompose(self.L)
-        return bool(w[0] >= -INDEFINITE * max(w[-1], 1.0))
+    def is_reasonable(self) -> bool:
+        return bool(max(abs(self.R).max(), abs(self.z).max()) < BEYOND_REASON)
 
 
 @dataclass(frozen=True)
 class AreaModel:
     """The measurements of one area as functions of ``x = [va; vm; p_1, q_1, p_2, q_2, ...]``, one pair per child.
 
-    ``free``: the variables that are unknown, all but a reference angle.
+    ``free``: the variables that are unknown, all but a reference angle. ``no_load``: rows are weighted alike, and
+    powers and voltages are not of a size that could be known beforehand.
     """
 
     area: Area
@@ -65,6 +66,7 @@ class AreaModel:
     z: np.ndarray
     sigma: np.ndarray
     free: np.ndarray
+    no_load: bool = False
 
     @property
     def size(self) -> int:
@@ -74,10 +76,18 @@ class AreaModel:
     def _n(self) -> int:
         return len(self.area.network.buses)
 
+    @property
+    def kinds(self) -> np.ndarray:
+        return self.model.kinds
+
+    def predict(self, x: np.ndarray) -> np.ndarray:
+        """h(x), shape (n_meas,)."""
+        return np.asarray(self.model.predict(x[: 2 * self._n]) + self.into_children @ x[2 * self._n :])
+
     def residual(self, x: np.ndarray) -> np.ndarray:
         """z - h(x), shape (n_meas,); angles wrapped to (-pi, pi]."""
-        r = self.z - self.model.predict(x[: 2 * self._n]) - self.into_children @ x[2 * self._n :]
-        angles = self.model.kinds == MeasurementKind.VA
+        r = self.z - self.predict(x)
+        angles = self.kinds == MeasurementKind.VA
         r[angles] = np.pi - (np.pi - r[angles]) % (2 * np.pi)
         return np.asarray(r)
 
@@ -87,15 +97,19 @@ class AreaModel:
 
     def boundary(self, x: np.ndarray, neighbour: Neighbour) -> tuple[np.ndarray, sp.csr_array]:
         """y, shape (4,), and T = dy/dx, shape (4, size), at the boundary to ``neighbour``."""
-        row = self.area.network.row[neighbour.bus]
+        voltage = self.voltage_columns(neighbour)
         if self.into_area is None or not neighbour.is_parent:
-            columns = [self._n + row, row, *self._power_columns(neighbour)]
+            columns = [*self._power_columns(neighbour), *voltage]
             return x[columns], _select(columns, self.size)
         flows = self.into_area.predict(x[: 2 * self._n])
         C = sp.csr_array(self.into_area.jacobian(x[: 2 * self._n]))
         C = sp.csr_array((C.data, C.indices, C.indptr), shape=(2, self.size))
-        T = sp.vstack([_select([self._n + row, row], self.size), C], format="csr")
-        return np.concatenate([x[[self._n + row, row]], flows]), sp.csr_array(T)
+        T = sp.vstack([C, _select(voltage, self.size)], format="csr")
+        return np.concatenate([flows, x[voltage]]), sp.csr_array(T)
+
+    def voltage_columns(self, neighbour: Neighbour) -> list[int]:
+        row = self.area.network.row[neighbour.bus]
+        return [self._n + row, row]
 
     def _power_columns(self, child: Neighbour) -> list[int]:
         children = [n.area for n in self.area.neighbours if not n.is_parent]
@@ -103,11 +117,17 @@ class AreaModel:
         return [first, first + 1]
 
 
-def build_area_model(area: Area, measurements: Sequence[Measurement], reference: int | None) -> AreaModel:
-    """The model of ``area``'s own ``measurements``; ``reference``: bus of the grid's angle
-    reference, if the area sees it."""
+def build_area_model(
+    area: Area, measurements: Sequence[Measurement], reference: int | None, *, with_shunts: bool = True
+) -> AreaModel:
+    """The model of ``area``'s own ``measurements``.
+
+    Args:
+        reference: bus of the grid's angle reference, if the area sees it.
+        with_shunts: whether shunts and line charging are there; without them no power flows at the flat start.
+    """
     network = area.network
-    admittance = build_admittance(network)
+    admittance = build_admittance(network, with_shunts=with_shunts)
     children = [n for n in area.neighbours if not n.is_parent]
     rows, columns = [], []
     for row, m in enumerate(measurements):
@@ -132,12 +152,20 @@ def build_area_model(area: Area, measurements: Sequence[Measurement], reference:
     )
 
 
-def solve_step(model: AreaModel, x: np.ndarray, heard: Mapping[str, BoundaryInformation]) -> np.ndarray:
-    """The damped step dx, shape (size,), ``(G + 1 / tau^2) dx = b`` with all messages ``heard`` in."""
+def solve_step(
+    model: AreaModel, x: np.ndarray, heard: Mapping[str, BoundaryInformation], last_step: float = np.inf
+) -> np.ndarray:
+    """The damped step dx, shape (size,), ``(G + 1 / tau^2) dx = b`` with all messages ``heard`` in.
+
+    After a small ``last_step``, max |dx|, less damping is needed, and directions of little information converge too.
+    """
     H, r, sigma = _stack(model, x, heard)
-    factor = AugmentedFactor(sp.csr_array(H[:, model.free]), sigma, DAMPING**-2.0)
+    damping = max(DAMPING**-2.0 * min(1.0, last_step / SMALL_STEP), NOT_YET)
+    factor = AugmentedFactor(sp.csr_array(H[:, model.free]), sigma, damping)
     dx = np.zeros(model.size)
-    dx[model.free] = np.clip(factor.solve_step(r), -LARGEST_STEP, LARGEST_STEP)
+    dx[model.free] = factor.solve_step(r)
+    largest = float(abs(dx[: 2 * len(model.area.network.buses)]).max())
+    dx *= min(1.0, LARGEST_STEP / max(largest, LARGEST_STEP))
     return dx
 
 
@@ -145,65 +173,124 @@ def state_variance(model: AreaModel, x: np.ndarray, heard: Mapping[str, Boundary
     """diag(G^-1) with all messages in, shape (size,): at the fixed point that of the centralised estimate."""
     H, _, sigma = _stack(model, x, heard)
     variance = np.zeros(model.size)
-    variance[model.free] = AugmentedFactor(sp.csr_array(H[:, model.free]), sigma, NOT_YET).state_variance()
+    variance[model.free] = _factor_undamped(model, H, sigma, model.free).state_variance()
     return variance
 
 
+def residual_variance(model: AreaModel, x: np.ndarray, heard: Mapping[str, BoundaryInformation]) -> np.ndarray:
+    """diag(Omega) of the area's own measurements with all messages in, shape (n_meas,) (eq. 3.22)."""
+    H, _, sigma = _stack(model, x, heard)
+    variance: np.ndarray = _factor_undamped(model, H, sigma, model.free).residual_variance()
+    return variance[: len(model.z)]
+
+
+def _factor_undamped(model: AreaModel, H: sp.csr_array, sigma: np.ndarray, columns: np.ndarray) -> AugmentedFactor:
+    """The factor of some columns of H, damped only where nothing determines a variable yet."""
+    H = sp.csr_array(H[:, columns])
+    if not model.no_load:
+        return AugmentedFactor(H, sigma, NOT_YET)
+    told = np.bincount(H.indices, scale_rows(H, 1 / sigma).data ** 2, len(columns))
+    return AugmentedFactor(H, sigma, np.where(told > 0, NO_LOAD_NOT_YET * told, 1.0))
+
+
 def compute_information(
-    model: AreaModel,
-    x: np.ndarray,
-    neighbour: Neighbour,
-    heard: Mapping[str, BoundaryInformation],
-    *,
-    angle_known: bool,
+    model: AreaModel, x: np.ndarray, neighbour: Neighbour, heard: Mapping[str, BoundaryInformation]
 ) -> BoundaryInformation:
     """What ``neighbour`` is to hear: everything but y eliminated, its own message left out.
 
-    With ``K = [[R, H_u], [H_u', -d]]``: ``L = H_y' s``, ``g = H_y' s_r`` of ``K [s, .] = [H_y, 0]`` and
-    ``K [s_r, .] = [r, 0]``, one factorisation with five right-hand sides; then ``e = g + L y``. Toward the
-    parent, p and q join as variables tied to the area's flows with ``FLOW_SIGMA``. ``angle_known``: whether
-    this side, without the neighbour, has the reference or an angle meter; if not, it knows nothing of va.
+    Two parts, each a 2x2 matrix that no rounding of the other can spoil. What this side knows of the boundary's
+    voltage v = (vm_b, va_b), whatever power flows: with u all variables but v and ``K = [[R, H_u], [H_u', -d]]``,
+    ``M = B' s``, ``g = B' s_r`` from ``K [s, .] = [B, 0]``, ``K [s_r, .] = [r, 0]``. And what it knows of the power
+    given v: ``p = y_p + C du_r + (dp - C du_B) dv`` with covariance ``S = C G_uu^-1 C'``. One factorisation, five
+    right-hand sides. ``B`` and ``dp`` are the responses of measurements and power when v moves and takes the
+    whole area along (``_responses_to_shift``). What amounts to no more than d is told as nothing.
     """
-    H, r, sigma = _stack(model, x, {name: m for name, m in heard.items() if name != neighbour.area})
+    heard = {name: message for name, message in heard.items() if name != neighbour.area}
+    H, r, sigma = _stack(model, x, heard)
+    B, dp = _responses_to_shift(model, x, neighbour, heard)
     y, T = model.boundary(x, neighbour)
-    columns = T.indices.tolist()
-    if neighbour.is_parent:
-        H = sp.csr_array(sp.block_array([[H, None], [T[2:], -sp.eye_array(2)]], format="csr"))
-        r, sigma = np.append(r, [0.0, 0.0]), np.append(sigma, [0.0, 0.0])
-        columns = [*T[:2].indices.tolist(), model.size, model.size + 1]
-    known = np.setdiff1d(np.arange(model.size), model.free)
-    kept = [column for column in columns if column not in known]
-    gone = np.setdiff1d(np.arange(H.shape[1]), np.concatenate([known, columns]))
-    factor = AugmentedFactor(sp.csr_array(H[:, gone]), np.maximum(sigma, FLOW_SIGMA), NOT_YET)
-    H_y = H[:, kept].toarray()
-    s, _ = factor.solve(np.column_stack([H_y, r]), np.zeros((len(gone), len(kept) + 1)))
-    L, g = np.zeros((4, 4)), np.zeros(4)
-    at = [columns.index(column) for column in kept]
-    product = H_y.T @ s
-    L[np.ix_(at, at)], g[at] = product[:, :-1], product[:, -1]
-    if not angle_known:
-        L[1, :] = L[:, 1] = g[1] = 0.0
-    L = _clip((L + L.T) / 2)
-    return BoundaryInformation(L, g + L @ y)
+    u = np.setdiff1d(model.free, T[2:].indices)
+    C = T[:2, u]
+    factor = _factor_undamped(model, H, sigma, u)
+    nothing = 0.0 if model.no_load else NOT_YET
+    above, below = np.column_stack([B, r, np.zeros((len(r), 2))]), np.zeros((len(u), 5))
+    below[:, 3:] = C.T.toarray()
+    s, du = factor.solve(above, below)
+    information = B.T @ s
+    N, told_v = _factor_information(information[:, :2], information[:, 2], nothing)
+    P = _factor_inverse(-(C @ du[:, 3:]), nothing)
+    slope = dp - C @ du[:, :2]
+    R = np.block([[P, -P @ slope], [np.zeros((2, 2)), N]])
+    return BoundaryInformation(R, R @ y + np.concatenate([P @ (C @ du[:, 2]), told_v]))
+
+
+def _responses_to_shift(
+    model: AreaModel, x: np.ndarray, neighbour: Neighbour, heard: Mapping[str, BoundaryInformation]
+) -> tuple[np.ndarray, np.ndarray]:
+    """How all rows of ``_stack``, shape (rows, 2), and (p, q) at the boundary, shape (2, 2), answer to dv.
+
+    dvm scales all voltages of the area alike, dva turns all its angles (but a reference): then powers answer with
+    2 s / vm_b and 0 exactly. Moving bus b alone would change flows by dv / z and leave M, a difference of such
+    changes, to rounding.
+    """
+    vm_b = float(x[model.voltage_columns(neighbour)[0]])
+    fixed = np.setdiff1d(np.arange(model.size), model.free)
+    rows = [np.column_stack([_degrees(model.kinds) * model.predict(x) / vm_b, model.kinds == MeasurementKind.VA])]
+    jacobians = [model.jacobian(x)]
+    for n in model.area.neighbours:
+        y, T = model.boundary(x, n)
+        dy = np.column_stack([y * (2.0, 2.0, 1.0, 0.0) / vm_b, (0.0, 0.0, 0.0, 1.0)])
+        if n.area == neighbour.area:
+            dp = dy[:2] - np.column_stack([np.zeros(2), T[:2, fixed].sum(axis=1)])
+        elif (message := heard.get(n.area)) is not None:
+            told = _telling(message)
+            rows.append(message.R[told] @ dy)
+            jacobians.append(sp.csr_array(message.R[told] @ T))
+    B = np.concatenate(rows)
+    B[:, 1] -= sp.vstack(jacobians)[:, fixed].sum(axis=1)
+    return B, dp
+
+
+def _factor_information(M: np.ndarray, g: np.ndarray, nothing: float) -> tuple[np.ndarray, np.ndarray]:
+    """N upper triangular and n with ``N'N = M``, ``N'n = g``; what of the (2, 2) information M is ``nothing`` is 0."""
+    N, n = np.zeros((2, 2)), np.zeros(2)
+    if M[0, 0] > nothing:
+        N[0] = M[0] / np.sqrt(M[0, 0])
+        n[0] = g[0] / N[0, 0]
+    rest = M[1, 1] - N[0, 1] ** 2
+    if rest > max(nothing, ROUNDING * M[1, 1]):
+        N[1, 1] = np.sqrt(rest)
+        n[1] = (g[1] - N[0, 1] * n[0]) / N[1, 1]
+    return N, n
+
+
+def _factor_inverse(S: np.ndarray, nothing: float) -> np.ndarray:
+    """P upper triangular with ``P'P = S^-1`` for the (2, 2) covariance S; 0 where its inverse is ``nothing``.
+
+    What is less certain comes first, then the other given it: p may be as good as unknown and still tell q, by the
+    losses that it causes.
+    """
+    least = EXACT_SIGMA**2
+    first, other = (0, 1) if S[0, 0] >= S[1, 1] else (1, 0)
+    variance = max(S[first, first], least)
+    slope = (S[0, 1] + S[1, 0]) / 2 / variance
+    rest = max(S[other, other] - slope**2 * variance, least, ROUNDING * S[other, other])
+    rows = np.zeros((2, 2))
+    if 1 / variance > 2 * nothing:
+        rows[0, first] = 1 / np.sqrt(variance)
+    if 1 / rest > 2 * nothing:
+        rows[1, other], rows[1, first] = np.array([1.0, -slope]) / np.sqrt(rest)
+    _, P = np.linalg.qr(rows)
+    return np.asarray(P)
 
 
 _POWER = (MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION)
 
 
-def _decompose(L: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """``length``, ``w``, ``V`` with ``L = D V diag(w) V' D``, ``D = diag(length)``, the middle's diagonal 1 or 0."""
-    told = np.diag(L) > NO_INFORMATION
-    length = np.sqrt(np.where(told, np.diag(L), 1.0))
-    w, V = np.linalg.eigh(np.where(np.outer(told, told), L / np.outer(length, length), 0.0))
-    return length, w, V
-
-
-def _clip(L: np.ndarray) -> np.ndarray:
-    """``L`` without the negative eigenvalues that rounding leaves where there is no information."""
-    length, w, V = _decompose(L)
-    told = np.diag(L) > NO_INFORMATION
-    clipped: np.ndarray = (V * np.maximum(w, 0.0)) @ V.T * np.outer(length * told, length * told)
-    return clipped
+def _degrees(kinds: np.ndarray) -> np.ndarray:
+    """The power k for which h grows as c^k when all voltages grow by c, shape (n_meas,)."""
+    once = np.isin(kinds, (MeasurementKind.VM, MeasurementKind.CURRENT))
+    return np.where(once, 1.0, np.where(kinds == MeasurementKind.VA, 0.0, 2.0))
 
 
 def _select(columns: Sequence[int], size: int) -> sp.csr_array:
@@ -214,18 +301,18 @@ def _select(columns: Sequence[int], size: int) -> sp.csr_array:
 def _stack(
     model: AreaModel, x: np.ndarray, heard: Mapping[str, BoundaryInformation]
 ) -> tuple[sp.csr_array, np.ndarray, np.ndarray]:
-    """H, residual and sigma of the area's own measurements and, as four more rows each, the messages ``heard``.
-
-    With ``L = D V diag(w) V' D`` the quadratic ``1/2 y' L y - e' y`` is four measurements of ``V' D dy`` with
-    residual ``V' D^-1 (e - L y) / w`` and variance ``1 / w``: nothing is lost to the range of L.
-    """
+    """H, residual and sigma of the area's own measurements and of the messages ``heard``, up to four rows each."""
     H, r, sigma = [model.jacobian(x)], [model.residual(x)], [model.sigma]
     for n in model.area.neighbours:
         if (message := heard.get(n.area)) is not None:
             y, T = model.boundary(x, n)
-            length, w, V = _decompose(message.L)
-            told = w > TELLS_NOTHING * w[-1]
-            H.append(sp.csr_array((V[:, told].T * length) @ T))
-            r.append(V[:, told].T @ ((message.e - message.L @ y) / length) / w[told])
-            sigma.append(1 / np.sqrt(w[told]))
+            told = _telling(message)
+            H.append(sp.csr_array(message.R[told] @ T))
+            r.append(message.z[told] - message.R[told] @ y)
+            sigma.append(np.ones(int(told.sum())))
     return sp.csr_array(sp.vstack(H, format="csr")), np.concatenate(r), np.concatenate(sigma)
+
+
+def _telling(message: BoundaryInformation) -> np.ndarray:
+    told: np.ndarray = abs(message.R).max(axis=1) > 0
+    return told

@@ -3,11 +3,12 @@
 from collections.abc import Mapping
 
 from agents.area_file import AreaFile
+from agents.strategies.admm import Admm
 from agents.strategies.angle_offset import AngleOffset
 from agents.strategies.information import Information
 from agents.strategies.interface import Strategy
 
-STRATEGIES: Mapping[str, type[Strategy]] = {"angle-offset": AngleOffset, "information": Information}
+STRATEGIES: Mapping[str, type[Strategy]] = {"angle-offset": AngleOffset, "information": Information, "admm": Admm}
 
 
 def make_strategy(content: AreaFile) -> Strategy:

@@ -7,14 +7,17 @@ local power flow only start the iteration.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+from scipy.linalg import qr
 
 from agents.area_file import AreaFile
-from agents.messages import BoundaryNews, Header, InformationMessage
+from agents.messages import BoundaryNews, Header, InformationMessage, TallyMessage
+from agents.strategies.bad_data_tree import UPPER, BadDataTree
 from agents.strategies.interface import Estimate, Knowledge, Strategy
-from dsse_core.admittance import flat_start
-from dsse_core.boundary_load import boundary_loads
-from dsse_core.errors import DsseError
+from agents.strategies.start import start_state
+from dsse_core.bad_data import DEAD_VM, chi_square_limit
 from dsse_core.exchange import (
     AreaModel,
     BoundaryInformation,
@@ -23,35 +26,39 @@ from dsse_core.exchange import (
     solve_step,
     state_variance,
 )
+from dsse_core.feeder_bad_data import build_no_load_model, tally_area
 from dsse_core.measurement import Measurement, MeasurementKind
 from dsse_core.partition import Neighbour
-from dsse_core.power_flow import solve_power_flow
 
 SETTLED_STEP = 1e-11  # p.u., rad: below it a further step changes nothing
 MEAN_MOVES = 1e-10  # p.u., rad: what of a boundary's marginal is worth a message
 MEAN_MOVES_SIGMA = 1e-7  # or, if that is more, this part of its standard deviation
-SIGMA_MOVES = 1e-3  # of its standard deviations
-SINGULAR_MOVES = 1e-6  # relative change of L or e where the marginal does not exist
-SINGULAR = 1e-13  # scaled eigenvalues below it leave a direction of y open
-STEPS_PER_NEWS = 10
-UPPER = np.triu_indices(4)
+SIGMA_MOVES = 1e-7  # of its standard deviations
+SINGULAR = 1e-14  # scaled pivots below it leave a direction of y open
+STEPS_PER_NEWS = 100
+CONTRADICTION = 0.9999  # confidence of the test of a neighbour's information against the rest
 
 
 class Information(Strategy):
     """One area's state x between messages, and what it last used."""
 
     kind = InformationMessage.kind
+    other_kinds = (TallyMessage.kind,)
 
     def __init__(self, content: AreaFile) -> None:
         self._content = content
         self._area = content.area
+        self._tree = BadDataTree(content.area)
+        self._basis: object = None  # telemetry and removed meters that the model is made from
         self._measurements: tuple[Measurement, ...] = ()
+        self._removed: tuple[str, ...] = ()  # the area's own meters
         self._model: AreaModel | None = None
         self._x = np.zeros(0)
         self._newest: object = None
         self._heard: dict[str, BoundaryInformation] = {}
         self._referenced: set[str] = set()  # neighbours whose side knows the substation's angle
         self._steps_left = 0
+        self._last_step = np.inf
         self._shown: Estimate | None = None
 
     @property
@@ -59,110 +66,138 @@ class Information(Strategy):
         return self._steps_left > 0
 
     def solve(self, known: Knowledge) -> tuple[Estimate | None, tuple[str, ...]]:
-        if known.measurements != self._measurements or self._model is None:
+        self._tree.adopt(known)
+        basis = (known.measurements, self._tree.removed)
+        if basis != self._basis:
+            self._basis = basis
             self._take_measurements(known.measurements)
         newest = {name: message.header.order for name, message in known.boundary.items()}
         if newest != self._newest or self._shown is None:
             self._newest = newest
             self._take_messages(known)
-            all_heard = len(self._heard) == len(self._area.neighbours)
-            self._steps_left = STEPS_PER_NEWS if all_heard else 1  # alone, the state would run away from the start
+            self._last_step = np.inf
+            self._steps_left = STEPS_PER_NEWS if self._is_informed else 1  # alone, the state would run away
         if self._steps_left > 0:
             self._step()
         return self._shown, self._notes()
+
+    def judge(self, known: Knowledge, estimate: Estimate) -> tuple[Estimate, tuple[str, ...]]:
+        assert self._model is not None  # there is an estimate
+        tree = self._tree
+        tree.judge(self._model, self._measurements, self._x, self._heard, self._is_informed, known)
+        if (known.measurements, tree.removed) != self._basis:
+            self._steps_left = 1
+        if (tree.finished, tree.critical) != (estimate.checked, estimate.critical):
+            self._shown = estimate = replace(estimate, checked=tree.finished, critical=tree.critical)
+        return estimate, self._find_contradictions(known) if tree.finished else ()
+
+    def tally_for(self, neighbour: Neighbour, header: Header) -> TallyMessage:
+        return self._tree.message_for(neighbour, header)
 
     def message_for(self, neighbour: Neighbour, estimate: Estimate, header: Header) -> InformationMessage:
         assert self._model is not None  # there is an estimate
         others = [name for name in self._referenced if name != neighbour.area]
         referenced = self._has_own_angle or bool(others)
-        told = compute_information(self._model, self._x, neighbour, self._heard, angle_known=referenced)
-        L, e = tuple(told.L[UPPER].tolist()), tuple(told.e.tolist())
-        return InformationMessage(header, neighbour.bus, L, e, referenced)
+        told = compute_information(self._model, self._x, neighbour, self._heard)
+        R, z = tuple(told.R[UPPER].tolist()), tuple(told.z.tolist())
+        return InformationMessage(header, neighbour.bus, R, z, referenced)
 
     def is_news(self, neighbour: Neighbour, message: BoundaryNews, last: BoundaryNews) -> bool:
         assert isinstance(message, InformationMessage)
         assert isinstance(last, InformationMessage)
-        moved = _has_moved(_read(message), _read(last), self._heard.get(neighbour.area))
+        assert self._model is not None
+        y, _ = self._model.boundary(self._x, neighbour)
+        moved = _has_moved(y, _read(message), _read(last), self._heard.get(neighbour.area))
         return moved or message.referenced != last.referenced
 
     def find_refusal(self, message: BoundaryNews) -> str:
         assert isinstance(message, InformationMessage)
-        return "" if _read(message).is_semidefinite else "information not semidefinite"
+        return "" if _read(message).is_reasonable else "information beyond reason"
 
     @property
     def _has_own_angle(self) -> bool:
         angle_meters = any(m.meter.kind is MeasurementKind.VA for m in self._measurements)
         return self._area.reference is not None or angle_meters
 
-    def _take_measurements(self, measurements: tuple[Measurement, ...]) -> None:
-        """A new scan: the state so far is the start for it."""
+    @property
+    def _is_referenced(self) -> bool:
+        return self._has_own_angle or bool(self._referenced)
+
+    @property
+    def _is_informed(self) -> bool:
+        return len(self._heard) == len(self._area.neighbours) and self._is_referenced
+
+    def _take_measurements(self, telemetry: tuple[Measurement, ...]) -> None:
+        """A new scan, or a meter removed: the state so far is the start."""
+        removed = [m.meter.id for m in telemetry if m.meter.kind is MeasurementKind.VM and m.value < DEAD_VM]
+        removed += [meter for meter in self._tree.removed if any(m.meter.id == meter for m in telemetry)]
+        self._removed = tuple(removed)
+        self._measurements = tuple(m for m in telemetry if m.meter.id not in removed)
         reference = self._area.reference[0] if self._area.reference else None
-        self._model = build_area_model(self._area, measurements, reference)
-        self._measurements = measurements
+        self._model = build_area_model(self._area, self._measurements, reference)
+        self._tree.take_measurements(build_no_load_model(self._area, self._measurements, reference))
         self._shown = None
 
     def _take_messages(self, known: Knowledge) -> None:
         assert self._model is not None
         if not self._heard:
-            self._start(known)
+            self._x = start_state(self._content, known.loads)
         self._heard = {name: _read(m) for name, m in known.boundary.items() if isinstance(m, InformationMessage)}
-        was_referenced = bool(self._referenced) or self._has_own_angle
+        was_referenced = self._is_referenced
         self._referenced = {
             name for name, m in known.boundary.items() if isinstance(m, InformationMessage) and m.referenced
         }
         if self._referenced and not was_referenced:
             self._turn_to(min(self._referenced))
 
-    def _start(self, known: Knowledge) -> None:
-        """Start from the local power flow, once load messages allow one, else from the flat start."""
-        area, network = self._area, self._area.network
-        bus = area.reference[0] if area.reference else area.slack_bus
-        vm, va = flat_start(network, bus)
-        loads = boundary_loads(area, known.loads, self._content.load_error)
-        if len(loads) == len(area.boundary_buses) and area.slack_vm is not None:
-            try:
-                beyond = {b: load.s for b, load in loads.items()}
-                flow = solve_power_flow(network, slack=(area.slack_bus, area.slack_vm), extra_load=beyond)
-                vm, va = flow.vm, flow.va
-            except DsseError:
-                pass  # a start, no more: a wrong load message must not stop the estimate
-        if area.reference:
-            va = va + area.reference[1] - va[network.row[bus]]
-        children = [known.loads.get(n.area) for n in area.neighbours if not n.is_parent]
-        powers = [part for load in children for part in ((load.s.real, load.s.imag) if load else (0.0, 0.0))]
-        self._x = np.concatenate([va, vm, powers])
-
     def _turn_to(self, name: str) -> None:
         """Turn all angles to those of the side of the reference, so that no step has to; meters see no difference."""
+        assert self._model is not None
         neighbour = next(n for n in self._area.neighbours if n.area == name)
-        mean, _ = _marginal(self._heard[name])
-        row = self._area.network.row[neighbour.bus]
-        n = len(self._area.network.buses)
-        self._x[:n] += mean[1] - self._x[row]
+        y, _ = self._model.boundary(self._x, neighbour)
+        mean, _ = _marginal(y, self._heard[name])
+        self._x[: len(self._area.network.buses)] += mean[3] - y[3]
 
     def _step(self) -> None:
         assert self._model is not None
-        dx = solve_step(self._model, self._x, self._heard)
+        dx = solve_step(self._model, self._x, self._heard, self._last_step)
         self._x = self._x + dx
-        settled = abs(dx).max(initial=0.0) <= SETTLED_STEP
+        self._last_step = float(abs(dx).max(initial=0.0))
+        settled = self._last_step <= SETTLED_STEP
         self._steps_left = 0 if settled else self._steps_left - 1
-        self._shown = self._estimate(self._model)
+        if self._steps_left == 0 or self._shown is None:
+            self._shown = self._estimate(self._model)
 
     def _estimate(self, model: AreaModel) -> Estimate:
         n = len(self._area.network.buses)
         sigma = np.sqrt(np.maximum(state_variance(model, self._x, self._heard), 0.0))
-        weighted = model.residual(self._x) / model.sigma
-        owned = n - (self._area.parent is not None)
+        tally = tally_area(model, self._measurements, self._x, np.zeros(len(model.z)), ())
         return Estimate(
             vm=self._x[n : 2 * n],
             va=self._x[:n],
             sigma_vm=sigma[n : 2 * n],
             sigma_va=sigma[:n],
-            referenced=self._has_own_angle or bool(self._referenced),
-            objective=float(weighted @ weighted),
-            degrees_of_freedom=len(model.z) - 2 * owned + self._area.is_reference,
-            removed=(),
+            referenced=self._is_referenced,
+            objective=tally.objective,
+            degrees_of_freedom=tally.degrees_of_freedom,
+            removed=self._removed,
+            checked=False,
         )
+
+    def _find_contradictions(self, known: Knowledge) -> tuple[str, ...]:
+        """Neighbours whose information is farther from that of this side than their covariances allow."""
+        assert self._model is not None
+        notes = []
+        for n in self._area.neighbours:
+            told, y = known.told[n.area], self._model.boundary(self._x, n)[0]
+            assert isinstance(told, InformationMessage)
+            distance, freedom = _distance(y, _read(told), self._heard[n.area])
+            limit = chi_square_limit(freedom, CONTRADICTION)
+            if distance >= limit:
+                notes.append(
+                    f"information from {n.area} contradicts the rest: distance {distance:.4g}, limit {limit:.4g}"
+                )
+        return tuple(notes)
 
     def _notes(self) -> tuple[str, ...]:
         silent = [n.area for n in self._area.neighbours if n.area not in self._heard]
@@ -170,30 +205,60 @@ class Information(Strategy):
 
 
 def _read(message: InformationMessage) -> BoundaryInformation:
-    L = np.zeros((4, 4))
-    L[UPPER] = message.L
-    return BoundaryInformation(L + np.triu(L, 1).T, np.array(message.e))
+    R = np.zeros((4, 4))
+    R[UPPER] = message.R
+    return BoundaryInformation(R, np.array(message.z))
 
 
-def _marginal(*sides: BoundaryInformation) -> tuple[np.ndarray, np.ndarray | None]:
-    """Mean of y, shape (4,), and its standard deviations, None where the sides together leave some of y open."""
-    L, e = sum(side.L for side in sides), sum(side.e for side in sides)
-    diagonal = np.diag(L)
-    scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-    eigenvalues, vectors = np.linalg.eigh(L * np.outer(scale, scale))
-    known = eigenvalues > SINGULAR * eigenvalues[-1]
-    inverse = (vectors[:, known] / eigenvalues[known]) @ vectors[:, known].T
-    sigma = scale * np.sqrt(np.diag(inverse)) if known.all() else None
-    return scale * (inverse @ (scale * e)), sigma
+def _marginal(y: np.ndarray, *sides: BoundaryInformation) -> tuple[np.ndarray, np.ndarray | None]:
+    """Mean of y, shape (4,), found as a step from ``y``, and its standard deviations.
+
+    None for the latter where the sides together leave some of y open. A quantity that nobody speaks of (the angle
+    of a reference at the boundary bus) stays, with a standard deviation of 1.
+    """
+    R = np.concatenate([side.R for side in sides])
+    r = np.concatenate([side.z - side.R @ y for side in sides])
+    length = np.sqrt((R**2).sum(axis=0))
+    spoken = np.flatnonzero(length)
+    heavy_first = np.argsort(-abs(R).max(axis=1), kind="stable")
+    Q, upper, order = qr(R[np.ix_(heavy_first, spoken)] / length[spoken], mode="economic", pivoting=True)
+    order = spoken[order]
+    k = int((abs(np.diag(upper)) > SINGULAR).sum())
+    mean = y.copy()
+    mean[order[:k]] += np.linalg.solve(upper[:k, :k], (Q.T @ r[heavy_first])[:k]) / length[order[:k]]
+    if k < len(order):
+        return mean, None
+    sigma = np.ones(4)
+    sigma[order] = np.sqrt((np.linalg.inv(upper) ** 2).sum(axis=1)) / length[order]
+    return mean, sigma
 
 
-def _has_moved(now: BoundaryInformation, last: BoundaryInformation, other: BoundaryInformation | None) -> bool:
-    """Whether the marginal of y, together with the ``other`` side's information, differs enough to be told."""
+def _distance(y: np.ndarray, one: BoundaryInformation, other: BoundaryInformation) -> tuple[float, int]:
+    """What the two sides' cost-to-go cannot both reach, chi-square distributed with the degrees of freedom given."""
+    R = np.concatenate([one.R, other.R])
+    told = abs(R).max(axis=1) > 0
+    R, r = R[told], np.concatenate([one.z - one.R @ y, other.z - other.R @ y])[told]
+    length = np.sqrt((R**2).sum(axis=0))
+    spoken = length > 0
+    A = R[:, spoken] / length[spoken]
+    step, _, rank, _ = np.linalg.lstsq(A, r, rcond=SINGULAR)
+    return float(((r - A @ step) ** 2).sum()), len(r) - int(rank)
+
+
+def _has_moved(
+    y: np.ndarray, now: BoundaryInformation, last: BoundaryInformation, other: BoundaryInformation | None
+) -> bool:
+    """Whether the marginal of y, together with the ``other`` side's information, differs enough to be told.
+
+    ``y``: the present state. Where the marginal does not exist, whether the message itself does.
+    """
     others = [other] if other is not None else []
-    mean, sigma = _marginal(now, *others)
-    last_mean, last_sigma = _marginal(last, *others)
+    mean, sigma = _marginal(y, now, *others)
+    last_mean, last_sigma = _marginal(y, last, *others)
     if sigma is None or last_sigma is None:
-        pairs = ((now.L, last.L), (now.e, last.e))
-        return any(abs(a - b).max() > SINGULAR_MOVES * abs(b).max() for a, b in pairs)
+        weight = abs(now.R).max(axis=1)
+        turned = abs(now.R - last.R).max(axis=1) > SIGMA_MOVES * weight
+        shifted = abs((now.z - now.R @ y) - (last.z - last.R @ y)) > np.maximum(MEAN_MOVES_SIGMA, MEAN_MOVES * weight)
+        return bool((turned | shifted).any())
     worth_telling = np.maximum(MEAN_MOVES, MEAN_MOVES_SIGMA * sigma)
     return bool((abs(mean - last_mean) > worth_telling).any() or (abs(sigma / last_sigma - 1) > SIGMA_MOVES).any())

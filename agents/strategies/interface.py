@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from agents.area_file import AreaFile
-from agents.messages import BoundaryNews, Header
+from agents.messages import BoundaryNews, Header, TallyMessage
 from dsse_core.boundary_load import NetLoad
 from dsse_core.measurement import Measurement
 from dsse_core.partition import Neighbour
@@ -22,11 +22,17 @@ class Knowledge:
 
     ``measurements``: its telemetry of the current scan, virtual measurements included. ``loads``: neighbour ->
     load message; ``boundary``: neighbour -> its newest boundary message; silent neighbours are absent from both.
+    ``present``: the neighbours that are on the bus. ``tallies``: neighbour -> its newest one; ``told``: neighbour ->
+    the last boundary message to it.
     """
 
     measurements: tuple[Measurement, ...]
     loads: Mapping[str, NetLoad] = field(default_factory=dict)
     boundary: Mapping[str, BoundaryNews] = field(default_factory=dict)
+    present: frozenset[str] = frozenset()
+    scan: int = 0
+    tallies: Mapping[str, TallyMessage] = field(default_factory=dict)
+    told: Mapping[str, BoundaryNews] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -34,7 +40,7 @@ class Estimate:
     """An area's state as published: arrays of shape (n_bus,) in the order of the area's buses, p.u. and rad.
 
     ``referenced``: ``va`` counts from the substation. ``removed``: meters taken out as bad data.
-    ``critical``: meters that cannot be spared, whatever they read.
+    ``critical``: meters that cannot be spared, whatever they read. ``checked``: bad data have been looked for.
     """
 
     vm: np.ndarray
@@ -46,12 +52,14 @@ class Estimate:
     degrees_of_freedom: int
     removed: tuple[str, ...]
     critical: tuple[str, ...] = ()
+    checked: bool = True
 
 
 class Strategy(ABC):
     """One area's side of a boundary-exchange strategy. ``kind``: that of the messages it sends and takes."""
 
     kind: ClassVar[str]
+    other_kinds: ClassVar[tuple[str, ...]] = ()  # of what else goes to neighbours: tallies, where there are any
 
     @abstractmethod
     def __init__(self, content: AreaFile) -> None: ...
@@ -65,9 +73,25 @@ class Strategy(ABC):
         """Whether to solve again at once, without waiting for news."""
         return False
 
+    def awaits_answer(self, neighbour: Neighbour) -> bool:
+        """Whether nothing more can be done at this boundary until ``neighbour`` has answered the last message."""
+        return False
+
     def find_refusal(self, message: BoundaryNews) -> str:
         """Why a neighbour's message cannot be used, in short; empty if it can."""
         return ""
+
+    def judge(self, known: Knowledge, estimate: Estimate) -> tuple[Estimate, tuple[str, ...]]:
+        """Look for bad data beyond the area, once its neighbours have been told ``estimate``.
+
+        The estimate with what is known of it now, and in words what contradicts it. A meter to be removed makes
+        the strategy restless.
+        """
+        return estimate, ()
+
+    def tally_for(self, neighbour: Neighbour, header: Header) -> TallyMessage | None:
+        """What ``neighbour`` is to hear of that; None where the strategy does not."""
+        return None
 
     @abstractmethod
     def message_for(self, neighbour: Neighbour, estimate: Estimate, header: Header) -> BoundaryNews:

@@ -57,6 +57,18 @@ def make_feeder(
     return Feeder(network, partition, _draw_measurements(rng, network, decades, dense))
 
 
+def make_star(seed: int, n_area: int = 15) -> Feeder:
+    """A feeder whose areas all meet at bus 2, but for the substation's own."""
+    rng = np.random.default_rng(seed)
+    upstream = [0, 0, *[1] * n_area, *(int(rng.integers(2, n_area + 2 + k)) for k in range(20))]
+    network = _load(_draw_network(rng, upstream, 1.0), LOWEST_VM)
+    areas, area_of = {"a0": [1, 2]}, {}
+    for k in range(2, len(upstream)):
+        area_of[k] = k if upstream[k] == 1 else area_of[upstream[k]]
+        areas.setdefault(f"a{area_of[k]}", [2]).append(k + 1)
+    return Feeder(network, build_partition(network, areas), _draw_measurements(rng, network, 1.0, 0.5))
+
+
 def _draw_network(rng: np.random.Generator, upstream: list[int], decades: float) -> Network:
     n = len(upstream)
     z = 0.01 * 10 ** rng.uniform(-decades, 0.0, n)

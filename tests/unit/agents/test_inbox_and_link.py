@@ -74,7 +74,7 @@ def test_a_state_carries_the_totals_of_the_link_and_is_never_lost():
     link = LossyLink("a", {"b": 1.0}, 0, lambda to, kind, payload: shown.append((to, decode(payload))))
     link.send(message(1), "b")
     empty = ((),) * 5
-    state = StateMessage(message(1).header, *empty, False, 0.0, 0, (), (), {}, {}, 0, 0, 0, {}, ())
+    state = StateMessage(message(1).header, *empty, False, 0.0, 0, (), (), True, {}, {}, 0, 0, 0, {}, ())
     link.send(state, None)
     ((to, seen),) = shown
     assert to is None

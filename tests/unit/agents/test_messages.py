@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from agents.messages import (
     WIRE_VERSION,
+    AdmmMessage,
     BoundaryMessage,
     Header,
     Incarnation,
@@ -33,6 +34,7 @@ STATE = StateMessage(
     degrees_of_freedom=20,
     removed=("p_flow@1:1-2",),
     critical=("vm@1",),
+    checked=True,
     sent={"area2": (1, 4)},
     heard={"area2": (1, 3)},
     messages=12,
@@ -44,6 +46,7 @@ STATE = StateMessage(
 MESSAGES = [
     LoadMessage(HEADER, 6, 0.25, -0.1, 0.01),
     BoundaryMessage(HEADER, 6, 0.95, -0.02, True),
+    AdmmMessage(HEADER, 6, 3, (0.1, 0.0, 1.0, -0.1), (0.2, 0.0, 1.0, -0.1), (1e4, 1e4, 1e5, 1e5), True, True),
     TelemetryMessage(HEADER, "area1", ("vm@1",), (1.0,), (0.002,)),
     STATE,
 ]
@@ -97,6 +100,13 @@ def test_arrays_of_a_state_must_have_one_length():
     fields = fields_of(STATE)
     fields[9] = [1.0]
     with pytest.raises(MessageError, match="differ in length"):
+        decode(msgpack.packb(fields))
+
+
+def test_an_admm_message_has_four_numbers_of_each():
+    fields = fields_of(next(m for m in MESSAGES if isinstance(m, AdmmMessage)))
+    fields[11] = fields[11][:3]
+    with pytest.raises(MessageError, match="do not have 4 numbers each"):
         decode(msgpack.packb(fields))
 
 

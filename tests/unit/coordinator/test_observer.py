@@ -33,6 +33,7 @@ def a_state(area: str, sequence: int = 1, **changes: object) -> StateMessage:
         degrees_of_freedom=1,
         removed=(),
         critical=(),
+        checked=True,
         sent=said,
         heard=said,
         messages=5,

@@ -42,6 +42,7 @@ def a_state_of(area, central, va_shift: float = 0.0) -> StateMessage:
         degrees_of_freedom=2,
         removed=("vm@6",),
         critical=("vm@1",),
+        checked=True,
         sent=said,
         heard=said,
         messages=5,

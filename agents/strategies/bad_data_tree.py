@@ -1,0 +1,174 @@
+"""Bad data of the whole feeder, decided along the tree of areas as a control centre would decide.
+
+Sums and the largest normalised residual climb from the leaves to the substation's area, which sends down the list
+of meters to be removed. That list is the epoch: only figures of the same list are combined, and only of neighbours
+that have heard each other's last boundary message and have nothing more to say. Everything is absolute and may be
+lost, repeated or late. What cannot be spared is found on the same way: each area tells its neighbours the
+cost-to-go of its meters at no load, once it has heard it from all the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from agents.messages import BoundaryNews, Header, TallyMessage
+from agents.strategies.interface import Knowledge
+from dsse_core.bad_data import CONFIDENCE, CRITICAL_REDUNDANCY, chi_square_limit
+from dsse_core.exchange import AreaModel, BoundaryInformation, residual_variance
+from dsse_core.feeder_bad_data import NoLoadModel, Tally, add_tallies, tally_area
+from dsse_core.measurement import Measurement, Source
+from dsse_core.partition import Area, Neighbour
+
+UPPER = np.triu_indices(4)
+
+
+class BadDataTree:
+    """One area's part. ``removed``: meters of the whole feeder taken out, in order; ``finished``: no more will be."""
+
+    def __init__(self, area: Area) -> None:
+        self._area = area
+        self._children = [n for n in area.neighbours if not n.is_parent]
+        self._scan = 0
+        self.removed: tuple[str, ...] = ()
+        self.finished = False
+        self.critical: tuple[str, ...] = ()
+        self._tally: Tally | None = None  # of this side, final
+        self._own: tuple[np.ndarray, Tally] | None = None  # the state that the area's own part belongs to, and it
+        self._no_load: NoLoadModel | None = None
+        self._indispensable: tuple[object, set[str]] | None = None
+        self._known = Knowledge(())
+
+    def adopt(self, known: Knowledge) -> None:
+        """Take over what the side of the substation has decided; a new scan starts anew."""
+        self._known = known
+        if known.scan != self._scan:
+            self._scan = known.scan
+            self.removed, self.finished = (), False
+        parent = self._area.parent
+        order = known.tallies.get(parent.area) if parent else None
+        if order is not None:
+            self.removed, self.finished = order.removed, order.finished
+
+    def take_measurements(self, no_load: NoLoadModel) -> None:
+        """The measurements have changed, by a new scan or a removal."""
+        self._no_load = no_load
+        self._tally = self._own = self._indispensable = None
+
+    def judge(
+        self,
+        model: AreaModel,
+        measurements: Sequence[Measurement],
+        x: np.ndarray,
+        heard: Mapping[str, BoundaryInformation],
+        settled: bool,
+        known: Knowledge,
+    ) -> None:
+        """Add up this side's figures where all of them are final; the substation's area decides."""
+        self._known = known
+        self._tally = None
+        no_load = self._heard_no_load()
+        children = [known.tallies.get(n.area) for n in self._children]
+        if not settled or len(no_load) < len(self._area.neighbours):
+            return
+        own = self._tally_own(model, measurements, x, heard, no_load)
+        final = [t for t, n in zip(children, self._children, strict=True) if t is not None and self._is_final(t, n)]
+        if len(final) < len(self._children):
+            return
+        below = [_read(t) for t in final]
+        self._tally = add_tallies([own, *below])
+        if self._area.parent is None and not self.finished:
+            self._decide(self._tally)
+
+    def _decide(self, tally: Tally) -> None:
+        exceeds = tally.objective >= chi_square_limit(tally.degrees_of_freedom, CONFIDENCE)
+        if exceeds and tally.worst:
+            self.removed = (*self.removed, min(tally.worst))
+            self._tally = None
+        else:
+            self.finished = True
+
+    def message_for(self, neighbour: Neighbour, header: Header) -> TallyMessage:
+        told, heard = self._known.told.get(neighbour.area), self._known.boundary.get(neighbour.area)
+        up = self._tally if neighbour.is_parent else None
+        return TallyMessage(
+            header=header,
+            bus=neighbour.bus,
+            removed=self.removed,
+            finished=self.finished and not neighbour.is_parent,
+            settled=up is not None,
+            sent=_order(told) if up else (),
+            heard=_order(heard) if up else (),
+            objective=up.objective if up else 0.0,
+            degrees_of_freedom=up.degrees_of_freedom if up else 0,
+            worst=tuple(up.worst) if up else (),
+            normalized=tuple(up.worst.values()) if up else (),
+            no_load=self._no_load_for(neighbour),
+        )
+
+    def _is_final(self, tally: TallyMessage, child: Neighbour) -> bool:
+        """Whether nothing is under way between us and ``child``, whose side is settled in our epoch."""
+        return (
+            tally.settled
+            and tally.removed == self.removed
+            and tally.sent == _order(self._known.boundary.get(child.area))
+            and tally.heard == _order(self._known.told.get(child.area))
+        )
+
+    def _tally_own(
+        self,
+        model: AreaModel,
+        measurements: Sequence[Measurement],
+        x: np.ndarray,
+        heard: Mapping[str, BoundaryInformation],
+        no_load: Mapping[str, BoundaryInformation],
+    ) -> Tally:
+        """The area's own figures, made anew only when what they rest on has changed."""
+        if self._own is None or self._own[0] is not x:
+            variance = residual_variance(model, x, heard)
+            indispensable = self._find_indispensable(no_load)
+            critical = {
+                m.meter.id
+                for m, v in zip(measurements, variance, strict=True)
+                if m.meter.source is not Source.VIRTUAL
+                and (v <= CRITICAL_REDUNDANCY * m.sigma**2 or m.meter.id in indispensable)
+            }
+            self.critical = tuple(m.meter.id for m in measurements if m.meter.id in critical)
+            self._own = (x, tally_area(model, measurements, x, variance, critical))
+        return self._own[1]
+
+    def _find_indispensable(self, no_load: Mapping[str, BoundaryInformation]) -> set[str]:
+        assert self._no_load is not None  # there are measurements
+        basis = {name: told.R.tolist() for name, told in no_load.items()}
+        if self._indispensable is None or self._indispensable[0] != basis:
+            self._indispensable = (basis, self._no_load.find_indispensable(no_load))
+        return self._indispensable[1]
+
+    def _heard_no_load(self) -> dict[str, BoundaryInformation]:
+        """Of the neighbours that work with the same meters removed."""
+        told = {}
+        for name, tally in self._known.tallies.items():
+            if tally.removed == self.removed and tally.no_load:
+                R = np.zeros((4, 4))
+                R[UPPER] = tally.no_load
+                told[name] = BoundaryInformation(R, np.zeros(4))
+        return told
+
+    def _no_load_for(self, neighbour: Neighbour) -> tuple[float, ...]:
+        heard = self._heard_no_load()
+        if self._no_load is None or any(n.area not in heard for n in self._area.neighbours if n.area != neighbour.area):
+            return ()
+        return tuple(self._no_load.information_for(neighbour, heard).R[UPPER].tolist())
+
+
+def _read(message: TallyMessage) -> Tally:
+    worst = dict(zip(message.worst, message.normalized, strict=True))
+    return Tally(message.objective, message.degrees_of_freedom, worst)
+
+
+def _order(message: BoundaryNews | None) -> tuple[int, ...]:
+    if message is None:
+        return ()
+    incarnation, sequence = message.header.order
+    return (incarnation.start_ms, incarnation.random, sequence)

@@ -1,0 +1,114 @@
+"""Bad data of the whole feeder from what each area knows: the centralised test, added up along the tree of areas.
+
+At the fixed point of the exact exchange J, degrees of freedom and normalised residuals of the areas are those of
+the centralised estimate, so that a sum and a maximum along the tree make the same decisions (``bad_data``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dsse_core.admittance import flat_start
+from dsse_core.augmented import reciprocal_row_lengths
+from dsse_core.bad_data import THRESHOLD, TIE, normalize_residuals
+from dsse_core.exchange import (
+    AreaModel,
+    BoundaryInformation,
+    build_area_model,
+    compute_information,
+    residual_variance,
+)
+from dsse_core.measurement import Measurement, MeasurementKind, Source
+from dsse_core.partition import Area, Neighbour
+
+NO_LOAD_REDUNDANCY = 1e-8  # below it an indispensable meter: rounding and damping
+
+
+@dataclass(frozen=True)
+class Tally:
+    """What some areas together add to the test. ``worst``: meter id -> its normalised residual above the threshold,
+
+    the largest of them and those that equal it.
+    """
+
+    objective: float
+    degrees_of_freedom: int
+    worst: Mapping[str, float]
+
+
+def tally_area(
+    model: AreaModel,
+    measurements: Sequence[Measurement],
+    x: np.ndarray,
+    variance: np.ndarray,
+    spared: Collection[str],
+) -> Tally:
+    """The area's own part. ``variance``: ``residual_variance`` at ``x``; ``spared``: critical meters."""
+    residual = model.residual(x)
+    normalized = normalize_residuals(measurements, residual, variance)
+    real = np.array([m.meter.source is not Source.VIRTUAL for m in measurements], dtype=bool)
+    owned = len(model.area.network.buses) - (model.area.parent is not None)
+    suspects = {
+        m.meter.id: float(value)
+        for m, value in zip(measurements, normalized, strict=True)
+        if value > THRESHOLD and m.meter.id not in spared
+    }
+    return Tally(
+        objective=float(((residual[real] / model.sigma[real]) ** 2).sum()),
+        degrees_of_freedom=len(measurements) - 2 * owned + model.area.is_reference,
+        worst=_keep_tied(suspects),
+    )
+
+
+def add_tallies(tallies: Iterable[Tally]) -> Tally:
+    """The test of several parts of the feeder together."""
+    tallies = list(tallies)
+    return Tally(
+        objective=sum(t.objective for t in tallies),
+        degrees_of_freedom=sum(t.degrees_of_freedom for t in tallies),
+        worst=_keep_tied({meter: value for t in tallies for meter, value in t.worst.items()}),
+    )
+
+
+def _keep_tied(suspects: Mapping[str, float]) -> dict[str, float]:
+    least = max(suspects.values(), default=0.0) * (1 - TIE)
+    return {meter: suspects[meter] for meter in sorted(suspects) if suspects[meter] >= least}
+
+
+@dataclass(frozen=True)
+class NoLoadModel:
+    """The area's meters but currents, at no load and weighted alike: which of them cannot be spared.
+
+    ``check_observable`` decides by the same matrix for the whole grid. Areas tell each other its cost-to-go, one
+    way up and one way down the tree.
+    """
+
+    model: AreaModel
+    x: np.ndarray
+    ids: tuple[str, ...]
+
+    def information_for(self, neighbour: Neighbour, heard: Mapping[str, BoundaryInformation]) -> BoundaryInformation:
+        return compute_information(self.model, self.x, neighbour, heard)
+
+    def find_indispensable(self, heard: Mapping[str, BoundaryInformation]) -> set[str]:
+        """Ids of the meters, virtual ones included, without any one of which the state is not observable."""
+        redundancy = residual_variance(self.model, self.x, heard) / self.model.sigma**2
+        return {self.ids[k] for k in np.flatnonzero(redundancy < NO_LOAD_REDUNDANCY)}
+
+
+def build_no_load_model(area: Area, measurements: Sequence[Measurement], reference: int | None) -> NoLoadModel:
+    """``reference``: bus of the grid's angle reference, if the area sees it."""
+    unit = [
+        Measurement(replace(m.meter, source=Source.TELEMETERED), 0.0, 1.0)
+        for m in measurements
+        if m.meter.kind is not MeasurementKind.CURRENT
+    ]
+    model = build_area_model(area, unit, reference, with_shunts=False)
+    vm, va = flat_start(area.network, area.slack_bus if reference is None else reference)
+    x = np.concatenate([va, vm, np.zeros(model.size - 2 * len(vm))])
+    length = 1 / reciprocal_row_lengths(model.jacobian(x))
+    model = replace(model, z=model.predict(x), sigma=length, no_load=True)
+    return NoLoadModel(model, x, tuple(m.meter.id for m in unit))

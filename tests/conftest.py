@@ -1,0 +1,15 @@
+"""Options of the test run."""
+
+import pytest
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--thorough", action="store_true", help="as many random cases as the documentation claims")
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """``random_seed``: of one random case; ``few`` and ``many`` of the marker say how many there are."""
+    marker = metafunc.definition.get_closest_marker("random_cases")
+    if marker is not None:
+        count = marker.kwargs["many" if metafunc.config.getoption("--thorough") else "few"]
+        metafunc.parametrize("random_seed", range(count))
