@@ -1,6 +1,7 @@
 """Launches router, plant and agents, watches them, compares and reports; the command line.
 
-``coordinator.run(scenario)`` is what ``dsse run`` does. Importing this package imports nothing heavy: a process
+``coordinator.run(scenario)`` is what ``dsse run`` does, ``coordinator.simulate(scenario)`` what ``dsse simulate``
+does. Importing this package imports nothing heavy: a process
 that becomes an agent must not pay for what only the coordinator needs.
 """
 
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from coordinator.result import RunResult
     from scenarios.scenario import Scenario
 
-__all__ = ["run"]
+__all__ = ["run", "simulate"]
 
 
 def run(
@@ -51,6 +52,42 @@ def run(
         from coordinator.run_scenario import run_scenario
 
         result = run_scenario(launcher, scenario, started, out, seed, strategy, timeout_s, on_update)
+    if plots:
+        from coordinator.plots import draw_plots
+
+        draw_plots(result)
+    return result
+
+
+def simulate(
+    scenario: str | Path | Scenario,
+    *,
+    out: str | Path | None = None,
+    seed: int | None = None,
+    strategy: str | None = None,
+    timeout_s: float | None = None,
+    delay_s: float = 0.001,
+    jitter_s: float = 0.0,
+    duplicate: float = 0.0,
+    on_update: Callable[[Progress], None] | None = None,
+    plots: bool = True,
+) -> RunResult:
+    """Run a scenario on the twin: the same areas on a simulated bus, in virtual time, in this process.
+
+    The same scenario, seed and link faults give the same result to the bit. Arguments are those of ``run``, and:
+
+    Args:
+        delay_s, jitter_s: a message takes ``delay_s`` plus a random part of ``jitter_s`` of virtual time.
+        duplicate: probability that a message arrives twice.
+
+    Raises:
+        InvalidInputError: the scenario, the folder or a link fault cannot be used.
+    """
+    from coordinator.simulation import simulate_scenario
+    from coordinator.twin import LinkFaults
+
+    faults = LinkFaults(delay_s, jitter_s, duplicate)
+    result = simulate_scenario(scenario, faults, out, seed, strategy, timeout_s, on_update)
     if plots:
         from coordinator.plots import draw_plots
 

@@ -2,30 +2,37 @@
 
 from __future__ import annotations
 
-import os
-import signal
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING
 
 import click
 
+from coordinator.cli_networks import network_commands
+from coordinator.cli_studies import study_commands
+from coordinator.terminal import (
+    SECONDS,
+    end_orderly_on_signals,
+    finish_run,
+    no_plots_option,
+    progress,
+    quiet_option,
+    run_folder_option,
+    say,
+    scenario_argument,
+    seed_option,
+    strategy_option,
+    timeout_option,
+)
 from dsse_core.errors import DsseError
 
 if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts fast
-    from coordinator.observer import Progress
     from scenarios.scenario import Scenario
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
-PROGRESS_LINE_S = 1.0
-SECONDS = click.FloatRange(min=0, min_open=True, max=86400)
 
-scenario_argument = click.argument("scenario")
-strategy_option = click.option("--strategy", help="Use this strategy instead of the scenario's.")
-seed_option = click.option("--seed", type=click.IntRange(min=0), help="Use this seed instead of the scenario's.")
 run_id_option = click.option("--run", "run_id", help="Name of the run, a part of every key.  [default: the scenario's]")
 
 
@@ -41,7 +48,7 @@ def run_command(arguments: Sequence[str]) -> int:
         return 2
     except OSError as error:  # a full disk, a folder that cannot be written, a file that is none
         name = f"{error.filename}: " if error.filename else ""
-        _say(f"error: {name}{error.strerror or error}; choose another place, or make room there")
+        say(f"error: {name}{error.strerror or error}; choose another place, or make room there")
         return 2
     except (KeyboardInterrupt, click.Abort):
         print("interrupted", file=sys.stderr)
@@ -60,11 +67,11 @@ def commands() -> None:
 
 @commands.command(short_help="Run a scenario as real processes and judge it.")
 @scenario_argument
-@click.option("--out", type=click.Path(path_type=Path), help="Run folder, new or empty.  [default: runs/SCENARIO-TIME]")
-@click.option("--timeout", type=SECONDS, metavar="S", help="Time limit in seconds instead of the scenario's.")
+@run_folder_option
+@timeout_option
 @seed_option
-@click.option("--quiet", is_flag=True, help="Print the verdict only.")
-@click.option("--no-plots", is_flag=True, help="Draw no pictures.")
+@quiet_option
+@no_plots_option
 @strategy_option
 def run(
     scenario: str,
@@ -86,21 +93,12 @@ def run(
     """
     import coordinator
 
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        if signal.getsignal(number) != signal.SIG_IGN:  # as nohup has it
-            signal.signal(number, _interrupt)
-    with _progress(scenario, quiet) as show:
+    end_orderly_on_signals()
+    with progress(scenario, quiet) as on_update:
         result = coordinator.run(
-            scenario, out=out, seed=seed, strategy=strategy, timeout_s=timeout, on_update=show, plots=False
+            scenario, out=out, seed=seed, strategy=strategy, timeout_s=timeout, on_update=on_update, plots=False
         )
-    from coordinator.report import format_verdict
-
-    _show(format_verdict(result))
-    if not no_plots:
-        from coordinator.plots import draw_plots
-
-        draw_plots(result)
-    return 0 if result.verdict.consensus else 1
+    return finish_run(result, no_plots)
 
 
 @commands.command(short_help="Check a scenario without running it.")
@@ -258,46 +256,5 @@ def _prepare(scenario: str, seed: int | None) -> Scenario:
     return loaded if seed is None else replace(loaded, seed=seed)
 
 
-def _show(text: str) -> None:
-    """Print in one piece; a reader who has left changes nothing but that nobody reads."""
-    try:
-        sys.stdout.write(text + "\n")
-        sys.stdout.flush()
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
-def _say(text: str) -> None:
-    with suppress(OSError):
-        print(text, file=sys.stderr, flush=True)
-
-
-@contextmanager
-def _progress(title: str, quiet: bool) -> Iterator[Callable[[Progress], None] | None]:
-    """How progress is shown: not at all, as a table that lives in the terminal, or as a line now and then."""
-    if quiet:
-        yield None
-    elif sys.stderr.isatty():
-        from coordinator.live import live_table
-
-        with live_table(title) as show:
-            yield show
-    else:
-        yield _print_now_and_then()
-
-
-def _print_now_and_then() -> Callable[[Progress], None]:
-    last = 0.0
-
-    def show(progress: Progress) -> None:
-        nonlocal last
-        if progress.elapsed_s - last >= PROGRESS_LINE_S:
-            last = progress.elapsed_s
-            areas = ", ".join(f"{area.name} {area.state}" for area in progress.areas)
-            _say(f"{progress.elapsed_s:6.1f} s  {areas}")
-
-    return show
-
-
-def _interrupt(*_: object) -> NoReturn:
-    raise KeyboardInterrupt
+for command in (*network_commands, *study_commands):
+    commands.add_command(command)

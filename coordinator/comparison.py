@@ -45,6 +45,11 @@ class Comparison:
     by_area: Mapping[str, Voltages]
 
     @property
+    def knows_truth(self) -> bool:
+        """Whether there is a truth to compare with: the readings of a file have none."""
+        return not np.isnan(self.truth.vm).all()
+
+    @property
     def gap(self) -> Gap:
         return largest_gap(self.decentralised, self.centralised)
 
@@ -68,12 +73,15 @@ class Comparison:
 
 
 def compare(
-    partition: Partition, states: Mapping[str, StateMessage], truth: PowerFlowResult, centralised: BadDataReport | None
+    partition: Partition,
+    states: Mapping[str, StateMessage],
+    truth: PowerFlowResult | None,
+    centralised: BadDataReport | None,
 ) -> Comparison:
     """Put the areas' published ``states`` beside ``centralised`` and ``truth``.
 
-    A centralised estimate that failed (None) and an area without estimate count as nan; so do the angles of one
-    whose angles do not count from the substation.
+    A truth that nobody knows (None), a centralised estimate that failed (None) and an area without estimate
+    count as nan; so do the angles of one whose angles do not count from the substation.
     """
     n = len(partition.network.buses)
     whole, sigma, unknown = (Voltages(np.full(n, np.nan), np.full(n, np.nan)) for _ in range(3))
@@ -90,7 +98,7 @@ def compare(
             sigma.va[rows[owned]] = np.array(state.sigma_va)[owned]
     return Comparison(
         partition=partition,
-        truth=Voltages(truth.vm, truth.va),
+        truth=Voltages(truth.vm, truth.va) if truth else unknown,
         centralised=Voltages(centralised.result.vm, centralised.result.va) if centralised else unknown,
         decentralised=whole,
         sigma=sigma,

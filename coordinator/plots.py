@@ -13,7 +13,8 @@ mpl.use("Agg")
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from coordinator.comparison import Comparison, Voltages, rows_of, wrapped_deg
+from coordinator.comparison import Comparison, Voltages, wrapped_deg
+from coordinator.convergence import gap_history
 from coordinator.result import RunResult
 
 TRUE: dict[str, Any] = {"color": "black", "marker": "o", "markerfacecolor": "none", "markersize": 7}
@@ -47,11 +48,12 @@ def _new_figure(result: RunResult, title: str, rows: int = 1) -> tuple[Figure, l
 
 
 def _draw_states(result: RunResult, label: str, of: Callable[[Voltages], np.ndarray]) -> Figure:
-    figure, (axis,) = _new_figure(result, "True and estimated states")
     comparison, order = result.comparison, _bus_order(result.comparison)
+    title = "True and estimated states" if comparison.knows_truth else "Estimated states"
+    figure, (axis,) = _new_figure(result, title)
     x = np.arange(len(order))
     for name, voltages, style in (
-        ("true (power flow)", comparison.truth, TRUE),
+        *([("true (power flow)", comparison.truth, TRUE)] if comparison.knows_truth else []),
         ("centralised WLS", comparison.centralised, CENTRALISED),
         ("decentralised", comparison.decentralised, DECENTRALISED),
     ):
@@ -63,21 +65,22 @@ def _draw_states(result: RunResult, label: str, of: Callable[[Voltages], np.ndar
 
 
 def _draw_errors(result: RunResult) -> Figure:
-    figure, axes = _new_figure(result, "Errors of the estimates", rows=2)
     comparison, order = result.comparison, _bus_order(result.comparison)
+    what = "error" if comparison.knows_truth else "difference"
+    figure, axes = _new_figure(result, f"{what.capitalize()}s of the estimates", rows=2)
     pairs = (
         ("centralised - true", comparison.centralised, comparison.truth, CENTRALISED | {"linestyle": "none"}),
         ("decentralised - true", comparison.decentralised, comparison.truth, DECENTRALISED | {"linestyle": "none"}),
         ("decentralised - centralised", comparison.decentralised, comparison.centralised, {"color": "0.45"}),
     )
-    for name, one, other, style in pairs:
+    for name, one, other, style in pairs if comparison.knows_truth else pairs[-1:]:
         for axis, difference in zip(axes, (one.vm - other.vm, wrapped_deg(one.va - other.va)), strict=True):
             drawn = difference[order]
             if "marker" in style:
                 axis.plot(drawn, label=name, **style)
             else:
                 axis.step(np.arange(len(drawn)), drawn, where="mid", label=name, linewidth=1, **style)
-    for axis, label in zip(axes, ("magnitude error (p.u.)", "angle error (degrees)"), strict=True):
+    for axis, label in zip(axes, (f"magnitude {what} (p.u.)", f"angle {what} (degrees)"), strict=True):
         axis.axhline(0, color="0.3", linewidth=0.6)
         axis.set_ylabel(label)
         _label_buses(axis, comparison, order, named=axis is axes[-1])
@@ -92,16 +95,11 @@ def _draw_gap(result: RunResult) -> Figure:
     scenario = result.scenario
     figure.suptitle(f"Gap to the centralised estimate: {scenario.name}, {scenario.strategy}, seed {scenario.seed}")
     end = result.timing_s["verdict"]
-    for area in result.areas:
-        samples = [sample for sample in result.history if sample.area == area.name]
-        rows = rows_of(result.comparison.partition, area.name)
-        central = result.comparison.centralised
-        vm = [abs(np.array(s.vm) - central.vm[rows]).max() for s in samples]
-        va = [abs(wrapped_deg(np.array(s.va) - central.va[rows])).max() for s in samples]
-        times = [s.time for s in samples]
-        for axis, gap in zip(axes, (vm, va), strict=True):
+    for name, series in gap_history(result).items():
+        times = series[:, 0].tolist()
+        for axis, gap in zip(axes, (series[:, 1], series[:, 2]), strict=True):
             drawn = np.maximum(gap, SMALLEST).tolist()
-            axis.step([*times, end], drawn + drawn[-1:] if drawn else [np.nan], where="post", label=area.name)
+            axis.step([*times, end], drawn + drawn[-1:] if drawn else [np.nan], where="post", label=name)
             axis.plot(times, drawn, linestyle="none", marker=".", color=axis.lines[-1].get_color())
     for axis, label in zip(axes, ("magnitude (p.u.)", "angle (degrees)"), strict=True):
         axis.set_yscale("log")
@@ -109,7 +107,8 @@ def _draw_gap(result: RunResult) -> Figure:
         axis.grid(alpha=0.3, which="both")
         if result.verdict.consensus:
             axis.axvline(end, color="0.3", linestyle=":", label="consensus noted")
-    axes[-1].set_xlabel("time since the start of the run (s)")
+    virtual = result.verdict.virtual_s is not None
+    axes[-1].set_xlabel("virtual time (s)" if virtual else "time since the start of the run (s)")
     lines, labels = axes[0].get_legend_handles_labels()
     if len(labels) > MAX_LEGEND:  # every area is drawn; those that ended farthest off are named
         ends = {area.name: -(area.gap_vm_pu or 0.0) for area in result.areas}

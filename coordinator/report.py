@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from coordinator.result import AreaResult, RunResult
+from coordinator.result import AreaResult, RunResult, Verdict
 from dsse_core.bad_data import BadDataReport
 from dsse_core.power_flow import PowerFlowResult
 from scenarios.scenario import Scenario
@@ -28,8 +28,11 @@ def format_verdict(result: RunResult) -> str:
     """The verdict of a run: a line that says it, the table of gaps, the areas, what was wrong, where the files are."""
     scenario, verdict = result.scenario, result.verdict
     outcome = "consensus" if verdict.consensus else "NO CONSENSUS"
+    time = f"{verdict.wall_s:.2f} s"
+    if verdict.virtual_s is not None:
+        time = f"{verdict.virtual_s:.2f} s of virtual time, computed in {time}"
     lines = [
-        f"{outcome} after {verdict.wall_s:.2f} s: {scenario.name}, {len(scenario.network.buses)} buses in "
+        f"{outcome} after {time}: {scenario.name}, {len(scenario.network.buses)} buses in "
         f"{len(result.areas)} areas, strategy {scenario.strategy}, seed {scenario.seed}"
     ]
     if verdict.reason:
@@ -42,34 +45,28 @@ def format_verdict(result: RunResult) -> str:
 
 def _format_gaps(result: RunResult) -> str:
     verdict, central = result.verdict, result.comparison.centralised_error
-    return format_table(
-        ("largest difference over all buses", "p.u.", "deg"),
-        [
-            ("decentralised to centralised (same telemetry)", _pu(verdict.gap_vm_pu), _deg(verdict.gap_va_deg)),
+    rows = [("decentralised to centralised (same telemetry)", _pu(verdict.gap_vm_pu), _deg(verdict.gap_va_deg))]
+    if result.comparison.knows_truth:
+        rows += [
             ("decentralised to truth", _pu(verdict.error_vm_pu), _deg(verdict.error_va_deg)),
             ("centralised to truth", _pu(central.vm_pu), _deg(central.va_deg)),
-        ],
-    )
+        ]
+    return format_table(("largest difference over all buses", "p.u.", "deg"), rows)
 
 
 def _format_areas(result: RunResult) -> str:
-    gaps = ("gap p.u.", "gap deg", "error p.u.", "error deg")
-    header = ("area", "buses", *gaps, "exchanges", "messages", "bytes", "lost")
-    verdict = result.verdict
-    total = (
-        *("all", str(len(result.scenario.network.buses))),
-        *(_pu(verdict.gap_vm_pu), _deg(verdict.gap_va_deg), _pu(verdict.error_vm_pu), _deg(verdict.error_va_deg)),
-        *(str(n) for n in (verdict.exchanges, verdict.messages, verdict.bytes, verdict.lost)),
-    )
-    return format_table(header, [*(_area_row(area) for area in result.areas), total])
+    with_errors = result.comparison.knows_truth
+    errors = ("error p.u.", "error deg") if with_errors else ()
+    header = ("area", "buses", "gap p.u.", "gap deg", *errors, "exchanges", "messages", "bytes", "lost")
+    rows = [(area.name, str(area.buses), *_figures(area, with_errors)) for area in result.areas]
+    total = ("all", str(len(result.scenario.network.buses)), *_figures(result.verdict, with_errors))
+    return format_table(header, [*rows, total])
 
 
-def _area_row(area: AreaResult) -> tuple[str, ...]:
-    return (
-        *(area.name, str(area.buses)),
-        *(_pu(area.gap_vm_pu), _deg(area.gap_va_deg), _pu(area.error_vm_pu), _deg(area.error_va_deg)),
-        *(str(n) for n in (area.exchanges, area.messages, area.bytes, area.lost)),
-    )
+def _figures(of: AreaResult | Verdict, with_errors: bool) -> tuple[str, ...]:
+    errors = (_pu(of.error_vm_pu), _deg(of.error_va_deg)) if with_errors else ()
+    counts = (of.exchanges, of.messages, of.bytes, of.lost)
+    return (_pu(of.gap_vm_pu), _deg(of.gap_va_deg), *errors, *map(str, counts))
 
 
 def _format_findings(result: RunResult) -> list[str]:
@@ -110,23 +107,24 @@ def format_power_flow(result: PowerFlowResult) -> str:
     return f"{table}\n\nlosses {_mega(losses.real)} MW, {_mega(losses.imag)} Mvar; {result.iterations} iterations"
 
 
-def format_estimate(report: BadDataReport, truth: PowerFlowResult) -> str:
-    """The centralised estimate beside the truth, and its bad-data report."""
+def format_estimate(report: BadDataReport, truth: PowerFlowResult | None) -> str:
+    """The centralised estimate, beside the truth where it is known, and its bad-data report."""
     estimate = report.result
     sigma_vm, sigma_va = estimate.state_sigma()
+    true = ("true",) if truth else ()
     rows = [
         (
             str(bus.id),
             f"{estimate.vm[row]:.5f}",
             f"{sigma_vm[row]:.5f}",
-            f"{truth.vm[row]:.5f}",
+            *((f"{truth.vm[row]:.5f}",) if truth else ()),
             f"{math.degrees(estimate.va[row]):.4f}",
             f"{math.degrees(sigma_va[row]):.4f}",
-            f"{math.degrees(truth.va[row]):.4f}",
+            *((f"{math.degrees(truth.va[row]):.4f}",) if truth else ()),
         )
         for row, bus in enumerate(estimate.network.buses)
     ]
-    table = format_table(("bus", "vm p.u.", "sigma", "true", "va deg", "sigma", "true"), rows)
+    table = format_table(("bus", "vm p.u.", "sigma", *true, "va deg", "sigma", *true), rows)
     return "\n".join([table, "", *_format_bad_data(report)])
 
 

@@ -26,7 +26,8 @@ class Verdict:
     """The answer of a run. ``gap``: to the centralised estimate; ``error``: to the truth; None where not known.
 
     ``reason`` says why there is no consensus. ``messages``, ``bytes``, ``lost``: totals of all areas up to their
-    last report, repeats included. ``wall_s``: from the call to the verdict.
+    last report, repeats included. ``wall_s``: from the call to the verdict. ``virtual_s``: time until then on the
+    twin's clock, None in a run of processes.
     """
 
     consensus: bool
@@ -40,6 +41,7 @@ class Verdict:
     bytes: int
     lost: int
     wall_s: float
+    virtual_s: float | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,15 +72,14 @@ class AreaResult:
 
 
 @dataclass(frozen=True)
-class RunResult:
-    """Everything about one run. ``timing_s``: moments in seconds since the call.
+class RunOutcome:
+    """Everything about one run. ``timing_s``: moments in seconds since the call, on the twin in virtual time.
 
     ``centralised`` is None where that estimate failed; ``centralised_failure`` says why.
     """
 
     scenario: Scenario
     run: str
-    folder: Path
     verdict: Verdict
     areas: tuple[AreaResult, ...]
     comparison: Comparison
@@ -87,8 +88,20 @@ class RunResult:
     history: tuple[Sample, ...]
     timing_s: Mapping[str, float]
 
+    def in_folder(self, folder: Path) -> RunResult:
+        return RunResult(**vars(self), folder=folder)
 
-def make_verdict(observer: Observer, comparison: Comparison, reason: str | None, wall_s: float) -> Verdict:
+
+@dataclass(frozen=True)
+class RunResult(RunOutcome):
+    """A run whose files lie in ``folder``."""
+
+    folder: Path
+
+
+def make_verdict(
+    observer: Observer, comparison: Comparison, reason: str | None, wall_s: float, virtual_s: float | None = None
+) -> Verdict:
     """Sum up; ``reason`` is None at consensus."""
     states = observer.states.values()
     gap, error = comparison.gap, comparison.error
@@ -104,6 +117,7 @@ def make_verdict(observer: Observer, comparison: Comparison, reason: str | None,
         bytes=sum(state.bytes for state in states),
         lost=sum(state.lost for state in states),
         wall_s=wall_s,
+        virtual_s=virtual_s,
     )
 
 
@@ -146,7 +160,7 @@ def write_result(result: RunResult) -> None:
         table.writerows(_bus_rows(result.comparison))
 
 
-def as_json(result: RunResult) -> dict[str, Any]:
+def as_json(result: RunOutcome) -> dict[str, Any]:
     """The content of ``result.json``; docs/result.md explains every key."""
     scenario = result.scenario
     return {
@@ -166,7 +180,7 @@ def as_json(result: RunResult) -> dict[str, Any]:
         "areas": {area.name: _area_json(area) for area in result.areas},
         "centralised": _centralised_json(result),
         "timing_s": dict(result.timing_s),
-        "versions": {"python": platform.python_version()} | {name: _version_of(name) for name in DISTRIBUTIONS},
+        "versions": {"python": platform.python_version()} | {name: version_of(name) for name in DISTRIBUTIONS},
     }
 
 
@@ -176,7 +190,7 @@ def _area_json(area: AreaResult) -> dict[str, Any]:
     return fields | {"degraded": area.degraded}
 
 
-def _centralised_json(result: RunResult) -> dict[str, Any]:
+def _centralised_json(result: RunOutcome) -> dict[str, Any]:
     report, error = result.centralised, result.comparison.centralised_error
     if report is None:
         return {"failure": result.centralised_failure}
@@ -200,7 +214,8 @@ def _centralised_json(result: RunResult) -> dict[str, Any]:
     }
 
 
-def _version_of(distribution: str) -> str | None:
+def version_of(distribution: str) -> str | None:
+    """The version of an installed package, None if it is not."""
     try:
         return importlib.metadata.version(distribution)
     except importlib.metadata.PackageNotFoundError:

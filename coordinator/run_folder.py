@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from dsse_core.errors import InvalidInputError
 
 
-def make_run_folder(out: str | Path | None, name: str) -> Path:
-    """Make folder ``out``, or ``runs/<name>-<time>``, with its ``areas`` and ``logs``.
+def make_run_folder(out: str | Path | None, name: str, inside: Sequence[str] = ()) -> Path:
+    """Make folder ``out``, or ``runs/<name>-<time>``, and the folders ``inside`` it.
 
     Raises:
         InvalidInputError: ``out`` holds something already, or cannot be made.
@@ -21,8 +22,8 @@ def make_run_folder(out: str | Path | None, name: str) -> Path:
         folder.mkdir(parents=True, exist_ok=True)
         occupied = any(folder.iterdir())
         if not occupied:
-            (folder / "areas").mkdir()
-            (folder / "logs").mkdir()
+            for part in inside:
+                (folder / part).mkdir()
     except OSError as error:
         raise InvalidInputError(f"run folder {folder}", [f"cannot be made: {error.strerror}"]) from None
     if occupied:

@@ -5,31 +5,33 @@ from __future__ import annotations
 import secrets
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from agents.keys import all_live, all_states, live_key, role_and_name_of_live
 from agents.messages import MessageError, StateMessage, decode
-from agents.strategies import STRATEGIES
 from agents.transport import Session, TransportError
-from coordinator.comparison import compare
 from coordinator.events import EventLog
+from coordinator.judging import (
+    estimate_centralised,
+    judge,
+    make_observer,
+    no_consensus_within,
+    prepare_scenario,
+    write_state,
+)
 from coordinator.observer import Observer, Progress
 from coordinator.processes import Launcher, News, describe_end, read_end
-from coordinator.result import RunResult, make_area_results, make_verdict, write_result
+from coordinator.result import RunResult, write_result
 from coordinator.run_folder import make_run_folder
 from coordinator.split import default_run_id, write_area_files
 from coordinator.zygote import Ended, Started
-from dsse_core.bad_data import process_bad_data
-from dsse_core.errors import DsseError, InvalidInputError
-from scenarios.check import check_scenario
-from scenarios.scenario import Scenario, load_scenario
+from scenarios.scenario import Scenario
 from scenarios.telemetry import make_telemetry
 
 ROUTER, PLANT = "router", "plant"
 ROUTER_START_S = 10.0
 UPDATE_S = 0.1
-LONGEST_S = 86400.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,12 +84,8 @@ def run_scenario(
     on_update: Callable[[Progress], None] | None = None,
 ) -> RunResult:
     """Run ``scenario`` with the processes of ``launcher``; see ``coordinator.run``. ``started``: monotonic time."""
-    scenario = prepare_scenario(scenario, seed, strategy)
-    if timeout_s is not None:
-        if not 0 < timeout_s <= LONGEST_S:
-            raise InvalidInputError("time limit", [f"is {timeout_s} s; it must be positive and at most {LONGEST_S} s"])
-        scenario = replace(scenario, run=replace(scenario.run, timeout_s=timeout_s))
-    folder = make_run_folder(out, default_run_id(scenario))
+    scenario = prepare_scenario(scenario, seed, strategy, timeout_s)
+    folder = make_run_folder(out, default_run_id(scenario), ("areas", "logs"))
     with EventLog(folder / "events.jsonl", started) as events:
         run_id = f"{default_run_id(scenario)}-{secrets.token_hex(4)}"
         run = _Run(scenario, run_id, folder, launcher, events, started)
@@ -101,25 +99,6 @@ def run_scenario(
             launcher.close()
             _note_ends(run)
             events.write("run ended")
-
-
-def prepare_scenario(scenario: str | Path | Scenario, seed: int | None = None, strategy: str | None = None) -> Scenario:
-    """Load a scenario by name or path, replace its seed and strategy, and check that it can be estimated.
-
-    Raises:
-        InvalidInputError: every problem found.
-    """
-    if not isinstance(scenario, Scenario):
-        scenario = load_scenario(scenario, strategies=tuple(STRATEGIES))
-    if seed is not None:
-        scenario = replace(scenario, seed=seed)
-    if strategy is not None:
-        if strategy not in STRATEGIES:
-            problem = f"strategy: unknown strategy {strategy!r}; allowed: {', '.join(STRATEGIES)}"
-            raise InvalidInputError(f"scenario {scenario.name!r}", [problem])
-        scenario = replace(scenario, strategy=strategy)
-    check_scenario(scenario)
-    return scenario
 
 
 def _start_router(run: _Run) -> tuple[str, ...]:
@@ -149,21 +128,11 @@ def _run_with_router(run: _Run, endpoints: tuple[str, ...], on_update: Callable[
     for name, path in files.items():
         run.launcher.start(name, "agents.__main__:main", [str(path.absolute())], log=run.log_of(name).absolute())
     run.note_time("agents_started")
-    observer = Observer(
-        scenario.partition,
-        tolerance_va=scenario.tolerances.consensus_va,
-        tolerance_vm=scenario.tolerances.consensus_vm,
-        beat_s=scenario.run.beat_s,
-        compare_magnitudes=scenario.strategy != "angle-offset",  # which does not reconcile them
-    )
+    observer = make_observer(scenario)
     with Session.connect(endpoints) as session:
         _listen(run, session)
         telemetry = make_telemetry(scenario)  # the processes are busy meanwhile
-        centralised, failure = None, None
-        try:
-            centralised = process_bad_data(scenario.network, telemetry.union, tolerance=scenario.tolerances.estimator)
-        except DsseError as error:  # the areas go on: their consensus does not need it
-            failure = str(error)
+        centralised = estimate_centralised(scenario, telemetry)
         run.note_time("centralised_estimated")
         interrupted = False
         try:
@@ -174,19 +143,19 @@ def _run_with_router(run: _Run, endpoints: tuple[str, ...], on_update: Callable[
     run.timing_s["last_change"] = round(max(0.0, observer.changed_at - run.started), 4)
     run.note_time("verdict")
     run.events.write("consensus" if reason is None else "no consensus", reason=reason)
-    comparison = compare(scenario.partition, observer.states, telemetry.truth, centralised)
-    result = RunResult(
-        scenario=scenario,
-        run=run.id,
-        folder=run.folder,
-        verdict=make_verdict(observer, comparison, reason, round(wall_s, 4)),
-        areas=make_area_results(observer, comparison),
-        comparison=comparison,
-        centralised=centralised,
-        centralised_failure=failure,
-        history=tuple(replace(sample, time=sample.time - run.started) for sample in observer.history),
+    outcome = judge(
+        scenario,
+        run.id,
+        observer,
+        telemetry,
+        centralised,
+        reason,
+        started=run.started,
+        wall_s=wall_s,
+        virtual_s=None,
         timing_s=run.timing_s,
     )
+    result = outcome.in_folder(run.folder)
     write_result(result)
     if interrupted:
         raise KeyboardInterrupt
@@ -233,7 +202,7 @@ def _watch(run: _Run, observer: Observer, on_update: Callable[[Progress], None] 
         if not obstacles:
             return None
         if now >= deadline:
-            return f"no consensus within {run.scenario.run.timeout_s:g} s: " + "; ".join(obstacles)
+            return no_consensus_within(run.scenario, obstacles)
 
 
 def _take(run: _Run, observer: Observer, item: object) -> str | None:
@@ -241,18 +210,7 @@ def _take(run: _Run, observer: Observer, item: object) -> str | None:
     match item:
         case _StateHeard(at, state):
             if state.header.run == run.id and observer.take_state(state, at):
-                run.events.write(
-                    "state changed",
-                    at,
-                    area=state.header.sender,
-                    scan=state.header.scan,
-                    sequence=state.header.sequence,
-                    estimated=bool(state.buses),
-                    referenced=state.referenced,
-                    sent=state.sent,
-                    heard=state.heard,
-                    notes=list(state.notes),
-                )
+                write_state(run.events, state, at)
         case _PresenceSeen(at, key, alive):
             role, name = role_and_name_of_live(key)
             run.events.write("appeared" if alive else "vanished", at, role=role, name=name)

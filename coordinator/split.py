@@ -20,11 +20,12 @@ def default_run_id(scenario: Scenario) -> str:
 def area_files(scenario: Scenario, run: str, endpoints: Sequence[str]) -> list[AreaFile]:
     """What each area is to know, in scenario order."""
     partition = scenario.partition
+    meters = partition.meters_by_area(scenario.meters)
     return [
         AreaFile(
             run=run,
             area=area,
-            meters=tuple(m for m in scenario.meters if partition.area_of_meter(m) == area.name),
+            meters=tuple(meters[area.name]),
             strategy=scenario.strategy,
             endpoints=tuple(endpoints),
             beat_s=scenario.run.beat_s,
@@ -33,6 +34,7 @@ def area_files(scenario: Scenario, run: str, endpoints: Sequence[str]) -> list[A
             load_error=scenario.load_error[area.name],
             loss={n.area: scenario.loss[area.name, n.area] for n in area.neighbours},
             seed=scenario.seed,
+            penalty=scenario.admm_penalty,
         )
         for area in partition.areas
     ]

@@ -97,6 +97,16 @@ def test_the_information_strategy_gives_the_centralised_estimate(name: str, tmp_
     assert result.verdict.gap_va_deg <= np.degrees(1e-8)
 
 
+@pytest.mark.parametrize("name", ["industrial13", "ieee33", "ieee33-lossy"])
+def test_consensus_admm_gives_the_centralised_estimate_too(name: str, tmp_path: Path):
+    result = coordinator.run(name, out=tmp_path / "out", strategy="admm", plots=False)
+    assert result.verdict.consensus, result.verdict.reason
+    assert result.verdict.gap_vm_pu is not None
+    assert result.verdict.gap_vm_pu <= 1e-8
+    assert result.verdict.gap_va_deg is not None
+    assert result.verdict.gap_va_deg <= np.degrees(1e-8)
+
+
 # Thesis modes: no noise, each area measures its own power flow, which differs from the whole grid's by the losses
 # that the load messages neglect. Tolerances and offsets are those of the issue.
 THESIS = {

@@ -1,128 +1,39 @@
-"""A bus in virtual time for protocol tests: the real protocol, strategies and lossy links, no sockets, no sleeping."""
+"""The twin as protocol tests use it: what was delivered, what shall not be, and whether the areas have settled."""
 
 from __future__ import annotations
 
-import heapq
-import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from agents.area_file import AreaFile
-from agents.link import LossyLink
-from agents.messages import Header, Incarnation, Message, StateMessage, TelemetryMessage, decode
-from agents.protocol import AreaProtocol, Event, Finish, PresenceChanged, Publish, Received
-from agents.strategies import make_strategy
+from agents.messages import Message
+from coordinator import twin
 from coordinator.split import area_files
-from dsse_core.measurement import Measurement, Source
+from dsse_core.measurement import Measurement
 from scenarios.scenario import Scenario, load_scenario
 from scenarios.telemetry import Telemetry, make_telemetry
 
-DELAY_S = 0.001
 
+class SimulatedBus(twin.SimulatedBus):
+    """``delivered``: (time, sender, receiver, message) of all that no link lost and ``refuse_delivery`` let pass."""
 
-class SimulatedBus:
-    """Areas joined by links that deliver after ``DELAY_S``, drop what their faults say, and can be cut and healed."""
-
-    def __init__(self, files: Sequence[AreaFile], telemetry: Mapping[str, Sequence[Measurement]]) -> None:
-        self.now = 0.0
-        self.files = {content.area.name: content for content in files}
-        self.telemetry = dict(telemetry)
-        self.states: dict[str, StateMessage] = {}
+    def __init__(
+        self,
+        files: Sequence[AreaFile],
+        telemetry: Mapping[str, Sequence[Measurement]],
+        faults: twin.LinkFaults | None = None,
+        **watchers: Callable[..., None],
+    ) -> None:
         self.delivered: list[tuple[float, str, str, Message]] = []
         self.refuse_delivery = lambda sender, receiver, message: False
-        self._queue: list[tuple[float, int, str, Event]] = []
-        self._order = itertools.count()
-        self._cut: set[tuple[str, str]] = set()
-        self._lives: dict[str, int] = {}
-        self.protocols: dict[str, AreaProtocol] = {}
-        self.links: dict[str, LossyLink] = {}
-        for name in self.files:
-            self.start(name)
-        self.scan = 0
-        self.next_scan(telemetry)
+        super().__init__(files, telemetry, faults, **watchers)
 
-    def start(self, name: str) -> None:
-        """Start or restart an area, as a new process would."""
-        content = self.files[name]
-        life = self._lives[name] = self._lives.get(name, 0) + 1
-        self.protocols[name] = AreaProtocol(
-            content, make_strategy(content), Incarnation(life, 0), now=self.now, started_at=1e9 + self.now
-        )
-        self.links[name] = LossyLink(
-            name, content.loss, content.seed, lambda to, kind, payload: self._deliver(name, to, payload)
-        )
-        for n in content.area.neighbours:
-            self.post(n.area, PresenceChanged(name, alive=True))
-
-    def kill(self, name: str) -> None:
-        del self.protocols[name]
-        del self.states[name]
-        for n in self.files[name].area.neighbours:
-            self.post(n.area, PresenceChanged(name, alive=False))
-
-    def cut(self, one: str, other: str) -> None:
-        self._cut |= {(one, other), (other, one)}
-
-    def heal(self, one: str, other: str) -> None:
-        self._cut -= {(one, other), (other, one)}
-
-    def next_scan(self, telemetry: Mapping[str, Sequence[Measurement]]) -> None:
-        self.scan += 1
-        self.telemetry = dict(telemetry)
-        for name in self.files:
-            self.send_telemetry(name)
-
-    def send_telemetry(self, name: str) -> None:
-        read = [m for m in self.telemetry[name] if m.meter.source is not Source.VIRTUAL]
-        header = Header(self.files[name].run, "plant", Incarnation(0, 0), self.scan, self.scan, 1e9 + self.now)
-        message = TelemetryMessage(
-            header,
-            name,
-            meters=tuple(m.meter.id for m in read),
-            values=tuple(m.value for m in read),
-            sigmas=tuple(m.sigma for m in read),
-        )
-        self.post(name, Received(message, ""))
-
-    def post(self, receiver: str, event: Event, delay_s: float = DELAY_S) -> None:
-        heapq.heappush(self._queue, (self.now + delay_s, next(self._order), receiver, event))
-
-    def run(self, duration_s: float) -> None:
-        """Let ``duration_s`` of virtual time pass."""
-        end = self.now + duration_s
-        while True:
-            beats = [(self.now + p.wait_s(self.now), name) for name, p in self.protocols.items()]
-            news = self._queue[0][0] if self._queue else float("inf")
-            self.now = min(end, news, min(beats)[0])
-            if self.now >= end:
-                return
-            arrived: dict[str, list[Event]] = {}
-            while self._queue and self._queue[0][0] <= self.now:
-                _, _, receiver, event = heapq.heappop(self._queue)
-                arrived.setdefault(receiver, []).append(event)
-            due = {name for beat, name in beats if beat <= self.now}
-            for name in sorted(due | arrived.keys()):
-                if name in self.protocols:
-                    self._act(name, arrived.get(name, []))
-
-    def _act(self, name: str, events: Sequence[Event]) -> None:
-        for action in self.protocols[name].handle(events, self.now):
-            match action:
-                case Publish(message, to):
-                    self.links[name].send(message, to)
-                case Finish():
-                    del self.protocols[name]
-
-    def _deliver(self, sender: str, receiver: str | None, payload: bytes) -> None:
-        message = decode(payload)
-        if receiver is None:
-            assert isinstance(message, StateMessage)
-            self.states[sender] = message
-        elif (sender, receiver) not in self._cut and not self.refuse_delivery(sender, receiver, message):
+    def deliver(self, sender: str, receiver: str, message: Message) -> None:
+        if not self.refuse_delivery(sender, receiver, message):
             self.delivered.append((self.now, sender, receiver, message))
-            self.post(receiver, Received(message, sender))
+            super().deliver(sender, receiver, message)
 
     @property
     def settled(self) -> bool:

@@ -59,6 +59,12 @@ def test_the_faults_of_a_directed_link_go_to_the_area_that_sends(tmp_path: Path)
     assert load_area_file(files["area2"]).loss == {"area1": 0.0}
 
 
+def test_the_penalty_of_the_scenario_reaches_every_area(tmp_path: Path):
+    scenario = replace(load_scenario("ieee33"), admm_penalty=2.5)
+    files = write_area_files(scenario, "run", ["tcp/127.0.0.1:7447"], tmp_path)
+    assert [load_area_file(path).penalty for path in files.values()] == [2.5] * 3
+
+
 def test_a_run_id_is_made_of_what_a_key_may_contain():
     assert default_run_id(replace(load_scenario("ieee33"), name="My Grid (2)")) == "my-grid-2"
     with pytest.raises(InvalidInputError, match="My/Run"):

@@ -1,0 +1,251 @@
+"""The commands that run scenarios on the twin: ``dsse simulate``, ``dsse compare``, ``dsse sweep``."""
+
+from __future__ import annotations
+
+import functools
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from coordinator.terminal import (
+    end_orderly_on_signals,
+    finish_run,
+    no_plots_option,
+    progress,
+    quiet_option,
+    run_folder_option,
+    say,
+    scenario_argument,
+    seed_option,
+    show,
+    strategy_option,
+    timeout_option,
+)
+
+if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts fast
+    from coordinator.result import RunOutcome
+    from coordinator.sweep_plan import SweepPlan
+    from coordinator.sweep_table import SweepTable
+    from coordinator.twin import LinkFaults
+    from scenarios.scenario import Scenario
+
+MILLISECONDS = click.FloatRange(min=0, max=86_400_000)
+strategies_option = click.option("--strategies", metavar="A,B,...", help="Only these strategies.  [default: all]")
+
+
+def link_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """The faults of the twin's links as options; the command gets them as ``links``."""
+
+    @click.option(
+        *("--delay-ms", "delay_ms"),
+        type=click.FloatRange(min=0, min_open=True, max=86_400_000),
+        default=1.0,
+        show_default=True,
+        metavar="MS",
+        help="Twin: how long a message travels.",
+    )
+    @click.option(
+        *("--jitter-ms", "jitter_ms"),
+        type=MILLISECONDS,
+        default=0.0,
+        show_default=True,
+        metavar="MS",
+        help="Twin: a random part of this is added, so that messages overtake each other.",
+    )
+    @click.option(
+        "--duplicate",
+        type=click.FloatRange(0, 1),
+        default=0.0,
+        show_default=True,
+        metavar="P",
+        help="Twin: probability that a message arrives twice.",
+    )
+    @functools.wraps(command)
+    def with_links(*arguments: Any, delay_ms: float, jitter_ms: float, duplicate: float, **options: Any) -> Any:
+        from coordinator.twin import LinkFaults
+
+        return command(*arguments, links=LinkFaults(delay_ms / 1000, jitter_ms / 1000, duplicate), **options)
+
+    return with_links
+
+
+@click.command(short_help="Run a scenario on the twin, in virtual time, repeatable to the bit.")
+@scenario_argument
+@run_folder_option
+@timeout_option
+@seed_option
+@strategy_option
+@link_options
+@quiet_option
+@no_plots_option
+def simulate(
+    scenario: str,
+    out: Path | None,
+    timeout: float | None,
+    seed: int | None,
+    strategy: str | None,
+    links: LinkFaults,
+    quiet: bool,
+    no_plots: bool,
+) -> int:
+    """Run SCENARIO, a shipped name or a file, on the twin: the same areas on a simulated bus, in this process.
+
+    Virtual time passes while messages travel and areas wait for their beat; computing takes none. Verdict, files and
+    exit codes are those of `dsse run`.
+
+    \b
+    Examples:  dsse simulate ieee33-lossy --strategy information
+               dsse simulate ieee33 --delay-ms 20 --jitter-ms 100 --duplicate 0.1
+    """
+    from coordinator.simulation import simulate_scenario
+
+    end_orderly_on_signals()
+    with progress(f"{scenario}, virtual time", quiet) as on_update:
+        result = simulate_scenario(scenario, links, out, seed, strategy, timeout, on_update)
+    return finish_run(result, no_plots)
+
+
+@click.command(short_help="Run the strategies side by side and print one table.")
+@scenario_argument
+@strategies_option
+@click.option("--processes", is_flag=True, help="Run real processes over Zenoh instead of the twin.")
+@click.option("--out", type=click.Path(path_type=Path), help="Keep table and run folders here, new or empty.")
+@timeout_option
+@seed_option
+@link_options
+@click.pass_context
+def compare(
+    context: click.Context,
+    scenario: str,
+    strategies: str | None,
+    processes: bool,
+    out: Path | None,
+    timeout: float | None,
+    seed: int | None,
+    links: LinkFaults,
+) -> None:
+    """Run every strategy on the telemetry and the faults of SCENARIO and print one table.
+
+    Gaps are those to the centralised estimate at the verdict; `s to 1e-6`: the time from which on all areas stay
+    closer to it than 1e-6 p.u. and rad, `-` if never.
+
+    \b
+    Examples:  dsse compare ieee33-lossy
+               dsse compare ieee33 --strategies angle-offset,information --processes --out comparison
+    """
+    if processes and any(context.get_parameter_source(name) is not _DEFAULT for name in _LINK_OPTIONS):
+        raise click.UsageError("--delay-ms, --jitter-ms and --duplicate are the twin's; leave out --processes or them")
+    from coordinator.judging import choose_scenario
+    from coordinator.strategy_comparison import choose_strategies, compare_strategies, format_comparison
+
+    end_orderly_on_signals()
+    chosen = choose_strategies(strategies)
+    loaded = choose_scenario(scenario, seed, timeout_s=timeout)
+    rows = compare_strategies(loaded, chosen, _run_processes if processes else _run_on(links), out)
+    buses, areas = len(loaded.network.buses), len(loaded.partition.areas)
+    where = "real processes" if processes else f"on the twin, virtual time, {links.describe()}"
+    show(f"{loaded.name}, {buses} buses in {areas} areas, seed {loaded.seed}, {where}\n")
+    show(format_comparison(rows))
+    if out is not None:
+        show(f"\nfiles: {out}")
+
+
+_DEFAULT = click.core.ParameterSource.DEFAULT
+_LINK_OPTIONS = ("delay_ms", "jitter_ms", "duplicate")
+
+
+def _run_processes(scenario: Scenario, folder: Path) -> RunOutcome:
+    import coordinator
+
+    say(f"{scenario.strategy} ...")
+    return coordinator.run(scenario, out=folder, plots=False)
+
+
+def _run_on(links: LinkFaults) -> Callable[[Scenario, Path], RunOutcome]:
+    from coordinator.simulation import simulate_scenario
+
+    def run(scenario: Scenario, folder: Path) -> RunOutcome:
+        say(f"{scenario.strategy} ...")
+        return simulate_scenario(scenario, links, folder)
+
+    return run
+
+
+@click.command(short_help="Run a scenario many times while one key varies; table and picture.")
+@scenario_argument
+@click.option("--vary", required=True, metavar="KEY=VALUES", help="START:STOP:N or a list, e.g. faults.loss=0:0.9:10.")
+@click.option("--seeds", type=click.IntRange(1, 100_000), default=5, show_default=True, help="Runs per value.")
+@strategies_option
+@click.option("--jobs", type=click.IntRange(1, 1024), help="Processes at a time.  [default: one per core]")
+@click.option("--out", type=click.Path(path_type=Path), help="Folder; that of an earlier sweep is gone on with.")
+@timeout_option
+@link_options
+@quiet_option
+def sweep(
+    scenario: str,
+    vary: str,
+    seeds: int,
+    strategies: str | None,
+    jobs: int | None,
+    out: Path | None,
+    timeout: float | None,
+    links: LinkFaults,
+    quiet: bool,
+) -> None:
+    """Run SCENARIO on the twin for each value of one of its keys, each strategy and each seed.
+
+    Leaves sweep.csv, one row per run, and sweep.png, gap and time against the key. Runs that the table has already
+    are not run again: after Ctrl-C the same command with the same --out goes on.
+
+    \b
+    Examples:  dsse sweep ieee33 --vary faults.loss=0:0.9:10 --seeds 20 --out sweep
+               dsse sweep ieee33 --vary measurements.voltage.sigma_percent=0.1,0.2,0.5 --strategies information
+    """
+    from coordinator.strategy_comparison import choose_strategies
+    from coordinator.sweep_plan import make_plan
+    from coordinator.sweep_table import SweepTable
+
+    end_orderly_on_signals()
+    plan = make_plan(scenario, vary, choose_strategies(strategies), seeds, links, timeout)
+    folder = out or Path("runs") / f"sweep-{plan.base.name}-{time.strftime('%Y%m%d-%H%M%S')}"
+    with SweepTable(folder, plan.settings) as table:
+        if table.cut_off:
+            say(f"the last line of {table.path} was half written; that run is done again")
+        try:
+            _run_missing(plan, table, jobs or len(os.sched_getaffinity(0)), quiet)
+        except KeyboardInterrupt:
+            say(f"{len(table.rows)} runs are in {table.path}; the same command with --out {folder} goes on from there")
+            raise
+        finally:
+            _draw(plan, table)
+    show(f"{len(table.rows)} runs in {table.path}, picture in {folder / 'sweep.png'}")
+
+
+def _run_missing(plan: SweepPlan, table: SweepTable, jobs: int, quiet: bool) -> None:
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from coordinator.sweep import run_tasks
+
+    missing = [task for task in plan.tasks if task not in table.rows]
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), disable=quiet) as bar:
+        shown = bar.add_task(plan.key, total=len(plan.tasks), completed=len(plan.tasks) - len(missing))
+        for task, row in run_tasks(plan, missing, jobs):
+            table.add(task, row)
+            bar.advance(shown)
+
+
+def _draw(plan: SweepPlan, table: SweepTable) -> None:
+    if table.rows:
+        from coordinator.sweep_plot import draw_sweep
+
+        title = f"{plan.base.name} on the twin, {plan.faults.describe()}"
+        draw_sweep(table.path.with_suffix(".png"), title, plan.key, table.rows)
+
+
+study_commands = (simulate, compare, sweep)

@@ -1,0 +1,146 @@
+"""What every run has in common, of processes or on the twin: preparing, observing, central estimate, judging."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from agents.messages import StateMessage
+from agents.strategies import STRATEGIES
+from coordinator.comparison import compare
+from coordinator.events import EventLog
+from coordinator.observer import Observer
+from coordinator.result import RunOutcome, make_area_results, make_verdict
+from dsse_core.bad_data import BadDataReport, process_bad_data
+from dsse_core.errors import DsseError, InvalidInputError
+from scenarios.check import check_scenario
+from scenarios.scenario import Scenario, load_scenario
+from scenarios.telemetry import Telemetry
+
+LONGEST_S = 86400.0
+MAX_NAMED = 20  # obstacles
+
+
+def prepare_scenario(
+    scenario: str | Path | Scenario,
+    seed: int | None = None,
+    strategy: str | None = None,
+    timeout_s: float | None = None,
+) -> Scenario:
+    """Load a scenario by name or path, replace what is given, and check that it can be estimated.
+
+    Raises:
+        InvalidInputError: every problem found.
+    """
+    scenario = choose_scenario(scenario, seed, strategy, timeout_s)
+    check_scenario(scenario)
+    return scenario
+
+
+def choose_scenario(
+    scenario: str | Path | Scenario,
+    seed: int | None = None,
+    strategy: str | None = None,
+    timeout_s: float | None = None,
+) -> Scenario:
+    """Load a scenario by name or path and replace what is given; whether it can be estimated is not checked.
+
+    Raises:
+        InvalidInputError: every problem found.
+    """
+    if not isinstance(scenario, Scenario):
+        scenario = load_scenario(scenario, strategies=tuple(STRATEGIES))
+    if seed is not None:
+        scenario = replace(scenario, seed=seed)
+    if strategy is not None:
+        if strategy not in STRATEGIES:
+            problem = f"strategy: unknown strategy {strategy!r}; allowed: {', '.join(STRATEGIES)}"
+            raise InvalidInputError(f"scenario {scenario.name!r}", [problem])
+        scenario = replace(scenario, strategy=strategy)
+    if timeout_s is not None:
+        if not 0 < timeout_s <= LONGEST_S:
+            raise InvalidInputError("time limit", [f"is {timeout_s} s; it must be positive and at most {LONGEST_S} s"])
+        scenario = replace(scenario, run=replace(scenario.run, timeout_s=timeout_s))
+    return scenario
+
+
+def make_observer(scenario: Scenario) -> Observer:
+    """An observer that asks of the areas what ``scenario`` does."""
+    return Observer(
+        scenario.partition,
+        tolerance_va=scenario.tolerances.consensus_va,
+        tolerance_vm=scenario.tolerances.consensus_vm,
+        beat_s=scenario.run.beat_s,
+        compare_magnitudes=scenario.strategy != "angle-offset",  # which does not reconcile them
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Centralised:
+    """The centralised estimate, or why there is none: the areas go on, their consensus does not need it."""
+
+    report: BadDataReport | None
+    failure: str | None
+
+
+def estimate_centralised(scenario: Scenario, telemetry: Telemetry) -> Centralised:
+    """What a control centre would make of the telemetry of all areas."""
+    try:
+        tolerance = scenario.tolerances.estimator
+        return Centralised(process_bad_data(scenario.network, telemetry.union, tolerance=tolerance), None)
+    except DsseError as error:
+        return Centralised(None, str(error))
+
+
+def write_state(events: EventLog, state: StateMessage, at: float) -> None:
+    """Write down a state that says something new."""
+    events.write(
+        "state changed",
+        at,
+        area=state.header.sender,
+        scan=state.header.scan,
+        sequence=state.header.sequence,
+        estimated=bool(state.buses),
+        referenced=state.referenced,
+        sent=state.sent,
+        heard=state.heard,
+        notes=list(state.notes),
+    )
+
+
+def no_consensus_within(scenario: Scenario, obstacles: tuple[str, ...]) -> str:
+    """The reason of a run that has reached its time limit."""
+    more = [f"and {len(obstacles) - MAX_NAMED} more"] if len(obstacles) > MAX_NAMED else []
+    return f"no consensus within {scenario.run.timeout_s:g} s: " + "; ".join([*obstacles[:MAX_NAMED], *more])
+
+
+def judge(
+    scenario: Scenario,
+    run: str,
+    observer: Observer,
+    telemetry: Telemetry,
+    centralised: Centralised,
+    reason: str | None,
+    *,
+    started: float,
+    wall_s: float,
+    virtual_s: float | None,
+    timing_s: Mapping[str, float],
+) -> RunOutcome:
+    """Compare what the areas have published with the centralised estimate and the truth, and sum up.
+
+    ``reason``: None at consensus. ``started``: when the run began on the observer's clock, s.
+    """
+    comparison = compare(scenario.partition, observer.states, telemetry.truth, centralised.report)
+    return RunOutcome(
+        scenario=scenario,
+        run=run,
+        verdict=make_verdict(observer, comparison, reason, round(wall_s, 4), virtual_s),
+        areas=make_area_results(observer, comparison),
+        comparison=comparison,
+        centralised=centralised.report,
+        centralised_failure=centralised.failure,
+        history=tuple(replace(sample, time=sample.time - started) for sample in observer.history),
+        timing_s=timing_s,
+    )

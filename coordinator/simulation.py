@@ -1,0 +1,130 @@
+"""One run of a scenario on the twin, from the scenario to its verdict."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from agents.messages import StateMessage
+from coordinator.events import EventLog
+from coordinator.judging import (
+    estimate_centralised,
+    judge,
+    make_observer,
+    no_consensus_within,
+    prepare_scenario,
+    write_state,
+)
+from coordinator.observer import Progress
+from coordinator.result import RunOutcome, RunResult, write_result
+from coordinator.run_folder import make_run_folder
+from coordinator.split import area_files, default_run_id
+from coordinator.twin import LinkFaults, SimulatedBus
+from scenarios.scenario import Scenario
+from scenarios.telemetry import make_telemetry
+
+NO_BUS = ("tcp/127.0.0.1:0",)  # what stands for it in the area files
+CHECKS_PER_BEAT = 10
+UPDATE_S = 0.1  # of wall time
+
+
+def simulate_scenario(
+    scenario: str | Path | Scenario,
+    faults: LinkFaults,
+    out: str | Path | None = None,
+    seed: int | None = None,
+    strategy: str | None = None,
+    timeout_s: float | None = None,
+    on_update: Callable[[Progress], None] | None = None,
+) -> RunResult:
+    """Run ``scenario`` on the twin and write the files of a run; see ``coordinator.simulate``."""
+    scenario = prepare_scenario(scenario, seed, strategy, timeout_s)
+    folder = make_run_folder(out, default_run_id(scenario))
+    with EventLog(folder / "events.jsonl", 0.0) as events:
+        simulation = Simulation(scenario, faults, events, on_update)
+        interrupted = False
+        try:
+            reason = simulation.run()
+        except KeyboardInterrupt:
+            reason, interrupted = "interrupted", True
+        result = simulation.judge(reason).in_folder(folder)
+    write_result(result)
+    if interrupted:
+        raise KeyboardInterrupt
+    return result
+
+
+class Simulation:
+    """One run of a prepared ``scenario`` on the twin.
+
+    Args:
+        events: where to write down what happens, if anywhere.
+        on_update: told now and then what the areas are doing.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        faults: LinkFaults,
+        events: EventLog | None = None,
+        on_update: Callable[[Progress], None] | None = None,
+    ) -> None:
+        self._started = time.monotonic()
+        self._next_update = self._started
+        self._scenario = scenario
+        self._events = events
+        self._on_update = on_update
+        self._id = f"{default_run_id(scenario)}-{scenario.seed % 2**32:08x}"  # as long as that of processes
+        self._observer = make_observer(scenario)
+        self._telemetry = make_telemetry(scenario)
+        self._centralised = estimate_centralised(scenario, self._telemetry)
+        self._write(0.0, "run started", run=self._id, scenario=scenario.name, seed=scenario.seed)
+        files = area_files(scenario, self._id, NO_BUS)
+        self._bus = SimulatedBus(files, self._telemetry.by_area, faults, self._take_state, self._take_presence)
+
+    def run(self) -> str | None:
+        """Go on until consensus (None) or the time limit (the reason)."""
+        settings = self._scenario.run
+        check_s = settings.beat_s / CHECKS_PER_BEAT
+        while True:
+            self._bus.run(min(check_s, settings.timeout_s - self._bus.now))
+            now = self._bus.now
+            if self._observer.is_quiet(now) and not self._observer.find_obstacles(now):
+                return None
+            if now >= settings.timeout_s:
+                return no_consensus_within(self._scenario, self._observer.find_obstacles(now))
+
+    def judge(self, reason: str | None) -> RunOutcome:
+        """The outcome up to now; ``reason``: why there is no consensus, None if there is."""
+        now = self._bus.now
+        self._write(now, "consensus" if reason is None else "no consensus", reason=reason)
+        self._write(now, "run ended")
+        return judge(
+            self._scenario,
+            self._id,
+            self._observer,
+            self._telemetry,
+            self._centralised,
+            reason,
+            started=0.0,
+            wall_s=time.monotonic() - self._started,
+            virtual_s=round(now, 6),
+            timing_s={"last_change": round(max(0.0, self._observer.changed_at), 6), "verdict": round(now, 6)},
+        )
+
+    def _take_state(self, at: float, state: StateMessage) -> None:
+        if self._observer.take_state(state, at) and self._events:
+            write_state(self._events, state, at)
+        if self._on_update and time.monotonic() >= self._next_update:
+            self._on_update(self._observer.progress(at, at))
+            self._next_update = time.monotonic() + UPDATE_S
+
+    def _take_presence(self, at: float, area: str, alive: bool) -> None:
+        self._observer.take_presence(area, alive, at)
+        self._write(at, "appeared" if alive else "vanished", role="area", name=area)
+
+    def _write(self, at: float, event: str, **details: Any) -> None:
+        if self._events:
+            self._events.write(event, at, **details)

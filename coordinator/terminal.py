@@ -1,0 +1,102 @@
+"""What the commands share: arguments and options, progress on the terminal, and ending on a signal."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, NoReturn
+
+import click
+
+if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts fast
+    from coordinator.observer import Progress
+    from coordinator.result import RunResult
+
+PROGRESS_LINE_S = 1.0
+MAX_NAMED = 12
+SECONDS = click.FloatRange(min=0, min_open=True, max=86400)
+
+scenario_argument = click.argument("scenario")
+strategy_option = click.option("--strategy", help="Use this strategy instead of the scenario's.")
+seed_option = click.option("--seed", type=click.IntRange(min=0), help="Use this seed instead of the scenario's.")
+timeout_option = click.option(
+    "--timeout", type=SECONDS, metavar="S", help="Time limit in seconds instead of the scenario's."
+)
+quiet_option = click.option("--quiet", is_flag=True, help="Print the verdict only.")
+no_plots_option = click.option("--no-plots", is_flag=True, help="Draw no pictures.")
+run_folder_option = click.option(
+    "--out", type=click.Path(path_type=Path), help="Run folder, new or empty.  [default: runs/SCENARIO-TIME]"
+)
+
+
+def show(text: str) -> None:
+    """Print in one piece; a reader who has left changes nothing but that nobody reads."""
+    try:
+        sys.stdout.write(text + "\n")
+        sys.stdout.flush()
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def say(text: str) -> None:
+    """Print on standard error, if anybody still reads it."""
+    with suppress(OSError):
+        print(text, file=sys.stderr, flush=True)
+
+
+def finish_run(result: RunResult, no_plots: bool) -> int:
+    """Print the verdict, draw the pictures, and return the exit code."""
+    from coordinator.report import format_verdict
+
+    show(format_verdict(result))
+    if not no_plots:
+        from coordinator.plots import draw_plots
+
+        draw_plots(result)
+    return 0 if result.verdict.consensus else 1
+
+
+def end_orderly_on_signals() -> None:
+    """Let SIGTERM and SIGHUP do what Ctrl-C does."""
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) != signal.SIG_IGN:  # as nohup has it
+            signal.signal(number, _interrupt)
+
+
+@contextmanager
+def progress(title: str, quiet: bool) -> Iterator[Callable[[Progress], None] | None]:
+    """How progress is shown: not at all, as a table that lives in the terminal, or as a line now and then."""
+    if quiet:
+        yield None
+    elif sys.stderr.isatty():
+        from coordinator.live import live_table
+
+        with live_table(title) as show:
+            yield show
+    else:
+        yield _print_now_and_then()
+
+
+def _print_now_and_then() -> Callable[[Progress], None]:
+    last = 0.0
+
+    def show(progress: Progress) -> None:
+        nonlocal last
+        if progress.elapsed_s - last >= PROGRESS_LINE_S:
+            last = progress.elapsed_s
+            if len(progress.areas) <= MAX_NAMED:
+                areas = [f"{area.name} {area.state}" for area in progress.areas]
+            else:
+                areas = [f"{n} {state}" for state, n in sorted(Counter(a.state for a in progress.areas).items())]
+            say(f"{progress.elapsed_s:6.1f} s  {', '.join(areas)}")
+
+    return show
+
+
+def _interrupt(*_: object) -> NoReturn:
+    raise KeyboardInterrupt

@@ -1,0 +1,36 @@
+"""The twin beside real processes over real Zenoh: the same areas, so the same answer."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import coordinator
+
+
+@pytest.mark.parametrize("name", ["ieee33", "ieee33-lossy"])
+def test_the_twin_ends_where_real_processes_do(name: str, tmp_path: Path):
+    real = coordinator.run(name, out=tmp_path / "real", strategy="information", plots=False)
+    twin = coordinator.simulate(name, out=tmp_path / "twin", strategy="information", plots=False)
+    assert real.verdict.consensus
+    assert twin.verdict.consensus
+    np.testing.assert_array_equal(real.comparison.centralised.vm, twin.comparison.centralised.vm)
+    np.testing.assert_allclose(real.comparison.decentralised.vm, twin.comparison.decentralised.vm, atol=1e-8)
+    np.testing.assert_allclose(real.comparison.decentralised.va, twin.comparison.decentralised.va, atol=1e-8)
+    assert real.verdict.gap_vm_pu == pytest.approx(twin.verdict.gap_vm_pu, abs=1e-8)
+    assert real.verdict.gap_va_deg == pytest.approx(twin.verdict.gap_va_deg, abs=np.degrees(1e-8))
+    assert (real.verdict.virtual_s, twin.verdict.virtual_s is None) == (None, False)
+
+
+def test_compare_runs_real_processes_too(dsse, tmp_path: Path):
+    done = dsse("compare", "industrial13", "--strategies", "angle-offset,information", "--processes", "--out", "out")
+    assert done.returncode == 0, done.stderr
+    assert "real processes" in done.stdout
+    with (tmp_path / "out" / "comparison.csv").open() as file:
+        rows = {row["strategy"]: row for row in csv.DictReader(file)}
+    assert [row["outcome"] for row in rows.values()] == ["consensus", "consensus"]
+    assert float(rows["information"]["gap_vm_pu"]) <= 1e-8
+    assert all((tmp_path / "out" / name / "logs" / "router.log").exists() for name in rows)

@@ -1,0 +1,97 @@
+"""``dsse simulate``: the verdict, files and exit codes of ``dsse run``, from one process in virtual time."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+import coordinator
+from coordinator.cli import run_command
+from coordinator.report import format_verdict
+from dsse_core.errors import InvalidInputError
+
+
+def simulate(folder: Path, name: str = "ieee33-lossy", **options: object) -> coordinator.result.RunResult:
+    return coordinator.simulate(name, out=folder, plots=False, **options)
+
+
+def as_written(folder: Path) -> tuple[object, ...]:
+    """All that a run has written, but for the time that it took to compute."""
+    result = json.loads((folder / "result.json").read_text())
+    del result["verdict"]["wall_s"]
+    return result, (folder / "events.jsonl").read_text(), (folder / "buses.csv").read_text()
+
+
+def test_the_same_seed_writes_the_same_files_and_another_seed_does_not(tmp_path: Path):
+    for name, seed in (("one", 4), ("same", 4), ("other", 5)):
+        simulate(tmp_path / name, seed=seed, strategy="information", jitter_s=0.05, duplicate=0.3)
+    assert as_written(tmp_path / "one") == as_written(tmp_path / "same")
+    assert as_written(tmp_path / "one") != as_written(tmp_path / "other")
+
+
+def test_the_verdict_says_that_time_is_virtual(tmp_path: Path):
+    result = simulate(tmp_path / "out")
+    assert result.verdict.virtual_s == result.timing_s["verdict"] > 0
+    assert f"consensus after {result.verdict.virtual_s:.2f} s of virtual time" in format_verdict(result)
+
+
+def test_a_run_without_consensus_ends_at_its_time_limit_and_says_why(tmp_path: Path):
+    verdict = simulate(tmp_path / "out", timeout_s=0.3).verdict
+    assert (verdict.consensus, verdict.virtual_s) == (False, 0.3)
+    assert verdict.reason is not None
+    assert verdict.reason.startswith("no consensus within 0.3 s: ")
+
+
+def test_events_are_those_of_a_run_with_virtual_times(tmp_path: Path):
+    result = simulate(tmp_path / "out", "industrial13")
+    events = [json.loads(line) for line in (tmp_path / "out" / "events.jsonl").read_text().splitlines()]
+    assert [e["event"] for e in events[:3]] == ["run started", "appeared", "appeared"]
+    assert [e["event"] for e in events[-2:]] == ["consensus", "run ended"]
+    times = [e["time"] for e in events]
+    assert times == sorted(times)
+    assert times[-1] == result.verdict.virtual_s
+
+
+def test_a_loss_of_all_messages_leaves_every_area_alone(tmp_path: Path):
+    from scenarios.scenario import load_scenario
+
+    verdict = simulate(tmp_path / "out", load_scenario("ieee33", changes={"faults.loss": 1.0}), timeout_s=2.0).verdict  # type: ignore[arg-type]
+    assert not verdict.consensus
+    assert verdict.lost == verdict.messages > 0
+
+
+def test_the_command_ends_with_the_exit_codes_of_dsse_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert run_command(["simulate", "ieee33", "--out", str(tmp_path / "one"), "--quiet"]) == 0
+    assert "virtual time" in capsys.readouterr().out
+    assert (tmp_path / "one" / "gap.png").stat().st_size > 10_000
+    options = ["--timeout", "0.1", "--no-plots", "--quiet"]
+    assert run_command(["simulate", "ieee33", "--out", str(tmp_path / "two"), *options]) == 1
+    assert not (tmp_path / "two" / "gap.png").exists()
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["simulate", "ieee34"],
+        ["simulate", "ieee33", "--strategy", "gossip"],
+        ["simulate", "ieee33", "--delay-ms", "0"],
+        ["simulate", "ieee33", "--duplicate", "1.5"],
+        ["simulate", "ieee33", "--timeout", "0"],
+        ["simulate", "ieee33", "--out", "."],
+    ],
+)
+def test_a_users_mistake_ends_with_exit_code_2_and_no_traceback(
+    arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    (tmp_path / "occupied").touch()
+    monkeypatch.chdir(tmp_path)
+    assert run_command(arguments) == 2
+    assert "rror: " in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["occupied"]
+
+
+def test_link_faults_are_checked_from_python_too(tmp_path: Path):
+    with pytest.raises(InvalidInputError, match="delay is -1"):
+        simulate(tmp_path / "out", delay_s=-1.0)

@@ -1,0 +1,242 @@
+"""``dsse sweep``: what is run, what is kept, what is gone on with, and what is refused."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+
+from coordinator import sweep as sweep_module
+from coordinator.cli import run_command
+from coordinator.study_row import COLUMNS
+from coordinator.sweep_plan import Task, make_plan, parse_vary
+from coordinator.sweep_table import SweepTable
+from coordinator.twin import LinkFaults
+from scenarios.shipped_files import find_shipped
+
+SMALL = ["industrial13", "--vary", "faults.loss=0,0.3", "--strategies", "information", "--quiet"]
+
+
+@pytest.fixture
+def runs(monkeypatch: pytest.MonkeyPatch) -> list[tuple[float, str, int]]:
+    """(loss, strategy, seed) of every run that is done in this process."""
+    done: list[tuple[float, str, int]] = []
+    real = sweep_module.run_on_twin
+
+    def run(scenario, faults):
+        done.append((next(iter(scenario.loss.values())), scenario.strategy, scenario.seed))
+        return real(scenario, faults)
+
+    monkeypatch.setattr(sweep_module, "run_on_twin", run)
+    return done
+
+
+def sweep(folder: Path, *more: str, seeds: int = 2, jobs: int = 1, base: list[str] = SMALL) -> int:
+    return run_command(["sweep", *base, "--seeds", str(seeds), "--jobs", str(jobs), "--out", str(folder), *more])
+
+
+def rows_in(folder: Path) -> list[dict[str, str]]:
+    with (folder / "sweep.csv").open() as file:
+        return list(csv.DictReader(file))
+
+
+def test_every_value_strategy_and_seed_is_run_once_and_has_its_row(tmp_path: Path, runs: list):
+    assert sweep(tmp_path / "s", "--strategies", "information,angle-offset") == 0
+    expected = {(v, s, n) for v in (0.0, 0.3) for s in ("information", "angle-offset") for n in (1, 2)}
+    assert len(runs) == len(expected)
+    assert set(runs) == expected
+    rows = rows_in(tmp_path / "s")
+    assert tuple(rows[0]) == ("faults.loss", *COLUMNS)
+    assert {(float(r["faults.loss"]), r["strategy"], int(r["seed"])) for r in rows} == expected
+    assert all((int(r["lost"]) > 0) == (r["faults.loss"] == "0.3") for r in rows)
+    assert (tmp_path / "s" / "sweep.png").stat().st_size > 10_000
+
+
+def test_many_processes_give_the_rows_that_one_gives(tmp_path: Path):
+    assert sweep(tmp_path / "one") == 0
+    assert sweep(tmp_path / "two", jobs=2) == 0
+
+    def key(row: dict[str, str]) -> tuple[str, ...]:
+        return (row["faults.loss"], row["seed"])
+
+    assert sorted(rows_in(tmp_path / "one"), key=key) == sorted(rows_in(tmp_path / "two"), key=key)
+
+
+def test_runs_that_the_table_has_are_not_run_again(tmp_path: Path, runs: list):
+    sweep(tmp_path / "s")
+    first = rows_in(tmp_path / "s")
+    runs.clear()
+    assert sweep(tmp_path / "s", seeds=3) == 0
+    assert sorted(runs) == [(0.0, "information", 3), (0.3, "information", 3)]
+    assert rows_in(tmp_path / "s")[: len(first)] == first
+    runs.clear()
+    assert sweep(tmp_path / "s", seeds=3) == 0
+    assert runs == []
+
+
+def test_a_row_that_was_cut_off_is_run_again_and_told(tmp_path: Path, runs: list, capsys: pytest.CaptureFixture[str]):
+    sweep(tmp_path / "s")
+    path = tmp_path / "s" / "sweep.csv"
+    text = path.read_text()
+    path.write_text(text[:-10])
+    runs.clear()
+    assert sweep(tmp_path / "s") == 0
+    assert len(runs) == 1
+    assert path.read_text() == text
+    assert "half written" in capsys.readouterr().err
+
+
+def test_an_interrupted_sweep_keeps_what_is_done_and_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    real, done = sweep_module.run_on_twin, []
+
+    def interrupted_after_one(scenario, faults):
+        if done:
+            raise KeyboardInterrupt
+        done.append(scenario)
+        return real(scenario, faults)
+
+    monkeypatch.setattr(sweep_module, "run_on_twin", interrupted_after_one)
+    assert sweep(tmp_path / "s") == 1
+    assert len(rows_in(tmp_path / "s")) == 1
+    assert f"--out {tmp_path / 's'} goes on from there" in capsys.readouterr().err
+    monkeypatch.setattr(sweep_module, "run_on_twin", real)
+    assert sweep(tmp_path / "s") == 0
+    assert len(rows_in(tmp_path / "s")) == 4
+
+
+@pytest.mark.parametrize(
+    ("other", "said"),
+    [
+        (["industrial13-lossy", *SMALL[1:]], "scenario is 'industrial13'"),
+        (["industrial13", "--vary", "run.beat_s=0.1,0.2", *SMALL[3:]], "vary is 'faults.loss'"),
+        ([*SMALL, "--delay-ms", "3"], "delay_s is 0.001"),
+        ([*SMALL, "--timeout", "7"], "scenario_sha256 is"),
+    ],
+)
+def test_rows_of_different_sweeps_never_mix(
+    tmp_path: Path, runs: list, other: list[str], said: str, capsys: pytest.CaptureFixture[str]
+):
+    sweep(tmp_path / "s", seeds=1)
+    before = (tmp_path / "s" / "sweep.csv").read_text()
+    runs.clear()
+    assert sweep(tmp_path / "s", seeds=1, base=other) == 2
+    assert said in capsys.readouterr().err
+    assert runs == []
+    assert (tmp_path / "s" / "sweep.csv").read_text() == before
+
+
+def test_a_scenario_file_that_has_changed_is_another_scenario(tmp_path: Path):
+    path = tmp_path / "mine.toml"
+    path.write_text(find_shipped("shipped")["industrial13"].read_text())
+    mine = [str(path), *SMALL[1:]]
+    assert sweep(tmp_path / "s", seeds=1, base=mine) == 0
+    path.write_text(path.read_text().replace("sigma_percent = 10.0", "sigma_percent = 9.0"))
+    assert sweep(tmp_path / "s", seeds=1, base=mine) == 2
+
+
+def test_a_foreign_table_is_refused_and_left_as_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    (tmp_path / "sweep.csv").write_text("a,b\n1,2\n")
+    assert sweep(tmp_path) == 2
+    assert "holds something that is no sweep" in capsys.readouterr().err
+    assert (tmp_path / "sweep.csv").read_text() == "a,b\n1,2\n"
+
+
+@pytest.mark.parametrize("text", ["a,b\n1,2\n", ""])
+def test_a_table_with_other_columns_or_lines_is_refused(tmp_path: Path, text: str, capsys: pytest.CaptureFixture[str]):
+    sweep(tmp_path / "s", seeds=1)
+    path = tmp_path / "s" / "sweep.csv"
+    broken = text or path.read_text() + "0.5,information,x\n"
+    path.write_text(broken)
+    assert sweep(tmp_path / "s", seeds=1) == 2
+    assert "other columns" in (error := capsys.readouterr().err) or "line 4 is no row" in error
+    assert path.read_text() == broken
+
+
+def test_two_sweeps_do_not_write_to_one_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    plan = make_plan("industrial13", "faults.loss=0,0.3", ("information",), 1, LinkFaults())
+    with SweepTable(tmp_path / "s", plan.settings):
+        assert sweep(tmp_path / "s") == 2
+    assert "another sweep is writing" in capsys.readouterr().err
+
+
+def test_a_run_that_is_not_possible_is_a_row_with_the_reason(tmp_path: Path):
+    base = ["ieee33", "--vary", "measurements.injection.buses=[1],[2]", *SMALL[3:]]
+    assert sweep(tmp_path / "s", "--strategies", "angle-offset", seeds=1, base=base) == 0
+    rows = {row["measurements.injection.buses"]: row for row in rows_in(tmp_path / "s")}
+    assert rows["[1]"]["outcome"] == "consensus"
+    assert rows["[2]"]["outcome"] == "not possible"
+    assert "substation" in rows["[2]"]["reason"]
+    assert rows["[2]"]["gap_vm_pu"] == ""
+    assert (tmp_path / "s" / "sweep.png").exists()
+
+
+def test_settings_do_not_depend_on_where_the_file_lies(tmp_path: Path):
+    found = []
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        path = tmp_path / folder / "mine.toml"
+        path.write_text(find_shipped("shipped")["industrial13"].read_text())
+        found.append(make_plan(str(path), "faults.loss=0,0.3", ("information",), 1, LinkFaults()).settings)
+    assert found[0] == found[1]
+    assert json.loads(json.dumps(found[0])) == found[0]
+
+
+def test_a_plan_runs_the_seeds_from_the_scenarios_own_on(tmp_path: Path):
+    plan = make_plan("industrial13", "run.beat_s=1", ("admm",), 3, LinkFaults())
+    assert plan.tasks == [Task("1", "admm", seed) for seed in (1, 2, 3)]
+    assert plan.scenario_of(plan.tasks[2]).run.beat_s == 1
+
+
+@pytest.mark.parametrize(
+    ("vary", "values"),
+    [
+        ("faults.loss=0:0.9:10", [0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9]),
+        ("areas.count=2:6:3", [2, 4, 6]),
+        ("a.b=1:2:3", [1.0, 1.5, 2.0]),
+        ("a.b=1e-9,1e-3", [1e-9, 1e-3]),
+        ("telemetry.noise=true,false", [True, False]),
+        ("telemetry.source=network,area-power-flow", ["network", "area-power-flow"]),
+        ("transport.listen=tcp/127.0.0.1:0", ["tcp/127.0.0.1:0"]),
+        ("a.b=[1, 2],[3]", [[1, 2], [3]]),
+    ],
+)
+def test_values_are_a_range_or_a_list_as_toml_writes_them(vary: str, values: list[object]):
+    found = parse_vary(vary)[1]
+    assert found == values
+    assert list(map(type, found)) == list(map(type, values))
+
+
+@pytest.mark.parametrize(
+    ("vary", "said"),
+    [
+        ("faults.loss", "must be KEY=START:STOP:N"),
+        ("faults.loss=", "must be KEY=START:STOP:N"),
+        ("faults.loss=0:1:x", "must be START:STOP:N"),
+        ("faults.loss=0:1:1", "must be START:STOP:N"),
+        ("faults.loss=0:1:2:3", "must be START:STOP:N"),
+        ("faults.loss=0,0.5,0.5", "0.5 is given twice"),
+        ("seed=1,2", "seed is varied by --seeds"),
+        ("strategy=admm", "strategy is varied by --strategies"),
+        ("faults.los=0,1", "faults.los: unknown key; allowed here: loss"),
+        ("faults.loss=0.5,2", "with faults.loss = 2: faults.loss: must be less than or equal to 1"),
+        ("faults.loss=high", "must be a valid number, found 'high'"),
+        ("faults.link[3].loss=0,1", "faults.link is no list"),
+        ("seed.x=1", "seed is no table"),
+        ("a..b=1", "'a..b' is no key"),
+    ],
+)
+def test_a_key_or_value_that_the_scenario_refuses_is_one_clear_error(
+    vary: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    assert run_command(["sweep", "industrial13", "--vary", vary, "--out", str(tmp_path / "s")]) == 2
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "s").exists()
+
+
+def test_an_unknown_scenario_is_told_once(capsys: pytest.CaptureFixture[str]):
+    assert run_command(["sweep", "ieee34", "--vary", "faults.loss=0:1:5"]) == 2
+    assert capsys.readouterr().err.count("no shipped scenario") == 1
