@@ -13,7 +13,7 @@ mpl.use("Agg")
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from coordinator.study_row import StudyRow
+from coordinator.study_row import NO_CONSENSUS, StudyRow
 from coordinator.sweep_plan import Task
 
 SPREAD = (10, 90)  # percentiles between which the band lies
@@ -34,7 +34,7 @@ def draw_sweep(path: Path, title: str, key: str, rows: Mapping[Task, StudyRow]) 
         below.set_xticks(x[::step], values[::step])
     for number, strategy in enumerate(dict.fromkeys(task.strategy for task in sorted(rows, key=lambda t: t.strategy))):
         of_value = [[r for t, r in rows.items() if (t.value, t.strategy) == (v, strategy)] for v in values]
-        _draw(above, x, of_value, lambda row: row.gap, strategy, number)
+        _draw(above, x, of_value, lambda row: row.gap, _name_outcomes(strategy, of_value), number)
         _draw(below, x, of_value, lambda row: row.below_1e6_s, strategy, number)
     above.set_ylabel("final gap to centralised (p.u. or rad)")
     below.set_ylabel("virtual time to stay below 1e-6 (s)")
@@ -58,7 +58,7 @@ def _draw(
     x: Sequence[float | None],
     rows_of_value: Sequence[Sequence[StudyRow]],
     figure_of: Callable[[StudyRow], float | None],
-    strategy: str,
+    name: str,
     number: int,
 ) -> None:
     """One line with its band; runs that have no such figure count as infinitely large, and the legend counts them."""
@@ -73,9 +73,16 @@ def _draw(
     low, median, high = np.where(np.isinf(lines), np.nan, lines)
     high = np.where(np.isnan(high), np.nanmax(lines, initial=SMALLEST, where=np.isfinite(lines)), high)
     color = f"C{number}"
-    label = f"{strategy} (never in {without} of {sum(map(len, rows_of_value))} runs)" if without else strategy
+    label = f"{name} (never in {without} of {sum(map(len, rows_of_value))} runs)" if without else name
     axis.plot(np.array(x, dtype=float), median, marker=".", color=color, label=label)
     axis.fill_between(np.array(x, dtype=float), low, high, where=~np.isnan(low), color=color, alpha=0.2, linewidth=0)
+
+
+def _name_outcomes(strategy: str, rows_of_value: Sequence[Sequence[StudyRow]]) -> str:
+    """``strategy``, and how many of its runs the time limit has cut short: their gap is not final."""
+    outcomes = [row.outcome for rows in rows_of_value for row in rows]
+    cut = outcomes.count(NO_CONSENSUS)
+    return f"{strategy} (no consensus in {cut} of {len(outcomes)} runs)" if cut else strategy
 
 
 def _number(value: str) -> float | None:

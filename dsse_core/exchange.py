@@ -32,6 +32,7 @@ NOT_YET = 1e-6  # information given to eliminated variables that nothing determi
 # The same in the no-load model, relative to what the rows tell of the variable: far below the redundancy of 1e-6 of a
 # voltmeter that only the sum of thousands of injections checks, and far above rounding.
 NO_LOAD_NOT_YET = 1e-14
+NOTHING = 1e-30  # for variables that no row speaks of
 ROUNDING = 1e-14  # relative; what is left of a difference of equal numbers
 BEYOND_REASON = 1e18  # entries of R and z
 
@@ -190,7 +191,7 @@ def _factor_undamped(model: AreaModel, H: sp.csr_array, sigma: np.ndarray, colum
     if not model.no_load:
         return AugmentedFactor(H, sigma, NOT_YET)
     told = np.bincount(H.indices, scale_rows(H, 1 / sigma).data ** 2, len(columns))
-    return AugmentedFactor(H, sigma, np.where(told > 0, NO_LOAD_NOT_YET * told, 1.0))
+    return AugmentedFactor(H, sigma, np.where(told > 0, NO_LOAD_NOT_YET * told, NOTHING))
 
 
 def compute_information(

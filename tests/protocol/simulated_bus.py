@@ -69,8 +69,8 @@ def area_files_of(scenario: Scenario, **changes: object) -> list[AreaFile]:
 def bus_of(
     name: str, *, loss: float | None = None, seed: int | None = None
 ) -> tuple[SimulatedBus, Scenario, Telemetry]:
-    """A shipped scenario on the simulated bus."""
-    scenario = load_scenario(name)
+    """A shipped scenario with the simplest strategy on the simulated bus."""
+    scenario = replace(load_scenario(name), strategy="angle-offset")
     telemetry = make_telemetry(scenario)
     files = area_files_of(scenario)
     if loss is not None:

@@ -15,7 +15,7 @@ from dsse_core.measurement import MeasurementKind, Meter, Source
 from dsse_core.network import Control
 from dsse_core.partition import build_partition
 from dsse_core.power_flow import solve_power_flow
-from scenarios.scenario import load_scenario
+from scenarios.scenario import load_scenario as load
 from scenarios.telemetry import make_telemetry
 
 TREE = {  # four areas deep, three areas at bus 6, areas b and c without voltmeter and generator
@@ -25,6 +25,10 @@ TREE = {  # four areas deep, three areas at bus 6, areas b and c without voltmet
     "d": [6, *range(7, 19)],
     "e": [6, *range(26, 34)],
 }
+
+
+def load_scenario(name):
+    return replace(load(name), strategy="angle-offset")
 
 
 def tree_scenario(noise=True, seed=1):

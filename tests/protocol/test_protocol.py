@@ -117,7 +117,7 @@ def test_an_area_estimates_alone_and_says_what_it_lacks():
 def area1():
     """The protocol of area1 of ieee33, its telemetry as one event, and its file."""
     scenario = load_scenario("ieee33")
-    content = area_files_of(scenario)[0]
+    content = area_files_of(scenario, strategy="angle-offset")[0]
     bus = SimulatedBus([content], {"area1": make_telemetry(scenario).by_area["area1"]})
     (_, _, _, telemetry), *_ = [entry for entry in bus._queue if entry[2] == "area1"]
     protocol = AreaProtocol(content, make_strategy(content), Incarnation(1, 1), now=0.0, started_at=1e9)

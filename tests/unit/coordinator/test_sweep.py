@@ -240,3 +240,14 @@ def test_a_key_or_value_that_the_scenario_refuses_is_one_clear_error(
 def test_an_unknown_scenario_is_told_once(capsys: pytest.CaptureFixture[str]):
     assert run_command(["sweep", "ieee34", "--vary", "faults.loss=0:1:5"]) == 2
     assert capsys.readouterr().err.count("no shipped scenario") == 1
+
+
+def test_the_picture_says_how_many_runs_ended_without_consensus(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    legends = []
+    monkeypatch.setattr(
+        "matplotlib.figure.Figure.savefig",
+        lambda figure, *_, **__: legends.extend(t.get_text() for a in figure.axes for t in a.get_legend().get_texts()),
+    )
+    base = ["industrial13", "--vary", "faults.loss=0,1", "--timeout", "1", "--quiet"]
+    assert sweep(tmp_path / "s", "--strategies", "information", base=base) == 0
+    assert legends[0].startswith("information (no consensus in 2 of 4 runs)")

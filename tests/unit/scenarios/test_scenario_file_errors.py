@@ -17,7 +17,7 @@ def problems_of(tmp_path: Path, text: str) -> tuple[str, ...]:
     path = tmp_path / "mine.toml"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(InvalidInputError) as caught:
-        load_scenario(path)
+        load_scenario(path, strategies=("angle-offset", "information"))
     assert str(path) in caught.value.what
     return caught.value.problems
 
@@ -114,13 +114,13 @@ def test_a_whole_number_is_good_enough_for_a_quantity(tmp_path: Path) -> None:
 
 
 def test_an_unknown_strategy_is_refused_with_the_allowed_ones(tmp_path: Path) -> None:
-    problem = the_only(problems_of(tmp_path, changed('"angle-offset"', '"magic"')))
-    assert problem == "strategy: unknown strategy 'magic'; allowed: angle-offset"
+    problem = the_only(problems_of(tmp_path, changed('"information"', '"magic"')))
+    assert problem == "strategy: unknown strategy 'magic'; allowed: angle-offset, information"
 
 
 def test_a_strategy_that_the_caller_knows_is_accepted(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
-    path.write_text(changed('"angle-offset"', '"admm"'), encoding="utf-8")
+    path.write_text(changed('"information"', '"admm"'), encoding="utf-8")
     assert load_scenario(path, strategies=("angle-offset", "admm")).strategy == "admm"
 
 
@@ -285,7 +285,7 @@ def test_all_problems_of_keys_and_types_are_reported_at_once(tmp_path: Path) -> 
 
 
 def test_all_problems_of_areas_meters_and_faults_are_reported_at_once(tmp_path: Path) -> None:
-    text = changed("[1, 16, 22, 30]", "[1, 99]").replace("24, 25]", "24]", 1).replace("angle-offset", "magic")
+    text = changed("[1, 16, 22, 30]", "[1, 99]").replace("24, 25]", "24]", 1).replace("information", "magic")
     problems = problems_of(tmp_path, text + gross_error("vm@98") + link("area1", "area9"))
     for key in ("strategy:", "areas: bus 25", "measurements.voltage.buses:", "telemetry.gross_error", "faults.link"):
         assert any(p.startswith(key) for p in problems), key
