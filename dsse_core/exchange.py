@@ -249,6 +249,8 @@ def _responses_to_shift(
             jacobians.append(sp.csr_array(message.R[told] @ T))
     B = np.concatenate(rows)
     B[:, 1] -= sp.vstack(jacobians)[:, fixed].sum(axis=1)
+    if model.voltage_columns(neighbour)[1] in fixed:  # the reference itself: it does not move
+        B[:, 1] = dp[:, 1] = 0.0
     return B, dp
 
 

@@ -38,6 +38,7 @@ class BadDataTree:
         self._own: tuple[np.ndarray, Tally] | None = None  # the state that the area's own part belongs to, and it
         self._no_load: NoLoadModel | None = None
         self._indispensable: tuple[object, set[str]] | None = None
+        self._told_no_load: dict[str, tuple[object, tuple[float, ...]]] = {}  # what it was made from, and it
         self._known = Knowledge(())
 
     def adopt(self, known: Knowledge) -> None:
@@ -55,6 +56,7 @@ class BadDataTree:
         """The measurements have changed, by a new scan or a removal."""
         self._no_load = no_load
         self._tally = self._own = self._indispensable = None
+        self._told_no_load = {}
 
     def judge(
         self,
@@ -156,10 +158,15 @@ class BadDataTree:
         return told
 
     def _no_load_for(self, neighbour: Neighbour) -> tuple[float, ...]:
-        heard = self._heard_no_load()
-        if self._no_load is None or any(n.area not in heard for n in self._area.neighbours if n.area != neighbour.area):
+        heard = {name: told for name, told in self._heard_no_load().items() if name != neighbour.area}
+        if self._no_load is None or len(heard) < len(self._area.neighbours) - 1:
             return ()
-        return tuple(self._no_load.information_for(neighbour, heard).R[UPPER].tolist())
+        basis = {name: told.R.tolist() for name, told in heard.items()}
+        last = self._told_no_load.get(neighbour.area)
+        if last is None or last[0] != basis:
+            information = self._no_load.information_for(neighbour, heard)
+            last = self._told_no_load[neighbour.area] = (basis, tuple(information.R[UPPER].tolist()))
+        return last[1]
 
 
 def _read(message: TallyMessage) -> Tally:

@@ -22,7 +22,7 @@ INJECTION = 'injection = { buses = "all", sigma_percent = 10.0 }'
 CASES = {
     "unknown key": (
         [("noise = true", "noise = true\ncolour = 3")],
-        ["telemetry.colour: unknown key", "allowed here: source, noise"],
+        ["telemetry.colour: unknown key", "allowed here: source, file, noise"],
     ),
     "missing network": ([('network = "ieee33"\n', "")], ["network: missing", "name of a shipped network"]),
     "network that does not exist": ([('network = "ieee33"', 'network = "ieee34"')], ["network", "ieee34", "ieee33"]),
@@ -39,8 +39,16 @@ CASES = {
         [
             (FLOW, 'flow = { branches = ["1-2", "2-3", "3-4", "4-5", "5-6"], sigma_percent = 1.0 }'),
             (INJECTION, "injection = { buses = [2, 3, 4, 5, 7, 8, 9, 10], sigma_percent = 10.0 }"),
+            ('strategy = "information"', 'strategy = "angle-offset"'),
         ],
         ["area area2: the measurements do not determine the state of bus", "13, 14", "area area3: ", "whole grid: "],
+    ),
+    "whole grid without observability": (
+        [
+            (FLOW, 'flow = { branches = ["1-2", "2-3", "3-4", "4-5", "5-6"], sigma_percent = 1.0 }'),
+            (INJECTION, "injection = { buses = [2, 3, 4, 5, 7, 8, 9, 10], sigma_percent = 10.0 }"),
+        ],
+        ["1 problem", "whole grid: the measurements do not determine the state of bus 7, 8", "no single added meter"],
     ),
     "sigma of zero": ([("sigma_percent = 0.2", "sigma_percent = 0.0")], ["measurements.voltage.sigma_percent", "0.0"]),
     "negative sigma": ([("sigma_percent = 1.0", "sigma_percent = -1.0")], ["measurements.flow.sigma_percent", "-1.0"]),

@@ -57,15 +57,18 @@ def make_feeder(
     return Feeder(network, partition, _draw_measurements(rng, network, decades, dense))
 
 
-def make_star(seed: int, n_area: int = 15) -> Feeder:
-    """A feeder whose areas all meet at bus 2, but for the substation's own."""
+def make_star(seed: int, n_area: int = 15, *, busbar: bool = False) -> Feeder:
+    """A feeder whose areas all meet at bus 2, but for the substation's own; or all of them at its ``busbar``, bus 1."""
     rng = np.random.default_rng(seed)
-    upstream = [0, 0, *[1] * n_area, *(int(rng.integers(2, n_area + 2 + k)) for k in range(20))]
+    centre = 0 if busbar else 1
+    upstream = [0, *([] if busbar else [0]), *[centre] * n_area]
+    upstream += [int(rng.integers(centre + 1, len(upstream) + k)) for k in range(20)]
     network = _load(_draw_network(rng, upstream, 1.0), LOWEST_VM)
-    areas, area_of = {"a0": [1, 2]}, {}
-    for k in range(2, len(upstream)):
-        area_of[k] = k if upstream[k] == 1 else area_of[upstream[k]]
-        areas.setdefault(f"a{area_of[k]}", [2]).append(k + 1)
+    areas: dict[str, list[int]] = {} if busbar else {"a1": [1, 2]}
+    area_of: dict[int, int] = {}
+    for k in range(centre + 1, len(upstream)):
+        area_of[k] = k + 1 if upstream[k] == centre else area_of[upstream[k]]
+        areas.setdefault(f"a{area_of[k]}", [centre + 1]).append(k + 1)
     return Feeder(network, build_partition(network, areas), _draw_measurements(rng, network, 1.0, 0.5))
 
 
