@@ -102,7 +102,12 @@ def _draw_gap(result: RunResult) -> Figure:
             axis.step([*times, end], drawn + drawn[-1:] if drawn else [np.nan], where="post", label=name)
             axis.plot(times, drawn, linestyle="none", marker=".", color=axis.lines[-1].get_color())
     for axis, label in zip(axes, ("magnitude (p.u.)", "angle (degrees)"), strict=True):
-        axis.set_yscale("log")
+        if any(np.isfinite(line.get_ydata()).any() for line in axis.lines):
+            axis.set_yscale("log")
+        else:  # nothing that a logarithm could scale
+            axis.set_xlim(0, end)
+            axis.set_yticks([])
+            axis.text(0.5, 0.5, _why_no_gap(result), transform=axis.transAxes, ha="center", va="center")
         axis.set_ylabel(f"largest gap, {label}")
         axis.grid(alpha=0.3, which="both")
         if result.verdict.consensus:
@@ -116,6 +121,14 @@ def _draw_gap(result: RunResult) -> Figure:
         lines, labels = [lines[labels.index(label)] for label in named], named
     figure.legend(lines, labels, loc="outside lower center", ncols=6, fontsize="small")
     return figure
+
+
+def _why_no_gap(result: RunResult) -> str:
+    if not result.history:
+        return "no area has published a state"
+    if result.centralised_failure is not None:
+        return "there is no centralised estimate"
+    return "no area's angles count from the substation"
 
 
 def _bus_order(comparison: Comparison) -> np.ndarray:

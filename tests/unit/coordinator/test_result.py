@@ -5,11 +5,13 @@ from __future__ import annotations
 import csv
 import json
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
 
 from agents.messages import Header, Incarnation, StateMessage
 from coordinator.comparison import Voltages, compare, largest_gap
@@ -158,3 +160,38 @@ def test_plots_are_drawn_also_where_an_area_is_missing(tmp_path: Path, missing: 
     paths = draw_plots(a_result(tmp_path, missing=missing))
     assert [path.name for path in paths] == ["magnitudes.png", "angles.png", "errors.png", "gap.png"]
     assert all(path.stat().st_size > 10_000 for path in paths)
+
+
+def a_result_without_states(folder: Path) -> RunResult:
+    result = a_result(folder)
+    return replace(result, history=())
+
+
+def a_result_without_centralised_estimate(folder: Path) -> RunResult:
+    result, unknown = a_result(folder), np.full(33, np.nan)
+    comparison = replace(result.comparison, centralised=Voltages(unknown, unknown))
+    return replace(result, comparison=comparison, centralised=None, centralised_failure="diverged")
+
+
+def a_result_with_relative_angles_only(folder: Path) -> RunResult:
+    result = a_result(folder)
+    return replace(result, history=tuple(replace(sample, referenced=False) for sample in result.history))
+
+
+@pytest.mark.parametrize(
+    ("make_result", "words", "times"),
+    [
+        (a_result_without_states, "no area has published a state", 2),
+        (a_result_without_centralised_estimate, "there is no centralised estimate", 2),
+        (a_result_with_relative_angles_only, "no area's angles count from the substation", 1),
+    ],
+)
+def test_where_no_gap_is_known_the_picture_says_why(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, make_result: Callable[[Path], RunResult], words: str, times: int
+):
+    written: list[str] = []
+    text = Axes.text
+    monkeypatch.setattr(Axes, "text", lambda self, *a, **k: written.append(a[2]) or text(self, *a, **k))
+    paths = draw_plots(make_result(tmp_path))
+    assert [path.name for path in paths if path.is_file()] == ["magnitudes.png", "angles.png", "errors.png", "gap.png"]
+    assert written == [words] * times
