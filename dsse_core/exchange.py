@@ -34,6 +34,7 @@ NOT_YET = 1e-6  # information given to eliminated variables that nothing determi
 NO_LOAD_NOT_YET = 1e-14
 NOTHING = 1e-30  # for variables that no row speaks of
 ROUNDING = 1e-14  # relative; what is left of a difference of equal numbers
+MOST_TURNS = 4  # of the axes of (p, q)
 BEYOND_REASON = 1e18  # entries of R and z
 
 
@@ -191,7 +192,7 @@ def _factor_undamped(model: AreaModel, H: sp.csr_array, sigma: np.ndarray, colum
     if not model.no_load:
         return AugmentedFactor(H, sigma, NOT_YET)
     told = np.bincount(H.indices, scale_rows(H, 1 / sigma).data ** 2, len(columns))
-    return AugmentedFactor(H, sigma, np.where(told > 0, NO_LOAD_NOT_YET * told, NOTHING))
+    return AugmentedFactor(H, sigma, np.where(told > 0, NO_LOAD_NOT_YET * np.minimum(told,1.0), NOTHING))
 
 
 def compute_information(
@@ -202,27 +203,42 @@ def compute_information(
     Two parts, each a 2x2 matrix that no rounding of the other can spoil. What this side knows of the boundary's
     voltage v = (vm_b, va_b), whatever power flows: with u all variables but v and ``K = [[R, H_u], [H_u', -d]]``,
     ``M = B' s``, ``g = B' s_r`` from ``K [s, .] = [B, 0]``, ``K [s_r, .] = [r, 0]``. And what it knows of the power
-    given v: ``p = y_p + C du_r + (dp - C du_B) dv`` with covariance ``S = C G_uu^-1 C'``. One factorisation, five
-    right-hand sides. ``B`` and ``dp`` are the responses of measurements and power when v moves and takes the
-    whole area along (``_responses_to_shift``). What amounts to no more than d is told as nothing.
+    given v: ``(p, q) = y_p + C du_r + (dp - C du_B) dv`` with covariance ``C G_uu^-1 C'`` (``_find_power``). ``B`` and
+    ``dp`` are the responses of measurements and power when v moves and takes the whole area along
+    (``_responses_to_shift``). What amounts to no more than d is told as nothing.
     """
     heard = {name: message for name, message in heard.items() if name != neighbour.area}
     H, r, sigma = _stack(model, x, heard)
     B, dp = _responses_to_shift(model, x, neighbour, heard)
     y, T = model.boundary(x, neighbour)
     u = np.setdiff1d(model.free, T[2:].indices)
-    C = T[:2, u]
     factor = _factor_undamped(model, H, sigma, u)
     nothing = 0.0 if model.no_load else NOT_YET
-    above, below = np.column_stack([B, r, np.zeros((len(r), 2))]), np.zeros((len(u), 5))
-    below[:, 3:] = C.T.toarray()
-    s, du = factor.solve(above, below)
+    s, _ = factor.solve(np.column_stack([B, r]), np.zeros((len(u), 3)))
     information = B.T @ s
     N, told_v = _factor_information(information[:, :2], information[:, 2], nothing)
-    P = _factor_inverse(-(C @ du[:, 3:]), nothing)
-    slope = dp - C @ du[:, :2]
-    R = np.block([[P, -P @ slope], [np.zeros((2, 2)), N]])
-    return BoundaryInformation(R, R @ y + np.concatenate([P @ (C @ du[:, 2]), told_v]))
+    W, S, A = _find_power(factor, sp.csr_array(T[:2, u]), len(r))
+    rows = _factor_inverse(S, nothing) @ np.column_stack([W.T, A.T @ B - W.T @ dp, A.T @ r])
+    Q, P = np.linalg.qr(rows[:, :2])
+    R = np.block([[P, Q.T @ rows[:, 2:4]], [np.zeros((2, 2)), N]])
+    return BoundaryInformation(R, R @ y + np.concatenate([Q.T @ rows[:, 4], told_v]))
+
+
+def _find_power(factor: AugmentedFactor, C: sp.csr_array, n_rows: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What is known of (p, q), with v given: W, S, (2, 2), and A, (rows, 2).
+
+    S is the covariance of ``W'(p, q)``, and ``W'C du = A'r`` for residuals r. W turns the axes: beside a combination
+    that is as good as unknown the other one would drown in rounding, so both are solved for by themselves.
+    """
+    W = np.eye(2)
+    for _ in range(MOST_TURNS):
+        A, du = factor.solve(np.zeros((n_rows, 2)), C.T @ W)
+        S = -(W.T @ (C @ du))
+        S = (S + S.T) / 2
+        if S[0, 1] ** 2 <= abs(S[0, 0] * S[1, 1]) / 2:
+            break
+        W = W @ np.linalg.svd(S)[0]
+    return W, S, A
 
 
 def _responses_to_shift(
@@ -268,23 +284,24 @@ def _factor_information(M: np.ndarray, g: np.ndarray, nothing: float) -> tuple[n
 
 
 def _factor_inverse(S: np.ndarray, nothing: float) -> np.ndarray:
-    """P upper triangular with ``P'P = S^-1`` for the (2, 2) covariance S; 0 where its inverse is ``nothing``.
+    """P with ``P'P = S^-1`` for the (2, 2) covariance S; rows of 0 where its inverse is ``nothing``.
 
     What is less certain comes first, then the other given it: p may be as good as unknown and still tell q, by the
-    losses that it causes.
+    losses that it causes. A variance below zero is rounding of a number too large to be known.
     """
     least = EXACT_SIGMA**2
-    first, other = (0, 1) if S[0, 0] >= S[1, 1] else (1, 0)
-    variance = max(S[first, first], least)
-    slope = (S[0, 1] + S[1, 0]) / 2 / variance
-    rest = max(S[other, other] - slope**2 * variance, least, ROUNDING * S[other, other])
-    rows = np.zeros((2, 2))
-    if 1 / variance > 2 * nothing:
-        rows[0, first] = 1 / np.sqrt(variance)
+    first, other = (0, 1) if abs(S[0, 0]) >= abs(S[1, 1]) else (1, 0)
+    P = np.zeros((2, 2))
+    slope = 0.0
+    if (unknown := S[first, first]) > 0:
+        variance = max(unknown, least)
+        slope = S[0, 1] / variance
+        if 1 / variance > 2 * nothing:
+            P[0, first] = 1 / np.sqrt(variance)
+    rest = max(S[other, other] - slope * S[0, 1], least, ROUNDING * S[other, other])
     if 1 / rest > 2 * nothing:
-        rows[1, other], rows[1, first] = np.array([1.0, -slope]) / np.sqrt(rest)
-    _, P = np.linalg.qr(rows)
-    return np.asarray(P)
+        P[1, other], P[1, first] = np.array([1.0, -slope]) / np.sqrt(rest)
+    return P
 
 
 _POWER = (MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION)

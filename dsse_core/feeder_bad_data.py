@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dsse_core.admittance import flat_start
-from dsse_core.augmented import reciprocal_row_lengths
 from dsse_core.bad_data import THRESHOLD, TIE, normalize_residuals
 from dsse_core.exchange import (
     AreaModel,
@@ -109,6 +108,7 @@ def build_no_load_model(area: Area, measurements: Sequence[Measurement], referen
     model = build_area_model(area, unit, reference, with_shunts=False)
     vm, va = flat_start(area.network, area.slack_bus if reference is None else reference)
     x = np.concatenate([va, vm, np.zeros(model.size - 2 * len(vm))])
-    length = 1 / reciprocal_row_lengths(model.jacobian(x))
-    model = replace(model, z=model.predict(x), sigma=length, no_load=True)
+    of_power = ~np.isin(model.kinds, (MeasurementKind.VM, MeasurementKind.VA))
+    typical = np.median([1 / abs(complex(b.r, b.x)) for b in area.network.active_branches])
+    model = replace(model, z=model.predict(x), sigma=np.where(of_power, typical, 1.0), no_load=True)
     return NoLoadModel(model, x, tuple(m.meter.id for m in unit))
