@@ -19,7 +19,7 @@ MAX_DEFAULT_AREAS = 8
 @scenario_argument
 @click.option("--count", type=click.IntRange(min=1), help="Cut into so many areas instead.")
 @click.option(
-    "--switches", multiple=True, metavar="BRANCH", help="Cut at this branch, such as 6-7, instead; repeatable."
+    "--switches", multiple=True, metavar="BRANCHES", help="Cut at these branches instead: 6-7,6-26; repeatable."
 )
 @click.option("--out", type=click.Path(path_type=Path), help="Draw the areas into this file (.png, .pdf, .svg).")
 @click.option("--toml", is_flag=True, help="Print the areas as bus lists, to paste into a scenario file.")
@@ -29,7 +29,7 @@ def partition(scenario: str, count: int | None, switches: tuple[str, ...], out: 
     \b
     Examples:  dsse partition ieee33 --out areas.png
                dsse partition ieee33 --count 5 --toml
-               dsse partition ieee33 --switches 6-7 --switches 6-26
+               dsse partition ieee33 --switches 6-7,6-26
     """
     if count is not None and switches:
         raise click.UsageError("--count and --switches are two ways to cut; give one of them")
@@ -43,7 +43,8 @@ def partition(scenario: str, count: int | None, switches: tuple[str, ...], out: 
     if count is not None:
         changes = {"areas": {"count": count}, "faults": {}}
     elif switches:
-        changes = {"areas": {"switches": list(switches)}, "faults": {}}
+        named = [name.strip() for text in switches for name in text.split(",") if name.strip()]
+        changes = {"areas": {"switches": named}, "faults": {}}
     loaded = load_scenario(scenario, strategies=tuple(STRATEGIES), changes=changes)
     show(format_area_tables(loaded.partition) if toml else format_areas(loaded))
     if out is not None:

@@ -15,6 +15,7 @@ from dsse_core.errors import InvalidInputError
 from dsse_core.network import Branch, Bus, Control, Generator, Network
 from scenarios.shipped_files import find_shipped
 from scenarios.strict_toml import Table, load_strict, suggest
+from scenarios.zero_impedances import find_zero_impedance_problems
 
 Positive = Annotated[float, Field(gt=0)]
 BRANCH_ID = re.compile(r"[a-z0-9_-]+")
@@ -126,7 +127,7 @@ def load_network(path: Path) -> Network:
         network = _to_per_unit(file)
     except InvalidInputError as error:
         raise InvalidInputError(str(path), [*problems, *error.problems]) from None
-    if problems:
+    if problems := [*problems, *find_zero_impedance_problems(network)]:
         raise InvalidInputError(str(path), problems)
     return network
 
@@ -182,7 +183,8 @@ def _build_branches(file: NetworkFile) -> Iterable[Branch]:
         branch_id = branch.id or default_branch_id(branch.from_, branch.to, taken)
         taken.add(branch_id)
         # An ohm is 1 / z_base p.u.; the base of an unknown bus does not matter, Network reports the bus.
-        z_base = base_kv.get(branch.from_, 1.0) ** 2 / file.base_mva
+        kv = base_kv.get(branch.from_, 1.0)
+        z_base = kv * kv / file.base_mva
         yield Branch(
             id=branch_id,
             from_bus=branch.from_,

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.network import Branch, Bus, Control, Generator, Network
+from scenarios.importers.fused_branches import fuse_zero_impedances
 from scenarios.importers.imported import Imported, Remark, leave_out_islands, listed, without_buses
 from scenarios.importers.matpower_program import BASE_KV, BR_R, BR_X, PD, QD, Case, Matrix, run_program
 from scenarios.network_file import default_branch_id
@@ -42,6 +43,8 @@ def _build(path: Path, case: Case, base: float) -> Imported:
             remarks += gone
         network, gone = leave_out_islands(network)
         remarks += gone
+        network, fused = fuse_zero_impedances(network)
+        remarks += fused
     except InvalidInputError as error:
         raise InvalidInputError(str(path), error.problems) from None
     open_branches = [branch.id for branch in network.branches if not branch.in_service]
@@ -106,7 +109,12 @@ def _build_generators(bus_rows: Matrix, rows: Matrix, base: float) -> tuple[tupl
     angles = {int(row[BUS_I]): math.radians(row[VA_BUS]) for row in bus_rows}
     references = [bus for bus, kind in kinds.items() if kind == REF]
     working = [row for row in rows if row[GEN_STATUS] > 0]
-    problems = []
+    known = (PQ, PV, REF, ISOLATED)
+    problems = [
+        f"bus {bus} is of type {kind:g}; 1 (load), 2 (generator), 3 (reference) and 4 (isolated) are known"
+        for bus, kind in kinds.items()
+        if kind not in known
+    ]
     if len(references) != 1:
         named = f"buses {listed(references)} are" if references else "no bus is"
         problems.append(f"{named} of type 3 (reference); the network model holds exactly one substation")

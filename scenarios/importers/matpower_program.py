@@ -10,6 +10,7 @@ import math
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 PD, QD, BASE_KV, BR_R, BR_X = 2, 3, 9, 2, 3  # columns
 COLUMNS = {"bus": 13, "branch": 11, "gen": 10}
@@ -30,7 +31,10 @@ KILOWATT = "mpc.bus(:,[PD,QD])=mpc.bus(:,[PD,QD])/1e3"
 Q_OF_MVA = "mpc.bus(:,QD)=mpc.bus(:,PD)*sin(acos(pf))"
 P_OF_MVA = "mpc.bus(:,PD)=mpc.bus(:,PD)*pf"
 
+LONGEST_SHOWN = 80  # characters of a statement
+
 Matrix = list[list[float]]
+Given = TypeVar("Given")
 
 
 @dataclass
@@ -49,6 +53,8 @@ def run_program(text: str) -> Case:
     case = Case()
     for line, statement in _split_statements(text):
         _execute(case, statement, line)
+    if not case.matrices and case.base_mva is None:
+        return Case(problems=["this is no MATPOWER case: mpc.baseMVA, mpc.bus, mpc.branch and mpc.gen are all missing"])
     case.problems += [f"mpc.{name} is missing" for name in COLUMNS if name not in case.matrices]
     if case.base_mva is None:
         case.problems.append("mpc.baseMVA is missing")
@@ -109,19 +115,30 @@ def _execute(case: Case, statement: str, line: int) -> None:
     if not plain or HARMLESS.fullmatch(plain) or re.fullmatch(r"mpc\.(?!version)\w+='[^']*'", plain):
         return
     if found := BASE_MVA.fullmatch(plain):
-        case.base_mva = float(found[1]) / float(found[2] or 1)
+        case.base_mva = _quotient(found[1], found[2] or "1")
+        if not (math.isfinite(case.base_mva) and case.base_mva > 0):
+            case.problems.append(f"line {line}: {_shown(plain)}: it must be a positive power in MVA")
     elif found := POWER_FACTOR.fullmatch(plain):
         case.power_factor = float(found[1])
+        if not 0 <= case.power_factor <= 1:
+            case.problems.append(f"line {line}: {_shown(plain)}: a power factor lies between 0 and 1")
     elif action := CONVERSIONS.get(plain):
-        try:
-            case.changes.append(action(case))
-        except (KeyError, TypeError, ZeroDivisionError):
-            case.problems.append(f"line {line}: {plain!r} uses what no line before it has given")
+        if not case.problems:  # numbers that are known to be wrong are not computed with
+            try:
+                case.changes.append(action(case))
+            except ValueError as error:
+                case.problems.append(f"line {line}: {_shown(plain)}: {error}")
     else:
         case.problems.append(
-            f"line {line}: {plain[:80]!r} is a statement that this reader does not know and that could change the "
+            f"line {line}: {_shown(plain)} is a statement that this reader does not know and that could change the "
             "data; run the case in MATPOWER, save it with savecase, and import that file"
         )
+
+
+def _shown(text: str) -> str:
+    """``text`` in quotes as a terminal may show it: on one line, unprintable characters escaped, long ones cut."""
+    plain = ascii(text) if not text.isprintable() else repr(text)
+    return plain if len(plain) <= LONGEST_SHOWN else plain[:LONGEST_SHOWN] + "..." + plain[0]
 
 
 def _normalised(statement: str) -> str:
@@ -142,7 +159,7 @@ def _take_matrix(case: Case, name: str, text: str, line: int) -> None:
             row = [number for cell in cells if (number := _number(cell)) is not None]
             if len(row) < len(cells):
                 case.problems.append(
-                    f"line {line + offset}: mpc.{name}: a row holds more than numbers: {raw.strip()!r}"
+                    f"line {line + offset}: mpc.{name}: a row holds more than numbers: {_shown(raw.strip())}"
                 )
                 continue
             elif not all(row[column].is_integer() for column in NUMBERS[name] if column < len(row)):
@@ -150,7 +167,13 @@ def _take_matrix(case: Case, name: str, text: str, line: int) -> None:
             if len(row) < COLUMNS[name]:
                 problem = f"mpc.{name}: a row has {len(row)} columns, at least {COLUMNS[name]} are needed (version 2)"
                 case.problems.append(f"line {line + offset}: {problem}")
+            if any(math.isnan(number) for number in row):
+                case.problems.append(
+                    f"line {line + offset}: mpc.{name}: a quotient is no number: {_shown(raw.strip())}"
+                )
             rows.append(row)
+    if not inside.strip():
+        case.problems.append(f"line {line}: mpc.{name} is empty")
     case.matrices[name] = rows
 
 
@@ -159,40 +182,51 @@ def _number(cell: str) -> float | None:
         return float(cell)
     if (found := CELL.fullmatch(cell)) is None:
         return None
-    return float(found[1]) / (float(found[2] or 1) * math.sqrt(float(found[3] or 1)))
+    if found[3] is not None:
+        root = float(found[3])
+        return float(found[1]) / math.sqrt(root) if root > 0 else math.nan
+    return _quotient(found[1], found[2] or "1")
+
+
+def _quotient(above: str, below: str) -> float:
+    """As MATPOWER divides: by zero, too, but that is not a number here."""
+    return float(above) / float(below) if float(below) else math.nan
 
 
 def _ohm_to_pu(case: Case) -> str:
-    z_base = case.matrices["bus"][0][BASE_KV] ** 2 / _given(case.base_mva)
-    for row in case.matrices["branch"]:
+    base_kv = _given(case.matrices.get("bus"), "mpc.bus")[0][BASE_KV]
+    z_base = base_kv * base_kv / _given(case.base_mva, "mpc.baseMVA")
+    if not 0 < z_base < math.inf:
+        raise ValueError(f"the first bus has a base voltage of {base_kv:g} kV; ohms need a positive one")
+    for row in _given(case.matrices.get("branch"), "mpc.branch"):
         row[BR_R] /= z_base
         row[BR_X] /= z_base
     return "branch impedances from ohm to p.u., as the case file says"
 
 
 def _kw_to_mw(case: Case) -> str:
-    for row in case.matrices["bus"]:
+    for row in _given(case.matrices.get("bus"), "mpc.bus"):
         row[PD], row[QD] = row[PD] / 1e3, row[QD] / 1e3
     return "loads from kW and kvar to MW and Mvar, as the case file says"
 
 
 def _q_of_mva(case: Case) -> str:
-    factor = math.sin(math.acos(_given(case.power_factor)))
-    for row in case.matrices["bus"]:
+    factor = math.sin(math.acos(_given(case.power_factor, "pf")))
+    for row in _given(case.matrices.get("bus"), "mpc.bus"):
         row[QD] = row[PD] * factor
     return f"reactive loads from MVA by the power factor {case.power_factor}, as the case file says"
 
 
 def _p_of_mva(case: Case) -> str:
-    factor = _given(case.power_factor)
-    for row in case.matrices["bus"]:
+    factor = _given(case.power_factor, "pf")
+    for row in _given(case.matrices.get("bus"), "mpc.bus"):
         row[PD] *= factor
     return f"active loads from MVA by the power factor {case.power_factor}, as the case file says"
 
 
-def _given(value: float | None) -> float:
+def _given(value: Given | None, name: str) -> Given:
     if value is None:
-        raise KeyError
+        raise ValueError(f"no line before it gives {name}")
     return value
 
 

@@ -26,15 +26,12 @@ from scenarios.importers.imported import (
 )
 from scenarios.importers.matpower import BR_B, BS, BUS_I, F_BUS, GS, SHIFT, T_BUS, TAP
 from scenarios.importers.matpower_program import BASE_KV, BR_R, BR_X, PD, QD
+from scenarios.importers.pandapower_checks import find_broken, find_unsupported
 from scenarios.network_file import default_branch_id
+from scenarios.zero_impedances import find_zero_impedance_problems
 
-SUPPORTED = {
-    *("bus", "line", "trafo", "impedance", "switch"),
-    *("ext_grid", "gen", "sgen", "load", "motor", "storage", "shunt", "ward"),
-}
 BRANCHES = ("line", "trafo", "impedance", "switch")
 COUNTED = ("line", "trafo", "impedance", "load", "gen", "shunt", "ward", "motor", "storage")
-NO_ELEMENTS = {"controller", "measurement"}
 
 
 @dataclass(frozen=True)
@@ -68,7 +65,7 @@ def read_pandapower(path: Path) -> Imported:
             net = pandapower.from_json(str(path))
         except Exception as error:  # whatever a foreign reader raises
             raise InvalidInputError(str(path), [f"pandapower cannot read it: {error}"]) from None
-        if problems := list(_find_unsupported(net)):
+        if problems := list(find_broken(net)) or list(find_unsupported(net)):
             raise InvalidInputError(str(path), problems)
         sgen = net.sgen.copy()  # sources here, negative loads in pandapower's matrices, clipped to limits there
         net.sgen["in_service"] = False
@@ -77,9 +74,16 @@ def read_pandapower(path: Path) -> Imported:
                 net, init="flat", calculate_voltage_angles=True, check_connectivity=True, mode="pf"
             )
         except Exception as error:
-            raise InvalidInputError(str(path), [f"pandapower cannot convert it: {error}"]) from None
+            problem = (
+                f"pandapower cannot convert it ({type(error).__name__}: {error}); pandapower.diagnostic may say why"
+            )
+            raise InvalidInputError(str(path), [problem]) from None
     try:
         conversion, remarks = _convert(path.stem, net, sgen, ppc)
+        names = {branch: f"{name} {index}" for (name, index), branch in conversion.branch_of.items()}
+        cure = "put a closed switch between its two buses in its place"
+        if problems := list(find_zero_impedance_problems(conversion.network, names, cure)):
+            raise InvalidInputError(str(path), problems)
     except InvalidInputError as error:
         raise InvalidInputError(str(path), error.problems) from None
     from scenarios.importers.pandapower_measurements import read_measurements
@@ -96,29 +100,6 @@ def read_pandapower(path: Path) -> Imported:
         readings=readings,
         zero_injection="measured" if readings else "virtual",
     )
-
-
-def _find_unsupported(net: Any) -> Iterator[str]:
-    """Every element in service that the network model cannot hold."""
-    for name in sorted(net.keys()):
-        table = net[name]
-        if name.startswith(("res_", "_")) or name in SUPPORTED | NO_ELEMENTS or not hasattr(table, "columns"):
-            continue
-        if "in_service" in table.columns and len(working := table.index[table.in_service.astype(bool)]):
-            named = f"{name} {listed(list(working))}"
-            yield f"{named}: the network model cannot hold it; replace it, or take it out of service"
-    sources = [f"ext_grid {i} at bus {bus}" for i, bus in net.ext_grid.bus[net.ext_grid.in_service].items()]
-    if "slack" in net.gen.columns:
-        slack = net.gen.in_service & net.gen.slack.astype(bool)
-        sources += [f"gen {i} at bus {bus}" for i, bus in net.gen.bus[slack].items()]
-    if len(sources) != 1:
-        found = listed(sources) if sources else "none"
-        yield f"exactly one source must hold voltage and angle (ext_grid, or gen with slack), found {found}"
-    for part in ("p", "q"):
-        column = f"const_i_{part}_percent"
-        if column in net.load.columns and len(bad := net.load.index[net.load.in_service & (net.load[column] != 0)]):
-            named = f"load {listed(list(bad))}"
-            yield f"{named}: {column} is not 0; the network model holds constant power and impedance only"
 
 
 def _convert(name: str, net: Any, sgen: Any, ppc: dict[str, Any]) -> tuple[Conversion, list[Remark]]:

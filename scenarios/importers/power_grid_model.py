@@ -27,6 +27,7 @@ from scenarios.importers.imported import (
 )
 from scenarios.importers.power_grid_model_branches import BUILDERS
 from scenarios.network_file import default_branch_id
+from scenarios.zero_impedances import find_zero_impedance_problems
 
 BASE_VA = 1e6
 STIFF = 1e-9  # p.u.; a source's impedance below it is none
@@ -65,6 +66,10 @@ def read_power_grid_model(path: Path, frequency_hz: float) -> Imported:
     data = _load(path)
     try:
         conversion, remarks = _convert(path.stem, data, frequency_hz)
+        names = {branch: _kind_of(data, component) for component, branch in conversion.branch_of.items()}
+        cure = "put a link in its place, or where it is a source, give it an sk above 1e15 VA"
+        if problems := list(find_zero_impedance_problems(conversion.network, names, cure)):
+            raise InvalidInputError(str(path), problems)
     except InvalidInputError as error:
         raise InvalidInputError(str(path), error.problems) from None
     from scenarios.importers.power_grid_model_sensors import read_sensors
@@ -105,6 +110,12 @@ def _load(path: Path) -> Data:
     if errors := validation.validate_input_data(loaded, calculation_type=purpose, symmetric=True):
         raise InvalidInputError(str(path), [f"power-grid-model: {error}" for error in errors])
     return data
+
+
+def _kind_of(data: Data, component: int) -> str:
+    """``line 7``: what a component is, beside its id."""
+    kinds = [name for name in (*BUILDERS, "source") if name in data]
+    return next(f"{name} {component}" for name in kinds if component in data[name]["id"])
 
 
 def rows(data: Data, name: str) -> Any:

@@ -44,7 +44,11 @@ def test_another_cut_is_tried_without_touching_the_file_whatever_its_faults_name
     code, out, _ = dsse("partition", "ieee33-load-error", "--count", 2)
     assert code == 0
     assert "33 buses in 2 areas" in out
-    code, out, _ = dsse("partition", "ieee33", "--switches", "6-7", "--switches", "6-26")
+
+
+@pytest.mark.parametrize("switches", [["6-7", "--switches", "6-26"], ["6-7,6-26"], ["6-7, 6-26,"]])
+def test_switches_are_named_one_by_one_or_with_commas(dsse, switches: list[str]) -> None:
+    code, out, _ = dsse("partition", "ieee33", "--switches", *switches)
     assert code == 0
     assert "at most 3 areas meet at one, at bus 6" in out
 

@@ -150,6 +150,16 @@ def test_a_bus_that_nobody_knows_is_an_empty_cell(tmp_path: Path):
     assert row["true_vm_pu"] != ""
 
 
+def test_relative_angles_and_their_sigma_are_empty_cells(tmp_path: Path):
+    write_result(a_result(tmp_path, relative="area3"))
+    with (tmp_path / "buses.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    of_area3 = [row for row in rows if row["area"] == "area3"]
+    assert {(row["decentralised_va_deg"], row["sigma_va_deg"]) for row in of_area3} == {("", "")}
+    assert {row["sigma_vm_pu"] for row in of_area3} == {"0.001"}
+    assert {row["sigma_va_deg"] for row in rows if row["area"] != "area3"} == {"0.0572957795"}
+
+
 def test_a_gap_of_angles_is_wrapped():
     one, other = (Voltages(np.ones(1), np.array([va])) for va in (np.pi - 0.01, -np.pi + 0.01))
     assert largest_gap(one, other).va_deg == pytest.approx(np.degrees(0.02))

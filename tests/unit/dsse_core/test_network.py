@@ -76,3 +76,16 @@ def test_a_branch_out_of_service_joins_nothing(meshed):
 
 def test_the_scheduled_injection_is_generation_minus_load(meshed):
     assert meshed.scheduled_injection(5) == pytest.approx(-0.20 - 0.07j)
+
+
+def test_a_branch_is_none_below_a_share_of_the_median_of_those_in_service():
+    impedances = {"a": 1.0, "b": 1.1e-6, "c": 0.9e-6, "d": 2.0, "e": 1.0}
+    branches = [Branch(name, i, i + 1, 0.0, x) for i, (name, x) in enumerate(impedances.items())]
+    branches.append(Branch("open", 0, 2, 0.0, 1e-9, in_service=False))
+    network = Network("n", 1.0, tuple(Bus(i, 1.0) for i in range(6)), tuple(branches))
+    assert network.median_impedance == 1.0
+    assert [branch.id for branch in network.find_zero_impedances()] == ["c"]
+
+
+def test_a_network_without_branches_has_none_without_impedance():
+    assert Network("one bus", 1.0, (Bus(1, 1.0),), ()).find_zero_impedances() == ()

@@ -98,7 +98,7 @@ def test_an_open_end_draws_what_the_branch_draws_with_nothing_behind_it() -> Non
         ("grid.json", '{"some": "thing"}', "neither a pandapower network"),
         ("grid.json", "[1, 2]", "neither a pandapower network"),
         ("grid.json", '{"is_batch": true, "type": "update", "data": []}', "type 'update', batch True; give input data"),
-        ("grid.m", "", "mpc.bus is missing"),
+        ("grid.m", "", "mpc.bus, mpc.branch and mpc.gen are all missing"),
     ],
 )
 def test_a_file_of_no_known_format_is_refused(tmp_path: Path, name: str, content: str, words: str) -> None:

@@ -210,3 +210,105 @@ def test_a_case_reads_the_same_through_another_reader(tmp_path: Path) -> None:
     case = frames.CaseFrames(str(tmp_path / "case.m"))
     assert [bus.p_load * 10 for bus in network.buses] == pytest.approx(list(case.bus.PD))
     assert [branch.r for branch in network.branches] == pytest.approx(list(case.branch.BR_R))
+
+
+BUSBARS = """
+mpc.version = '2';
+mpc.baseMVA = 10;
+mpc.bus = [
+    1  3  0    0    0    0    1  1  0  20  1  1.1  0.9;
+    2  1  1    0.2  0    0    1  1  0  20  1  1.1  0.9;
+    3  1  2    0.3  0.1  0.4  1  1  0  20  1  1.1  0.9;
+    4  2  0.5  0    0    0.2  1  1  0  20  1  1.1  0.9;
+    5  1  1    0.4  0    0    1  1  0  20  1  1.1  0.9;
+];
+mpc.gen = [
+    1  0    0  10  -10  1.02   100  1  10  0;
+    4  0.3  0  10  -10  1.015  100  1  10  0;
+];
+mpc.branch = [
+    1  2  0.01  0.02  0     0  0  0  0  0  1;
+    3  2  0     1e-9  0.02  0  0  0  0  0  1;
+    3  4  1e-9  0     0     0  0  0  0  0  1;
+    2  4  0.01  0.03  0.01  0  0  0  0  0  1;
+    2  3  0.01  0.03  0     0  0  0  0  0  0;
+    4  5  0.02  0.02  0     0  0  0  0  0  1;
+    5  3  0.03  0.04  0     0  0  0  0  0  1;
+    1  5  0.03  0.04  0     0  0  0  0  0  0;
+];
+"""
+
+
+def test_buses_that_a_branch_without_impedance_joins_become_one_with_all_that_stands_there(tmp_path: Path) -> None:
+    imported = read(tmp_path, BUSBARS)
+    network = imported.network
+    assert list(network.row) == [1, 2, 5]
+    bus = network.bus(2)
+    assert (bus.p_load, bus.q_load, bus.g_shunt, bus.b_shunt) == pytest.approx((0.35, 0.05, 0.01, 0.06 + 0.03))
+    assert [(branch.id, branch.in_service) for branch in network.branches] == [
+        ("1-2", True), ("2-5", True), ("5-2", True), ("1-5", False),
+    ]  # fmt: skip
+    assert [(g.bus, g.control) for g in network.generators] == [(1, Control.SLACK), (2, Control.VOLTAGE)]
+    told = {(remark.what, remark.text) for remark in imported.remarks}
+    assert (
+        "fused",
+        "bus 3, 4 into bus 2, joined by branch 3-2 (1e-09 p.u.), 3-4 (1e-09 p.u.), which has no impedance beside the "
+        "median of 0.0253 p.u.",
+    ) in told
+    assert ("left out", "branch 2-4, 2-3: both ends are at one bus now, it carries nothing") in told
+
+
+def test_the_power_flow_of_fused_buses_is_that_of_a_short_line_between_them(tmp_path: Path) -> None:
+    short = BUSBARS.replace("1e-9", "1e-5")  # through it flow 0.2 p.u.
+    fused = solve_power_flow(read(tmp_path, BUSBARS).network, tolerance=1e-12)
+    whole = solve_power_flow(read(tmp_path, short).network, tolerance=1e-10)
+    assert len(whole.vm) == 5
+    for one, others in {1: [1], 2: [2, 3, 4], 5: [5]}.items():
+        rows = [whole.network.row[bus] for bus in others]
+        np.testing.assert_allclose(whole.vm[rows], fused.vm[fused.network.row[one]], atol=5e-6)
+        np.testing.assert_allclose(whole.va[rows], fused.va[fused.network.row[one]], atol=5e-6)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("3  2  0     1e-9  0.02  0  0  0  0  ", "3  2  0     1e-9  0.02  0  0  0  0.98  "),
+        ("2  4  0.01  0.03  0.01  0  0  0  0  0", "2  4  0.01  0.03  0.01  0  0  0  0  30"),
+        ("4  2  0.5  0    0    0.2  1  1  0  20", "4  2  0.5  0    0    0.2  1  1  0  10"),
+    ],
+)
+def test_buses_whose_voltages_differ_do_not_become_one(tmp_path: Path, old: str, new: str) -> None:
+    problems = problems_of(tmp_path, changed(BUSBARS, old, new))
+    assert "branches without impedance make one bus of its two, but their voltages differ" in problems[0]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("mpc.baseMVA = 10;", "mpc.baseMVA = 0;", "line 4: 'mpc.baseMVA=0': it must be a positive power in MVA"),
+        ("mpc.baseMVA = 10;", "mpc.baseMVA = -10;", "it must be a positive power in MVA"),
+        ("mpc.baseMVA = 10;", "mpc.baseMVA = 10/0;", "it must be a positive power in MVA"),
+        ("mpc.baseMVA = 10;", "mpc.baseMVA = 1e999;", "it must be a positive power in MVA"),
+        ("1  3  0    0   0  0  1  1  0  12.66", "1  3  0    0   0  0  1  1  0  0", "base voltage of 0 kV; ohms need"),
+        ("1  3  0    0   0  0  1  1  0  12.66", "1  3  0    0   0  0  1  1  0  1e300", "ohms need a positive one"),
+        ("    2  1  100", "    2  1  5/0", "mpc.bus: a quotient is no number"),
+        ("    2  1  100", "    2  1  1/sqrt(-2)", "mpc.bus: a quotient is no number"),
+        ("    2  1  100", "    2  7  100", "bus 2 is of type 7"),
+        ("mpc.gen = [ 1  0  0  10  -10  1  100  1  10  0 ]", "mpc.gen = [ ]", "mpc.gen is empty"),
+        ("mpc.bus(:, [PD, QD]) =", "pf = 2; mpc.bus(:, [PD, QD]) =", "a power factor lies between 0 and 1"),
+    ],
+)
+def test_numbers_that_nothing_can_be_computed_with_are_named(tmp_path: Path, old: str, new: str, words: str) -> None:
+    assert words in "\n".join(problems_of(tmp_path, changed(DISTRIBUTION, old, new)))
+
+
+def test_what_is_shown_of_a_file_is_short_and_harms_no_terminal(tmp_path: Path) -> None:
+    (problem,) = problems_of(tmp_path, DISTRIBUTION + "x\x1b[31m\x07\u202e = '" + "long" * 1000 + "';\n")
+    assert problem.isprintable()
+    assert "x\\x1b[31m\\x07\\u202e=" in problem
+    assert len(problem) < 300
+
+
+def test_a_file_that_is_no_case_is_one_problem(tmp_path: Path) -> None:
+    (problem,) = problems_of(tmp_path, "\x00\x1b\x7f\nnothing\nof it\n")
+    assert "this is no MATPOWER case" in problem

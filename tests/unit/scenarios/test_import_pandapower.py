@@ -205,3 +205,71 @@ def test_a_missing_package_is_named_with_the_command_that_installs_it(
     monkeypatch.setitem(sys.modules, "pandapower", None)
     with pytest.raises(InvalidInputError, match=r"pip install 'consensus-dsse\[pandapower\]'"):
         import_grid(path)
+
+
+def test_a_line_without_impedance_is_refused_by_its_name(tmp_path: Path) -> None:
+    net = small_grid()
+    net.line.loc[[2, 4], "length_km"] = 1e-8
+    text = problems_of(tmp_path, net)
+    assert "branch 12-13 (line 2) has |r + jx| = " in text
+    assert "branch 12-14 (line 4) has |r + jx| = " in text
+    assert "put a closed switch between its two buses in its place" in text
+
+
+def test_broken_data_are_named_by_table_index_and_column_all_at_once(tmp_path: Path) -> None:
+    net = small_grid()
+    net.load = net.load.astype({"bus": int})
+    net.load.loc[[0, 2], "bus"] = [99, 98]
+    net.line.loc[3, "to_bus"] = 77
+    net.line.loc[1, "length_km"] = 0.0
+    net.line.loc[2, "r_ohm_per_km"] = np.nan
+    net.trafo.loc[0, ["sn_mva", "vk_percent"]] = 0.0
+    net.switch.loc[0, "element"] = 44
+    net.switch.loc[1, "et"] = "x"
+    net.sgen = net.sgen.drop(columns=["scaling", "q_mvar"])
+    net.sn_mva = 0.0
+    text = problems_of(tmp_path, net)
+    for words in (
+        "sn_mva is 0.0; a positive number is expected",
+        "load 0, 2: bus is 99, 98; the index of a bus is expected",
+        "line 3: to_bus is 77; the index of a bus is expected",
+        "line 1: length_km is 0.0; a positive number is expected",
+        "line 2: r_ohm_per_km is nan; a number is expected",
+        "trafo 0: sn_mva is 0.0; a positive number is expected",
+        "trafo 0: vk_percent is 0.0; a positive number is expected",
+        "switch 0: element is 44; the index of a bus (et is 'b') is expected",
+        "switch 1: et is x; one of b, l, t is expected",
+        "table sgen has 1 elements but no column q_mvar, scaling",
+    ):
+        assert words in text
+
+
+def test_a_transformer_out_of_service_is_divided_by_too(tmp_path: Path) -> None:
+    net = small_grid()
+    pp.create_transformer(net, 5, 10, "25 MVA 110/20 kV", in_service=False)
+    net.trafo.loc[1, "vk_percent"] = 0.0
+    assert "trafo 1: vk_percent is 0.0; a positive number is expected" in problems_of(tmp_path, net)
+
+
+def test_short_circuit_losses_above_the_short_circuit_voltage_are_named(tmp_path: Path) -> None:
+    net = small_grid()
+    net.trafo.loc[0, "vkr_percent"] = 50.0
+    assert "trafo 0: vkr_percent is 50.0; a number that is at most vk_percent is expected" in problems_of(tmp_path, net)
+
+
+def test_a_branch_out_of_service_may_lack_numbers_a_load_may_not_since_pandapower_multiplies_it_by_0(
+    tmp_path: Path,
+) -> None:
+    net = small_grid()
+    net.line.loc[8, "length_km"] = np.nan
+    check_power_flow(imported(tmp_path, net), net)
+    net.load.loc[0, "in_service"] = False
+    net.load.loc[0, "p_mw"] = np.nan
+    assert "load 0: p_mw is nan; a number is expected" in problems_of(tmp_path, net)
+
+
+@pytest.mark.parametrize(("table", "column"), [("bus", "name"), ("measurement", "std_dev"), ("line", "in_service")])
+def test_a_table_without_a_column_is_named(tmp_path: Path, table: str, column: str) -> None:
+    net = measured_grid()
+    net[table] = net[table].drop(columns=column)
+    assert f"table {table} has {len(net[table])} elements but no column {column}" in problems_of(tmp_path, net)

@@ -294,3 +294,13 @@ def test_a_missing_package_is_named_with_the_command_that_installs_it(
     monkeypatch.setitem(sys.modules, "power_grid_model.utils", None)
     with pytest.raises(InvalidInputError, match=r"pip install 'consensus-dsse\[power-grid-model\]'"):
         import_grid(path)
+
+
+def test_branches_without_impedance_are_refused_by_their_names(tmp_path: Path) -> None:
+    data = small_grid()
+    data["line"]["r1"][1], data["line"]["x1"][1] = 1e-9, 0.0
+    data["source"]["sk"] = 5e14
+    text = problems_of(tmp_path, data)
+    assert "branch 3-4 (line 31) has |r + jx| = 1e-11 p.u., the median branch " in text
+    assert "branch 10-1 (source 50) has |r + jx| = 2e-09 p.u." in text
+    assert "put a link in its place" in text

@@ -175,3 +175,18 @@ def test_conductance_is_read_in_microsiemens_or_per_unit(tmp_path: Path) -> None
     assert network.branch("1-2").g == pytest.approx(5e-6 * 20**2 / 10)
     network = load(tmp_path, changed("b_pu = 0.002", "b_pu = 0.002, g_pu = 0.001"))
     assert network.branch("2-3").g == pytest.approx(0.001)
+
+
+def test_branches_without_impedance_beside_the_others_are_refused_one_by_one(tmp_path: Path) -> None:
+    text = GOOD.replace("r_pu = 0.01, x_pu = 0.05, b_pu = 0.002", "r_pu = 0, x_pu = 1e-8, b_pu = 0.002")
+    more = "{ from = 3, to = 1, r_pu = 1e-9, x_pu = 0 }, { from = 3, to = 1, r_pu = 0.2, x_pu = 0.2 },"
+    text = text.replace("branch = [", f"branch = [ {more}")
+    with pytest.raises(InvalidInputError) as caught:
+        load(tmp_path, text)
+    ending = (
+        "p.u., the median branch 0.224 p.u.; with less than 1e-06 of the median no estimate is exact: merge its two "
+    )
+    assert caught.value.problems == (
+        f"branch 3-1 has |r + jx| = 1e-09 {ending}buses into one",
+        f"branch 2-3 has |r + jx| = 1e-08 {ending}buses into one",
+    )

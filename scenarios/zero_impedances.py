@@ -1,0 +1,23 @@
+"""Branches that are none, beside the others of a whole network: what is wrong with them, and what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from dsse_core.network import ZERO_IMPEDANCE, Network
+
+
+def find_zero_impedance_problems(
+    network: Network, names: Mapping[str, str] | None = None, cure: str = "merge its two buses into one"
+) -> Iterator[str]:
+    """A problem for each branch of a whole ``network`` that is none, being too short beside the others.
+
+    ``names``: branch id -> what its source calls it; ``cure``: what to do there.
+    """
+    for branch in network.find_zero_impedances():
+        name = (names or {}).get(branch.id)
+        yield (
+            f"branch {branch.id}{f' ({name})' if name else ''} has |r + jx| = {abs(complex(branch.r, branch.x)):.3g} "
+            f"p.u., the median branch {network.median_impedance:.3g} p.u.; with less than {ZERO_IMPEDANCE:g} of the "
+            f"median no estimate is exact: {cure}"
+        )
