@@ -93,7 +93,7 @@ class InformationMessage:
     """The sender's cost-to-go at a boundary bus, ``1/2 |R y - z|^2`` of ``y = (p, q, vm, va)``: 14 numbers.
 
     ``R``: the upper triangle of the 4x4 matrix, row by row. ``referenced``: the sender's side knows the
-    substation's angle.
+    substation's angle. ``complete``: it rests on all areas of the sender's side.
     """
 
     kind: ClassVar[str] = "information"
@@ -102,6 +102,7 @@ class InformationMessage:
     R: tuple[float, ...]
     z: tuple[float, ...]
     referenced: bool
+    complete: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,23 +129,26 @@ class AdmmMessage:
 class TallyMessage:
     """Bad data of the whole feeder: what the sender's side of the tree of areas adds, and what is decided.
 
-    ``removed``: meters taken out, in order; figures of the same list only are combined. ``finished``: from the
-    substation's side, no more will be. ``sent``, ``heard``: (start_ms, random, sequence) of the last information
-    message to the receiver and of the newest from it, on which the figures rest. ``settled``: they are final, all
-    areas of this side included; only then ``objective`` (J), ``degrees_of_freedom`` and ``worst`` with its
-    ``normalized`` residuals count. ``no_load``: as ``InformationMessage.R``, of the no-load model, empty until known.
+    ``decisions``: meters taken out, in order, and when current magnitudes came into use; figures of the same list
+    only are combined. ``finished``: from the substation's side, there will be no more. ``sent``, ``heard``:
+    (start_ms, random, sequence) of the last information message to the receiver and of the newest from it, on which
+    the figures rest. ``settled``: they are final, all areas of this side included; only then ``objective`` (J),
+    ``degrees_of_freedom``, ``worst`` with its ``normalized`` residuals and ``held_back``, the number of current
+    magnitudes not yet in use, count. ``no_load``: as ``InformationMessage.R``, of the no-load model, empty until
+    known.
     """
 
     kind: ClassVar[str] = "tally"
     header: Header
     bus: int
-    removed: tuple[str, ...]
+    decisions: tuple[str, ...]
     finished: bool
     settled: bool
     sent: tuple[int, ...]
     heard: tuple[int, ...]
     objective: float
     degrees_of_freedom: Integer
+    held_back: Integer
     worst: tuple[str, ...]
     normalized: tuple[float, ...]
     no_load: tuple[float, ...]

@@ -28,12 +28,12 @@ DAMPING = 0.3  # tau, p.u. and rad: undamped steps diverge while transit power i
 LARGEST_STEP = 0.1  # p.u. and rad, of any voltage
 SMALL_STEP = 1e-3  # p.u. and rad; after a smaller one the damping falls in proportion
 EXACT_SIGMA = 1e-9  # p.u.; of exact injections: with the boundary's voltage given, there may be more than variables
-NOT_YET = 1e-6  # information given to eliminated variables that nothing determines yet
-# The same in the no-load model, relative to what the rows tell of the variable: far below the redundancy of 1e-6 of a
-# voltmeter that only the sum of thousands of injections checks, and far above rounding.
-NO_LOAD_NOT_YET = 1e-14
+NOT_YET = 1e-6  # information given to eliminated voltages that nothing determines yet
+NOT_YET_OF_POWER = 1e-8  # the same of powers, which may be large
+NO_LOAD_NOT_YET = 1e-18  # the same in the no-load model, relative to what the rows tell where that is less than 1
 NOTHING = 1e-30  # for variables that no row speaks of
 ROUNDING = 1e-14  # relative; what is left of a difference of equal numbers
+NOTHING_OF_VOLTAGE = 1e-10  # information about it, below which it is rounding
 MOST_TURNS = 4  # of the axes of (p, q)
 BEYOND_REASON = 1e18  # entries of R and z
 
@@ -157,25 +157,52 @@ def build_area_model(
 def solve_step(
     model: AreaModel, x: np.ndarray, heard: Mapping[str, BoundaryInformation], last_step: float = np.inf
 ) -> np.ndarray:
-    """The damped step dx, shape (size,), ``(G + 1 / tau^2) dx = b`` with all messages ``heard`` in.
+    """The damped step dx, shape (size,), ``(G + D) dx = b`` with all messages in; D = 1 / tau^2, voltages.
 
     After a small ``last_step``, max |dx|, less damping is needed, and directions of little information converge too.
     """
+    least = _least_information(model, model.free)
+    damping = np.maximum(_damping(model) * min(1.0, last_step / SMALL_STEP), least)
+    return _solve_damped(model, x, heard, damping, np.zeros(len(model.free)))
+
+
+def solve_step_near(
+    model: AreaModel, x: np.ndarray, heard: Mapping[str, BoundaryInformation], start: np.ndarray
+) -> np.ndarray:
+    """The step dx, shape (size,), where news is missing: ``start`` counts as measured, all voltages with sigma tau.
+
+    Without it losses alone would tell what the missing neighbours should, and the state would run away.
+    """
+    damping = _damping(model)
+    return _solve_damped(model, x, heard, damping, damping * (x - start)[model.free])
+
+
+def _damping(model: AreaModel) -> np.ndarray:
+    """Of voltages; nobody knows beforehand how large powers are."""
+    return np.where(model.free < 2 * len(model.area.network.buses), DAMPING**-2.0, NOT_YET_OF_POWER)
+
+
+def _solve_damped(
+    model: AreaModel, x: np.ndarray, heard: Mapping[str, BoundaryInformation], damping: np.ndarray, pull: np.ndarray
+) -> np.ndarray:
     H, r, sigma = _stack(model, x, heard)
-    damping = max(DAMPING**-2.0 * min(1.0, last_step / SMALL_STEP), NOT_YET)
-    factor = AugmentedFactor(sp.csr_array(H[:, model.free]), sigma, damping)
     dx = np.zeros(model.size)
-    dx[model.free] = factor.solve_step(r)
+    dx[model.free] = AugmentedFactor(sp.csr_array(H[:, model.free]), sigma, damping).solve(r, pull)[1]
     largest = float(abs(dx[: 2 * len(model.area.network.buses)]).max())
-    dx *= min(1.0, LARGEST_STEP / max(largest, LARGEST_STEP))
-    return dx
+    return np.asarray(dx * min(1.0, LARGEST_STEP / max(largest, LARGEST_STEP)))
 
 
-def state_variance(model: AreaModel, x: np.ndarray, heard: Mapping[str, BoundaryInformation]) -> np.ndarray:
-    """diag(G^-1) with all messages in, shape (size,): at the fixed point that of the centralised estimate."""
+def state_variance(
+    model: AreaModel, x: np.ndarray, heard: Mapping[str, BoundaryInformation], *, near_start: bool = False
+) -> np.ndarray:
+    """diag(G^-1) with all messages in, shape (size,): at the fixed point that of the centralised estimate.
+
+    ``near_start``: with the start as a measurement, as in ``solve_step_near``.
+    """
     H, _, sigma = _stack(model, x, heard)
     variance = np.zeros(model.size)
-    variance[model.free] = _factor_undamped(model, H, sigma, model.free).state_variance()
+    damping = _damping(model) if near_start else _least_information(model, model.free)
+    variance[model.free] = AugmentedFactor(sp.csr_array(H[:, model.free]), sigma, damping).state_variance()
     return variance
 
 
@@ -186,13 +213,17 @@ def residual_variance(model: AreaModel, x: np.ndarray, heard: Mapping[str, Bound
     return variance[: len(model.z)]
 
 
+def _least_information(model: AreaModel, columns: np.ndarray) -> np.ndarray:
+    return np.where(columns < 2 * len(model.area.network.buses), NOT_YET, NOT_YET_OF_POWER)
+
+
 def _factor_undamped(model: AreaModel, H: sp.csr_array, sigma: np.ndarray, columns: np.ndarray) -> AugmentedFactor:
     """The factor of some columns of H, damped only where nothing determines a variable yet."""
     H = sp.csr_array(H[:, columns])
     if not model.no_load:
-        return AugmentedFactor(H, sigma, NOT_YET)
+        return AugmentedFactor(H, sigma, _least_information(model, columns))
     told = np.bincount(H.indices, scale_rows(H, 1 / sigma).data ** 2, len(columns))
-    return AugmentedFactor(H, sigma, np.where(told > 0, NO_LOAD_NOT_YET * np.minimum(told,1.0), NOTHING))
+    return AugmentedFactor(H, sigma, np.where(told > 0, NO_LOAD_NOT_YET * np.minimum(told, 1.0), NOTHING))
 
 
 def compute_information(
@@ -205,7 +236,7 @@ def compute_information(
     ``M = B' s``, ``g = B' s_r`` from ``K [s, .] = [B, 0]``, ``K [s_r, .] = [r, 0]``. And what it knows of the power
     given v: ``(p, q) = y_p + C du_r + (dp - C du_B) dv`` with covariance ``C G_uu^-1 C'`` (``_find_power``). ``B`` and
     ``dp`` are the responses of measurements and power when v moves and takes the whole area along
-    (``_responses_to_shift``). What amounts to no more than d is told as nothing.
+    (``_responses_to_shift``).
     """
     heard = {name: message for name, message in heard.items() if name != neighbour.area}
     H, r, sigma = _stack(model, x, heard)
@@ -213,12 +244,12 @@ def compute_information(
     y, T = model.boundary(x, neighbour)
     u = np.setdiff1d(model.free, T[2:].indices)
     factor = _factor_undamped(model, H, sigma, u)
-    nothing = 0.0 if model.no_load else NOT_YET
+    nothing = 0.0 if model.no_load else NOTHING_OF_VOLTAGE
     s, _ = factor.solve(np.column_stack([B, r]), np.zeros((len(u), 3)))
     information = B.T @ s
     N, told_v = _factor_information(information[:, :2], information[:, 2], nothing)
     W, S, A = _find_power(factor, sp.csr_array(T[:2, u]), len(r))
-    rows = _factor_inverse(S, nothing) @ np.column_stack([W.T, A.T @ B - W.T @ dp, A.T @ r])
+    rows = _factor_inverse(S) @ np.column_stack([W.T, A.T @ B - W.T @ dp, A.T @ r])
     Q, P = np.linalg.qr(rows[:, :2])
     R = np.block([[P, Q.T @ rows[:, 2:4]], [np.zeros((2, 2)), N]])
     return BoundaryInformation(R, R @ y + np.concatenate([Q.T @ rows[:, 4], told_v]))
@@ -273,6 +304,7 @@ def _responses_to_shift(
 def _factor_information(M: np.ndarray, g: np.ndarray, nothing: float) -> tuple[np.ndarray, np.ndarray]:
     """N upper triangular and n with ``N'N = M``, ``N'n = g``; what of the (2, 2) information M is ``nothing`` is 0."""
     N, n = np.zeros((2, 2)), np.zeros(2)
+    M = np.where(np.diag(M) > nothing, M, 0.0)
     if M[0, 0] > nothing:
         N[0] = M[0] / np.sqrt(M[0, 0])
         n[0] = g[0] / N[0, 0]
@@ -283,11 +315,11 @@ def _factor_information(M: np.ndarray, g: np.ndarray, nothing: float) -> tuple[n
     return N, n
 
 
-def _factor_inverse(S: np.ndarray, nothing: float) -> np.ndarray:
-    """P with ``P'P = S^-1`` for the (2, 2) covariance S; rows of 0 where its inverse is ``nothing``.
+def _factor_inverse(S: np.ndarray) -> np.ndarray:
+    """P with ``P'P = S^-1`` for the (2, 2) covariance S.
 
     What is less certain comes first, then the other given it: p may be as good as unknown and still tell q, by the
-    losses that it causes. A variance below zero is rounding of a number too large to be known.
+    losses that it causes. A variance below zero is rounding of a number too large to be known: a row of 0.
     """
     least = EXACT_SIGMA**2
     first, other = (0, 1) if abs(S[0, 0]) >= abs(S[1, 1]) else (1, 0)
@@ -296,11 +328,9 @@ def _factor_inverse(S: np.ndarray, nothing: float) -> np.ndarray:
     if (unknown := S[first, first]) > 0:
         variance = max(unknown, least)
         slope = S[0, 1] / variance
-        if 1 / variance > 2 * nothing:
-            P[0, first] = 1 / np.sqrt(variance)
+        P[0, first] = 1 / np.sqrt(variance)
     rest = max(S[other, other] - slope * S[0, 1], least, ROUNDING * S[other, other])
-    if 1 / rest > 2 * nothing:
-        P[1, other], P[1, first] = np.array([1.0, -slope]) / np.sqrt(rest)
+    P[1, other], P[1, first] = np.array([1.0, -slope]) / np.sqrt(rest)
     return P
 
 

@@ -3,12 +3,26 @@
 import os
 
 import pytest
+from hypothesis import HealthCheck, Phase, settings
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line has it; before anything loads numpy
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--thorough", action="store_true", help="as many random cases as the documentation claims")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Properties without a number of examples of their own are those that the documentation gives a number for."""
+    settings.register_profile(
+        "documented",
+        max_examples=300 if config.getoption("--thorough") else 25,
+        deadline=None,
+        phases=[Phase.explicit, Phase.generate],  # examples are grids of given sizes: shrinking them takes an hour
+        derandomize=True,
+        suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
+    )
+    settings.load_profile("documented")
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:

@@ -1,15 +1,17 @@
 """Bad data of the whole feeder, decided along the tree of areas as a control centre would decide.
 
 Sums and the largest normalised residual climb from the leaves to the substation's area, which sends down the list
-of meters to be removed. That list is the epoch: only figures of the same list are combined, and only of neighbours
-that have heard each other's last boundary message and have nothing more to say. Everything is absolute and may be
-lost, repeated or late. What cannot be spared is found on the same way: each area tells its neighbours the
-cost-to-go of its meters at no load, once it has heard it from all the others.
+of its decisions: to use current magnitudes, which mislead before the flows are known, then which meters to remove.
+That list is the epoch: only figures of the same list are combined, and only of neighbours that have heard each
+other's last boundary message and have nothing more to say. Everything is absolute and may be lost, repeated or late.
+What cannot be spared is found on the same way: each area tells its neighbours the cost-to-go of its meters at no
+load, once it has heard it from all the others.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,25 +20,27 @@ from agents.strategies.interface import Knowledge
 from dsse_core.bad_data import CONFIDENCE, CRITICAL_REDUNDANCY, chi_square_limit
 from dsse_core.exchange import AreaModel, BoundaryInformation, residual_variance
 from dsse_core.feeder_bad_data import NoLoadModel, Tally, add_tallies, tally_area
-from dsse_core.measurement import Measurement, Source
+from dsse_core.measurement import Measurement, MeasurementKind, Source
 from dsse_core.partition import Area, Neighbour
 
 UPPER = np.triu_indices(4)
+USE_CURRENTS = "use current magnitudes"  # a decision; the others are the id of the meter to be removed
 
 
 class BadDataTree:
-    """One area's part. ``removed``: meters of the whole feeder taken out, in order; ``finished``: no more will be."""
+    """One area's part. ``decisions``: of the substation's area, in order; ``finished``: there will be no more."""
 
     def __init__(self, area: Area) -> None:
         self._area = area
         self._children = [n for n in area.neighbours if not n.is_parent]
         self._scan = 0
-        self.removed: tuple[str, ...] = ()
+        self.decisions: tuple[str, ...] = ()
         self.finished = False
         self.critical: tuple[str, ...] = ()
         self._tally: Tally | None = None  # of this side, final
         self._own: tuple[np.ndarray, Tally] | None = None  # the state that the area's own part belongs to, and it
         self._no_load: NoLoadModel | None = None
+        self._held_back = 0
         self._indispensable: tuple[object, set[str]] | None = None
         self._told_no_load: dict[str, tuple[object, tuple[float, ...]]] = {}  # what it was made from, and it
         self._known = Knowledge(())
@@ -46,15 +50,21 @@ class BadDataTree:
         self._known = known
         if known.scan != self._scan:
             self._scan = known.scan
-            self.removed, self.finished = (), False
+            self.decisions, self.finished = (), False
         parent = self._area.parent
         order = known.tallies.get(parent.area) if parent else None
         if order is not None:
-            self.removed, self.finished = order.removed, order.finished
+            self.decisions, self.finished = order.decisions, order.finished
 
-    def take_measurements(self, no_load: NoLoadModel) -> None:
-        """The measurements have changed, by a new scan or a removal."""
+    def select(self, telemetry: Sequence[Measurement]) -> list[Measurement]:
+        """The measurements that the decisions so far leave in use."""
+        held_back = () if USE_CURRENTS in self.decisions else (MeasurementKind.CURRENT,)
+        return [m for m in telemetry if m.meter.id not in self.decisions and m.meter.kind not in held_back]
+
+    def take_measurements(self, no_load: NoLoadModel, held_back: int) -> None:
+        """The measurements have changed, by a new scan or a decision; ``held_back``: how many are not yet in use."""
         self._no_load = no_load
+        self._held_back = held_back
         self._tally = self._own = self._indispensable = None
         self._told_no_load = {}
 
@@ -79,17 +89,20 @@ class BadDataTree:
         if len(final) < len(self._children):
             return
         below = [_read(t) for t in final]
-        self._tally = add_tallies([own, *below])
+        self._tally = add_tallies([replace(own, held_back=self._held_back), *below])
         if self._area.parent is None and not self.finished:
             self._decide(self._tally)
 
     def _decide(self, tally: Tally) -> None:
         exceeds = tally.objective >= chi_square_limit(tally.degrees_of_freedom, CONFIDENCE)
-        if exceeds and tally.worst:
-            self.removed = (*self.removed, min(tally.worst))
-            self._tally = None
+        if tally.held_back:
+            self.decisions = (*self.decisions, USE_CURRENTS)
+        elif exceeds and tally.worst:
+            self.decisions = (*self.decisions, min(tally.worst))
         else:
             self.finished = True
+            return
+        self._tally = None
 
     def message_for(self, neighbour: Neighbour, header: Header) -> TallyMessage:
         told, heard = self._known.told.get(neighbour.area), self._known.boundary.get(neighbour.area)
@@ -97,13 +110,14 @@ class BadDataTree:
         return TallyMessage(
             header=header,
             bus=neighbour.bus,
-            removed=self.removed,
+            decisions=self.decisions,
             finished=self.finished and not neighbour.is_parent,
             settled=up is not None,
             sent=_order(told) if up else (),
             heard=_order(heard) if up else (),
             objective=up.objective if up else 0.0,
             degrees_of_freedom=up.degrees_of_freedom if up else 0,
+            held_back=up.held_back if up else 0,
             worst=tuple(up.worst) if up else (),
             normalized=tuple(up.worst.values()) if up else (),
             no_load=self._no_load_for(neighbour),
@@ -113,7 +127,7 @@ class BadDataTree:
         """Whether nothing is under way between us and ``child``, whose side is settled in our epoch."""
         return (
             tally.settled
-            and tally.removed == self.removed
+            and tally.decisions == self.decisions
             and tally.sent == _order(self._known.boundary.get(child.area))
             and tally.heard == _order(self._known.told.get(child.area))
         )
@@ -148,10 +162,10 @@ class BadDataTree:
         return self._indispensable[1]
 
     def _heard_no_load(self) -> dict[str, BoundaryInformation]:
-        """Of the neighbours that work with the same meters removed."""
+        """Of the neighbours that follow the same decisions."""
         told = {}
         for name, tally in self._known.tallies.items():
-            if tally.removed == self.removed and tally.no_load:
+            if tally.decisions == self.decisions and tally.no_load:
                 R = np.zeros((4, 4))
                 R[UPPER] = tally.no_load
                 told[name] = BoundaryInformation(R, np.zeros(4))
@@ -171,7 +185,7 @@ class BadDataTree:
 
 def _read(message: TallyMessage) -> Tally:
     worst = dict(zip(message.worst, message.normalized, strict=True))
-    return Tally(message.objective, message.degrees_of_freedom, worst)
+    return Tally(message.objective, message.degrees_of_freedom, worst, message.held_back)
 
 
 def _order(message: BoundaryNews | None) -> tuple[int, ...]:

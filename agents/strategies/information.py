@@ -24,6 +24,7 @@ from dsse_core.exchange import (
     build_area_model,
     compute_information,
     solve_step,
+    solve_step_near,
     state_variance,
 )
 from dsse_core.feeder_bad_data import build_no_load_model, tally_area
@@ -31,11 +32,14 @@ from dsse_core.measurement import Measurement, MeasurementKind
 from dsse_core.partition import Neighbour
 
 SETTLED_STEP = 1e-11  # p.u., rad: below it a further step changes nothing
+SETTLED_NEAR_START = 1e-6  # p.u., rad: while news is missing
 MEAN_MOVES = 1e-10  # p.u., rad: what of a boundary's marginal is worth a message
 MEAN_MOVES_SIGMA = 1e-7  # or, if that is more, this part of its standard deviation
 SIGMA_MOVES = 1e-7  # of its standard deviations
 SINGULAR = 1e-14  # scaled pivots below it leave a direction of y open
-STEPS_PER_NEWS = 100
+STEPS_PER_NEWS = 40
+FULL_STEPS = 10  # at once; what takes longer swings around the answer, and half steps settle it
+NEWS_PER_NEIGHBOUR = 100  # of one set of measurements, all areas heard; with more, areas swing against each other
 CONTRADICTION = 0.9999  # confidence of the test of a neighbour's information against the rest
 
 
@@ -49,16 +53,18 @@ class Information(Strategy):
         self._content = content
         self._area = content.area
         self._tree = BadDataTree(content.area)
-        self._basis: object = None  # telemetry and removed meters that the model is made from
+        self._basis: object = None  # telemetry and decisions that the model is made from
         self._measurements: tuple[Measurement, ...] = ()
         self._removed: tuple[str, ...] = ()  # the area's own meters
         self._model: AreaModel | None = None
-        self._x = np.zeros(0)
+        self._x = self._start = np.zeros(0)
         self._newest: object = None
         self._heard: dict[str, BoundaryInformation] = {}
         self._referenced: set[str] = set()  # neighbours whose side knows the substation's angle
+        self._complete: set[str] = set()  # neighbours whose side has been heard, all of it
         self._steps_left = 0
         self._last_step = np.inf
+        self._news = 0  # since all areas have been heard, of these measurements
         self._shown: Estimate | None = None
 
     @property
@@ -67,7 +73,7 @@ class Information(Strategy):
 
     def solve(self, known: Knowledge) -> tuple[Estimate | None, tuple[str, ...]]:
         self._tree.adopt(known)
-        basis = (known.measurements, self._tree.removed)
+        basis = (known.measurements, self._tree.decisions)
         if basis != self._basis:
             self._basis = basis
             self._take_measurements(known.measurements)
@@ -75,8 +81,9 @@ class Information(Strategy):
         if newest != self._newest or self._shown is None:
             self._newest = newest
             self._take_messages(known)
+            self._news += self._is_informed
             self._last_step = np.inf
-            self._steps_left = STEPS_PER_NEWS if self._is_informed else 1  # alone, the state would run away
+            self._steps_left = 0 if self._is_swinging else STEPS_PER_NEWS
         if self._steps_left > 0:
             self._step()
         return self._shown, self._notes()
@@ -84,8 +91,9 @@ class Information(Strategy):
     def judge(self, known: Knowledge, estimate: Estimate) -> tuple[Estimate, tuple[str, ...]]:
         assert self._model is not None  # there is an estimate
         tree = self._tree
-        tree.judge(self._model, self._measurements, self._x, self._heard, self._is_informed, known)
-        if (known.measurements, tree.removed) != self._basis:
+        settled = self._is_informed and not self._is_swinging
+        tree.judge(self._model, self._measurements, self._x, self._heard, settled, known)
+        if (known.measurements, tree.decisions) != self._basis:
             self._steps_left = 1
         if (tree.finished, tree.critical) != (estimate.checked, estimate.critical):
             self._shown = estimate = replace(estimate, checked=tree.finished, critical=tree.critical)
@@ -96,11 +104,11 @@ class Information(Strategy):
 
     def message_for(self, neighbour: Neighbour, estimate: Estimate, header: Header) -> InformationMessage:
         assert self._model is not None  # there is an estimate
-        others = [name for name in self._referenced if name != neighbour.area]
-        referenced = self._has_own_angle or bool(others)
+        others = {n.area for n in self._area.neighbours} - {neighbour.area}
+        referenced = self._has_own_angle or bool(others & self._referenced)
         told = compute_information(self._model, self._x, neighbour, self._heard)
         R, z = tuple(told.R[UPPER].tolist()), tuple(told.z.tolist())
-        return InformationMessage(header, neighbour.bus, R, z, referenced)
+        return InformationMessage(header, neighbour.bus, R, z, referenced, complete=others <= self._complete)
 
     def is_news(self, neighbour: Neighbour, message: BoundaryNews, last: BoundaryNews) -> bool:
         assert isinstance(message, InformationMessage)
@@ -108,7 +116,7 @@ class Information(Strategy):
         assert self._model is not None
         y, _ = self._model.boundary(self._x, neighbour)
         moved = _has_moved(y, _read(message), _read(last), self._heard.get(neighbour.area))
-        return moved or message.referenced != last.referenced
+        return moved or (message.referenced, message.complete) != (last.referenced, last.complete)
 
     def find_refusal(self, message: BoundaryNews) -> str:
         assert isinstance(message, InformationMessage)
@@ -125,56 +133,111 @@ class Information(Strategy):
 
     @property
     def _is_informed(self) -> bool:
-        return len(self._heard) == len(self._area.neighbours) and self._is_referenced
+        return len(self._complete) == len(self._area.neighbours) and self._is_referenced
+
+    @property
+    def _is_swinging(self) -> bool:
+        return self._news > NEWS_PER_NEIGHBOUR * max(1, len(self._area.neighbours))
 
     def _take_measurements(self, telemetry: tuple[Measurement, ...]) -> None:
-        """A new scan, or a meter removed: the state so far is the start."""
-        removed = [m.meter.id for m in telemetry if m.meter.kind is MeasurementKind.VM and m.value < DEAD_VM]
-        removed += [meter for meter in self._tree.removed if any(m.meter.id == meter for m in telemetry)]
-        self._removed = tuple(removed)
-        self._measurements = tuple(m for m in telemetry if m.meter.id not in removed)
+        """A new scan, or a decision on it: the state so far is the start."""
+        dead = [m.meter.id for m in telemetry if m.meter.kind is MeasurementKind.VM and m.value < DEAD_VM]
+        own = {m.meter.id for m in telemetry}
+        self._removed = (*dead, *(meter for meter in self._tree.decisions if meter in own and meter not in dead))
+        selected = self._tree.select(telemetry)
+        self._measurements = tuple(m for m in selected if m.meter.id not in dead)
+        held_back = len(telemetry) - len(self._measurements) - len(self._removed)
         reference = self._area.reference[0] if self._area.reference else None
         self._model = build_area_model(self._area, self._measurements, reference)
-        self._tree.take_measurements(build_no_load_model(self._area, self._measurements, reference))
+        self._tree.take_measurements(build_no_load_model(self._area, self._measurements, reference), held_back)
         self._shown = None
+        self._news = 0
 
     def _take_messages(self, known: Knowledge) -> None:
         assert self._model is not None
         if not self._heard:
-            self._x = start_state(self._content, known.loads)
-        self._heard = {name: _read(m) for name, m in known.boundary.items() if isinstance(m, InformationMessage)}
+            self._x = self._start = start_state(self._content, known.loads)
+            self._turn_to_angle_meter()
+        messages = {name: m for name, m in known.boundary.items() if isinstance(m, InformationMessage)}
+        self._heard = {name: _read(m) for name, m in messages.items()}
+        self._complete = {name for name, m in messages.items() if m.complete}
         was_referenced = self._is_referenced
-        self._referenced = {
-            name for name, m in known.boundary.items() if isinstance(m, InformationMessage) and m.referenced
-        }
+        self._referenced = {name for name, m in messages.items() if m.referenced}
         if self._referenced and not was_referenced:
-            self._turn_to(min(self._referenced))
+            self._turn(self._angle_from(min(self._referenced)))
+        self._agree_on_full_turns()
 
-    def _turn_to(self, name: str) -> None:
-        """Turn all angles to those of the side of the reference, so that no step has to; meters see no difference."""
+    def _agree_on_full_turns(self) -> None:
+        """Angles mean the same with 2 pi added: as the parent counts them, and children are read as we count."""
+        for n in sorted(self._area.neighbours, key=lambda n: not n.is_parent):
+            if n.area in self._referenced and (turns := round(self._angle_from(n.area) / (2 * np.pi))):
+                if n.is_parent:
+                    self._turn(2 * np.pi * turns)
+                else:
+                    told = self._heard[n.area]
+                    self._heard[n.area] = replace(told, z=told.z - 2 * np.pi * turns * told.R[:, 3])
+
+    def _angle_from(self, name: str) -> float:
+        """By how much neighbour ``name`` would have us turn all angles; meters see no difference."""
         assert self._model is not None
         neighbour = next(n for n in self._area.neighbours if n.area == name)
         y, _ = self._model.boundary(self._x, neighbour)
         mean, _ = _marginal(y, self._heard[name])
-        self._x[: len(self._area.network.buses)] += mean[3] - y[3]
+        return float(mean[3] - y[3])
+
+    def _turn_to_angle_meter(self) -> None:
+        """An angle meter too says where the substation's zero is, where the area does not see it."""
+        assert self._model is not None
+        angles = np.flatnonzero(self._model.kinds == MeasurementKind.VA)
+        if angles.size and self._area.reference is None:
+            most_exact = angles[np.argmin(self._model.sigma[angles])]
+            self._turn(float(self._model.residual(self._x)[most_exact]))
+
+    def _turn(self, angle: float) -> None:
+        all_angles = np.arange(len(self._x)) < len(self._area.network.buses)
+        self._x, self._start = (x + angle * all_angles for x in (self._x, self._start))
 
     def _step(self) -> None:
         assert self._model is not None
+        if not self._is_informed:
+            self._x = self._near_start(self._x)
+            self._steps_left = 0
+            self._shown = self._estimate(self._model, self._settled_near_start())
+            return
         dx = solve_step(self._model, self._x, self._heard, self._last_step)
-        self._x = self._x + dx
+        if self._steps_left <= STEPS_PER_NEWS - FULL_STEPS:
+            dx = dx / 2
+        self._x = _with_positive_magnitudes(self._x + dx, len(self._area.network.buses))
         self._last_step = float(abs(dx).max(initial=0.0))
         settled = self._last_step <= SETTLED_STEP
         self._steps_left = 0 if settled else self._steps_left - 1
+        if settled:
+            self._start = self._x
         if self._steps_left == 0 or self._shown is None:
-            self._shown = self._estimate(self._model)
+            self._shown = self._estimate(self._model, self._x)
 
-    def _estimate(self, model: AreaModel) -> Estimate:
+    def _near_start(self, x: np.ndarray) -> np.ndarray:
+        assert self._model is not None
+        step = solve_step_near(self._model, x, self._heard, self._start)
+        return _with_positive_magnitudes(x + step, len(self._area.network.buses))
+
+    def _settled_near_start(self) -> np.ndarray:
+        """What the area can say before all have been heard. Messages do not rest on it: half of the news misleads."""
+        x = self._x
+        for _ in range(FULL_STEPS):
+            before, x = x, self._near_start(x)
+            if abs(x - before).max(initial=0.0) <= SETTLED_NEAR_START:
+                break
+        return x
+
+    def _estimate(self, model: AreaModel, x: np.ndarray) -> Estimate:
         n = len(self._area.network.buses)
-        sigma = np.sqrt(np.maximum(state_variance(model, self._x, self._heard), 0.0))
-        tally = tally_area(model, self._measurements, self._x, np.zeros(len(model.z)), ())
+        variance = state_variance(model, x, self._heard, near_start=not self._is_informed)
+        sigma = np.sqrt(np.maximum(variance, 0.0))
+        tally = tally_area(model, self._measurements, x, np.zeros(len(model.z)), ())
         return Estimate(
-            vm=self._x[n : 2 * n],
-            va=self._x[:n],
+            vm=x[n : 2 * n],
+            va=x[:n],
             sigma_vm=sigma[n : 2 * n],
             sigma_va=sigma[:n],
             referenced=self._is_referenced,
@@ -201,7 +264,21 @@ class Information(Strategy):
 
     def _notes(self) -> tuple[str, ...]:
         silent = [n.area for n in self._area.neighbours if n.area not in self._heard]
-        return tuple(f"no information from {name} yet" for name in silent)
+        notes = [f"no information from {name} yet" for name in silent]
+        if self._is_swinging:
+            notes.append(
+                f"does not settle: the neighbours' information has changed {self._news} times since the last reading "
+                "or decision; currents that are metered far better than flows and injections can do this"
+            )
+        return tuple(notes)
+
+
+def _with_positive_magnitudes(x: np.ndarray, n: int) -> np.ndarray:
+    """The same phasors: a step may have led through zero."""
+    through_zero = np.flatnonzero(x[n : 2 * n] < 0)
+    x[n + through_zero] *= -1
+    x[through_zero] += np.pi
+    return x
 
 
 def _read(message: InformationMessage) -> BoundaryInformation:

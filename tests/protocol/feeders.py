@@ -52,7 +52,7 @@ def make_feeder(
     """
     rng = np.random.default_rng([seed, n_bus, n_area])
     upstream = [0] + [k - 1 if rng.random() < shape else int(rng.integers(k)) for k in range(1, n_bus)]
-    network = _load(_draw_network(rng, upstream, decades), LOWEST_VM)
+    network = load_to(_draw_network(rng, upstream, decades), LOWEST_VM)
     partition = build_partition(network, _draw_areas(rng, upstream, n_area))
     return Feeder(network, partition, _draw_measurements(rng, network, decades, dense))
 
@@ -63,7 +63,7 @@ def make_star(seed: int, n_area: int = 15, *, busbar: bool = False) -> Feeder:
     centre = 0 if busbar else 1
     upstream = [0, *([] if busbar else [0]), *[centre] * n_area]
     upstream += [int(rng.integers(centre + 1, len(upstream) + k)) for k in range(20)]
-    network = _load(_draw_network(rng, upstream, 1.0), LOWEST_VM)
+    network = load_to(_draw_network(rng, upstream, 1.0), LOWEST_VM)
     areas: dict[str, list[int]] = {} if busbar else {"a1": [1, 2]}
     area_of: dict[int, int] = {}
     for k in range(centre + 1, len(upstream)):
@@ -97,7 +97,7 @@ def _draw_network(rng: np.random.Generator, upstream: list[int], decades: float)
     return Network("feeder", 1.0, buses, branches, (Generator(1, Control.SLACK),))
 
 
-def _load(network: Network, lowest: float) -> Network:
+def load_to(network: Network, lowest: float) -> Network:
     """Scale all loads until the largest voltage drop against the unloaded feeder is ``1 - lowest``."""
 
     def scaled(factor: float) -> Network:

@@ -5,13 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from feeders import make_feeder, make_star
+from grids import MeterShares, make_grid, with_gross_errors
+from hypothesis import given, reject
+from hypothesis import strategies as st
 from simulated_bus import SimulatedBus, area_files_of
 from test_angle_offset import tree_scenario
 
 from agents.messages import InformationMessage, TallyMessage, encode
 from agents.protocol import Received
+from agents.strategies.bad_data_tree import USE_CURRENTS
 from coordinator.twin import LinkFaults
 from dsse_core.bad_data import BadDataReport, process_bad_data
+from dsse_core.errors import EstimationDivergedError, NotObservableError
 from dsse_core.measurement import Source
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
@@ -127,24 +132,56 @@ def test_gross_errors_are_removed_as_by_the_centralised_procedure(random_seed):
         decades=float(rng.choice([0, 1])),
         dense=float(rng.choice([0.5, 1.0])),
     )
-    feeder = replace(feeder, measurements=with_gross_errors(rng, feeder))
+    feeder = with_gross_errors(rng, feeder)
     bus, report = run_feeder(feeder, float(rng.choice([0.0, 0.3, 0.6])), random_seed)
     assert_equals_centralised(bus, report)
-    orders = {message.removed for _, _, _, message in bus.delivered if isinstance(message, TallyMessage)}
-    assert max(orders, key=len) == tuple(removed.measurement.meter.id for removed in report.removed)
+    assert_same_decisions(bus, report)
+
+
+def assert_same_decisions(bus: SimulatedBus, report: BadDataReport):
+    told = [message.decisions for _, _, _, message in bus.delivered if isinstance(message, TallyMessage)]
+    decisions = [decision for decision in max(told, key=len) if decision != USE_CURRENTS]
+    assert decisions == [removed.measurement.meter.id for removed in report.removed]
     assert sorted(meter for state in bus.states.values() for meter in state.critical) == sorted(report.critical)
 
 
-def with_gross_errors(rng, feeder):
-    """One to three errors of 8 to 50 sigma, often at boundary buses."""
-    measurements = list(feeder.measurements)
-    real = [k for k, m in enumerate(measurements) if m.meter.source is not Source.VIRTUAL]
-    boundary = [k for k in real if measurements[k].meter.bus in feeder.partition.boundaries]
-    for _ in range(int(rng.integers(1, 4))):
-        k = int(rng.choice(boundary if boundary and rng.random() < 0.4 else real))
-        m = measurements[k]
-        measurements[k] = replace(m, value=m.value + float(rng.choice([-1, 1]) * rng.uniform(8, 50)) * m.sigma)
-    return tuple(measurements)
+GRIDS = st.fixed_dictionaries(
+    dict(
+        seed=st.integers(0, 10**6),
+        n_bus=st.integers(3, 40),
+        n_area=st.integers(2, 9),
+        chain=st.sampled_from([0.3, 0.6, 0.9]),
+        decades=st.sampled_from([0.0, 1.0, 2.0]),
+        loops=st.integers(0, 3),
+        transformers=st.sampled_from([0.0, 0.15]),
+        short=st.sampled_from([None, 1e-4, 1e-6]),
+        slack_at_root=st.booleans(),
+        shares=st.builds(
+            MeterShares,
+            voltage=st.sampled_from([0.0, 0.1, 0.3]),
+            angle=st.sampled_from([0.0, 0.1, 0.3]),
+            flow=st.sampled_from([0.3, 0.6, 1.0]),
+            current=st.sampled_from([0.0, 0.2, 0.5]),
+            injection=st.sampled_from([0.7, 0.9, 1.0]),
+            boundary_injection=st.sampled_from([0.0, 0.5, 1.0]),
+        ),
+    )
+)
+
+
+@given(GRIDS, st.sampled_from([0.0, 0.3, 0.6]), st.one_of(st.none(), st.integers(0, 1000)))
+def test_any_grid_with_any_meters_reaches_it(grid, loss, gross_errors):
+    feeder = make_grid(**grid)
+    if gross_errors is not None:
+        feeder = with_gross_errors(np.random.default_rng(gross_errors), feeder)
+    try:
+        process_bad_data(feeder.network, feeder.measurements, tolerance=1e-11)
+    except (NotObservableError, EstimationDivergedError):
+        reject()
+    bus, report = run_feeder(feeder, loss, 0)
+    assert_equals_centralised(bus, report)
+    if len(feeder.partition.areas) > 1:
+        assert_same_decisions(bus, report)
 
 
 def test_equal_residuals_are_told_apart_by_the_id_of_the_meter():

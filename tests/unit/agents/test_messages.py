@@ -4,7 +4,7 @@ import math
 
 import msgpack
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agents.messages import (
@@ -13,9 +13,11 @@ from agents.messages import (
     BoundaryMessage,
     Header,
     Incarnation,
+    InformationMessage,
     LoadMessage,
     MessageError,
     StateMessage,
+    TallyMessage,
     TelemetryMessage,
     decode,
     encode,
@@ -47,6 +49,22 @@ MESSAGES = [
     LoadMessage(HEADER, 6, 0.25, -0.1, 0.01),
     BoundaryMessage(HEADER, 6, 0.95, -0.02, True),
     AdmmMessage(HEADER, 6, 3, (0.1, 0.0, 1.0, -0.1), (0.2, 0.0, 1.0, -0.1), (1e4, 1e4, 1e5, 1e5), True, True),
+    InformationMessage(HEADER, 6, tuple(range(10)), (0.1, 0.2, 0.3, 0.4), True, False),
+    TallyMessage(
+        HEADER,
+        bus=6,
+        decisions=("p_flow@1:1-2",),
+        finished=False,
+        settled=True,
+        sent=(1, 2, 3),
+        heard=(1, 2, 4),
+        objective=12.5,
+        degrees_of_freedom=20,
+        held_back=3,
+        worst=("vm@1",),
+        normalized=(4.5,),
+        no_load=tuple(range(10)),
+    ),
     TelemetryMessage(HEADER, "area1", ("vm@1",), (1.0,), (0.002,)),
     STATE,
 ]
@@ -125,11 +143,13 @@ def refusal_of(payload):
     return None
 
 
+@settings(max_examples=100)
 @given(st.binary(max_size=300))
 def test_any_bytes_decode_or_are_refused(payload):
     assert refusal_of(payload) != ""
 
 
+@settings(max_examples=100)
 @given(st.sampled_from(MESSAGES), st.data())
 def test_a_message_with_flipped_bytes_decodes_or_is_refused(message, data):
     payload = bytearray(encode(message))
