@@ -20,6 +20,7 @@ from scenarios.telemetry import Telemetry
 
 LONGEST_S = 86400.0
 MAX_NAMED = 20  # obstacles
+YARDSTICK = 1e-9  # p.u. and rad: the largest last step of an estimate that others are measured against
 
 
 def prepare_scenario(
@@ -87,7 +88,7 @@ class Centralised:
 def estimate_centralised(scenario: Scenario, telemetry: Telemetry) -> Centralised:
     """What a control centre would make of the telemetry of all areas."""
     try:
-        tolerance = scenario.tolerances.estimator
+        tolerance = min(scenario.tolerances.estimator, YARDSTICK)
         return Centralised(process_bad_data(scenario.network, telemetry.union, tolerance=tolerance), None)
     except DsseError as error:
         return Centralised(None, str(error))

@@ -57,11 +57,7 @@ class AugmentedFactor:
 
     def solve(self, above: np.ndarray, below: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(s, dx) of ``R s + H dx = above``, ``H's - damping dx = below``; vectors or columns."""
-        scale = self._scale.reshape(-1, *(1,) * (above.ndim - 1))
-        b = scale * np.concatenate([above, below / self._a])
-        scaled = self._lu.solve(b)
-        scaled = scaled + self._lu.solve(b - self._tableau @ scaled)  # one refinement: information is a difference
-        solution = scale * scaled
+        solution = self._solve(np.concatenate([above, below / self._a]))
         return self._a * solution[: self._n_meas], solution[self._n_meas :]
 
     def solve_step(self, residual: np.ndarray) -> np.ndarray:
@@ -93,7 +89,10 @@ class AugmentedFactor:
 
     def _solve(self, b: np.ndarray) -> np.ndarray:
         scale = self._scale.reshape(-1, *(1,) * (b.ndim - 1))
-        solution: np.ndarray = scale * self._lu.solve(scale * b)
+        b = scale * b
+        scaled = self._lu.solve(b)
+        scaled = scaled + self._lu.solve(b - self._tableau @ scaled)  # one refinement: information is a difference
+        solution: np.ndarray = scale * scaled
         return solution
 
 

@@ -13,7 +13,8 @@ from collections.abc import Collection
 
 import numpy as np
 
-from dsse_core.exchange import EXACT_SIGMA, AreaModel, BoundaryInformation, compute_information
+from dsse_core.area_model import EXACT_SIGMA, AreaModel
+from dsse_core.exchange import BoundaryInformation, compute_information
 from dsse_core.measurement import MeasurementKind
 from dsse_core.partition import Neighbour
 

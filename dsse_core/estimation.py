@@ -20,6 +20,7 @@ from dsse_core.observability import check_observable, find_reference
 # Gauss-Newton needs 3 to 6 steps; what takes longer swings around the answer, as current magnitudes make it
 # do that are as uncertain as they are large, and half steps settle it.
 FULL_STEPS = 10
+FLOWS_KNOWN = 1e-4  # p.u. and rad; after a smaller step current magnitudes are used
 LARGEST_STEP = 1e6  # p.u. or rad; beyond it the iteration has left every state of interest
 # A longer step is shortened: a dead voltmeter must not throw all voltages to zero, where nothing converges.
 MAX_DVM = 0.2  # p.u.
@@ -83,8 +84,8 @@ def estimate_state(
     """Find the state that minimises J(x) = (z - h(x))' W (z - h(x)), W = diag(1 / sigma^2) (eqs. 3.8-3.14).
 
     Virtual measurements hold exactly. Gauss-Newton from the flat start, or from ``start`` = (vm, va), until
-    max |dx| < ``tolerance``; no step moves a voltage by more than MAX_DVM and MAX_DVA. Current magnitudes enter
-    after the first step off the flat start.
+    max |dx| < ``tolerance``; no step moves a voltage by more than MAX_DVM and MAX_DVA. From the flat start current
+    magnitudes enter once the others have told where flows go: before, they have several minima.
 
     Args:
         reference: bus whose angle is given: that of ``start``, else the set-point of the slack bus, 0 elsewhere.
@@ -106,9 +107,9 @@ def estimate_state(
     sigma = np.array([0.0 if m.meter.source is Source.VIRTUAL else m.sigma for m in measurements])
     is_current = model.kinds == MeasurementKind.CURRENT
     x = np.r_[va, vm]
+    flows_known = start is not None
     for iteration in range(1, max_iterations + 1):
-        off_flat_start = iteration > 1 or start is not None
-        used = np.flatnonzero(off_flat_start | ~is_current)
+        used = np.flatnonzero(flows_known | ~is_current)
         H, r = model.jacobian(x)[:, free], _residual(model, measurements, x)
         try:
             dx = AugmentedFactor(H[used], sigma[used]).solve_step(r[used])
@@ -119,8 +120,9 @@ def estimate_state(
             raise EstimationDivergedError(iteration, step, _name_worst(measurements, r, sigma))
         x = x.copy()
         x[free] += dx * _step_length(dx, len(vm) - 1, halved=iteration > FULL_STEPS and step >= tolerance)
-        if step < tolerance and (off_flat_start or not is_current.any()):
+        if step < tolerance and (flows_known or not is_current.any()):
             break
+        flows_known = flows_known or step < FLOWS_KNOWN
     else:
         raise EstimationDivergedError(max_iterations, step, _name_worst(measurements, r, sigma))
     H, r = model.jacobian(x)[:, free], _residual(model, measurements, x)

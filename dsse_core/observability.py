@@ -25,7 +25,9 @@ from dsse_core.network import Network
 # has 1e-7, an impedance of 1e-5 p.u. among ordinary ones takes another 1e-3, round-off is 1e-15.
 NULL_SINGULAR_VALUE = 1e-11
 TABLEAU_SCALE = 1e-8  # singular values are told apart down to sqrt(TABLEAU_SCALE * 1e-16)
-SHIFT = 1e-20  # keeps the factorisation from being exactly singular
+# Keeps the factorisation from being exactly singular, the next one where rounding swallows the last; the largest
+# still tells apart singular values of sqrt(TABLEAU_SCALE * 1e-14) = 1e-11.
+SHIFTS = (1e-20, 1e-18, 1e-16, 1e-14)
 WIDTH = 4  # null vectors sought: one meter cures at most 2, and 4 random ones touch every undetermined variable
 TOUCHED = 1e-6  # entry of a null vector from which on a variable counts as undetermined
 MAX_CURES = 4
@@ -101,7 +103,7 @@ def find_null_vectors(network: Network, meters: Sequence[Meter], reference: int)
     free = np.delete(np.arange(2 * n), network.row[reference])
     A = _scaled_jacobian(network, meters, reference)[:, free]
     n_meas, n_free = A.shape
-    factor = spla.splu(build_tableau(np.full(n_meas, TABLEAU_SCALE), A, np.full(n_free, -SHIFT)))
+    factor = _factor_shifted(A)
     width = min(WIDTH, n_free)
     X = np.random.default_rng(0).standard_normal((n_free, width))
     for _ in range(3):  # each time multiplies what the meters do not see by 1e6 and more
@@ -112,6 +114,17 @@ def find_null_vectors(network: Network, meters: Sequence[Meter], reference: int)
     null = np.zeros((2 * n, unseen.shape[1]))
     null[free] = unseen
     return null
+
+
+def _factor_shifted(A: sp.csr_array) -> spla.SuperLU:
+    n_meas, n_free = A.shape
+    for shift in SHIFTS:
+        try:
+            return spla.splu(build_tableau(np.full(n_meas, TABLEAU_SCALE), A, np.full(n_free, -shift)))
+        except RuntimeError:  # exactly singular
+            continue
+    problem = "the Jacobian at no load is singular beyond what unobservable buses explain; look for absurd impedances"
+    raise InvalidInputError("observability analysis", [problem])
 
 
 def _scaled_jacobian(network: Network, meters: Sequence[Meter], reference: int) -> sp.csr_array:

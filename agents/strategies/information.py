@@ -10,18 +10,17 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import qr
 
 from agents.area_file import AreaFile
 from agents.messages import BoundaryNews, Header, InformationMessage, TallyMessage
 from agents.strategies.bad_data_tree import UPPER, BadDataTree
+from agents.strategies.boundary_marginal import distance_between, has_moved
 from agents.strategies.interface import Estimate, Knowledge, Strategy
 from agents.strategies.start import start_state
+from dsse_core.area_model import AreaModel, build_area_model
 from dsse_core.bad_data import DEAD_VM, chi_square_limit
 from dsse_core.exchange import (
-    AreaModel,
     BoundaryInformation,
-    build_area_model,
     compute_information,
     solve_step,
     solve_step_near,
@@ -32,12 +31,10 @@ from dsse_core.measurement import Measurement, MeasurementKind
 from dsse_core.partition import Neighbour
 
 SETTLED_STEP = 1e-11  # p.u., rad: below it a further step changes nothing
+ON_THE_WAY = 1e-9  # p.u., rad: after a larger last step there is more to be done; below it may be rounding
 SETTLED_NEAR_START = 1e-6  # p.u., rad: while news is missing
-MEAN_MOVES = 1e-10  # p.u., rad: what of a boundary's marginal is worth a message
-MEAN_MOVES_SIGMA = 1e-7  # or, if that is more, this part of its standard deviation
-SIGMA_MOVES = 1e-7  # of its standard deviations
-SINGULAR = 1e-14  # scaled pivots below it leave a direction of y open
 STEPS_PER_NEWS = 40
+TINY = 1e-30
 FULL_STEPS = 10  # at once; what takes longer swings around the answer, and half steps settle it
 NEWS_PER_NEIGHBOUR = 100  # of one set of measurements, all areas heard; with more, areas swing against each other
 CONTRADICTION = 0.9999  # confidence of the test of a neighbour's information against the rest
@@ -84,6 +81,8 @@ class Information(Strategy):
             self._news += self._is_informed
             self._last_step = np.inf
             self._steps_left = 0 if self._is_swinging else STEPS_PER_NEWS
+        elif self._is_informed and self._steps_left == 0 and self._last_step > ON_THE_WAY and not self._is_swinging:
+            self._steps_left = STEPS_PER_NEWS  # it was not enough, and there is time now
         if self._steps_left > 0:
             self._step()
         return self._shown, self._notes()
@@ -115,7 +114,7 @@ class Information(Strategy):
         assert isinstance(last, InformationMessage)
         assert self._model is not None
         y, _ = self._model.boundary(self._x, neighbour)
-        moved = _has_moved(y, _read(message), _read(last), self._heard.get(neighbour.area))
+        moved = has_moved(y, _read(message), _read(last), self._heard.get(neighbour.area))
         return moved or (message.referenced, message.complete) != (last.referenced, last.complete)
 
     def find_refusal(self, message: BoundaryNews) -> str:
@@ -178,12 +177,13 @@ class Information(Strategy):
                     self._heard[n.area] = replace(told, z=told.z - 2 * np.pi * turns * told.R[:, 3])
 
     def _angle_from(self, name: str) -> float:
-        """By how much neighbour ``name`` would have us turn all angles; meters see no difference."""
+        """By how much neighbour ``name`` would have us turn all angles, power and magnitude as they are."""
         assert self._model is not None
         neighbour = next(n for n in self._area.neighbours if n.area == name)
         y, _ = self._model.boundary(self._x, neighbour)
-        mean, _ = _marginal(y, self._heard[name])
-        return float(mean[3] - y[3])
+        told = self._heard[name]
+        of_angle = told.R[:, 3]
+        return float(of_angle @ (told.z - told.R @ y) / max(of_angle @ of_angle, TINY))
 
     def _turn_to_angle_meter(self) -> None:
         """An angle meter too says where the substation's zero is, where the area does not see it."""
@@ -254,7 +254,7 @@ class Information(Strategy):
         for n in self._area.neighbours:
             told, y = known.told[n.area], self._model.boundary(self._x, n)[0]
             assert isinstance(told, InformationMessage)
-            distance, freedom = _distance(y, _read(told), self._heard[n.area])
+            distance, freedom = distance_between(y, _read(told), self._heard[n.area])
             limit = chi_square_limit(freedom, CONTRADICTION)
             if distance >= limit:
                 notes.append(
@@ -285,57 +285,3 @@ def _read(message: InformationMessage) -> BoundaryInformation:
     R = np.zeros((4, 4))
     R[UPPER] = message.R
     return BoundaryInformation(R, np.array(message.z))
-
-
-def _marginal(y: np.ndarray, *sides: BoundaryInformation) -> tuple[np.ndarray, np.ndarray | None]:
-    """Mean of y, shape (4,), found as a step from ``y``, and its standard deviations.
-
-    None for the latter where the sides together leave some of y open. A quantity that nobody speaks of (the angle
-    of a reference at the boundary bus) stays, with a standard deviation of 1.
-    """
-    R = np.concatenate([side.R for side in sides])
-    r = np.concatenate([side.z - side.R @ y for side in sides])
-    length = np.sqrt((R**2).sum(axis=0))
-    spoken = np.flatnonzero(length)
-    heavy_first = np.argsort(-abs(R).max(axis=1), kind="stable")
-    Q, upper, order = qr(R[np.ix_(heavy_first, spoken)] / length[spoken], mode="economic", pivoting=True)
-    order = spoken[order]
-    k = int((abs(np.diag(upper)) > SINGULAR).sum())
-    mean = y.copy()
-    mean[order[:k]] += np.linalg.solve(upper[:k, :k], (Q.T @ r[heavy_first])[:k]) / length[order[:k]]
-    if k < len(order):
-        return mean, None
-    sigma = np.ones(4)
-    sigma[order] = np.sqrt((np.linalg.inv(upper) ** 2).sum(axis=1)) / length[order]
-    return mean, sigma
-
-
-def _distance(y: np.ndarray, one: BoundaryInformation, other: BoundaryInformation) -> tuple[float, int]:
-    """What the two sides' cost-to-go cannot both reach, chi-square distributed with the degrees of freedom given."""
-    R = np.concatenate([one.R, other.R])
-    told = abs(R).max(axis=1) > 0
-    R, r = R[told], np.concatenate([one.z - one.R @ y, other.z - other.R @ y])[told]
-    length = np.sqrt((R**2).sum(axis=0))
-    spoken = length > 0
-    A = R[:, spoken] / length[spoken]
-    step, _, rank, _ = np.linalg.lstsq(A, r, rcond=SINGULAR)
-    return float(((r - A @ step) ** 2).sum()), len(r) - int(rank)
-
-
-def _has_moved(
-    y: np.ndarray, now: BoundaryInformation, last: BoundaryInformation, other: BoundaryInformation | None
-) -> bool:
-    """Whether the marginal of y, together with the ``other`` side's information, differs enough to be told.
-
-    ``y``: the present state. Where the marginal does not exist, whether the message itself does.
-    """
-    others = [other] if other is not None else []
-    mean, sigma = _marginal(y, now, *others)
-    last_mean, last_sigma = _marginal(y, last, *others)
-    if sigma is None or last_sigma is None:
-        weight = abs(now.R).max(axis=1)
-        turned = abs(now.R - last.R).max(axis=1) > SIGMA_MOVES * weight
-        shifted = abs((now.z - now.R @ y) - (last.z - last.R @ y)) > np.maximum(MEAN_MOVES_SIGMA, MEAN_MOVES * weight)
-        return bool((turned | shifted).any())
-    worth_telling = np.maximum(MEAN_MOVES, MEAN_MOVES_SIGMA * sigma)
-    return bool((abs(mean - last_mean) > worth_telling).any() or (abs(sigma / last_sigma - 1) > SIGMA_MOVES).any())

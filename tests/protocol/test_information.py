@@ -1,5 +1,6 @@
 """The exact exchange: on a tree of areas its fixed point is the centralised estimate, whatever is lost on the way."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -13,11 +14,13 @@ from test_angle_offset import tree_scenario
 
 from agents.messages import InformationMessage, TallyMessage, encode
 from agents.protocol import Received
+from agents.strategies import information
 from agents.strategies.bad_data_tree import USE_CURRENTS
 from coordinator.twin import LinkFaults
-from dsse_core.bad_data import BadDataReport, process_bad_data
+from dsse_core.bad_data import BadDataReport, chi_square_limit, process_bad_data
 from dsse_core.errors import EstimationDivergedError, NotObservableError
 from dsse_core.measurement import Source
+from dsse_core.power_flow import solve_power_flow
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 
@@ -245,6 +248,33 @@ def test_before_the_side_of_the_reference_has_spoken_angles_are_relative():
     assert [name for name, state in bus.states.items() if not state.referenced] == ["c", "d", "e"]
     bus.heal("b", "c")
     bus.run_until_settled()
+
+
+@pytest.mark.parametrize("name", ["industrial13", "ieee33"])
+def test_an_area_that_hears_nobody_publishes_its_own_best(name):
+    scenario = load_scenario(name)
+    bus = SimulatedBus(area_files_of(scenario, strategy="information"), make_telemetry(scenario).by_area)
+    for one, other in itertools.combinations(bus.files, 2):
+        bus.cut(one, other)
+    bus.run(2.0)
+    truth = solve_power_flow(scenario.network)
+    for area, state in bus.states.items():
+        vm = truth.vm[[scenario.network.row[b] for b in state.buses]]
+        assert state.objective < chi_square_limit(state.degrees_of_freedom, 0.999)
+        assert np.all(abs(np.array(state.vm) - vm) < 5 * np.array(state.sigma_vm))
+        assert not state.checked
+        assert state.referenced == bus.files[area].area.is_reference
+        assert any("no information from" in note for note in state.notes)
+
+
+def test_areas_whose_information_never_ends_changing_stop_and_say_so(monkeypatch):
+    monkeypatch.setattr(information, "NEWS_PER_NEIGHBOUR", 1)
+    scenario = load_scenario("ieee33")
+    bus = SimulatedBus(area_files_of(scenario, strategy="information"), make_telemetry(scenario).by_area)
+    bus.run(5.0)
+    swinging = [state for state in bus.states.values() if any("does not settle" in note for note in state.notes)]
+    assert swinging
+    assert not any(state.checked for state in swinging)
 
 
 def test_information_that_is_beyond_reason_is_refused_and_counted():

@@ -1,0 +1,123 @@
+"""The measurements of one area as functions of its state, the power into neighbouring areas included."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+
+from dsse_core.admittance import build_admittance
+from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
+from dsse_core.measurement_model import MeasurementModel, build_measurement_model
+from dsse_core.partition import Area, Neighbour
+
+EXACT_SIGMA = 1e-9  # p.u.; of exact injections: with the boundary's voltage given, there may be more than variables
+_POWER = (MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION)
+
+
+@dataclass(frozen=True)
+class AreaModel:
+    """The measurements of one area as functions of ``x = [va; vm; p_1, q_1, p_2, q_2, ...]``, one pair per child.
+
+    ``free``: the variables that are unknown, all but a reference angle. ``no_load``: rows are weighted alike, and
+    powers and voltages are not of a size that could be known beforehand.
+    """
+
+    area: Area
+    model: MeasurementModel
+    into_children: sp.csr_array  # (n_meas, 2 n_child): 1 where an injection meter counts a child's power
+    into_area: MeasurementModel | None  # P and Q from the parent's bus into the area's own branches
+    z: np.ndarray
+    sigma: np.ndarray
+    free: np.ndarray
+    no_load: bool = False
+
+    @property
+    def size(self) -> int:
+        return 2 * self._n + int(self.into_children.shape[1])
+
+    @property
+    def _n(self) -> int:
+        return len(self.area.network.buses)
+
+    @property
+    def kinds(self) -> np.ndarray:
+        return self.model.kinds
+
+    def predict(self, x: np.ndarray) -> np.ndarray:
+        """h(x), shape (n_meas,)."""
+        return np.asarray(self.model.predict(x[: 2 * self._n]) + self.into_children @ x[2 * self._n :])
+
+    def residual(self, x: np.ndarray) -> np.ndarray:
+        """z - h(x), shape (n_meas,); angles wrapped to (-pi, pi]."""
+        r = self.z - self.predict(x)
+        angles = self.kinds == MeasurementKind.VA
+        r[angles] = np.pi - (np.pi - r[angles]) % (2 * np.pi)
+        return np.asarray(r)
+
+    def jacobian(self, x: np.ndarray) -> sp.csr_array:
+        """H(x), shape (n_meas, size)."""
+        return sp.csr_array(sp.hstack([self.model.jacobian(x[: 2 * self._n]), self.into_children], format="csr"))
+
+    def boundary(self, x: np.ndarray, neighbour: Neighbour) -> tuple[np.ndarray, sp.csr_array]:
+        """y, shape (4,), and T = dy/dx, shape (4, size), at the boundary to ``neighbour``."""
+        voltage = self.voltage_columns(neighbour)
+        if self.into_area is None or not neighbour.is_parent:
+            columns = [*self._power_columns(neighbour), *voltage]
+            return x[columns], _select(columns, self.size)
+        flows = self.into_area.predict(x[: 2 * self._n])
+        C = sp.csr_array(self.into_area.jacobian(x[: 2 * self._n]))
+        C = sp.csr_array((C.data, C.indices, C.indptr), shape=(2, self.size))
+        T = sp.vstack([C, _select(voltage, self.size)], format="csr")
+        return np.concatenate([flows, x[voltage]]), sp.csr_array(T)
+
+    def voltage_columns(self, neighbour: Neighbour) -> list[int]:
+        row = self.area.network.row[neighbour.bus]
+        return [self._n + row, row]
+
+    def _power_columns(self, child: Neighbour) -> list[int]:
+        children = [n.area for n in self.area.neighbours if not n.is_parent]
+        first = 2 * self._n + 2 * children.index(child.area)
+        return [first, first + 1]
+
+
+def build_area_model(
+    area: Area, measurements: Sequence[Measurement], reference: int | None, *, with_shunts: bool = True
+) -> AreaModel:
+    """The model of ``area``'s own ``measurements``.
+
+    Args:
+        reference: bus of the grid's angle reference, if the area sees it.
+        with_shunts: whether shunts and line charging are there; without them no power flows at the flat start.
+    """
+    network = area.network
+    admittance = build_admittance(network, with_shunts=with_shunts)
+    children = [n for n in area.neighbours if not n.is_parent]
+    rows, columns = [], []
+    for row, m in enumerate(measurements):
+        for k, child in enumerate(children):
+            if m.meter.kind.of_injection and m.meter.bus == child.bus:
+                rows.append(row)
+                columns.append(2 * k + (m.meter.kind is MeasurementKind.Q_INJECTION))
+    shape = (len(measurements), 2 * len(children))
+    size = 2 * len(network.buses) + shape[1]
+    fixed = [] if reference is None else [network.row[reference]]
+    at_parent = [Meter(k, area.parent.bus) for k in _POWER] if area.parent else []
+    return AreaModel(
+        area=area,
+        model=build_measurement_model(network, admittance, [m.meter for m in measurements]),
+        into_children=sp.csr_array(sp.coo_array((np.ones(len(rows)), (rows, columns)), shape=shape)),
+        into_area=build_measurement_model(network, admittance, at_parent) if at_parent else None,
+        z=np.array([m.value for m in measurements], dtype=float),
+        sigma=np.array(
+            [EXACT_SIGMA if m.meter.source is Source.VIRTUAL else m.sigma for m in measurements], dtype=float
+        ),
+        free=np.delete(np.arange(size), fixed),
+    )
+
+
+def _select(columns: Sequence[int], size: int) -> sp.csr_array:
+    indptr = np.arange(len(columns) + 1)
+    return sp.csr_array((np.ones(len(columns)), np.array(columns), indptr), shape=(len(columns), size))
