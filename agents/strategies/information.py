@@ -265,6 +265,8 @@ class Information(Strategy):
     def _notes(self) -> tuple[str, ...]:
         silent = [n.area for n in self._area.neighbours if n.area not in self._heard]
         notes = [f"no information from {name} yet" for name in silent]
+        partial = sorted(self._heard.keys() - self._complete)
+        notes += [f"{name} has not heard all areas of its side yet" for name in partial]
         if self._is_swinging:
             notes.append(
                 f"does not settle: the neighbours' information has changed {self._news} times since the last reading "

@@ -246,8 +246,13 @@ def test_before_the_side_of_the_reference_has_spoken_angles_are_relative():
     bus.cut("b", "c")
     bus.run(2.0)
     assert [name for name, state in bus.states.items() if not state.referenced] == ["c", "d", "e"]
+    notes = {name: state.notes for name, state in bus.states.items()}
+    assert notes["a"] == ("b has not heard all areas of its side yet",)
+    assert notes["b"] == ("no information from c yet",)
+    assert notes["d"] == ("c has not heard all areas of its side yet",)
     bus.heal("b", "c")
     bus.run_until_settled()
+    assert not any(state.notes for state in bus.states.values())
 
 
 @pytest.mark.parametrize("name", ["industrial13", "ieee33"])

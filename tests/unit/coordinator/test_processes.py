@@ -18,12 +18,17 @@ DEADLINE_S = 20.0
 
 def take_until(news: News, kind: type, name: str):
     """The first ``kind`` of news about process ``name``."""
+    return take_all(news, kind, name)[name]
+
+
+def take_all(news: News, kind: type, *names: str):
+    """Name -> the first ``kind`` of news about it, however the news came together."""
     deadline = time.monotonic() + DEADLINE_S
-    while time.monotonic() < deadline:
-        for item in news.take(0.1):
-            if isinstance(item, kind) and item.name == name:
-                return item
-    raise AssertionError(f"no {kind.__name__} of {name} within {DEADLINE_S} s")
+    found = {}
+    while not found.keys() >= set(names):
+        assert time.monotonic() < deadline, f"no {kind.__name__} of {set(names) - found.keys()} within {DEADLINE_S} s"
+        found |= {item.name: item for item in news.take(0.1) if isinstance(item, kind) and item.name not in found}
+    return found
 
 
 def is_gone(pid: int) -> bool:
@@ -79,7 +84,7 @@ def test_leaving_the_block_stops_all_processes(tmp_path: Path):
     with Launcher(news.put) as launcher:
         for name in ("one", "two"):
             launcher.start(name, "time:sleep", 60, log=tmp_path / f"{name}.log")
-        pids = [take_until(news, Started, name).pid for name in ("one", "two")]
+        pids = [started.pid for started in take_all(news, Started, "one", "two").values()]
     assert all(is_gone(pid) for pid in [*pids, launcher.pid])
 
 
