@@ -144,15 +144,11 @@ class AreaProtocol:
             actions += self._show_state(None, ["no telemetry yet"])
         elif events or self._strategy.restless:
             actions += self._tell_loads()
-            estimate, notes = self._solve()
-            if estimate is not None and not self._strategy.restless and estimate is not self._told:
-                self._told = estimate
-                actions += self._tell_boundaries(estimate)
-            if estimate is not None and not self._strategy.restless:
-                estimate, contradictions = self._strategy.judge(self._knowledge(), estimate)
-                notes += contradictions
-                actions += self._tell_tallies()
-            actions += self._show_state(estimate, notes)
+            try:
+                actions += self._estimate()
+            except (ArithmeticError, np.linalg.LinAlgError, RuntimeError, ValueError) as error:
+                # numbers beyond all reason, a neighbour's perhaps, leave no estimate and no crash
+                actions += self._show_state(None, (f"no estimate: {type(error).__name__}: {error}",))
             self._stop_answered_reminders()
         actions += [Publish(self._sent_boundary[name], name) for name in self._reminders.take_due(now)]
         if now >= self._next_beat:
@@ -212,12 +208,18 @@ class AreaProtocol:
 
     # What goes out
 
-    def _solve(self) -> tuple[Estimate | None, tuple[str, ...]]:
-        """The strategy's estimate; numbers beyond all reason, a neighbour's perhaps, leave none and no crash."""
-        try:
-            return self._strategy.solve(self._knowledge())
-        except (ArithmeticError, np.linalg.LinAlgError, ValueError) as error:
-            return None, (f"no estimate: {type(error).__name__}: {error}",)
+    def _estimate(self) -> list[Action]:
+        """Solve, tell the neighbours what is new, judge what they say, show the state."""
+        actions: list[Action] = []
+        estimate, notes = self._strategy.solve(self._knowledge())
+        if estimate is not None and not self._strategy.restless:
+            if estimate is not self._told:
+                self._told = estimate
+                actions += self._tell_boundaries(estimate)
+            estimate, contradictions = self._strategy.judge(self._knowledge(), estimate)
+            notes += contradictions
+            actions += self._tell_tallies()
+        return actions + self._show_state(estimate, notes)
 
     def _knowledge(self) -> Knowledge:
         return Knowledge(

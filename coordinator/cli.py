@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -243,7 +244,8 @@ def plant(scenario: str, endpoints: tuple[str, ...], run_id: str | None, timeout
     from coordinator.plant import run_plant
     from coordinator.split import choose_run_id
 
-    return run_plant(prepared, choose_run_id(prepared, run_id), endpoints, timeout)
+    # a plant that is started anew has new readings: seconds count on where its last life ended
+    return run_plant(prepared, choose_run_id(prepared, run_id), endpoints, timeout, scan=int(time.time()))
 
 
 def _prepare(scenario: str, seed: int | None) -> Scenario:

@@ -19,19 +19,20 @@ from scenarios.scenario import Scenario
 from scenarios.telemetry import make_telemetry
 
 log = logging.getLogger(__name__)
-SCAN = 1
+DRAW = 1  # of the noise: the same readings for the same seed
 
 
-def run_plant(scenario: Scenario, run: str, endpoints: Sequence[str], timeout_s: float = 10.0) -> int:
+def run_plant(scenario: Scenario, run: str, endpoints: Sequence[str], timeout_s: float = 10.0, scan: int = 1) -> int:
     """Publish the telemetry of ``scenario`` for ``run`` until SIGTERM or Ctrl-C; 0, or 2 after a user's mistake.
 
-    An area is served when it appears and then at every beat: it subscribes before it shows itself.
+    An area is served when it appears and then at every beat: it subscribes before it shows itself. ``scan``: above
+    that of any plant before it in the same run.
     """
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
     inbox = Inbox()
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # Zenoh's connecting would defer Python's handler to its end
     try:
-        payloads = make_payloads(scenario, run)
+        payloads = make_payloads(scenario, run, scan)
         with Session.connect(endpoints, timeout_s) as session:
             for number in (signal.SIGTERM, signal.SIGINT):
                 signal.signal(number, lambda *_: inbox.put("stop", None))
@@ -48,19 +49,19 @@ def run_plant(scenario: Scenario, run: str, endpoints: Sequence[str], timeout_s:
     return 0
 
 
-def make_payloads(scenario: Scenario, run: str) -> dict[str, bytes]:
+def make_payloads(scenario: Scenario, run: str, scan: int = 1) -> dict[str, bytes]:
     """Area -> its encoded readings. Virtual measurements are no readings: agents know them from their files."""
     header = Header(
         run=run,
         sender="plant",
         incarnation=Incarnation(time.time_ns() // 1_000_000, random.getrandbits(32)),
-        scan=SCAN,
+        scan=scan,
         sequence=1,
         time=time.time(),
     )
     return {
         area: encode(make_message(header, area, measurements))
-        for area, measurements in make_telemetry(scenario, SCAN).by_area.items()
+        for area, measurements in make_telemetry(scenario, DRAW).by_area.items()
     }
 
 

@@ -10,7 +10,7 @@ load, once it has heard it from all the others.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -31,8 +31,9 @@ USE_CURRENTS = "use current magnitudes"  # a decision; the others are the id of 
 class BadDataTree:
     """One area's part. ``decisions``: of the substation's area, in order; ``finished``: there will be no more."""
 
-    def __init__(self, area: Area) -> None:
+    def __init__(self, area: Area, own_meters: Collection[str]) -> None:
         self._area = area
+        self._own_meters = own_meters
         self._children = [n for n in area.neighbours if not n.is_parent]
         self._scan = 0
         self.decisions: tuple[str, ...] = ()
@@ -89,7 +90,7 @@ class BadDataTree:
         final = [t for t, n in zip(children, self._children, strict=True) if t is not None and self._is_final(t, n)]
         if len(final) < len(self._children):
             return
-        below = [_read(t) for t in final]
+        below = [self.read(t) for t in final]
         self._tally = add_tallies([replace(own, held_back=self._held_back), *below])
         if self._area.parent is None and not self.finished:
             self._decide(self._tally)
@@ -132,6 +133,12 @@ class BadDataTree:
             and tally.sent == _order(self._known.boundary.get(child.area))
             and tally.heard == _order(self._known.told.get(child.area))
         )
+
+    def read(self, message: TallyMessage) -> Tally:
+        """Nobody else can name a meter of this area, nor one that is out already."""
+        named = zip(message.worst, message.normalized, strict=True)
+        worst = {m: value for m, value in named if m not in self._own_meters and m not in self.decisions}
+        return Tally(message.objective, message.degrees_of_freedom, worst, message.held_back)
 
     def _tally_own(
         self,
@@ -182,11 +189,6 @@ class BadDataTree:
             information = self._no_load.information_for(neighbour, heard)
             last = self._told_no_load[neighbour.area] = (basis, tuple(information.R[UPPER].tolist()))
         return last[1]
-
-
-def _read(message: TallyMessage) -> Tally:
-    worst = dict(zip(message.worst, message.normalized, strict=True))
-    return Tally(message.objective, message.degrees_of_freedom, worst, message.held_back)
 
 
 def _order(message: BoundaryNews | None) -> tuple[int, ...]:

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from agents.area_file import AreaFile
-from agents.messages import BoundaryNews, Header, InformationMessage, TallyMessage
+from agents.messages import BoundaryNews, Header, Incarnation, InformationMessage, TallyMessage
 from agents.strategies.bad_data_tree import UPPER, BadDataTree
 from agents.strategies.boundary_marginal import distance_between, has_moved
 from agents.strategies.interface import Estimate, Knowledge, Strategy
@@ -49,13 +49,13 @@ class Information(Strategy):
     def __init__(self, content: AreaFile) -> None:
         self._content = content
         self._area = content.area
-        self._tree = BadDataTree(content.area)
+        self._tree = BadDataTree(content.area, {meter.id for meter in content.meters})
         self._basis: object = None  # telemetry and decisions that the model is made from
         self._measurements: tuple[Measurement, ...] = ()
         self._removed: tuple[str, ...] = ()  # the area's own meters
         self._model: AreaModel | None = None
         self._x = self._start = np.zeros(0)
-        self._newest: object = None
+        self._newest: dict[str, tuple[Incarnation, int]] = {}
         self._heard: dict[str, BoundaryInformation] = {}
         self._referenced: set[str] = set()  # neighbours whose side knows the substation's angle
         self._complete: set[str] = set()  # neighbours whose side has been heard, all of it
@@ -75,6 +75,8 @@ class Information(Strategy):
             self._basis = basis
             self._take_measurements(known.measurements)
         newest = {name: message.header.order for name, message in known.boundary.items()}
+        if {name: order[0] for name, order in newest.items()} != {n: order[0] for n, order in self._newest.items()}:
+            self._news = 0  # another life of a neighbour starts from nothing
         if newest != self._newest or self._shown is None:
             self._newest = newest
             self._take_messages(known)
@@ -94,9 +96,10 @@ class Information(Strategy):
         tree.judge(self._model, self._measurements, self._x, self._heard, settled, known)
         if (known.measurements, tree.decisions) != self._basis:
             self._steps_left = 1
-        if (tree.finished, tree.critical) != (estimate.checked, estimate.critical):
-            self._shown = estimate = replace(estimate, checked=tree.finished, critical=tree.critical)
-        return estimate, self._find_contradictions(known) if tree.finished else ()
+        checked = tree.finished and settled
+        if (checked, tree.critical) != (estimate.checked, estimate.critical):
+            self._shown = estimate = replace(estimate, checked=checked, critical=tree.critical)
+        return estimate, self._find_contradictions(known) if checked else ()
 
     def tally_for(self, neighbour: Neighbour, header: Header) -> TallyMessage:
         return self._tree.message_for(neighbour, header)
@@ -200,18 +203,18 @@ class Information(Strategy):
     def _step(self) -> None:
         assert self._model is not None
         if not self._is_informed:
-            self._x = self._near_start(self._x)
             self._steps_left = 0
+            self._x = self._near_start(self._x)
             self._shown = self._estimate(self._model, self._settled_near_start())
             return
+        self._steps_left -= 1
         dx = solve_step(self._model, self._x, self._heard, self._last_step)
-        if self._steps_left <= STEPS_PER_NEWS - FULL_STEPS:
+        if self._steps_left < STEPS_PER_NEWS - FULL_STEPS:
             dx = dx / 2
         self._x = _with_positive_magnitudes(self._x + dx, len(self._area.network.buses))
         self._last_step = float(abs(dx).max(initial=0.0))
-        settled = self._last_step <= SETTLED_STEP
-        self._steps_left = 0 if settled else self._steps_left - 1
-        if settled:
+        if self._last_step <= SETTLED_STEP:
+            self._steps_left = 0
             self._start = self._x
         if self._steps_left == 0 or self._shown is None:
             self._shown = self._estimate(self._model, self._x)
@@ -270,7 +273,7 @@ class Information(Strategy):
         if self._is_swinging:
             notes.append(
                 f"does not settle: the neighbours' information has changed {self._news} times since the last reading "
-                "or decision; currents that are metered far better than flows and injections can do this"
+                "or decision; a false message can do this, or currents metered far better than flows and injections"
             )
         return tuple(notes)
 

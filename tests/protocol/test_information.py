@@ -15,7 +15,7 @@ from test_angle_offset import tree_scenario
 from agents.messages import InformationMessage, TallyMessage, encode
 from agents.protocol import Received
 from agents.strategies import information
-from agents.strategies.bad_data_tree import USE_CURRENTS
+from agents.strategies.bad_data_tree import USE_CURRENTS, BadDataTree
 from coordinator.twin import LinkFaults
 from dsse_core.bad_data import BadDataReport, chi_square_limit, process_bad_data
 from dsse_core.errors import EstimationDivergedError, NotObservableError
@@ -270,6 +270,30 @@ def test_an_area_that_hears_nobody_publishes_its_own_best(name):
         assert not state.checked
         assert state.referenced == bus.files[area].area.is_reference
         assert any("no information from" in note for note in state.notes)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_areas_restarted_under_loss_come_back_to_the_centralised_answer(seed):
+    scenario = with_error(load_scenario("ieee33"), "p_flow@7:7-8", 30.0)
+    bus, report = settle(scenario, 0.3, seed)
+    for name in ("area2", "area3", "area1"):
+        bus.kill(name)
+        bus.run(0.3)
+        bus.start(name)
+        bus.send_telemetry(name)
+        settle_bus(bus)
+    assert_equals_centralised(bus, report)
+    assert_same_decisions(bus, report)
+
+
+def test_a_meter_of_another_side_is_not_removed_on_a_childs_word():
+    scenario = load_scenario("ieee33")
+    bus, _ = settle(scenario)
+    tallies = [m for _, s, r, m in bus.delivered if (s, r) == ("area2", "area1") and isinstance(m, TallyMessage)]
+    area = bus.files["area1"].area
+    tree = BadDataTree(area, {meter.id for meter in bus.files["area1"].meters})
+    named = replace(tallies[-1], worst=("vm@1", "vm@16"), normalized=(90.0, 50.0))
+    assert tree.read(named).worst == {"vm@16": 50.0}
 
 
 def test_areas_whose_information_never_ends_changing_stop_and_say_so(monkeypatch):
