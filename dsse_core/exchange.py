@@ -52,14 +52,20 @@ class BoundaryInformation:
 
 
 def solve_step(
-    model: AreaModel, x: np.ndarray, heard: Mapping[str, BoundaryInformation], last_step: float = np.inf
+    model: AreaModel,
+    x: np.ndarray,
+    heard: Mapping[str, BoundaryInformation],
+    last_step: float = np.inf,
+    *,
+    powers_too: bool = False,
 ) -> np.ndarray:
-    """The damped step dx, shape (size,), ``(G + D) dx = b`` with all messages in; D = 1 / tau^2, voltages.
+    """The damped step dx, shape (size,), ``(G + D) dx = b`` with all messages in; D = 1 / tau^2 for voltages.
 
-    After a small ``last_step``, max |dx|, less damping is needed, and directions of little information converge too.
+    ``powers_too``: damp them alike, where messages do not yet tell what neighbours know. After a small ``last_step``, max |dx|, less damping is needed, and directions of little information converge too.
     """
     least = _least_information(model, model.free)
-    damping = np.maximum(_damping(model) * min(1.0, last_step / SMALL_STEP), least)
+    most = np.full(len(least), DAMPING**-2.0) if powers_too else _damping(model)
+    damping = np.maximum(most * min(1.0, last_step / SMALL_STEP), least)
     return _solve_damped(model, x, heard, damping, np.zeros(len(model.free)))
 
 

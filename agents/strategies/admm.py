@@ -124,7 +124,7 @@ class Admm(Strategy):
                 pulls[name] = pulled
             if (angle := b.angle_to_follow) is not None:  # turned at once: meters see no difference
                 self._x[: len(self._area.network.buses)] += angle - self._y(b)[VA]
-        dx = solve_step(self._model, self._x, pulls)
+        dx = solve_step(self._model, self._x, pulls, powers_too=True)
         self._x, self._moved = self._x + dx, float(abs(dx).max(initial=0.0))
         self._shown = self._estimate(self._model)
 
