@@ -61,7 +61,8 @@ def solve_step(
 ) -> np.ndarray:
     """The damped step dx, shape (size,), ``(G + D) dx = b`` with all messages in; D = 1 / tau^2 for voltages.
 
-    ``powers_too``: damp them alike, where messages do not yet tell what neighbours know. After a small ``last_step``, max |dx|, less damping is needed, and directions of little information converge too.
+    ``powers_too``: damp them alike, where messages do not yet tell what neighbours know. After a small
+    ``last_step``, max |dx|, less damping is needed, and directions of little information converge too.
     """
     least = _least_information(model, model.free)
     most = np.full(len(least), DAMPING**-2.0) if powers_too else _damping(model)

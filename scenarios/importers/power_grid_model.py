@@ -108,8 +108,14 @@ def _load(path: Path) -> Data:
     has_sensors = any(name in data for name in SENSORS)
     purpose = enum.CalculationType.state_estimation if has_sensors else enum.CalculationType.power_flow
     if errors := validation.validate_input_data(loaded, calculation_type=purpose, symmetric=True):
-        raise InvalidInputError(str(path), [f"power-grid-model: {error}" for error in errors])
+        raise InvalidInputError(str(path), [f"power-grid-model: {error} Ids: {_ids_of(error)}" for error in errors])
     return data
+
+
+def _ids_of(error: Any) -> str:
+    """The elements that a validation error is about; of several tables (table, id) pairs."""
+    ids = [f"{i[0]} {i[1]}" if isinstance(i, tuple) else str(i) for i in error.ids]
+    return listed(ids)
 
 
 def _kind_of(data: Data, component: int) -> str:
