@@ -1,0 +1,1 @@
+"""Side-by-side runs of our centralised estimate and its peers: ``python -m benchmarks``, docs/benchmarks.md."""

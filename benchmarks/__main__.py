@@ -1,0 +1,104 @@
+"""The command line: ``python -m benchmarks --help``."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import sys
+from pathlib import Path
+
+for _library in ("OPENBLAS", "OMP", "MKL"):  # one thread each, also in the child processes; before numpy is imported
+    os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
+
+import click  # noqa: E402
+
+from benchmarks.cases import SETS, SHARP  # noqa: E402
+from benchmarks.comparison import Limits, Row, compare, compare_draws  # noqa: E402
+from benchmarks.machine import describe_machine  # noqa: E402
+from benchmarks.methods import OURS, OURS_WITH_RESIDUALS, PEERS  # noqa: E402
+from benchmarks.report import format_draws, format_estimates, write_report  # noqa: E402
+from dsse_core.errors import InvalidInputError  # noqa: E402
+
+ALL_SETS = (*SETS, *(name + SHARP for name in SETS))
+SMALLEST = 3
+ENVIRONMENT = ("numpy", "scipy", "numba", "cvxopt")
+
+
+def _parse_sizes(_context: click.Context, _option: click.Parameter, text: str | None) -> list[int] | None:
+    if text is None:
+        return None
+    words = [word.strip() for word in text.split(",")]
+    if wrong := [word for word in words if not word.isdecimal() or int(word) < SMALLEST]:
+        raise click.BadParameter(f"{', '.join(map(repr, wrong))}: give numbers of buses from {SMALLEST}, as 33,1000")
+    return list(dict.fromkeys(int(word) for word in words))
+
+
+def _parse_sets(_context: click.Context, _option: click.Parameter, text: str) -> list[str]:
+    words = [word.strip() for word in text.split(",")]
+    if wrong := [word for word in words if word not in ALL_SETS]:
+        raise click.BadParameter(f"{', '.join(map(repr, wrong))}: choose from {', '.join(ALL_SETS)}")
+    return list(dict.fromkeys(words))
+
+
+@click.command(context_settings={"show_default": True})
+@click.option("--sizes", callback=_parse_sizes, help="Buses.  [default: 33,1000,10000; reduced: 33,1000]")
+@click.option("--sets", callback=_parse_sets, default="full,dist", help=f"Out of {', '.join(ALL_SETS)}.")
+@click.option("--reduced", is_flag=True, help="Smaller defaults: a few minutes.")
+@click.option("--runs", type=click.IntRange(1), help="Timed runs of a case, at most.  [default: 15; reduced: 3]")
+@click.option("--draws", type=click.IntRange(0), help="Random draws, 0 for none.  [default: 256; reduced: 8]")
+@click.option("--limit-s", type=click.FloatRange(1), default=600.0, help="Seconds for a case with one method.")
+@click.option("--limit-gib", type=click.FloatRange(1), default=8.0, help="Memory for a case with one method.")
+@click.option("--out", type=click.Path(file_okay=False, path_type=Path), default=Path("runs/benchmarks"))
+def main(
+    sizes: list[int] | None,
+    sets: list[str],
+    reduced: bool,
+    runs: int | None,
+    draws: int | None,
+    limit_s: float,
+    limit_gib: float,
+    out: Path,
+) -> None:
+    """Time our centralised estimate side by side with power-grid-model, pandapower and gridstate.
+
+    Writes results.md, results.json and times.png. Exits with 1 if an estimate of ours is missing or is not the minimum.
+    """
+    sizes = sizes or ([33, 1000] if reduced else [33, 1000, 10000])
+    runs = runs or (3 if reduced else 15)
+    draws = (8 if reduced else 256) if draws is None else draws
+    limits = Limits(runs, limit_s, limit_gib)
+    methods = (*OURS, *OURS_WITH_RESIDUALS, *PEERS)
+    machine = describe_machine(dict.fromkeys([*(method.package for method in methods), *ENVIRONMENT]))
+    try:
+        out.mkdir(parents=True, exist_ok=True)  # before the hours of work, not after
+        rows = compare(sizes, sets, OURS, (*OURS_WITH_RESIDUALS, *PEERS), limits, _tell)
+        solved = compare_draws(sizes, sets, (*OURS, *PEERS), draws, limits, _tell)
+        command = shlex.join(["python", "-m", "benchmarks", *sys.argv[1:]])
+        written = write_report(out, command, machine, rows, solved)
+    except InvalidInputError as error:
+        raise click.ClickException(str(error)) from None
+    except OSError as error:
+        raise click.ClickException(f"{out}: {error.strerror or error}") from None
+    click.echo(format_estimates(rows))
+    if solved:
+        click.echo("\n" + format_draws(solved))
+    click.echo("\nwritten: " + ", ".join(map(str, written)))
+    if missed := _find_missed(rows):
+        raise click.ClickException("; ".join(missed))
+
+
+def _find_missed(rows: list[Row]) -> list[str]:
+    ours = {method.name for method in OURS}
+    return [
+        f"{row.n_bus} buses, {row.set_name}: {row.method} {row.remark}"
+        for row in rows
+        if row.method in ours and row.remark
+    ]
+
+
+def _tell(what: str) -> None:
+    click.echo(what, err=True)
+
+
+if __name__ == "__main__":
+    main(prog_name="python -m benchmarks")

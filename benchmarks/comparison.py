@@ -1,0 +1,151 @@
+"""All cases against all methods, one row each; what fails is a row that says so."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+from benchmarks.cases import SHARP, build_case, build_network
+from benchmarks.limits import LimitedCallError, call_limited
+from benchmarks.machine import find_version
+from benchmarks.method import Method
+from benchmarks.timing import Draws, Outcome, measure, try_draws
+
+Answer = TypeVar("Answer")
+SAME_MINIMUM = 1e-6  # relative, of J; the tools' tolerances of 1e-6 on the step leave some 1e-10
+MOST_BUSES_OF_DRAWS = 1000
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Of one case with one method: its process, and the part of the time that repeated runs may use."""
+
+    runs: int
+    seconds: float
+    gib: float
+
+    @property
+    def budget_s(self) -> float:
+        return self.seconds / 5
+
+
+@dataclass(frozen=True)
+class Row:
+    """One method on one case. ``ratios``: back end of ours -> (cold, warm), the method's time divided by ours.
+
+    ``excess``: J relative to the lowest J that any method found, minus 1. ``remark`` says why there are no figures,
+    or that it is another minimum.
+    """
+
+    n_bus: int
+    set_name: str
+    method: str
+    remark: str
+    outcome: Outcome | None = None
+    excess: float | None = None
+    ratios: dict[str, tuple[float, float]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class DrawRow:
+    """How many of ``tried`` random draws gave an estimate, and an estimate at the lowest J that any method found."""
+
+    n_bus: int
+    set_name: str
+    method: str
+    tried: int
+    estimated: int
+    at_minimum: int
+    remark: str
+
+
+def compare(
+    sizes: Sequence[int],
+    sets: Sequence[str],
+    ours: Sequence[Method],
+    others: Sequence[Method],
+    limits: Limits,
+    tell: Callable[[str], None],
+) -> list[Row]:
+    """Every method on every network and measurement set."""
+    rows = []
+    for n_bus in sizes:
+        network = build_network(n_bus)
+        for set_name in sets:
+            case = build_case(network, set_name)
+            found: dict[str, Outcome | str] = {}
+            for method in (*ours, *others):
+                tell(f"{n_bus} buses, {set_name}: {method.name}")
+                found[method.name] = _try(method, limits, measure, case, method, ours, limits.runs, limits.budget_s)
+            rows += _judge(n_bus, set_name, found)
+    return rows
+
+
+def compare_draws(
+    sizes: Sequence[int],
+    sets: Sequence[str],
+    methods: Sequence[Method],
+    draws: int,
+    limits: Limits,
+    tell: Callable[[str], None],
+) -> list[DrawRow]:
+    """Every method on the same random draws of the largest network of up to 1000 buses, sigma floor 200 VA."""
+    if not draws:
+        return []
+    n_bus = min(max(sizes), MOST_BUSES_OF_DRAWS)
+    network = build_network(n_bus)
+    rows = []
+    for set_name in dict.fromkeys(name.removesuffix(SHARP) + SHARP for name in sets):
+        found: dict[str, Draws | str] = {}
+        for method in methods:
+            tell(f"{n_bus} buses, {set_name}, {draws} random draws: {method.name}")
+            found[method.name] = _try(method, limits, try_draws, network, set_name, method, draws, 0.8 * limits.seconds)
+        rows += _count(n_bus, set_name, found)
+    return rows
+
+
+def _try(method: Method, limits: Limits, function: Callable[..., Answer], *args: object) -> Answer | str:
+    """The answer, or why there is none."""
+    if find_version(method.package) is None:
+        return f"not installed: pip install {method.package}"
+    try:
+        answer: Answer = call_limited(function, *args, limit_s=limits.seconds, limit_gib=limits.gib)
+    except LimitedCallError as error:
+        return str(error)
+    return answer
+
+
+def _judge(n_bus: int, set_name: str, found: dict[str, Outcome | str]) -> list[Row]:
+    lowest = min((o.objective for o in found.values() if isinstance(o, Outcome)), default=0.0)
+    rows = []
+    for name, outcome in found.items():
+        if isinstance(outcome, str):
+            rows.append(Row(n_bus, set_name, name, outcome))
+            continue
+        excess = outcome.objective / lowest - 1
+        ratios = {
+            own: (outcome.timing.cold_ms / timing.cold_ms, outcome.timing.warm_ms / timing.warm_ms)
+            for own, timing in outcome.ours.items()
+        }
+        remark = "" if excess < SAME_MINIMUM else f"not the minimum: J is {excess:.2g} higher"
+        rows.append(Row(n_bus, set_name, name, remark, outcome, excess, ratios))
+    return rows
+
+
+def _count(n_bus: int, set_name: str, found: dict[str, Draws | str]) -> list[DrawRow]:
+    lowest: dict[int, float] = {}
+    for draws in found.values():
+        for k, objective in enumerate(draws.objective if isinstance(draws, Draws) else ()):
+            if objective is not None:
+                lowest[k] = min(objective, lowest.get(k, objective))
+    rows = []
+    for name, draws in found.items():
+        if isinstance(draws, str):
+            rows.append(DrawRow(n_bus, set_name, name, 0, 0, 0, draws))
+            continue
+        estimates = {k: objective for k, objective in enumerate(draws.objective) if objective is not None}
+        at_minimum = sum(objective < (1 + SAME_MINIMUM) * lowest[k] for k, objective in estimates.items())
+        reasons = ", ".join(f"{count} {reason}" for reason, count in draws.reasons.items())
+        rows.append(DrawRow(n_bus, set_name, name, len(draws.objective), len(estimates), at_minimum, reasons))
+    return rows

@@ -1,0 +1,49 @@
+"""What a tool has to offer to be timed. A tool is one class; ours and the peers' are listed in ``methods.py``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from benchmarks.cases import Case
+
+TOLERANCE = 1e-6  # of max |dx|, p.u. and rad, for every tool
+MAX_ITERATIONS = 50
+
+
+class NotConvergedError(Exception):
+    """The tool says itself, or shows, that it found no estimate."""
+
+
+@dataclass(frozen=True)
+class State:
+    """An estimate in network order, ``vm`` p.u., ``va`` rad (0 at the substation); iterations where the tool tells."""
+
+    vm: np.ndarray
+    va: np.ndarray
+    iterations: int | None = None
+
+
+class Method(Protocol):
+    """One tool, one algorithm. Timed: cold = ``build`` + ``solve``, warm = ``solve`` again on the same model.
+
+    ``translate`` (the case in the tool's own input format) and ``read`` are not timed. Every failure is an exception.
+    """
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def package(self) -> str:
+        """As pip calls it: whose version is reported, and what is missing where it is not installed."""
+        ...
+
+    def translate(self, case: Case) -> Any: ...
+
+    def build(self, data: Any) -> Any: ...
+
+    def solve(self, model: Any) -> Any: ...
+
+    def read(self, case: Case, result: Any) -> State: ...

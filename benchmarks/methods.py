@@ -1,0 +1,24 @@
+"""The tools that are compared. A further back end of ours, or a further peer, is one more entry."""
+
+from __future__ import annotations
+
+from benchmarks.method import Method
+from benchmarks.ours import Ours
+from benchmarks.peer_gridstate import GridstateMethod
+from benchmarks.peer_pandapower import PandapowerMethod
+from benchmarks.peer_power_grid_model import PowerGridModelMethod
+from dsse_core.estimation import estimate_state
+
+OURS: tuple[Method, ...] = (Ours("ours, sparse", estimate_state),)
+"""Every peer is timed beside each of these; ratios are given to each."""
+
+OURS_WITH_RESIDUALS: tuple[Method, ...] = (
+    Ours("ours, sparse, all normalised residuals", estimate_state, with_residuals=True),
+)
+
+PEERS: tuple[Method, ...] = (
+    PowerGridModelMethod("power-grid-model newton_raphson", "newton_raphson"),
+    PowerGridModelMethod("power-grid-model iterative_linear", "iterative_linear"),
+    PandapowerMethod(),
+    GridstateMethod(),
+)

@@ -1,0 +1,127 @@
+"""The benchmarks compare like with like: one minimum, found by every tool that looks for it. No time is asserted."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.cases import build_case, build_network
+from benchmarks.limits import GIB, LimitedCallError, call_limited
+from benchmarks.methods import OURS, OURS_WITH_RESIDUALS, PEERS
+from benchmarks.physical import describe_lines
+from dsse_core.errors import InvalidInputError
+
+ROOT = Path(__file__).parents[3]
+OTHER_MINIMUM = "power-grid-model iterative_linear"
+SAME_MINIMUM = [method for method in (*OURS, *OURS_WITH_RESIDUALS, *PEERS) if method.name != OTHER_MINIMUM]
+LINUX = pytest.mark.skipif(sys.platform != "linux", reason="only Linux keeps a process to its address space")
+MODULE = {"power-grid-model": "power_grid_model", "consensus-dsse": "dsse_core"}
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """The reduced run of the command, on 33 buses."""
+    out = tmp_path_factory.mktemp("benchmarks")
+    command = [sys.executable, "-m", "benchmarks", "--reduced", "--sizes", "33", "--sets", "full", "--runs", "1"]
+    finished = subprocess.run(
+        [*command, "--draws", "1", "--out", str(out)],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert finished.returncode == 0, finished.stderr
+    return out
+
+
+@pytest.fixture(scope="module")
+def results(run):
+    return json.loads((run / "results.json").read_text())
+
+
+def test_all_objectives_of_the_reduced_run_agree(results):
+    found = [row for row in results["estimates"] if row["outcome"] and row["method"] != OTHER_MINIMUM]
+    assert {row["method"] for row in found} >= {method.name for method in OURS}
+    for row in found:
+        assert row["excess"] < 1e-9, row["method"]
+        assert row["outcome"]["gap"] < 1e-6, row["method"]
+
+
+def test_every_method_has_a_row_and_a_missing_one_says_how_to_install_it(results):
+    assert [row["method"] for row in results["estimates"]] == [m.name for m in (*OURS, *OURS_WITH_RESIDUALS, *PEERS)]
+    for row in results["estimates"]:
+        assert row["outcome"] or "pip install" in row["remark"], row["remark"]
+
+
+def test_a_peer_is_given_its_ratio_to_every_back_end_of_ours(results):
+    peers = [row for row in results["estimates"] if row["outcome"] and row["method"] in {peer.name for peer in PEERS}]
+    assert all(set(row["ratios"]) == {method.name for method in OURS} for row in peers)
+
+
+def test_our_estimate_solves_the_random_draw_of_the_reduced_run(results):
+    assert all(
+        row["estimated"] == row["tried"] == 1 for row in results["random_draws"] if row["method"] == OURS[0].name
+    )
+
+
+def test_table_and_plot_are_written(run, results):
+    table = (run / "results.md").read_text()
+    assert all(row["method"] in table for row in results["estimates"])
+    assert results["machine"]["numpy"] == np.__version__
+    assert (run / "times.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("method", SAME_MINIMUM, ids=lambda method: method.name)
+@pytest.mark.parametrize(("n_bus", "set_name"), [(33, "dist"), (60, "full"), (60, "full-sharp")])
+def test_a_method_finds_the_minimum(method, n_bus, set_name):
+    pytest.importorskip(MODULE.get(method.package, method.package))
+    case = build_case(build_network(n_bus), set_name)
+    state = method.read(case, method.solve(method.build(method.translate(case))))
+    ours = OURS[0].read(case, OURS[0].solve(OURS[0].translate(case)))
+    assert case.objective(state.vm, state.va) == pytest.approx(case.objective(ours.vm, ours.va), rel=1e-9)
+
+
+def test_a_draw_is_the_same_every_time_and_has_the_meters_of_every_other_draw():
+    network = build_network(33)
+    first, again, other = (build_case(network, "dist", draw) for draw in (3, 3, 4))
+    assert first.measurements == again.measurements
+    assert [m.meter for m in first.measurements] == [m.meter for m in other.measurements]
+    assert [m.value for m in first.measurements] != [m.value for m in other.measurements]
+
+
+@pytest.mark.parametrize(
+    ("function", "argument", "why"),
+    [
+        (time.sleep, 600, "out of time"),
+        pytest.param(bytearray, 64 * GIB, "out of memory", marks=LINUX),
+        (os._exit, 3, "exit code 3"),
+        (int, "seven", "fails: ValueError: invalid literal"),
+    ],
+)
+def test_a_call_that_fails_says_why_and_leaves_the_others_alone(function, argument, why):
+    with pytest.raises(LimitedCallError, match=why):
+        call_limited(function, argument, limit_s=0.1 if function is time.sleep else 60, limit_gib=4)
+
+
+def test_a_network_that_the_peers_cannot_be_given_is_refused():
+    network = build_network(33)
+    first, *others = network.buses
+    changed = replace(network, buses=(replace(first, b_shunt=0.1), *others), generators=())
+    with pytest.raises(InvalidInputError, match=r"(?s)bus 1 has a shunt.*no slack"):
+        describe_lines(changed)
+
+
+@pytest.mark.parametrize(("option", "value"), [("--sizes", "33,two"), ("--sets", "half"), ("--sizes", "2")])
+def test_a_wrong_option_is_refused_with_what_to_give(option, value):
+    finished = subprocess.run(
+        [sys.executable, "-m", "benchmarks", option, value], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert finished.returncode == 2
+    assert "give numbers of buses" in finished.stderr or "choose from full" in finished.stderr
