@@ -1,0 +1,147 @@
+"""Gauss-Newton on a tree, compiled: the iteration of ``estimate_state`` with the steps of ``tree_kernel``."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from dsse_core.estimation import FLOWS_KNOWN, FULL_STEPS, LARGEST_STEP, MAX_DVA, MAX_DVM
+from dsse_core.tree_kernel import CURRENT_FLOOR, SMALL_ANGLE, STEP, compiled, eliminate, substitute
+
+CONVERGED, TOO_MANY, LEFT = 0, 1, 2
+
+
+@compiled
+def iterate(
+    parent,
+    Y,
+    z,
+    w,
+    v,
+    va,
+    flows_known,
+    has_currents,
+    tolerance,
+    max_iterations,
+    gradient,
+    above,
+    factor,
+    more,
+    block,
+    step,
+):
+    """Improve ``v`` (complex) and ``va`` in place; how it ended, iterations, last step, and what it could still gain.
+
+    The end: max |dx| < ``tolerance`` and the step lowers J by less than ``gradient``, which is the square of the
+    norm of the gradient of J in the metric of the state's covariance, by which J's scale and units drop out.
+    """
+    largest, gain = np.inf, np.inf
+    for iteration in range(1, max_iterations + 1):
+        eliminate(parent, Y, z, w, v, va, flows_known, STEP, above, factor, more, block, step)
+        substitute(parent, factor, step)
+        dva, dvm, finite = _largest(v, step)
+        largest = max(dva, dvm)
+        if not (finite and largest <= LARGEST_STEP):
+            return LEFT, iteration, largest if finite else np.inf, gain
+        small = largest < tolerance
+        if small:
+            gain = expected_gain(parent, Y, w, v, flows_known, step)
+        halved = iteration > FULL_STEPS and not small
+        _move(v, va, step, 1.0 / max(max(2.0 if halved else 1.0, dva / MAX_DVA), dvm / MAX_DVM))
+        if small and gain <= gradient and (flows_known or not has_currents):
+            return CONVERGED, iteration, largest, gain
+        flows_known = flows_known or largest < FLOWS_KNOWN
+    return TOO_MANY, max_iterations, largest, gain
+
+
+@compiled
+def _largest(v, step):
+    """max |dva|, max |dvm|, and whether all are finite."""
+    dva, dvm, total = 0.0, 0.0, 0.0
+    for i in range(len(v)):
+        dva = max(dva, abs(step[i, 2]))
+        dvm = max(dvm, (v[i].real ** 2 + v[i].imag ** 2) * step[i, 3] ** 2)
+        total += step[i, 2] + step[i, 3]
+    return dva, math.sqrt(dvm), math.isfinite(total)
+
+
+@compiled
+def _move(v, va, step, length):
+    for i in range(len(v)):
+        d = length * step[i, 2]
+        va[i] += d
+        if abs(d) < SMALL_ANGLE:
+            d2 = d * d
+            c = 1.0 - d2 / 2 * (1.0 - d2 / 12 * (1.0 - d2 / 30))
+            s = d * (1.0 - d2 / 6 * (1.0 - d2 / 20 * (1.0 - d2 / 42)))
+        else:
+            c, s = math.cos(d), math.sin(d)
+        v[i] *= (1.0 + length * step[i, 3]) * complex(c, s)
+
+
+@compiled
+def predict(parent, Y, v, va, h):
+    """h(x) of every slot, shape (n, 10)."""
+    for i in range(len(parent)):
+        square = v[i].real ** 2 + v[i].imag ** 2
+        h[i, 0], h[i, 1] = va[i], math.sqrt(square)
+        h[i, 2], h[i, 3] = Y[i, 7].real * square, Y[i, 7].imag * square
+    for i in range(1, len(parent)):
+        p = parent[i]
+        own, at_parent = branch_powers(i, p, Y, v)
+        h[i, 2] += own.real
+        h[i, 3] += own.imag
+        h[p, 2] += at_parent.real
+        h[p, 3] += at_parent.imag
+        h[i, 4], h[i, 5], h[i, 6] = at_parent.real, at_parent.imag, abs(at_parent) / h[p, 1]
+        h[i, 7], h[i, 8], h[i, 9] = own.real, own.imag, abs(own) / h[i, 1]
+
+
+@compiled
+def branch_powers(i, p, Y, v):
+    """Power into the branch above bus ``i``, at its own end and at its parent's ``p``."""
+    m = v[i] * v[p].conjugate()
+    own = Y[i, 0] * (v[i].real ** 2 + v[i].imag ** 2) + Y[i, 1] * m
+    return own, Y[i, 2] * (v[p].real ** 2 + v[p].imag ** 2) + Y[i, 3] * m.conjugate()
+
+
+@compiled
+def expected_gain(parent, Y, w, v, currents, step):
+    """By how much the linear model expects the whole step to lower J: the sum of (H dx)^2 / sigma^2."""
+    n = len(parent)
+    gain = 0.0
+    injected = np.zeros(n, dtype=np.complex128)
+    for i in range(n - 1, -1, -1):
+        square = v[i].real ** 2 + v[i].imag ** 2
+        x = complex(step[i, 3], step[i, 2])
+        gain += w[i, 0] * x.imag**2 + w[i, 1] * square * x.real**2
+        d = injected[i] + 2 * Y[i, 7] * square * x.real
+        if i > 0:
+            p = parent[i]
+            xp = complex(step[p, 3], step[p, 2])
+            own, at_parent = branch_powers(i, p, Y, v)
+            ycc, ypp = Y[i, 0] * square, Y[i, 2] * (v[p].real ** 2 + v[p].imag ** 2)
+            at_own_end = 2 * ycc * x.real + (own - ycc) * (x + xp.conjugate())
+            at_its_end = 2 * ypp * xp.real + (at_parent - ypp) * (xp + x.conjugate())
+            injected[p] += at_its_end
+            d += at_own_end
+            gain += w[i, 4] * at_its_end.real**2 + w[i, 5] * at_its_end.imag**2
+            gain += w[i, 7] * at_own_end.real**2 + w[i, 8] * at_own_end.imag**2
+            if currents and w[i, 6] > 0.0:
+                gain += w[i, 6] * _current_change(at_parent, at_its_end, xp.real, abs(v[p])) ** 2
+            if currents and w[i, 9] > 0.0:
+                gain += w[i, 9] * _current_change(own, at_own_end, x.real, abs(v[i])) ** 2
+        if w[i, 2] > 0.0:
+            gain += d.real**2 / w[i, 2]
+        if w[i, 3] > 0.0:
+            gain += d.imag**2 / w[i, 3]
+    return gain
+
+
+@compiled
+def _current_change(s, ds, dln, vm):
+    """d|i| of ``|i| = |s| / vm``."""
+    if abs(s) <= CURRENT_FLOOR * vm:
+        return 0.0
+    return (s.conjugate() * ds).real / (abs(s) * vm) - abs(s) / vm * dln
