@@ -107,7 +107,7 @@ def parse_vary(vary: str) -> tuple[str, list[object]]:
         raise _vary_error(f"{vary!r} must be KEY=START:STOP:N or KEY=VALUE,VALUE,..., e.g. faults.loss=0:0.9:10")
     if key in OPTION_OF_KEY:
         raise _vary_error(f"{key} is varied by {OPTION_OF_KEY[key]}; choose another key")
-    values = _parse_range(text) if re.fullmatch(f"{NUMBER}:{NUMBER}:.*", text) else _parse_list(text)
+    values = _parse_range(text) if re.fullmatch(f"{NUMBER}:{NUMBER}(:.*)?", text) else _parse_list(text)
     texts = [text_of(value) for value in values]
     if twice := [text for text in dict.fromkeys(texts) if texts.count(text) > 1]:
         raise _vary_error(f"{key}: {', '.join(twice)} is given twice; keep one")
@@ -120,7 +120,7 @@ def text_of(value: object) -> str:
 
 
 def _parse_range(text: str) -> list[object]:
-    start, stop, count = text.split(":", 2)
+    start, stop, count = (*text.split(":", 2), "")[:3]
     try:
         first, last, n = float(start), float(stop), int(count)
     except ValueError:

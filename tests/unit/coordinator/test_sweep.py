@@ -215,6 +215,7 @@ def test_values_are_a_range_or_a_list_as_toml_writes_them(vary: str, values: lis
     [
         ("faults.loss", "must be KEY=START:STOP:N"),
         ("faults.loss=", "must be KEY=START:STOP:N"),
+        ("faults.loss=0:0.9", "must be START:STOP:N"),
         ("faults.loss=0:1:x", "must be START:STOP:N"),
         ("faults.loss=0:1:1", "must be START:STOP:N"),
         ("faults.loss=0:1:2:3", "must be START:STOP:N"),
