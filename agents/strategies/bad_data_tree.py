@@ -40,8 +40,9 @@ class BadDataTree:
         self.finished = False
         self.critical: tuple[str, ...] = ()
         self._tally: Tally | None = None  # of this side, final
-        self._own: tuple[np.ndarray, Tally] | None = None  # the state that the area's own part belongs to, and it
+        self._own: tuple[np.ndarray, set[str], Tally] | None = None  # what the area's own part rests on, and it
         self._no_load: NoLoadModel | None = None
+        self._no_load_decisions: tuple[str, ...] = ()  # that it follows
         self._held_back = 0
         self._indispensable: tuple[object, set[str]] | None = None
         self._told_no_load: dict[str, tuple[object, tuple[float, ...]]] = {}  # what it was made from, and it
@@ -66,6 +67,7 @@ class BadDataTree:
     def take_measurements(self, no_load: NoLoadModel, held_back: int) -> None:
         """The measurements have changed, by a new scan or a decision; ``held_back``: how many are not yet in use."""
         self._no_load = no_load
+        self._no_load_decisions = self.decisions
         self._held_back = held_back
         self._tally = self._own = self._indispensable = None
         self._told_no_load = {}
@@ -149,9 +151,9 @@ class BadDataTree:
         no_load: Mapping[str, BoundaryInformation],
     ) -> Tally:
         """The area's own figures, made anew only when what they rest on has changed."""
-        if self._own is None or self._own[0] is not x:
+        indispensable = self._find_indispensable(no_load)
+        if self._own is None or self._own[0] is not x or self._own[1] != indispensable:
             variance = residual_variance(model, x, heard)
-            indispensable = self._find_indispensable(no_load)
             critical = {
                 m.meter.id
                 for m, v in zip(measurements, variance, strict=True)
@@ -159,8 +161,8 @@ class BadDataTree:
                 and (v <= CRITICAL_REDUNDANCY * m.sigma**2 or m.meter.id in indispensable)
             }
             self.critical = tuple(m.meter.id for m in measurements if m.meter.id in critical)
-            self._own = (x, tally_area(model, measurements, x, variance, critical))
-        return self._own[1]
+            self._own = (x, indispensable, tally_area(model, measurements, x, variance, critical))
+        return self._own[2]
 
     def _find_indispensable(self, no_load: Mapping[str, BoundaryInformation]) -> set[str]:
         assert self._no_load is not None  # there are measurements
@@ -181,7 +183,11 @@ class BadDataTree:
 
     def _no_load_for(self, neighbour: Neighbour) -> tuple[float, ...]:
         heard = {name: told for name, told in self._heard_no_load().items() if name != neighbour.area}
-        if self._no_load is None or len(heard) < len(self._area.neighbours) - 1:
+        if (
+            self._no_load is None
+            or self._no_load_decisions != self.decisions
+            or len(heard) < len(self._area.neighbours) - 1
+        ):
             return ()
         basis = {name: told.R.tolist() for name, told in heard.items()}
         last = self._told_no_load.get(neighbour.area)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from feeders import make_feeder, make_star
 from grids import MeterShares, make_grid, with_gross_errors
-from hypothesis import given, reject
+from hypothesis import example, given, reject
 from hypothesis import strategies as st
 from simulated_bus import SimulatedBus, area_files_of
 from test_angle_offset import tree_scenario
@@ -172,6 +172,11 @@ GRIDS = st.fixed_dictionaries(
 )
 
 
+WEAK = MeterShares(flow=0.3, current=0.5)
+THREE_BUSES = {"seed": 467362, "n_bus": 3, "n_area": 3, "chain": 0.9, "decades": 1.0, "loops": 2, "transformers": 0.15}
+
+
+@example({**THREE_BUSES, "short": None, "slack_at_root": False, "shares": WEAK}, 0.3, 81)  # critical after a removal
 @given(GRIDS, st.sampled_from([0.0, 0.3, 0.6]), st.one_of(st.none(), st.integers(0, 1000)))
 def test_any_grid_with_any_meters_reaches_it(grid, loss, gross_errors):
     feeder = make_grid(**grid)
