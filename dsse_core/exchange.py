@@ -33,7 +33,7 @@ NOTHING = 1e-30  # for variables that no row speaks of
 ROUNDING = 1e-14  # relative; what is left of a difference of equal numbers
 NOTHING_OF_VOLTAGE = 1e-10  # information about it, below which it is rounding
 MOST_TURNS = 4  # of the axes of (p, q)
-BEYOND_REASON = 1e18  # entries of R and z
+BEYOND_REASON = 1e18  # numbers of a message
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,7 @@ def compute_information(
     """
     heard = {name: message for name, message in heard.items() if name != neighbour.area}
     H, r, sigma = _stack(model, x, heard)
-    B, dp = _responses_to_shift(model, x, neighbour, heard)
+    B, dp = _responses_to_shift(model, x, neighbour, heard, H)
     y, T = model.boundary(x, neighbour)
     u = np.setdiff1d(model.free, T[2:].indices)
     factor = _factor_undamped(model, H, sigma, u)
@@ -177,9 +177,9 @@ def _find_power(factor: AugmentedFactor, C: sp.csr_array, n_rows: int) -> tuple[
 
 
 def _responses_to_shift(
-    model: AreaModel, x: np.ndarray, neighbour: Neighbour, heard: Mapping[str, BoundaryInformation]
+    model: AreaModel, x: np.ndarray, neighbour: Neighbour, heard: Mapping[str, BoundaryInformation], H: sp.csr_array
 ) -> tuple[np.ndarray, np.ndarray]:
-    """How all rows of ``_stack``, shape (rows, 2), and (p, q) at the boundary, shape (2, 2), answer to dv.
+    """How all rows H of ``_stack``, shape (rows, 2), and (p, q) at the boundary, shape (2, 2), answer to dv.
 
     dvm scales all voltages of the area alike, dva turns all its angles (but a reference): then powers answer with
     2 s / vm_b and 0 exactly. Moving bus b alone would change flows by dv / z and leave M, a difference of such
@@ -188,18 +188,15 @@ def _responses_to_shift(
     vm_b = float(x[model.voltage_columns(neighbour)[0]])
     fixed = np.setdiff1d(np.arange(model.size), model.free)
     rows = [np.column_stack([_degrees(model.kinds) * model.predict(x) / vm_b, model.kinds == MeasurementKind.VA])]
-    jacobians = [model.jacobian(x)]
     for n in model.area.neighbours:
         y, T = model.boundary(x, n)
         dy = np.column_stack([y * (2.0, 2.0, 1.0, 0.0) / vm_b, (0.0, 0.0, 0.0, 1.0)])
         if n.area == neighbour.area:
             dp = dy[:2] - np.column_stack([np.zeros(2), T[:2, fixed].sum(axis=1)])
         elif (message := heard.get(n.area)) is not None:
-            told = _telling(message)
-            rows.append(message.R[told] @ dy)
-            jacobians.append(sp.csr_array(message.R[told] @ T))
+            rows.append(message.R[_telling(message)] @ dy)
     B = np.concatenate(rows)
-    B[:, 1] -= sp.vstack(jacobians)[:, fixed].sum(axis=1)
+    B[:, 1] -= H[:, fixed].sum(axis=1)
     if model.voltage_columns(neighbour)[1] in fixed:  # the reference itself: it does not move
         B[:, 1] = dp[:, 1] = 0.0
     return B, dp
