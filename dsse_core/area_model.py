@@ -21,8 +21,8 @@ _POWER = (MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION)
 class AreaModel:
     """The measurements of one area as functions of ``x = [va; vm; p_1, q_1, p_2, q_2, ...]``, one pair per child.
 
-    ``free``: the variables that are unknown, all but a reference angle. ``no_load``: rows are weighted alike, and
-    powers and voltages are not of a size that could be known beforehand.
+    ``free``: the variables that are unknown, all but a reference angle. ``no_load``: the weights say nothing of how
+    well powers and voltages are known.
     """
 
     area: Area

@@ -79,10 +79,10 @@ def _keep_tied(suspects: Mapping[str, float]) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class NoLoadModel:
-    """The area's meters but currents, at no load and weighted alike: which of them cannot be spared.
+    """The area's meters but currents, at no load, powers against its median admittance: which cannot be spared.
 
-    ``check_observable`` decides by the same matrix for the whole grid. Areas tell each other its cost-to-go, one
-    way up and one way down the tree.
+    ``find_indispensable`` of ``observability`` decides by the same rows for the whole grid. Areas tell each other
+    its cost-to-go, one way up and one way down the tree.
     """
 
     model: AreaModel

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
+from dsse_core.errors import InvalidInputError
 from dsse_core.network import ZERO_IMPEDANCE, Network
 
 
@@ -21,3 +22,13 @@ def find_zero_impedance_problems(
             f"p.u., the median branch {network.median_impedance:.3g} p.u.; with less than {ZERO_IMPEDANCE:g} of the "
             f"median no estimate is exact: {cure}"
         )
+
+
+def refuse_zero_impedances(network: Network, names: Mapping[str, str], cure: str) -> None:
+    """Refuse a whole ``network`` of another project's file for them; see ``find_zero_impedance_problems``.
+
+    Raises:
+        InvalidInputError: a problem for each.
+    """
+    if problems := list(find_zero_impedance_problems(network, names, cure)):
+        raise InvalidInputError(f"network {network.name!r}", problems)

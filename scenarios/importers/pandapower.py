@@ -28,7 +28,7 @@ from scenarios.importers.matpower import BR_B, BS, BUS_I, F_BUS, GS, SHIFT, T_BU
 from scenarios.importers.matpower_program import BASE_KV, BR_R, BR_X, PD, QD
 from scenarios.importers.pandapower_checks import find_broken, find_unsupported
 from scenarios.network_file import default_branch_id
-from scenarios.zero_impedances import find_zero_impedance_problems
+from scenarios.zero_impedances import refuse_zero_impedances
 
 BRANCHES = ("line", "trafo", "impedance", "switch")
 COUNTED = ("line", "trafo", "impedance", "load", "gen", "shunt", "ward", "motor", "storage")
@@ -82,8 +82,7 @@ def read_pandapower(path: Path) -> Imported:
         conversion, remarks = _convert(path.stem, net, sgen, ppc)
         names = {branch: f"{name} {index}" for (name, index), branch in conversion.branch_of.items()}
         cure = "put a closed switch between its two buses in its place"
-        if problems := list(find_zero_impedance_problems(conversion.network, names, cure)):
-            raise InvalidInputError(str(path), problems)
+        refuse_zero_impedances(conversion.network, names, cure)
     except InvalidInputError as error:
         raise InvalidInputError(str(path), error.problems) from None
     from scenarios.importers.pandapower_measurements import read_measurements

@@ -27,7 +27,7 @@ from scenarios.importers.imported import (
 )
 from scenarios.importers.power_grid_model_branches import BUILDERS
 from scenarios.network_file import default_branch_id
-from scenarios.zero_impedances import find_zero_impedance_problems
+from scenarios.zero_impedances import refuse_zero_impedances
 
 BASE_VA = 1e6
 STIFF = 1e-9  # p.u.; a source's impedance below it is none
@@ -68,8 +68,7 @@ def read_power_grid_model(path: Path, frequency_hz: float) -> Imported:
         conversion, remarks = _convert(path.stem, data, frequency_hz)
         names = {branch: _kind_of(data, component) for component, branch in conversion.branch_of.items()}
         cure = "put a link in its place, or where it is a source, give it an sk above 1e15 VA"
-        if problems := list(find_zero_impedance_problems(conversion.network, names, cure)):
-            raise InvalidInputError(str(path), problems)
+        refuse_zero_impedances(conversion.network, names, cure)
     except InvalidInputError as error:
         raise InvalidInputError(str(path), error.problems) from None
     from scenarios.importers.power_grid_model_sensors import read_sensors

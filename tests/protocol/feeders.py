@@ -10,7 +10,7 @@ from agents.area_file import AreaFile
 from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.network import Branch, Bus, Control, Generator, Network
 from dsse_core.partition import Partition, build_partition
-from dsse_core.power_flow import solve_power_flow
+from dsse_core.power_flow import PowerFlowResult, solve_power_flow
 
 KIND = MeasurementKind
 LOWEST_VM = 0.94
@@ -144,15 +144,19 @@ def _draw_measurements(
     for bus in network.buses:
         source = Source.VIRTUAL if bus.id in zero else Source.TELEMETERED
         meters += [Meter(k, bus.id, source=source) for k in (KIND.P_INJECTION, KIND.Q_INJECTION)]
-    size = abs(flow.injection).max()
+    largest = abs(flow.injection).max()
+    return tuple(read_with_noise(rng, meter, flow, largest, decades) for meter in meters)
 
-    def read(meter: Meter) -> Measurement:
-        if meter.source is Source.VIRTUAL:
-            return Measurement(meter, 0.0, 0.0)
-        base = (
-            0.002 if meter.kind is KIND.VM else (0.01 if meter.branch else 0.1) * (abs(flow.read(meter)) + 0.01 * size)
-        )
-        sigma = base * 10 ** rng.uniform(-decades, 0.0)
-        return Measurement(meter, flow.read(meter) + sigma * rng.standard_normal(), sigma)
 
-    return tuple(read(meter) for meter in meters)
+def read_with_noise(
+    rng: np.random.Generator, meter: Meter, flow: PowerFlowResult, largest: float, decades: float
+) -> Measurement:
+    """0.2 % of voltages, 0.001 rad, 1 % of flows, 10 % of injections, up to ``decades`` better."""
+    if meter.source is Source.VIRTUAL:
+        return Measurement(meter, 0.0, 0.0)
+    value = flow.read(meter)
+    sigma = {KIND.VM: 0.002, KIND.VA: 0.001}.get(meter.kind)
+    if sigma is None:
+        sigma = (0.01 if meter.branch else 0.1) * (abs(value) + 0.01 * largest)
+    sigma *= 10 ** rng.uniform(-decades, 0.0)
+    return Measurement(meter, value + sigma * rng.standard_normal(), sigma)

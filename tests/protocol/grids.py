@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from feeders import Feeder, load_to
+from feeders import Feeder, load_to, read_with_noise
 
 from dsse_core.blocks import find_blocks
-from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
+from dsse_core.measurement import MeasurementKind, Meter, Source
 from dsse_core.network import Branch, Bus, Control, Generator, Network
 from dsse_core.partition import build_partition
-from dsse_core.power_flow import PowerFlowResult, solve_power_flow
+from dsse_core.power_flow import solve_power_flow
 from scenarios.cutting import cut_into
 
 KIND = MeasurementKind
@@ -52,7 +52,7 @@ def make_grid(
     flow = solve_power_flow(network)
     meters = _draw_meters(rng, network, set(partition.boundaries), shares)
     largest = abs(flow.injection).max()
-    return Feeder(network, partition, tuple(_read(rng, m, flow, largest, decades) for m in meters))
+    return Feeder(network, partition, tuple(read_with_noise(rng, m, flow, largest, decades) for m in meters))
 
 
 def _draw_network(
@@ -110,17 +110,6 @@ def _draw_meters(rng: np.random.Generator, network: Network, boundary: set[int],
         if rng.random() < shares.current:
             meters.append(Meter(KIND.CURRENT, end, branch.id))
     return meters
-
-
-def _read(rng: np.random.Generator, meter: Meter, flow: PowerFlowResult, largest: float, decades: float) -> Measurement:
-    if meter.source is Source.VIRTUAL:
-        return Measurement(meter, 0.0, 0.0)
-    value = flow.read(meter)
-    relative = {KIND.VM: 0.002, KIND.VA: 0.001}.get(meter.kind)
-    if relative is None:
-        relative = (0.01 if meter.branch else 0.1) * (abs(value) + 0.01 * largest)
-    sigma = relative * 10 ** rng.uniform(-decades, 0)
-    return Measurement(meter, value + sigma * rng.standard_normal(), sigma)
 
 
 def with_gross_errors(rng: np.random.Generator, feeder: Feeder) -> Feeder:
