@@ -7,11 +7,13 @@
 ``area/<i>/load/<j>``           load messages of area i for neighbour j
 ``area/<i>/state``              what area i knows, for whoever watches
 ``telemetry/<i>``               meter readings for area i, from the plant or a gateway
-``live/<role>/<name>``          presence tokens of areas, plant and coordinator
+``live/<role>/<name>/<life>``   presence tokens of areas, plant and coordinator, one for each life of a process
 ==============================  ====================================================
 """
 
 import re
+
+from agents.messages import Incarnation
 
 NAME = re.compile(r"[a-z0-9_-]+")
 
@@ -41,12 +43,17 @@ def telemetry_key(run: str, area: str) -> str:
     return f"{_root(run)}/telemetry/{area}"
 
 
-def live_key(run: str, role: str, name: str) -> str:
-    return f"{_root(run)}/live/{role}/{name}"
+def live_key(run: str, role: str, name: str, life: Incarnation) -> str:
+    return f"{_root(run)}/live/{role}/{name}/{life.start_ms:x}-{life.random:08x}"
+
+
+def all_lives(run: str, role: str, name: str) -> str:
+    """The tokens of every life of ``name``."""
+    return f"{_root(run)}/live/{role}/{name}/*"
 
 
 def all_live(run: str) -> str:
-    return live_key(run, "*", "*")
+    return all_lives(run, "*", "*")
 
 
 def sender_of(key: str) -> str:
@@ -55,6 +62,7 @@ def sender_of(key: str) -> str:
     return chunks[4] if len(chunks) > 4 and chunks[3] == "area" else ""
 
 
-def role_and_name_of_live(key: str) -> tuple[str, str]:
+def name_of_live(key: str) -> tuple[str, str]:
+    """(role, name) of a presence token."""
     chunks = key.split("/")
-    return chunks[-2], chunks[-1]
+    return chunks[4], chunks[5]

@@ -3,28 +3,39 @@
 from __future__ import annotations
 
 import logging
-import random
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 from agents.area_file import AreaFile
 from agents.inbox import Inbox
 from agents.keys import (
     all_from_neighbours,
+    all_lives,
     live_key,
+    name_of_live,
     neighbour_key,
-    role_and_name_of_live,
     sender_of,
     state_key,
     telemetry_key,
 )
 from agents.link import LossyLink
-from agents.messages import Incarnation, MessageError, StateMessage, decode
+from agents.messages import MessageError, StateMessage, decode
+from agents.presence import Presence, begin_life
 from agents.protocol import AreaProtocol, Event, Finish, PresenceChanged, Publish, Received, Refused
 from agents.strategies import make_strategy
 from agents.transport import Session
 
 log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class _TokenSeen:
+    """The presence token of one life of a neighbour appeared or vanished."""
+
+    key: str
+    alive: bool
 
 
 def run_agent(content: AreaFile, session: Session, inbox: Inbox) -> str:
@@ -33,7 +44,7 @@ def run_agent(content: AreaFile, session: Session, inbox: Inbox) -> str:
     Subscribes first and shows its presence last, so that who sees the token can be sure to be heard.
     """
     now = time.monotonic()
-    incarnation = Incarnation(time.time_ns() // 1_000_000, random.getrandbits(32))
+    incarnation = begin_life()
     strategy = make_strategy(content)
     protocol = AreaProtocol(content, strategy, incarnation, now=now, started_at=time.time())
     kinds = ("load", strategy.kind, *strategy.other_kinds)
@@ -44,11 +55,11 @@ def run_agent(content: AreaFile, session: Session, inbox: Inbox) -> str:
     session.subscribe(telemetry_key(run, name), lambda key, payload: inbox.put(key, (key, payload)))
     for neighbour in sorted(neighbours):
         session.watch_presence(
-            live_key(run, "area", neighbour),
-            lambda key, alive: inbox.put(key, PresenceChanged(role_and_name_of_live(key)[1], alive)),
+            all_lives(run, "area", neighbour), lambda key, alive: inbox.put(key, _TokenSeen(key, alive))
         )
-    session.declare_presence(live_key(run, "area", name))
+    session.declare_presence(live_key(run, "area", name, incarnation))
     log.info("area %s of run %s, strategy %s, incarnation %s", name, run, content.strategy, incarnation)
+    presence = Presence()
     events: list[Event] = []
     told: object = None
     while True:
@@ -61,7 +72,7 @@ def run_agent(content: AreaFile, session: Session, inbox: Inbox) -> str:
                 case Finish(reason):
                     return reason
         news = inbox.take(protocol.wait_s(time.monotonic()))
-        events = [_event_of(*item) if isinstance(item, tuple) else item for item in news]
+        events = list(_events_of(news, presence))
 
 
 def _log_change(state: StateMessage, told: object) -> object:
@@ -93,7 +104,19 @@ def _put_messages_of(neighbours: set[str], inbox: Inbox) -> Callable[[str, bytes
     return put
 
 
-def _event_of(key: str, payload: bytes) -> Event:
+def _events_of(news: Sequence[Any], presence: Presence) -> Iterator[Event]:
+    for item in news:
+        match item:
+            case _TokenSeen(key, alive):
+                if presence.take(key, alive):
+                    yield PresenceChanged(name_of_live(key)[1], alive)
+            case (key, payload):
+                yield _received(key, payload)
+            case _:
+                yield item
+
+
+def _received(key: str, payload: bytes) -> Event:
     try:
         return Received(decode(payload), sender_of(key))
     except MessageError as error:

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import logging
-import random
 import signal
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 
 from agents.inbox import Inbox
-from agents.keys import live_key, role_and_name_of_live, telemetry_key
+from agents.keys import all_lives, live_key, name_of_live, telemetry_key
 from agents.messages import Header, Incarnation, TelemetryMessage, encode
+from agents.presence import begin_life
 from agents.transport import Session
 from dsse_core.errors import DsseError
 from dsse_core.measurement import Measurement, Source
@@ -32,15 +32,16 @@ def run_plant(scenario: Scenario, run: str, endpoints: Sequence[str], timeout_s:
     inbox = Inbox()
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # Zenoh's connecting would defer Python's handler to its end
     try:
-        payloads = make_payloads(scenario, run, scan)
+        life = begin_life()
+        payloads = make_payloads(scenario, run, life, scan)
         with Session.connect(endpoints, timeout_s) as session:
             for number in (signal.SIGTERM, signal.SIGINT):
                 signal.signal(number, lambda *_: inbox.put("stop", None))
             publishers = {area: session.publisher(telemetry_key(run, area)) for area in payloads}
             session.watch_presence(
-                live_key(run, "area", "*"), lambda key, alive: inbox.put(key, key) if alive else None
+                all_lives(run, "area", "*"), lambda key, alive: inbox.put(key, key) if alive else None
             )
-            session.declare_presence(live_key(run, "plant", "plant"))
+            session.declare_presence(live_key(run, "plant", "plant", life))
             log.info("plant of run %s, seed %s, %s areas", run, scenario.seed, len(payloads))
             _serve(payloads, publishers, inbox, scenario.run.beat_s)
     except DsseError as error:
@@ -49,12 +50,12 @@ def run_plant(scenario: Scenario, run: str, endpoints: Sequence[str], timeout_s:
     return 0
 
 
-def make_payloads(scenario: Scenario, run: str, scan: int = 1) -> dict[str, bytes]:
+def make_payloads(scenario: Scenario, run: str, life: Incarnation, scan: int = 1) -> dict[str, bytes]:
     """Area -> its encoded readings. Virtual measurements are no readings: agents know them from their files."""
     header = Header(
         run=run,
         sender="plant",
-        incarnation=Incarnation(time.time_ns() // 1_000_000, random.getrandbits(32)),
+        incarnation=life,
         scan=scan,
         sequence=1,
         time=time.time(),
@@ -92,4 +93,4 @@ def _serve(
         news = inbox.take(next_beat - time.monotonic())
         if None in news:
             return
-        areas = [name for key in news if (name := role_and_name_of_live(key)[1]) in payloads]
+        areas = [name for key in news if (name := name_of_live(key)[1]) in payloads]

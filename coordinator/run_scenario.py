@@ -8,8 +8,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from agents.keys import all_live, all_states, live_key, role_and_name_of_live
+from agents.keys import all_live, all_states, live_key, name_of_live
 from agents.messages import MessageError, StateMessage, decode
+from agents.presence import Presence, begin_life
 from agents.transport import Session, TransportError
 from coordinator.events import EventLog
 from coordinator.judging import (
@@ -64,6 +65,7 @@ class _Run:
     events: EventLog
     started: float
     news: News = field(default_factory=News)
+    presence: Presence = field(default_factory=Presence)
     timing_s: dict[str, float] = field(default_factory=dict)
 
     def log_of(self, process: str) -> Path:
@@ -178,7 +180,7 @@ def _listen(run: _Run, session: Session) -> None:
     session.watch_presence(
         all_live(run.id), lambda key, alive: run.news.put(_PresenceSeen(time.monotonic(), key, alive))
     )
-    session.declare_presence(live_key(run.id, "coordinator", "coordinator"))
+    session.declare_presence(live_key(run.id, "coordinator", "coordinator", begin_life()))
 
 
 def _watch(run: _Run, observer: Observer, on_update: Callable[[Progress], None] | None) -> str | None:
@@ -212,7 +214,9 @@ def _take(run: _Run, observer: Observer, item: object) -> str | None:
             if state.header.run == run.id and observer.take_state(state, at):
                 write_state(run.events, state, at)
         case _PresenceSeen(at, key, alive):
-            role, name = role_and_name_of_live(key)
+            if not run.presence.take(key, alive):
+                return None
+            role, name = name_of_live(key)
             run.events.write("appeared" if alive else "vanished", at, role=role, name=name)
             if role == "area":
                 observer.take_presence(name, alive, at)

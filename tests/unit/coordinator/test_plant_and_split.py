@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from agents.area_file import load_area_file
-from agents.messages import TelemetryMessage, decode
+from agents.messages import Incarnation, TelemetryMessage, decode
 from coordinator.plant import make_payloads
 from coordinator.split import choose_run_id, default_run_id, write_area_files
 from dsse_core.errors import InvalidInputError
@@ -17,7 +17,7 @@ from scenarios.scenario import load_scenario
 
 
 def readings(seed: int) -> dict[str, tuple[object, ...]]:
-    payloads = make_payloads(replace(load_scenario("ieee33"), seed=seed), "run")
+    payloads = make_payloads(replace(load_scenario("ieee33"), seed=seed), "run", Incarnation(1, 0))
     messages = {area: decode(payload) for area, payload in payloads.items()}
     assert all(isinstance(message, TelemetryMessage) for message in messages.values())
     return {area: (m.meters, m.values, m.sigmas) for area, m in messages.items()}  # type: ignore[union-attr]
@@ -31,7 +31,7 @@ def test_the_same_seed_gives_the_same_telemetry_and_another_seed_another():
 def test_virtual_measurements_are_not_sent_because_area_files_hold_them(tmp_path: Path):
     scenario = load_scenario("industrial13")
     files = write_area_files(scenario, "run", ["tcp/127.0.0.1:7447"], tmp_path)
-    payloads = make_payloads(scenario, "run")
+    payloads = make_payloads(scenario, "run", Incarnation(1, 0))
     for area, path in files.items():
         message = decode(payloads[area])
         assert isinstance(message, TelemetryMessage)

@@ -1,0 +1,36 @@
+"""Who is there: every life of a process shows a presence token of its own, which vanishes with it.
+
+A process that was killed and started again may be there before the bus notices the end of its former life; a name
+is present as long as any of its lives is.
+"""
+
+from __future__ import annotations
+
+import random
+import time
+
+from agents.keys import name_of_live
+from agents.messages import Incarnation
+
+
+def begin_life() -> Incarnation:
+    """The incarnation of a process that starts now."""
+    return Incarnation(time.time_ns() // 1_000_000, random.getrandbits(32))
+
+
+class Presence:
+    """Keeps the lives of every name whose tokens are there."""
+
+    def __init__(self) -> None:
+        self._lives: dict[tuple[str, str], set[str]] = {}  # role and name -> keys of its tokens
+
+    def take(self, key: str, alive: bool) -> bool:
+        """Note that the token on ``key`` appeared or vanished; whether its name came, came anew or went with it."""
+        lives = self._lives.setdefault(name_of_live(key), set())
+        if alive:
+            new = key not in lives
+            lives.add(key)
+            return new
+        known = key in lives
+        lives.discard(key)
+        return known and not lives

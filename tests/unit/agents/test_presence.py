@@ -1,0 +1,33 @@
+"""A name is present as long as any of its lives shows a token."""
+
+from agents.keys import live_key, name_of_live
+from agents.messages import Incarnation
+from agents.presence import Presence, begin_life
+
+OLD, NEW = (live_key("r", "area", "area1", Incarnation(start, 7)) for start in (1_000, 2_000))
+
+
+def test_a_token_says_whose_it_is():
+    assert name_of_live(OLD) == ("area", "area1")
+    assert OLD != NEW
+
+
+def test_the_token_of_an_old_life_that_vanishes_late_does_not_hide_the_new_life():
+    presence = Presence()
+    assert presence.take(OLD, True)
+    assert presence.take(NEW, True)
+    assert not presence.take(OLD, False)
+    assert presence.take(NEW, False)
+
+
+def test_a_token_seen_twice_is_no_news_and_one_never_seen_cannot_vanish():
+    presence = Presence()
+    assert presence.take(OLD, True)
+    assert not presence.take(OLD, True)
+    assert not presence.take(NEW, False)
+    assert presence.take(OLD, False)
+    assert not presence.take(OLD, False)
+
+
+def test_two_lives_that_begin_in_the_same_millisecond_differ():
+    assert len({begin_life().random for _ in range(10)}) == 10
