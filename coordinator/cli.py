@@ -234,7 +234,10 @@ def router(endpoints: tuple[str, ...]) -> int:
 @run_id_option
 @click.option("--timeout", type=SECONDS, default=10.0, show_default=True, metavar="S", help="Wait for the bus so long.")
 @seed_option
-def plant(scenario: str, endpoints: tuple[str, ...], run_id: str | None, timeout: float, seed: int | None) -> int:
+@click.option("--every", type=SECONDS, metavar="S", help="Make a new scan every so many seconds.  [default: one only]")
+def plant(
+    scenario: str, endpoints: tuple[str, ...], run_id: str | None, timeout: float, seed: int | None, every: float | None
+) -> int:
     """Publish the meter readings of SCENARIO on the bus until Ctrl-C; in the field a gateway does this.
 
     \b
@@ -245,7 +248,9 @@ def plant(scenario: str, endpoints: tuple[str, ...], run_id: str | None, timeout
     from coordinator.split import choose_run_id
 
     # a plant that is started anew has new readings: seconds count on where its last life ended
-    return run_plant(prepared, choose_run_id(prepared, run_id), endpoints, timeout, scan=int(time.time()))
+    return run_plant(
+        prepared, choose_run_id(prepared, run_id), endpoints, timeout, scan=int(time.time()), every_s=every
+    )
 
 
 def _prepare(scenario: str, seed: int | None) -> Scenario:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import signal
 import sys
 import time
@@ -22,18 +23,25 @@ log = logging.getLogger(__name__)
 DRAW = 1  # of the noise: the same readings for the same seed
 
 
-def run_plant(scenario: Scenario, run: str, endpoints: Sequence[str], timeout_s: float = 10.0, scan: int = 1) -> int:
+def run_plant(
+    scenario: Scenario,
+    run: str,
+    endpoints: Sequence[str],
+    timeout_s: float = 10.0,
+    scan: int = 1,
+    every_s: float | None = None,
+) -> int:
     """Publish the telemetry of ``scenario`` for ``run`` until SIGTERM or Ctrl-C; 0, or 2 after a user's mistake.
 
     An area is served when it appears and then at every beat: it subscribes before it shows itself. ``scan``: above
-    that of any plant before it in the same run.
+    that of any plant before it in the same run. ``every_s``: time from one scan to the next; None: there is one only.
     """
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
     inbox = Inbox()
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # Zenoh's connecting would defer Python's handler to its end
     try:
         life = begin_life()
-        payloads = make_payloads(scenario, run, life, scan)
+        payloads = make_payloads(scenario, run, life, scan, draw=scan if every_s else DRAW)
         with Session.connect(endpoints, timeout_s) as session:
             for number in (signal.SIGTERM, signal.SIGINT):
                 signal.signal(number, lambda *_: inbox.put("stop", None))
@@ -43,26 +51,28 @@ def run_plant(scenario: Scenario, run: str, endpoints: Sequence[str], timeout_s:
             )
             session.declare_presence(live_key(run, "plant", "plant", life))
             log.info("plant of run %s, seed %s, %s areas", run, scenario.seed, len(payloads))
-            _serve(payloads, publishers, inbox, scenario.run.beat_s)
+            while not _serve(payloads, publishers, inbox, scenario.run.beat_s, every_s):
+                scan += 1
+                payloads = make_payloads(scenario, run, life, scan, draw=scan)
     except DsseError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     return 0
 
 
-def make_payloads(scenario: Scenario, run: str, life: Incarnation, scan: int = 1) -> dict[str, bytes]:
-    """Area -> its encoded readings. Virtual measurements are no readings: agents know them from their files."""
+def make_payloads(scenario: Scenario, run: str, life: Incarnation, scan: int = 1, draw: int = DRAW) -> dict[str, bytes]:
+    """Area -> its encoded readings with noise ``draw``. Virtual measurements are no readings: agents know them."""
     header = Header(
         run=run,
         sender="plant",
         incarnation=life,
         scan=scan,
-        sequence=1,
+        sequence=scan,
         time=time.time(),
     )
     return {
         area: encode(make_message(header, area, measurements))
-        for area, measurements in make_telemetry(scenario, DRAW).by_area.items()
+        for area, measurements in make_telemetry(scenario, draw).by_area.items()
     }
 
 
@@ -79,18 +89,25 @@ def make_message(header: Header, area: str, measurements: Sequence[Measurement])
 
 
 def _serve(
-    payloads: Mapping[str, bytes], publishers: Mapping[str, Callable[[bytes], None]], inbox: Inbox, beat_s: float
-) -> None:
+    payloads: Mapping[str, bytes],
+    publishers: Mapping[str, Callable[[bytes], None]],
+    inbox: Inbox,
+    beat_s: float,
+    every_s: float | None,
+) -> bool:
+    """Publish one scan at every beat for ``every_s`` seconds; whether to stop."""
     next_beat = time.monotonic()
+    over = next_beat + every_s if every_s else math.inf
     areas: list[str] = []
-    while True:
+    while time.monotonic() < over:
         now = time.monotonic()
         if now >= next_beat:
             next_beat = now + beat_s
             areas = list(payloads)
         for area in areas:
             publishers[area](payloads[area])
-        news = inbox.take(next_beat - time.monotonic())
+        news = inbox.take(min(next_beat, over) - time.monotonic())
         if None in news:
-            return
+            return True
         areas = [name for key in news if (name := name_of_live(key)[1]) in payloads]
+    return False

@@ -15,7 +15,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from coordinator.zygote import STOP_S, Ended, Preload, Start, Started, Stop
+from coordinator.zygote import STOP_S, Ended, Preload, Signal, Start, Started, Stop
 from dsse_core.errors import DsseError
 
 ONE_THREAD = {
@@ -72,10 +72,17 @@ class Launcher:
         """Have the parent import ``modules`` now."""
         self._send(Preload(modules))
 
-    def start(self, name: str, target: str, *arguments: Any, log: Path) -> None:
-        """Start process ``name``, which calls ``target`` ("module:function") and writes its output to ``log``."""
+    def start(self, name: str, target: str, *arguments: Any, log: Path, stop_last: bool = False) -> None:
+        """Start process ``name``, which calls ``target`` ("module:function") and writes its output to ``log``.
+
+        ``stop_last``: on leaving, stop it after the others.
+        """
         self._any_started = True
-        self._send(Start(name, target, arguments, log))
+        self._send(Start(name, target, arguments, log, stop_last))
+
+    def signal(self, name: str, number: int) -> None:
+        """Send a signal to process ``name``; nothing happens where it has ended."""
+        self._send(Signal(name, number))
 
     def close(self) -> None:
         """Stop every process and wait for their end; later calls do nothing."""
@@ -99,7 +106,7 @@ class Launcher:
             os.killpg(self.pid, signal.SIGKILL)
         self._zygote.wait()
 
-    def _send(self, order: Preload | Start | Stop) -> None:
+    def _send(self, order: Preload | Start | Signal | Stop) -> None:
         try:
             self._orders.send(order)
         except OSError:

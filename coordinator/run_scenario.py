@@ -11,7 +11,7 @@ from pathlib import Path
 from agents.keys import all_live, all_states, live_key, name_of_live
 from agents.messages import MessageError, StateMessage, decode
 from agents.presence import Presence, begin_life
-from agents.transport import Session, TransportError
+from agents.transport import Session
 from coordinator.events import EventLog
 from coordinator.judging import (
     estimate_centralised,
@@ -25,13 +25,12 @@ from coordinator.observer import Observer, Progress
 from coordinator.processes import Launcher, News, describe_end, read_end
 from coordinator.result import RunResult, write_result
 from coordinator.run_folder import make_run_folder
-from coordinator.split import default_run_id, write_area_files
+from coordinator.split import default_run_id
+from coordinator.system import System
 from coordinator.zygote import Ended, Started
 from scenarios.scenario import Scenario
 from scenarios.telemetry import make_telemetry
 
-ROUTER, PLANT = "router", "plant"
-ROUTER_START_S = 10.0
 UPDATE_S = 0.1
 
 
@@ -61,15 +60,12 @@ class _Run:
     scenario: Scenario
     id: str
     folder: Path
-    launcher: Launcher
+    system: System
     events: EventLog
     started: float
     news: News = field(default_factory=News)
     presence: Presence = field(default_factory=Presence)
     timing_s: dict[str, float] = field(default_factory=dict)
-
-    def log_of(self, process: str) -> Path:
-        return self.folder / "logs" / f"{process}.log"
 
     def note_time(self, moment: str) -> None:
         self.timing_s[moment] = round(time.monotonic() - self.started, 4)
@@ -90,48 +86,35 @@ def run_scenario(
     folder = make_run_folder(out, default_run_id(scenario), ("areas", "logs"))
     with EventLog(folder / "events.jsonl", started) as events:
         run_id = f"{default_run_id(scenario)}-{secrets.token_hex(4)}"
-        run = _Run(scenario, run_id, folder, launcher, events, started)
+        run = _Run(scenario, run_id, folder, System(launcher, scenario, run_id, folder), events, started)
         events.write("run started", run=run_id, scenario=scenario.name, seed=scenario.seed, parent_pid=launcher.pid)
         launcher.on_news = lambda news: run.news.put(_ProcessNews(time.monotonic(), news))
         run.note_time("scenario_loaded")
         try:
-            endpoints = _start_router(run)
-            return _run_with_router(run, endpoints, on_update)
+            run.system.start_router(lambda: _wait_for_router(run))
+            run.note_time("router_listens")
+            return _run_with_router(run, on_update)
         finally:
             launcher.close()
             _note_ends(run)
             events.write("run ended")
 
 
-def _start_router(run: _Run) -> tuple[str, ...]:
-    """Start the router and wait until it says where it listens."""
-    said = (run.folder / "logs" / "router.endpoints").absolute()
-    listen = run.scenario.transport.listen
-    arguments = ["--listen", listen, "--endpoints-file", str(said)]
-    run.launcher.start(ROUTER, "coordinator.router_process:main", arguments, log=run.log_of(ROUTER).absolute())
-    deadline = time.monotonic() + ROUTER_START_S
-    while not said.exists():
-        for item in run.news.take(0.002):
-            reason = _take_process_news(run, item)
-            if reason:
-                raise TransportError(_last_words(run, ROUTER) or reason)
-        if time.monotonic() > deadline:
-            raise TransportError(f"the router has not opened {listen} within {ROUTER_START_S:g} s")
-    run.note_time("router_listens")
-    return tuple(said.read_text(encoding="utf-8").split())
+def _wait_for_router(run: _Run) -> str | None:
+    """Let a moment pass; the reason to give up, if a process has ended."""
+    for item in run.news.take(0.002):
+        reason = _take_process_news(run, item)
+        if reason:
+            return reason
+    return None
 
 
-def _run_with_router(run: _Run, endpoints: tuple[str, ...], on_update: Callable[[Progress], None] | None) -> RunResult:
+def _run_with_router(run: _Run, on_update: Callable[[Progress], None] | None) -> RunResult:
     scenario = run.scenario
-    files = write_area_files(scenario, run.id, endpoints, run.folder / "areas")
-    run.launcher.start(
-        PLANT, "coordinator.plant:run_plant", scenario, run.id, endpoints, log=run.log_of(PLANT).absolute()
-    )
-    for name, path in files.items():
-        run.launcher.start(name, "agents.__main__:main", [str(path.absolute())], log=run.log_of(name).absolute())
+    run.system.start_others()
     run.note_time("agents_started")
     observer = make_observer(scenario)
-    with Session.connect(endpoints) as session:
+    with Session.connect(run.system.endpoints) as session:
         _listen(run, session)
         telemetry = make_telemetry(scenario)  # the processes are busy meanwhile
         centralised = estimate_centralised(scenario, telemetry)
@@ -231,15 +214,20 @@ def _take(run: _Run, observer: Observer, item: object) -> str | None:
 
 def _take_process_news(run: _Run, item: _ProcessNews) -> str | None:
     """Write it down; an end is a reason to end the run."""
+    expected = run.system.note(item.news)
     match item.news:
         case Started(name, pid):
             run.events.write("process started", item.at, name=name, pid=pid)
         case Ended(name, pid, code):
             run.events.write("process ended", item.at, name=name, pid=pid, code=code)
+            if expected:
+                return None
             kind = f"area {name}" if name in run.scenario.partition.owner_of_bus.values() else name
-            end = read_end(run.log_of(name))
+            end = read_end(run.system.log_of(name))
             return f"{kind} died with {describe_end(code)}" + (
-                f"; the end of its log {run.log_of(name)}:\n{end}" if end else f"; its log {run.log_of(name)} is empty"
+                f"; the end of its log {run.system.log_of(name)}:\n{end}"
+                if end
+                else f"; its log {run.system.log_of(name)} is empty"
             )
     return None
 
@@ -249,11 +237,3 @@ def _note_ends(run: _Run) -> None:
     for item in run.news.take(0.0):
         if isinstance(item, _ProcessNews):
             _take_process_news(run, item)
-
-
-def _last_words(run: _Run, process: str) -> str | None:
-    """The error that a process refused its input with, if its log ends with one."""
-    for line in reversed(read_end(run.log_of(process), width=10_000).splitlines()):
-        if line.startswith("error: "):
-            return line.removeprefix("error: ")
-    return None

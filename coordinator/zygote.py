@@ -35,12 +35,24 @@ class Preload:
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Fork process ``name``: it calls ``target`` ("module:function") and exits with what that returns."""
+    """Fork process ``name``: it calls ``target`` ("module:function") and exits with what that returns.
+
+    ``stop_last``: it is stopped when the others have ended.
+    """
 
     name: str
     target: str
     arguments: tuple[Any, ...]
     log: Path
+    stop_last: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Signal:
+    """Send signal ``number`` to process ``name``; nothing where it has ended."""
+
+    name: str
+    number: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +82,7 @@ class Zygote:
     """Serves the commands that arrive on ``orders``."""
 
     orders: Connection[Any, Any]
-    children: dict[int, str] = field(default_factory=dict)  # pid -> name
+    children: dict[int, Start] = field(default_factory=dict)  # by pid
     stopped: bool = False
 
     def serve(self) -> None:
@@ -101,7 +113,7 @@ class Zygote:
     def _on_sigterm(self, *_: object) -> None:
         self.stopped = True
 
-    def _obey(self, order: Preload | Start | Stop) -> None:
+    def _obey(self, order: Preload | Start | Signal | Stop) -> None:
         match order:
             case Preload(modules):
                 for module in modules:
@@ -109,6 +121,10 @@ class Zygote:
                 gc.freeze()  # the children share these pages as long as no collector touches them
             case Start():
                 self._fork(order)
+            case Signal(name, number):
+                for pid, child in self.children.items():
+                    if child.name == name:
+                        os.kill(pid, number)
             case Stop():
                 self.stopped = True
 
@@ -116,7 +132,7 @@ class Zygote:
         pid = os.fork()
         if pid == 0:
             self._become(order)
-        self.children[pid] = order.name
+        self.children[pid] = order
         self._report(Started(order.name, pid))
 
     def _become(self, order: Start) -> NoReturn:
@@ -145,20 +161,20 @@ class Zygote:
             pid, status = os.waitpid(-1, os.WNOHANG)
             if pid == 0:
                 return
-            self._report(Ended(self.children.pop(pid), pid, os.waitstatus_to_exitcode(status)))
+            self._report(Ended(self.children.pop(pid).name, pid, os.waitstatus_to_exitcode(status)))
 
     def _report(self, news: Started | Ended) -> None:
         with contextlib.suppress(OSError):  # nobody listens any more; the next receive says so
             self.orders.send(news)
 
     def _stop_children(self) -> None:
-        """SIGTERM to all but the router, then to the router, so that agents say goodbye on a bus that works."""
+        """SIGTERM to all but the routers, then to the routers, so that agents say goodbye on a bus that works."""
         deadline = time.monotonic() + STOP_S
-        router = next(iter(self.children), None)
-        for group in ([pid for pid in self.children if pid != router], [router]):
+        for last in (False, True):
+            group = [pid for pid, child in self.children.items() if child.stop_last == last]
             for pid in group:
-                if pid in self.children:
-                    os.kill(pid, signal.SIGTERM)
+                os.kill(pid, signal.SIGTERM)
+                os.kill(pid, signal.SIGCONT)  # one that was paused could not hear it
             while any(pid in self.children for pid in group) and time.monotonic() < deadline:
                 self._reap()
                 time.sleep(0.002)
