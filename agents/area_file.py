@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
 from agents.keys import NAME
 from dsse_core.errors import InvalidInputError
+from dsse_core.link_faults import LinkFaults
 from dsse_core.measurement import Meter, find_meter_problems
 from dsse_core.network import Branch, Bus, Generator, Network
 from dsse_core.partition import Area, Neighbour
@@ -35,8 +36,8 @@ class AreaFile:
         generation: load messages count the "telemetered" injection of substation and generators, or the
             "scheduled" one.
         load_error: added to the load at each boundary bus (eqs. 5.4, 5.5), p.u.
-        loss: neighbour -> share of the messages to it that the link drops.
-        seed: of the losses.
+        links: neighbour -> what goes wrong on the link to it; a neighbour that is not there has a sound link.
+        seed: of what goes wrong.
         penalty: of strategy ``admm``.
     """
 
@@ -49,7 +50,7 @@ class AreaFile:
     tolerance: float = 1e-6
     generation: str = "telemetered"
     load_error: complex = 0j
-    loss: dict[str, float] = field(default_factory=dict)
+    links: dict[str, LinkFaults] = field(default_factory=dict)
     seed: int = 0
     penalty: float = 1.0
 
@@ -75,7 +76,7 @@ def save_area_file(path: Path, content: AreaFile) -> None:
             "p_error": content.load_error.real,
             "q_error": content.load_error.imag,
         },
-        "neighbour": [_rows_of(n) | {"loss": content.loss.get(n.area, 0.0)} for n in area.neighbours],
+        "neighbour": [_neighbour_row(n, content.links.get(n.area, LinkFaults())) for n in area.neighbours],
         "network": {
             "base_mva": network.base_mva,
             "bus": [_rows_of(bus) for bus in network.buses],
@@ -145,7 +146,7 @@ def load_area_file(path: Path) -> AreaFile:
         tolerance=t.tolerance,
         generation=t.load_messages.generation,
         load_error=complex(t.load_messages.p_error, t.load_messages.q_error),
-        loss={n.area: n.loss for n in t.neighbour},
+        links={n.area: LinkFaults(**vars(n.faults)) for n in t.neighbour},
         seed=t.seed,
         penalty=t.admm.penalty,
     )
@@ -168,6 +169,10 @@ def _rows_of(item: Any) -> dict[str, Any]:
         for f in dataclasses.fields(item)
         if f.default is dataclasses.MISSING or getattr(item, f.name) != f.default
     }
+
+
+def _neighbour_row(neighbour: Neighbour, faults: LinkFaults) -> dict[str, Any]:
+    return _rows_of(neighbour) | ({"faults": _rows_of(faults)} if faults != LinkFaults() else {})
 
 
 class _Strict(BaseModel):
@@ -194,17 +199,28 @@ class _Admm(_Strict):
     penalty: float = Field(default=1.0, gt=0)
 
 
-def _rows_like(cls: type[Any], **extra: Any) -> Any:
-    """A list of strict tables whose keys are the fields of dataclass ``cls``."""
+def _table_like(cls: type[Any], **extra: Any) -> Any:
+    """A strict table whose keys are the fields of dataclass ``cls``; ``extra`` replaces or adds some."""
     hints = typing.get_type_hints(cls)
     keys = {
         f.name: (hints[f.name], ... if f.default is dataclasses.MISSING else f.default) for f in dataclasses.fields(cls)
     }
-    row = create_model(cls.__name__, __base__=_Strict, **(keys | extra))
-    return list[row]  # type: ignore[valid-type]
+    return create_model(cls.__name__, __base__=_Strict, **(keys | extra))
+
+
+def _rows_like(cls: type[Any], **extra: Any) -> Any:
+    """A list of such tables."""
+    return list[_table_like(cls, **extra)]  # type: ignore[misc]
 
 
 _Name = Annotated[str, Field(pattern=f"^{NAME.pattern}$")]
+_PROBABILITIES = ("loss", "burst_enter", "burst_leave", "burst_loss", "duplicate", "corrupt")
+_TIMES = ("delay_s", "jitter_s")
+_FaultsTable: Any = _table_like(
+    LinkFaults,
+    **{key: (float, Field(getattr(LinkFaults(), key), ge=0, le=1)) for key in _PROBABILITIES},
+    **{key: (float, Field(0.0, ge=0, le=86400)) for key in _TIMES},
+)
 _NetworkTable: Any = create_model(
     "_NetworkTable",
     __base__=_Strict,
@@ -228,7 +244,7 @@ _FileTable: Any = create_model(
     reference=(_Reference | None, None),
     load_messages=(_LoadMessages, _LoadMessages()),
     admm=(_Admm, _Admm()),
-    neighbour=(_rows_like(Neighbour, area=(_Name, ...), loss=(float, Field(0.0, ge=0, le=1))), []),
+    neighbour=(_rows_like(Neighbour, area=(_Name, ...), faults=(_FaultsTable, _FaultsTable())), []),
     network=(_NetworkTable, ...),
     meter=(_rows_like(Meter), ...),
 )

@@ -12,14 +12,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 from agents.messages import Message, StateMessage, encode
+from dsse_core.link_faults import LinkFaults
 
 
 @dataclass
 class LossyLink:
-    """Sends messages of area ``sender``; ``loss``: neighbour -> probability that a message to it is dropped."""
+    """Sends messages of area ``sender``; ``faults``: neighbour -> those of the link to it."""
 
     sender: str
-    loss: Mapping[str, float]
+    faults: Mapping[str, LinkFaults]
     seed: int
     put: Callable[[str | None, str, bytes], None]  # (neighbour or None for watchers, kind, payload)
     messages: int = 0
@@ -39,7 +40,7 @@ class LossyLink:
         self._count[to] += 1
         self.messages += 1
         self.bytes += len(payload)
-        if draw_fate(self.seed, self.sender, to, number) < self.loss.get(to, 0.0):
+        if draw_fate(self.seed, self.sender, to, number) < self.faults.get(to, LinkFaults()).loss:
             self.lost += 1
         else:
             self.put(to, message.kind, payload)

@@ -48,7 +48,7 @@ def run_agent(content: AreaFile, session: Session, inbox: Inbox) -> str:
     strategy = make_strategy(content)
     protocol = AreaProtocol(content, strategy, incarnation, now=now, started_at=time.time())
     kinds = ("load", strategy.kind, *strategy.other_kinds)
-    link = LossyLink(content.area.name, content.loss, content.seed, _publishers(content, session, kinds))
+    link = LossyLink(content.area.name, content.links, content.seed, _publishers(content, session, kinds))
     name, run = content.area.name, content.run
     neighbours = {n.area for n in content.area.neighbours}
     session.subscribe(all_from_neighbours(run, name), _put_messages_of(neighbours, inbox))

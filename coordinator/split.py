@@ -32,7 +32,7 @@ def area_files(scenario: Scenario, run: str, endpoints: Sequence[str]) -> list[A
             tolerance=scenario.tolerances.estimator,
             generation=scenario.generation,
             load_error=scenario.load_error[area.name],
-            loss={n.area: scenario.loss[area.name, n.area] for n in area.neighbours},
+            links={n.area: scenario.faults.links[area.name, n.area] for n in area.neighbours},
             seed=scenario.seed,
             penalty=scenario.admm_penalty,
         )

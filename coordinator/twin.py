@@ -105,7 +105,7 @@ class SimulatedBus:
             content, make_strategy(content), incarnation, now=self.now, started_at=STARTED_AT + self.now
         )
         self.links[name] = LossyLink(
-            name, content.loss, content.seed, lambda to, _, payload: self._put(name, to, payload)
+            name, content.links, content.seed, lambda to, _, payload: self._put(name, to, payload)
         )
         self._wake_in_time(name)
         self._on_presence(self.now, name, True)

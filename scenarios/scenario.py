@@ -14,6 +14,7 @@ from dsse_core.measurement import Measurement, Meter, Source
 from dsse_core.network import Network
 from dsse_core.partition import Partition, build_partition
 from scenarios.cutting import cut_at, cut_into
+from scenarios.faults import Faults, build_faults, find_link_problems, find_name_problems, find_time_problems
 from scenarios.meters import SigmaRule, build_meters, build_sigma_rule, find_place_problems, find_virtual_buses
 from scenarios.network_file import load_case, load_network
 from scenarios.readings_file import load_readings
@@ -67,8 +68,7 @@ class Scenario:
     """A checked scenario, in p.u. and rad.
 
     ``meters`` are all that the telemetry reads: with ``area-power-flow`` no injection at boundary buses, because an
-    area's own power flow knows only its net load there. ``load_error`` has every area, ``loss`` every directed link
-    (sending area, receiving area) between neighbours.
+    area's own power flow knows only its net load there. ``load_error`` has every area.
     """
 
     name: str
@@ -84,7 +84,7 @@ class Scenario:
     generation: Literal["telemetered", "scheduled"]
     admm_penalty: float
     load_error: dict[str, complex]
-    loss: dict[tuple[str, str], float]
+    faults: Faults
     tolerances: Tolerances
     run: RunSettings
     transport: TransportSettings
@@ -119,7 +119,8 @@ def load_scenario(
     problems += network_problems
     area_buses, area_problems = _find_area_buses(file, network)
     problems += area_problems
-    problems += _find_fault_problems(file, area_buses)
+    problems += find_name_problems(file.faults, area_buses)
+    problems += find_time_problems(file.faults, file.run.timeout_s)
     problems += [
         f"areas.{name}: this name belongs to a process of every run; choose another"
         for name in sorted(RESERVED & (area_buses or {}).keys())
@@ -135,7 +136,7 @@ def load_scenario(
     if not reading_problems:
         problems += _find_gross_error_problems(file, meters)
     if partition is not None:
-        problems += _find_link_problems(file, partition)
+        problems += find_link_problems(file.faults, partition)
     if partition is None or problems:
         raise InvalidInputError(str(path), problems)
     return _build_scenario(path, file, partition, meters, readings)
@@ -234,36 +235,6 @@ def _build_meters_of(
     return tuple(m for m in meters if not (m.kind.of_injection and areas_at[m.bus] > 1))
 
 
-def _find_links(partition: Partition) -> tuple[tuple[str, str], ...]:
-    """(sending area, receiving area) of every directed link between neighbours."""
-    return tuple((n.area, area.name) for area in partition.areas for n in area.neighbours)
-
-
-def _find_fault_problems(file: ScenarioFile, areas: Collection[str] | None) -> Iterable[str]:
-    """Names of no area; nothing as long as no names are known (None)."""
-    if areas is None:
-        return
-    for name in file.faults.load_error:
-        if name not in areas:
-            yield f"faults.load_error.{name}: there is no area {name!r}; areas: {', '.join(areas)}"
-    for i, link in enumerate(file.faults.link):
-        for key, name in (("from", link.from_), ("to", link.to)):
-            if name not in areas:
-                yield f"faults.link[{i}].{key}: there is no area {name!r}; areas: {', '.join(areas)}"
-
-
-def _find_link_problems(file: ScenarioFile, partition: Partition) -> Iterable[str]:
-    links = _find_links(partition)
-    areas = {area.name for area in partition.areas}
-    named = [(link.from_, link.to) for link in file.faults.link]
-    for i, (sender, receiver) in enumerate(named):
-        if {sender, receiver} <= areas and (sender, receiver) not in links:
-            pairs = ", ".join(f"{a} to {b}" for a, b in links) or "none"
-            yield f"faults.link[{i}]: {sender} and {receiver} are not neighbours; links: {pairs}"
-        if (sender, receiver) in named[:i]:
-            yield f"faults.link[{i}]: the link from {sender} to {receiver} is given twice; keep one"
-
-
 def _find_gross_error_problems(file: ScenarioFile, meters: Collection[Meter]) -> Iterable[str]:
     ids = {meter.id for meter in meters if meter.source is not Source.VIRTUAL}
     virtual = {meter.id for meter in meters if meter.source is Source.VIRTUAL}
@@ -288,7 +259,6 @@ def _build_scenario(
 ) -> Scenario:
     base_mva = partition.network.base_mva
     errors = {name: complex(e.p_mw, e.q_mvar) / base_mva for name, e in file.faults.load_error.items()}
-    overrides = {(link.from_, link.to): link.loss for link in file.faults.link}
     return Scenario(
         name=path.stem,
         path=path,
@@ -308,7 +278,7 @@ def _build_scenario(
         generation=file.load_messages.generation,
         admm_penalty=file.admm.penalty,
         load_error={area.name: errors.get(area.name, 0j) for area in partition.areas},
-        loss={link: overrides.get(link, file.faults.loss) for link in _find_links(partition)},
+        faults=build_faults(file.faults, partition),
         tolerances=Tolerances(
             consensus_va=file.tolerances.consensus_va_rad,
             consensus_vm=file.tolerances.consensus_vm_pu,

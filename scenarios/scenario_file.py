@@ -6,12 +6,10 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Discriminator, Field, PlainValidator, StringConstraints, Tag, model_validator
 
+from scenarios.fault_tables import FaultsTable, Positive, Seconds
 from scenarios.strict_toml import Table
 
-Positive = Annotated[float, Field(gt=0)]
 Sigma = Annotated[float, Field(ge=1e-9, le=1e6)]
-Seconds = Annotated[float, Field(gt=0, le=86400)]
-Probability = Annotated[float, Field(ge=0, le=1)]
 AreaName = Annotated[str, StringConstraints(pattern=r"^[a-z0-9_-]+$")]
 
 SIGMA_PERCENT = "standard deviation in percent of the true value"
@@ -184,29 +182,6 @@ class AdmmTable(Table):
     """``[admm]``."""
 
     penalty: Annotated[float, Field(ge=1e-6, le=1e6)] = 1.0
-
-
-class LinkTable(Table):
-    """One ``[[faults.link]]``: from the sending to the receiving area."""
-
-    from_: str = Field(alias="from", description="the area that sends")
-    to: str = Field(description="the area that receives")
-    loss: Probability = Field(description="probability that a message of this link is lost, 0 to 1")
-
-
-class LoadErrorTable(Table):
-    """``[faults.load_error.NAME]``."""
-
-    p_mw: float = Field(description="MW added to the load at each boundary bus of the area")
-    q_mvar: float = Field(description="Mvar added to the load at each boundary bus of the area")
-
-
-class FaultsTable(Table):
-    """``[faults]``."""
-
-    loss: Probability = Field(default=0.0, description="probability that a message is lost, 0 to 1")
-    link: list[LinkTable] = Field(default_factory=list)
-    load_error: dict[str, LoadErrorTable] = Field(default_factory=dict)
 
 
 class TolerancesTable(Table):

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from agents.area_file import AreaFile
+from dsse_core import link_faults
 from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.network import Branch, Bus, Control, Generator, Network
 from dsse_core.partition import Partition, build_partition
@@ -35,7 +36,7 @@ class Feeder:
                 meters=tuple(m.meter for m in telemetry[area.name]),
                 strategy="information",
                 endpoints=("tcp/127.0.0.1:7447",),
-                loss={n.area: loss for n in area.neighbours},
+                links={n.area: link_faults.LinkFaults(loss=loss) for n in area.neighbours},
                 seed=seed,
             )
             for area in self.partition.areas

@@ -11,6 +11,7 @@ from agents.area_file import AreaFile
 from agents.messages import Message
 from coordinator import twin
 from coordinator.split import area_files
+from dsse_core import link_faults
 from dsse_core.measurement import Measurement
 from scenarios.scenario import Scenario, load_scenario
 from scenarios.telemetry import Telemetry, make_telemetry
@@ -74,5 +75,8 @@ def bus_of(
     telemetry = make_telemetry(scenario)
     files = area_files_of(scenario)
     if loss is not None:
-        files = [replace(f, loss={n.area: loss for n in f.area.neighbours}, seed=seed or 0) for f in files]
+        files = [
+            replace(f, links={n.area: link_faults.LinkFaults(loss=loss) for n in f.area.neighbours}, seed=seed or 0)
+            for f in files
+        ]
     return SimulatedBus(files, telemetry.by_area), scenario, telemetry

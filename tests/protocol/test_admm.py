@@ -11,8 +11,10 @@ from test_angle_offset import tree_scenario, with_angle_meters
 from agents.messages import AdmmMessage, encode
 from agents.protocol import Received
 from coordinator.twin import LinkFaults
+from dsse_core import link_faults
 from dsse_core.estimation import EstimationResult, estimate_state
 from dsse_core.partition import build_partition
+from scenarios.faults import Faults
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 
@@ -22,7 +24,7 @@ GAP = 1e-8  # p.u. and rad
 def bus_with(scenario, loss=0.0, seed=0, faults=None, **changes):
     telemetry = make_telemetry(scenario)
     files = area_files_of(scenario, strategy="admm", seed=seed, **changes)
-    files = [replace(f, loss={n.area: loss for n in f.area.neighbours}) for f in files]
+    files = [replace(f, links={n.area: link_faults.LinkFaults(loss=loss) for n in f.area.neighbours}) for f in files]
     bus = SimulatedBus(files, telemetry.by_area, faults)
     return bus, centralised_of(scenario, telemetry)
 
@@ -171,7 +173,7 @@ def test_where_both_sides_have_angle_meters_the_angle_is_negotiated_like_the_res
 def test_a_grid_of_one_area_is_estimated_alone():
     scenario = load_scenario("industrial13")
     whole = build_partition(scenario.network, {"all": [bus.id for bus in scenario.network.buses]})
-    bus, centralised = bus_with(replace(scenario, partition=whole, load_error={"all": 0j}, loss={}))
+    bus, centralised = bus_with(replace(scenario, partition=whole, load_error={"all": 0j}, faults=Faults({})))
     settle(bus)
     assert_equals_centralised(bus, centralised)
 

@@ -11,10 +11,12 @@ from agents.messages import LoadMessage
 from agents.strategies import angle_offset
 from dsse_core.bad_data import process_bad_data
 from dsse_core.boundary_load import boundary_loads
+from dsse_core.link_faults import LinkFaults
 from dsse_core.measurement import MeasurementKind, Meter, Source
 from dsse_core.network import Control
 from dsse_core.partition import build_partition
 from dsse_core.power_flow import solve_power_flow
+from scenarios.faults import Faults, find_links
 from scenarios.scenario import load_scenario as load
 from scenarios.telemetry import make_telemetry
 
@@ -31,6 +33,10 @@ def load_scenario(name):
     return replace(load(name), strategy="angle-offset")
 
 
+def sound_links(partition):
+    return Faults({link: LinkFaults() for link in find_links(partition)})
+
+
 def tree_scenario(noise=True, seed=1):
     scenario = load_scenario("ieee33")
     partition = build_partition(scenario.network, TREE)
@@ -40,7 +46,7 @@ def tree_scenario(noise=True, seed=1):
         partition=partition,
         telemetry=replace(scenario.telemetry, noise=noise),
         load_error={area.name: 0j for area in partition.areas},
-        loss={(a.name, n.area): 0.0 for a in partition.areas for n in a.neighbours},
+        faults=sound_links(partition),
     )
 
 
@@ -60,7 +66,7 @@ def test_a_tree_of_areas_lies_within_five_sigma_of_the_centralised_estimate(seed
     An area's angles inherit the error of each offset on the way to the substation: sigmas add along the path.
     """
     scenario = tree_scenario(seed=seed)
-    bus, telemetry = settle(scenario, loss=dict.fromkeys(TREE, loss), seed=seed)
+    bus, telemetry = settle(scenario, links=dict.fromkeys(TREE, LinkFaults(loss=loss)), seed=seed)
     central = process_bad_data(scenario.network, telemetry.union).result
     slack = {"a": 0.0}  # area -> sigma of its offset, rad
     for area in scenario.partition.areas:
@@ -180,8 +186,8 @@ def test_a_wrong_schedule_does_not_matter_where_generation_is_telemetered():
     partition = build_partition(
         scenario.network, {"a": [b for b in range(1, 34) if b not in (17, 18)], "b": [16, 17, 18]}
     )
-    links = {(a.name, n.area): 0.0 for a in partition.areas for n in a.neighbours}
-    scenario = replace(scenario, partition=partition, load_error={"a": 0j, "b": 0j}, loss=links)
+    faults = sound_links(partition)
+    scenario = replace(scenario, partition=partition, load_error={"a": 0j, "b": 0j}, faults=faults)
     assert {1, 16} <= {g.bus for g in scenario.network.generators if g.control is not Control.POWER}
 
     def forget(g):

@@ -17,6 +17,7 @@ from agents.protocol import Received
 from agents.strategies import information
 from agents.strategies.bad_data_tree import USE_CURRENTS, BadDataTree
 from coordinator.twin import LinkFaults
+from dsse_core import link_faults
 from dsse_core.bad_data import BadDataReport, chi_square_limit, process_bad_data
 from dsse_core.errors import EstimationDivergedError, NotObservableError
 from dsse_core.measurement import Source
@@ -32,7 +33,7 @@ EXACT = 1e-9  # rad: an angle that zero injections fix exactly has no sigma but 
 def settle(scenario, loss=0.0, seed=0, faults=None):
     telemetry = make_telemetry(scenario)
     files = area_files_of(scenario, strategy="information", seed=seed)
-    files = [replace(f, loss={n.area: loss for n in f.area.neighbours}) for f in files]
+    files = [replace(f, links={n.area: link_faults.LinkFaults(loss=loss) for n in f.area.neighbours}) for f in files]
     bus = SimulatedBus(files, telemetry.by_area, faults)
     settle_bus(bus)
     return bus, process_bad_data(scenario.network, telemetry.union, tolerance=1e-12)

@@ -12,6 +12,7 @@ from test_angle_offset import tree_scenario
 
 from agents.messages import StateMessage
 from coordinator.twin import LinkFaults
+from dsse_core import link_faults
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation import estimate_state
 from scenarios.scenario import load_scenario
@@ -48,7 +49,10 @@ def test_link_faults_alone_change_the_history():
 def test_delays_duplicates_and_overtaking_do_not_change_the_fixed_point(strategy: str):
     scenario = tree_scenario()
     telemetry = make_telemetry(scenario)
-    files = [replace(f, loss={n.area: 0.2 for n in f.area.neighbours}) for f in area_files_of(scenario, seed=5)]
+    files = [
+        replace(f, links={n.area: link_faults.LinkFaults(loss=0.2) for n in f.area.neighbours})
+        for f in area_files_of(scenario, seed=5)
+    ]
     bus = SimulatedBus([replace(f, strategy=strategy) for f in files], telemetry.by_area, WILD)
     arrived = record_arrivals(bus)
     bus.run_until_settled(300.0)

@@ -8,6 +8,7 @@ import pytest
 from agents.inbox import MAX_WAITING, Inbox
 from agents.link import LossyLink, draw_fate
 from agents.messages import BoundaryMessage, Header, Incarnation, StateMessage, decode
+from dsse_core.link_faults import LinkFaults
 
 
 def test_the_newest_of_each_slot_is_taken_once():
@@ -40,7 +41,12 @@ def message(sequence):
 
 def send_many(seed, loss, count=400):
     arrived = []
-    link = LossyLink("a", {"b": loss}, seed, lambda to, kind, payload: arrived.append(decode(payload).header.sequence))
+    link = LossyLink(
+        "a",
+        {"b": LinkFaults(loss=loss)},
+        seed,
+        lambda to, kind, payload: arrived.append(decode(payload).header.sequence),
+    )
     for k in range(count):
         link.send(message(k), "b")
     return arrived, link
@@ -71,7 +77,7 @@ def test_the_two_directions_of_a_link_have_fates_of_their_own():
 
 def test_a_state_carries_the_totals_of_the_link_and_is_never_lost():
     shown = []
-    link = LossyLink("a", {"b": 1.0}, 0, lambda to, kind, payload: shown.append((to, decode(payload))))
+    link = LossyLink("a", {"b": LinkFaults(loss=1.0)}, 0, lambda to, kind, payload: shown.append((to, decode(payload))))
     link.send(message(1), "b")
     empty = ((),) * 5
     state = StateMessage(message(1).header, *empty, False, 0.0, 0, (), (), True, {}, {}, 0, 0, 0, {}, ())

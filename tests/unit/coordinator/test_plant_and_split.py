@@ -12,6 +12,7 @@ from agents.messages import Incarnation, TelemetryMessage, decode
 from coordinator.plant import make_payloads
 from coordinator.split import choose_run_id, default_run_id, write_area_files
 from dsse_core.errors import InvalidInputError
+from dsse_core.link_faults import LinkFaults
 from dsse_core.measurement import Source
 from scenarios.scenario import load_scenario
 
@@ -46,17 +47,22 @@ def test_an_area_file_holds_the_area_and_nothing_of_the_others(tmp_path: Path):
     for name, path in files.items():
         content = load_area_file(path)
         assert content.area == scenario.partition.area(name)
-        assert content.loss == {n.area: 0.3 for n in content.area.neighbours}
+        assert content.links == {n.area: LinkFaults(loss=0.3) for n in content.area.neighbours}
         assert content.seed == scenario.seed
         assert all(meter.bus in content.area.network.row for meter in content.meters)
 
 
 def test_the_faults_of_a_directed_link_go_to_the_area_that_sends(tmp_path: Path):
+    wild = LinkFaults(
+        **{"loss": 0.7, "burst_enter": 0.1, "burst_leave": 0.5, "delay_s": 0.01, "corrupt": 0.2, "load_frozen": True},
+        **{"lie_va": 0.1, "until_s": 5.0, "cuts": ((1.0, 2.0), (4.0, 4.5))},
+    )
     scenario = load_scenario("ieee33")
-    scenario = replace(scenario, loss=scenario.loss | {("area1", "area2"): 0.7})
+    links = scenario.faults.links | {("area1", "area2"): wild}
+    scenario = replace(scenario, faults=replace(scenario.faults, links=links))
     files = write_area_files(scenario, "run", ["tcp/127.0.0.1:7447"], tmp_path)
-    assert load_area_file(files["area1"]).loss == {"area2": 0.7, "area3": 0.0}
-    assert load_area_file(files["area2"]).loss == {"area1": 0.0}
+    assert load_area_file(files["area1"]).links == {"area2": wild, "area3": LinkFaults()}
+    assert load_area_file(files["area2"]).links == {"area1": LinkFaults()}
 
 
 def test_the_penalty_of_the_scenario_reaches_every_area(tmp_path: Path):

@@ -26,7 +26,7 @@ def runs(monkeypatch: pytest.MonkeyPatch) -> list[tuple[float, str, int]]:
     real = sweep_module.run_on_twin
 
     def run(scenario, faults):
-        done.append((next(iter(scenario.loss.values())), scenario.strategy, scenario.seed))
+        done.append((next(iter(scenario.faults.links.values())).loss, scenario.strategy, scenario.seed))
         return real(scenario, faults)
 
     monkeypatch.setattr(sweep_module, "run_on_twin", run)

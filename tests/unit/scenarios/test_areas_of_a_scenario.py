@@ -67,7 +67,7 @@ def test_faults_name_the_areas_that_were_cut(tmp_path: Path) -> None:
     )
     scenario = load(tmp_path, 'areas = { switches = ["6-7", "6-26"] }', faults)
     assert scenario.load_error == {"area1": 0, "area2": 0, "area3": 0.1}
-    assert scenario.loss["area2", "area1"] == 0.5
+    assert scenario.faults.links["area2", "area1"].loss == 0.5
     problems = problems_of(tmp_path, "areas = { count = 2 }", faults)
     assert problems == ("faults.load_error.area3: there is no area 'area3'; areas: area1, area2",)
 

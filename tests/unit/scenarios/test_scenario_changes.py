@@ -9,8 +9,9 @@ from scenarios.scenario import load_scenario
 
 
 def test_a_changed_value_is_as_if_it_stood_in_the_file():
-    assert set(load_scenario("ieee33", changes={"faults.loss": 0.3}).loss.values()) == {0.3}
-    assert load_scenario("ieee33-lossy", changes={"faults.loss": 0.0}).loss == load_scenario("ieee33").loss
+    links = load_scenario("ieee33", changes={"faults.loss": 0.3}).faults.links
+    assert {link.loss for link in links.values()} == {0.3}
+    assert load_scenario("ieee33-lossy", changes={"faults.loss": 0.0}).faults == load_scenario("ieee33").faults
 
 
 def test_tables_that_the_file_does_not_have_are_made():
@@ -20,7 +21,7 @@ def test_tables_that_the_file_does_not_have_are_made():
 def test_several_changes_and_items_of_lists_are_possible():
     link = [{"from": "area1", "to": "area2", "loss": 0.1}]
     scenario = load_scenario("ieee33", changes={"faults.link": link, "faults.link[0].loss": 0.7, "seed": 9})
-    assert (scenario.loss["area1", "area2"], scenario.seed) == (0.7, 9)
+    assert (scenario.faults.links["area1", "area2"].loss, scenario.seed) == (0.7, 9)
 
 
 @pytest.mark.parametrize(

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from dsse_core.errors import InvalidInputError
+from dsse_core.link_faults import LinkFaults
 from scenarios.scenario import load_scenario
 from scenarios.shipped_files import find_shipped
 
@@ -52,7 +55,10 @@ def test_an_unknown_key_inside_a_named_area_is_refused_with_what_an_area_allows(
 
 def test_an_unknown_key_inside_a_list_of_tables_is_refused_with_its_position(tmp_path: Path) -> None:
     text = GOOD + '\n[[faults.link]]\nfrom = "area1"\nto = "area2"\nloss = 0.1\ndelay = 1\n'
-    assert the_only(problems_of(tmp_path, text)) == "faults.link[0].delay: unknown key; allowed here: from, to, loss"
+    assert the_only(problems_of(tmp_path, text)) == (
+        "faults.link[0].delay: unknown key; allowed here: from, to, loss, burst, delay_ms, jitter_ms, duplicate, "
+        "corrupt, load, lie; did you mean 'delay_ms'?"
+    )
 
 
 def test_a_missing_key_is_named_with_its_meaning(tmp_path: Path) -> None:
@@ -247,6 +253,58 @@ def test_a_link_between_areas_that_are_not_neighbours_is_refused_with_the_links(
 def test_a_link_that_is_given_twice_is_refused(tmp_path: Path) -> None:
     problem = the_only(problems_of(tmp_path, GOOD + 2 * link("area1", "area2")))
     assert problem == "faults.link[1]: the link from area1 to area2 is given twice; keep one"
+
+
+def events(*lines: str) -> str:
+    return "\n[faults]\nevents = [" + ", ".join(f"{{ {line} }}" for line in lines) + "]\n"
+
+
+def test_every_event_that_cannot_happen_is_refused_with_its_number(tmp_path: Path) -> None:
+    text = GOOD + events(
+        'at_s = 1, kill = "area9"',
+        'at_s = 1, cut = ["area2", "area3"], for_s = 1',
+        'at_s = 1, cut = ["area2", "plant"], for_s = 1',
+        'at_s = 29, pause = "router", for_s = 1',
+    )
+    problems = problems_of(tmp_path, text)
+    assert problems == (
+        "faults.events[0].kill: there is no 'area9'; allowed: area1, area2, area3, plant, router",
+        "faults.events[2].cut: there is no 'plant'; allowed: area1, area2, area3",
+        "faults.events[3]: is over 30 s after the start, but run.timeout_s is 30; raise timeout_s or let it happen "
+        "earlier",
+        "faults.events[1].cut: area2 and area3 are not neighbours; links: area2 to area1, area3 to area1, "
+        "area1 to area2, area1 to area3",
+    )
+
+
+@pytest.mark.parametrize(
+    ("event", "expected"),
+    [
+        ("at_s = 1", "give exactly one of kill, restart, pause, cut and silent, found none"),
+        ('at_s = 1, kill = "area1", pause = "area2"', "found kill and pause"),
+        ('at_s = 1, pause = "area1"', "pause lasts; say how long with for_s"),
+        ('at_s = 1, restart = "area1", for_s = 2', "restart happens in a moment; remove for_s"),
+        ('at_s = 1, cut = ["area1"], for_s = 2', "cut must name two neighbouring areas"),
+    ],
+)
+def test_an_event_is_exactly_one_thing_that_lasts_or_does_not(tmp_path: Path, event: str, expected: str) -> None:
+    problem = the_only(problems_of(tmp_path, GOOD + events(event)))
+    assert problem.startswith("faults.events[0]: ")
+    assert expected in problem
+
+
+def test_a_link_takes_what_it_does_not_say_from_all_links_and_cuts_from_events(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    own = '[[faults.link]]\nfrom = "area1"\nto = "area2"\nloss = 0.0\nlie = { va_deg = 1.0 }\n'
+    cut = '[[faults.events]]\nat_s = 3\ncut = ["area2", "area1"]\nfor_s = 2\n'
+    path.write_text(GOOD + "[faults]\nloss = 0.5\nburst = { enter = 0.1, leave = 0.5 }\ndelay_ms = 20\n" + own + cut)
+    faults = load_scenario(path).faults
+    everywhere = LinkFaults(loss=0.5, burst_enter=0.1, burst_leave=0.5, delay_s=0.02)
+    cuts = ((3.0, 5.0),)
+    assert faults.links["area1", "area2"] == replace(everywhere, loss=0.0, lie_va=math.radians(1.0), cuts=cuts)
+    assert faults.links["area2", "area1"] == replace(everywhere, cuts=cuts)
+    assert faults.links["area1", "area3"] == everywhere
+    assert faults.over_s == 5.0
 
 
 def gross_error(meter: str) -> str:

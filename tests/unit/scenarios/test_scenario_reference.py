@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from pydantic.fields import FieldInfo
 
-from scenarios import network_file, scenario_file
+from scenarios import fault_tables, network_file, scenario_file
 from scenarios.strict_toml import Table
 
 REFERENCE = Path(__file__).parents[3] / "docs" / "scenario-reference.md"
@@ -26,9 +26,14 @@ TABLE_OF_HEADING: dict[str, list[type[Table]]] = {
     "`[[telemetry.gross_error]]`": [scenario_file.GrossErrorTable],
     "`[load_messages]`": [scenario_file.LoadMessagesTable],
     "`[admm]`": [scenario_file.AdmmTable],
-    "`[faults]`": [scenario_file.FaultsTable],
-    "`[[faults.link]]`": [scenario_file.LinkTable],
-    "`[faults.load_error.NAME]`": [scenario_file.LoadErrorTable],
+    "`[faults]`": [fault_tables.FaultsTable],
+    "`faults.burst`": [fault_tables.BurstTable],
+    "`[[faults.link]]`": [fault_tables.LinkTable],
+    "`faults.link.load`": [fault_tables.LoadFaultTable],
+    "`faults.link.lie`": [fault_tables.LieTable],
+    "`[faults.load_error.NAME]`": [fault_tables.LoadErrorTable],
+    "`[faults.telemetry]`": [fault_tables.TelemetryFaultsTable],
+    "`[[faults.events]]`": [fault_tables.EventTable],
     "`[tolerances]`": [scenario_file.TolerancesTable],
     "`[run]`": [scenario_file.RunTable],
     "`[transport]`": [scenario_file.TransportTable],
@@ -67,7 +72,7 @@ def default_text(field: FieldInfo) -> str | None:
 def test_every_table_has_its_heading() -> None:
     tables = {
         value
-        for module in (scenario_file, network_file)
+        for module in (scenario_file, fault_tables, network_file)
         for value in vars(module).values()
         if isinstance(value, type) and issubclass(value, Table) and value is not Table
     }

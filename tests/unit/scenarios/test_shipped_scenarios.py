@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from dsse_core.errors import InvalidInputError
+from dsse_core.link_faults import LinkFaults
 from dsse_core.measurement import MeasurementKind, Meter, Source
 from scenarios.check import check_scenario, meters_in_area
 from scenarios.scenario import list_scenarios, load_scenario
@@ -54,9 +55,9 @@ def test_the_variants_of_a_case_differ_in_their_fault_only(case: str) -> None:
             plain.telemetry,
             plain.partition,
         )
-    assert set(load_scenario(f"{case}-lossy").loss.values()) == {0.3}
+    assert {link.loss for link in load_scenario(f"{case}-lossy").faults.links.values()} == {0.3}
     assert set(load_scenario(f"{case}-load-error").load_error.values()) == {0.03 + 0.03j}  # 10 MVA base
-    assert set(plain.loss.values()) == {0.0}
+    assert set(plain.faults.links.values()) == {LinkFaults()}
     assert set(plain.load_error.values()) == {0j}
 
 
@@ -64,7 +65,7 @@ def test_a_link_may_have_a_loss_of_its_own_in_one_direction(tmp_path: Path) -> N
     text = find_shipped("shipped")["ieee33-lossy"].read_text(encoding="utf-8")
     path = tmp_path / "one-way.toml"
     path.write_text(text + '\n[[faults.link]]\nfrom = "area1"\nto = "area2"\nloss = 1.0\n', encoding="utf-8")
-    loss = load_scenario(path).loss
+    loss = {link: faults.loss for link, faults in load_scenario(path).faults.links.items()}
     assert loss == {
         ("area1", "area2"): 1.0,
         ("area2", "area1"): 0.3,

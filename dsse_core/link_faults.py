@@ -1,0 +1,50 @@
+"""What goes wrong on a directed link between two areas, as numbers: the words that scenarios and agents share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+Window = tuple[float, float]
+"""From and until, s since the start of the run: all areas on the bus."""
+
+
+@dataclass(frozen=True, slots=True)
+class LinkFaults:
+    """The faults of one directed link; probabilities are per message, powers and magnitudes p.u., angles rad.
+
+    Args:
+        loss: probability that a message is lost, outside bursts.
+        burst_enter, burst_leave: probabilities that a burst begins at a message, or has ended at it (Gilbert-Elliott).
+        burst_loss: probability that a message within a burst is lost.
+        delay_s, jitter_s: a message is held back ``delay_s`` plus a uniform part of ``jitter_s``; jitter reorders.
+        duplicate: probability that a message is sent twice, each time with a delay of its own.
+        corrupt: probability that the bytes of a message are damaged, flipped or cut short.
+        load_p, load_q: added to what a load message says. load_scale: multiplies it. load_frozen: every load message
+            says what the first said.
+        lie_vm, lie_va, lie_scale: a boundary message tells a voltage that is off by so much, all of it scaled.
+        until_s: all of these end then, s since the start of the run; None is never.
+        cuts: windows in which nothing passes.
+    """
+
+    loss: float = 0.0
+    burst_enter: float = 0.0
+    burst_leave: float = 1.0
+    burst_loss: float = 1.0
+    delay_s: float = 0.0
+    jitter_s: float = 0.0
+    duplicate: float = 0.0
+    corrupt: float = 0.0
+    load_p: float = 0.0
+    load_q: float = 0.0
+    load_scale: float = 1.0
+    load_frozen: bool = False
+    lie_vm: float = 0.0
+    lie_va: float = 0.0
+    lie_scale: float = 1.0
+    until_s: float | None = None
+    cuts: tuple[Window, ...] = ()
+
+    @property
+    def has_windows(self) -> bool:
+        """Whether they depend on how long the run has lasted."""
+        return self.until_s is not None or bool(self.cuts)

@@ -1,0 +1,165 @@
+"""The faults of a scenario: of each directed link, of the telemetry, and what happens to processes and when."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from dsse_core.link_faults import LinkFaults
+from dsse_core.partition import Partition
+from scenarios.fault_tables import BurstTable, FaultsTable, LieTable, LinkTable, LoadFaultTable
+
+Link = tuple[str, str]
+"""(sending area, receiving area)."""
+PROCESSES = ("plant", "router")
+EventKind = Literal["kill", "restart", "pause", "cut", "silent"]
+
+
+@dataclass(frozen=True, slots=True)
+class FaultEvent:
+    """At ``at_s`` after the start of the run (all areas on the bus) ``kind`` happens to ``names``, for ``for_s``.
+
+    ``names``: the areas, ``plant`` or ``router``; two areas for a cut. ``for_s``: 0 for what happens in a moment.
+    """
+
+    at_s: float
+    kind: EventKind
+    names: tuple[str, ...]
+    for_s: float = 0.0
+
+    @property
+    def over_s(self) -> float:
+        return self.at_s + self.for_s
+
+
+@dataclass(frozen=True, slots=True)
+class TelemetryFaults:
+    """How telemetry falls short, drawn anew for each scan and area.
+
+    ``missing``: share of the area's readings that the scan lacks. ``late``: probability that the scan reaches the
+    area late, by a uniform part of ``late_s``.
+    """
+
+    missing: float = 0.0
+    late: float = 0.0
+    late_s: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Faults:
+    """``links`` has every directed link between neighbours; ``events`` are in the order of their time."""
+
+    links: dict[Link, LinkFaults]
+    telemetry: TelemetryFaults = TelemetryFaults()
+    events: tuple[FaultEvent, ...] = ()
+
+    @property
+    def over_s(self) -> float:
+        """When the last event is over, s since the start of the run; before that there is no verdict."""
+        return max((event.over_s for event in self.events), default=0.0)
+
+
+def find_links(partition: Partition) -> tuple[Link, ...]:
+    """Every directed link between neighbours."""
+    return tuple((n.area, area.name) for area in partition.areas for n in area.neighbours)
+
+
+def build_faults(table: FaultsTable, partition: Partition) -> Faults:
+    """The faults of a table that ``find_name_problems`` and ``find_link_problems`` find no fault with."""
+    base_mva = partition.network.base_mva
+    own = {(link.from_, link.to): link for link in table.link}
+    cuts: dict[frozenset[str], list[tuple[float, float]]] = {}
+    for event in table.events:
+        if event.cut is not None:
+            cuts.setdefault(frozenset(event.cut), []).append((event.at_s, event.at_s + (event.for_s or 0.0)))
+    links = {
+        link: _build_link(table, own.get(link), sorted(cuts.get(frozenset(link), [])), base_mva)
+        for link in find_links(partition)
+    }
+    events = [FaultEvent(e.at_s, e.kind, e.names, e.for_s or 0.0) for e in table.events]  # type: ignore[arg-type]
+    return Faults(
+        links,
+        TelemetryFaults(**table.telemetry.model_dump()),
+        tuple(sorted(events, key=lambda event: event.at_s)),
+    )
+
+
+def _build_link(
+    table: FaultsTable, own: LinkTable | None, cuts: Sequence[tuple[float, float]], base_mva: float
+) -> LinkFaults:
+    """``own``: the keys that the link has for itself instead of those of every link."""
+
+    def value_of(key: str) -> Any:
+        value = getattr(own, key, None)
+        return getattr(table, key) if value is None else value
+
+    burst = value_of("burst") or BurstTable(enter=0.0, leave=1.0)
+    load, lie = (own.load, own.lie) if own else (LoadFaultTable(), LieTable())
+    return LinkFaults(
+        loss=value_of("loss"),
+        burst_enter=burst.enter,
+        burst_leave=burst.leave,
+        burst_loss=burst.loss,
+        delay_s=value_of("delay_ms") / 1000,
+        jitter_s=value_of("jitter_ms") / 1000,
+        duplicate=value_of("duplicate"),
+        corrupt=value_of("corrupt"),
+        load_p=load.p_mw / base_mva,
+        load_q=load.q_mvar / base_mva,
+        load_scale=load.scale,
+        load_frozen=load.frozen,
+        lie_vm=lie.vm_pu,
+        lie_va=math.radians(lie.va_deg),
+        lie_scale=lie.scale,
+        until_s=table.until_s,
+        cuts=tuple(cuts),
+    )
+
+
+def find_name_problems(table: FaultsTable, areas: Collection[str] | None) -> Iterable[str]:
+    """Names of no area or process; nothing as long as no areas are known (None)."""
+    if areas is None:
+        return
+    known = ", ".join(areas)
+    for name in table.load_error:
+        if name not in areas:
+            yield f"faults.load_error.{name}: there is no area {name!r}; areas: {known}"
+    for i, link in enumerate(table.link):
+        for key, name in (("from", link.from_), ("to", link.to)):
+            if name not in areas:
+                yield f"faults.link[{i}].{key}: there is no area {name!r}; areas: {known}"
+    for i, event in enumerate(table.events):
+        processes = () if event.kind == "cut" else PROCESSES
+        for name in event.names:
+            if name not in areas and name not in processes:
+                allowed = ", ".join([*areas, *processes])
+                yield f"faults.events[{i}].{event.kind}: there is no {name!r}; allowed: {allowed}"
+
+
+def find_link_problems(table: FaultsTable, partition: Partition) -> Iterable[str]:
+    """Links between areas that are no neighbours, or that are given twice."""
+    links = find_links(partition)
+    areas = {area.name for area in partition.areas}
+    pairs = ", ".join(f"{a} to {b}" for a, b in links) or "none"
+    named = [(link.from_, link.to) for link in table.link]
+    for i, link in enumerate(named):
+        if set(link) <= areas and link not in links:
+            yield f"faults.link[{i}]: {link[0]} and {link[1]} are not neighbours; links: {pairs}"
+        if link in named[:i]:
+            yield f"faults.link[{i}]: the link from {link[0]} to {link[1]} is given twice; keep one"
+    for i, event in enumerate(table.events):
+        if event.kind == "cut" and set(event.names) <= areas and event.names not in links:
+            yield f"faults.events[{i}].cut: {' and '.join(event.names)} are not neighbours; links: {pairs}"
+
+
+def find_time_problems(table: FaultsTable, timeout_s: float) -> Iterable[str]:
+    """Events that the time limit of the run would cut off."""
+    for i, event in enumerate(table.events):
+        over_s = event.at_s + (event.for_s or 0.0)
+        if over_s >= timeout_s:
+            yield (
+                f"faults.events[{i}]: is over {over_s:g} s after the start, but run.timeout_s is {timeout_s:g}; "
+                "raise timeout_s or let it happen earlier"
+            )
