@@ -38,38 +38,49 @@ class MeasurementModel:
     def predict(self, x: np.ndarray) -> np.ndarray:
         """h(x), shape (n_meas,), p.u. and rad."""
         u, i, _, _ = self._phasors(x)
-        s = u * i.conj()
-        return np.select(
-            list(self._chosen),
-            [s.real, s.imag, abs(i), abs(u), np.angle(u)],
-        )
+        return self._read(u, i)
 
     def jacobian(self, x: np.ndarray) -> sp.csr_array:
-        """H(x) = dh/dx, shape (n_meas, 2 n_bus).
+        """H(x) = dh/dx, shape (n_meas, 2 n_bus); its pattern is the same for every x."""
+        return self.linearize(x)[1]
 
-        With ``dv/dva = j v`` and ``dv/dvm = exp(j va)``, ``du = C dv`` and ``di = Y dv``:
-        ``ds = conj(i) du + u conj(di)``, ``d|i| = Re(conj(i) di) / |i|``, ``d|u| = Re(conj(u) du) / |u|``,
-        ``d arg u = Im(conj(u) du) / |u|^2``.
+    def linearize(self, x: np.ndarray) -> tuple[np.ndarray, sp.csr_array]:
+        """h(x) and H(x) at once.
+
+        Every meter's ``dh = Re(a dv)`` with ``a = of_u C + of_i Y``: ``ds = conj(i) du + u conj(di)`` and
+        ``Re(u conj(di)) = Re(conj(u) di)``, ``d|i| = Re(conj(i) di) / |i|``, ``d|u| = Re(conj(u) du) / |u|``,
+        ``d arg u = Im(conj(u) du) / |u|^2``; ``Im s = Re(-j s)``. And ``dv/dva = j v``, ``dv/dvm = exp(j va)``.
         """
-        u, i, v, phase = self._phasors(x)
-        vm = np.maximum(abs(u), VOLTAGE_FLOOR)
+        u, i, vm, phase = self._phasors(x)
+        of_u, of_i = self._weigh(u, i)
         row, column = self.meter_row, self.y.indices
-        data = []
-        for dv in (1j * v, phase):
-            du = self.at_bus * dv[column]
-            di = self.y.data * dv[column]
-            ds = i.conj()[row] * du + u[row] * di.conj()
-            d_current = np.where(abs(i) > CURRENT_FLOOR, i.conj() / np.maximum(abs(i), CURRENT_FLOOR), 0.0)[row] * di
-            d_voltage = u.conj()[row] * du / vm[row]
-            data.append(
-                np.select(
-                    list(self._chosen[:, row]),
-                    [ds.real, ds.imag, d_current.real, d_voltage.real, d_voltage.imag / vm[row]],
-                )
-            )
-        n_bus = self.y.shape[1]
+        along = (of_u[row] * self.at_bus + of_i[row] * self.y.data) * phase[column]
         order, indices, indptr = self._pattern
-        return sp.csr_array((np.concatenate(data)[order], indices, indptr), shape=(len(self.kinds), 2 * n_bus))
+        data = np.concatenate([-along.imag * vm[column], along.real])[order]
+        return self._read(u, i), sp.csr_array((data, indices, indptr), shape=(len(self.kinds), 2 * self.y.shape[1]))
+
+    def _read(self, u: np.ndarray, i: np.ndarray) -> np.ndarray:
+        p, q, current, magnitude, angle = self._rows
+        s = u * i.conj()
+        h = np.empty(len(self.kinds))
+        h[p], h[q] = s.real[p], s.imag[q]
+        h[current], h[magnitude], h[angle] = abs(i[current]), abs(u[magnitude]), np.angle(u[angle])
+        return h
+
+    def _weigh(self, u: np.ndarray, i: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """``of_u`` and ``of_i`` of every meter, shape (n_meas,), complex."""
+        _, q, current, magnitude, angle = self._rows
+        of_u, of_i = i.conj(), u.conj()
+        of_u[q] *= -1j
+        of_i[q] *= 1j
+        size = abs(i[current])
+        of_i[current] = np.where(size > CURRENT_FLOOR, of_u[current] / np.maximum(size, CURRENT_FLOOR), 0.0)
+        of_u[current] = 0.0
+        for rows in (magnitude, angle):
+            of_u[rows] = u[rows].conj() / np.maximum(abs(u[rows]), VOLTAGE_FLOOR)
+            of_i[rows] = 0.0
+        of_u[angle] *= -1j / np.maximum(abs(u[angle]), VOLTAGE_FLOOR)
+        return of_u, of_i
 
     @cached_property
     def _pattern(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -82,15 +93,15 @@ class MeasurementModel:
         va, vm = np.split(x, 2)
         phase = np.exp(1j * va)
         v = vm * phase
-        return v[self.bus_row], self.y @ v, v, phase
+        return v[self.bus_row], self.y @ v, vm, phase
 
     @cached_property
-    def _chosen(self) -> np.ndarray:
-        """Which formula serves which meter, shape (len(_ROWS), n_meas)."""
-        return np.array([np.isin(self.kinds, kinds) for kinds in _ROWS])
+    def _rows(self) -> list[np.ndarray]:
+        """Which formula serves which meters: rows of P, Q, |i|, |u| and arg u."""
+        return [np.flatnonzero(np.isin(self.kinds, kinds)) for kinds in _FORMULAS]
 
 
-_ROWS = (
+_FORMULAS = (
     (MeasurementKind.P_INJECTION, MeasurementKind.P_FLOW),
     (MeasurementKind.Q_INJECTION, MeasurementKind.Q_FLOW),
     (MeasurementKind.CURRENT,),
