@@ -10,12 +10,11 @@ from dsse_core.tree_kernel import compiled, row_of_branch
 
 @compiled
 def find_variances(parent, Y, z, w, v, factor, more, root):
-    """diag of the covariance of (va, vm), shape (n, 2), and diag(Omega) of every slot that has a meter, (n, 10).
+    """diag of the covariance of (va, vm), (n, 2); diag(Omega) of all slots with a meter, (n, 10); blocks, (n, 4, 4).
 
-    With D, U and X = D^-1 U of a bus and S the block of the inverse at its parent's ``(lam_p, x_p)``:
-    ``-X S`` is the block between the two and ``D^-1 + X S X'`` that of ``(lam, f)``. Of an injection
-    ``Omega = -R^2 (K^-1)_lamlam``, of other meters ``sigma^2 - h Cov h'``. ``root`` (4, 4): the block of the inverse at the root's ``(lam, x)``. Third, those blocks
-    of all buses, (n, 4, 4).
+    A block is that of the inverse at the ``(lam, x)`` of a bus; ``root`` is the root's. With D, U and X = D^-1 U of a
+    bus and S the block at its parent: ``-X S`` is the block between the two and ``D^-1 + X S X'`` that of ``(lam, f)``.
+    Of an injection ``Omega = -R^2 (K^-1)_lamlam``, of other meters ``sigma^2 - h Cov h'``.
     """
     n = len(parent)
     state, omega = np.zeros((n, 2)), np.zeros((n, 10))
