@@ -8,6 +8,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 from agents.inbox import Inbox
 from agents.keys import all_lives, live_key, name_of_live, telemetry_key
@@ -20,6 +21,7 @@ from scenarios.scenario import Scenario
 from scenarios.telemetry import make_telemetry
 
 log = logging.getLogger(__name__)
+SILENT, SPEAK = signal.SIGUSR1, signal.SIGUSR2
 DRAW = 1  # of the noise: the same readings for the same seed
 
 
@@ -35,6 +37,7 @@ def run_plant(
 
     An area is served when it appears and then at every beat: it subscribes before it shows itself. ``scan``: above
     that of any plant before it in the same run. ``every_s``: time from one scan to the next; None: there is one only.
+    Signal ``SILENT`` makes it publish nothing until signal ``SPEAK``.
     """
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
     inbox = Inbox()
@@ -51,7 +54,10 @@ def run_plant(
             )
             session.declare_presence(live_key(run, "plant", "plant", life))
             log.info("plant of run %s, seed %s, %s areas", run, scenario.seed, len(payloads))
-            while not _serve(payloads, publishers, inbox, scenario.run.beat_s, every_s):
+            voice = _Voice(publishers, inbox, scenario.run.beat_s)
+            for number in (SILENT, SPEAK):
+                signal.signal(number, voice.be_silent)
+            while not voice.serve(payloads, every_s or math.inf):
                 scan += 1
                 payloads = make_payloads(scenario, run, life, scan, draw=scan)
     except DsseError as error:
@@ -88,26 +94,33 @@ def make_message(header: Header, area: str, measurements: Sequence[Measurement])
     )
 
 
-def _serve(
-    payloads: Mapping[str, bytes],
-    publishers: Mapping[str, Callable[[bytes], None]],
-    inbox: Inbox,
-    beat_s: float,
-    every_s: float | None,
-) -> bool:
-    """Publish one scan at every beat for ``every_s`` seconds; whether to stop."""
-    next_beat = time.monotonic()
-    over = next_beat + every_s if every_s else math.inf
-    areas: list[str] = []
-    while time.monotonic() < over:
-        now = time.monotonic()
-        if now >= next_beat:
-            next_beat = now + beat_s
-            areas = list(payloads)
-        for area in areas:
-            publishers[area](payloads[area])
-        news = inbox.take(min(next_beat, over) - time.monotonic())
-        if None in news:
-            return True
-        areas = [name for key in news if (name := name_of_live(key)[1]) in payloads]
-    return False
+@dataclass
+class _Voice:
+    """Publishes one scan after the other. A silent one publishes nothing and keeps time."""
+
+    publishers: Mapping[str, Callable[[bytes], None]]
+    inbox: Inbox
+    beat_s: float
+    silent: bool = False
+
+    def serve(self, payloads: Mapping[str, bytes], duration_s: float) -> bool:
+        """Publish one scan at every beat for ``duration_s``; whether to stop."""
+        next_beat = time.monotonic()
+        over = next_beat + duration_s
+        areas: list[str] = []
+        while (now := time.monotonic()) < over:
+            if now >= next_beat:
+                next_beat = now + self.beat_s
+                areas = list(payloads)
+            for area in areas:
+                if not self.silent:
+                    self.publishers[area](payloads[area])
+            news = self.inbox.take(min(next_beat, over) - time.monotonic())
+            if None in news:
+                return True
+            areas = [name for key in news if (name := name_of_live(key)[1]) in payloads]
+        return False
+
+    def be_silent(self, number: int, _: object) -> None:
+        """Handler of two signals."""
+        self.silent = number == SILENT

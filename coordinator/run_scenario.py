@@ -13,6 +13,7 @@ from agents.messages import MessageError, StateMessage, decode
 from agents.presence import Presence, begin_life
 from agents.transport import Session
 from coordinator.events import EventLog
+from coordinator.fault_schedule import FaultSchedule
 from coordinator.judging import (
     estimate_centralised,
     judge,
@@ -65,7 +66,11 @@ class _Run:
     started: float
     news: News = field(default_factory=News)
     presence: Presence = field(default_factory=Presence)
+    joined: float | None = None  # when all areas were on the bus for the first time
     timing_s: dict[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.schedule = FaultSchedule.of(self.scenario.faults.events)
 
     def note_time(self, moment: str) -> None:
         self.timing_s[moment] = round(time.monotonic() - self.started, 4)
@@ -177,10 +182,11 @@ def _watch(run: _Run, observer: Observer, on_update: Callable[[Progress], None] 
             if reason:
                 return reason
         now = time.monotonic()
+        _carry_out_faults(run, now)
         if now < next_check:
             continue
         next_check = now + check_s
-        obstacles = observer.find_obstacles(now)
+        obstacles = (*run.schedule.describe_next(), *observer.find_obstacles(now))
         if on_update and (now >= next_update or not obstacles):
             next_update = now + UPDATE_S
             on_update(observer.progress(now - run.started, now))
@@ -188,6 +194,13 @@ def _watch(run: _Run, observer: Observer, on_update: Callable[[Progress], None] 
             return None
         if now >= deadline:
             return no_consensus_within(run.scenario, obstacles)
+
+
+def _carry_out_faults(run: _Run, now: float) -> None:
+    """Do to the processes what the scenario says for this moment, and write it down."""
+    if run.joined is not None:
+        for step in run.schedule.carry_out(now - run.joined, run.system):
+            run.events.write("fault", kind=step.kind, names=step.names)
 
 
 def _take(run: _Run, observer: Observer, item: object) -> str | None:
@@ -203,8 +216,9 @@ def _take(run: _Run, observer: Observer, item: object) -> str | None:
             run.events.write("appeared" if alive else "vanished", at, role=role, name=name)
             if role == "area":
                 observer.take_presence(name, alive, at)
-                if not observer.find_absent():
-                    run.timing_s.setdefault("areas_joined", round(at - run.started, 4))
+                if run.joined is None and not observer.find_absent():
+                    run.joined = at
+                    run.timing_s["areas_joined"] = round(at - run.started, 4)
         case MessageError():
             run.events.write("refused", reason=str(item))
         case _ProcessNews():

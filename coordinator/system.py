@@ -34,7 +34,7 @@ class System:
     folder: Path
     scan_every_s: float | None = None
     endpoints: tuple[str, ...] = ()
-    pids: dict[str, int] = field(default_factory=dict)
+    pids: dict[str, int] = field(default_factory=dict)  # of what runs
     _orders: dict[str, tuple[Any, ...]] = field(default_factory=dict)  # target and arguments of each process
     _killed: Counter[str] = field(default_factory=Counter)  # deaths ordered and not yet heard of
 
@@ -73,12 +73,15 @@ class System:
             self._order(name, "agents.__main__:main", [str(path.absolute())])
 
     def kill(self, name: str) -> None:
-        """End a process without a chance to say anything."""
-        self._killed[name] += 1
-        self.launcher.signal(name, signal.SIGKILL)
+        """End a process, if it runs, without a chance to say anything."""
+        if name in self.pids:
+            del self.pids[name]
+            self._killed[name] += 1
+            self.launcher.signal(name, signal.SIGKILL)
 
     def restart(self, name: str) -> None:
-        """Start a process that was killed again, from what it was started from the first time."""
+        """Start a process again from what it was started from the first time; if it still runs, kill it before."""
+        self.kill(name)
         if name == PLANT and self.scan_every_s:
             self._start_plant(scan=2 + int((time.monotonic() - self._first_scan_at) / self.scan_every_s))
         else:
@@ -100,6 +103,7 @@ class System:
         if news.code == -signal.SIGKILL and self._killed[news.name]:
             self._killed[news.name] -= 1
             return True
+        self.pids.pop(news.name, None)
         return False
 
     def _start_plant(self, scan: int) -> None:

@@ -50,8 +50,7 @@ class TreeEstimate:
         z, w = np.zeros((n, N_SLOT)), _weights(plan, self.sigmas)
         work = tree_kernel.Work.of(n)
         tree_kernel.eliminate(plan.parent, plan.admittance, z, w, v, va, True, tree_kernel.INVERT, *work)
-        root = tree_inverse.root_of_reference(work.block)
-        state, omega, _ = tree_inverse.find_variances(plan.parent, plan.admittance, z, w, v, *work[1:3], root)
+        state, omega = tree_inverse.find_variances(plan.parent, plan.admittance, z, w, v, *work[1:4])
         in_network_order = np.empty_like(state)
         in_network_order[plan.order] = state
         return in_network_order, omega.ravel()[plan.slot]
