@@ -12,6 +12,7 @@ from pathlib import Path
 from types import FrameType
 
 from agents.area_file import load_area_file
+from agents.credentials import load_credentials
 from agents.inbox import Inbox
 from agents.loop import run_agent
 from agents.protocol import StopRequested
@@ -31,11 +32,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--connect", action="append", metavar="ENDPOINT", help="Zenoh endpoint to use instead of the file's; repeatable"
     )
+    parser.add_argument(
+        "--keys", type=Path, metavar="DIR", help="show the certificate of the area in DIR (`dsse keys create`)"
+    )
     parser.add_argument("--timeout", type=_seconds, default=10.0, metavar="S", help="wait for the bus so long (10 s)")
     arguments = parser.parse_args(argv)
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
     try:
-        run_area(arguments.area_file, arguments.connect or (), arguments.timeout)
+        run_area(arguments.area_file, arguments.connect or (), arguments.timeout, arguments.keys)
     except DsseError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
@@ -49,11 +53,11 @@ def _seconds(text: str) -> float:
     return value
 
 
-def run_area(path: Path, endpoints: Sequence[str] = (), timeout_s: float = 10.0) -> None:
-    """Run the agent of area file ``path``; ``endpoints``, if any, replace the file's.
+def run_area(path: Path, endpoints: Sequence[str] = (), timeout_s: float = 10.0, keys: Path | None = None) -> None:
+    """Run the agent of area file ``path``; ``endpoints``, if any, replace the file's; ``keys``: folder of credentials.
 
     Raises:
-        InvalidInputError: the area file cannot be used.
+        InvalidInputError: the area file or the credentials cannot be used.
         TransportError: no endpoint answers within ``timeout_s``.
     """
     content = load_area_file(path)
@@ -62,13 +66,14 @@ def run_area(path: Path, endpoints: Sequence[str] = (), timeout_s: float = 10.0)
         raise InvalidInputError(f"area file {path}", [f"strategy: {content.strategy!r} is unknown; known are {known}"])
     if endpoints:
         content = replace(content, endpoints=tuple(endpoints))
+    credentials = load_credentials(keys, content.area.name)
     inbox = Inbox()
 
     def stop(number: int, frame: FrameType | None) -> None:
         inbox.put("stop", StopRequested(signal.Signals(number).name))
 
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # Zenoh's connecting would defer Python's handler to its end
-    with Session.connect(content.endpoints, timeout_s) as session:
+    with Session.connect(content.endpoints, timeout_s, credentials) as session:
         signal.signal(signal.SIGTERM, stop)
         signal.signal(signal.SIGINT, stop)
         reason = run_agent(content, session, inbox)

@@ -22,6 +22,10 @@ def _root(run: str) -> str:
     return f"dsse/v1/{run}"
 
 
+def all_of_run(run: str) -> str:
+    return f"{_root(run)}/**"
+
+
 def neighbour_key(run: str, sender: str, kind: str, receiver: str) -> str:
     return f"{_root(run)}/area/{sender}/{kind}/{receiver}"
 

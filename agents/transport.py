@@ -2,6 +2,7 @@
 
 Endpoints are explicit: multicast scouting, gossip and shared memory are off. A session must be closed, or
 its process never exits; entities are kept referenced, or they vanish; nothing here may exist before a fork.
+With credentials there are TLS links only, both ends show a certificate, and a router applies the rules of access.
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ from typing import Any, Self
 
 import zenoh
 
+from agents.access import Access, zenoh_access_control
+from agents.credentials import Credentials
 from agents.messages import MAX_BYTES
 from dsse_core.errors import DsseError
 
@@ -26,7 +29,7 @@ class TransportError(DsseError):
     """The bus cannot be reached or opened; names the endpoint."""
 
 
-def _config(mode: str, **sections: Any) -> zenoh.Config:
+def _config(mode: str, credentials: Credentials | None = None, **sections: Any) -> zenoh.Config:
     return zenoh.Config.from_json5(
         json.dumps(
             {
@@ -42,6 +45,7 @@ def _config(mode: str, **sections: Any) -> zenoh.Config:
                         "max_sessions": 2000,
                     },
                     "link": {
+                        **_tls(credentials),
                         "tx": {
                             "lease": LEASE_MS,
                             "keep_alive": 4,
@@ -54,6 +58,34 @@ def _config(mode: str, **sections: Any) -> zenoh.Config:
             }
         )
     )
+
+
+def _tls(credentials: Credentials | None) -> dict[str, Any]:
+    """Show one's own certificate in both directions, and insist on the other's."""
+    if credentials is None:
+        return {}
+    certificate, key = str(credentials.certificate), str(credentials.key)
+    tls = {
+        "root_ca_certificate": str(credentials.authority),
+        "enable_mtls": True,
+        "verify_name_on_connect": True,
+        "close_link_on_expiration": True,
+        "listen_certificate": certificate,
+        "listen_private_key": key,
+        "connect_certificate": certificate,
+        "connect_private_key": key,
+    }
+    return {"protocols": ["tls"], "tls": tls}
+
+
+def _check_protocol(endpoints: Sequence[str], credentials: Credentials | None) -> None:
+    """Raise TransportError for the first endpoint that does not fit to having keys, or having none."""
+    for endpoint in endpoints:
+        protocol, _, place = endpoint.partition("/")
+        if credentials and protocol != "tls":
+            raise TransportError(f"{endpoint} is not secured, and there are keys; write tls/{place}, or give no keys")
+        if protocol == "tls" and not credentials:
+            raise TransportError(f"{endpoint} needs a certificate and a private key; give their folder with --keys")
 
 
 class _Closing:
@@ -82,12 +114,15 @@ class Session(_Closing):
     """A client of one or more routers; it reconnects by itself."""
 
     @classmethod
-    def connect(cls, endpoints: Sequence[str], timeout_s: float = 10.0) -> Session:
+    def connect(
+        cls, endpoints: Sequence[str], timeout_s: float = 10.0, credentials: Credentials | None = None
+    ) -> Session:
         """Connect to the first of ``endpoints`` that answers within ``timeout_s``.
 
         Raises:
-            TransportError: none answers, or one is not a Zenoh endpoint.
+            TransportError: none answers, or takes our certificate, or one is not a Zenoh endpoint.
         """
+        _check_protocol(endpoints, credentials)
         if not 0 < timeout_s <= LONGEST_WAIT_S:
             raise TransportError(f"a wait of {timeout_s} s for the bus; it must be positive and at most a day")
         connect = {
@@ -97,11 +132,12 @@ class Session(_Closing):
             "retry": {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 2},
         }
         try:
-            return cls(zenoh.open(_config("client", connect=connect)))
+            return cls(zenoh.open(_config("client", credentials, connect=connect)))
         except zenoh.ZError as error:
             raise TransportError(
-                f"cannot reach {', '.join(endpoints)} within {timeout_s:g} s: {_short(error)}; "
-                "is the router running (dsse router), and is the endpoint right (e.g. tcp/127.0.0.1:7447)?"
+                f"cannot reach {', '.join(endpoints)} within {timeout_s:g} s: "
+                f"{_reason(endpoints, credentials) or _short(error)}; is the router running (dsse router), "
+                "is the endpoint right (e.g. tcp/127.0.0.1:7447), and have both sides keys of one authority, or none?"
             ) from None
 
     def publisher(self, key: str) -> Callable[[bytes], None]:
@@ -142,18 +178,28 @@ class Router(_Closing):
     endpoints: tuple[str, ...] = ()
 
     @classmethod
-    def listen(cls, endpoints: Sequence[str]) -> Router:
+    def listen(
+        cls, endpoints: Sequence[str], credentials: Credentials | None = None, access: Access | None = None
+    ) -> Router:
         """Open a router on ``endpoints``; port 0 takes a free one, ``Router.endpoints`` says which.
+
+        ``access``: who may speak; without it everybody may who gets a link. What is refused is logged on standard
+        output by Zenoh: links at level ``warn``, messages at ``RUST_LOG=zenoh::net::routing::interceptor=trace``.
 
         Raises:
             TransportError: an endpoint is occupied or cannot be opened.
         """
+        _check_protocol(endpoints, credentials)
+        if credentials:
+            zenoh.init_log_from_env_or("warn")
         try:
             session = zenoh.open(
                 _config(
                     "router",
+                    credentials,
                     listen={"endpoints": list(endpoints), "exit_on_failure": True},
                     adminspace={"enabled": True},
+                    **({"access_control": zenoh_access_control(access)} if access else {}),
                 )
             )
         except zenoh.ZError as error:
@@ -174,6 +220,16 @@ def _locators(session: zenoh.Session) -> tuple[str, ...]:
             if reply.ok is not None and (locators := json.loads(reply.ok.payload.to_string()).get("locators")):
                 return tuple(locators)
     raise TransportError("the router does not say where it listens; this is a defect, please report it")
+
+
+def _reason(endpoints: Sequence[str], credentials: Credentials | None) -> str:
+    """What a secured endpoint and we have against each other; empty if that is not the reason."""
+    if credentials is None:
+        return ""
+    from agents.certificate_checks import explain_refusal  # whoever has no keys need not wait for it
+
+    reasons = {endpoint: explain_refusal(endpoint, credentials) for endpoint in endpoints}
+    return "; ".join(f"{endpoint}: {reason}" for endpoint, reason in reasons.items() if reason)
 
 
 def _short(error: Exception) -> str:

@@ -29,6 +29,8 @@ def run(
     timeout_s: float | None = None,
     on_update: Callable[[Progress], None] | None = None,
     plots: bool = True,
+    secure: bool = False,
+    keys: str | Path | None = None,
 ) -> RunResult:
     """Run a scenario as real processes until its areas agree, and compare them with the centralised estimate.
 
@@ -39,9 +41,11 @@ def run(
         timeout_s: replaces the scenario's time limit, s.
         on_update: called about ten times a second with what the areas are doing.
         plots: draw the PNG files, too.
+        secure: TLS with a certificate for each process, and access control; ``keys`` are made in the run folder.
+        keys: folder with keys of ``dsse keys create`` to use instead; implies ``secure``.
 
     Raises:
-        InvalidInputError: the scenario or the folder cannot be used.
+        InvalidInputError: the scenario, the folder or the keys cannot be used.
         TransportError: the router cannot listen where the scenario says.
     """
     started = time.monotonic()
@@ -51,7 +55,7 @@ def run(
         launcher.preload("coordinator.router_process", "agents.__main__", "coordinator.plant")
         from coordinator.run_scenario import run_scenario
 
-        result = run_scenario(launcher, scenario, started, out, seed, strategy, timeout_s, on_update)
+        result = run_scenario(launcher, scenario, started, out, seed, strategy, timeout_s, on_update, secure, keys)
     if plots:
         from coordinator.plots import draw_plots
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from coordinator.cli_keys import keys_commands
 from coordinator.cli_networks import network_commands
 from coordinator.cli_studies import study_commands
 from coordinator.terminal import (
@@ -21,6 +22,7 @@ from coordinator.terminal import (
     progress,
     quiet_option,
     run_folder_option,
+    run_id_option,
     say,
     scenario_argument,
     seed_option,
@@ -33,8 +35,11 @@ if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts
     from scenarios.scenario import Scenario
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+SECURE_ENDPOINT = "tls/127.0.0.1:7447"
 
-run_id_option = click.option("--run", "run_id", help="Name of the run, a part of every key.  [default: the scenario's]")
+keys_option = click.option(
+    "--keys", type=click.Path(path_type=Path), metavar="DIR", help="Show the certificate in DIR (`dsse keys create`)."
+)
 
 
 def run_command(arguments: Sequence[str]) -> int:
@@ -74,6 +79,8 @@ def commands() -> None:
 @quiet_option
 @no_plots_option
 @strategy_option
+@click.option("--secure", is_flag=True, help="Certificates, TLS and access control, with keys made for this run.")
+@click.option("--keys", type=click.Path(path_type=Path), metavar="DIR", help="The same with the keys in DIR.")
 def run(
     scenario: str,
     out: Path | None,
@@ -82,6 +89,8 @@ def run(
     quiet: bool,
     no_plots: bool,
     strategy: str | None,
+    secure: bool,
+    keys: Path | None,
 ) -> int:
     """Run SCENARIO, a shipped name or a file: start router, plant and one agent per area, watch, judge.
 
@@ -91,13 +100,22 @@ def run(
     Examples:  dsse run ieee33
                dsse run ieee33-lossy --strategy information
                dsse run my/scenario.toml --seed 7 --out results
+               dsse run ieee33 --secure
     """
     import coordinator
 
     end_orderly_on_signals()
     with progress(scenario, quiet) as on_update:
         result = coordinator.run(
-            scenario, out=out, seed=seed, strategy=strategy, timeout_s=timeout, on_update=on_update, plots=False
+            scenario,
+            out=out,
+            seed=seed,
+            strategy=strategy,
+            timeout_s=timeout,
+            on_update=on_update,
+            plots=False,
+            secure=secure,
+            keys=keys,
         )
     return finish_run(result, no_plots)
 
@@ -208,17 +226,25 @@ def agent(arguments: tuple[str, ...]) -> int:
 
 @commands.command(short_help="Run the router that all the others connect to.")
 @click.option(
-    "--listen", "endpoints", multiple=True, default=[DEFAULT_ENDPOINT], show_default=True, help="Where; repeatable."
+    "--listen",
+    "endpoints",
+    multiple=True,
+    help=f"Where; repeatable.  [default: {DEFAULT_ENDPOINT}; with --keys {SECURE_ENDPOINT}]",
 )
-def router(endpoints: tuple[str, ...]) -> int:
+@keys_option
+@click.option("--run", "run_id", help="Apply the rules of access in DIR to this run.  [default: the run named there]")
+def router(endpoints: tuple[str, ...], keys: Path | None, run_id: str | None) -> int:
     """Run the Zenoh router that agents, plant and coordinator connect to, until Ctrl-C.
 
     \b
-    Example:  dsse router --listen tcp/0.0.0.0:7447
+    Examples:  dsse router --listen tcp/0.0.0.0:7447
+               dsse router --listen tls/0.0.0.0:7447 --keys keys
     """
     from coordinator.router_process import main
 
-    return main([part for endpoint in endpoints for part in ("--listen", endpoint)])
+    arguments = [part for endpoint in endpoints for part in ("--listen", endpoint)]
+    arguments += ["--keys", str(keys)] if keys else []
+    return main([*arguments, "--run", run_id] if run_id else arguments)
 
 
 @commands.command(short_help="Publish the meter readings of a scenario.")
@@ -227,16 +253,21 @@ def router(endpoints: tuple[str, ...]) -> int:
     "--connect",
     "endpoints",
     multiple=True,
-    default=[DEFAULT_ENDPOINT],
-    show_default=True,
-    help="Endpoint of the router; repeatable.",
+    help=f"Endpoint of the router; repeatable.  [default: {DEFAULT_ENDPOINT}; with --keys {SECURE_ENDPOINT}]",
 )
+@keys_option
 @run_id_option
 @click.option("--timeout", type=SECONDS, default=10.0, show_default=True, metavar="S", help="Wait for the bus so long.")
 @seed_option
 @click.option("--every", type=SECONDS, metavar="S", help="Make a new scan every so many seconds.  [default: one only]")
 def plant(
-    scenario: str, endpoints: tuple[str, ...], run_id: str | None, timeout: float, seed: int | None, every: float | None
+    scenario: str,
+    endpoints: tuple[str, ...],
+    keys: Path | None,
+    run_id: str | None,
+    timeout: float,
+    seed: int | None,
+    every: float | None,
 ) -> int:
     """Publish the meter readings of SCENARIO on the bus until Ctrl-C; in the field a gateway does this.
 
@@ -248,9 +279,9 @@ def plant(
     from coordinator.split import choose_run_id
 
     # a plant that is started anew has new readings: seconds count on where its last life ended
-    return run_plant(
-        prepared, choose_run_id(prepared, run_id), endpoints, timeout, scan=int(time.time()), every_s=every
-    )
+    scan = int(time.time())
+    endpoints = endpoints or (SECURE_ENDPOINT if keys else DEFAULT_ENDPOINT,)
+    return run_plant(prepared, choose_run_id(prepared, run_id), endpoints, timeout, scan, every, keys)
 
 
 def _prepare(scenario: str, seed: int | None) -> Scenario:
@@ -263,5 +294,5 @@ def _prepare(scenario: str, seed: int | None) -> Scenario:
     return loaded if seed is None else replace(loaded, seed=seed)
 
 
-for command in (*network_commands, *study_commands):
+for command in (*network_commands, *study_commands, keys_commands):
     commands.add_command(command)

@@ -6,8 +6,9 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
+from agents.access import PLANT
 from coordinator.plant import SILENT, SPEAK
-from coordinator.system import PLANT, System
+from coordinator.system import System
 from scenarios.faults import FaultEvent
 
 UNDO = {"pause": "resume", "cut": "heal", "silent": "speak"}

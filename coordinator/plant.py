@@ -9,7 +9,10 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
+from agents.access import PLANT
+from agents.credentials import load_credentials
 from agents.inbox import Inbox
 from agents.keys import all_lives, live_key, name_of_live, telemetry_key
 from agents.messages import Header, Incarnation, TelemetryMessage, encode
@@ -32,12 +35,13 @@ def run_plant(
     timeout_s: float = 10.0,
     scan: int = 1,
     every_s: float | None = None,
+    keys: Path | None = None,
 ) -> int:
     """Publish the telemetry of ``scenario`` for ``run`` until SIGTERM or Ctrl-C; 0, or 2 after a user's mistake.
 
     An area is served when it appears and then at every beat: it subscribes before it shows itself. ``scan``: above
     that of any plant before it in the same run. ``every_s``: time from one scan to the next; None: there is one only.
-    Signal ``SILENT`` makes it publish nothing until signal ``SPEAK``.
+    Signal ``SILENT`` makes it publish nothing until signal ``SPEAK``. ``keys``: folder of the plant's credentials.
     """
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
     inbox = Inbox()
@@ -45,14 +49,14 @@ def run_plant(
     try:
         life = begin_life()
         payloads = make_payloads(scenario, run, life, scan, draw=scan if every_s else DRAW)
-        with Session.connect(endpoints, timeout_s) as session:
+        with Session.connect(endpoints, timeout_s, load_credentials(keys, PLANT)) as session:
             for number in (signal.SIGTERM, signal.SIGINT):
                 signal.signal(number, lambda *_: inbox.put("stop", None))
             publishers = {area: session.publisher(telemetry_key(run, area)) for area in payloads}
             session.watch_presence(
                 all_lives(run, "area", "*"), lambda key, alive: inbox.put(key, key) if alive else None
             )
-            session.declare_presence(live_key(run, "plant", "plant", life))
+            session.declare_presence(live_key(run, "plant", PLANT, life))
             log.info("plant of run %s, seed %s, %s areas", run, scenario.seed, len(payloads))
             voice = _Voice(publishers, inbox, scenario.run.beat_s)
             for number in (SILENT, SPEAK):

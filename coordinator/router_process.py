@@ -7,8 +7,11 @@ import os
 import signal
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
+from agents.access import ROUTER, Access
+from agents.credentials import load_credentials
 from agents.inbox import Inbox
 from agents.transport import Router
 from dsse_core.errors import DsseError
@@ -29,12 +32,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--endpoints-file", type=Path, metavar="FILE", help="write the real endpoints there, one a line"
     )
+    parser.add_argument("--keys", type=Path, metavar="DIR", help="take TLS links only; rules of access and keys in DIR")
+    parser.add_argument("--run", metavar="NAME", help="apply the rules of access to this run instead of the file's")
     arguments = parser.parse_args(argv)
     inbox = Inbox()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: inbox.put("stop", True))
     try:
-        with Router.listen(arguments.listen or ["tcp/127.0.0.1:7447"]) as router:
+        credentials, access = load_credentials(arguments.keys, ROUTER), _load_access(arguments.keys, arguments.run)
+        default = "tls/127.0.0.1:7447" if credentials else "tcp/127.0.0.1:7447"
+        with Router.listen(arguments.listen or [default], credentials, access) as router:
             print("listening on", ", ".join(router.endpoints), flush=True)
             if arguments.endpoints_file:
                 _write_whole(arguments.endpoints_file, "\n".join(router.endpoints))
@@ -44,6 +51,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"error: {error}", file=sys.stderr)
         return 2
     return 0
+
+
+def _load_access(keys: Path | None, run: str | None) -> Access | None:
+    if keys is None:
+        return None
+    from agents.access_file import ACCESS_FILE, load_access  # a router without keys starts in a moment
+
+    access = load_access(keys / ACCESS_FILE)
+    return replace(access, run=run) if run else access
 
 
 def _write_whole(path: Path, text: str) -> None:

@@ -8,6 +8,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from agents.access import COORDINATOR
+from agents.credentials import load_credentials
 from agents.keys import all_live, all_states, live_key, name_of_live
 from agents.messages import MessageError, StateMessage, decode
 from agents.presence import Presence, begin_life
@@ -33,6 +35,7 @@ from scenarios.scenario import Scenario
 from scenarios.telemetry import make_telemetry
 
 UPDATE_S = 0.1
+DAYS_OF_A_RUN = 1.0  # that the keys of one secured run are valid
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,13 +88,16 @@ def run_scenario(
     strategy: str | None = None,
     timeout_s: float | None = None,
     on_update: Callable[[Progress], None] | None = None,
+    secure: bool = False,
+    keys: str | Path | None = None,
 ) -> RunResult:
     """Run ``scenario`` with the processes of ``launcher``; see ``coordinator.run``. ``started``: monotonic time."""
     scenario = prepare_scenario(scenario, seed, strategy, timeout_s)
     folder = make_run_folder(out, default_run_id(scenario), ("areas", "logs"))
     with EventLog(folder / "events.jsonl", started) as events:
         run_id = f"{default_run_id(scenario)}-{secrets.token_hex(4)}"
-        run = _Run(scenario, run_id, folder, System(launcher, scenario, run_id, folder), events, started)
+        system = System(launcher, scenario, run_id, folder, keys=_find_keys(scenario, run_id, folder, secure, keys))
+        run = _Run(scenario, run_id, folder, system, events, started)
         events.write("run started", run=run_id, scenario=scenario.name, seed=scenario.seed, parent_pid=launcher.pid)
         launcher.on_news = lambda news: run.news.put(_ProcessNews(time.monotonic(), news))
         run.note_time("scenario_loaded")
@@ -103,6 +109,21 @@ def run_scenario(
             launcher.close()
             _note_ends(run)
             events.write("run ended")
+
+
+def _find_keys(scenario: Scenario, run_id: str, folder: Path, secure: bool, keys: str | Path | None) -> Path | None:
+    """The folder of credentials of a secured run, made for this run if none is given; None if it is not secured."""
+    if keys is None and not secure:
+        return None
+    from coordinator.certificates import access_of, check_keys, create_keys  # not needed by most runs
+
+    access = access_of(scenario.partition, run_id)
+    if keys is not None:
+        check_keys(Path(keys), access)
+        return Path(keys).absolute()
+    host = scenario.transport.listen.partition("/")[2].rpartition(":")[0]
+    create_keys(folder / "keys", access, DAYS_OF_A_RUN, [host.strip("[]")])
+    return (folder / "keys").absolute()
 
 
 def _wait_for_router(run: _Run) -> str | None:
@@ -119,7 +140,8 @@ def _run_with_router(run: _Run, on_update: Callable[[Progress], None] | None) ->
     run.system.start_others()
     run.note_time("agents_started")
     observer = make_observer(scenario)
-    with Session.connect(run.system.endpoints) as session:
+    credentials = load_credentials(run.system.keys, COORDINATOR)
+    with Session.connect(run.system.endpoints, credentials=credentials) as session:
         _listen(run, session)
         telemetry = make_telemetry(scenario)  # the processes are busy meanwhile
         centralised = estimate_centralised(scenario, telemetry)
@@ -168,7 +190,7 @@ def _listen(run: _Run, session: Session) -> None:
     session.watch_presence(
         all_live(run.id), lambda key, alive: run.news.put(_PresenceSeen(time.monotonic(), key, alive))
     )
-    session.declare_presence(live_key(run.id, "coordinator", "coordinator", begin_life()))
+    session.declare_presence(live_key(run.id, "coordinator", COORDINATOR, begin_life()))
 
 
 def _watch(run: _Run, observer: Observer, on_update: Callable[[Progress], None] | None) -> str | None:

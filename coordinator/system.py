@@ -10,13 +10,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from agents.access import PLANT, ROUTER
 from agents.transport import TransportError
 from coordinator.processes import Launcher, read_end
 from coordinator.split import write_area_files
 from coordinator.zygote import Ended, Started
 from scenarios.scenario import Scenario
 
-ROUTER, PLANT = "router", "plant"
 ROUTER_START_S = 10.0
 
 
@@ -24,8 +24,9 @@ ROUTER_START_S = 10.0
 class System:
     """Starts the processes of ``scenario`` with ``launcher`` under run id ``id``; ``folder``: for files and logs.
 
-    ``scan_every_s``: time between scans of the plant, None for one scan only. ``note`` must be called with all news
-    of the launcher: a death that was ordered is told from one that was not.
+    ``scan_every_s``: time between scans of the plant, None for one scan only. ``keys``: folder of everybody's
+    credentials; all links are secured then. ``note`` must be called with all news of the launcher: a death that was
+    ordered is told from one that was not.
     """
 
     launcher: Launcher
@@ -33,6 +34,7 @@ class System:
     id: str
     folder: Path
     scan_every_s: float | None = None
+    keys: Path | None = None
     endpoints: tuple[str, ...] = ()
     pids: dict[str, int] = field(default_factory=dict)  # of what runs
     _orders: dict[str, tuple[Any, ...]] = field(default_factory=dict)  # target and arguments of each process
@@ -52,7 +54,10 @@ class System:
         """
         said = self.folder.absolute() / "logs" / "router.endpoints"
         listen = self.scenario.transport.listen
-        self._order(ROUTER, "coordinator.router_process:main", ["--listen", listen, "--endpoints-file", str(said)])
+        if self.keys:
+            listen = f"tls/{listen.partition('/')[2]}"
+        arguments = ["--listen", listen, "--endpoints-file", str(said), *self._keys(), *self._run()]
+        self._order(ROUTER, "coordinator.router_process:main", arguments)
         deadline = time.monotonic() + ROUTER_START_S
         while not said.exists():
             reason = wait()
@@ -61,8 +66,8 @@ class System:
             if time.monotonic() > deadline:
                 raise TransportError(f"the router has not opened {listen} within {ROUTER_START_S:g} s")
         self.endpoints = tuple(said.read_text(encoding="utf-8").split())
-        again = [part for endpoint in self.endpoints for part in ("--listen", endpoint)]
-        self._orders[ROUTER] = ("coordinator.router_process:main", again)  # where the others look for it
+        again = [part for endpoint in self.endpoints for part in ("--listen", endpoint)]  # where the others look for it
+        self._orders[ROUTER] = ("coordinator.router_process:main", [*again, *self._keys(), *self._run()])
 
     def start_others(self) -> None:
         """Write the area files, start plant and agents."""
@@ -70,7 +75,7 @@ class System:
         self._first_scan_at = time.monotonic()
         self._start_plant(scan=1)
         for name, path in files.items():
-            self._order(name, "agents.__main__:main", [str(path.absolute())])
+            self._order(name, "agents.__main__:main", [str(path.absolute()), *self._keys()])
 
     def kill(self, name: str) -> None:
         """End a process, if it runs, without a chance to say anything."""
@@ -108,12 +113,19 @@ class System:
 
     def _start_plant(self, scan: int) -> None:
         """``scan``: above that of any plant before."""
-        order = (self.scenario, self.id, self.endpoints, ROUTER_START_S, scan, self.scan_every_s)
+        order = (self.scenario, self.id, self.endpoints, ROUTER_START_S, scan, self.scan_every_s, self.keys)
         self._order(PLANT, "coordinator.plant:run_plant", *order)
 
     def _order(self, name: str, target: str, *arguments: Any) -> None:
         self._orders[name] = (target, *arguments)
         self.launcher.start(name, target, *arguments, log=self.log_of(name), stop_last=name == ROUTER)
+
+    def _keys(self) -> list[str]:
+        return ["--keys", str(self.keys)] if self.keys else []
+
+    def _run(self) -> list[str]:
+        """The rules of access in a folder of keys may have been written for another run of the same areas."""
+        return ["--run", self.id] if self.keys else []
 
     def _last_words(self, process: str) -> str | None:
         """The error that a process refused its input with, if its log ends with one."""

@@ -28,6 +28,7 @@ timeout_option = click.option(
     "--timeout", type=SECONDS, metavar="S", help="Time limit in seconds instead of the scenario's."
 )
 quiet_option = click.option("--quiet", is_flag=True, help="Print the verdict only.")
+run_id_option = click.option("--run", "run_id", help="Name of the run, a part of every key.  [default: the scenario's]")
 no_plots_option = click.option("--no-plots", is_flag=True, help="Draw no pictures.")
 run_folder_option = click.option(
     "--out", type=click.Path(path_type=Path), help="Run folder, new or empty.  [default: runs/SCENARIO-TIME]"

@@ -1,0 +1,55 @@
+"""The access file: who is whose neighbour, as TOML. A router reads it beside its keys; `dsse keys create` writes it."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import tomli_w
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from agents.access import Access
+from agents.area_file import describe_schema_error
+from agents.keys import NAME
+from dsse_core.errors import InvalidInputError
+
+ACCESS_FILE = "access.toml"
+
+
+def save_access(path: Path, access: Access) -> None:
+    """Write ``access`` as TOML."""
+    table = {"run": access.run, "neighbours": {area: list(names) for area, names in access.neighbours.items()}}
+    path.write_text("# Who may speak with whom: routers let through nothing else.\n" + tomli_w.dumps(table))
+
+
+def load_access(path: Path) -> Access:
+    """Read and check what ``save_access`` wrote.
+
+    Raises:
+        InvalidInputError: naming the file and every unknown, missing or impossible key.
+    """
+    what = f"access file {path}"
+    try:
+        table = _FileTable.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+    except OSError as error:
+        raise InvalidInputError(what, [f"{error.strerror}; `dsse keys create SCENARIO` writes one"]) from None
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InvalidInputError(what, [f"is not TOML: {error}"]) from None
+    except ValidationError as error:
+        raise InvalidInputError(what, [describe_schema_error(e) for e in error.errors()]) from None
+    problems = []
+    for area, neighbours in table.neighbours.items():
+        if not NAME.fullmatch(area):
+            problems.append(f"neighbours: area {area!r} may only contain a-z, 0-9, _ and -")
+        for n in neighbours:
+            if area not in table.neighbours.get(n, ()):
+                problems.append(f"neighbours.{area}: {n!r} does not name {area!r} as its neighbour; add it there")
+    if problems:
+        raise InvalidInputError(what, problems)
+    return Access(table.run, {area: tuple(names) for area, names in table.neighbours.items()})
+
+
+class _FileTable(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    run: str = Field(pattern=f"^{NAME.pattern}$")
+    neighbours: dict[str, list[str]] = Field(min_length=1)

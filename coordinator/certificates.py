@@ -1,0 +1,166 @@
+"""``dsse keys create``: a private authority and one certificate per process, for a test or a small deployment."""
+
+from __future__ import annotations
+
+import datetime
+import ipaddress
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+from agents.access import Access
+from agents.access_file import ACCESS_FILE, load_access, save_access
+from agents.credentials import AUTHORITY, check_credentials, credentials_in
+from dsse_core.errors import InvalidInputError
+from dsse_core.partition import Partition
+
+HERE = ("localhost", "127.0.0.1", "::1")
+LONGEST_NAME = 64  # letters of a common name, X.520
+CLOCKS_DIFFER = datetime.timedelta(minutes=5)  # a certificate is valid so long before it was made
+
+
+def access_of(partition: Partition, run: str) -> Access:
+    """Who is whose neighbour among the areas of ``partition``."""
+    return Access(run, {area.name: tuple(sorted({n.area for n in area.neighbours})) for area in partition.areas})
+
+
+def check_keys(folder: Path, access: Access) -> None:
+    """Check that ``folder`` has good credentials of all of ``access``, and rules for the same areas and neighbours.
+
+    Raises:
+        InvalidInputError: every problem of the files, or of the rules.
+    """
+    check_credentials(folder, access.names)
+    path = folder / ACCESS_FILE
+    there = load_access(path).neighbours
+    problems = [
+        f"area {area} has neighbours {', '.join(found) or 'none'} there, {', '.join(wanted) or 'none'} in the scenario"
+        for area in sorted({*there, *access.neighbours})
+        if (found := there.get(area, ())) != (wanted := access.neighbours.get(area, ()))
+    ]
+    if problems:
+        raise InvalidInputError(f"access file {path}", [*problems, "make keys for this scenario: dsse keys create"])
+
+
+def create_keys(folder: Path, access: Access, days: float, hosts: Sequence[str] = ()) -> None:
+    """Write authority, certificates, private keys (mode 0600) and the rules of access into ``folder``, new or empty.
+
+    ``hosts``: names and addresses, beside those of this host's loopback, under which routers and agents are reached.
+
+    Raises:
+        InvalidInputError: ``folder`` holds something already, or a name does not fit into a certificate.
+    """
+    problems = [
+        f"area {name!r} is longer than the {LONGEST_NAME} letters of a certificate's common name; shorten it"
+        for name in access.names
+        if len(name) > LONGEST_NAME
+    ]
+    problems += [f"host {host!r} is neither a name in ASCII nor an address" for host in hosts if not host.isascii()]
+    if AUTHORITY in access.names:
+        problems.append(f"area {AUTHORITY!r}: its files would be those of the authority; name the area otherwise")
+    if problems:
+        raise InvalidInputError("keys", problems)
+    try:
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        occupied = any(folder.iterdir())
+    except OSError as error:
+        raise InvalidInputError(f"keys {folder}", [f"cannot be made: {error.strerror}"]) from None
+    if occupied:
+        raise InvalidInputError(f"keys {folder}", ["is not empty; keys are never overwritten: choose a new folder"])
+    authority = credentials_in(folder, AUTHORITY)
+    signing_key = ec.generate_private_key(ec.SECP256R1())
+    issuer = _name(f"authority of {access.run}"[:LONGEST_NAME])
+    _write_key(authority.key, signing_key)
+    _write_certificate(authority.certificate, _build_authority(issuer, signing_key, days))
+    for name in access.names:
+        files = credentials_in(folder, name)
+        key = ec.generate_private_key(ec.SECP256R1())
+        _write_key(files.key, key)
+        _write_certificate(files.certificate, _build_certificate(name, key, issuer, signing_key, days, hosts))
+    save_access(folder / ACCESS_FILE, access)
+
+
+def _build_authority(name: x509.Name, key: ec.EllipticCurvePrivateKey, days: float) -> x509.Certificate:
+    usage = x509.KeyUsage(
+        digital_signature=False,
+        content_commitment=False,
+        key_encipherment=False,
+        data_encipherment=False,
+        key_agreement=False,
+        key_cert_sign=True,
+        crl_sign=True,
+        encipher_only=False,
+        decipher_only=False,
+    )
+    return (
+        _begin(name, name, key, days)
+        .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+        .add_extension(usage, critical=True)
+        .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
+        .sign(key, hashes.SHA256())
+    )
+
+
+def _build_certificate(
+    name: str,
+    key: ec.EllipticCurvePrivateKey,
+    issuer: x509.Name,
+    signing_key: ec.EllipticCurvePrivateKey,
+    days: float,
+    hosts: Sequence[str],
+) -> x509.Certificate:
+    """For both ends of a link: routers are connected to and connect to each other."""
+    both_ends = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.CLIENT_AUTH, ExtendedKeyUsageOID.SERVER_AUTH])
+    names = x509.SubjectAlternativeName([_host(host) for host in dict.fromkeys((*HERE, *hosts))])
+    issued_by = x509.AuthorityKeyIdentifier.from_issuer_public_key(signing_key.public_key())
+    return (
+        _begin(_name(name), issuer, key, days)
+        .add_extension(names, critical=False)
+        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+        .add_extension(both_ends, critical=False)
+        .add_extension(issued_by, critical=False)
+        .sign(signing_key, hashes.SHA256())
+    )
+
+
+def _begin(
+    subject: x509.Name, issuer: x509.Name, key: ec.EllipticCurvePrivateKey, days: float
+) -> x509.CertificateBuilder:
+    now = datetime.datetime.now(datetime.UTC)
+    return (
+        x509.CertificateBuilder()
+        .subject_name(subject)
+        .issuer_name(issuer)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(now - CLOCKS_DIFFER)
+        .not_valid_after(now + datetime.timedelta(days=days))
+    )
+
+
+def _name(common_name: str) -> x509.Name:
+    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, common_name)])
+
+
+def _host(host: str) -> x509.GeneralName:
+    try:
+        return x509.IPAddress(ipaddress.ip_address(host))
+    except ValueError:
+        return x509.DNSName(host)
+
+
+def _write_key(path: Path, key: ec.EllipticCurvePrivateKey) -> None:
+    text = key.private_bytes(
+        serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+    )
+    with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
+        file.write(text)
+
+
+def _write_certificate(path: Path, certificate: x509.Certificate) -> None:
+    path.write_bytes(certificate.public_bytes(serialization.Encoding.PEM))

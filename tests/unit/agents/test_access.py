@@ -1,0 +1,125 @@
+"""The rules of who may speak, as data: a table of what each certificate may and may not do."""
+
+from pathlib import Path
+
+import pytest
+import zenoh
+
+from agents.access import Access, zenoh_access_control
+from agents.access_file import load_access, save_access
+from dsse_core.errors import InvalidInputError
+
+CHAIN = Access("run", {"a": ("b",), "b": ("a", "c"), "c": ("b",)})
+
+
+def may(name: str, flow: str, message: str, key: str, access: Access = CHAIN) -> bool:
+    """What Zenoh decides: whether a rule of one of the name's policies includes the key."""
+    control = zenoh_access_control(access)
+    assert control["default_permission"] == "deny"
+    rules = {rule["id"]: rule for rule in control["rules"]}
+    subjects = {s["id"] for s in control["subjects"] if name in s["cert_common_names"]}
+    return any(
+        flow in rule["flows"]
+        and message in rule["messages"]
+        and any(zenoh.KeyExpr(allowed).includes(f"dsse/v1/{key}") for allowed in rule["key_exprs"])
+        for policy in control["policies"]
+        if subjects & set(policy["subjects"])
+        for rule in (rules[name] for name in policy["rules"])
+    )
+
+
+ALLOWED = [
+    ("a", "ingress", "put", "run/area/a/information/b"),
+    ("a", "ingress", "put", "run/area/a/tally/b"),
+    ("a", "ingress", "put", "run/area/a/state"),
+    ("a", "ingress", "liveliness_token", "run/live/area/a/1-2"),
+    ("a", "ingress", "declare_subscriber", "run/area/*/*/a"),
+    ("a", "ingress", "declare_subscriber", "run/telemetry/a"),
+    ("a", "ingress", "declare_liveliness_subscriber", "run/live/area/b/*"),
+    ("a", "egress", "put", "run/area/b/information/a"),
+    ("a", "egress", "put", "run/telemetry/a"),
+    ("a", "egress", "liveliness_token", "run/live/area/b/1-2"),
+    ("b", "ingress", "put", "run/area/b/information/c"),
+    ("plant", "ingress", "put", "run/telemetry/c"),
+    ("plant", "ingress", "liveliness_token", "run/live/plant/plant/1-2"),
+    ("plant", "ingress", "declare_liveliness_subscriber", "run/live/area/*/*"),
+    ("coordinator", "ingress", "declare_subscriber", "run/area/*/state"),
+    ("coordinator", "egress", "put", "run/area/c/state"),
+    ("coordinator", "ingress", "declare_liveliness_subscriber", "run/live/*/*/*"),
+    ("router", "ingress", "put", "run/area/c/state"),
+    ("router", "egress", "liveliness_token", "run/live/area/b/1-2"),
+]
+
+REFUSED = [
+    ("a", "ingress", "put", "run/area/b/information/a"),  # as somebody else
+    ("a", "ingress", "put", "run/area/a/information/c"),  # to an area that is no neighbour
+    ("a", "ingress", "put", "run/area/b/state"),
+    ("a", "ingress", "put", "run/telemetry/a"),
+    ("a", "ingress", "put", "other/area/a/state"),
+    ("a", "ingress", "delete", "run/area/a/state"),
+    ("a", "ingress", "liveliness_token", "run/live/area/b/1-2"),
+    ("a", "ingress", "liveliness_token", "run/live/plant/plant/1-2"),
+    ("a", "ingress", "declare_queryable", "run/area/a/state"),
+    ("a", "ingress", "declare_subscriber", "run/**"),
+    ("a", "ingress", "declare_subscriber", "run/area/*/*/b"),
+    ("a", "ingress", "declare_subscriber", "run/area/*/state"),
+    ("a", "ingress", "declare_subscriber", "run/telemetry/b"),
+    ("a", "ingress", "declare_liveliness_subscriber", "run/live/area/c/*"),
+    ("a", "ingress", "declare_liveliness_subscriber", "run/live/area/*/*"),
+    ("a", "ingress", "query", "run/area/b/state"),
+    ("a", "egress", "put", "run/area/c/information/a"),  # from an area that is no neighbour
+    ("a", "egress", "put", "run/area/b/information/c"),
+    ("plant", "ingress", "put", "run/area/a/state"),
+    ("plant", "ingress", "put", "run/area/b/information/a"),
+    ("plant", "ingress", "declare_subscriber", "run/area/*/state"),
+    ("plant", "ingress", "liveliness_token", "run/live/area/a/1-2"),
+    ("coordinator", "ingress", "put", "run/area/a/state"),
+    ("coordinator", "ingress", "put", "run/telemetry/a"),
+    ("coordinator", "ingress", "declare_subscriber", "run/area/*/*/b"),
+    ("coordinator", "ingress", "declare_subscriber", "run/telemetry/*"),
+    ("router", "ingress", "put", "other/area/c/state"),
+    ("somebody", "ingress", "put", "run/area/a/state"),
+    ("authority", "ingress", "put", "run/area/a/state"),
+]
+
+
+@pytest.mark.parametrize(("name", "flow", "message", "key"), ALLOWED)
+def test_what_a_process_needs_is_allowed(name: str, flow: str, message: str, key: str):
+    assert may(name, flow, message, key)
+
+
+@pytest.mark.parametrize(("name", "flow", "message", "key"), REFUSED)
+def test_everything_else_is_refused(name: str, flow: str, message: str, key: str):
+    assert not may(name, flow, message, key)
+
+
+def test_an_area_without_neighbours_needs_no_rules_about_any():
+    alone = Access("run", {"a": ()})
+    assert may("a", "ingress", "put", "run/area/a/state", alone)
+    assert all(rule["key_exprs"] for rule in zenoh_access_control(alone)["rules"])
+
+
+def test_the_access_file_brings_the_rules_back(tmp_path: Path):
+    save_access(tmp_path / "access.toml", CHAIN)
+    assert load_access(tmp_path / "access.toml") == CHAIN
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("run = 3\n[neighbours]\na = []", "run: "),
+        ('run = "r"', "neighbours: missing key"),
+        ('run = "r"\ncolour = 1\n[neighbours]\na = []', "colour: unknown key"),
+        ('run = "r"\n[neighbours]\na = ["b"]\nb = []', "'b' does not name 'a' as its neighbour; add it there"),
+        ('run = "r"\n[neighbours]\n"a/**" = []', "may only contain a-z"),
+        ("run = ", "is not TOML"),
+        (None, "No such file or directory; `dsse keys create SCENARIO` writes one"),
+    ],
+)
+def test_a_wrong_access_file_is_refused_with_what_is_wrong(tmp_path: Path, text: str | None, expected: str):
+    if text is not None:
+        (tmp_path / "access.toml").write_text(text)
+    with pytest.raises(InvalidInputError) as caught:
+        load_access(tmp_path / "access.toml")
+    assert str(tmp_path / "access.toml") in str(caught.value)
+    assert expected in str(caught.value)

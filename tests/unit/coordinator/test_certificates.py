@@ -1,0 +1,124 @@
+"""Keys: what is created, and what is told about files that cannot be used."""
+
+import datetime
+import stat
+from pathlib import Path
+
+import pytest
+from cryptography import x509
+
+from agents.access import Access
+from agents.access_file import ACCESS_FILE, load_access
+from agents.credentials import credentials_in, load_credentials
+from coordinator.certificates import access_of, check_keys, create_keys
+from dsse_core.errors import InvalidInputError
+from scenarios.scenario import load_scenario
+
+ACCESS = Access("grid", {"area1": ("area2",), "area2": ("area1",)})
+
+
+@pytest.fixture
+def keys(tmp_path: Path) -> Path:
+    create_keys(tmp_path / "keys", ACCESS, days=10, hosts=["grid-a.example", "192.0.2.7"])
+    return tmp_path / "keys"
+
+
+def problems_of(folder: Path, name: str = "area1") -> str:
+    with pytest.raises(InvalidInputError) as caught:
+        load_credentials(folder, name)
+    return str(caught.value)
+
+
+def test_every_process_gets_a_certificate_of_the_same_authority_and_a_key_of_its_own(keys: Path):
+    check_keys(keys, ACCESS)
+    authority = x509.load_pem_x509_certificate((keys / "authority.crt").read_bytes())
+    for name in ("router", "plant", "coordinator", "area1", "area2"):
+        certificate = x509.load_pem_x509_certificate((keys / f"{name}.crt").read_bytes())
+        certificate.verify_directly_issued_by(authority)
+        assert certificate.subject.rfc4514_string() == f"CN={name}"
+        hosts = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+        assert hosts.get_values_for_type(x509.DNSName) == ["localhost", "grid-a.example"]
+        assert "192.0.2.7" in map(str, hosts.get_values_for_type(x509.IPAddress))
+        left = certificate.not_valid_after_utc - datetime.datetime.now(datetime.UTC)
+        assert datetime.timedelta(days=9) < left < datetime.timedelta(days=10)
+    assert len({path.read_bytes() for path in keys.glob("*.key")}) == 6
+    assert load_access(keys / ACCESS_FILE) == ACCESS
+
+
+def test_nobody_else_may_read_a_private_key(keys: Path):
+    for path in keys.glob("*.key"):
+        assert stat.S_IMODE(path.stat().st_mode) == 0o600
+
+
+def test_keys_are_never_overwritten(keys: Path):
+    before = {path: path.read_bytes() for path in keys.iterdir()}
+    with pytest.raises(InvalidInputError, match="is not empty; keys are never overwritten"):
+        create_keys(keys, ACCESS, days=10)
+    assert {path: path.read_bytes() for path in keys.iterdir()} == before
+
+
+def test_the_rules_of_a_scenario_name_its_neighbours():
+    access = access_of(load_scenario("ieee33").partition, "run")
+    assert access.neighbours == {"area1": ("area2", "area3"), "area2": ("area1",), "area3": ("area1",)}
+
+
+def test_a_name_that_fits_into_no_certificate_is_refused(tmp_path: Path):
+    with pytest.raises(InvalidInputError, match="longer than the 64 letters"):
+        create_keys(tmp_path / "keys", Access("run", {"a" * 65: ()}), days=1)
+    with pytest.raises(InvalidInputError, match="would be those of the authority"):
+        create_keys(tmp_path / "keys", Access("run", {"authority": ()}), days=1)
+
+
+def test_missing_files_are_named_with_how_to_get_them(tmp_path: Path):
+    text = problems_of(tmp_path / "nowhere")
+    assert "3 problems" in text
+    for name in ("authority.crt", "area1.crt", "area1.key"):
+        assert f"{name}: is missing; make it with `dsse keys create SCENARIO`" in text
+
+
+def test_an_expired_certificate_is_named_with_its_date(tmp_path: Path):
+    create_keys(tmp_path, ACCESS, days=-0.001)
+    text = problems_of(tmp_path)
+    assert f"{tmp_path / 'area1.crt'}: expired at {datetime.datetime.now(datetime.UTC):%Y-}" in text
+    assert f"{tmp_path / 'authority.crt'}: expired" in text
+
+
+def test_a_certificate_of_another_area_is_told_from_ones_own(keys: Path):
+    (keys / "area1.crt").write_bytes((keys / "area2.crt").read_bytes())
+    text = problems_of(keys)
+    assert "area1.crt: is the certificate of 'area2', and 'area1' is needed" in text
+    assert "area1.key: does not belong to" in text
+
+
+def test_a_certificate_of_another_authority_is_told_from_ones_own(keys: Path, tmp_path: Path):
+    create_keys(tmp_path / "others", ACCESS, days=10)
+    (keys / "authority.crt").write_bytes((tmp_path / "others" / "authority.crt").read_bytes())
+    assert "area1.crt: was issued by 'CN=authority of grid', not by the authority in" in problems_of(keys)
+
+
+@pytest.mark.parametrize("name", ["area1.crt", "authority.crt"])
+def test_a_file_that_is_no_certificate_is_named(keys: Path, name: str):
+    (keys / name).write_text("hello")
+    assert f"{name}: holds no certificate in PEM" in problems_of(keys)
+
+
+def test_a_file_that_is_no_key_is_named(keys: Path):
+    (keys / "area1.key").write_bytes(b"\xff\x00")
+    assert "area1.key: holds no private key in PEM" in problems_of(keys)
+
+
+def test_a_key_that_cannot_be_read_is_named(keys: Path):
+    credentials_in(keys, "area1").key.unlink()
+    (keys / "area1.key").mkdir(mode=0o700)
+    assert "area1.key: cannot be read: Is a directory" in problems_of(keys)
+
+
+def test_a_key_that_anybody_may_read_is_refused(keys: Path):
+    (keys / "area1.key").chmod(0o644)
+    assert f"chmod o-rwx {keys / 'area1.key'}" in problems_of(keys)
+
+
+def test_keys_for_other_areas_are_refused(keys: Path):
+    with pytest.raises(InvalidInputError) as caught:
+        check_keys(keys, Access("grid", {"area1": (), "area2": ()}))
+    assert "area area1 has neighbours area2 there, none in the scenario" in str(caught.value)
