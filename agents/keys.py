@@ -60,6 +60,11 @@ def all_live(run: str) -> str:
     return all_lives(run, "*", "*")
 
 
+def run_of(key: str) -> str:
+    """The run that a key belongs to."""
+    return key.split("/")[2]
+
+
 def sender_of(key: str) -> str:
     """The area that a key of an area's own belongs to; empty for other keys."""
     chunks = key.split("/")

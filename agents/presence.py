@@ -24,6 +24,11 @@ class Presence:
     def __init__(self) -> None:
         self._lives: dict[tuple[str, str], set[str]] = {}  # role and name -> keys of its tokens
 
+    @property
+    def names(self) -> set[tuple[str, str]]:
+        """(role, name) of all that are there."""
+        return {name for name, lives in self._lives.items() if lives}
+
     def take(self, key: str, alive: bool) -> bool:
         """Note that the token on ``key`` appeared or vanished; whether its name came, came anew or went with it."""
         lives = self._lives.setdefault(name_of_live(key), set())

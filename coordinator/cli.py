@@ -14,10 +14,14 @@ import click
 from coordinator.cli_keys import keys_commands
 from coordinator.cli_networks import network_commands
 from coordinator.cli_studies import study_commands
+from coordinator.cli_watch import watch
 from coordinator.terminal import (
+    DEFAULT_ENDPOINT,
     SECONDS,
+    SECURE_ENDPOINT,
     end_orderly_on_signals,
     finish_run,
+    keys_option,
     no_plots_option,
     progress,
     quiet_option,
@@ -33,13 +37,6 @@ from dsse_core.errors import DsseError
 
 if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts fast
     from scenarios.scenario import Scenario
-
-DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
-SECURE_ENDPOINT = "tls/127.0.0.1:7447"
-
-keys_option = click.option(
-    "--keys", type=click.Path(path_type=Path), metavar="DIR", help="Show the certificate in DIR (`dsse keys create`)."
-)
 
 
 def run_command(arguments: Sequence[str]) -> int:
@@ -294,5 +291,5 @@ def _prepare(scenario: str, seed: int | None) -> Scenario:
     return loaded if seed is None else replace(loaded, seed=seed)
 
 
-for command in (*network_commands, *study_commands, keys_commands):
+for command in (*network_commands, *study_commands, keys_commands, watch):
     commands.add_command(command)

@@ -1,4 +1,4 @@
-"""The table of areas that lives in the terminal while a run goes on."""
+"""The tables of areas that live in the terminal: of a run that goes on, and of a system that is watched."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from rich.live import Live
 from rich.table import Table
 
 from coordinator.observer import Progress
+from coordinator.watch import View
 
 
 @contextmanager
@@ -40,5 +41,47 @@ def build_table(title: str, progress: Progress) -> Table:
             "-" if area.gap_vm is None else f"{area.gap_vm:.2g}",
             str(area.messages),
             str(area.lost),
+        )
+    return table
+
+
+@contextmanager
+def live_view() -> Iterator[Callable[[View], None]]:
+    """A function that shows what a watcher sees in place."""
+    with Live(console=Console(), auto_refresh=False) as live:
+        yield lambda view: live.update(build_view_table(view), refresh=True)
+
+
+def format_view(view: View) -> str:
+    """The table of ``build_view_table`` as plain text, as wide as it needs to be."""
+    console = Console(width=200, color_system=None, highlight=False)
+    with console.capture() as captured:
+        console.print(build_view_table(view))
+    return "\n".join(line.rstrip() for line in captured.get().splitlines())
+
+
+def build_view_table(view: View) -> Table:
+    """What a watcher sees of a run; gaps are the largest to a neighbour at a bus that both publish."""
+    table = Table(
+        title=f"run {view.run}", caption=f"also there: {', '.join(view.others) or 'nobody'}", title_justify="left"
+    )
+    for heading in ("area", "state"):
+        table.add_column(heading)
+    for heading in ("scan", "heard s ago", "gap deg", "gap p.u.", "exchanges", "messages", "lost", "refused"):
+        table.add_column(heading, justify="right")
+    table.add_column("notes")
+    for area in view.areas:
+        table.add_row(
+            area.name,
+            area.state,
+            str(area.scan),
+            "-" if area.age_s is None else f"{area.age_s:.1f}",
+            "-" if area.gap_va_deg is None else f"{area.gap_va_deg:.2g}",
+            "-" if area.gap_vm_pu is None else f"{area.gap_vm_pu:.2g}",
+            str(area.exchanges),
+            str(area.messages),
+            str(area.lost),
+            str(sum(area.refused.values())),
+            "; ".join(area.notes),
         )
     return table

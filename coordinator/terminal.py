@@ -19,6 +19,8 @@ if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts
 
 PROGRESS_LINE_S = 1.0
 MAX_NAMED = 12
+DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+SECURE_ENDPOINT = "tls/127.0.0.1:7447"
 SECONDS = click.FloatRange(min=0, min_open=True, max=86400)
 
 scenario_argument = click.argument("scenario")
@@ -30,6 +32,9 @@ timeout_option = click.option(
 quiet_option = click.option("--quiet", is_flag=True, help="Print the verdict only.")
 run_id_option = click.option("--run", "run_id", help="Name of the run, a part of every key.  [default: the scenario's]")
 no_plots_option = click.option("--no-plots", is_flag=True, help="Draw no pictures.")
+keys_option = click.option(
+    "--keys", type=click.Path(path_type=Path), metavar="DIR", help="Show the certificate in DIR (`dsse keys create`)."
+)
 run_folder_option = click.option(
     "--out", type=click.Path(path_type=Path), help="Run folder, new or empty.  [default: runs/SCENARIO-TIME]"
 )

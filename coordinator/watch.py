@@ -1,0 +1,136 @@
+"""Watching a system from outside, without its scenario: who is there, and what the areas publish. No bus, no clock."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from agents.messages import StateMessage
+from agents.presence import Presence
+from coordinator.observer import count_exchanges
+
+
+@dataclass(frozen=True, slots=True)
+class AreaView:
+    """One area as a watcher sees it; everything but ``present`` is what it published ``age_s`` ago.
+
+    ``gap_vm_pu``, ``gap_va_deg``: the largest differences to a neighbour at a bus that both publish, None where there
+    is none. ``neighbours``: those that it speaks to. ``age_s``: None if it was never heard.
+    """
+
+    name: str
+    present: bool
+    age_s: float | None
+    scan: int = 0
+    estimated: bool = False
+    referenced: bool = False
+    checked: bool = False
+    neighbours: tuple[str, ...] = ()
+    gap_vm_pu: float | None = None
+    gap_va_deg: float | None = None
+    exchanges: int = 0
+    messages: int = 0
+    bytes: int = 0
+    lost: int = 0
+    removed: tuple[str, ...] = ()
+    refused: Mapping[str, int] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    @property
+    def state(self) -> str:
+        """In a word."""
+        if not self.present:
+            return "gone"
+        if self.age_s is None:
+            return "silent"
+        if not self.estimated:
+            return "waits for telemetry" if self.scan == 0 else "no estimate"
+        return "estimates" if self.referenced else "relative angles"
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """A run at one moment. ``others``: plant, coordinators and watchers that are there, as ``role name``."""
+
+    run: str
+    areas: tuple[AreaView, ...]
+    others: tuple[str, ...]
+
+
+@dataclass
+class Watcher:
+    """Takes in presence and states of run ``run`` with the time of their arrival, s on any one clock."""
+
+    run: str
+    _presence: Presence = field(default_factory=Presence)
+    _heard: dict[str, tuple[float, StateMessage]] = field(default_factory=dict)
+
+    def take_presence(self, key: str, alive: bool) -> None:
+        """Note that a token appeared or vanished."""
+        self._presence.take(key, alive)
+
+    def take_state(self, state: StateMessage, now: float) -> None:
+        """Keep ``state`` if it is of this run and as new as the area's last."""
+        last = self._heard.get(state.header.sender)
+        if state.header.run == self.run and (last is None or state.header.order >= last[1].header.order):
+            self._heard[state.header.sender] = (now, state)
+
+    def is_whole(self) -> bool:
+        """Whether there are areas, and every one that is there has been heard."""
+        present = self._names_of("area")
+        return bool(present) and present <= self._heard.keys()
+
+    def look(self, now: float) -> View:
+        """What is known at ``now``."""
+        spoken_to = {name for _, state in self._heard.values() for name in state.sent}
+        names = sorted(self._names_of("area") | self._heard.keys() | spoken_to, key=_by_number)
+        others = sorted(f"{role} {name}" for role, name in self._presence.names if role != "area")
+        return View(self.run, tuple(self._view_of(name, now) for name in names), tuple(others))
+
+    def _names_of(self, role: str) -> set[str]:
+        return {name for its_role, name in self._presence.names if its_role == role}
+
+    def _view_of(self, name: str, now: float) -> AreaView:
+        present = name in self._names_of("area")
+        if name not in self._heard:
+            return AreaView(name, present, None)
+        at, state = self._heard[name]
+        gaps = [gap for other in state.sent if (gap := self._gap(state, other))]
+        return AreaView(
+            name=name,
+            present=present,
+            age_s=round(now - at, 3),
+            scan=state.header.scan,
+            estimated=bool(state.buses),
+            referenced=state.referenced,
+            checked=state.checked,
+            neighbours=tuple(state.sent),
+            gap_vm_pu=max((vm for vm, _ in gaps), default=None),
+            gap_va_deg=max((math.degrees(va) for _, va in gaps), default=None),
+            exchanges=count_exchanges(state),
+            messages=state.messages,
+            bytes=state.bytes,
+            lost=state.lost,
+            removed=state.removed,
+            refused=state.refused,
+            notes=state.notes,
+        )
+
+    def _gap(self, state: StateMessage, other: str) -> tuple[float, float] | None:
+        """The largest differences of magnitude and angle between an area and a neighbour, p.u. and rad."""
+        theirs = self._heard[other][1] if other in self._heard else None
+        shared = set(state.buses) & set(theirs.buses) if theirs else set()
+        if theirs is None or not shared:
+            return None
+        pairs = [(state.buses.index(bus), theirs.buses.index(bus)) for bus in shared]
+        return (
+            max(abs(state.vm[i] - theirs.vm[j]) for i, j in pairs),
+            max(abs(math.remainder(state.va[i] - theirs.va[j], 2 * math.pi)) for i, j in pairs),
+        )
+
+
+def _by_number(name: str) -> tuple[str, int]:
+    """area2 before area10."""
+    word = name.rstrip("0123456789")
+    return word, int(name[len(word) :] or 0)

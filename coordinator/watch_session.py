@@ -1,0 +1,89 @@
+"""Attaching to a running system: which run is on the bus, and what arrives from it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from agents.access import COORDINATOR
+from agents.access_file import ACCESS_FILE, load_access
+from agents.credentials import load_credentials
+from agents.keys import all_live, all_states, name_of_live, run_of
+from agents.messages import MessageError, StateMessage, decode
+from agents.transport import Session, TransportError
+from coordinator.processes import News
+from coordinator.watch import Watcher
+
+ANY = "*"
+SETTLE_S = 0.3  # from the first run seen to the belief that there is no other
+STEP_S = 0.05
+
+Look = Callable[[float], Watcher]
+"""Take in what arrives within so many seconds, and the watcher that knows of it."""
+
+
+@contextmanager
+def attach(endpoints: Sequence[str], run: str | None, timeout_s: float, keys: Path | None = None) -> Iterator[Look]:
+    """Join the bus at ``endpoints`` as a mere listener of ``run``, or of the only run that is there.
+
+    ``keys``: folder of the coordinator's credentials; it names the run, too, unless ``run`` is given.
+
+    Raises:
+        InvalidInputError: ``keys`` cannot be used.
+        TransportError: no endpoint answers in time, no run or several are there.
+    """
+    credentials = load_credentials(keys, COORDINATOR)
+    if keys and not run:
+        run = load_access(keys / ACCESS_FILE).run
+    with Session.connect(endpoints, timeout_s, credentials) as session:
+        run = run or _find_run(session, timeout_s)
+        watcher, news = Watcher(run), News()
+        session.subscribe(all_states(run), lambda key, payload: news.put(payload))
+        session.watch_presence(all_live(run), lambda key, alive: news.put((key, alive)))
+
+        def look(duration_s: float) -> Watcher:
+            for item in news.take(duration_s):
+                if isinstance(item, tuple):
+                    watcher.take_presence(*item)
+                elif (state := _decoded(item)) is not None:
+                    watcher.take_state(state, time.monotonic())
+            return watcher
+
+        yield look
+
+
+def wait_until_whole(look: Look, timeout_s: float) -> Watcher:
+    """Wait until every area that is there has been heard, or until time is up."""
+    deadline = time.monotonic() + timeout_s
+    while not (watcher := look(STEP_S)).is_whole() and time.monotonic() < deadline:
+        pass
+    return watcher
+
+
+def _find_run(session: Session, timeout_s: float) -> str:
+    """The only run of which an area or a plant is there."""
+    news = News()
+    session.watch_presence(all_live(ANY), lambda key, alive: news.put((key, alive)))
+    runs: set[str] = set()
+    deadline, settled = time.monotonic() + timeout_s, float("inf")
+    while (now := time.monotonic()) < min(deadline, settled):
+        for key, alive in news.take(STEP_S):
+            if alive and name_of_live(key)[0] in ("area", "plant"):
+                runs.add(run_of(key))
+                settled = min(settled, now + SETTLE_S)
+    if not runs:
+        raise TransportError(f"no area or plant is on this bus within {timeout_s:g} s; are agents running?")
+    if len(runs) > 1:
+        raise TransportError(f"several runs are on this bus: {', '.join(sorted(runs))}; choose one with --run")
+    return runs.pop()
+
+
+def _decoded(payload: bytes) -> StateMessage | None:
+    """The state in ``payload``; None for anything else, which a watcher has nothing to say about."""
+    try:
+        message = decode(payload)
+    except MessageError:
+        return None
+    return message if isinstance(message, StateMessage) else None

@@ -1,0 +1,89 @@
+"""``dsse watch`` attaches to a system that others have started, and ends without a trace."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+from test_by_hand import free_endpoint
+from waiting import DEADLINE_S, wait_until
+
+ROOT = Path(__file__).parents[2]
+AREAS = ["area1", "area2", "area3"]
+
+
+def test_a_watcher_sees_a_system_whole_whose_coordinator_was_killed(start_run, dsse, assert_nothing_left):
+    run = start_run("ieee33")
+    run.wait_until_joined(*AREAS)
+    run.process.kill()
+    run.end()
+    connect = ("--connect", (run.folder / "logs" / "router.endpoints").read_text().split()[0])
+    seen: dict[str, dict[str, object]] = {}
+
+    def all_estimate() -> bool:
+        done = dsse("watch", *connect, "--once", "--json")
+        assert done.returncode == 0, done.stderr
+        view = json.loads(done.stdout)
+        assert view["run"] == run.events()[0]["run"]
+        seen.update(view["areas"])
+        return all(area["state"] == "estimates" and area["gap_vm_pu"] < 1e-6 for area in seen.values())
+
+    wait_until(all_estimate)
+    assert list(seen) == AREAS
+    assert all(area["notes"] == [] and area["messages"] > 0 and area["scan"] == 1 for area in seen.values())
+    table = dsse("watch", *connect, "--once").stdout
+    assert all(name in table for name in AREAS)
+    assert "plant plant" in table
+    os.kill(run.pids()["area3"], signal.SIGKILL)
+
+    def sees_the_death() -> bool:  # a watcher that has never heard the dead area itself
+        areas = json.loads(dsse("watch", *connect, "--once", "--json").stdout)["areas"]
+        return areas["area3"]["state"] == "gone" and areas["area1"]["notes"] == ["neighbour area3 is gone"]
+
+    wait_until(sees_the_death)
+    os.kill(run.pids()["parent"], signal.SIGTERM)
+    assert_nothing_left(run.pids())
+
+
+def test_ctrl_c_ends_the_watching_and_nothing_else(start_run, deaf_scenario, assert_nothing_left, tmp_path: Path):
+    run = start_run(deaf_scenario)
+    run.wait_until_joined("area1", "area2")
+    endpoint = (run.folder / "logs" / "router.endpoints").read_text().split()[0]
+    watching = subprocess.Popen(
+        [sys.executable, "-P", "-m", "coordinator", "watch", "--connect", endpoint, "--json"],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert watching.stdout is not None
+        wait_until(lambda: len(json.loads(watching.stdout.readline())["areas"]) == 2)
+        watching.send_signal(signal.SIGINT)
+        _, err = watching.communicate(timeout=DEADLINE_S)
+    finally:
+        watching.kill()
+        watching.wait()
+    assert (watching.returncode, err) == (0, "")
+    assert run.process.poll() is None
+    assert not [e for e in run.events() if e["event"] == "process ended"]
+
+
+def test_a_bus_without_a_run_and_a_bus_that_is_not_there_are_told_apart(dsse):
+    endpoint = free_endpoint()
+    done = dsse("watch", "--connect", endpoint, "--timeout", "0.3")
+    assert done.returncode == 2
+    assert f"cannot reach {endpoint}" in done.stderr
+    router = subprocess.Popen([sys.executable, "-m", "coordinator.router_process", "--listen", endpoint])
+    try:
+        done = dsse("watch", "--connect", endpoint, "--timeout", "3")
+        assert done.returncode == 2
+        assert "no area or plant is on this bus within 3 s" in done.stderr
+    finally:
+        router.terminate()
+        assert router.wait(DEADLINE_S) == 0
