@@ -173,7 +173,7 @@ class StateMessage:
     ``buses``, ``vm``, ``va``, ``sigma_vm``, ``sigma_va``: the estimate (empty before the first), p.u. and rad.
     ``referenced``: angles count from the substation. ``removed``: meters taken out as bad data.
     ``critical``: meters that cannot be spared, whatever they read. ``checked``: bad data have been looked for.
-    ``sent``, ``heard``: per neighbour the last sequence numbers of (load, boundary) messages.
+    ``sent``, ``heard``: per neighbour the last sequence numbers of (load, boundary, tally) messages; 0 before any.
     ``messages``, ``bytes``, ``lost``: totals handed to the bus, ``lost`` of them dropped by the link;
     ``refused``: received payloads by reason of refusal. ``notes``: in words, what is missing.
     """
@@ -191,8 +191,8 @@ class StateMessage:
     removed: tuple[str, ...]
     critical: tuple[str, ...]
     checked: bool
-    sent: dict[str, tuple[int, int]]
-    heard: dict[str, tuple[int, int]]
+    sent: dict[str, tuple[int, int, int]]
+    heard: dict[str, tuple[int, int, int]]
     messages: int
     bytes: int
     lost: int
@@ -351,5 +351,5 @@ _CHECKS: Mapping[str, Callable[[str, object], Any]] = {  # by the annotation of 
     "tuple[int, ...]": _tuple_of(_count),
     "tuple[str, ...]": _tuple_of(_text),
     "dict[str, int]": _map_of(_count),
-    "dict[str, tuple[int, int]]": _map_of(_tuple_of(_count, 2)),
+    "dict[str, tuple[int, int, int]]": _map_of(_tuple_of(_count, 3)),
 }

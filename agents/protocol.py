@@ -8,7 +8,7 @@ slow beat, so that a lost last message does not matter. Messages are absolute: o
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -32,7 +32,6 @@ from agents.reminders import Reminders
 from agents.strategies.interface import Estimate, Knowledge, Strategy
 from dsse_core.boundary_load import NetLoad, load_message_for, measured_net_loads, own_net_load
 from dsse_core.measurement import Measurement, Source
-from dsse_core.partition import Neighbour
 
 NEWS_LOAD = 1e-9  # p.u.
 
@@ -209,7 +208,10 @@ class AreaProtocol:
     # What goes out
 
     def _estimate(self) -> list[Action]:
-        """Solve, tell the neighbours what is new, judge what they say, show the state."""
+        """Solve, tell the neighbours what is new, judge what they say, show the state.
+
+        A state is shown at rest only: whoever has seen one knows that nothing but news will change it.
+        """
         actions: list[Action] = []
         estimate, notes = self._strategy.solve(self._knowledge())
         if estimate is not None and not self._strategy.restless:
@@ -219,7 +221,7 @@ class AreaProtocol:
             estimate, contradictions = self._strategy.judge(self._knowledge(), estimate)
             notes += contradictions
             actions += self._tell_tallies()
-        return actions + self._show_state(estimate, notes)
+        return actions if self._strategy.restless else actions + self._show_state(estimate, notes)
 
     def _knowledge(self) -> Knowledge:
         return Knowledge(
@@ -295,8 +297,13 @@ class AreaProtocol:
             removed=() if estimate is None else estimate.removed,
             critical=() if estimate is None else estimate.critical,
             checked=estimate is not None and estimate.checked,
-            sent={n.area: self._sequences(n, self._sent_load, self._sent_boundary) for n in self._area.neighbours},
-            heard={n.area: self._sequences(n, self._loads, self._boundary) for n in self._area.neighbours},
+            sent={
+                n.area: _sequences(n.area, self._sent_load, self._sent_boundary, self._sent_tally)
+                for n in self._area.neighbours
+            },
+            heard={
+                n.area: _sequences(n.area, self._loads, self._boundary, self._tallies) for n in self._area.neighbours
+            },
             messages=0,
             bytes=0,
             lost=0,
@@ -345,11 +352,12 @@ class AreaProtocol:
             time=self._now + self._clock_offset,
         )
 
-    def _sequences(
-        self, n: Neighbour, loads: dict[str, LoadMessage], boundary: dict[str, BoundaryNews]
-    ) -> tuple[int, int]:
-        load, state = loads.get(n.area), boundary.get(n.area)
-        return (load.header.sequence if load else 0, state.header.sequence if state else 0)
+
+def _sequences(
+    name: str, loads: Mapping[str, Message], boundary: Mapping[str, Message], tallies: Mapping[str, Message]
+) -> tuple[int, int, int]:
+    load, state, tally = (kept[name].header.sequence if name in kept else 0 for kept in (loads, boundary, tallies))
+    return load, state, tally
 
 
 def _keep_newest(kept: dict[str, M], message: M) -> None:

@@ -1,8 +1,10 @@
 """What the coordinator knows of a run, and whether the areas agree. No bus, no clock, no centralised result.
 
 Consensus: every area is alive, has an estimate of the current scan whose angles count from the substation,
-agrees with the others at every boundary bus, has heard the last words of its neighbours, and nothing has
-changed for two beats, of which every area was heard to repeat itself.
+agrees with the others at every boundary bus and has heard the last words of its neighbours. Areas show
+themselves at rest, and only news can wake them: when all words said have been heard, no more will follow.
+After a restart, whose words are numbered from one again, nothing must have changed for two beats besides,
+of which every area was heard to repeat itself.
 """
 
 from __future__ import annotations
@@ -86,6 +88,7 @@ class Observer:
         self._watched = {area.name: _Watched() for area in self.partition.areas}
         self._states: dict[str, StateMessage] = {}
         self._changes = 0
+        self._restarted = False
 
     @property
     def states(self) -> Mapping[str, StateMessage]:
@@ -110,6 +113,8 @@ class Observer:
         last = watched.state
         if last is not None and state.header.order < last.header.order:
             return False
+        if last is not None and state.header.incarnation != last.header.incarnation:
+            self._restarted = True
         watched.state = self._states[state.header.sender] = state  # a repeat carries newer message counts
         if last is not None and state.header.order == last.header.order:
             watched.repeats = self._repeats(watched) + 1
@@ -126,6 +131,7 @@ class Observer:
         if watched is None or watched.alive == alive:
             return False
         watched.alive = alive
+        self._restarted |= not alive
         self._note_change(now)
         return True
 
@@ -141,12 +147,12 @@ class Observer:
                 bus, [name for name in names if name in states and states[name].buses]
             )
         obstacles += self._find_unheard()
-        if not obstacles and not self.is_quiet(now):
-            obstacles.append(f"something has changed within the last {QUIET_BEATS} beats")
+        if not obstacles and self._restarted and not self._is_quiet(now):
+            obstacles.append(f"something has changed within the last {QUIET_BEATS} beats, after a restart")
         return tuple(obstacles)
 
-    def is_quiet(self, now: float) -> bool:
-        """Whether nothing has changed for so long that there may be consensus."""
+    def _is_quiet(self, now: float) -> bool:
+        """Whether nothing has changed for so long that every area must have been heard to repeat itself."""
         if now - self.changed_at < QUIET_BEATS * self.beat_s:
             return False
         return min(map(self._repeats, self._watched.values()), default=0) >= QUIET_BEATS
@@ -208,9 +214,12 @@ class Observer:
                 sender, receiver = states.get(area.name), states.get(n.area)
                 if sender is None or receiver is None:
                     continue
-                sent, heard = sender.sent.get(n.area, (0, 0)), receiver.heard.get(area.name, (0, 0))
-                for kind, said, got in zip(("load", "boundary"), sent, heard, strict=True):
-                    if said == 0:
+                sent, heard = (
+                    numbers.get(name, (0, 0, 0))
+                    for numbers, name in ((sender.sent, n.area), (receiver.heard, area.name))
+                )
+                for kind, said, got in zip(("load", "boundary", "tally"), sent, heard, strict=True):
+                    if said == 0 and kind != "tally":  # which not every strategy has
                         found.append(f"{area.name} has sent {n.area} no {kind} message")
                     elif got != said:
                         found.append(f"{n.area} has not heard the last {kind} message of {area.name}")
@@ -253,7 +262,7 @@ class Observer:
 
 def count_exchanges(state: StateMessage) -> int:
     """The most changed messages that an area has sent to one neighbour; they are numbered from 1."""
-    return max((load + boundary for load, boundary in state.sent.values()), default=0)
+    return max((load + boundary for load, boundary, _ in state.sent.values()), default=0)
 
 
 def _voltage(state: StateMessage, bus: int) -> tuple[float, float]:

@@ -91,7 +91,7 @@ class Simulation:
         while True:
             self._bus.run(min(check_s, settings.timeout_s - self._bus.now))
             now = self._bus.now
-            if self._observer.is_quiet(now) and not self._observer.find_obstacles(now):
+            if now - self._observer.changed_at >= check_s and not self._observer.find_obstacles(now):
                 return None
             if now >= settings.timeout_s:
                 return no_consensus_within(self._scenario, self._observer.find_obstacles(now))

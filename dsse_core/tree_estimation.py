@@ -50,7 +50,8 @@ class TreeEstimate:
         z, w = np.zeros((n, N_SLOT)), _weights(plan, self.sigmas)
         work = tree_kernel.Work.of(n)
         tree_kernel.eliminate(plan.parent, plan.admittance, z, w, v, va, True, tree_kernel.INVERT, *work)
-        state, omega = tree_inverse.find_variances(plan.parent, plan.admittance, z, w, v, *work[1:4])
+        root = tree_inverse.root_of_reference(work.block)
+        state, omega, _ = tree_inverse.find_variances(plan.parent, plan.admittance, z, w, v, *work[1:3], root)
         in_network_order = np.empty_like(state)
         in_network_order[plan.order] = state
         return in_network_order, omega.ravel()[plan.slot]

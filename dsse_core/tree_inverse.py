@@ -9,19 +9,17 @@ from dsse_core.tree_kernel import compiled, row_of_branch
 
 
 @compiled
-def find_variances(parent, Y, z, w, v, factor, more, block):
-    """diag of the covariance of (va, vm), shape (n, 2), and diag(Omega) of every slot that has a meter, (n, 10).
+def find_variances(parent, Y, z, w, v, factor, more, root):
+    """diag of the covariance of (va, vm), (n, 2); diag(Omega) of all slots with a meter, (n, 10); blocks, (n, 4, 4).
 
-    With D, U and X = D^-1 U of a bus and S the block of the inverse at its parent's ``(lam_p, x_p)``:
-    ``-X S`` is the block between the two and ``D^-1 + X S X'`` that of ``(lam, f)``. Of an injection
-    ``Omega = -R^2 (K^-1)_lamlam``, of other meters ``sigma^2 - h Cov h'``.
+    A block is that of the inverse at the ``(lam, x)`` of a bus; ``root`` is the root's. With D, U and X = D^-1 U of a
+    bus and S the block at its parent: ``-X S`` is the block between the two and ``D^-1 + X S X'`` that of ``(lam, f)``.
+    Of an injection ``Omega = -R^2 (K^-1)_lamlam``, of other meters ``sigma^2 - h Cov h'``.
     """
     n = len(parent)
     state, omega = np.zeros((n, 2)), np.zeros((n, 10))
     S = np.zeros((n, 4, 4))  # of (lam, x)
-    for k, a in ((0, 0), (1, 1), (2, 3)):
-        for c, b in ((0, 0), (1, 1), (2, 3)):
-            S[0, a, b] = block[k, 4 + c]
+    S[0] = root
     XS, B = np.empty((4, 4)), np.empty((4, 4))
     for i in range(n):
         square = v[i].real ** 2 + v[i].imag ** 2
@@ -38,7 +36,17 @@ def find_variances(parent, Y, z, w, v, factor, more, block):
             elif w[i, 2 + k] < 0.0:  # no meter, no multiplier
                 S[i, k, :] = 0.0
                 S[i, :, k] = 0.0
-    return state, omega
+    return state, omega, S
+
+
+@compiled
+def root_of_reference(block):
+    """The block of the inverse at a root whose angle is given, from what ``eliminate`` leaves of it."""
+    root = np.zeros((4, 4))
+    for k, a in ((0, 0), (1, 1), (2, 3)):
+        for c, b in ((0, 0), (1, 1), (2, 3)):
+            root[a, b] = block[k, 4 + c]
+    return root
 
 
 @compiled

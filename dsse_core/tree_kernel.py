@@ -33,7 +33,9 @@ N_FACTOR = 24  # of a bus: X (16), y (4), t (2), q (2)
 N_MORE = 9  # alpha (4) and beta (2) where row_of_branch needs them, (D^-1)_lamlam (3)
 N_INVERSE = 11  # columns of a block with right-hand sides: D (4), U (4), r (1), and two of the unit matrix
 
-STEP, INVERT, CHECK = 0, 1, 2  # modes: a step; also (D^-1)_lamlam; only whether every block can be solved
+# Modes: a step; also (D^-1)_lamlam; only whether every block can be solved; all but the root, what is known of it in
+# above[0], and (D^-1)_lamlam, always with pivoting, so that of what nobody measures nothing seems to be known.
+STEP, INVERT, CHECK, UPWARD = 0, 1, 2, 3
 
 compiled = njit(cache=True, error_model="numpy")
 
@@ -61,7 +63,7 @@ def absent(n: int) -> np.ndarray:
 
 
 @compiled
-def _solve_block(A, width, check):
+def solve_block(A, width, check):
     """A[:, 4:width] = A[:, :4]^-1 A[:, 4:width] with row pivoting; with ``check`` the least pivot ratio, else 1."""
     for k in range(2):  # rows of lam in the units of those of f: only then a comparison means something
         variance = abs(A[k, k])
@@ -102,18 +104,23 @@ def _solve_block(A, width, check):
 
 
 @compiled
-def _wrap(angle):
+def wrap(angle):
     return math.pi - (math.pi - angle) % (2 * math.pi)
 
 
 @compiled
-def eliminate(parent, Y, z, w, v, va, currents, mode, above, factor, more, block, step):
-    """Leaves to root, then the root's step. Returns, with mode CHECK, the least pivot ratio and the bus it is at."""
+def eliminate(parent, Y, z, w, v, va, currents, mode, above, factor, more, block, step, least_of_flow=0.0):
+    """Leaves to root, then the root's step. Returns, with mode CHECK, the least pivot ratio and the bus it is at.
+
+    ``above`` may hold what else is known of ``(lam, x)`` of any bus. ``least_of_flow`` is added to the information
+    about each branch's power.
+    """
     n = len(parent)
-    check = mode == CHECK
-    width = N_INVERSE if mode == INVERT else 9
+    check, upward = mode == CHECK, mode == UPWARD
+    invert = mode == INVERT or upward
+    width = N_INVERSE if invert else 9
     least, at = 1.0, 0
-    for i in range(n - 1, -1, -1):
+    for i in range(n - 1, 0 if upward else -1, -1):
         vr, vi = v[i].real, v[i].imag
         u2 = vr * vr + vi * vi
         ysh = Y[i, 7] * u2
@@ -160,7 +167,7 @@ def eliminate(parent, Y, z, w, v, va, currents, mode, above, factor, more, block
         vm = math.sqrt(u2)
         if w[i, 0] > 0.0:
             N00 += w[i, 0]
-            s0 += w[i, 0] * _wrap(z[i, 0] - va[i])
+            s0 += w[i, 0] * wrap(z[i, 0] - va[i])
         if w[i, 1] > 0.0:
             N11 += w[i, 1] * u2
             s1 += w[i, 1] * vm * (z[i, 1] - vm)
@@ -175,7 +182,7 @@ def eliminate(parent, Y, z, w, v, va, currents, mode, above, factor, more, block
             if check and N11 < NO_INFORMATION:
                 return 0.0, 0
             block[0, 4] = block[1, 5] = block[2, 6] = 1.0
-            ratio = _solve_block(block, width, check)
+            ratio = solve_block(block, width, check)
             if check and not ratio >= least:
                 least, at = ratio, 0
             for k in range(3):
@@ -186,6 +193,7 @@ def eliminate(parent, Y, z, w, v, va, currents, mode, above, factor, more, block
         Z00, Z01 = N01 * qr - N00 * qi, -N00 * qr - N01 * qi
         Z10, Z11 = N11 * qr - N01 * qi, -N01 * qr - N11 * qi
         G00, G01, G11 = qr * Z10 - qi * Z00, qr * Z11 - qi * Z01, -qr * Z01 - qi * Z11
+        G00, G11 = G00 + least_of_flow, G11 + least_of_flow
         F00, F01 = Z00, t0 * Z00 + t1 * Z10
         F10, F11 = Z01, t0 * Z01 + t1 * Z11
         g0, g1 = qr * s1 - qi * s0, -qr * s0 - qi * s1
@@ -217,7 +225,7 @@ def eliminate(parent, Y, z, w, v, va, currents, mode, above, factor, more, block
         C10, C11 = X11 * qr - X10 * qi + c1 * a10, -X10 * qr - X11 * qi + c1 * a11
         F = factor[i]
         det = L00 * L11 - L01 * L01
-        definite = not check and L00 < 0.0 and L11 < 0.0 and det > SURELY_DEFINITE * L00 * L11
+        definite = not (check or upward) and L00 < 0.0 and L11 < 0.0 and det > SURELY_DEFINITE * L00 * L11
         if definite:
             # lam first, then f: 2 x 2 and only sums of what is positive
             over = 1.0 / det
@@ -239,7 +247,7 @@ def eliminate(parent, Y, z, w, v, va, currents, mode, above, factor, more, block
             A02, A12 = V00 * k0 + V01 * k1, V01 * k0 + V11 * k1
             F[0], F[1] = Q00 * V00 + Q01 * V01, Q00 * V01 + Q01 * V11
             F[4], F[5] = Q10 * V00 + Q11 * V01, Q10 * V01 + Q11 * V11
-            if mode == INVERT:
+            if invert:
                 more[i, 6], more[i, 7] = F[0] * Q00 + F[1] * Q01 - M00, F[0] * Q10 + F[1] * Q11 - M01
                 more[i, 8] = F[4] * Q10 + F[5] * Q11 - M11
             B00, B01 = Q00 * A00 + Q01 * A10 - M00 * E00 - M01 * E10, Q00 * A01 + Q01 * A11 - M00 * E01 - M01 * E11
@@ -255,13 +263,13 @@ def eliminate(parent, Y, z, w, v, va, currents, mode, above, factor, more, block
             A[1, 4], A[1, 5], A[1, 6], A[1, 7], A[1, 8] = 0.0, 0.0, E10, E11, r1
             A[2, 4], A[2, 5], A[2, 6], A[2, 7], A[2, 8] = 1.0, 0.0, F00, F01, g0
             A[3, 4], A[3, 5], A[3, 6], A[3, 7], A[3, 8] = 0.0, 1.0, F10, F11, g1
-            if mode == INVERT:
+            if invert:
                 A[0, 9], A[1, 9], A[2, 9], A[3, 9] = 1.0, 0.0, 0.0, 0.0
                 A[0, 10], A[1, 10], A[2, 10], A[3, 10] = 0.0, 1.0, 0.0, 0.0
-            ratio = _solve_block(A, width, check)
+            ratio = solve_block(A, width, check)
             if check and not ratio >= least:
                 least, at = ratio, i
-            if mode == INVERT:
+            if invert:
                 more[i, 6], more[i, 7], more[i, 8] = A[0, 9], A[0, 10], A[1, 10]
             F[0], F[1], F[4], F[5] = A[0, 4], A[0, 5], A[1, 4], A[1, 5]
             B00, B01, B02, B10, B11, B12 = A[0, 6], A[0, 7], A[0, 8], A[1, 6], A[1, 7], A[1, 8]

@@ -67,6 +67,45 @@ class TreePlan:
         return np.flatnonzero(self.slot % N_SLOT == 0)
 
 
+@dataclass(frozen=True)
+class TreeLayout:
+    """A tree of buses, numbered from the root so that every parent precedes its children.
+
+    ``order`` (n_bus,): network row of each bus of the tree. ``number`` (n_bus,): place in the tree of each network
+    row. ``parent`` (n_bus,): number of its parent; the root's is 0. ``child`` (n_branch,): number of the bus below each
+    branch in service; ``from_parent`` (n_branch,): whether its from side is above.
+    """
+
+    order: np.ndarray
+    number: np.ndarray
+    parent: np.ndarray
+    child: np.ndarray
+    from_parent: np.ndarray
+
+
+def lay_out_tree(network: Network, root: int) -> TreeLayout | str:
+    """The tree of ``network`` with bus ``root`` on top, or, as text, why there is none."""
+    n = len(network.buses)
+    f, t = _ends(network)
+    if len(f) != n - 1:
+        return f"the network is not radial: {n} buses, {len(f)} branches in service"
+    order, upstream = _walk(f, t, n, network.row[root])
+    if len(order) != n:
+        return f"the network is not radial: {n - len(order)} buses are out of reach of bus {root}"
+    number = np.empty(n, dtype=np.int64)
+    number[order] = np.arange(n)
+    parent = number[upstream[order]]
+    parent[0] = 0
+    from_parent = upstream[t] == f
+    return TreeLayout(order, number, parent, number[np.where(from_parent, t, f)], from_parent)
+
+
+def stack_admittances(network: Network, layout: TreeLayout) -> np.ndarray:
+    """Shape (n_bus, 8), complex; see ``_stack_admittances``."""
+    series, ends, ratio = _read_branches(network)
+    return _stack_admittances(series, ends, ratio, layout.from_parent, layout.child, _read_shunts(network, layout))
+
+
 def build_tree_plan(network: Network, meters: Sequence[Meter], *, reference: int | None = None) -> TreePlan | str:
     """The plan for ``meters`` in ``network``, or, as text, why the tree back end cannot serve them.
 
@@ -78,44 +117,33 @@ def build_tree_plan(network: Network, meters: Sequence[Meter], *, reference: int
         NotObservableError: the meters do not determine the state.
     """
     reference = find_reference(network, reference)
-    n = len(network.buses)
     if importlib.util.find_spec("numba") is None:
         return "numba is not installed"
-    f, t = _ends(network)
-    if len(f) != n - 1:
-        return f"the network is not radial: {n} buses, {len(f)} branches in service"
-    order, upstream = _walk(f, t, n, network.row[reference])
-    if len(order) != n:
-        return f"the network is not radial: {n - len(order)} buses are out of reach of bus {reference}"
-    number = np.empty(n, dtype=np.int64)
-    number[order] = np.arange(n)
-    parent = number[upstream[order]]
-    parent[0] = 0
-    from_parent = upstream[t] == f  # the branch's from side is the parent's
-    child = number[np.where(from_parent, t, f)]
+    if isinstance(layout := lay_out_tree(network, reference), str):
+        return layout
     series, ends, ratio = _read_branches(network)
-    gain = np.ones(n, dtype=complex)
-    gain[child] = np.where(from_parent, 1 / ratio, ratio)
-    shunt = np.array([complex(b.g_shunt, b.b_shunt) for b in network.buses], dtype=complex)[order]
-    start = _follow(parent, gain)
+    gain = np.ones(len(network.buses), dtype=complex)
+    gain[layout.child] = np.where(layout.from_parent, 1 / ratio, ratio)
+    start = _follow(layout.parent, gain)
     angle = network.slack.va if network.slack and network.slack.bus == reference else 0.0
     plan = TreePlan(
         network=network,
         meters=tuple(meters),
         reference=reference,
-        order=order,
-        parent=parent,
-        admittance=_stack_admittances(series, ends, ratio, from_parent, child, shunt),
-        slot=_find_slots(network, meters, number, parent, child),
+        order=layout.order,
+        parent=layout.parent,
+        admittance=stack_admittances(network, layout),
+        slot=find_slots(network, meters, layout),
         virtual=np.array([meter.source is Source.VIRTUAL for meter in meters], dtype=bool),
         start=start * np.exp(1j * angle),
         start_va=np.angle(start) + angle,
     )
-    bare = _stack_admittances(series, 0 * ends, ratio, from_parent, child, 0 * shunt)
+    no_shunt = np.zeros(len(network.buses))
+    bare = _stack_admittances(series, 0 * ends, ratio, layout.from_parent, layout.child, no_shunt)
     if (stuck := _find_stuck_bus(plan, bare)) is None:
         return plan
     check_observable(network, meters, reference=reference)
-    bus = network.buses[order[stuck]].id
+    bus = network.buses[layout.order[stuck]].id
     return f"the power through the branch above bus {bus} is not determined by the meters below and at that branch"
 
 
@@ -143,6 +171,12 @@ def _read_branches(network: Network) -> tuple[np.ndarray, np.ndarray, np.ndarray
     return 1 / (r + 1j * x), 0.5 * (g + 1j * b), tap * np.exp(1j * shift)
 
 
+def _read_shunts(network: Network, layout: TreeLayout) -> np.ndarray:
+    shunts = np.array([complex(b.g_shunt, b.b_shunt) for b in network.buses], dtype=complex)
+    in_tree_order: np.ndarray = shunts[layout.order]
+    return in_tree_order
+
+
 def _stack_admittances(
     ys: np.ndarray, ends: np.ndarray, ratio: np.ndarray, from_parent: np.ndarray, child: np.ndarray, shunt: np.ndarray
 ) -> np.ndarray:
@@ -160,10 +194,9 @@ def _stack_admittances(
     return stacked
 
 
-def _find_slots(
-    network: Network, meters: Sequence[Meter], number: np.ndarray, parent: np.ndarray, child: np.ndarray
-) -> np.ndarray:
-    """``slot`` of a plan; ``number`` (n_bus,) of a network row in the tree, ``child`` (n_branch,) below each branch."""
+def find_slots(network: Network, meters: Sequence[Meter], layout: TreeLayout) -> np.ndarray:
+    """``slot`` of a plan."""
+    number, parent, child = layout.number, layout.parent, layout.child
     row, kinds = network.row, list(MeasurementKind)
     branch_row = {branch.id: k for k, branch in enumerate(network.active_branches)}
     code = {id(kind): k for k, kind in enumerate(kinds)}  # members are singletons, and hashing them takes long

@@ -170,7 +170,7 @@ def test_what_should_not_have_come_is_refused_and_counted(area1, message, key_se
     protocol.handle([telemetry], 0.0)
     state = last_state(protocol.handle([Received(message, key_sender)], 0.01))
     assert state.refused == {reason: 1}
-    assert state.heard["area2"] == (0, 0)
+    assert state.heard["area2"] == (0, 0, 0)
 
 
 def test_payloads_that_cannot_be_decoded_are_counted_by_reason(area1):

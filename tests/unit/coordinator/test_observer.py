@@ -9,6 +9,7 @@ import pytest
 
 from agents.messages import Header, Incarnation, StateMessage
 from coordinator.observer import Observer
+from dsse_core.partition import Area
 from scenarios.scenario import load_scenario
 
 PARTITION = load_scenario("ieee33").partition
@@ -20,7 +21,7 @@ def a_state(area: str, sequence: int = 1, **changes: object) -> StateMessage:
     """A state of an area that agrees with everybody: 1 p.u. at 0 rad, everything heard."""
     here = PARTITION.area(area)
     n = len(here.network.buses)
-    said = {neighbour.area: (1, 2) for neighbour in here.neighbours}
+    said = {neighbour.area: (1, 2, 3) for neighbour in here.neighbours}
     state = StateMessage(
         header=Header("run", area, Incarnation(1, 1), 1, sequence, 0.0),
         buses=tuple(bus.id for bus in here.network.buses),
@@ -61,6 +62,10 @@ def watch(*states: StateMessage, beats: int = 3, alive: tuple[str, ...] = AREAS,
     return observer
 
 
+def no_tallies_of(area: Area) -> dict[str, tuple[int, int, int]]:
+    return {neighbour.area: (1, 2, 0) for neighbour in area.neighbours}
+
+
 def obstacles(observer: Observer, beats: int = 3) -> str:
     return "; ".join(observer.find_obstacles(beats * BEAT))
 
@@ -69,8 +74,13 @@ def shifted(state: StateMessage, vm: float = 0.0, va: float = 0.0) -> StateMessa
     return replace(state, vm=tuple(v + vm for v in state.vm), va=tuple(a + va for a in state.va))
 
 
-def test_areas_that_agree_and_are_quiet_for_two_beats_are_in_consensus():
-    assert watch().find_obstacles(3 * BEAT) == ()
+def test_areas_that_agree_and_have_heard_all_words_are_in_consensus_at_once():
+    assert watch(beats=0).find_obstacles(0.0) == ()
+
+
+def test_a_strategy_without_tallies_has_none_unheard():
+    silent = [a_state(area.name, sent=said, heard=said) for area in PARTITION.areas if (said := no_tallies_of(area))]
+    assert obstacles(watch(*silent)) == ""
 
 
 def test_an_area_that_is_not_on_the_bus_keeps_the_run_from_consensus():
@@ -134,8 +144,8 @@ def test_magnitudes_count_only_where_the_strategy_reconciles_them(magnitudes: bo
     assert obstacles(watch(shifted(a_state("area2"), vm=0.01), magnitudes=magnitudes)) == expected
 
 
-@pytest.mark.parametrize(("heard", "kind"), [((0, 2), "load"), ((1, 1), "boundary")])
-def test_last_words_that_were_not_heard_are_named(heard: tuple[int, int], kind: str):
+@pytest.mark.parametrize(("heard", "kind"), [((0, 2, 3), "load"), ((1, 1, 3), "boundary"), ((1, 2, 2), "tally")])
+def test_last_words_that_were_not_heard_are_named(heard: tuple[int, int, int], kind: str):
     assert (
         obstacles(watch(a_state("area2", heard={"area1": heard})))
         == f"area2 has not heard the last {kind} message of area1"
@@ -143,19 +153,31 @@ def test_last_words_that_were_not_heard_are_named(heard: tuple[int, int], kind: 
 
 
 def test_an_area_that_has_told_its_neighbour_nothing_is_named():
-    silent = a_state("area2", sent={"area1": (1, 0)})
-    text = obstacles(watch(silent, a_state("area1", heard={"area2": (1, 0), "area3": (1, 2)})))
+    silent = a_state("area2", sent={"area1": (1, 0, 3)})
+    text = obstacles(watch(silent, a_state("area1", heard={"area2": (1, 0, 3), "area3": (1, 2, 3)})))
     assert text == "area2 has sent area1 no boundary message"
 
 
-def test_a_change_restarts_the_two_beats():
+def restarted(area: str) -> StateMessage:
+    """The state of another life, which numbers its words like the life before."""
+    state = a_state(area)
+    return replace(state, header=replace(state.header, incarnation=Incarnation(2, 0)))
+
+
+def test_after_a_restart_nothing_must_have_changed_for_two_beats():
     observer = watch()
-    observer.take_state(a_state("area1", sequence=2), 3 * BEAT)
-    assert obstacles(observer, 3) == "something has changed within the last 2 beats"
+    observer.take_state(restarted("area1"), 3 * BEAT)
+    assert obstacles(observer, 3) == "something has changed within the last 2 beats, after a restart"
+    for beat in (4, 5, 6):
+        for state in (restarted("area1"), a_state("area2"), a_state("area3")):
+            observer.take_state(state, beat * BEAT)
+    assert obstacles(observer, 6) == ""
 
 
-def test_silence_is_not_quiet_because_every_area_must_be_heard_to_repeat_itself():
-    assert obstacles(watch(beats=0), 100) == "something has changed within the last 2 beats"
+def test_after_a_restart_silence_is_not_quiet_because_every_area_must_be_heard_to_repeat_itself():
+    observer = watch()
+    observer.take_state(restarted("area1"), 3 * BEAT)
+    assert obstacles(observer, 100) == "something has changed within the last 2 beats, after a restart"
 
 
 def test_an_older_message_does_not_replace_a_newer_one():
@@ -172,9 +194,7 @@ def test_a_repeat_brings_newer_counts():
 
 def test_a_restarted_area_is_heard_at_once_although_it_counts_from_one_again():
     observer = watch(a_state("area1", sequence=9))
-    restarted = a_state("area1")
-    restarted = replace(restarted, header=replace(restarted.header, incarnation=Incarnation(2, 0)))
-    assert observer.take_state(restarted, 1.0)
+    assert observer.take_state(restarted("area1"), 1.0)
     assert observer.states["area1"].header.incarnation == Incarnation(2, 0)
 
 
@@ -187,7 +207,7 @@ def test_a_stranger_is_ignored():
 
 
 def test_exchanges_are_the_most_changed_messages_on_one_directed_link():
-    observer = watch(a_state("area1", sent={"area2": (1, 2), "area3": (2, 5)}))
+    observer = watch(a_state("area1", sent={"area2": (1, 2, 9), "area3": (2, 5, 0)}))
     assert observer.exchanges == 7
 
 

@@ -66,7 +66,7 @@ def test_the_command_ends_with_the_exit_codes_of_dsse_run(tmp_path: Path, capsys
     assert run_command(["simulate", "ieee33", "--out", str(tmp_path / "one"), "--quiet"]) == 0
     assert "virtual time" in capsys.readouterr().out
     assert (tmp_path / "one" / "gap.png").stat().st_size > 10_000
-    options = ["--timeout", "0.1", "--no-plots", "--quiet"]
+    options = ["--timeout", "0.003", "--no-plots", "--quiet"]
     assert run_command(["simulate", "ieee33", "--out", str(tmp_path / "two"), *options]) == 1
     assert not (tmp_path / "two" / "gap.png").exists()
 

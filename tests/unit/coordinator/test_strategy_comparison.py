@@ -71,10 +71,10 @@ def test_the_terminal_and_markdown_show_the_same_rows(compared: Path, capsys: py
 
 
 def test_a_strategy_without_consensus_is_a_row_that_says_so(capsys: pytest.CaptureFixture[str]):
-    assert run_command(["compare", "ieee33", "--strategies", "information", "--timeout", "0.1"]) == 0
+    assert run_command(["compare", "ieee33", "--strategies", "information", "--timeout", "0.003"]) == 0
     out = capsys.readouterr().out
     assert table_in(out)["information"][0] == "no-consensus"
-    assert "information: no consensus: no consensus within 0.1 s: " in out
+    assert "information: no consensus: no consensus within 0.003 s: " in out
 
 
 def scenario_with_injection_meters(folder: Path, buses: list[int], flow: str = '"all"') -> Path:
