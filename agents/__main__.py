@@ -11,7 +11,8 @@ from dataclasses import replace
 from pathlib import Path
 from types import FrameType
 
-from agents.area_file import load_area_file
+from agents.access_file import ACCESS_FILE, load_access
+from agents.area_file import AreaFile, load_area_file
 from agents.credentials import load_credentials
 from agents.inbox import Inbox
 from agents.loop import run_agent
@@ -66,18 +67,26 @@ def run_area(path: Path, endpoints: Sequence[str] = (), timeout_s: float = 10.0,
         raise InvalidInputError(f"area file {path}", [f"strategy: {content.strategy!r} is unknown; known are {known}"])
     if endpoints:
         content = replace(content, endpoints=tuple(endpoints))
-    credentials = load_credentials(keys, content.area.name)
     inbox = Inbox()
 
     def stop(number: int, frame: FrameType | None) -> None:
         inbox.put("stop", StopRequested(signal.Signals(number).name))
 
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # Zenoh's connecting would defer Python's handler to its end
-    with Session.connect(content.endpoints, timeout_s, credentials) as session:
+    with _open_session(content, timeout_s, keys) as session:
         signal.signal(signal.SIGTERM, stop)
         signal.signal(signal.SIGINT, stop)
         reason = run_agent(content, session, inbox)
     logging.getLogger(__name__).info("area %s ends: %s", content.area.name, reason)
+
+
+def _open_session(content: AreaFile, timeout_s: float, keys: Path | None) -> Session:
+    """Join the bus at a router, or listen for the neighbours."""
+    credentials = load_credentials(keys, content.area.name)
+    if not content.listen:
+        return Session.connect(content.endpoints, timeout_s, credentials)
+    access = replace(load_access(keys / ACCESS_FILE), run=content.run) if keys else None
+    return Session.meet(content.endpoints, content.listen, credentials, access)
 
 
 if __name__ == "__main__":

@@ -30,7 +30,9 @@ class AreaFile:
         run: name of the system that the area belongs to; a part of every key.
         meters: the area's meters, virtual ones included; readings come by telemetry.
         strategy: name of the boundary-exchange strategy.
-        endpoints: Zenoh endpoints to connect to, e.g. ``tcp/127.0.0.1:7447``.
+        endpoints: Zenoh endpoints to connect to, e.g. ``tcp/127.0.0.1:7447``: routers of which one is enough, or,
+            of an area that listens itself, neighbours.
+        listen: where neighbours, plant and watchers link with this area directly; empty if they meet at a router.
         beat_s: interval at which the last messages are repeated, s.
         tolerance: the local estimate stops at max |dx| below it, p.u. and rad.
         generation: load messages count the "telemetered" injection of substation and generators, or the
@@ -46,6 +48,7 @@ class AreaFile:
     meters: tuple[Meter, ...]
     strategy: str
     endpoints: tuple[str, ...]
+    listen: tuple[str, ...] = ()
     beat_s: float = 0.2
     tolerance: float = 1e-6
     generation: str = "telemetered"
@@ -65,6 +68,7 @@ def save_area_file(path: Path, content: AreaFile) -> None:
         "area": area.name,
         "strategy": content.strategy,
         "endpoints": list(content.endpoints),
+        **({"listen": list(content.listen)} if content.listen else {}),
         "beat_s": content.beat_s,
         "tolerance": content.tolerance,
         "seed": content.seed,
@@ -127,6 +131,8 @@ def load_area_file(path: Path) -> AreaFile:
         problems.append(f"reference.bus: bus {t.reference.bus} is not in the network")
     if sum(n.is_parent for n in neighbours) != (0 if network.slack else 1):
         problems.append("neighbour: exactly one must be the parent, or none where the network holds the substation")
+    if not (t.endpoints or t.listen):
+        problems.append("endpoints: is empty; name a router, or give listen, where neighbours link with this area")
     if problems:
         raise InvalidInputError(what, problems)
     return AreaFile(
@@ -142,6 +148,7 @@ def load_area_file(path: Path) -> AreaFile:
         meters=meters,
         strategy=t.strategy,
         endpoints=tuple(t.endpoints),
+        listen=tuple(t.listen),
         beat_s=t.beat_s,
         tolerance=t.tolerance,
         generation=t.load_messages.generation,
@@ -236,7 +243,8 @@ _FileTable: Any = create_model(
     run=(_Name, ...),
     area=(_Name, ...),
     strategy=(str, ...),
-    endpoints=(list[str], Field(min_length=1)),
+    endpoints=(list[str], ...),
+    listen=(list[str], []),
     beat_s=(float, Field(0.2, gt=0, le=86400)),
     tolerance=(float, Field(1e-6, gt=0)),
     seed=(int, 0),

@@ -23,6 +23,7 @@ from dsse_core.errors import DsseError
 
 LEASE_MS = 2000
 LONGEST_WAIT_S = 86400.0
+RETRY = {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 2}
 
 
 class TransportError(DsseError):
@@ -88,6 +89,22 @@ def _check_protocol(endpoints: Sequence[str], credentials: Credentials | None) -
             raise TransportError(f"{endpoint} needs a certificate and a private key; give their folder with --keys")
 
 
+def _in_the_background(endpoints: Sequence[str]) -> dict[str, Any]:
+    """Connect to each of ``endpoints``, now or whenever it is there."""
+    return {"endpoints": list(endpoints), "timeout_ms": -1, "exit_on_failure": False, "retry": RETRY}
+
+
+def _access_control(access: Access | None) -> dict[str, Any]:
+    return {"access_control": zenoh_access_control(access)} if access else {}
+
+
+def _cannot_listen(endpoints: Sequence[str], error: Exception) -> TransportError:
+    return TransportError(
+        f"cannot listen on {', '.join(endpoints)}: {_short(error)}; is the port taken by another "
+        "program? Choose another, or port 0 for a free one"
+    )
+
+
 class _Closing:
     """A Zenoh session that closes with its block."""
 
@@ -111,7 +128,7 @@ class _Closing:
 
 
 class Session(_Closing):
-    """A client of one or more routers; it reconnects by itself."""
+    """A client of one or more routers, or a peer of some others; it reconnects by itself."""
 
     @classmethod
     def connect(
@@ -129,7 +146,7 @@ class Session(_Closing):
             "endpoints": list(endpoints),
             "timeout_ms": int(timeout_s * 1000),
             "exit_on_failure": True,
-            "retry": {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 2},
+            "retry": RETRY,
         }
         try:
             return cls(zenoh.open(_config("client", credentials, connect=connect)))
@@ -139,6 +156,35 @@ class Session(_Closing):
                 f"{_reason(endpoints, credentials) or _short(error)}; is the router running (dsse router), "
                 "is the endpoint right (e.g. tcp/127.0.0.1:7447), and have both sides keys of one authority, or none?"
             ) from None
+
+    @classmethod
+    def meet(
+        cls,
+        endpoints: Sequence[str],
+        listen: Sequence[str] = (),
+        credentials: Credentials | None = None,
+        access: Access | None = None,
+    ) -> Session:
+        """Link with each of ``endpoints`` directly, as soon and as often as it is there; no router takes part.
+
+        What passes between two others does not pass here. ``listen``: where others link with us. ``access``: who may
+        speak here.
+
+        Raises:
+            TransportError: an endpoint to listen on is occupied or cannot be opened.
+        """
+        _check_protocol([*endpoints, *listen], credentials)
+        try:
+            config = _config(
+                "peer",
+                credentials,
+                listen={"endpoints": list(listen), "exit_on_failure": True},
+                connect=_in_the_background(endpoints),
+                **_access_control(access),
+            )
+            return cls(zenoh.open(config))
+        except zenoh.ZError as error:
+            raise _cannot_listen(listen, error) from None
 
     def publisher(self, key: str) -> Callable[[bytes], None]:
         """A function that puts a payload on ``key``."""
@@ -179,17 +225,22 @@ class Router(_Closing):
 
     @classmethod
     def listen(
-        cls, endpoints: Sequence[str], credentials: Credentials | None = None, access: Access | None = None
+        cls,
+        endpoints: Sequence[str],
+        credentials: Credentials | None = None,
+        access: Access | None = None,
+        others: Sequence[str] = (),
     ) -> Router:
         """Open a router on ``endpoints``; port 0 takes a free one, ``Router.endpoints`` says which.
 
+        ``others``: routers to link with, as soon and as often as they are there; linked routers are one bus.
         ``access``: who may speak; without it everybody may who gets a link. What is refused is logged on standard
         output by Zenoh: links at level ``warn``, messages at ``RUST_LOG=zenoh::net::routing::interceptor=trace``.
 
         Raises:
             TransportError: an endpoint is occupied or cannot be opened.
         """
-        _check_protocol(endpoints, credentials)
+        _check_protocol([*endpoints, *others], credentials)
         if credentials:
             zenoh.init_log_from_env_or("warn")
         try:
@@ -198,15 +249,13 @@ class Router(_Closing):
                     "router",
                     credentials,
                     listen={"endpoints": list(endpoints), "exit_on_failure": True},
+                    connect=_in_the_background(others),
                     adminspace={"enabled": True},
-                    **({"access_control": zenoh_access_control(access)} if access else {}),
+                    **_access_control(access),
                 )
             )
         except zenoh.ZError as error:
-            raise TransportError(
-                f"cannot listen on {', '.join(endpoints)}: {_short(error)}; is the port taken by another "
-                "program? Choose another, or port 0 for a free one"
-            ) from None
+            raise _cannot_listen(endpoints, error) from None
         router = cls(session)
         router.endpoints = _locators(session)
         return router

@@ -200,9 +200,11 @@ def split(scenario: str, out: Path, run_id: str | None, endpoints: tuple[str, ..
     Example:  dsse split ieee33 --out areas --connect tcp/192.0.2.7:7447
     """
     prepared = _prepare(scenario, seed)
+    from coordinator.places import choose_places
     from coordinator.split import choose_run_id, write_area_files
 
-    for path in write_area_files(prepared, choose_run_id(prepared, run_id), endpoints, out).values():
+    places = choose_places(prepared) if prepared.transport.kind == "neighbours" else {}
+    for path in write_area_files(prepared, choose_run_id(prepared, run_id), endpoints, out, places).values():
         print(path)
 
 
@@ -228,18 +230,21 @@ def agent(arguments: tuple[str, ...]) -> int:
     multiple=True,
     help=f"Where; repeatable.  [default: {DEFAULT_ENDPOINT}; with --keys {SECURE_ENDPOINT}]",
 )
+@click.option("--connect", "others", multiple=True, help="Another router to link with, now or later; repeatable.")
 @keys_option
 @click.option("--run", "run_id", help="Apply the rules of access in DIR to this run.  [default: the run named there]")
-def router(endpoints: tuple[str, ...], keys: Path | None, run_id: str | None) -> int:
-    """Run the Zenoh router that agents, plant and coordinator connect to, until Ctrl-C.
+def router(endpoints: tuple[str, ...], others: tuple[str, ...], keys: Path | None, run_id: str | None) -> int:
+    """Run the Zenoh router that agents, plant and coordinator connect to, until Ctrl-C. Linked routers are one bus.
 
     \b
     Examples:  dsse router --listen tcp/0.0.0.0:7447
                dsse router --listen tls/0.0.0.0:7447 --keys keys
+               dsse router --listen tcp/0.0.0.0:7448 --connect tcp/192.0.2.7:7447
     """
     from coordinator.router_process import main
 
     arguments = [part for endpoint in endpoints for part in ("--listen", endpoint)]
+    arguments += [part for other in others for part in ("--connect", other)]
     arguments += ["--keys", str(keys)] if keys else []
     return main([*arguments, "--run", run_id] if run_id else arguments)
 
@@ -278,7 +283,8 @@ def plant(
     # a plant that is started anew has new readings: seconds count on where its last life ended
     scan = int(time.time())
     endpoints = endpoints or (SECURE_ENDPOINT if keys else DEFAULT_ENDPOINT,)
-    return run_plant(prepared, choose_run_id(prepared, run_id), endpoints, timeout, scan, every, keys)
+    direct = prepared.transport.kind == "neighbours"
+    return run_plant(prepared, choose_run_id(prepared, run_id), endpoints, timeout, scan, every, keys, direct)
 
 
 def _prepare(scenario: str, seed: int | None) -> Scenario:

@@ -35,6 +35,7 @@ LINE_S = 1.0  # between two lines where there is no terminal
     multiple=True,
     help=f"Endpoint of the router; repeatable.  [default: {DEFAULT_ENDPOINT}; with --keys {SECURE_ENDPOINT}]",
 )
+@click.option("--direct", is_flag=True, help="There is no router: link with the endpoint of every area.")
 @keys_option
 @click.option(
     "--run", "run_id", help="Name of the run.  [default: the only one on the bus; with --keys the one named there]"
@@ -43,7 +44,13 @@ LINE_S = 1.0  # between two lines where there is no terminal
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line.")
 @click.option("--timeout", type=SECONDS, default=10.0, show_default=True, metavar="S", help="Wait for the bus so long.")
 def watch(
-    endpoints: tuple[str, ...], keys: Path | None, run_id: str | None, once: bool, as_json: bool, timeout: float
+    endpoints: tuple[str, ...],
+    direct: bool,
+    keys: Path | None,
+    run_id: str | None,
+    once: bool,
+    as_json: bool,
+    timeout: float,
 ) -> int:
     """Watch the areas of a running system, whoever started it: what they estimate, hear and lack.
 
@@ -58,7 +65,7 @@ def watch(
     endpoints = endpoints or (SECURE_ENDPOINT if keys else DEFAULT_ENDPOINT,)
     end_orderly_on_signals()
     try:
-        with attach(endpoints, run_id, timeout, keys) as look:
+        with attach(endpoints, run_id, timeout, keys, direct) as look:
             if once:
                 watcher = wait_until_whole(look, timeout)
                 show(_format(watcher.look(time.monotonic()), as_json))

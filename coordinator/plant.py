@@ -36,12 +36,14 @@ def run_plant(
     scan: int = 1,
     every_s: float | None = None,
     keys: Path | None = None,
+    direct: bool = False,
 ) -> int:
     """Publish the telemetry of ``scenario`` for ``run`` until SIGTERM or Ctrl-C; 0, or 2 after a user's mistake.
 
     An area is served when it appears and then at every beat: it subscribes before it shows itself. ``scan``: above
     that of any plant before it in the same run. ``every_s``: time from one scan to the next; None: there is one only.
     Signal ``SILENT`` makes it publish nothing until signal ``SPEAK``. ``keys``: folder of the plant's credentials.
+    ``direct``: ``endpoints`` are those of all areas, not of routers.
     """
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
     inbox = Inbox()
@@ -49,7 +51,12 @@ def run_plant(
     try:
         life = begin_life()
         payloads = make_payloads(scenario, run, life, scan, draw=scan if every_s else DRAW)
-        with Session.connect(endpoints, timeout_s, load_credentials(keys, PLANT)) as session:
+        credentials = load_credentials(keys, PLANT)
+        with (
+            Session.meet(endpoints, credentials=credentials)
+            if direct
+            else Session.connect(endpoints, timeout_s, credentials)
+        ) as session:
             for number in (signal.SIGTERM, signal.SIGINT):
                 signal.signal(number, lambda *_: inbox.put("stop", None))
             publishers = {area: session.publisher(telemetry_key(run, area)) for area in payloads}

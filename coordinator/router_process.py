@@ -30,6 +30,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         "--listen", action="append", metavar="ENDPOINT", help="where to listen (tcp/127.0.0.1:7447); repeatable"
     )
     parser.add_argument(
+        "--connect", action="append", metavar="ENDPOINT", help="another router to link with, now or later; repeatable"
+    )
+    parser.add_argument(
         "--endpoints-file", type=Path, metavar="FILE", help="write the real endpoints there, one a line"
     )
     parser.add_argument("--keys", type=Path, metavar="DIR", help="take TLS links only; rules of access and keys in DIR")
@@ -41,7 +44,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         credentials, access = load_credentials(arguments.keys, ROUTER), _load_access(arguments.keys, arguments.run)
         default = "tls/127.0.0.1:7447" if credentials else "tcp/127.0.0.1:7447"
-        with Router.listen(arguments.listen or [default], credentials, access) as router:
+        with Router.listen(arguments.listen or [default], credentials, access, arguments.connect or ()) as router:
             print("listening on", ", ".join(router.endpoints), flush=True)
             if arguments.endpoints_file:
                 _write_whole(arguments.endpoints_file, "\n".join(router.endpoints))

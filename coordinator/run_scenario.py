@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from agents.access import COORDINATOR
-from agents.credentials import load_credentials
 from agents.keys import all_live, all_states, live_key, name_of_live
 from agents.messages import MessageError, StateMessage, decode
 from agents.presence import Presence, begin_life
@@ -102,7 +101,7 @@ def run_scenario(
         launcher.on_news = lambda news: run.news.put(_ProcessNews(time.monotonic(), news))
         run.note_time("scenario_loaded")
         try:
-            run.system.start_router(lambda: _wait_for_router(run))
+            run.system.start_bus(lambda: _wait_for_router(run))
             run.note_time("router_listens")
             return _run_with_router(run, on_update)
         finally:
@@ -140,8 +139,7 @@ def _run_with_router(run: _Run, on_update: Callable[[Progress], None] | None) ->
     run.system.start_others()
     run.note_time("agents_started")
     observer = make_observer(scenario)
-    credentials = load_credentials(run.system.keys, COORDINATOR)
-    with Session.connect(run.system.endpoints, credentials=credentials) as session:
+    with run.system.join(COORDINATOR) as session:
         _listen(run, session)
         telemetry = make_telemetry(scenario)  # the processes are busy meanwhile
         centralised = estimate_centralised(scenario, telemetry)

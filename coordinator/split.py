@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from agents.area_file import AreaFile, save_area_file
@@ -17,8 +17,14 @@ def default_run_id(scenario: Scenario) -> str:
     return re.sub(r"[^a-z0-9_-]+", "-", scenario.name.lower()).strip("-") or "run"
 
 
-def area_files(scenario: Scenario, run: str, endpoints: Sequence[str]) -> list[AreaFile]:
-    """What each area is to know, in scenario order."""
+def area_files(
+    scenario: Scenario, run: str, endpoints: Sequence[str], places: Mapping[str, str] | None = None
+) -> list[AreaFile]:
+    """What each area is to know, in scenario order.
+
+    ``endpoints``: of the routers. ``places``: instead, where each area listens; of two neighbours the child calls.
+    """
+    places = places or {}
     partition = scenario.partition
     meters = partition.meters_by_area(scenario.meters)
     return [
@@ -27,7 +33,8 @@ def area_files(scenario: Scenario, run: str, endpoints: Sequence[str]) -> list[A
             area=area,
             meters=tuple(meters[area.name]),
             strategy=scenario.strategy,
-            endpoints=tuple(endpoints),
+            endpoints=tuple(places[n.area] for n in area.neighbours if n.is_parent) if places else tuple(endpoints),
+            listen=(places[area.name],) if places else (),
             beat_s=scenario.run.beat_s,
             tolerance=scenario.tolerances.estimator,
             generation=scenario.generation,
@@ -51,14 +58,16 @@ def choose_run_id(scenario: Scenario, given: str | None) -> str:
     return given if given is not None else default_run_id(scenario)
 
 
-def write_area_files(scenario: Scenario, run: str, endpoints: Sequence[str], folder: Path) -> dict[str, Path]:
-    """Write ``<area>.toml`` for every area of ``scenario`` into ``folder``; area -> file."""
+def write_area_files(
+    scenario: Scenario, run: str, endpoints: Sequence[str], folder: Path, places: Mapping[str, str] | None = None
+) -> dict[str, Path]:
+    """Write ``<area>.toml`` for every area of ``scenario`` into ``folder``; area -> file. See ``area_files``."""
     if strange := [e for e in endpoints if not re.fullmatch(r"[a-z-]+/.+", e)]:
         problems = [f"{e!r} is no Zenoh endpoint; one looks like tcp/192.0.2.7:7447" for e in strange]
         raise InvalidInputError("endpoints", problems)
     folder.mkdir(parents=True, exist_ok=True)
     files = {}
-    for content in area_files(scenario, run, endpoints):
+    for content in area_files(scenario, run, endpoints, places):
         files[content.area.name] = folder / f"{content.area.name}.toml"
         save_area_file(files[content.area.name], content)
     return files

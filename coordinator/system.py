@@ -11,13 +11,18 @@ from pathlib import Path
 from typing import Any
 
 from agents.access import PLANT, ROUTER
-from agents.transport import TransportError
+from agents.credentials import load_credentials
+from agents.transport import Session, TransportError
+from coordinator.places import choose_places
 from coordinator.processes import Launcher, read_end
 from coordinator.split import write_area_files
 from coordinator.zygote import Ended, Started
 from scenarios.scenario import Scenario
 
+SECOND_ROUTER = f"{ROUTER}2"
+ROUTERS = (ROUTER, SECOND_ROUTER)
 ROUTER_START_S = 10.0
+HELD_S = 86400.0  # for which a held scan stays
 
 
 @dataclass
@@ -37,6 +42,7 @@ class System:
     keys: Path | None = None
     endpoints: tuple[str, ...] = ()
     pids: dict[str, int] = field(default_factory=dict)  # of what runs
+    _places: dict[str, str] = field(default_factory=dict)  # where each area listens if there is no router
     _orders: dict[str, tuple[Any, ...]] = field(default_factory=dict)  # target and arguments of each process
     _killed: Counter[str] = field(default_factory=Counter)  # deaths ordered and not yet heard of
 
@@ -44,35 +50,57 @@ class System:
         """The log file of a process, of all its lives."""
         return (self.folder / "logs" / f"{process}.log").absolute()
 
-    def start_router(self, wait: Callable[[], str | None]) -> None:
-        """Start the router and wait until it says where it listens.
+    @property
+    def direct(self) -> bool:
+        """Whether neighbours link with each other, and there is no router."""
+        return self.scenario.transport.kind == "neighbours"
+
+    def start_bus(self, wait: Callable[[], str | None]) -> None:
+        """Find out where all will meet: start the routers and wait until they listen, or choose where areas will.
 
         ``wait``: called again and again meanwhile; a reason to give up, or None.
 
         Raises:
-            TransportError: the router has ended, or does not listen in time.
+            TransportError: a router has ended, or does not listen in time.
         """
-        said = self.folder.absolute() / "logs" / "router.endpoints"
-        listen = self.scenario.transport.listen
-        if self.keys:
-            listen = f"tls/{listen.partition('/')[2]}"
-        arguments = ["--listen", listen, "--endpoints-file", str(said), *self._keys(), *self._run()]
-        self._order(ROUTER, "coordinator.router_process:main", arguments)
+        protocol = "tls" if self.keys else "tcp"
+        listen = f"{protocol}/{self.scenario.transport.listen.partition('/')[2]}"
+        if self.direct:
+            self._places = choose_places(self.scenario, protocol)
+            self.endpoints = tuple(self._places.values())
+        else:
+            self.endpoints = self._start_router(ROUTER, listen, wait)
+            if self.scenario.transport.routers > 1:
+                self.endpoints += self._start_router(SECOND_ROUTER, f"{listen.rpartition(':')[0]}:0", wait)
+
+    def join(self, name: str) -> Session:
+        """A session of ours on the bus, with the credentials of process ``name`` if it is secured."""
+        credentials = load_credentials(self.keys, name)
+        if self.direct:
+            return Session.meet(self.endpoints, credentials=credentials)
+        return Session.connect(self.endpoints, credentials=credentials)
+
+    def _start_router(self, name: str, listen: str, wait: Callable[[], str | None]) -> tuple[str, ...]:
+        """Start a router that links with those before it; its endpoints."""
+        said = self.folder.absolute() / "logs" / f"{name}.endpoints"
+        always = [part for endpoint in self.endpoints for part in ("--connect", endpoint)] + self._keys() + self._run()
+        target = "coordinator.router_process:main"
+        self._order(name, target, ["--listen", listen, "--endpoints-file", str(said), *always])
         deadline = time.monotonic() + ROUTER_START_S
         while not said.exists():
             reason = wait()
             if reason:
-                raise TransportError(self._last_words(ROUTER) or reason)
+                raise TransportError(self._last_words(name) or reason)
             if time.monotonic() > deadline:
-                raise TransportError(f"the router has not opened {listen} within {ROUTER_START_S:g} s")
-        self.endpoints = tuple(said.read_text(encoding="utf-8").split())
-        again = [part for endpoint in self.endpoints for part in ("--listen", endpoint)]  # where the others look for it
-        self._orders[ROUTER] = ("coordinator.router_process:main", [*again, *self._keys(), *self._run()])
+                raise TransportError(f"the {name} has not opened {listen} within {ROUTER_START_S:g} s")
+        endpoints = tuple(said.read_text(encoding="utf-8").split())
+        again = [part for endpoint in endpoints for part in ("--listen", endpoint)]  # where the others look for it
+        self._orders[name] = (target, [*again, *always])
+        return endpoints
 
     def start_others(self) -> None:
         """Write the area files, start plant and agents."""
-        files = write_area_files(self.scenario, self.id, self.endpoints, self.folder / "areas")
-        self._first_scan_at = time.monotonic()
+        files = write_area_files(self.scenario, self.id, self.endpoints, self.folder / "areas", self._places)
         self._start_plant(scan=1)
         for name, path in files.items():
             self._order(name, "agents.__main__:main", [str(path.absolute()), *self._keys()])
@@ -88,9 +116,16 @@ class System:
         """Start a process again from what it was started from the first time; if it still runs, kill it before."""
         self.kill(name)
         if name == PLANT and self.scan_every_s:
-            self._start_plant(scan=2 + int((time.monotonic() - self._first_scan_at) / self.scan_every_s))
+            self._start_plant(self._next_scan(self.scan_every_s))
         else:
             self._order(name, *self._orders[name])
+
+    def hold_scan(self) -> None:
+        """Start the plant again with one more scan, which stays."""
+        scan = self._next_scan(self.scan_every_s or HELD_S)
+        self.scan_every_s = HELD_S
+        self.kill(PLANT)
+        self._start_plant(scan)
 
     def pause(self, name: str) -> None:
         """Freeze a process in the middle of whatever it does."""
@@ -111,14 +146,18 @@ class System:
         self.pids.pop(news.name, None)
         return False
 
+    def _next_scan(self, every_s: float) -> int:
+        """A number above those of all scans that the plants up to now can have made."""
+        return self._first_scan + 2 + int((time.monotonic() - self._first_scan_at) / every_s)
+
     def _start_plant(self, scan: int) -> None:
-        """``scan``: above that of any plant before."""
-        order = (self.scenario, self.id, self.endpoints, ROUTER_START_S, scan, self.scan_every_s, self.keys)
-        self._order(PLANT, "coordinator.plant:run_plant", *order)
+        self._first_scan, self._first_scan_at = scan, time.monotonic()
+        where = (self.scenario, self.id, self.endpoints, ROUTER_START_S)
+        self._order(PLANT, "coordinator.plant:run_plant", *where, scan, self.scan_every_s, self.keys, self.direct)
 
     def _order(self, name: str, target: str, *arguments: Any) -> None:
         self._orders[name] = (target, *arguments)
-        self.launcher.start(name, target, *arguments, log=self.log_of(name), stop_last=name == ROUTER)
+        self.launcher.start(name, target, *arguments, log=self.log_of(name), stop_last=name in ROUTERS)
 
     def _keys(self) -> list[str]:
         return ["--keys", str(self.keys)] if self.keys else []

@@ -25,10 +25,13 @@ Look = Callable[[float], Watcher]
 
 
 @contextmanager
-def attach(endpoints: Sequence[str], run: str | None, timeout_s: float, keys: Path | None = None) -> Iterator[Look]:
+def attach(
+    endpoints: Sequence[str], run: str | None, timeout_s: float, keys: Path | None = None, direct: bool = False
+) -> Iterator[Look]:
     """Join the bus at ``endpoints`` as a mere listener of ``run``, or of the only run that is there.
 
-    ``keys``: folder of the coordinator's credentials; it names the run, too, unless ``run`` is given.
+    ``keys``: folder of the coordinator's credentials; it names the run, too, unless ``run`` is given. ``direct``:
+    ``endpoints`` are those of all areas, and there is no router.
 
     Raises:
         InvalidInputError: ``keys`` cannot be used.
@@ -37,7 +40,11 @@ def attach(endpoints: Sequence[str], run: str | None, timeout_s: float, keys: Pa
     credentials = load_credentials(keys, COORDINATOR)
     if keys and not run:
         run = load_access(keys / ACCESS_FILE).run
-    with Session.connect(endpoints, timeout_s, credentials) as session:
+    with (
+        Session.meet(endpoints, credentials=credentials)
+        if direct
+        else Session.connect(endpoints, timeout_s, credentials)
+    ) as session:
         run = run or _find_run(session, timeout_s)
         watcher, news = Watcher(run), News()
         session.subscribe(all_states(run), lambda key, payload: news.put(payload))

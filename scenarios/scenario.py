@@ -23,7 +23,7 @@ from scenarios.shipped_files import find_shipped
 from scenarios.strict_toml import load_strict, suggest
 
 AreaBuses = Mapping[str, Sequence[int]]
-RESERVED = {"all", "coordinator", "plant", "router"}
+RESERVED = {"all", "coordinator", "plant", "router", "router2"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,8 +58,14 @@ class RunSettings:
 
 @dataclass(frozen=True, slots=True)
 class TransportSettings:
-    """``listen``: the Zenoh endpoint of the run's router, ``tcp/HOST:PORT``; port 0 takes a free one."""
+    """How messages travel.
 
+    ``kind``: through ``routers`` (linked ones, if two), or on direct links between neighbouring areas. ``listen``:
+    the endpoint ``tcp/HOST:PORT`` of the first router or area; port 0 takes free ones.
+    """
+
+    kind: Literal["router", "neighbours"]
+    routers: int
     listen: str
 
 
@@ -285,5 +291,5 @@ def _build_scenario(
             estimator=file.tolerances.estimator,
         ),
         run=RunSettings(beat_s=file.run.beat_s, timeout_s=file.run.timeout_s),
-        transport=TransportSettings(listen=file.transport.listen),
+        transport=TransportSettings(**file.transport.model_dump()),
     )

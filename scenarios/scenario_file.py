@@ -208,11 +208,19 @@ class RunTable(Table):
 class TransportTable(Table):
     """``[transport]``."""
 
+    kind: Literal["router", "neighbours"] = "router"
+    routers: Annotated[int, Field(ge=1, le=2)] = 1
     listen: str = Field(
         default="tcp/127.0.0.1:0",
         pattern=r"^tcp/[^\s:]+:([0-9]{1,4}|[1-5][0-9]{4}|6[0-4][0-9]{3}|65[0-4][0-9]{2}|655[0-2][0-9]|6553[0-5])$",
         description="tcp/HOST:PORT; port 0 takes a free one",
     )
+
+    @model_validator(mode="after")
+    def _has_routers_only_if_it_uses_them(self) -> Self:
+        if self.kind == "neighbours" and "routers" in self.model_fields_set:
+            raise ValueError("routers has no meaning for kind 'neighbours', which has none; remove it")
+        return self
 
 
 class ScenarioFile(Table):

@@ -1,0 +1,88 @@
+"""A run on direct links between neighbours, with no router, and one through two routers of which one dies."""
+
+from __future__ import annotations
+
+import json
+import math
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from waiting import DEADLINE_S, wait_until
+
+from agents.area_file import load_area_file
+
+RESTARTS = """
+[[faults.events]]
+at_s = 0.2
+kill = "area1"
+
+[[faults.events]]
+at_s = 0.5
+restart = "area1"
+
+[transport]
+kind = "neighbours"
+"""
+
+
+def assert_centralised(folder: Path) -> None:
+    verdict = json.loads((folder / "result.json").read_text())["verdict"]
+    assert verdict["consensus"] is True
+    assert verdict["gap_vm_pu"] <= 1e-8
+    assert verdict["gap_va_deg"] <= math.degrees(1e-8)
+
+
+@pytest.mark.parametrize("options", [(), ("--secure",)], ids=["open", "secured"])
+def test_neighbours_need_no_router_even_if_the_one_they_all_link_with_dies_and_comes_back(
+    start_run, edited_scenario, assert_nothing_left, options: tuple[str, ...]
+):
+    scenario = edited_scenario("ieee33")
+    scenario.write_text(scenario.read_text() + RESTARTS)
+    run = start_run(scenario, *options)
+    code, out, err = run.end()
+    assert code == 0, out + err
+    assert "router" not in run.pids()
+    assert_centralised(run.folder)
+    assert_nothing_left(run.pids())
+
+
+def test_one_of_two_linked_routers_may_die_and_come_back(start_run, edited_scenario, assert_nothing_left):
+    scenario = edited_scenario("ieee33")
+    deaths = [("kill", "router", 0.2), ("restart", "router", 0.8), ("kill", "area2", 1.2), ("restart", "area2", 1.3)]
+    events = "".join(f'[[faults.events]]\nat_s = {at}\n{kind} = "{name}"\n' for kind, name, at in deaths)
+    scenario.write_text(scenario.read_text() + events + "[transport]\nrouters = 2\n")
+    run = start_run(scenario)
+    code, out, err = run.end()
+    assert code == 0, out + err
+    assert {"router", "router2"} <= run.pids().keys()
+    assert_centralised(run.folder)
+    assert_nothing_left(run.pids())
+
+
+def test_area_files_of_neighbours_run_by_hand_with_a_watcher(dsse, edited_scenario, tmp_path: Path):
+    scenario = edited_scenario("industrial13")
+    scenario.write_text(scenario.read_text() + '[transport]\nkind = "neighbours"\n')
+    assert dsse("split", scenario, "--out", "areas").returncode == 0
+    files = sorted((tmp_path / "areas").glob("*.toml"))
+    connect = [part for path in files for part in ("--connect", *load_area_file(path).listen)]
+    command = [sys.executable, "-m", "coordinator"]
+    processes = [subprocess.Popen([*command, "plant", str(scenario), *connect])]
+    processes += [subprocess.Popen([*command, "agent", str(path)]) for path in files]
+    try:
+
+        def all_estimate() -> bool:
+            done = dsse("watch", "--direct", *connect, "--once", "--json")
+            areas = json.loads(done.stdout)["areas"] if done.returncode == 0 else {}
+            return len(areas) == len(files) and all(area["state"] == "estimates" for area in areas.values())
+
+        wait_until(all_estimate)
+        for process in processes:
+            process.send_signal(signal.SIGTERM)
+            assert process.wait(DEADLINE_S) == 0
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
