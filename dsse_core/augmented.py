@@ -19,50 +19,128 @@ import scipy.sparse.linalg as spla
 
 PIVOT_SCALE = 1e-3  # median of the scaled a R; anything from 1 to 1e-6 works, with fewer digits at the ends
 LARGEST_DAMPING = 1e-6  # of the scaled tableau
+NEARBY = 1e-6  # relative accuracy of a step on the factor of a state nearby
+CONTRACTION = 0.3  # of a correction to the one before; where they shrink less a new factor costs less
+MOST_REFINEMENTS = 5
+# Of SuperLU, where the order of elimination is given: little pivoting, which refinement makes up for, and no
+# supernodes, of which these tableaus have none worth having.
+ORDERED = {"diag_pivot_thresh": 0.01, "relax": 1, "panel_size": 1, "options": {"SymmetricMode": True}}
 BLOCK = 256  # right-hand sides solved at once; bounds memory at (n_meas + n_state, BLOCK)
+
+
+class AugmentedPattern:
+    """Where the entries of the tableau stand, the same for all ``H`` with one pattern.
+
+    ``order`` (n_meas + n_state,): the tableau's rows in the order of elimination; SuperLU's COLAMD without it.
+    """
+
+    def __init__(self, H: sp.csr_array, order: np.ndarray | None = None) -> None:
+        self.order = order
+        self.row = _row_of_entries(H)
+        self._size = sum(H.shape)
+        place = np.arange(self._size)
+        if order is not None:
+            place = np.empty(self._size, dtype=np.int64)
+            place[order] = np.arange(self._size)
+        row, column = place[self.row], place[H.shape[0] + H.indices]
+        rows, columns = np.concatenate([place, row, column]), np.concatenate([place, column, row])
+        self._gather = np.lexsort((rows, columns))
+        self._indices = rows[self._gather].astype(np.int32)
+        self._indptr = np.concatenate([[0], np.cumsum(np.bincount(columns, minlength=self._size))]).astype(np.int32)
+
+    def fill(self, above: np.ndarray, data: np.ndarray, below: np.ndarray) -> sp.csc_array:
+        """``[[diag(above), H], [H', diag(below)]]`` in the order of elimination, ``data`` the entries of H."""
+        values = np.concatenate([above, below, data, data])[self._gather]
+        return sp.csc_array((values, self._indices, self._indptr), shape=(self._size, self._size))
+
+    def permute(self, b: np.ndarray) -> np.ndarray:
+        """Rows of ``b`` in the order of elimination."""
+        return b if self.order is None else b[self.order]
+
+    def permute_back(self, b: np.ndarray) -> np.ndarray:
+        if self.order is None:
+            return b
+        there = np.empty_like(b)
+        there[self.order] = b
+        return there
+
+    def factor(self, tableau: sp.csc_array) -> spla.SuperLU:
+        """Raises RuntimeError where the tableau is exactly singular."""
+        return spla.splu(tableau) if self.order is None else spla.splu(tableau, permc_spec="NATURAL", **ORDERED)
 
 
 class AugmentedFactor:
     """The factorised system for ``H`` (n_meas, n_state) and ``sigma`` (n_meas,), 0 where a row must hold exactly.
 
     ``damping``, a number or one per state variable, is added to the diagonal of the information about the state:
-    the lower right block becomes ``-diag(damping)``.
+    the lower right block becomes ``-diag(damping)``. ``pattern``: that of H, where it is there already.
 
     Raises:
         RuntimeError: the matrix is exactly singular, and no damping mends that.
     """
 
-    def __init__(self, H: sp.csr_array, sigma: np.ndarray, damping: float | np.ndarray = 0.0) -> None:
+    def __init__(
+        self,
+        H: sp.csr_array,
+        sigma: np.ndarray,
+        damping: float | np.ndarray = 0.0,
+        pattern: AugmentedPattern | None = None,
+    ) -> None:
+        self._pattern = pattern = pattern or AugmentedPattern(H)
         self._n_meas, self._n_state = H.shape
         self._variance = sigma**2
-        row_scale = reciprocal_row_lengths(H)
-        scaled = scale_rows(H, row_scale)
+        row_scale = _reciprocal(np.bincount(pattern.row, H.data**2, self._n_meas))
         scaled_variance = self._variance * row_scale**2
         positive = scaled_variance[scaled_variance > 0]
         self._a = PIVOT_SCALE / float(np.median(positive)) if positive.size else 1.0
-        square = np.bincount(H.indices, scaled.data**2, self._n_state)
-        column_scale = _reciprocal(square + damping / self._a)
-        scaled.data *= column_scale[H.indices]
+        data = H.data * row_scale[pattern.row]
+        column_scale = _reciprocal(np.bincount(H.indices, data**2, self._n_state) + damping / self._a)
         self._scale = np.concatenate([row_scale, column_scale])
-        below = damping / self._a * column_scale**2
+        self._above = self._a * scaled_variance
+        self._below = damping / self._a * column_scale**2
         while True:
-            self._tableau = build_tableau(self._a * scaled_variance, scaled, -below)
+            self._tableau = self._fill(H)
             try:
-                self._lu = spla.splu(self._tableau)
+                self._lu = pattern.factor(self._tableau)
                 break
             except RuntimeError:  # exactly singular: a damping that rounding has swallowed must be larger
-                if not below.any() or below.max() > LARGEST_DAMPING:
+                if not self._below.any() or self._below.max() > LARGEST_DAMPING:
                     raise
-                below = below * 1e3
+                self._below = self._below * 1e3
 
-    def solve(self, above: np.ndarray, below: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _fill(self, H: sp.csr_array) -> sp.csc_array:
+        row_scale, column_scale = self._scale[: self._n_meas], self._scale[self._n_meas :]
+        data = H.data * row_scale[self._pattern.row] * column_scale[H.indices]
+        return self._pattern.fill(self._above, data, -self._below)
+
+    def solve_nearby(self, H: sp.csr_array, above: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+        """(s, dx) of ``solve(above, 0)`` for another H of the same pattern, by refinement with this factor.
+
+        It begins at the given ``s``, such as the last one, and ends where dx is known to NEARBY of itself; None where
+        the two H are too far apart for that.
+        """
+        tableau, m = self._fill(H), self._n_meas
+        solution = np.concatenate([s / (self._a * self._scale[:m]), np.zeros(self._n_state)])
+        rest = self._pattern.permute(self._scale * np.concatenate([above, np.zeros(self._n_state)]))
+        correction, last = self._pattern.permute(solution), 0.0
+        for k in range(MOST_REFINEMENTS):
+            rest = rest - tableau @ correction
+            correction = self._lu.solve(rest)
+            change = self._pattern.permute_back(correction)
+            solution += change
+            size, whole = (float(abs(self._scale[m:] * part[m:]).max(initial=0.0)) for part in (change, solution))
+            rate = size / last if last else 1.0
+            if rate * size <= NEARBY * whole:  # the correction to come
+                return self._a * self._scale[:m] * solution[:m], self._scale[m:] * solution[m:]
+            if k and not rate <= CONTRACTION:
+                return None
+            last = size
+        return None
+
+    def solve(self, above: np.ndarray, below: np.ndarray, *, refined: bool = True) -> tuple[np.ndarray, np.ndarray]:
         """(s, dx) of ``R s + H dx = above``, ``H's - damping dx = below``; vectors or columns."""
-        solution = self._solve(np.concatenate([above, below / self._a]))
+        solution = self._solve(np.concatenate([above, below / self._a]), refined)
         return self._a * solution[: self._n_meas], solution[self._n_meas :]
-
-    def solve_step(self, residual: np.ndarray) -> np.ndarray:
-        """The step dx, shape (n_state,), for the residuals z - h(x), shape (n_meas,)."""
-        return self.solve(residual, np.zeros(self._n_state))[1]
 
     def covariance_times(self, B: np.ndarray) -> np.ndarray:
         """``G^-1 B`` (n_state, k), ``G = H'WH`` under the constraints: columns of the state's covariance."""
@@ -87,27 +165,14 @@ class AugmentedFactor:
             diagonal[block] = self._solve(unit)[first + block, block - k]
         return diagonal
 
-    def _solve(self, b: np.ndarray) -> np.ndarray:
+    def _solve(self, b: np.ndarray, refined: bool = True) -> np.ndarray:
         scale = self._scale.reshape(-1, *(1,) * (b.ndim - 1))
-        b = scale * b
+        b = self._pattern.permute(scale * b)
         scaled = self._lu.solve(b)
-        scaled = scaled + self._lu.solve(b - self._tableau @ scaled)  # one refinement: information is a difference
-        solution: np.ndarray = scale * scaled
+        if refined:  # information is a difference
+            scaled = scaled + self._lu.solve(b - self._tableau @ scaled)
+        solution: np.ndarray = scale * self._pattern.permute_back(scaled)
         return solution
-
-
-def build_tableau(above: np.ndarray, H: sp.csr_array, below: np.ndarray) -> sp.csc_array:
-    """``[[diag(above), H], [H', diag(below)]]``."""
-    n_meas, n_state = H.shape
-    diagonal = np.arange(n_meas + n_state)
-    row, column = _row_of_entries(H), n_meas + H.indices
-    return sp.coo_array(
-        (
-            np.concatenate([above, below, H.data, H.data]),
-            (np.concatenate([diagonal, row, column]), np.concatenate([diagonal, column, row])),
-        ),
-        shape=(len(diagonal), len(diagonal)),
-    ).tocsc()
 
 
 def reciprocal_row_lengths(H: sp.csr_array) -> np.ndarray:

@@ -9,45 +9,70 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from dsse_core.admittance import build_admittance, flat_start
 from dsse_core.augmented import AugmentedFactor
-from dsse_core.errors import EstimationDivergedError
-from dsse_core.measurement import Measurement, MeasurementKind, Source, check_measurements
-from dsse_core.measurement_model import MeasurementModel, build_measurement_model
+from dsse_core.errors import InvalidInputError
+from dsse_core.estimation_plan import Backend, BackendChoice, EstimationPlan, build_estimation_plan
+from dsse_core.measurement import Measurement, Source, check_measurements
 from dsse_core.network import Network
-from dsse_core.observability import check_observable, find_reference
-
-# Gauss-Newton needs 3 to 6 steps; what takes longer swings around the answer, as current magnitudes make it
-# do that are as uncertain as they are large, and half steps settle it.
-FULL_STEPS = 10
-FLOWS_KNOWN = 1e-4  # p.u. and rad; after a smaller step current magnitudes are used
-LARGEST_STEP = 1e6  # p.u. or rad; beyond it the iteration has left every state of interest
-# A longer step is shortened: a dead voltmeter must not throw all voltages to zero, where nothing converges.
-MAX_DVM = 0.2  # p.u.
-MAX_DVA = 1.0  # rad
+from dsse_core.sparse_estimation import estimate_sparse
+from dsse_core.tree_estimation import estimate_on_tree, find_variances_on_tree
 
 
 @dataclass(frozen=True)
 class EstimationResult:
     """The estimate. ``vm`` p.u., ``va`` rad: shape (n_bus,), network order; ``residual`` z - h(x): (n_meas,).
 
+    ``values``, ``sigmas`` (n_meas,): the readings of the plan's meters, sigma 0 where a reading holds exactly.
     ``objective`` is J(x) (eq. 3.9), which under the model's assumptions is chi-square distributed with
-    ``degrees_of_freedom`` = measurements + constraints - state variables. ``reference``: the bus whose angle
-    is given.
+    ``degrees_of_freedom`` = measurements + constraints - state variables. What is not stored is computed when it is
+    asked for, on the tree where that is the back end, and else, or where it does not tell, by sparse factorisation.
     """
 
-    network: Network
-    measurements: tuple[Measurement, ...]
-    reference: int
+    plan: EstimationPlan
+    values: np.ndarray
+    sigmas: np.ndarray
     vm: np.ndarray
     va: np.ndarray
     residual: np.ndarray
     objective: float
-    degrees_of_freedom: int
     iterations: int
-    free: np.ndarray
-    jacobian: sp.csr_array
-    factor: AugmentedFactor
+
+    @property
+    def backend(self) -> Backend:
+        """By which the state was found; ``plan.tree`` says why not by the other."""
+        return self.plan.backend
+
+    @property
+    def network(self) -> Network:
+        return self.plan.network
+
+    @property
+    def reference(self) -> int:
+        """The bus whose angle is given."""
+        return self.plan.reference
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        return self.plan.degrees_of_freedom
+
+    @property
+    def free(self) -> np.ndarray:
+        """The unknown entries of x = [va; vm]: all but the reference angle."""
+        return self.plan.sparse.free
+
+    @cached_property
+    def measurements(self) -> tuple[Measurement, ...]:
+        readings = zip(self.plan.meters, self.values.tolist(), self.sigmas.tolist(), strict=True)
+        return tuple(Measurement(meter, value, sigma) for meter, value, sigma in readings)
+
+    @cached_property
+    def jacobian(self) -> sp.csr_array:
+        """H(x), columns ``free``."""
+        return self.plan.sparse.linearize(np.concatenate([self.va, self.vm]))[1]
+
+    @cached_property
+    def factor(self) -> AugmentedFactor:
+        return AugmentedFactor(self.jacobian, self.sigmas, pattern=self.plan.sparse.pattern)
 
     def state_covariance(self, rows: Sequence[int]) -> np.ndarray:
         """Covariance of the entries ``rows`` of x = [va; vm], shape (k, k); 0 for the reference angle."""
@@ -61,15 +86,24 @@ class EstimationResult:
 
     def state_sigma(self) -> tuple[np.ndarray, np.ndarray]:
         """Standard deviations (sigma_vm, sigma_va) of all buses, p.u. and rad."""
-        variance = np.zeros(2 * len(self.network.buses))
-        variance[self.free] = self.factor.state_variance()
+        if self._variances_on_tree is not None:
+            variance = self._variances_on_tree[0]
+        else:
+            variance = np.zeros(2 * len(self.vm))
+            variance[self.free] = self.factor.state_variance()
         sigma_va, sigma_vm = np.split(np.sqrt(np.maximum(variance, 0.0)), 2)
         return sigma_vm, sigma_va
 
     @cached_property
     def residual_variance(self) -> np.ndarray:
         """diag(Omega), ``Omega = R - H G^-1 H'`` (eq. 3.22), shape (n_meas,); 0 for virtual measurements."""
-        return self.factor.residual_variance()
+        return self.factor.residual_variance() if self._variances_on_tree is None else self._variances_on_tree[1]
+
+    @cached_property
+    def _variances_on_tree(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Variances of x and of the residuals where the tree is the back end."""
+        tree = self.plan.tree
+        return None if isinstance(tree, str) else find_variances_on_tree(tree, self.sigmas, self.vm, self.va)
 
 
 def estimate_state(
@@ -80,93 +114,69 @@ def estimate_state(
     start: tuple[np.ndarray, np.ndarray] | None = None,
     tolerance: float = 1e-6,
     max_iterations: int = 50,
+    backend: BackendChoice = "auto",
 ) -> EstimationResult:
-    """Find the state that minimises J(x) = (z - h(x))' W (z - h(x)), W = diag(1 / sigma^2) (eqs. 3.8-3.14).
-
-    Virtual measurements hold exactly. Gauss-Newton from the flat start, or from ``start`` = (vm, va), until
-    max |dx| < ``tolerance``; no step moves a voltage by more than MAX_DVM and MAX_DVA. From the flat start current
-    magnitudes enter once the others have told where flows go: before, they have several minima.
-
-    Args:
-        reference: bus whose angle is given: that of ``start``, else the set-point of the slack bus, 0 elsewhere.
-            The slack bus by default.
+    """The estimate of one scan: ``build_estimation_plan``, which says what ``reference`` and ``backend`` are, and
+    ``estimate_with_plan``. For more than one scan of the same meters build the plan once.
 
     Raises:
-        InvalidInputError: measurements that do not fit the network.
+        InvalidInputError: measurements that do not fit the network, or a back end that cannot serve.
         NotObservableError: names the buses that are not determined.
         EstimationDivergedError: names the measurement with the largest weighted residual.
     """
-    measurements = tuple(measurements)
-    check_measurements(network, measurements)
-    reference = find_reference(network, reference)
     meters = [m.meter for m in measurements]
-    check_observable(network, meters, reference=reference)
-    model = build_measurement_model(network, build_admittance(network), meters)
-    vm, va = start if start is not None else _flat_start(network, reference)
-    free = np.delete(np.arange(2 * len(vm)), network.row[reference])
-    sigma = np.array([0.0 if m.meter.source is Source.VIRTUAL else m.sigma for m in measurements])
-    is_current = model.kinds == MeasurementKind.CURRENT
-    x = np.r_[va, vm]
-    flows_known = start is not None
-    for iteration in range(1, max_iterations + 1):
-        used = np.flatnonzero(flows_known | ~is_current)
-        H, r = model.jacobian(x)[:, free], _residual(model, measurements, x)
-        try:
-            dx = AugmentedFactor(H[used], sigma[used]).solve_step(r[used])
-        except RuntimeError:  # SuperLU: singular away from the no-load state, where the rank was full
-            raise EstimationDivergedError(iteration, np.inf, _name_worst(measurements, r, sigma)) from None
-        step = float(abs(dx).max(initial=0.0))
-        if not step <= LARGEST_STEP:
-            raise EstimationDivergedError(iteration, step, _name_worst(measurements, r, sigma))
-        x = x.copy()
-        x[free] += dx * _step_length(dx, len(vm) - 1, halved=iteration > FULL_STEPS and step >= tolerance)
-        if step < tolerance and (flows_known or not is_current.any()):
-            break
-        flows_known = flows_known or step < FLOWS_KNOWN
-    else:
-        raise EstimationDivergedError(max_iterations, step, _name_worst(measurements, r, sigma))
-    H, r = model.jacobian(x)[:, free], _residual(model, measurements, x)
-    va, vm = np.split(x, 2)
-    return EstimationResult(
-        network=network,
-        measurements=measurements,
-        reference=reference,
-        vm=vm,
-        va=va,
-        residual=r,
-        objective=float(np.sum(_weighted(r, sigma) ** 2)),
-        degrees_of_freedom=len(measurements) - len(free),
-        iterations=iteration,
-        free=free,
-        jacobian=H,
-        factor=AugmentedFactor(H, sigma),
-    )
+    values = np.array([m.value for m in measurements], dtype=float)
+    sigmas = np.array([m.sigma for m in measurements], dtype=float)
+    if not _are_usable(values, sigmas, np.array([meter.source is Source.VIRTUAL for meter in meters], dtype=bool)):
+        check_measurements(network, measurements)
+    plan = build_estimation_plan(network, meters, reference=reference, backend=backend)
+    return estimate_with_plan(plan, values, sigmas, start=start, tolerance=tolerance, max_iterations=max_iterations)
 
 
-def _step_length(dx: np.ndarray, n_angles: int, *, halved: bool) -> float:
-    """The part of the step [dva; dvm] to take: the whole, or half, and no more than MAX_DVA and MAX_DVM allow."""
-    dva, dvm = (float(abs(part).max(initial=0.0)) for part in (dx[:n_angles], dx[n_angles:]))
-    return 1.0 / max(2.0 if halved else 1.0, dva / MAX_DVA, dvm / MAX_DVM)
+def estimate_with_plan(
+    plan: EstimationPlan,
+    values: np.ndarray,
+    sigmas: np.ndarray,
+    *,
+    start: tuple[np.ndarray, np.ndarray] | None = None,
+    tolerance: float = 1e-6,
+    max_iterations: int = 50,
+) -> EstimationResult:
+    """Find the state that minimises J(x) = (z - h(x))' W (z - h(x)), W = diag(1 / sigma^2) (eqs. 3.8-3.14).
+
+    ``values``, ``sigmas`` (n_meas,): the readings of the plan's meters. Virtual ones hold exactly; their sigma does
+    not count. Gauss-Newton until max |dx| < ``tolerance`` and the whole step, taken in full, lowers J by next to
+    nothing (GRADIENT); no step moves a voltage by more than MAX_DVM and MAX_DVA. From the flat start current
+    magnitudes enter once the others have told where flows go: before, they have several minima.
+
+    Args:
+        start: (vm, va) in network order, such as the last scan's; its angle of the reference is kept. By default the
+            flat start, and there the set-point of the slack bus, 0 elsewhere.
+
+    Raises:
+        InvalidInputError: readings that cannot be.
+        EstimationDivergedError: names the measurement with the largest weighted residual.
+    """
+    values, sigmas = _check_readings(plan, np.array(values, dtype=float), np.asarray(sigmas, dtype=float))
+    scan = values, sigmas, start, tolerance, max_iterations
+    found = estimate_sparse(plan.sparse, *scan) if isinstance(plan.tree, str) else estimate_on_tree(plan.tree, *scan)
+    vm, va, residual, iterations = found
+    weighted = residual / np.where(sigmas > 0, sigmas, np.inf)
+    return EstimationResult(plan, values, sigmas, vm, va, residual, float(weighted @ weighted), iterations)
 
 
-def _flat_start(network: Network, reference: int) -> tuple[np.ndarray, np.ndarray]:
-    vm, va = flat_start(network, reference)
-    given = network.slack.va if network.slack and network.slack.bus == reference else 0.0
-    return vm, va + given
+def _are_usable(values: np.ndarray, sigmas: np.ndarray, virtual: np.ndarray) -> bool:
+    of_meter = np.isfinite(sigmas) & (sigmas > 0)
+    return bool(np.isfinite(values).all() and np.where(virtual, values == 0.0, of_meter).all())
 
 
-def _residual(model: MeasurementModel, measurements: Sequence[Measurement], x: np.ndarray) -> np.ndarray:
-    """z - h(x); differences of angles are wrapped to (-pi, pi]."""
-    r = np.array([m.value for m in measurements]) - model.predict(x)
-    angles = model.kinds == MeasurementKind.VA
-    r[angles] = np.pi - (np.pi - r[angles]) % (2 * np.pi)
-    return np.asarray(r)
-
-
-def _weighted(r: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-    """r / sigma; 0 for virtual measurements."""
-    return np.where(sigma > 0, r / np.where(sigma > 0, sigma, 1.0), 0.0)
-
-
-def _name_worst(measurements: Sequence[Measurement], r: np.ndarray, sigma: np.ndarray) -> str:
-    return str(measurements[int(np.argmax(abs(_weighted(r, sigma))))].meter)
+def _check_readings(plan: EstimationPlan, values: np.ndarray, sigmas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The readings, with sigma 0 where they hold exactly."""
+    if not values.shape == sigmas.shape == (len(plan.meters),):
+        problem = f"the plan has {len(plan.meters)} meters; given are values {values.shape} and sigmas {sigmas.shape}"
+        raise InvalidInputError(f"readings of network {plan.network.name!r}", [problem])
+    sigmas = np.where(plan.virtual, 0.0, sigmas)
+    if not _are_usable(values, sigmas, plan.virtual):
+        readings = zip(plan.meters, values.tolist(), sigmas.tolist(), strict=True)
+        check_measurements(plan.network, [Measurement(meter, value, sigma) for meter, value, sigma in readings])
+    return values, sigmas

@@ -15,11 +15,12 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
 from dsse_core.admittance import build_admittance, flat_start
-from dsse_core.augmented import AugmentedFactor, build_tableau, reciprocal_row_lengths, scale_rows
+from dsse_core.augmented import AugmentedFactor, AugmentedPattern, reciprocal_row_lengths, scale_rows
 from dsse_core.errors import InvalidInputError, NotObservableError
 from dsse_core.measurement import MeasurementKind, Meter, find_meter_problems
-from dsse_core.measurement_model import build_measurement_model
+from dsse_core.measurement_model import MeasurementModel, build_measurement_model
 from dsse_core.network import Network
+from dsse_core.radial import find_tree, order_tableau
 
 # Of the Jacobian with rows scaled to length 1. A feeder of 5,000 buses in a row with injection meters alone
 # has 1e-7, an impedance of 1e-5 p.u. among ordinary ones takes another 1e-3, round-off is 1e-15.
@@ -86,12 +87,17 @@ def find_indispensable(network: Network, meters: Sequence[Meter], reference: int
     check such a meter a little, but could not replace it. Fitted to random readings, an indispensable meter has
     no residual. ``meters`` must determine the state.
     """
-    meters = [meter for meter in meters if meter.kind is not MeasurementKind.CURRENT]
-    free = np.delete(np.arange(2 * len(network.buses)), network.row[reference])
-    A = _scaled_jacobian(network, meters, reference)[:, free]
-    readings = np.random.default_rng(0).standard_normal((len(meters), WIDTH))
-    residual, _ = AugmentedFactor(A, np.ones(len(meters))).solve(readings, np.zeros((len(free), WIDTH)))
-    return {meters[row].id for row in np.flatnonzero(abs(residual).max(axis=1) < NO_RESIDUAL)}
+    n = len(network.buses)
+    free = np.delete(np.arange(2 * n), network.row[reference])
+    model = _no_load_model(network, meters)
+    A = _scaled_jacobian(network, model, reference)[:, free]
+    tree = find_tree(network, reference)
+    pattern = AugmentedPattern(A, None if isinstance(tree, str) else order_tableau(tree, model, free))
+    count = A.shape[0]
+    readings = np.random.default_rng(0).standard_normal((count, WIDTH))
+    residual, _ = AugmentedFactor(A, np.ones(count), pattern=pattern).solve(readings, np.zeros((len(free), WIDTH)))
+    counted = [meter.id for meter in meters if meter.kind is not MeasurementKind.CURRENT]
+    return {counted[row] for row in np.flatnonzero(abs(residual).max(axis=1) < NO_RESIDUAL)}
 
 
 def find_null_vectors(network: Network, meters: Sequence[Meter], reference: int) -> np.ndarray:
@@ -101,7 +107,7 @@ def find_null_vectors(network: Network, meters: Sequence[Meter], reference: int)
     """
     n = len(network.buses)
     free = np.delete(np.arange(2 * n), network.row[reference])
-    A = _scaled_jacobian(network, meters, reference)[:, free]
+    A = _scaled_jacobian(network, _no_load_model(network, meters), reference)[:, free]
     n_meas, n_free = A.shape
     factor = _factor_shifted(A)
     width = min(WIDTH, n_free)
@@ -118,20 +124,25 @@ def find_null_vectors(network: Network, meters: Sequence[Meter], reference: int)
 
 def _factor_shifted(A: sp.csr_array) -> spla.SuperLU:
     n_meas, n_free = A.shape
+    pattern = AugmentedPattern(A)
     for shift in SHIFTS:
         try:
-            return spla.splu(build_tableau(np.full(n_meas, TABLEAU_SCALE), A, np.full(n_free, -shift)))
+            return pattern.factor(pattern.fill(np.full(n_meas, TABLEAU_SCALE), A.data, np.full(n_free, -shift)))
         except RuntimeError:  # exactly singular
             continue
     problem = "the Jacobian at no load is singular beyond what unobservable buses explain; look for absurd impedances"
     raise InvalidInputError("observability analysis", [problem])
 
 
-def _scaled_jacobian(network: Network, meters: Sequence[Meter], reference: int) -> sp.csr_array:
-    """Rows of H at no load, each scaled to length 1, without current magnitudes."""
+def _no_load_model(network: Network, meters: Sequence[Meter]) -> MeasurementModel:
+    """Without charging and shunts, and without current magnitudes."""
     meters = [meter for meter in meters if meter.kind is not MeasurementKind.CURRENT]
+    return build_measurement_model(network, build_admittance(network, with_shunts=False), meters)
+
+
+def _scaled_jacobian(network: Network, model: MeasurementModel, reference: int) -> sp.csr_array:
+    """Rows of H at the flat start, each scaled to length 1."""
     vm, va = flat_start(network, reference)
-    model = build_measurement_model(network, build_admittance(network, with_shunts=False), meters)
     H = model.jacobian(np.r_[va, vm])
     return scale_rows(H, reciprocal_row_lengths(H))
 
@@ -147,7 +158,8 @@ def _find_cures(
         for candidate in _candidates(network, buses)
         if (missing := [meter for meter in candidate if meter.id not in present])
     ]
-    seen = _scaled_jacobian(network, [meter for candidate in candidates for meter in candidate], reference) @ null
+    model = _no_load_model(network, [meter for candidate in candidates for meter in candidate])
+    seen = _scaled_jacobian(network, model, reference) @ null
     cures = []
     for candidate, rows in zip(candidates, _split(seen, [len(c) for c in candidates]), strict=True):
         if np.linalg.matrix_rank(rows, tol=TOUCHED) == null.shape[1]:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from dsse_core.estimation import FLOWS_KNOWN, FULL_STEPS, LARGEST_STEP, MAX_DVA, MAX_DVM
+from dsse_core.gauss_newton import FLOWS_KNOWN, FULL_STEPS, LARGEST_STEP, MAX_DVA, MAX_DVM
 from dsse_core.tree_kernel import CURRENT_FLOOR, SMALL_ANGLE, STEP, compiled, eliminate, substitute
 
 CONVERGED, TOO_MANY, LEFT = 0, 1, 2
@@ -33,8 +33,8 @@ def iterate(
 ):
     """Improve ``v`` (complex) and ``va`` in place; how it ended, iterations, last step, and what it could still gain.
 
-    The end: max |dx| < ``tolerance`` and the step lowers J by less than ``gradient``, which is the square of the
-    norm of the gradient of J in the metric of the state's covariance, by which J's scale and units drop out.
+    The end: max |dx| < ``tolerance``, and the step, taken in full, lowers J by less than ``gradient``, which is the
+    square of the norm of the gradient of J in the metric of the state's covariance, by which scale and units drop out.
     """
     largest, gain = np.inf, np.inf
     for iteration in range(1, max_iterations + 1):
@@ -44,7 +44,7 @@ def iterate(
         largest = max(dva, dvm)
         if not (finite and largest <= LARGEST_STEP):
             return LEFT, iteration, largest if finite else np.inf, gain
-        small = largest < tolerance
+        small = largest < tolerance and dva <= MAX_DVA and dvm <= MAX_DVM
         if small:
             gain = expected_gain(parent, Y, w, v, flows_known, step)
         halved = iteration > FULL_STEPS and not small

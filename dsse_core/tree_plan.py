@@ -8,13 +8,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import scipy.sparse as sp
-from scipy.sparse import csgraph
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.measurement import MeasurementKind, Meter, Source, find_meter_problems
 from dsse_core.network import Network
 from dsse_core.observability import check_observable, find_reference
+from dsse_core.radial import find_tree
 
 # Columns of the readings of a bus: its own, then those of the branch to its parent, at the parent's end and its own.
 SLOTS_AT_BUS = {
@@ -85,19 +84,13 @@ class TreeLayout:
 
 def lay_out_tree(network: Network, root: int) -> TreeLayout | str:
     """The tree of ``network`` with bus ``root`` on top, or, as text, why there is none."""
-    n = len(network.buses)
-    f, t = _ends(network)
-    if len(f) != n - 1:
-        return f"the network is not radial: {n} buses, {len(f)} branches in service"
-    order, upstream = _walk(f, t, n, network.row[root])
-    if len(order) != n:
-        return f"the network is not radial: {n - len(order)} buses are out of reach of bus {root}"
-    number = np.empty(n, dtype=np.int64)
-    number[order] = np.arange(n)
-    parent = number[upstream[order]]
-    parent[0] = 0
-    from_parent = upstream[t] == f
-    return TreeLayout(order, number, parent, number[np.where(from_parent, t, f)], from_parent)
+    if isinstance(tree := find_tree(network, root), str):
+        return tree
+    number = np.empty(len(tree.order), dtype=np.int64)
+    number[tree.order] = np.arange(len(tree.order))
+    parent = number[tree.upstream[tree.order]]
+    from_parent = tree.upstream[tree.t] == tree.f
+    return TreeLayout(tree.order, number, parent, number[np.where(from_parent, tree.t, tree.f)], from_parent)
 
 
 def stack_admittances(network: Network, layout: TreeLayout) -> np.ndarray:
@@ -145,23 +138,6 @@ def build_tree_plan(network: Network, meters: Sequence[Meter], *, reference: int
     check_observable(network, meters, reference=reference)
     bus = network.buses[layout.order[stuck]].id
     return f"the power through the branch above bus {bus} is not determined by the meters below and at that branch"
-
-
-def _ends(network: Network) -> tuple[np.ndarray, np.ndarray]:
-    """Network rows of the ends of the branches in service."""
-    row = network.row
-    f = np.array([row[b.from_bus] for b in network.active_branches], dtype=np.int64)
-    t = np.array([row[b.to_bus] for b in network.active_branches], dtype=np.int64)
-    return f, t
-
-
-def _walk(f: np.ndarray, t: np.ndarray, n: int, root: int) -> tuple[np.ndarray, np.ndarray]:
-    """Rows from the root downwards, a subtree in one piece, and the row upstream of each row (the root's: itself)."""
-    graph = sp.csr_array((np.ones(len(f)), (f, t)), shape=(n, n))
-    order, upstream = csgraph.depth_first_order(graph, root, directed=False, return_predecessors=True)
-    upstream = upstream.astype(np.int64)
-    upstream[root] = root
-    return order.astype(np.int64), upstream
 
 
 def _read_branches(network: Network) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

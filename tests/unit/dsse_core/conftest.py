@@ -16,6 +16,14 @@ from scenarios.network_file import load_case
 Kind = MeasurementKind
 
 
+@pytest.fixture(params=["sparse", "tree"])
+def backend(request) -> str:
+    """Every test with this fixture runs on both back ends of the estimate."""
+    if request.param == "tree":
+        pytest.importorskip("numba", reason="the tree back end needs numba: pip install 'consensus-dsse[fast]'")
+    return str(request.param)
+
+
 @pytest.fixture
 def case() -> Callable[[str], Network]:
     return load_case

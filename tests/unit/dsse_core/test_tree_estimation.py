@@ -1,21 +1,17 @@
-"""The estimate on the tree is that of ``estimate_state``: state, variances and refusals, for every kind of meter."""
+"""The estimate on the tree is that of the sparse back end: state, variances, refusals, for every kind of meter."""
 
-import math
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from grids import MeterShares, make_grid
 
-from dsse_core.errors import EstimationDivergedError, InvalidInputError, NotObservableError
-from dsse_core.estimation import estimate_state
+from dsse_core.errors import EstimationDivergedError
+from dsse_core.estimation import EstimationResult, estimate_state
 from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.network import Branch, Bus, Control, Generator, Network
 from dsse_core.power_flow import solve_power_flow
-from dsse_core.tree_estimation import TreeEstimate, estimate_on_tree
-from dsse_core.tree_plan import TreePlan, build_tree_plan
+from dsse_core.tree_plan import build_tree_plan
 from scenarios.generator import generate_feeder
 
 pytest.importorskip("numba", reason="the tree back end needs numba: pip install 'consensus-dsse[fast]'")
@@ -24,21 +20,17 @@ Kind = MeasurementKind
 POWERS = (Kind.P_INJECTION, Kind.Q_INJECTION, Kind.P_FLOW, Kind.Q_FLOW)
 
 
-def plan_for(network, measurements, **options) -> TreePlan:
-    plan = build_tree_plan(network, [m.meter for m in measurements], **options)
-    assert isinstance(plan, TreePlan), plan
-    return plan
+def on_tree(network, measurements, **options) -> EstimationResult:
+    return estimate_state(network, measurements, backend="tree", **options)
 
 
-def on_tree(network, measurements, *, reference=None, **options) -> TreeEstimate:
-    plan = plan_for(network, measurements, reference=reference)
-    values, sigmas = (np.array([getattr(m, name) for m in measurements]) for name in ("value", "sigma"))
-    return estimate_on_tree(plan, values, sigmas, **options)
+def on_sparse(network, measurements, **options) -> EstimationResult:
+    return estimate_state(network, measurements, backend="sparse", **options)
 
 
 def assert_same(network, measurements, *, decades=0.0, tolerance=1e-8, **options):
     """Both estimates agree to 1e-9 p.u. and rad, their variances to 1e-7 of themselves, or of sigma^2."""
-    sparse = estimate_state(network, measurements, tolerance=tolerance, **options)
+    sparse = on_sparse(network, measurements, tolerance=tolerance, **options)
     tree = on_tree(network, measurements, tolerance=tolerance, **options)
     np.testing.assert_allclose(tree.vm, sparse.vm, rtol=0, atol=1e-9)
     np.testing.assert_allclose((tree.va - sparse.va + np.pi) % (2 * np.pi) - np.pi, 0.0, atol=1e-9)
@@ -101,7 +93,7 @@ def test_the_tree_agrees_with_the_sparse_estimate_on_generated_feeders(n_bus):
     if n_bus < 1000:
         assert_same(network, measurements)
         return
-    sparse, tree = estimate_state(network, measurements), on_tree(network, measurements)
+    sparse, tree = on_sparse(network, measurements), on_tree(network, measurements)
     np.testing.assert_allclose(tree.vm, sparse.vm, rtol=0, atol=1e-9)
     np.testing.assert_allclose(tree.va, sparse.va, rtol=0, atol=1e-9)
     assert tree.iterations == sparse.iterations
@@ -135,7 +127,7 @@ def test_the_tree_agrees_with_the_sparse_estimate_on_any_radial_grid(random_seed
         shares=shares,
     )
     try:
-        estimate_state(grid.network, grid.measurements, tolerance=1e-8)
+        on_sparse(grid.network, grid.measurements, tolerance=1e-8)
     except EstimationDivergedError:  # seed 493: current magnitudes without the flows that would choose among minima
         with pytest.raises(EstimationDivergedError):
             on_tree(grid.network, grid.measurements, tolerance=1e-8)
@@ -166,15 +158,6 @@ def test_exact_injections_hold_exactly(case, meters_of, zero_injections):
     assert tree.objective > 1.0
 
 
-def test_a_start_is_used(case, meters_of):
-    network = case("ieee33")
-    measurements = noisy(network, meters_of(network, *Kind), np.random.default_rng(5))
-    cold = on_tree(network, measurements)
-    warm = on_tree(network, measurements, start=(cold.vm, cold.va))
-    assert warm.iterations == 1
-    np.testing.assert_allclose(warm.vm, cold.vm, atol=1e-9)
-
-
 def test_any_bus_can_be_the_reference(case, meters_of):
     network = case("ieee33")
     assert_same(network, noisy(network, meters_of(network, Kind.VM, *POWERS), np.random.default_rng(6)), reference=18)
@@ -184,58 +167,6 @@ def test_a_dead_voltmeter_does_not_throw_all_voltages_to_zero(case, meters_of):
     network = case("ieee33")
     measurements = noisy(network, meters_of(network, Kind.VM, *POWERS), np.random.default_rng(7))
     assert_same(network, [replace(m, value=0.0) if m.meter.id == "vm@18" else m for m in measurements])
-
-
-def test_one_plan_serves_many_scans(case, meters_of):
-    network = case("ieee33")
-    meters = meters_of(network, Kind.VM, *POWERS)
-    plan = build_tree_plan(network, meters)
-    assert isinstance(plan, TreePlan)
-    for seed in range(3):
-        scan = noisy(network, meters, np.random.default_rng(seed))
-        tree = estimate_on_tree(plan, np.array([m.value for m in scan]), np.array([m.sigma for m in scan]))
-        np.testing.assert_allclose(tree.vm, estimate_state(network, scan).vm, atol=1e-9)
-
-
-def test_no_success_without_a_vanishing_gradient(case, meters_of):
-    network = case("ieee33")
-    readings = noisy(network, meters_of(network, Kind.VM, *POWERS), np.random.default_rng(8))
-    sharp = [replace(m, sigma=m.sigma * 1e-4) for m in readings]
-    lax, strict = on_tree(network, sharp, tolerance=0.01), on_tree(network, sharp, tolerance=1e-9)
-    assert lax.objective == pytest.approx(strict.objective, rel=1e-5)
-
-
-def test_an_estimate_that_does_not_converge_is_refused_and_names_the_worst_meter(case, meters_of):
-    network = case("ieee33")
-    measurements = noisy(network, meters_of(network, Kind.VM, *POWERS), np.random.default_rng(9))
-    absurd = [replace(m, value=1e6, sigma=1e-3) if m.meter.id == "p_injection@18" else m for m in measurements]
-    with pytest.raises(EstimationDivergedError, match="p_injection@18"):
-        on_tree(network, absurd)
-
-
-def test_too_few_meters_are_refused_with_the_buses_named(case, meters_of):
-    network = case("ieee33")
-    with pytest.raises(NotObservableError, match="18"):
-        build_tree_plan(network, [m for m in meters_of(network, Kind.VM, *POWERS[:2]) if m.bus < 16])
-
-
-def test_readings_that_cannot_be_are_all_named(case, meters_of):
-    network = case("ieee33")
-    measurements = noisy(network, meters_of(network, Kind.VM, *POWERS), np.random.default_rng(2))
-    wrong = {0: {"value": math.nan}, 3: {"sigma": 0.0}}
-    broken = [replace(m, **wrong.get(k, {})) for k, m in enumerate(measurements)]
-    with pytest.raises(InvalidInputError) as refusal:
-        on_tree(network, broken)
-    assert [m.meter.id in "".join(refusal.value.problems) for m in broken[:4]] == [True, False, False, True]
-
-
-@pytest.mark.parametrize(
-    "meter", [Meter(Kind.VM, 99), Meter(Kind.VM, 1), Meter(Kind.P_FLOW, 5, "1-2"), Meter(Kind.P_FLOW, 1, "none")]
-)
-def test_meters_that_do_not_fit_are_refused(meter, case, meters_of):
-    network = case("ieee33")
-    with pytest.raises(InvalidInputError, match=r"1 problem"):
-        build_tree_plan(network, [*meters_of(network, Kind.VM, *POWERS), meter])
 
 
 def test_a_meshed_network_is_declined_with_the_reason(meshed, meters_of):
@@ -254,11 +185,6 @@ def test_a_network_of_one_bus_and_one_of_two_are_trees():
     two = Network("two", 1.0, (Bus(1, 20.0), Bus(2, 20.0)), (Branch("b", 2, 1, 0.01, 0.02),), one.generators)
     meters = [Meter(Kind.VM, 2), *(Meter(kind, 2) for kind in POWERS[:2])]
     assert_same(two, [Measurement(m, z, 0.01) for m, z in zip(meters, (0.98, -0.5, -0.1), strict=True)])
-
-
-def test_numba_is_not_imported_before_a_plan_is_built():
-    code = "import sys, dsse_core.tree_plan, dsse_core.tree_estimation; sys.exit('numba' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 def test_without_numba_the_reason_is_given(monkeypatch, case, meters_of):

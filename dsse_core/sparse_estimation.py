@@ -1,0 +1,151 @@
+"""The estimate of any network by sparse factorisation of the tableau; what depends on topology only is found once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+
+from dsse_core.admittance import build_admittance, flat_start
+from dsse_core.augmented import AugmentedFactor, AugmentedPattern
+from dsse_core.errors import EstimationDivergedError
+from dsse_core.gauss_newton import FLOWS_KNOWN, FULL_STEPS, GRADIENT, LARGEST_STEP, MAX_DVA, MAX_DVM, Solution
+from dsse_core.measurement import MeasurementKind, Meter
+from dsse_core.measurement_model import MeasurementModel, build_measurement_model
+from dsse_core.network import Network
+from dsse_core.radial import find_tree, order_tableau
+
+SMALL_STEP = 0.02  # p.u. and rad; after a smaller one the last factor may serve once more
+
+
+@dataclass(frozen=True)
+class SparsePlan:
+    """``free``: the state variables but the reference angle. ``entries``: which entries of the model's H are theirs,
+    ``indices`` and ``indptr`` where they stand. ``start``: x = [va; vm] of the flat start with the reference's angle.
+    """
+
+    meters: tuple[Meter, ...]
+    model: MeasurementModel
+    free: np.ndarray
+    entries: np.ndarray
+    indices: np.ndarray
+    indptr: np.ndarray
+    pattern: AugmentedPattern
+    start: np.ndarray
+
+    @cached_property
+    def angles(self) -> np.ndarray:
+        """Positions of the angles among the meters."""
+        return np.flatnonzero(self.model.kinds == MeasurementKind.VA)
+
+    def linearize(self, x: np.ndarray) -> tuple[np.ndarray, sp.csr_array]:
+        """h(x), (n_meas,), and the columns ``free`` of H(x)."""
+        h, H = self.model.linearize(x)
+        shape = len(self.meters), len(self.free)
+        return h, sp.csr_array((H.data[self.entries], self.indices, self.indptr), shape=shape)
+
+    def subtract(self, values: np.ndarray, h: np.ndarray) -> np.ndarray:
+        """z - h(x), shape (n_meas,); differences of angles are wrapped to (-pi, pi]."""
+        r = values - h
+        r[self.angles] = np.pi - (np.pi - r[self.angles]) % (2 * np.pi)
+        return np.asarray(r)
+
+
+def build_sparse_plan(network: Network, meters: Sequence[Meter], reference: int) -> SparsePlan:
+    """The plan for ``meters`` that fit the network and determine its state."""
+    model = build_measurement_model(network, build_admittance(network), meters)
+    vm, va = flat_start(network, reference)
+    given = network.slack.va if network.slack and network.slack.bus == reference else 0.0
+    start = np.concatenate([va + given, vm])
+    fixed, H = network.row[reference], model.jacobian(start)
+    free = np.delete(np.arange(len(start)), fixed)
+    entries = np.flatnonzero(H.indices != fixed)
+    indices = H.indices[entries] - (H.indices[entries] > fixed)
+    indptr = np.searchsorted(entries, H.indptr)
+    reduced = sp.csr_array((H.data[entries], indices, indptr), shape=(len(meters), len(free)))
+    tree = find_tree(network, reference)
+    pattern = AugmentedPattern(reduced, None if isinstance(tree, str) else order_tableau(tree, model, free))
+    return SparsePlan(tuple(meters), model, free, entries, reduced.indices, reduced.indptr, pattern, start)
+
+
+def estimate_sparse(
+    plan: SparsePlan,
+    values: np.ndarray,
+    sigmas: np.ndarray,
+    start: tuple[np.ndarray, np.ndarray] | None,
+    tolerance: float,
+    max_iterations: int,
+) -> Solution:
+    """Gauss-Newton with the tableau of ``augmented``; ``sigmas`` (n_meas,) are 0 where a reading holds exactly.
+
+    Raises:
+        EstimationDivergedError: names the measurement with the largest weighted residual.
+    """
+    steps = _Steps(plan, sigmas)
+    x = plan.start if start is None else np.concatenate([start[1], start[0]])
+    flows_known, step = start is not None or not len(steps.currents), np.inf
+    for iteration in range(1, max_iterations + 1):
+        h, H = plan.linearize(x)
+        r = plan.subtract(values, h)
+        try:
+            dx, gain = steps.solve(H, r, flows_known, nearby=step < SMALL_STEP)
+        except RuntimeError:  # SuperLU: singular away from the no-load state, where the rank was full
+            raise _diverged(plan, sigmas, r, iteration, np.inf) from None
+        step = float(abs(dx).max(initial=0.0))
+        if not step <= LARGEST_STEP:
+            raise _diverged(plan, sigmas, r, iteration, step)
+        share = _share_of(dx, len(x) // 2 - 1)
+        small = step < tolerance and share == 1.0
+        x = x.copy()
+        x[plan.free] += dx * (share if small or iteration <= FULL_STEPS else min(share, 0.5))
+        if small and flows_known and gain <= GRADIENT * max(1, len(values) - len(plan.free)):
+            va, vm = np.split(x, 2)
+            return Solution(vm, va, plan.subtract(values, plan.model.predict(x)), iteration)
+        flows_known = flows_known or step < FLOWS_KNOWN
+    raise _diverged(plan, sigmas, r, max_iterations, step)
+
+
+class _Steps:
+    """Solves one step after the other, on the last factor where that serves."""
+
+    def __init__(self, plan: SparsePlan, sigmas: np.ndarray) -> None:
+        self.currents = np.flatnonzero(plan.model.kinds == MeasurementKind.CURRENT)
+        self._pattern = plan.pattern
+        self._sigmas = sigmas
+        self._weight = np.where(sigmas > 0, 1 / np.where(sigmas > 0, sigmas, 1.0), 0.0)
+        self._of_currents = np.flatnonzero(np.isin(plan.pattern.row, self.currents))
+        self._factor: AugmentedFactor | None = None
+        self._multipliers = np.zeros(len(sigmas))
+        self._with_currents = False
+
+    def solve(self, H: sp.csr_array, r: np.ndarray, with_currents: bool, *, nearby: bool) -> tuple[np.ndarray, float]:
+        """The step dx, (n_free,), and its expected gain |H dx|^2 in units of sigma; without currents: rows of 0."""
+        if not with_currents:
+            H.data[self._of_currents] = 0.0
+            r = r.copy()
+            r[self.currents] = 0.0
+        found = None
+        if self._factor and nearby and with_currents == self._with_currents:
+            found = self._factor.solve_nearby(H, r, self._multipliers)
+        if found is None:
+            self._factor, self._with_currents = AugmentedFactor(H, self._sigmas, pattern=self._pattern), with_currents
+            found = self._factor.solve(r, np.zeros(H.shape[1]), refined=False)  # the next step corrects it
+        self._multipliers, dx = found
+        weighted = (H @ dx) * self._weight
+        return dx, float(weighted @ weighted)
+
+
+def _share_of(dx: np.ndarray, n_angles: int) -> float:
+    """The part of the step [dva; dvm] that MAX_DVA and MAX_DVM allow."""
+    dva, dvm = (float(abs(part).max(initial=0.0)) for part in (dx[:n_angles], dx[n_angles:]))
+    return 1.0 / max(1.0, dva / MAX_DVA, dvm / MAX_DVM)
+
+
+def _diverged(
+    plan: SparsePlan, sigmas: np.ndarray, r: np.ndarray, iterations: int, step: float
+) -> EstimationDivergedError:
+    weighted = abs(r) / np.where(sigmas > 0, sigmas, np.inf)
+    return EstimationDivergedError(iterations, step, str(plan.meters[int(np.argmax(weighted))]))
