@@ -12,7 +12,8 @@ from pathlib import Path
 from types import FrameType
 
 from agents.access_file import ACCESS_FILE, load_access
-from agents.area_file import AreaFile, load_area_file
+from agents.area_file import AreaFile
+from agents.area_reader import load_area_file
 from agents.credentials import load_credentials
 from agents.inbox import Inbox
 from agents.loop import run_agent

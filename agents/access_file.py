@@ -9,7 +9,7 @@ import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from agents.access import Access
-from agents.area_file import describe_schema_error
+from agents.area_reader import describe_schema_error
 from agents.keys import NAME
 from dsse_core.errors import InvalidInputError
 

@@ -51,7 +51,8 @@ class Launcher:
         )
         theirs.close()
         self._any_started = False
-        self._closing = False
+        self._stopping = False
+        self._closed = False
         self._reader = threading.Thread(target=self._read_news, name="process news", daemon=True)
         self._reader.start()
 
@@ -84,16 +85,23 @@ class Launcher:
         """Send a signal to process ``name``; nothing happens where it has ended."""
         self._send(Signal(name, number))
 
+    def stop(self) -> None:
+        """Tell every process to end, and do not wait for it."""
+        if self._any_started and not self._stopping:
+            self._stopping = True
+            with contextlib.suppress(LaunchError):
+                self._send(Stop())
+
     def close(self) -> None:
         """Stop every process and wait for their end; later calls do nothing."""
-        if self._closing:
+        if self._closed:
             return
-        self._closing = True
+        self._closed = True
         try:
-            if self._any_started:
-                self._send(Stop())
+            self.stop()
+            if self._stopping:
                 self._zygote.wait(STOP_S + 2.0)
-        except (LaunchError, subprocess.TimeoutExpired):
+        except subprocess.TimeoutExpired:
             pass
         finally:  # also on a second Ctrl-C
             if self._zygote.poll() != 0:
@@ -120,7 +128,7 @@ class Launcher:
                 news = self._orders.recv()
                 self.on_news(news)  # looked up now: it may have been set while we waited
         except (EOFError, OSError):
-            if not self._closing:
+            if not (self._stopping or self._closed):
                 self.on_news(Ended("parent of all processes", self.pid, self._zygote.wait()))
 
 

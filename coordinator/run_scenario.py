@@ -153,6 +153,7 @@ def _run_with_router(run: _Run, on_update: Callable[[Progress], None] | None) ->
     run.timing_s["last_change"] = round(max(0.0, observer.changed_at - run.started), 4)
     run.note_time("verdict")
     run.events.write("consensus" if reason is None else "no consensus", reason=reason)
+    run.system.launcher.stop()  # the processes end while the files are written
     outcome = judge(
         scenario,
         run.id,

@@ -59,15 +59,20 @@ def choose_run_id(scenario: Scenario, given: str | None) -> str:
 
 
 def write_area_files(
-    scenario: Scenario, run: str, endpoints: Sequence[str], folder: Path, places: Mapping[str, str] | None = None
+    scenario: Scenario,
+    run: str,
+    endpoints: Sequence[str],
+    folder: Path,
+    places: Mapping[str, str] | None = None,
+    suffix: str = ".toml",
 ) -> dict[str, Path]:
-    """Write ``<area>.toml`` for every area of ``scenario`` into ``folder``; area -> file. See ``area_files``."""
+    """Write ``<area>.toml`` (or ``suffix``) for every area into ``folder``; area -> file. See ``area_files``."""
     if strange := [e for e in endpoints if not re.fullmatch(r"[a-z-]+/.+", e)]:
         problems = [f"{e!r} is no Zenoh endpoint; one looks like tcp/192.0.2.7:7447" for e in strange]
         raise InvalidInputError("endpoints", problems)
     folder.mkdir(parents=True, exist_ok=True)
     files = {}
     for content in area_files(scenario, run, endpoints, places):
-        files[content.area.name] = folder / f"{content.area.name}.toml"
+        files[content.area.name] = folder / f"{content.area.name}{suffix}"
         save_area_file(files[content.area.name], content)
     return files

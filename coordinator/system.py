@@ -100,7 +100,7 @@ class System:
 
     def start_others(self) -> None:
         """Write the area files, start plant and agents."""
-        files = write_area_files(self.scenario, self.id, self.endpoints, self.folder / "areas", self._places)
+        files = write_area_files(self.scenario, self.id, self.endpoints, self.folder / "areas", self._places, ".json")
         self._start_plant(scan=1)
         for name, path in files.items():
             self._order(name, "agents.__main__:main", [str(path.absolute()), *self._keys()])

@@ -7,7 +7,7 @@ import signal
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
@@ -80,12 +80,24 @@ def progress(title: str, quiet: bool) -> Iterator[Callable[[Progress], None] | N
     if quiet:
         yield None
     elif sys.stderr.isatty():
-        from coordinator.live import live_table
-
-        with live_table(title) as show:
-            yield show
+        with ExitStack() as stack:
+            yield _show_live(title, stack)
     else:
         yield _print_now_and_then()
+
+
+def _show_live(title: str, stack: ExitStack) -> Callable[[Progress], None]:
+    table: Callable[[Progress], None] | None = None
+
+    def show(progress: Progress) -> None:
+        nonlocal table
+        if table is None:
+            from coordinator.live import live_table  # now, when the areas are at work and there is time
+
+            table = stack.enter_context(live_table(title))
+        table(progress)
+
+    return show
 
 
 def _print_now_and_then() -> Callable[[Progress], None]:

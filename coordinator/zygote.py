@@ -212,3 +212,4 @@ if __name__ == "__main__":
     from coordinator import zygote  # the classes that the coordinator pickles, not their copies in __main__
 
     zygote.Zygote(Connection(int(sys.argv[1]))).serve()
+    os._exit(0)  # the coordinator waits, and there is nothing to tidy up

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from waiting import DEADLINE_S, wait_until
 
-from agents.area_file import load_area_file
+from agents.area_reader import load_area_file
 
 RESTARTS = """
 [[faults.events]]

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import coordinator
-import coordinator.run_scenario
+import coordinator.system
 
 ROOT = Path(__file__).parents[2]
 AREA1 = "buses = [1, 2, 3, 4, 5, 6, 19, 20, 21, 22, 23, 24, 25]"
@@ -166,19 +166,19 @@ def test_a_run_says_which_agent_died_with_the_end_of_its_log(start_run, deaf_sce
 
 
 def test_a_run_says_which_agent_refused_its_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    write = coordinator.run_scenario.write_area_files
+    write = coordinator.system.write_area_files
 
     def spoil(*arguments: object) -> dict[str, Path]:
         files = write(*arguments)  # type: ignore[arg-type]
         files["area2"].write_text("nonsense")
         return files
 
-    monkeypatch.setattr(coordinator.run_scenario, "write_area_files", spoil)
+    monkeypatch.setattr(coordinator.system, "write_area_files", spoil)
     result = coordinator.run("industrial13", out=tmp_path / "out", plots=False)
     assert not result.verdict.consensus
     assert result.verdict.reason is not None
     assert "area area2 died with exit code 2" in result.verdict.reason
-    assert "is not TOML" in result.verdict.reason
+    assert "is not JSON" in result.verdict.reason
 
 
 def test_an_unknown_command_and_a_bad_option_are_refused(dsse):

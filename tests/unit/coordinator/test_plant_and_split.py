@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from agents.area_file import load_area_file
+from agents.area_reader import load_area_file
 from agents.messages import Incarnation, TelemetryMessage, decode
 from coordinator.plant import make_payloads
 from coordinator.split import choose_run_id, default_run_id, write_area_files
@@ -40,9 +40,10 @@ def test_virtual_measurements_are_not_sent_because_area_files_hold_them(tmp_path
         assert set(message.meters) == {meter.id for meter in meters if meter.source is not Source.VIRTUAL}
 
 
-def test_an_area_file_holds_the_area_and_nothing_of_the_others(tmp_path: Path):
+@pytest.mark.parametrize("suffix", [".toml", ".json"])
+def test_an_area_file_holds_the_area_and_nothing_of_the_others(tmp_path: Path, suffix: str):
     scenario = load_scenario("ieee33-lossy")
-    files = write_area_files(scenario, "run", ["tcp/127.0.0.1:7447"], tmp_path)
+    files = write_area_files(scenario, "run", ["tcp/127.0.0.1:7447"], tmp_path, suffix=suffix)
     assert list(files) == ["area1", "area2", "area3"]
     for name, path in files.items():
         content = load_area_file(path)

@@ -1,0 +1,174 @@
+"""Reads and checks an area file: TOML, or JSON with the same keys. Agents need it; who writes the files does not."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import tomllib
+import typing
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
+
+from agents.area_file import AreaFile
+from agents.keys import NAME
+from dsse_core.errors import InvalidInputError
+from dsse_core.link_faults import LinkFaults
+from dsse_core.measurement import Meter, find_meter_problems
+from dsse_core.network import Branch, Bus, Generator, Network
+from dsse_core.partition import Area, Neighbour
+
+
+def load_area_file(path: Path) -> AreaFile:
+    """Read and check an area file.
+
+    Raises:
+        InvalidInputError: naming the file and every unknown, missing or impossible key.
+    """
+    what = f"area file {path}"
+    try:
+        text = path.read_text(encoding="utf-8")
+        table = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
+    except (OSError, UnicodeDecodeError) as error:
+        raise InvalidInputError(what, [f"cannot be read: {error}"]) from None
+    except tomllib.TOMLDecodeError as error:
+        raise InvalidInputError(what, [f"is not TOML: {error}"]) from None
+    except json.JSONDecodeError as error:
+        raise InvalidInputError(what, [f"is not JSON: {error}"]) from None
+    try:
+        t = _FileTable.model_validate(table)
+    except ValidationError as error:
+        raise InvalidInputError(what, [describe_schema_error(e) for e in error.errors()]) from None
+    network = Network(
+        name=t.area,
+        base_mva=t.network.base_mva,
+        buses=tuple(Bus(**vars(row)) for row in t.network.bus),
+        branches=tuple(Branch(**vars(row)) for row in t.network.branch),
+        generators=tuple(Generator(**vars(row)) for row in t.network.generator),
+    )
+    meters = tuple(Meter(**vars(row)) for row in t.meter)
+    neighbours = tuple(Neighbour(n.area, n.bus, n.is_parent) for n in t.neighbour)
+    problems = list(find_meter_problems(network, meters))
+    problems += [
+        f"neighbour {n.area}: bus {n.bus} is not in the network" for n in neighbours if n.bus not in network.row
+    ]
+    problems += [f"neighbour {n.area}: is the area itself" for n in neighbours if n.area == t.area]
+    if t.local_slack.bus not in network.row:
+        problems.append(f"local_slack.bus: bus {t.local_slack.bus} is not in the network")
+    if t.reference and t.reference.bus not in network.row:
+        problems.append(f"reference.bus: bus {t.reference.bus} is not in the network")
+    if sum(n.is_parent for n in neighbours) != (0 if network.slack else 1):
+        problems.append("neighbour: exactly one must be the parent, or none where the network holds the substation")
+    if not (t.endpoints or t.listen):
+        problems.append("endpoints: is empty; name a router, or give listen, where neighbours link with this area")
+    if problems:
+        raise InvalidInputError(what, problems)
+    return AreaFile(
+        run=t.run,
+        area=Area(
+            t.area,
+            network,
+            neighbours,
+            t.local_slack.bus,
+            t.local_slack.vm,
+            (t.reference.bus, t.reference.va) if t.reference else None,
+        ),
+        meters=meters,
+        strategy=t.strategy,
+        endpoints=tuple(t.endpoints),
+        listen=tuple(t.listen),
+        beat_s=t.beat_s,
+        tolerance=t.tolerance,
+        generation=t.load_messages.generation,
+        load_error=complex(t.load_messages.p_error, t.load_messages.q_error),
+        links={n.area: LinkFaults(**vars(n.faults)) for n in t.neighbour},
+        seed=t.seed,
+        penalty=t.admm.penalty,
+    )
+
+
+def describe_schema_error(error: Any) -> str:
+    """One line for one error of pydantic: the key's path, what is wrong, what was found."""
+    path = "".join(f"[{part + 1}]" if isinstance(part, int) else f".{part}" for part in error["loc"]).lstrip(".")
+    if error["type"] == "extra_forbidden":
+        return f"{path}: unknown key"
+    if error["type"] == "missing":
+        return f"{path}: missing key"
+    return f"{path}: {error['msg']}, found {error['input']!r:.80}"
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+class _Slack(_Strict):
+    bus: int
+    vm: float | None = Field(None, gt=0)
+
+
+class _Reference(_Strict):
+    bus: int
+    va: float = 0.0
+
+
+class _LoadMessages(_Strict):
+    generation: Literal["telemetered", "scheduled"] = "telemetered"
+    p_error: float = 0.0
+    q_error: float = 0.0
+
+
+class _Admm(_Strict):
+    penalty: float = Field(default=1.0, gt=0)
+
+
+def _table_like(cls: type[Any], **extra: Any) -> Any:
+    """A strict table whose keys are the fields of dataclass ``cls``; ``extra`` replaces or adds some."""
+    hints = typing.get_type_hints(cls)
+    keys = {
+        f.name: (hints[f.name], ... if f.default is dataclasses.MISSING else f.default) for f in dataclasses.fields(cls)
+    }
+    return create_model(cls.__name__, __base__=_Strict, **(keys | extra))
+
+
+def _rows_like(cls: type[Any], **extra: Any) -> Any:
+    """A list of such tables."""
+    return list[_table_like(cls, **extra)]  # type: ignore[misc]
+
+
+_Name = Annotated[str, Field(pattern=f"^{NAME.pattern}$")]
+_PROBABILITIES = ("loss", "burst_enter", "burst_leave", "burst_loss", "duplicate", "corrupt")
+_TIMES = ("delay_s", "jitter_s")
+_FaultsTable: Any = _table_like(
+    LinkFaults,
+    **{key: (float, Field(getattr(LinkFaults(), key), ge=0, le=1)) for key in _PROBABILITIES},
+    **{key: (float, Field(0.0, ge=0, le=86400)) for key in _TIMES},
+)
+_NetworkTable: Any = create_model(
+    "_NetworkTable",
+    __base__=_Strict,
+    base_mva=(float, ...),
+    bus=(_rows_like(Bus), ...),
+    branch=(_rows_like(Branch), ...),
+    generator=(_rows_like(Generator), []),
+)
+_FileTable: Any = create_model(
+    "_FileTable",
+    __base__=_Strict,
+    format=(Literal[1], ...),
+    run=(_Name, ...),
+    area=(_Name, ...),
+    strategy=(str, ...),
+    endpoints=(list[str], ...),
+    listen=(list[str], []),
+    beat_s=(float, Field(0.2, gt=0, le=86400)),
+    tolerance=(float, Field(1e-6, gt=0)),
+    seed=(int, 0),
+    local_slack=(_Slack, ...),
+    reference=(_Reference | None, None),
+    load_messages=(_LoadMessages, _LoadMessages()),
+    admm=(_Admm, _Admm()),
+    neighbour=(_rows_like(Neighbour, area=(_Name, ...), faults=(_FaultsTable, _FaultsTable())), []),
+    network=(_NetworkTable, ...),
+    meter=(_rows_like(Meter), ...),
+)
