@@ -1,0 +1,96 @@
+"""A process that should be kept out: it speaks and listens where it must not, or floods the router's port.
+
+python stranger.py speak ENDPOINT [KEYS NAME]     prints what it heard as JSON after its last word
+python stranger.py connect ENDPOINT [KEYS NAME]   prints "in", or why not
+python stranger.py flood[-wildly] ENDPOINT        until it is killed
+"""
+
+from __future__ import annotations
+
+import json
+import socket
+import sys
+import threading
+import time
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+from agents.credentials import Credentials, credentials_in
+from agents.keys import all_from_neighbours, all_lives, neighbour_key, state_key, telemetry_key
+from agents.presence import begin_life
+from agents.transport import Session, TransportError
+from coordinator.plant import make_payloads
+from scenarios.scenario import load_scenario
+
+RUN = "ieee33"
+ROUNDS = 300
+DEADLINE_S = 30.0
+LATER = 1_000_000  # scans ahead of the real plant
+CONNECTIONS = 20
+
+
+def speak(endpoint: str, credentials: Credentials | None) -> None:
+    """As area2, tell lies in the name of others, and listen to what is not for area2."""
+    heard: set[str] = set()
+    seen: set[str] = set()
+    scan = int(time.time()) + LATER
+    lies = make_payloads(replace(load_scenario(RUN), seed=99), RUN, begin_life(), scan)
+    with (
+        Session.connect([endpoint], DEADLINE_S, credentials) as mouth,  # a session hears itself, whoever forbids it
+        Session.connect([endpoint], DEADLINE_S, credentials) as session,
+    ):
+        for key in ("dsse/**", f"dsse/v1/{RUN}/area/*/state", telemetry_key(RUN, "area1")):
+            session.subscribe(key, lambda key, payload: heard.add(key))
+        session.subscribe(all_from_neighbours(RUN, "area3"), lambda key, payload: heard.add(key))
+        session.subscribe(all_from_neighbours(RUN, "area2"), lambda key, payload: heard.add(key))  # its due
+        session.watch_presence("dsse/**", lambda key, alive: seen.add(key))
+        mouth.declare_presence(f"dsse/v1/{RUN}/live/area/area9/1-2")
+        for role, name in (("area", "*"), ("plant", "*")):
+            session.watch_presence(all_lives(RUN, role, name), lambda key, alive: seen.add(key))
+        keys = {telemetry_key(RUN, area): lie for area, lie in lies.items()}
+        keys |= {neighbour_key(RUN, "area3", kind, "area1"): b"lie" for kind in ("information", "tally", "load")}
+        keys |= {neighbour_key(RUN, "area9", "information", "area1"): b"lie", state_key(RUN, "area1"): b"lie"}
+        publishers = [(mouth.publisher(key), lie) for key, lie in keys.items()]
+        pause, deadline = threading.Event(), time.monotonic() + DEADLINE_S
+        for _ in range(ROUNDS):
+            for put, lie in publishers:
+                put(lie)
+            pause.wait(0.002)
+        while not any(key.endswith("/area2") for key in heard) and time.monotonic() < deadline:
+            pause.wait(0.01)
+        print(json.dumps({"heard": sorted(heard), "seen": sorted(seen), "scan": scan}))
+
+
+def connect(endpoint: str, credentials: Credentials | None) -> None:
+    """Get a link, whatever is wrong with the credentials."""
+    try:
+        with Session.connect([endpoint], 1.0, credentials):
+            print("in")
+    except TransportError as error:
+        print(error)
+
+
+def flood(endpoint: str, wildly: bool) -> None:
+    """Open connection after connection and send rubbish; ``wildly``: without waiting for what becomes of it."""
+    host, _, port = endpoint.partition("/")[2].rpartition(":")
+
+    def go_on() -> None:
+        while True:
+            with suppress(OSError), socket.create_connection((host, int(port)), 1.0) as link:
+                link.sendall(b"rubbish" * 100)
+                if not wildly:
+                    link.settimeout(DEADLINE_S)
+                    link.recv(1)
+
+    for _ in range(CONNECTIONS):
+        threading.Thread(target=go_on, daemon=True).start()
+    threading.Event().wait()
+
+
+if __name__ == "__main__":
+    what, at, *whose = sys.argv[1:]
+    if what.startswith("flood"):
+        flood(at, wildly=what == "flood-wildly")
+    else:
+        {"speak": speak, "connect": connect}[what](at, credentials_in(Path(whose[0]), whose[1]) if whose else None)

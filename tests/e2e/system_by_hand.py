@@ -1,0 +1,137 @@
+"""A system whose processes a test starts one by one, and a watcher that compares what its areas say with the centre."""
+
+from __future__ import annotations
+
+import os
+import queue
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from waiting import DEADLINE_S
+
+from agents.credentials import load_credentials
+from agents.keys import all_live, all_states, name_of_live
+from agents.messages import MessageError, StateMessage, decode
+from agents.presence import Presence
+from agents.transport import Session
+from coordinator.comparison import Gap, compare
+from coordinator.judging import estimate_centralised, make_observer
+from scenarios.scenario import load_scenario
+from scenarios.telemetry import make_telemetry
+
+ROOT = Path(__file__).parents[2]
+DSSE = [sys.executable, "-P", "-m", "coordinator"]
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+class SystemByHand:
+    """``dsse`` processes by name, each with a log file; those that are left are killed at the end of the block."""
+
+    def __init__(self, folder: Path, environment: Mapping[str, str] | None = None) -> None:
+        self.folder = folder
+        self.processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._environment = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1", **(environment or {})}
+
+    def start(self, name: str, *arguments: object, prefix: Sequence[str] = ()) -> None:
+        """Start ``dsse`` with ``arguments``; ``prefix``: the command that runs it elsewhere."""
+        with self.log_of(name).open("ab") as log:
+            command = [*prefix, *DSSE, *map(str, arguments)]
+            self.processes[name] = subprocess.Popen(
+                command, cwd=self.folder, env=self._environment, stdout=log, stderr=subprocess.STDOUT
+            )
+
+    def log_of(self, name: str) -> Path:
+        return self.folder / f"{name}.log"
+
+    def said(self, name: str) -> str:
+        """All that a process has logged."""
+        return self.log_of(name).read_text(errors="replace")
+
+    def end(self, name: str, number: signal.Signals = signal.SIGTERM) -> int:
+        """End one process and return its exit code."""
+        process = self.processes.pop(name)
+        process.send_signal(number)
+        return process.wait(DEADLINE_S)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for process in self.processes.values():
+            process.kill()
+        for process in self.processes.values():
+            process.wait()
+
+
+class Watcher:
+    """Sees a running system of ``scenario`` from outside, from the moment on when it is made."""
+
+    def __init__(self, scenario: str, endpoints: Sequence[str], keys: Path | None = None) -> None:
+        self.scenario = load_scenario(scenario)
+        self._telemetry = make_telemetry(self.scenario)
+        self._centralised = estimate_centralised(self.scenario, self._telemetry).report
+        self._observer = make_observer(self.scenario)
+        self._presence = Presence()
+        self._news: queue.SimpleQueue[bytes | tuple[str, bool]] = queue.SimpleQueue()
+        self._session = Session.connect(endpoints, DEADLINE_S, load_credentials(keys, "coordinator"))
+        run = self.scenario.name
+        self._session.subscribe(all_states(run), lambda key, payload: self._news.put(payload))
+        self._session.watch_presence(all_live(run), lambda key, alive: self._news.put((key, alive)))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._session.close()
+
+    @property
+    def states(self) -> Mapping[str, StateMessage]:
+        """Area -> its newest state."""
+        return self._observer.states
+
+    def wait_for_consensus(self, deadline_s: float = DEADLINE_S) -> Gap:
+        """Until all areas are there and agree; their largest difference to the centralised estimate."""
+        self.wait_until(lambda: not self.obstacles(), deadline_s)
+        return compare(self.scenario.partition, self.states, self._telemetry.truth, self._centralised).gap
+
+    def obstacles(self) -> tuple[str, ...]:
+        """What is missing for consensus."""
+        return self._observer.find_obstacles(time.monotonic())
+
+    def wait_until(self, holds: object, deadline_s: float = DEADLINE_S) -> None:
+        """Take in what areas say until ``holds()``."""
+        assert callable(holds)
+        deadline = time.monotonic() + deadline_s
+        while not holds():
+            assert time.monotonic() < deadline, f"not within {deadline_s} s: {self.obstacles()}"
+            try:
+                self._take(self._news.get(timeout=0.05))
+            except queue.Empty:
+                continue
+
+    def _take(self, news: bytes | tuple[str, bool]) -> None:
+        now = time.monotonic()
+        if isinstance(news, bytes):
+            with suppress(MessageError):  # a stranger's
+                self._observer.take_state(decode(news), now)
+        elif self._presence.take(*news):
+            role, name = name_of_live(news[0])
+            if role == "area":
+                self._observer.take_presence(name, news[1], now)

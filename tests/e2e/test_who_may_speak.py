@@ -1,0 +1,264 @@
+"""Strangers, impostors and flooders against a secured system of real processes: kept out, logged, without effect."""
+
+from __future__ import annotations
+
+import datetime
+import json
+import math
+import os
+import shutil
+import signal
+import socket
+import ssl
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from stranger import RUN
+from system_by_hand import ROOT, SystemByHand, Watcher, free_port
+from waiting import DEADLINE_S, wait_until
+
+from agents.credentials import credentials_in
+from coordinator.certificates import access_of, create_keys
+from coordinator.split import write_area_files
+from scenarios.scenario import load_scenario
+
+AREAS = ("area1", "area2", "area3")
+STRANGER = [sys.executable, "-P", str(ROOT / "tests" / "e2e" / "stranger.py")]
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
+SEE_REFUSED_MESSAGES = {"RUST_LOG": "warn,zenoh::net::routing::interceptor=trace"}
+
+
+class Secured(SystemByHand):
+    """Router, plant and the three areas of ieee33, with ``keys`` or, for comparison, without."""
+
+    def __init__(self, folder: Path, secured: bool = True) -> None:
+        super().__init__(folder, SEE_REFUSED_MESSAGES)
+        scenario = load_scenario(RUN)
+        self.endpoint = f"{'tls' if secured else 'tcp'}/127.0.0.1:{free_port()}"
+        self.files = write_area_files(scenario, RUN, [self.endpoint], folder / "areas")
+        self.keys = folder / "keys" if secured else None
+        if self.keys:
+            create_keys(self.keys, access_of(scenario.partition, RUN), days=1)
+        self.with_keys = ["--keys", self.keys] if self.keys else []
+
+    def start_all(self) -> None:
+        self.start("router", "router", "--listen", self.endpoint, *self.with_keys)
+        self.start("plant", "plant", RUN, "--connect", self.endpoint, *self.with_keys)
+        for area in AREAS:
+            self.start_agent(area)
+
+    def start_agent(self, area: str) -> None:
+        self.start(area, "agent", self.files[area], *self.with_keys)
+
+    def assert_unharmed(self) -> None:
+        """A watcher that comes now sees all areas agree with the centre, and that they had nothing to refuse."""
+        with Watcher(RUN, [self.endpoint], self.keys) as watcher:
+            gap = watcher.wait_for_consensus()
+            assert gap.vm_pu is not None
+            assert gap.va_deg is not None
+            assert gap.vm_pu <= 1e-8
+            assert math.radians(gap.va_deg) <= 1e-8
+            assert [state.refused for state in watcher.states.values()] == [{}, {}, {}]
+
+
+def run_stranger(*arguments: object) -> str:
+    done = subprocess.run(
+        [*STRANGER, *map(str, arguments)],
+        env=ENVIRONMENT,
+        capture_output=True,
+        text=True,
+        timeout=DEADLINE_S,
+        check=True,
+    )
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def system(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Secured]:
+    with Secured(tmp_path_factory.mktemp("secured")) as system:
+        system.start_all()
+        yield system
+        for name in (*AREAS, "plant", "router"):  # nobody has died meanwhile, and everybody ends in order
+            assert system.end(name) == 0, system.said(name)
+
+
+@pytest.fixture(autouse=True)
+def unharmed(system: Secured) -> Iterator[None]:
+    yield
+    system.assert_unharmed()
+
+
+@pytest.fixture
+def others(tmp_path: Path) -> Path:
+    """Keys with the right names by another authority."""
+    create_keys(tmp_path / "others", access_of(load_scenario(RUN).partition, RUN), days=1)
+    return tmp_path / "others"
+
+
+def log_since(system: Secured, before: int) -> str:
+    return system.said("router")[before:]
+
+
+def test_an_agent_of_another_authority_is_kept_out_and_told_why(dsse, system: Secured, others: Path):
+    before = len(system.said("router"))
+    done = dsse("agent", system.files["area3"], "--keys", others, "--timeout", "1")
+    assert done.returncode == 2
+    assert f"{system.endpoint}: its certificate is refused here" in done.stderr
+    assert "Traceback" not in done.stderr
+    wait_until(lambda: "received fatal alert" in log_since(system, before))
+
+
+def test_a_certificate_of_another_authority_is_refused_even_if_its_owner_believes_the_router(
+    dsse, system: Secured, others: Path
+):
+    shutil.copy(system.keys / "authority.crt", others / "authority.crt")  # type: ignore[operator]
+    done = dsse("agent", system.files["area3"], "--keys", others)
+    assert done.returncode == 2
+    assert "area3.crt: was issued by" in done.stderr
+    before = len(system.said("router"))
+    assert f"it refuses {others / 'area3.crt'}" in run_stranger("connect", system.endpoint, others, "area3")
+    wait_until(lambda: "invalid peer certificate" in log_since(system, before))
+
+
+def test_an_agent_without_a_certificate_is_kept_out(dsse, system: Secured):
+    done = dsse("agent", system.files["area3"])
+    assert done.returncode == 2
+    assert f"{system.endpoint} needs a certificate and a private key; give their folder with --keys" in done.stderr
+    before = len(system.said("router"))
+    plain = system.endpoint.replace("tls/", "tcp/")
+    done = dsse("agent", system.files["area3"], "--connect", plain, "--timeout", "1")
+    assert done.returncode == 2
+    assert f"cannot reach {plain}" in done.stderr
+    wait_until(lambda: "corrupt message" in log_since(system, before))
+
+
+def test_a_link_with_tls_but_without_a_certificate_is_refused(system: Secured):
+    before = len(system.said("router"))
+    context = ssl.create_default_context(cafile=str(system.keys / "authority.crt"))  # type: ignore[operator]
+    host, port = system.endpoint.removeprefix("tls/").split(":")
+    with (
+        socket.create_connection((host, int(port)), DEADLINE_S) as plain,
+        pytest.raises(ssl.SSLError, match="CERTIFICATE_REQUIRED"),
+        context.wrap_socket(plain, server_hostname=host) as link,
+    ):
+        link.recv(1)
+    wait_until(lambda: "peer sent no certificates" in log_since(system, before))
+
+
+def test_an_agent_with_an_expired_certificate_is_kept_out(dsse, system: Secured, tmp_path: Path):
+    old = tmp_path / "old"
+    shutil.copytree(system.keys, old)  # type: ignore[arg-type]
+    _let_expire(old, "area3")
+    done = dsse("agent", system.files["area3"], "--keys", old)
+    assert done.returncode == 2
+    assert f"{old / 'area3.crt'}: expired at " in done.stderr
+    before = len(system.said("router"))
+    assert f"it refuses {old / 'area3.crt'}: certificate expired" in run_stranger(
+        "connect", system.endpoint, old, "area3"
+    )
+    wait_until(lambda: "certificate expired" in log_since(system, before))
+
+
+def _let_expire(keys: Path, name: str) -> None:
+    """Have the authority in ``keys`` issue ``name``'s certificate again, for a time that is over."""
+    files, authority = credentials_in(keys, name), credentials_in(keys, "authority")
+    signing_key = serialization.load_pem_private_key(authority.key.read_bytes(), None)
+    good = x509.load_pem_x509_certificate(files.certificate.read_bytes())
+    now = datetime.datetime.now(datetime.UTC)
+    builder = x509.CertificateBuilder(
+        issuer_name=good.issuer,
+        subject_name=good.subject,
+        public_key=good.public_key(),
+        serial_number=x509.random_serial_number(),
+        not_valid_before=now - datetime.timedelta(days=2),
+        not_valid_after=now - datetime.timedelta(days=1),
+        extensions=list(good.extensions),
+    )
+    expired = builder.sign(signing_key, hashes.SHA256())  # type: ignore[arg-type]
+    files.certificate.write_bytes(expired.public_bytes(serialization.Encoding.PEM))
+
+
+def test_an_agent_with_another_areas_certificate_is_refused_by_its_own_check(dsse, system: Secured, tmp_path: Path):
+    swapped = tmp_path / "swapped"
+    shutil.copytree(system.keys, swapped)  # type: ignore[arg-type]
+    for ending in ("crt", "key"):
+        shutil.copy(swapped / f"area2.{ending}", swapped / f"area3.{ending}")
+    done = dsse("agent", system.files["area3"], "--keys", swapped)
+    assert done.returncode == 2
+    assert "area3.crt: is the certificate of 'area2', and 'area3' is needed" in done.stderr
+
+
+def test_who_has_one_areas_key_can_neither_speak_for_others_nor_listen_to_them(system: Secured):
+    before = len(system.said("router"))
+    told = json.loads(run_stranger("speak", system.endpoint, system.keys, "area2"))
+    assert told["heard"], "what is meant for its own area it may hear"
+    assert all(key.endswith("/area2") for key in told["heard"])
+    assert all(key.startswith(f"dsse/v1/{RUN}/live/area/area1/") for key in told["seen"])
+    refused = log_since(system, before)
+    for key in ("telemetry/area1", "area/area3/information/area1", "area/area1/state"):
+        assert any("is unauthorized to Put" in line and key in line for line in refused.splitlines()), key
+
+
+def test_without_keys_the_same_stranger_hears_and_moves_the_whole_grid(tmp_path: Path):
+    with Secured(tmp_path, secured=False) as plain:
+        plain.start_all()
+        with Watcher(RUN, [plain.endpoint]) as watcher:
+            watcher.wait_for_consensus()
+            told = json.loads(run_stranger("speak", plain.endpoint))
+            assert any("/telemetry/area1" in key for key in told["heard"])
+            watcher.wait_until(lambda: all(s.header.scan == told["scan"] for s in watcher.states.values()))
+            # what area9 said, who is no neighbour of anybody, and what is no message
+            watcher.wait_until(lambda: {"unknown sender", "not MessagePack"} <= watcher.states["area1"].refused.keys())
+
+
+@contextmanager
+def flooding(how: str, system: Secured) -> Iterator[None]:
+    """Inside the block a stranger floods the router, which has refused it some times already."""
+    before = len(system.said("router"))
+    flooder = subprocess.Popen([*STRANGER, how, system.endpoint], env=ENVIRONMENT)
+    try:
+        wait_until(lambda: log_since(system, before).count("zenoh_link_tls") > 10)
+        yield
+        assert flooder.poll() is None
+    finally:
+        flooder.kill()
+        flooder.wait()
+
+
+def test_an_area_that_is_killed_comes_back_while_a_stranger_floods_the_port(system: Secured):
+    with flooding("flood", system):
+        system.end("area3", signal.SIGKILL)
+        system.start_agent("area3")
+        system.assert_unharmed()
+
+
+def test_a_flood_that_keeps_new_links_waiting_does_not_touch_those_that_are_there(tmp_path: Path):
+    with Secured(tmp_path) as flooded:
+        flooded.start_all()
+        with Watcher(RUN, [flooded.endpoint], flooded.keys) as watcher:
+            watcher.wait_for_consensus()
+            with flooding("flood-wildly", flooded):
+                before = {area: state.messages for area, state in watcher.states.items()}
+                watcher.wait_until(lambda: all(watcher.states[a].messages > before[a] + 20 for a in AREAS))
+                gap = watcher.wait_for_consensus()
+                assert max(gap.vm_pu, math.radians(gap.va_deg)) <= 1e-8
+
+
+def test_a_secured_run_ends_with_the_verdict_of_any_other(dsse, tmp_path: Path):
+    done = dsse("run", "industrial13", "--secure", "--no-plots", "--quiet", "--out", "out")
+    assert done.returncode == 0, done.stderr
+    verdict = json.loads((tmp_path / "out" / "result.json").read_text())["verdict"]
+    assert max(verdict["gap_vm_pu"], math.radians(verdict["gap_va_deg"])) <= 1e-8
+    assert (tmp_path / "out" / "logs" / "router.endpoints").read_text().startswith("tls/")
+
+
+def test_keys_of_another_scenario_start_no_run(dsse, system: Secured):
+    done = dsse("run", "industrial13", "--keys", system.keys)
+    assert done.returncode == 2
+    assert "area area1 has neighbours area2, area3 there, area2 in the scenario" in done.stderr
