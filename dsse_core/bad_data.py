@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from dsse_core.errors import EstimationDivergedError, InvalidInputError, NotObservableError
-from dsse_core.estimation import EstimationResult, estimate_state
+from dsse_core.estimation import EstimationResult, estimate_with_plan, plan_scan
+from dsse_core.estimation_plan import BackendChoice, EstimationPlan
 from dsse_core.measurement import Measurement, MeasurementKind, Source
 from dsse_core.network import Network
-from dsse_core.observability import find_indispensable
 
 # Omega_ii / R_ii below which a residual says nothing about its measurement: what meters 1e6 times coarser leave.
 CRITICAL_REDUNDANCY = 1e-12
@@ -60,25 +60,25 @@ def find_critical(result: EstimationResult) -> tuple[str, ...]:
     Their residual is zero whatever they read; or it is not, because losses or current magnitudes check them a
     little, but without them the state is not observable.
     """
-    indispensable = find_indispensable(result.network, [m.meter for m in result.measurements], result.reference)
-    return tuple(
-        m.meter.id
-        for m, variance in zip(result.measurements, result.residual_variance, strict=True)
-        if m.meter.source is not Source.VIRTUAL
-        and (variance <= CRITICAL_REDUNDANCY * m.sigma**2 or m.meter.id in indispensable)
-    )
+    plan = result.plan
+    spared = (result.residual_variance <= CRITICAL_REDUNDANCY * result.sigmas**2) | plan.indispensable
+    return tuple(plan.meters[k].id for k in np.flatnonzero(spared & ~plan.virtual))
 
 
 def normalized_residuals(result: EstimationResult) -> np.ndarray:
     """|r_i| / sqrt(Omega_ii) (eq. 3.23), shape (n_meas,); 0 for virtual measurements and where Omega_ii is 0."""
-    return normalize_residuals(result.measurements, result.residual, result.residual_variance)
+    return _normalize(result.residual, result.residual_variance, result.sigmas, ~result.plan.virtual)
 
 
 def normalize_residuals(measurements: Sequence[Measurement], residual: np.ndarray, variance: np.ndarray) -> np.ndarray:
     """The same of ``residual`` z - h(x) with ``variance`` diag(Omega), each of shape (n_meas,)."""
-    sigma = np.array([m.sigma for m in measurements])
-    telling = variance > CRITICAL_REDUNDANCY * sigma**2
-    telling &= np.array([m.meter.source is not Source.VIRTUAL for m in measurements], dtype=bool)
+    sigmas = np.array([m.sigma for m in measurements], dtype=float)
+    real = np.array([m.meter.source is not Source.VIRTUAL for m in measurements], dtype=bool)
+    return _normalize(residual, variance, sigmas, real)
+
+
+def _normalize(residual: np.ndarray, variance: np.ndarray, sigmas: np.ndarray, real: np.ndarray) -> np.ndarray:
+    telling = real & (variance > CRITICAL_REDUNDANCY * sigmas**2)
     return np.where(telling, abs(residual) / np.sqrt(np.where(telling, variance, 1.0)), 0.0)
 
 
@@ -87,6 +87,27 @@ def process_bad_data(
     measurements: Sequence[Measurement],
     *,
     reference: int | None = None,
+    start: tuple[np.ndarray, np.ndarray] | None = None,
+    tolerance: float = 1e-6,
+    confidence: float = CONFIDENCE,
+    threshold: float = THRESHOLD,
+    backend: BackendChoice = "auto",
+) -> BadDataReport:
+    """``process_bad_data_with_plan`` of one scan; ``reference``, ``backend``: see ``build_estimation_plan``.
+
+    Raises:
+        As ``estimate_state``.
+    """
+    plan, values, sigmas = plan_scan(network, measurements, reference=reference, backend=backend)
+    options = {"tolerance": tolerance, "confidence": confidence, "threshold": threshold}
+    return process_bad_data_with_plan(plan, values, sigmas, start=start, **options)
+
+
+def process_bad_data_with_plan(
+    plan: EstimationPlan,
+    values: np.ndarray,
+    sigmas: np.ndarray,
+    *,
     start: tuple[np.ndarray, np.ndarray] | None = None,
     tolerance: float = 1e-6,
     confidence: float = CONFIDENCE,
@@ -101,19 +122,22 @@ def process_bad_data(
     a measurement the estimation diverges, the last good estimate stands, and ``detected`` with it.
 
     Raises:
-        As ``estimate_state``, about all ``measurements``.
+        As ``estimate_with_plan``, about all readings.
     """
 
-    def estimate(chosen: Sequence[Measurement]) -> EstimationResult:
-        return estimate_state(network, chosen, reference=reference, start=start, tolerance=tolerance)
+    def estimate(plan: EstimationPlan, values: np.ndarray, sigmas: np.ndarray) -> EstimationResult:
+        return estimate_with_plan(plan, values, sigmas, start=start, tolerance=tolerance)
 
-    removed = _find_dead_voltmeters(measurements, estimate, threshold)
-    dead = [r.measurement for r in removed]
-    result = estimate([m for m in measurements if m not in dead])
+    def estimate_without(rows: Sequence[int], plan: EstimationPlan, *scan: np.ndarray) -> EstimationResult:
+        return estimate(plan.without(rows), *(np.delete(readings, rows) for readings in scan))
+
+    dead, removed = _find_dead_voltmeters(plan, values, sigmas, estimate_without, threshold)
+    result = estimate_without(dead, plan, values, sigmas) if dead else estimate(plan, values, sigmas)
     kept: set[str] = set()  # critical, found out by trying
-    while _exceeds_limit(result, confidence) and (worst := _find_worst(result, threshold, kept)):
+    while _exceeds_limit(result, confidence) and (found := _find_worst(result, threshold, kept)):
+        row, worst = found
         try:
-            result = estimate([m for m in result.measurements if m is not worst.measurement])
+            result = estimate_without([row], result.plan, result.values, result.sigmas)
             removed.append(worst)
         except NotObservableError:
             kept.add(worst.measurement.meter.id)
@@ -123,7 +147,7 @@ def process_bad_data(
     return BadDataReport(
         result=result,
         removed=tuple(removed),
-        critical=tuple(m.meter.id for m in result.measurements if m.meter.id in critical),
+        critical=tuple(meter.id for meter in result.plan.meters if meter.id in critical),
         detected=_exceeds_limit(result, confidence),
         objective=result.objective,
         chi_square_limit=chi_square_limit(result.degrees_of_freedom, confidence),
@@ -132,47 +156,56 @@ def process_bad_data(
 
 
 def _find_dead_voltmeters(
-    measurements: Sequence[Measurement], estimate: Callable[[Sequence[Measurement]], EstimationResult], threshold: float
-) -> list[RemovedMeasurement]:
-    """Voltmeters below DEAD_VM that the estimate without them contradicts; none where there is no such estimate.
+    plan: EstimationPlan,
+    values: np.ndarray,
+    sigmas: np.ndarray,
+    estimate_without: Callable[[Sequence[int], EstimationPlan, np.ndarray, np.ndarray], EstimationResult],
+    threshold: float,
+) -> tuple[list[int], list[RemovedMeasurement]]:
+    """Voltmeters below DEAD_VM that the estimate without them contradicts, with their positions; none where there is
+    no such estimate.
 
     (z - vm) / sqrt(sigma^2 + sigma_vm^2) is the normalised residual of the meter in the linear model, but taken
     at a state that the reading has not moved.
     """
-    suspects = [m for m in measurements if m.meter.kind is MeasurementKind.VM and m.value < DEAD_VM]
+    low = np.flatnonzero(np.asarray(values) < DEAD_VM).tolist()
+    suspects = [k for k in low if plan.meters[k].kind is MeasurementKind.VM]
     if not suspects:
-        return []
+        return [], []
     try:
-        result = estimate([m for m in measurements if m not in suspects])
+        result = estimate_without(suspects, plan, values, sigmas)
     except (InvalidInputError, NotObservableError, EstimationDivergedError):
-        return []  # the estimate with all of them says what is wrong
+        return [], []  # the estimate with all of them says what is wrong
     sigma_vm, _ = result.state_sigma()
-    dead = []
-    for m in suspects:
-        row = result.network.row[m.meter.bus]
+    rows, dead = [], []
+    for k in suspects:
+        m = Measurement(plan.meters[k], float(values[k]), float(sigmas[k]))
+        row = plan.network.row[m.meter.bus]
         normalized = float(abs(m.value - result.vm[row]) / np.hypot(m.sigma, sigma_vm[row]))
         if normalized > threshold:
+            rows.append(k)
             dead.append(RemovedMeasurement(m, normalized, ()))
-    return dead
+    return rows, dead
 
 
 def _exceeds_limit(result: EstimationResult, confidence: float) -> bool:
     return result.objective >= chi_square_limit(result.degrees_of_freedom, confidence)
 
 
-def _find_worst(result: EstimationResult, threshold: float, kept: Collection[str]) -> RemovedMeasurement | None:
+def _find_worst(
+    result: EstimationResult, threshold: float, kept: Collection[str]
+) -> tuple[int, RemovedMeasurement] | None:
     """The largest normalised residual above ``threshold`` but for the meters ``kept``, with those that equal it."""
-    normalized = normalized_residuals(result)
-    ids = [m.meter.id for m in result.measurements]
-    candidates = [k for k in np.flatnonzero(normalized > threshold) if ids[k] not in kept]
+    normalized, meters = normalized_residuals(result), result.plan.meters
+    candidates = [k for k in np.flatnonzero(normalized > threshold).tolist() if meters[k].id not in kept]
     largest = max((normalized[k] for k in candidates), default=0.0)
-    tied = sorted((k for k in candidates if normalized[k] >= largest * (1 - TIE)), key=lambda k: ids[k])
+    tied = sorted((k for k in candidates if normalized[k] >= largest * (1 - TIE)), key=lambda k: meters[k].id)
     if not tied:
         return None
     first = tied[0]
-    equal = np.flatnonzero(abs(normalized - largest) <= TIE * largest)
-    return RemovedMeasurement(
+    equal = np.flatnonzero(abs(normalized - largest) <= TIE * largest).tolist()
+    return first, RemovedMeasurement(
         measurement=result.measurements[first],
         normalized_residual=float(normalized[first]),
-        indistinguishable_from=tuple(sorted(ids[k] for k in equal if k != first)),
+        indistinguishable_from=tuple(sorted(meters[k].id for k in equal if k != first)),
     )

@@ -124,13 +124,20 @@ def estimate_state(
         NotObservableError: names the buses that are not determined.
         EstimationDivergedError: names the measurement with the largest weighted residual.
     """
+    plan, values, sigmas = plan_scan(network, measurements, reference=reference, backend=backend)
+    return estimate_with_plan(plan, values, sigmas, start=start, tolerance=tolerance, max_iterations=max_iterations)
+
+
+def plan_scan(
+    network: Network, measurements: Sequence[Measurement], *, reference: int | None, backend: BackendChoice
+) -> tuple[EstimationPlan, np.ndarray, np.ndarray]:
+    """The plan for the meters of one scan, and its values and sigmas; raises as ``estimate_state``."""
     meters = [m.meter for m in measurements]
     values = np.array([m.value for m in measurements], dtype=float)
     sigmas = np.array([m.sigma for m in measurements], dtype=float)
     if not _are_usable(values, sigmas, np.array([meter.source is Source.VIRTUAL for meter in meters], dtype=bool)):
         check_measurements(network, measurements)
-    plan = build_estimation_plan(network, meters, reference=reference, backend=backend)
-    return estimate_with_plan(plan, values, sigmas, start=start, tolerance=tolerance, max_iterations=max_iterations)
+    return build_estimation_plan(network, meters, reference=reference, backend=backend), values, sigmas
 
 
 def estimate_with_plan(

@@ -13,9 +13,9 @@ import numpy as np
 from dsse_core.errors import InvalidInputError
 from dsse_core.measurement import Meter, Source
 from dsse_core.network import Network
-from dsse_core.observability import check_observable, find_reference
+from dsse_core.observability import check_observable, find_indispensable, find_reference
 from dsse_core.sparse_estimation import SparsePlan, build_sparse_plan
-from dsse_core.tree_plan import TreePlan, build_tree_plan
+from dsse_core.tree_plan import TreePlan, build_tree_plan, drop_meters
 
 Backend = Literal["tree", "sparse"]
 BackendChoice = Literal["auto", "tree", "sparse"]
@@ -44,6 +44,28 @@ class EstimationPlan:
     def virtual(self) -> np.ndarray:
         """Which readings hold exactly, shape (n_meas,)."""
         return np.array([meter.source is Source.VIRTUAL for meter in self.meters], dtype=bool)
+
+    @cached_property
+    def indispensable(self) -> np.ndarray:
+        """Which meters leave the state undetermined when taken out, shape (n_meas,); see ``find_indispensable``."""
+        if isinstance(self.tree, str):
+            found = find_indispensable(self.network, self.meters, self.reference)
+            return np.array([meter.id in found for meter in self.meters], dtype=bool)
+        from dsse_core.tree_redundancy import find_indispensable_on_tree  # numba, loaded when the plan was built
+
+        return find_indispensable_on_tree(self.tree)
+
+    def without(self, rows: Sequence[int]) -> EstimationPlan:
+        """The plan without the meters at the positions ``rows``, on the same back end if that can still serve.
+
+        Raises:
+            NotObservableError: names the buses that the others do not determine.
+        """
+        tree = self.tree if isinstance(self.tree, str) else drop_meters(self.tree, rows)
+        meters = tuple(self.meters[k] for k in np.delete(np.arange(len(self.meters)), rows).tolist())
+        if isinstance(self.tree, str):
+            check_observable(self.network, meters, reference=self.reference)
+        return EstimationPlan(self.network, meters, self.reference, tree)
 
     @property
     def degrees_of_freedom(self) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -35,9 +35,10 @@ class TreePlan:
     """A tree of buses, numbered from the root (the reference bus) so that every parent precedes its children.
 
     ``order`` (n_bus,): network row of each bus of the tree. ``parent`` (n_bus,): number of its parent; the root's is 0.
-    ``admittance`` (n_bus, 8) complex: see ``_stack_admittances``. ``slot`` (n_meas,): place of each meter's reading in
-    an array (n_bus, N_SLOT), flattened. ``virtual`` (n_meas,): which readings hold exactly. ``start`` (n_bus,)
-    complex and ``start_va`` (n_bus,): the flat start in tree order, with the angle that is given at the root.
+    ``admittance`` (n_bus, 8) complex: see ``_stack_admittances``; ``no_load_admittance``: without shunts and charging.
+    ``slot`` (n_meas,): place of each meter's reading in an array (n_bus, N_SLOT), flattened. ``virtual`` (n_meas,):
+    which readings hold exactly. ``start`` (n_bus,) complex and ``start_va`` (n_bus,): the flat start in tree order,
+    with the angle that is given at the root.
     """
 
     network: Network
@@ -46,6 +47,7 @@ class TreePlan:
     order: np.ndarray
     parent: np.ndarray
     admittance: np.ndarray
+    no_load_admittance: np.ndarray
     slot: np.ndarray
     virtual: np.ndarray
     start: np.ndarray
@@ -126,17 +128,27 @@ def build_tree_plan(network: Network, meters: Sequence[Meter], *, reference: int
         order=layout.order,
         parent=layout.parent,
         admittance=stack_admittances(network, layout),
+        no_load_admittance=_stack_admittances(series, 0 * ends, ratio, layout.from_parent, layout.child, 0 * start),
         slot=find_slots(network, meters, layout),
         virtual=np.array([meter.source is Source.VIRTUAL for meter in meters], dtype=bool),
         start=start * np.exp(1j * angle),
         start_va=np.angle(start) + angle,
     )
-    no_shunt = np.zeros(len(network.buses))
-    bare = _stack_admittances(series, 0 * ends, ratio, layout.from_parent, layout.child, no_shunt)
-    if (stuck := _find_stuck_bus(plan, bare)) is None:
+    return _check_determined(plan)
+
+
+def drop_meters(plan: TreePlan, rows: Sequence[int]) -> TreePlan | str:
+    """The plan without the meters at the positions ``rows``. Returns and raises as ``build_tree_plan``."""
+    kept = np.delete(np.arange(len(plan.meters)), rows)
+    meters = tuple(plan.meters[k] for k in kept.tolist())
+    return _check_determined(replace(plan, meters=meters, slot=plan.slot[kept], virtual=plan.virtual[kept]))
+
+
+def _check_determined(plan: TreePlan) -> TreePlan | str:
+    if (stuck := _find_stuck_bus(plan)) is None:
         return plan
-    check_observable(network, meters, reference=reference)
-    bus = network.buses[layout.order[stuck]].id
+    check_observable(plan.network, plan.meters, reference=plan.reference)
+    bus = plan.network.buses[plan.order[stuck]].id
     return f"the power through the branch above bus {bus} is not determined by the meters below and at that branch"
 
 
@@ -203,7 +215,7 @@ def _follow(parent: np.ndarray, gain: np.ndarray) -> np.ndarray:
     return v
 
 
-def _find_stuck_bus(plan: TreePlan, admittance: np.ndarray) -> int | None:
+def _find_stuck_bus(plan: TreePlan) -> int | None:
     """The first bus whose block is singular at no load, without shunts, charging and currents; all sigmas 1."""
     from dsse_core import tree_kernel  # numba: only where a plan is built
 
@@ -213,7 +225,6 @@ def _find_stuck_bus(plan: TreePlan, admittance: np.ndarray) -> int | None:
     weights.ravel()[plan.slot] = 1.0
     weights[:, [6, 9]] = 0.0
     work = tree_kernel.Work.of(n)
-    ratio, bus = tree_kernel.eliminate(
-        plan.parent, admittance, readings, weights, plan.start, plan.start_va, False, tree_kernel.CHECK, *work
-    )
+    at = plan.parent, plan.no_load_admittance, readings, weights, plan.start, plan.start_va
+    ratio, bus = tree_kernel.eliminate(*at, False, tree_kernel.CHECK, *work)
     return int(bus) if not ratio > LEAST_PIVOT_RATIO else None

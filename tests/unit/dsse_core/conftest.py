@@ -2,11 +2,15 @@
 
 import math
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
 from dsse_core.admittance import build_admittance
+from dsse_core.bad_data import BadDataReport, process_bad_data
+from dsse_core.estimation import EstimationResult, estimate_state
 from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.measurement_model import build_measurement_model
 from dsse_core.network import Branch, Bus, Control, Generator, Network
@@ -22,6 +26,25 @@ def backend(request) -> str:
     if request.param == "tree":
         pytest.importorskip("numba", reason="the tree back end needs numba: pip install 'consensus-dsse[fast]'")
     return str(request.param)
+
+
+@pytest.fixture
+def estimate(backend) -> Callable[..., EstimationResult]:
+    """``estimate_state`` on each back end."""
+    return partial(estimate_state, backend=backend)
+
+
+@pytest.fixture
+def process(backend) -> Callable[..., BadDataReport]:
+    """``process_bad_data`` on each back end."""
+    return partial(process_bad_data, backend=backend)
+
+
+@pytest.fixture
+def rich(backend, meshed) -> Network:
+    """``meshed``, and for the tree its loops opened."""
+    opened = tuple(b for b in meshed.branches if b.id not in ("2-3#2", "4-2"))
+    return replace(meshed, branches=opened) if backend == "tree" else meshed
 
 
 @pytest.fixture

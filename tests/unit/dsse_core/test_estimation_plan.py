@@ -128,6 +128,28 @@ def test_too_few_meters_are_refused_with_the_buses_named(case, meters_of, backen
         )
 
 
+def test_a_plan_without_some_meters_is_the_plan_of_the_others(case, scan, backend):
+    measurements = scan(6)
+    plan = build_estimation_plan(case("ieee33"), [m.meter for m in measurements], backend=backend)
+    gone = [k for k, m in enumerate(measurements) if m.meter.kind is Kind.VA or m.meter.bus == 7]
+    rest = [m for k, m in enumerate(measurements) if k not in gone]
+    less = plan.without(gone)
+    assert less.meters == tuple(m.meter for m in rest)
+    result = estimate_with_plan(less, *arrays(rest))
+    assert result.backend == backend
+    np.testing.assert_allclose(result.vm, estimate_state(case("ieee33"), rest).vm, atol=1e-9)
+    with pytest.raises(NotObservableError, match="bus 1, "):
+        less.without([k for k, meter in enumerate(less.meters) if meter.kind is Kind.VM])
+
+
+def test_where_the_tree_cannot_serve_after_a_removal_the_sparse_back_end_does(case, meters_of):
+    pytest.importorskip("numba", reason="the tree back end needs numba: pip install 'consensus-dsse[fast]'")
+    meters = [*meters_of(case("ieee33"), Kind.VM, *POWERS[:2])]
+    plan = build_estimation_plan(case("ieee33"), meters, backend="tree")
+    without = plan.without([k for k, meter in enumerate(meters) if meter.bus == 18])
+    assert (without.backend, "above bus 18" in str(without.tree)) == ("sparse", True)
+
+
 @pytest.mark.parametrize("meter", [Meter(Kind.VM, 99), Meter(Kind.VM, 1), Meter(Kind.P_FLOW, 1, "none")])
 def test_meters_that_do_not_fit_are_refused(meter, case, meters_of, backend):
     network = case("ieee33")

@@ -8,6 +8,7 @@ from grids import MeterShares, make_grid
 
 from dsse_core.errors import EstimationDivergedError
 from dsse_core.estimation import EstimationResult, estimate_state
+from dsse_core.estimation_plan import build_estimation_plan
 from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.network import Branch, Bus, Control, Generator, Network
 from dsse_core.power_flow import solve_power_flow
@@ -133,6 +134,9 @@ def test_the_tree_agrees_with_the_sparse_estimate_on_any_radial_grid(random_seed
             on_tree(grid.network, grid.measurements, tolerance=1e-8)
     else:
         assert_same(grid.network, grid.measurements, decades=decades)
+    meters = [m.meter for m in grid.measurements]
+    plans = [build_estimation_plan(grid.network, meters, backend=backend) for backend in ("tree", "sparse")]
+    np.testing.assert_array_equal(*(plan.indispensable for plan in plans))
 
 
 @pytest.mark.parametrize("decades", [1, 2, 3, 4])
