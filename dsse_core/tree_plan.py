@@ -97,7 +97,7 @@ def lay_out_tree(network: Network, root: int) -> TreeLayout | str:
 
 def stack_admittances(network: Network, layout: TreeLayout) -> np.ndarray:
     """Shape (n_bus, 8), complex; see ``_stack_admittances``."""
-    series, ends, ratio = _read_branches(network)
+    series, ends, ratio = read_branches(network)
     return _stack_admittances(series, ends, ratio, layout.from_parent, layout.child, _read_shunts(network, layout))
 
 
@@ -116,7 +116,7 @@ def build_tree_plan(network: Network, meters: Sequence[Meter], *, reference: int
         return "numba is not installed"
     if isinstance(layout := lay_out_tree(network, reference), str):
         return layout
-    series, ends, ratio = _read_branches(network)
+    series, ends, ratio = read_branches(network)
     gain = np.ones(len(network.buses), dtype=complex)
     gain[layout.child] = np.where(layout.from_parent, 1 / ratio, ratio)
     start = _follow(layout.parent, gain)
@@ -152,7 +152,7 @@ def _check_determined(plan: TreePlan) -> TreePlan | str:
     return f"the power through the branch above bus {bus} is not determined by the meters below and at that branch"
 
 
-def _read_branches(network: Network) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def read_branches(network: Network) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Series admittance, admittance at each end and complex tap ratio of the branches in service."""
     branches = network.active_branches
     r, x, g, b, tap, shift = np.array([(b.r, b.x, b.g, b.b, b.tap, b.shift) for b in branches]).reshape(-1, 6).T

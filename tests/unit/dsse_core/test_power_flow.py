@@ -2,17 +2,28 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
+from grids import MeterShares, make_grid
 
 from dsse_core.admittance import build_admittance
 from dsse_core.errors import InvalidInputError, PowerFlowDivergedError
 from dsse_core.measurement import MeasurementKind, Meter
 from dsse_core.network import Branch, Bus, Control, Generator, Network
 from dsse_core.power_flow import solve_power_flow
+from scenarios.generator import generate_feeder
 
 Kind = MeasurementKind
+
+
+@pytest.fixture(params=["newton", "sweep"])
+def solve(request):
+    """``solve_power_flow`` of radial networks by each method."""
+    if request.param == "sweep":
+        pytest.importorskip("numba", reason="sweeps need numba: pip install 'consensus-dsse[fast]'")
+    return partial(solve_power_flow, method=request.param)
 
 
 def two_buses(branch=None, load=0.5 + 0.2j, generators=()):
@@ -30,10 +41,10 @@ def without_generators(network, q_load_28):
     return replace(network, buses=buses, generators=(Generator(1, Control.SLACK),))
 
 
-def test_the_33_bus_feeder_of_baran_and_wu_without_generators_loses_202_68_kw(case):
+def test_the_33_bus_feeder_of_baran_and_wu_without_generators_loses_202_68_kw(case, solve):
     """The literature value belongs to their 0.020 Mvar at bus 28; the shipped case carries the thesis's 0.025."""
     network = without_generators(case("ieee33"), q_load_28=0.020)
-    result = solve_power_flow(network)
+    result = solve(network)
     assert result.losses.real * network.base_mva * 1000 == pytest.approx(202.677, abs=0.001)
     assert result.vm.min() == pytest.approx(0.9131, abs=5e-5)
     assert network.buses[int(result.vm.argmin())].id == 18
@@ -61,30 +72,30 @@ def test_every_bus_meets_its_schedule_and_voltage_holding_buses_their_set_points
     np.testing.assert_allclose(result.injection, dense, atol=1e-12)
 
 
-def test_two_buses_agree_with_the_closed_solution():
-    result = solve_power_flow(two_buses())
+def test_two_buses_agree_with_the_closed_solution(solve):
+    result = solve(two_buses())
     r, x, p, q, v1 = 0.02, 0.06, 0.5, 0.2, 1.01
     b = 2 * (r * p + x * q) - v1**2
     c = (r**2 + x**2) * (p**2 + q**2)
     assert result.vm[1] == pytest.approx(math.sqrt((-b + math.sqrt(b**2 - 4 * c)) / 2), abs=1e-11)
 
 
-def test_a_phase_shifter_turns_all_angles_behind_it_and_changes_nothing_else():
-    plain = solve_power_flow(two_buses())
-    shifted = solve_power_flow(two_buses(Branch("1-2", 1, 2, 0.02, 0.06, shift=math.radians(150))))
+def test_a_phase_shifter_turns_all_angles_behind_it_and_changes_nothing_else(solve):
+    plain = solve(two_buses())
+    shifted = solve(two_buses(Branch("1-2", 1, 2, 0.02, 0.06, shift=math.radians(150))))
     np.testing.assert_allclose(shifted.vm, plain.vm, atol=1e-12)
     assert shifted.va[1] - plain.va[1] == pytest.approx(-math.radians(150), abs=1e-12)
 
 
-def test_an_unloaded_transformer_divides_the_voltage_by_its_tap():
-    result = solve_power_flow(two_buses(Branch("1-2", 1, 2, 0.02, 0.06, tap=0.95), load=0j))
+def test_an_unloaded_transformer_divides_the_voltage_by_its_tap(solve):
+    result = solve(two_buses(Branch("1-2", 1, 2, 0.02, 0.06, tap=0.95), load=0j))
     assert result.vm[1] == pytest.approx(1.01 / 0.95, abs=1e-10)
 
 
-def test_the_slack_angle_of_the_network_is_kept():
+def test_the_slack_angle_of_the_network_is_kept(solve):
     network = two_buses()
     turned = replace(network, generators=(Generator(1, Control.SLACK, vm=1.01, va=0.4),))
-    assert solve_power_flow(turned).va - solve_power_flow(network).va == pytest.approx(0.4)
+    assert solve(turned).va - solve(network).va == pytest.approx(0.4)
 
 
 def test_a_local_slack_replaces_the_slack_of_the_network_and_stands_at_angle_zero(meshed):
@@ -94,16 +105,16 @@ def test_a_local_slack_replaces_the_slack_of_the_network_and_stands_at_angle_zer
     assert result.injection[meshed.row[10]] == pytest.approx(0.0, abs=1e-10)
 
 
-def test_extra_load_comes_on_top_of_the_load_of_the_network():
+def test_extra_load_comes_on_top_of_the_load_of_the_network(solve):
     heavier = two_buses(load=0.7 + 0.3j)
-    result = solve_power_flow(two_buses(), extra_load={2: 0.2 + 0.1j})
-    np.testing.assert_allclose(result.vm, solve_power_flow(heavier).vm, atol=1e-11)
+    result = solve(two_buses(), extra_load={2: 0.2 + 0.1j})
+    np.testing.assert_allclose(result.vm, solve(heavier).vm, atol=1e-11)
 
 
 @pytest.mark.parametrize("load", [20 + 10j, 1e6 + 0j])
-def test_a_load_beyond_the_nose_of_the_voltage_curve_is_refused_with_the_bus(load):
+def test_a_load_beyond_the_nose_of_the_voltage_curve_is_refused_with_the_bus(load, solve):
     with pytest.raises(PowerFlowDivergedError, match="bus 2") as caught:
-        solve_power_flow(two_buses(load=load))
+        solve(two_buses(load=load))
     assert caught.value.bus == 2
     assert math.isfinite(caught.value.mismatch)
 
@@ -136,15 +147,15 @@ def test_a_network_without_slack_is_refused():
         solve_power_flow(network)
 
 
-def test_impedances_near_zero_converge_to_round_off(chain):
-    short = solve_power_flow(chain(33, short=(5, 9, 20)))
+def test_impedances_near_zero_converge_to_round_off(chain, solve):
+    short = solve(chain(33, short=(5, 9, 20)))
     assert short.iterations < 10
     tiny = two_buses(Branch("1-2", 1, 2, 1e-8, 1e-8))
-    assert solve_power_flow(tiny).vm[1] == pytest.approx(1.01, abs=1e-6)
+    assert solve(tiny).vm[1] == pytest.approx(1.01, abs=1e-6)
 
 
-def test_a_feeder_of_5000_buses_is_solved(chain):
-    result = solve_power_flow(chain(5000))
+def test_a_feeder_of_5000_buses_is_solved(chain, solve):
+    result = solve(chain(5000))
     assert result.losses.real == pytest.approx((result.injection.sum()).real)
     assert 0.9 < result.vm[-1] < 1.0
 
@@ -178,3 +189,67 @@ def test_all_meters_are_read_at_once_as_one_by_one_and_their_problems_told_toget
     with pytest.raises(InvalidInputError) as caught:
         result.read_all([Meter(Kind.VM, 99), Meter(Kind.VM, 2), Meter(Kind.VM, 2)])
     assert len(caught.value.problems) == 2
+
+
+def assert_same(network, **options):
+    """Both methods agree to 1e-9 p.u. and rad, and so do the injections."""
+    pytest.importorskip("numba", reason="sweeps need numba: pip install 'consensus-dsse[fast]'")
+    newton, sweep = (solve_power_flow(network, method=method, **options) for method in ("newton", "sweep"))
+    assert (newton.method, sweep.method) == ("newton", "sweep")
+    np.testing.assert_allclose(sweep.vm, newton.vm, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(sweep.va, newton.va, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(sweep.injection, newton.injection, rtol=0, atol=1e-9)
+
+
+def without_voltage_control(network):
+    kept = tuple(g if g.control is Control.SLACK else replace(g, control=Control.POWER) for g in network.generators)
+    return replace(network, generators=kept)
+
+
+@pytest.mark.parametrize("name", ["ieee33", "industrial13"])
+@pytest.mark.parametrize("slack", [None, (5, 1.01)])
+def test_sweeps_agree_with_newton_on_the_cases(name, slack, case):
+    assert_same(without_voltage_control(case(name)), slack=slack, extra_load={2: 0.1 + 0.05j})
+
+
+def test_sweeps_agree_with_newton_on_a_generated_feeder_and_are_chosen_by_its_size(monkeypatch):
+    network, _ = generate_feeder(2000, np.random.default_rng(1), n_pv=10)
+    assert_same(network)
+    assert solve_power_flow(network).method == "newton"
+    monkeypatch.setattr("dsse_core.power_flow.FEWEST_BUSES_OF_SWEEP", 2000)
+    assert solve_power_flow(network).method == "sweep"
+    monkeypatch.setattr("importlib.util.find_spec", lambda name, *rest: None)
+    assert solve_power_flow(network).method == "newton"
+
+
+@pytest.mark.random_cases(few=30, many=500)
+def test_sweeps_agree_with_newton_on_any_radial_grid(random_seed):
+    rng = np.random.default_rng([random_seed, 32])
+    grid = make_grid(
+        random_seed,
+        n_bus=int(rng.integers(2, 60)),
+        n_area=1,
+        chain=rng.random(),
+        decades=float(rng.choice([0, 1, 2])),
+        loops=0,
+        transformers=float(rng.choice([0, 0.3])),
+        short=None,
+        slack_at_root=bool(rng.random() < 0.5),
+        shares=MeterShares(),
+    )
+    assert_same(without_voltage_control(grid.network))
+
+
+def test_where_sweeps_do_not_converge_newton_does():
+    pytest.importorskip("numba", reason="sweeps need numba: pip install 'consensus-dsse[fast]'")
+    heavy = two_buses(load=4.2 + 2.1j)
+    result = solve_power_flow(heavy, method="sweep")
+    assert result.method == "newton"
+    assert result.vm[1] == pytest.approx(solve_power_flow(heavy, method="newton").vm[1], abs=1e-10)
+
+
+def test_sweeps_that_cannot_serve_are_refused_with_the_reason(meshed):
+    with pytest.raises(InvalidInputError, match=r"not radial|hold their voltage|numba is not installed"):
+        solve_power_flow(meshed, method="sweep")
+    with pytest.raises(InvalidInputError, match="choose one of auto, sweep, newton"):
+        solve_power_flow(meshed, method="gauss")
