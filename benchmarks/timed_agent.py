@@ -1,0 +1,56 @@
+"""What ``benchmarks.latency`` starts beside itself: agents that time themselves, and an echo."""
+
+from __future__ import annotations
+
+import json
+import queue
+import signal
+import time
+from collections import Counter, defaultdict
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import agents.link
+import agents.loop
+from agents.__main__ import main as run_agent
+from agents.protocol import AreaProtocol
+from agents.transport import Session
+
+PING, PONG = "dsse/v1/latency/ping", "dsse/v1/latency/pong"
+
+
+def run_timed_agent(area_file: str, out: str) -> int:
+    """Run an agent; at its end write how often it decoded, handled and encoded, and how many seconds that took."""
+    seconds: defaultdict[str, float] = defaultdict(float)
+    calls: Counter[str] = Counter()
+
+    def timed(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*arguments: Any) -> Any:
+            start = time.perf_counter()
+            try:
+                return function(*arguments)
+            finally:
+                seconds[name] += time.perf_counter() - start
+                calls[name] += 1
+
+        return call
+
+    agents.loop.decode = timed("decode", agents.loop.decode)  # type: ignore[attr-defined]
+    agents.link.encode = timed("encode", agents.link.encode)  # type: ignore[attr-defined]
+    AreaProtocol.handle = timed("solve", AreaProtocol.handle)  # type: ignore[method-assign]
+    code = run_agent([area_file])
+    Path(out).write_text(json.dumps({"seconds": seconds, "calls": calls}))
+    return code
+
+
+def run_echo(endpoint: str) -> int:
+    """Send back on PONG what comes on PING, until SIGTERM."""
+    news: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+    with Session.connect([endpoint]) as session:
+        signal.signal(signal.SIGTERM, lambda *_: news.put(None))
+        answer = session.publisher(PONG)
+        session.subscribe(PING, lambda _key, payload: news.put(payload))
+        while (payload := news.get()) is not None:
+            answer(payload)
+    return 0
