@@ -4,15 +4,23 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 
 class EventLog:
-    """Appends events to ``path``; ``time`` in each is seconds since ``started`` on the monotonic clock."""
+    """Appends events to ``path``; ``time`` in each is seconds since ``started`` on the monotonic clock.
+
+    A run does not end because its events cannot be written, on a full disk for instance: ``failure`` says why they
+    could not be.
+    """
 
     def __init__(self, path: Path, started: float) -> None:
+        self.failure: str | None = None
+        self._path = path
         self._started = started
         self._file = path.open("a", encoding="utf-8")
 
@@ -22,10 +30,19 @@ class EventLog:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._file.close()
+        with self._noting_failure():
+            self._file.close()
 
     def write(self, event: str, now: float | None = None, **details: Any) -> None:
         """Write one event that happened at monotonic time ``now`` (default: this moment)."""
         at = (time.monotonic() if now is None else now) - self._started
-        self._file.write(json.dumps({"time": round(at, 4), "event": event, **details}) + "\n")
-        self._file.flush()
+        with self._noting_failure():
+            self._file.write(json.dumps({"time": round(at, 4), "event": event, **details}) + "\n")
+            self._file.flush()
+
+    @contextmanager
+    def _noting_failure(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            self.failure = self.failure or f"{self._path}: {error.strerror}"

@@ -21,6 +21,7 @@ from dsse_core.errors import DsseError
 ONE_THREAD = {
     name: "1" for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 }
+FILES_OF_A_PROCESS = 32  # beside one for the link of each area; measured: a router with three areas runs with 24
 ROOT = Path(__file__).resolve().parent.parent  # where this package was imported from
 
 
@@ -130,6 +131,18 @@ class Launcher:
         except (EOFError, OSError):
             if not (self._stopping or self._closed):
                 self.on_news(Ended("parent of all processes", self.pid, self._zygote.wait()))
+
+
+def check_open_files(areas: int) -> None:
+    """Raise LaunchError if a process may not open as many files as the links of ``areas`` need."""
+    import resource  # not on Windows, where Launcher has said so
+
+    limit, needed = resource.getrlimit(resource.RLIMIT_NOFILE)[0], FILES_OF_A_PROCESS + areas
+    if limit != resource.RLIM_INFINITY and limit < needed:
+        raise LaunchError(
+            f"a process may open {limit} files here, and {areas} areas need {needed}; "
+            f"raise the limit (ulimit -n {needed})"
+        )
 
 
 def describe_end(code: int) -> str:

@@ -8,7 +8,7 @@ import json
 import math
 import platform
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -94,9 +94,10 @@ class RunOutcome:
 
 @dataclass(frozen=True)
 class RunResult(RunOutcome):
-    """A run whose files lie in ``folder``."""
+    """A run whose files lie in ``folder``; ``unwritten`` says why some of them do not, None if all do."""
 
     folder: Path
+    unwritten: str | None = None
 
 
 def make_verdict(
@@ -148,6 +149,15 @@ def _make_area_result(name: str, observer: Observer, comparison: Comparison) -> 
         critical=state.critical if state else (),
         notes=state.notes if state else ("never heard of",),
     )
+
+
+def write_files(result: RunResult, events_failure: str | None) -> RunResult:
+    """Write the result's files; a full disk is no reason to lose the result, which says then what is missing."""
+    try:
+        write_result(result)
+    except OSError as error:
+        return replace(result, unwritten=f"{error.filename or result.folder}: {error.strerror}")
+    return replace(result, unwritten=events_failure)
 
 
 def write_result(result: RunResult) -> None:

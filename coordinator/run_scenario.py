@@ -25,7 +25,7 @@ from coordinator.judging import (
 )
 from coordinator.observer import Observer, Progress
 from coordinator.processes import Launcher, News, describe_end, read_end
-from coordinator.result import RunResult, write_result
+from coordinator.result import RunResult, write_files
 from coordinator.run_folder import make_run_folder
 from coordinator.split import default_run_id
 from coordinator.system import System
@@ -166,8 +166,7 @@ def _run_with_router(run: _Run, on_update: Callable[[Progress], None] | None) ->
         virtual_s=None,
         timing_s=run.timing_s,
     )
-    result = outcome.in_folder(run.folder)
-    write_result(result)
+    result = write_files(outcome.in_folder(run.folder), run.events.failure)
     if interrupted:
         raise KeyboardInterrupt
     return result

@@ -18,7 +18,7 @@ from coordinator.judging import (
     write_state,
 )
 from coordinator.observer import Progress
-from coordinator.result import RunOutcome, RunResult, write_result
+from coordinator.result import RunOutcome, RunResult, write_files
 from coordinator.run_folder import make_run_folder
 from coordinator.split import area_files, default_run_id
 from coordinator.twin import LinkFaults, SimulatedBus
@@ -49,8 +49,8 @@ def simulate_scenario(
             reason = simulation.run()
         except KeyboardInterrupt:
             reason, interrupted = "interrupted", True
-        result = simulation.judge(reason).in_folder(folder)
-    write_result(result)
+        outcome = simulation.judge(reason).in_folder(folder)
+    result = write_files(outcome, events.failure)
     if interrupted:
         raise KeyboardInterrupt
     return result

@@ -14,7 +14,7 @@ from agents.access import PLANT, ROUTER
 from agents.credentials import load_credentials
 from agents.transport import Session, TransportError
 from coordinator.places import choose_places
-from coordinator.processes import Launcher, read_end
+from coordinator.processes import Launcher, check_open_files, read_end
 from coordinator.split import write_area_files
 from coordinator.zygote import Ended, Started
 from scenarios.scenario import Scenario
@@ -62,7 +62,9 @@ class System:
 
         Raises:
             TransportError: a router has ended, or does not listen in time.
+            LaunchError: this system lets a process open too few files for so many links.
         """
+        check_open_files(len(self.scenario.partition.areas))
         protocol = "tls" if self.keys else "tcp"
         listen = f"{protocol}/{self.scenario.transport.listen.partition('/')[2]}"
         if self.direct:

@@ -60,6 +60,9 @@ def finish_run(result: RunResult, no_plots: bool) -> int:
     from coordinator.report import format_verdict
 
     show(format_verdict(result))
+    if result.unwritten:
+        say(f"error: files of the run are missing: {result.unwritten}; make room there, or choose another place")
+        return 2
     if not no_plots:
         from coordinator.plots import draw_plots
 
