@@ -4,16 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
 
 import numpy as np
 import scipy.sparse as sp
 
 from dsse_core.admittance import build_admittance
+from dsse_core.area_tree import AreaTree, find_no_tree
+from dsse_core.boundary_information import EXACT_SIGMA
 from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.measurement_model import MeasurementModel, build_measurement_model
 from dsse_core.partition import Area, Neighbour
 
-EXACT_SIGMA = 1e-9  # p.u.; of exact injections: with the boundary's voltage given, there may be more than variables
+Backend = Literal["auto", "tree", "sparse"]
+TREE_FROM = 60  # buses of an area, from which the tree repays the loading of numba
 _POWER = (MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION)
 
 
@@ -22,7 +27,8 @@ class AreaModel:
     """The measurements of one area as functions of ``x = [va; vm; p_1, q_1, p_2, q_2, ...]``, one pair per child.
 
     ``free``: the variables that are unknown, all but a reference angle. ``no_load``: the weights say nothing of how
-    well powers and voltages are known.
+    well powers and voltages are known. ``backend``: "tree" takes the tree wherever there is one, "auto" from
+    TREE_FROM buses on.
     """
 
     area: Area
@@ -32,7 +38,10 @@ class AreaModel:
     z: np.ndarray
     sigma: np.ndarray
     free: np.ndarray
+    meters: tuple[Meter, ...]
+    reference: int | None
     no_load: bool = False
+    backend: Backend = "auto"
 
     @property
     def size(self) -> int:
@@ -41,6 +50,13 @@ class AreaModel:
     @property
     def _n(self) -> int:
         return len(self.area.network.buses)
+
+    @cached_property
+    def tree(self) -> AreaTree | None:
+        """Its measurements on the tree of its buses, if that is the back end; without it the exchange is sparse."""
+        if self.no_load or not uses_tree(self.area, self.backend):
+            return None
+        return AreaTree(self.area, self.meters, self.z, self.sigma, self.reference)
 
     @property
     def kinds(self) -> np.ndarray:
@@ -83,8 +99,19 @@ class AreaModel:
         return [first, first + 1]
 
 
+def uses_tree(area: Area, backend: Backend = "auto") -> bool:
+    """Whether the exchange of ``area`` is computed on the tree, for which numba is loaded."""
+    large = backend == "tree" or (backend == "auto" and len(area.network.buses) >= TREE_FROM)
+    return large and not find_no_tree(area.network)
+
+
 def build_area_model(
-    area: Area, measurements: Sequence[Measurement], reference: int | None, *, with_shunts: bool = True
+    area: Area,
+    measurements: Sequence[Measurement],
+    reference: int | None,
+    *,
+    with_shunts: bool = True,
+    backend: Backend = "auto",
 ) -> AreaModel:
     """The model of ``area``'s own ``measurements``.
 
@@ -115,6 +142,9 @@ def build_area_model(
             [EXACT_SIGMA if m.meter.source is Source.VIRTUAL else m.sigma for m in measurements], dtype=float
         ),
         free=np.delete(np.arange(size), fixed),
+        meters=tuple(m.meter for m in measurements),
+        reference=reference,
+        backend=backend,
     )
 
 

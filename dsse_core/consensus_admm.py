@@ -13,8 +13,9 @@ from collections.abc import Collection
 
 import numpy as np
 
-from dsse_core.area_model import EXACT_SIGMA, AreaModel
-from dsse_core.exchange import BoundaryInformation, compute_information
+from dsse_core.area_model import AreaModel
+from dsse_core.boundary_information import EXACT_SIGMA, BoundaryInformation
+from dsse_core.exchange import compute_information
 from dsse_core.measurement import MeasurementKind
 from dsse_core.partition import Neighbour
 

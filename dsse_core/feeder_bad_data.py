@@ -14,7 +14,8 @@ import numpy as np
 from dsse_core.admittance import flat_start
 from dsse_core.area_model import AreaModel, build_area_model
 from dsse_core.bad_data import THRESHOLD, TIE, normalize_residuals
-from dsse_core.exchange import BoundaryInformation, compute_information, residual_variance
+from dsse_core.boundary_information import BoundaryInformation
+from dsse_core.exchange import compute_information, residual_variance
 from dsse_core.measurement import Measurement, MeasurementKind, Source
 from dsse_core.partition import Area, Neighbour
 

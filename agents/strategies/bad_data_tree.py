@@ -19,7 +19,8 @@ from agents.messages import BoundaryNews, Header, TallyMessage
 from agents.strategies.interface import Knowledge
 from dsse_core.area_model import AreaModel
 from dsse_core.bad_data import CONFIDENCE, CRITICAL_REDUNDANCY, chi_square_limit
-from dsse_core.exchange import BoundaryInformation, residual_variance
+from dsse_core.boundary_information import BoundaryInformation
+from dsse_core.exchange import residual_variance
 from dsse_core.feeder_bad_data import NoLoadModel, Tally, add_tallies, tally_area
 from dsse_core.measurement import Measurement, MeasurementKind, Source
 from dsse_core.partition import Area, Neighbour

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import qr
 
-from dsse_core.exchange import BoundaryInformation
+from dsse_core.boundary_information import BoundaryInformation
 
 MEAN_MOVES = 1e-10  # p.u., rad: what of a boundary's marginal is worth a message
 MEAN_MOVES_SIGMA = 1e-7  # or, if that is more, this part of its standard deviation

@@ -19,13 +19,8 @@ from agents.strategies.interface import Estimate, Knowledge, Strategy
 from agents.strategies.start import start_state
 from dsse_core.area_model import AreaModel, build_area_model
 from dsse_core.bad_data import DEAD_VM, chi_square_limit
-from dsse_core.exchange import (
-    BoundaryInformation,
-    compute_information,
-    solve_step,
-    solve_step_near,
-    state_variance,
-)
+from dsse_core.boundary_information import BoundaryInformation
+from dsse_core.exchange import compute_information, solve_step, solve_step_near, state_variance
 from dsse_core.feeder_bad_data import build_no_load_model, tally_area
 from dsse_core.measurement import Measurement, MeasurementKind
 from dsse_core.partition import Neighbour

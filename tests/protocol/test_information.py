@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from back_ends import BACK_ENDS, back_end
 from feeders import make_feeder, make_star
 from grids import MeterShares, make_grid, with_gross_errors
 from hypothesis import example, given, reject
@@ -28,6 +29,12 @@ from scenarios.telemetry import make_telemetry
 GAP = 1e-8  # p.u. and rad
 SIGMA = 1e-6  # relative
 EXACT = 1e-9  # rad: an angle that zero injections fix exactly has no sigma but rounding
+
+
+@pytest.fixture(scope="module", params=BACK_ENDS)
+def each_back_end(request):
+    with back_end(request.param):
+        yield
 
 
 def settle(scenario, loss=0.0, seed=0, faults=None):
@@ -72,12 +79,14 @@ def assert_equals_centralised(bus: SimulatedBus, report: BadDataReport):
     assert {meter for state in bus.states.values() for meter in state.removed} == removed
 
 
+@pytest.mark.usefixtures("each_back_end")
 @pytest.mark.parametrize("loss", [0.0, 0.3, 0.9])
 @pytest.mark.parametrize("name", ["industrial13", "ieee33"])
 def test_the_thesiss_systems_reach_the_centralised_state_and_covariance(name, loss):
     assert_equals_centralised(*settle(load_scenario(name), loss))
 
 
+@pytest.mark.usefixtures("each_back_end")
 @pytest.mark.parametrize("loss", [0.0, 0.5])
 def test_a_tree_of_areas_without_voltmeters_in_some_reaches_it_too(loss):
     bus, report = settle(tree_scenario(), loss)
@@ -86,6 +95,7 @@ def test_a_tree_of_areas_without_voltmeters_in_some_reaches_it_too(loss):
     assert sum(s.degrees_of_freedom for s in bus.states.values()) == report.degrees_of_freedom
 
 
+@pytest.mark.usefixtures("each_back_end")
 @pytest.mark.random_cases(few=16, many=200)
 def test_random_feeders_reach_it_whatever_the_bus_does(random_seed):
     rng = np.random.default_rng(random_seed)
@@ -101,17 +111,16 @@ def test_random_feeders_reach_it_whatever_the_bus_does(random_seed):
     assert_equals_centralised(*run_feeder(feeder, rng.choice([0, 0.3, 0.6, 0.9]), random_seed, faults))
 
 
+@pytest.mark.usefixtures("each_back_end")
 @pytest.mark.parametrize("loss", [0.0, 0.5])
 def test_a_chain_of_twenty_areas_of_one_branch_each_reaches_it(loss):
     feeder = make_feeder(0, n_bus=21, n_area=21, shape=1.0)
     assert len(feeder.partition.areas) == 20
     assert_equals_centralised(*run_feeder(feeder, loss, 0))
-
-
+@pytest.mark.usefixtures("each_back_end")
 def test_fifteen_areas_at_one_bus_reach_it():
     assert_equals_centralised(*run_feeder(make_star(1), 0.3, 0))
-
-
+@pytest.mark.usefixtures("each_back_end")
 def test_areas_without_meters_of_their_own_reach_it():
     feeder = make_feeder(3, n_bus=30, n_area=8, dense=0.5)
     meterless = {area.name for area in feeder.partition.areas if not area.is_reference and area.neighbours[1:]}
@@ -125,6 +134,7 @@ def test_areas_without_meters_of_their_own_reach_it():
     assert_equals_centralised(*run_feeder(replace(feeder, measurements=tuple(kept)), 0.3, 0))
 
 
+@pytest.mark.usefixtures("each_back_end")
 @pytest.mark.random_cases(few=24, many=200)
 def test_gross_errors_are_removed_as_by_the_centralised_procedure(random_seed):
     rng = np.random.default_rng([7, random_seed])
@@ -177,6 +187,7 @@ WEAK = MeterShares(flow=0.3, current=0.5)
 THREE_BUSES = {"seed": 467362, "n_bus": 3, "n_area": 3, "chain": 0.9, "decades": 1.0, "loops": 2, "transformers": 0.15}
 
 
+@pytest.mark.usefixtures("each_back_end")
 @example({**THREE_BUSES, "short": None, "slack_at_root": False, "shares": WEAK}, 0.3, 81)  # critical after a removal
 @given(GRIDS, st.sampled_from([0.0, 0.3, 0.6]), st.one_of(st.none(), st.integers(0, 1000)))
 def test_any_grid_with_any_meters_reaches_it(grid, loss, gross_errors):
@@ -220,8 +231,7 @@ def test_a_lying_neighbour_is_told_from_a_bad_meter():
     bus.run(0.5)
     (note,) = (note for note in bus.states["area2"].notes if "contradicts" in note)
     assert note.startswith("information from area1 contradicts the rest: distance ")
-
-
+@pytest.mark.usefixtures("each_back_end")
 def test_areas_that_start_at_the_substations_busbar_reach_it_with_few_messages():
     feeder = make_star(2, busbar=True)
     bus, report = run_feeder(feeder, 0.0, 0)

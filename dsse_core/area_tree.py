@@ -1,0 +1,246 @@
+"""One area's measurements on the tree of its buses: the numbers of the exact exchange by ``tree_boundary``.
+
+Where digits would be lost on the way, as where of (p, q) somewhere one combination is as good as unknown and the other
+is not, the answer is None, and the sparse path has to find it.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dsse_core.boundary_information import (
+    NOTHING_OF_VOLTAGE,
+    BoundaryInformation,
+    factor_information,
+    factor_inverse,
+    put_together,
+)
+from dsse_core.measurement import Meter
+from dsse_core.network import Network
+from dsse_core.partition import Area, Neighbour
+from dsse_core.tree_plan import N_SLOT, TreeLayout, find_slots, lay_out_tree, stack_admittances
+
+if TYPE_CHECKING:
+    from dsse_core.tree_kernel import Work
+
+LEAST_OF_FLOW = 1e-12  # information given to powers through branches that nothing determines yet
+LEAST_OF_POWER = 1e-8  # the same of powers into children
+
+
+def find_no_tree(network: Network) -> str:
+    """Why the tree cannot serve ``network``; empty if it can."""
+    if importlib.util.find_spec("numba") is None:
+        return "numba is not installed"
+    layout = lay_out_tree(network, network.buses[0].id)
+    return layout if isinstance(layout, str) else ""
+
+
+@dataclass
+class _Rooted:
+    """The area's tree from one bus, with the readings and weights of ``tree_kernel`` and memory for the passes."""
+
+    layout: TreeLayout
+    admittance: np.ndarray
+    slot: np.ndarray
+    z: np.ndarray
+    w: np.ndarray
+    at: np.ndarray
+    work: Work
+    v: np.ndarray
+    va: np.ndarray
+    told: np.ndarray
+    R: np.ndarray  # of the neighbours' messages
+    told_z: np.ndarray
+    role: np.ndarray
+
+
+class AreaTree:
+    """The measurements ``z``, ``sigma`` of ``meters`` in a radial ``area``; ``reference``: bus of the given angle."""
+
+    def __init__(
+        self, area: Area, meters: Sequence[Meter], z: np.ndarray, sigma: np.ndarray, reference: int | None
+    ) -> None:
+        self._area = area
+        self._meters = meters
+        self._z, self._sigma = z, sigma
+        self._reference = reference
+        self._rooted: dict[int, _Rooted] = {}
+        self.declined: Counter[str] = Counter()
+        children = [n.area for n in area.neighbours if not n.is_parent]
+        first = 2 * len(area.network.buses)
+        self._column = np.array(
+            [-1 if n.is_parent else first + 2 * children.index(n.area) for n in area.neighbours], dtype=np.int64
+        )
+        self._size = first + 2 * len(children)
+
+    @cached_property
+    def _top(self) -> int:
+        """The bus that steps are taken from: the reference, or that of the parent."""
+        if self._reference is not None:
+            return self._reference
+        return self._area.parent.bus if self._area.parent else self._area.network.buses[0].id
+
+    def step(
+        self, x: np.ndarray, heard: Mapping[str, BoundaryInformation], damping: tuple[float, float], start: np.ndarray
+    ) -> np.ndarray | None:
+        """The step of ``(G + D) dx = b - D (x - start)``, shape (size,); ``damping``: D of voltages and of powers."""
+        from dsse_core import tree_boundary as tree
+
+        t = self._pass(self._top, x, heard, damping, start, 0.0)
+        if t is None:
+            return None
+        dx = np.empty(self._size)
+        finite = tree.step_downward(
+            t.layout.order, t.layout.parent, t.admittance, t.z, t.w, t.at, self._column, t.v, t.va, t.told,
+            t.work.above, t.work.factor, t.work.block, t.work.step, self._reference is not None, dx,
+        )  # fmt: skip
+        if not finite:
+            self._decline("a step beyond all numbers")
+            return None
+        return dx
+
+    def variances(
+        self, x: np.ndarray, heard: Mapping[str, BoundaryInformation], damping: tuple[float, float]
+    ) -> tuple[np.ndarray, np.ndarray] | None:
+        """diag(G^-1), shape (size,), and diag(Omega), shape (n_meas,)."""
+        from dsse_core import tree_boundary as tree
+
+        t = self._pass(self._top, x, heard, damping, x, 0.0)
+        if t is None:
+            return None
+        variance = np.empty(self._size)
+        omega, enough = tree.variances_downward(
+            t.layout.order, t.layout.parent, t.admittance, t.z, t.w, t.at, self._column, t.v, t.va, t.told,
+            t.work.above, t.work.factor, t.work.more, t.work.block, self._reference is not None, variance,
+        )  # fmt: skip
+        if not enough:
+            self._decline("a variance lost in that of a power")
+            return None
+        return variance, omega.ravel()[t.slot]
+
+    def information(
+        self, x: np.ndarray, neighbour: Neighbour, heard: Mapping[str, BoundaryInformation]
+    ) -> BoundaryInformation | None:
+        """What ``neighbour`` is to hear, see ``exchange.compute_information``."""
+        from dsse_core import tree_boundary as tree
+
+        others_there = sum(n.bus == neighbour.bus for n in self._area.neighbours) > 1
+        if neighbour.is_parent and others_there:
+            self._decline("children at the parent's bus")
+            return None
+        angle_given = self._reference == neighbour.bus
+        if self._reference is not None and not angle_given:
+            self._decline("a boundary away from the reference")
+            return None
+        t = self._pass(neighbour.bus, x, heard, (0.0, LEAST_OF_POWER), x, LEAST_OF_FLOW, addressee=neighbour.area)
+        if t is None:
+            return None
+        K = np.empty(tree.N_KNOWN)
+        tree.describe_root(
+            t.admittance[0], t.z[0], t.w[0], t.v[0], t.va[0], t.work.above[0], angle_given,
+            not neighbour.is_parent, K,
+        )  # fmt: skip
+        vm = abs(t.v[0])
+        S = -np.array([[K[0], K[1]], [K[1], K[2]]])
+        slope, mean = np.array([[K[4] / vm, K[3]], [K[6] / vm, K[5]]]), -K[10:12]
+        M, g = np.array([[K[9] / vm**2, K[8] / vm], [K[8] / vm, K[7]]]), np.array([K[13] / vm, K[12]])
+        if neighbour.is_parent:
+            power = K[14:16]
+        else:
+            column = self._column[self._area.neighbours.index(neighbour)]
+            power = x[column : column + 2]
+            S, slope, mean, M, g = _with_own_balance(S, -slope, -mean - power, M, g, t.w[0, 2:4] >= 0)
+        if S[0, 1] ** 2 > (1 - tree.LEAST_SPREAD) * abs(S[0, 0] * S[1, 1]):
+            self._decline("an open combination of p and q at the boundary")
+            return None
+        P = factor_inverse(S)
+        y = np.array([power[0], power[1], vm, t.va[0]])
+        return put_together(y, P, -P @ slope, P @ mean, factor_information(M, g, NOTHING_OF_VOLTAGE))
+
+    def _pass(
+        self,
+        root: int,
+        x: np.ndarray,
+        heard: Mapping[str, BoundaryInformation],
+        damping: tuple[float, float],
+        start: np.ndarray,
+        least_of_flow: float,
+        addressee: str = "",
+    ) -> _Rooted | None:
+        from dsse_core import tree_boundary as tree
+
+        t = self._rooted.get(root) or self._root_at(root)
+        for k, n in enumerate(self._area.neighbours):
+            message = heard.get(n.area) if n.area != addressee else None
+            t.role[k] = tree.ADDRESSEE if n.area == addressee else tree.SILENT if message is None else tree.HEARD
+            t.R[k], t.told_z[k] = (0.0, 0.0) if message is None else (message.R, message.z)
+            if n.is_parent:
+                t.w[t.at[k], 2:4] = -1.0
+        enough = tree.pass_upward(
+            t.layout.order, t.layout.parent, t.admittance, t.z, t.w, t.at, self._column, t.role, t.R, t.told_z,
+            np.asarray(x, dtype=float), np.asarray(start, dtype=float), damping, least_of_flow,
+            t.v, t.va, t.told, *t.work,
+        )  # fmt: skip
+        if not enough:
+            self._decline("an open combination of p and q")
+            return None
+        return t
+
+    def _decline(self, why: str) -> None:
+        self.declined[why] += 1
+
+    def _root_at(self, bus: int) -> _Rooted:
+        from dsse_core import tree_kernel
+        from dsse_core.tree_boundary import N_TOLD
+
+        network, neighbours = self._area.network, self._area.neighbours
+        layout = lay_out_tree(network, bus)
+        assert isinstance(layout, TreeLayout)  # find_no_tree
+        n, k = len(network.buses), len(neighbours)
+        slot = find_slots(network, self._meters, layout)
+        of_injection = np.isin(slot % N_SLOT, (2, 3))
+        z, w = np.zeros((n, N_SLOT)), tree_kernel.absent(n)
+        z.ravel()[slot] = self._z
+        w.ravel()[slot] = np.where(of_injection, self._sigma**2.0, self._sigma**-2.0)
+        self._rooted[bus] = rooted = _Rooted(
+            layout=layout,
+            admittance=stack_admittances(network, layout),
+            slot=slot,
+            z=z,
+            w=w,
+            at=np.array([layout.number[network.row[n.bus]] for n in neighbours], dtype=np.int64),
+            work=tree_kernel.Work.of(n),
+            v=np.empty(n, dtype=complex),
+            va=np.empty(n),
+            told=np.zeros((k, N_TOLD)),
+            R=np.zeros((k, 4, 4)),
+            told_z=np.zeros((k, 4)),
+            role=np.zeros(k, dtype=np.int64),
+        )
+        return rooted
+
+
+def _with_own_balance(
+    S: np.ndarray, slope: np.ndarray, mean: np.ndarray, M: np.ndarray, g: np.ndarray, metered: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Of the power into a child what the balance of its bus tells, where that is metered, and LEAST_OF_POWER.
+
+    Returns covariance, slope by (vm, va), mean of the change, and the information about the voltage.
+    """
+    d = LEAST_OF_POWER
+    S = np.where(metered[:, None] & metered, S, 0.0)
+    slope, mean = np.where(metered[:, None], slope, 0.0), np.where(metered, mean, 0.0)
+    share = np.linalg.inv(np.eye(2) + d * S)  # symmetric with S, and S share too
+    M = M + d * slope.T @ share @ slope
+    g = g - d * slope.T @ share @ mean
+    S, slope, mean = S @ share, share @ slope, share @ mean
+    unmetered = ~metered
+    S[unmetered, unmetered] = 1 / d
+    return (S + S.T) / 2, slope, mean, M, g

@@ -1,0 +1,163 @@
+"""The numbers of the exact exchange by sparse factorisation, for any area; see ``exchange`` for what they are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import scipy.sparse as sp
+
+from dsse_core.area_model import AreaModel
+from dsse_core.augmented import AugmentedFactor, scale_rows
+from dsse_core.boundary_information import (
+    NOTHING_OF_VOLTAGE,
+    BoundaryInformation,
+    factor_information,
+    factor_inverse,
+    put_together,
+)
+from dsse_core.measurement import MeasurementKind
+from dsse_core.partition import Neighbour
+
+NOT_YET = 1e-6  # information given to eliminated voltages that nothing determines yet
+NOT_YET_OF_POWER = 1e-8  # the same of powers, which may be large
+NO_LOAD_NOT_YET = 1e-18  # the same in the no-load model, relative to what the rows tell where that is less than 1
+NOTHING = 1e-30  # for variables that no row speaks of
+MOST_TURNS = 4  # of the axes of (p, q)
+
+
+def solve_damped(
+    model: AreaModel, x: np.ndarray, heard: Mapping[str, BoundaryInformation], damping: np.ndarray, pull: np.ndarray
+) -> np.ndarray:
+    """The step dx, shape (size,), of ``(G + D) dx = b - pull``; ``damping``, diag(D), and ``pull`` (free,)."""
+    H, r, sigma = _stack(model, x, heard)
+    dx = np.zeros(model.size)
+    dx[model.free] = AugmentedFactor(sp.csr_array(H[:, model.free]), sigma, damping).solve(r, pull)[1]
+    return dx
+
+
+def state_variance(
+    model: AreaModel, x: np.ndarray, heard: Mapping[str, BoundaryInformation], damping: np.ndarray
+) -> np.ndarray:
+    """diag of ``(G + D)^-1``, shape (size,); ``damping`` (free,): the diagonal of D."""
+    H, _, sigma = _stack(model, x, heard)
+    variance = np.zeros(model.size)
+    variance[model.free] = AugmentedFactor(sp.csr_array(H[:, model.free]), sigma, damping).state_variance()
+    return variance
+
+
+def residual_variance(model: AreaModel, x: np.ndarray, heard: Mapping[str, BoundaryInformation]) -> np.ndarray:
+    """diag(Omega) of the area's own measurements with all messages in, shape (n_meas,) (eq. 3.22)."""
+    H, _, sigma = _stack(model, x, heard)
+    variance: np.ndarray = _factor_undamped(model, H, sigma, model.free).residual_variance()
+    return variance[: len(model.z)]
+
+
+def least_information(model: AreaModel, columns: np.ndarray) -> np.ndarray:
+    """The damping of variables that nothing determines yet, shape of ``columns``."""
+    return np.where(columns < 2 * len(model.area.network.buses), NOT_YET, NOT_YET_OF_POWER)
+
+
+def _factor_undamped(model: AreaModel, H: sp.csr_array, sigma: np.ndarray, columns: np.ndarray) -> AugmentedFactor:
+    """The factor of some columns of H, damped only where nothing determines a variable yet."""
+    H = sp.csr_array(H[:, columns])
+    if not model.no_load:
+        return AugmentedFactor(H, sigma, least_information(model, columns))
+    told = np.bincount(H.indices, scale_rows(H, 1 / sigma).data ** 2, len(columns))
+    return AugmentedFactor(H, sigma, np.where(told > 0, NO_LOAD_NOT_YET * np.minimum(told, 1.0), NOTHING))
+
+
+def compute_information(
+    model: AreaModel, x: np.ndarray, neighbour: Neighbour, heard: Mapping[str, BoundaryInformation]
+) -> BoundaryInformation:
+    """What ``neighbour`` is to hear: everything but y eliminated, its own message left out.
+
+    Two parts, each a 2x2 matrix that no rounding of the other can spoil. What this side knows of the boundary's
+    voltage v = (vm_b, va_b), whatever power flows: with u all variables but v and ``K = [[R, H_u], [H_u', -d]]``,
+    ``M = B' s``, ``g = B' s_r`` from ``K [s, .] = [B, 0]``, ``K [s_r, .] = [r, 0]``. And what it knows of the power
+    given v: ``(p, q) = y_p + C du_r + (dp - C du_B) dv`` with covariance ``C G_uu^-1 C'`` (``_find_power``). ``B`` and
+    ``dp`` are the responses of measurements and power when v moves and takes the whole area along
+    (``_responses_to_shift``).
+    """
+    heard = {name: message for name, message in heard.items() if name != neighbour.area}
+    H, r, sigma = _stack(model, x, heard)
+    B, dp = _responses_to_shift(model, x, neighbour, heard, H)
+    y, T = model.boundary(x, neighbour)
+    u = np.setdiff1d(model.free, T[2:].indices)
+    factor = _factor_undamped(model, H, sigma, u)
+    nothing = 0.0 if model.no_load else NOTHING_OF_VOLTAGE
+    s, _ = factor.solve(np.column_stack([B, r]), np.zeros((len(u), 3)))
+    information = B.T @ s
+    N, told_v = factor_information(information[:, :2], information[:, 2], nothing)
+    W, S, A = _find_power(factor, sp.csr_array(T[:2, u]), len(r))
+    P = factor_inverse(S)
+    return put_together(y, P @ W.T, P @ (A.T @ B - W.T @ dp), P @ (A.T @ r), (N, told_v))
+
+
+def _find_power(factor: AugmentedFactor, C: sp.csr_array, n_rows: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What is known of (p, q), with v given: W, S, (2, 2), and A, (rows, 2).
+
+    S is the covariance of ``W'(p, q)``, and ``W'C du = A'r`` for residuals r. W turns the axes: beside a combination
+    that is as good as unknown the other one would drown in rounding, so both are solved for by themselves.
+    """
+    W = np.eye(2)
+    for _ in range(MOST_TURNS):
+        A, du = factor.solve(np.zeros((n_rows, 2)), C.T @ W)
+        S = -(W.T @ (C @ du))
+        S = (S + S.T) / 2
+        if S[0, 1] ** 2 <= abs(S[0, 0] * S[1, 1]) / 2:
+            break
+        W = W @ np.linalg.svd(S)[0]
+    return W, S, A
+
+
+def _responses_to_shift(
+    model: AreaModel, x: np.ndarray, neighbour: Neighbour, heard: Mapping[str, BoundaryInformation], H: sp.csr_array
+) -> tuple[np.ndarray, np.ndarray]:
+    """How all rows H of ``_stack``, shape (rows, 2), and (p, q) at the boundary, shape (2, 2), answer to dv.
+
+    dvm scales all voltages of the area alike, dva turns all its angles (but a reference): then powers answer with
+    2 s / vm_b and 0 exactly. Moving bus b alone would change flows by dv / z and leave M, a difference of such
+    changes, to rounding.
+    """
+    vm_b = float(x[model.voltage_columns(neighbour)[0]])
+    fixed = np.setdiff1d(np.arange(model.size), model.free)
+    rows = [np.column_stack([_degrees(model.kinds) * model.predict(x) / vm_b, model.kinds == MeasurementKind.VA])]
+    for n in model.area.neighbours:
+        y, T = model.boundary(x, n)
+        dy = np.column_stack([y * (2.0, 2.0, 1.0, 0.0) / vm_b, (0.0, 0.0, 0.0, 1.0)])
+        if n.area == neighbour.area:
+            dp = dy[:2] - np.column_stack([np.zeros(2), T[:2, fixed].sum(axis=1)])
+        elif (message := heard.get(n.area)) is not None:
+            rows.append(message.R[_telling(message)] @ dy)
+    B = np.concatenate(rows)
+    B[:, 1] -= H[:, fixed].sum(axis=1)
+    if model.voltage_columns(neighbour)[1] in fixed:  # the reference itself: it does not move
+        B[:, 1] = dp[:, 1] = 0.0
+    return B, dp
+
+
+def _degrees(kinds: np.ndarray) -> np.ndarray:
+    """The power k for which h grows as c^k when all voltages grow by c, shape (n_meas,)."""
+    once = np.isin(kinds, (MeasurementKind.VM, MeasurementKind.CURRENT))
+    return np.where(once, 1.0, np.where(kinds == MeasurementKind.VA, 0.0, 2.0))
+
+
+def _stack(
+    model: AreaModel, x: np.ndarray, heard: Mapping[str, BoundaryInformation]
+) -> tuple[sp.csr_array, np.ndarray, np.ndarray]:
+    """H, residual and sigma of the area's own measurements and of the messages ``heard``, up to four rows each."""
+    H, r, sigma = [model.jacobian(x)], [model.residual(x)], [model.sigma]
+    for n in model.area.neighbours:
+        if (message := heard.get(n.area)) is not None:
+            y, T = model.boundary(x, n)
+            told = _telling(message)
+            H.append(sp.csr_array(message.R[told] @ T))
+            r.append(message.z[told] - message.R[told] @ y)
+            sigma.append(np.ones(int(told.sum())))
+    return sp.csr_array(sp.vstack(H, format="csr")), np.concatenate(r), np.concatenate(sigma)
+
+
+def _telling(message: BoundaryInformation) -> np.ndarray:
+    told: np.ndarray = abs(message.R).max(axis=1) > 0
+    return told

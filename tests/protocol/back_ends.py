@@ -1,0 +1,20 @@
+"""Both back ends of the exact exchange, whatever the size of an area."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from dsse_core import area_model
+
+BACK_ENDS = ("sparse", "tree")
+
+
+@contextmanager
+def back_end(name: str) -> Iterator[None]:
+    """Have areas use the tree wherever there is one, or nowhere."""
+    if name == "tree":
+        pytest.importorskip("numba", reason="the tree back end needs numba: pip install 'consensus-dsse[fast]'")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(area_model, "TREE_FROM", 0 if name == "tree" else 10**9)
+        yield

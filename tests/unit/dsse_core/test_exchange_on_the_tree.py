@@ -1,0 +1,144 @@
+"""The exact exchange on the tree of an area's buses gives what the sparse path gives, function by function."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from feeders import Feeder, make_feeder, make_star
+from grids import MeterShares, make_grid
+
+from agents.strategies.boundary_marginal import marginal_of
+from dsse_core.area_model import AreaModel, build_area_model, uses_tree
+from dsse_core.boundary_information import BoundaryInformation
+from dsse_core.exchange import (
+    compute_information,
+    residual_variance,
+    solve_step,
+    solve_step_near,
+    state_variance,
+)
+from dsse_core.partition import Neighbour
+from dsse_core.power_flow import solve_power_flow
+
+pytest.importorskip("numba", reason="the tree back end needs numba: pip install 'consensus-dsse[fast]'")
+
+CLOSE = 1e-9  # of a step or a variance; p.u., rad
+ROUNDS = 12  # after which every area has heard of all the others
+
+
+@dataclass(frozen=True)
+class Case:
+    """One area in some state, with what it has heard, on both back ends."""
+
+    sparse: AreaModel
+    tree: AreaModel
+    x: np.ndarray
+    heard: Mapping[str, BoundaryInformation]
+
+
+def cases_of(feeder: Feeder, rng: np.random.Generator) -> Iterator[Case]:
+    """All areas near the true state, after they have told each other all they know."""
+    truth, telemetry = solve_power_flow(feeder.network), feeder.telemetry()
+    models, states = {}, {}
+    for area in feeder.partition.areas:
+        reference = area.reference[0] if area.reference else None
+        model = build_area_model(area, telemetry[area.name], reference, backend="sparse")
+        rows = [feeder.network.row[bus.id] for bus in area.network.buses]
+        va, vm = truth.va[rows] + rng.normal(0, 1e-3, len(rows)), truth.vm[rows] + rng.normal(0, 1e-3, len(rows))
+        if reference is not None:
+            va[area.network.row[reference]] = truth.va[feeder.network.row[reference]]
+        powers = rng.normal(0, 0.1, model.size - 2 * len(rows))
+        models[area.name], states[area.name] = model, np.concatenate([va, vm, powers])
+    heard: dict[str, dict[str, BoundaryInformation]] = {name: {} for name in models}
+    for _ in range(ROUNDS):
+        told = {name: dict(messages) for name, messages in heard.items()}
+        for name, model in models.items():
+            for n in model.area.neighbours:
+                told[n.area][name] = compute_information(model, states[name], n, heard[name])
+        heard = told
+    for name, model in models.items():
+        yield Case(model, replace(model, backend="tree"), states[name], heard[name])
+
+
+def assert_same(case: Case) -> int:
+    """All five functions agree; how many of them the tree left to the sparse path."""
+    sparse, tree, x, heard = case.sparse, case.tree, case.x, case.heard
+    start = x + 1e-3
+    voltages = slice(0, 2 * len(sparse.area.network.buses))
+    for last_step in (np.inf, 1e-9):
+        one, other = (solve_step(m, x, heard, last_step)[voltages] for m in (sparse, tree))
+        np.testing.assert_allclose(other, one, rtol=0, atol=CLOSE * max(abs(one).max(), 1e-3))
+    one, other = (solve_step_near(m, x, heard, start) for m in (sparse, tree))
+    np.testing.assert_allclose(other[voltages], one[voltages], rtol=0, atol=CLOSE * max(abs(one).max(), 1e-3))
+    for near in (False, True):
+        one, other = (state_variance(m, x, heard, near_start=near) for m in (sparse, tree))
+        np.testing.assert_allclose(other, one, rtol=CLOSE, atol=1e-20)
+    one, other = (residual_variance(m, x, heard) / sparse.sigma**2 for m in (sparse, tree))
+    np.testing.assert_allclose(other, one, rtol=0, atol=CLOSE)
+    for neighbour in sparse.area.neighbours:
+        assert_same_information(case, neighbour)
+    assert tree.tree is not None
+    return tree.tree.declined.total()
+
+
+def assert_same_information(case: Case, neighbour: Neighbour) -> None:
+    """What both sides together then know of the boundary is the same, and so is what a message tells alone."""
+    one, other = (compute_information(m, case.x, neighbour, case.heard) for m in (case.sparse, case.tree))
+    y, _ = case.sparse.boundary(case.x, neighbour)
+    theirs = case.heard[neighbour.area]
+    (mean, sigma), (tree_mean, tree_sigma) = (marginal_of(y, told, theirs) for told in (one, other))
+    assert sigma is not None
+    assert tree_sigma is not None
+    np.testing.assert_allclose(tree_sigma, sigma, rtol=1e-8)
+    np.testing.assert_allclose(tree_mean - y, mean - y, rtol=0, atol=CLOSE * max(abs(mean - y).max(), 1.0))
+
+
+@pytest.mark.random_cases(few=12, many=200)
+def test_random_feeders_agree(random_seed):
+    rng = np.random.default_rng(random_seed)
+    size = {"n_bus": int(rng.integers(3, 60)), "n_area": int(rng.integers(2, 8))}
+    feeder = make_feeder(random_seed, **size, decades=float(rng.choice([0, 1, 2])))
+    for case in cases_of(feeder, rng):
+        assert_same(case)
+
+
+@pytest.mark.random_cases(few=12, many=200)
+def test_grids_with_transformers_shunts_angle_and_current_meters_agree(random_seed):
+    rng = np.random.default_rng([1, random_seed])
+    shares = MeterShares(angle=float(rng.choice([0, 0.1])), current=float(rng.choice([0, 0.3])))
+    n_bus, n_area = int(rng.integers(3, 40)), int(rng.integers(2, 9))
+    short = [None, 1e-4, 1e-6][random_seed % 3]
+    feeder = make_grid(random_seed, n_bus, n_area, 0.6, 1.0, 0, 0.15, short, bool(random_seed % 2), shares)
+    for case in cases_of(feeder, rng):
+        assert_same(case)
+
+
+@pytest.mark.parametrize("busbar", [False, True])
+def test_fifteen_areas_at_one_bus_agree(busbar):
+    for case in cases_of(make_star(3, busbar=busbar), np.random.default_rng(3)):
+        assert_same(case)
+
+
+def test_where_injections_are_measured_the_tree_leaves_only_messages_away_from_the_reference_to_the_sparse_path():
+    for case in cases_of(make_feeder(5, n_bus=60, n_area=6, decades=1.0), np.random.default_rng(5)):
+        declined = assert_same(case)
+        assert declined == (len(case.tree.area.neighbours) if case.tree.reference is not None else 0)
+
+
+def test_an_unmetered_bus_is_left_to_the_sparse_path_where_digits_would_be_lost_and_that_is_counted():
+    feeder = make_grid(3, 30, 4, 0.6, 1.0, 0, 0.0, None, True, MeterShares(injection=0.8))
+    declined = sum(assert_same(case) for case in cases_of(feeder, np.random.default_rng(4)))
+    assert declined > 0
+
+
+def test_the_back_end_is_the_tree_for_large_radial_areas_only():
+    small = make_feeder(1, n_bus=20, n_area=1).partition.areas[0]
+    large = make_feeder(1, n_bus=80, n_area=1).partition.areas[0]
+    assert not uses_tree(small)
+    assert uses_tree(small, "tree")
+    assert uses_tree(large)
+    assert not uses_tree(large, "sparse")
+    meshed = make_grid(2, 30, 1, 0.3, 0.0, 3, 0.0, None, True, MeterShares()).partition.areas[0]
+    assert len(meshed.network.active_branches) >= len(meshed.network.buses)
+    assert not uses_tree(meshed, "tree")
