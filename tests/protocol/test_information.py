@@ -117,9 +117,13 @@ def test_a_chain_of_twenty_areas_of_one_branch_each_reaches_it(loss):
     feeder = make_feeder(0, n_bus=21, n_area=21, shape=1.0)
     assert len(feeder.partition.areas) == 20
     assert_equals_centralised(*run_feeder(feeder, loss, 0))
+
+
 @pytest.mark.usefixtures("each_back_end")
 def test_fifteen_areas_at_one_bus_reach_it():
     assert_equals_centralised(*run_feeder(make_star(1), 0.3, 0))
+
+
 @pytest.mark.usefixtures("each_back_end")
 def test_areas_without_meters_of_their_own_reach_it():
     feeder = make_feeder(3, n_bus=30, n_area=8, dense=0.5)
@@ -231,6 +235,8 @@ def test_a_lying_neighbour_is_told_from_a_bad_meter():
     bus.run(0.5)
     (note,) = (note for note in bus.states["area2"].notes if "contradicts" in note)
     assert note.startswith("information from area1 contradicts the rest: distance ")
+
+
 @pytest.mark.usefixtures("each_back_end")
 def test_areas_that_start_at_the_substations_busbar_reach_it_with_few_messages():
     feeder = make_star(2, busbar=True)
