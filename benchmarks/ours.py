@@ -3,45 +3,52 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import NamedTuple
+
+import numpy as np
 
 from benchmarks.cases import Case
 from benchmarks.method import MAX_ITERATIONS, TOLERANCE, State
-from dsse_core.estimation import EstimationResult
-from dsse_core.measurement import Measurement
+from dsse_core.bad_data import chi_square_limit, normalized_residuals
+from dsse_core.estimation import EstimationResult, estimate_with_plan
+from dsse_core.estimation_plan import Backend, EstimationPlan, build_estimation_plan
+from dsse_core.measurement import Meter
 from dsse_core.network import Network
 
 PACKAGE = "consensus-dsse"
 
 
-class Estimator(Protocol):
-    """``estimate_state``, or a function of this module's callers that calls it with a certain back end."""
+class Scan(NamedTuple):
+    """What a control centre has: its network and meters once, then one scan of readings after the other."""
 
-    def __call__(
-        self, network: Network, measurements: tuple[Measurement, ...], *, tolerance: float, max_iterations: int
-    ) -> EstimationResult: ...
+    network: Network
+    meters: tuple[Meter, ...]
+    values: np.ndarray
+    sigmas: np.ndarray
 
 
 @dataclass(frozen=True)
 class Ours:
-    """``estimate`` on our network and measurements. Cold: nothing has been derived from the network yet."""
+    """Cold: nothing has been derived from the network yet. Warm: the plan is there, and another scan comes in."""
 
     name: str
-    estimate: Estimator
+    backend: Backend
     package: str = PACKAGE
-    with_residuals: bool = False  # also the variance of every residual: what all normalised residuals need
+    with_residuals: bool = False  # also the chi-square test and all normalised residuals
 
-    def translate(self, case: Case) -> tuple[Network, tuple[Measurement, ...]]:
-        return case.network, case.measurements
+    def translate(self, case: Case) -> Scan:
+        values, sigmas = np.array([(m.value, m.sigma) for m in case.measurements]).T
+        return Scan(case.network, tuple(m.meter for m in case.measurements), values, sigmas)
 
-    def build(self, data: tuple[Network, tuple[Measurement, ...]]) -> tuple[Network, tuple[Measurement, ...]]:
-        network, measurements = data
-        return replace(network), measurements
+    def build(self, scan: Scan) -> tuple[EstimationPlan, Scan]:
+        return build_estimation_plan(replace(scan.network), scan.meters, backend=self.backend), scan
 
-    def solve(self, model: tuple[Network, tuple[Measurement, ...]]) -> EstimationResult:
-        result = self.estimate(*model, tolerance=TOLERANCE, max_iterations=MAX_ITERATIONS)
+    def solve(self, model: tuple[EstimationPlan, Scan]) -> EstimationResult:
+        plan, scan = model
+        result = estimate_with_plan(plan, scan.values, scan.sigmas, tolerance=TOLERANCE, max_iterations=MAX_ITERATIONS)
         if self.with_residuals:
-            _ = result.residual_variance
+            normalized_residuals(result)
+            chi_square_limit(result.degrees_of_freedom, 0.99)
         return result
 
     def read(self, case: Case, result: EstimationResult) -> State:

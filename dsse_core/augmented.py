@@ -19,12 +19,13 @@ import scipy.sparse.linalg as spla
 
 PIVOT_SCALE = 1e-3  # median of the scaled a R; anything from 1 to 1e-6 works, with fewer digits at the ends
 LARGEST_DAMPING = 1e-6  # of the scaled tableau
-NEARBY = 1e-6  # relative accuracy of a step on the factor of a state nearby
+NEARBY = 1e-5  # relative accuracy of a step on the factor of a state nearby
+ROUND_OFF = 1e-14  # p.u. and rad; no step need be more accurate
 CONTRACTION = 0.3  # of a correction to the one before; where they shrink less a new factor costs less
 MOST_REFINEMENTS = 5
 # Of SuperLU, where the order of elimination is given: little pivoting, which refinement makes up for, and no
 # supernodes, of which these tableaus have none worth having.
-ORDERED = {"diag_pivot_thresh": 0.01, "relax": 1, "panel_size": 1, "options": {"SymmetricMode": True}}
+ORDERED = {"diag_pivot_thresh": 1e-3, "relax": 1, "panel_size": 1, "options": {"SymmetricMode": True}}
 BLOCK = 256  # right-hand sides solved at once; bounds memory at (n_meas + n_state, BLOCK)
 
 
@@ -116,8 +117,8 @@ class AugmentedFactor:
     def solve_nearby(self, H: sp.csr_array, above: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """(s, dx) of ``solve(above, 0)`` for another H of the same pattern, by refinement with this factor.
 
-        It begins at the given ``s``, such as the last one, and ends where dx is known to NEARBY of itself; None where
-        the two H are too far apart for that.
+        It begins at the given ``s``, such as the last one, and ends where dx is known to NEARBY of itself or to
+        ROUND_OFF; None where the two H are too far apart for that.
         """
         tableau, m = self._fill(H), self._n_meas
         solution = np.concatenate([s / (self._a * self._scale[:m]), np.zeros(self._n_state)])
@@ -130,7 +131,7 @@ class AugmentedFactor:
             solution += change
             size, whole = (float(abs(self._scale[m:] * part[m:]).max(initial=0.0)) for part in (change, solution))
             rate = size / last if last else 1.0
-            if rate * size <= NEARBY * whole:  # the correction to come
+            if rate * size <= max(NEARBY * whole, ROUND_OFF):  # the correction to come
                 return self._a * self._scale[:m] * solution[:m], self._scale[m:] * solution[m:]
             if k and not rate <= CONTRACTION:
                 return None

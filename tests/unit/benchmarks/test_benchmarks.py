@@ -84,7 +84,7 @@ def test_a_method_finds_the_minimum(method, n_bus, set_name):
     pytest.importorskip(MODULE.get(method.package, method.package))
     case = build_case(build_network(n_bus), set_name)
     state = method.read(case, method.solve(method.build(method.translate(case))))
-    ours = OURS[0].read(case, OURS[0].solve(OURS[0].translate(case)))
+    ours = OURS[0].read(case, OURS[0].solve(OURS[0].build(OURS[0].translate(case))))
     assert case.objective(state.vm, state.va) == pytest.approx(case.objective(ours.vm, ours.va), rel=1e-9)
 
 
