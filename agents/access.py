@@ -15,6 +15,7 @@ from agents.keys import (
     all_lives,
     all_of_run,
     all_states,
+    clock_key,
     neighbour_key,
     state_key,
     telemetry_key,
@@ -83,8 +84,8 @@ def _rights_of_area(access: Access, area: str) -> Rights:
     return Rights(
         publishes=(*to_neighbours, state_key(run, area)),
         shows=(all_lives(run, "area", area),),
-        subscribes=(all_from_neighbours(run, area), telemetry_key(run, area)),
-        hears=(*(neighbour_key(run, n, "*", area) for n in neighbours), telemetry_key(run, area)),
+        subscribes=(all_from_neighbours(run, area), telemetry_key(run, area), clock_key(run)),
+        hears=(*(neighbour_key(run, n, "*", area) for n in neighbours), telemetry_key(run, area), clock_key(run)),
         sees=tuple(all_lives(run, "area", n) for n in neighbours),
         is_heard_by=(*(all_from_neighbours(run, n) for n in neighbours), all_states(run)),
     )
@@ -104,12 +105,12 @@ def _rights_of_plant(access: Access) -> Rights:
 
 def _rights_of_coordinator(access: Access) -> Rights:
     return Rights(
-        publishes=(),
+        publishes=(clock_key(access.run),),
         shows=(all_lives(access.run, "coordinator", COORDINATOR),),
         subscribes=(all_states(access.run),),
         hears=(all_states(access.run),),
         sees=(all_lives(access.run, "*", "*"),),
-        is_heard_by=(),
+        is_heard_by=(clock_key(access.run),),
     )
 
 

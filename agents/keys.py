@@ -7,6 +7,7 @@
 ``area/<i>/load/<j>``           load messages of area i for neighbour j
 ``area/<i>/state``              what area i knows, for whoever watches
 ``telemetry/<i>``               meter readings for area i, from the plant or a gateway
+``clock``                       how long the run has lasted, from the coordinator; only injected faults count by it
 ``live/<role>/<name>/<life>``   presence tokens of areas, plant and coordinator, one for each life of a process
 ==============================  ====================================================
 """
@@ -45,6 +46,10 @@ def all_states(run: str) -> str:
 
 def telemetry_key(run: str, area: str) -> str:
     return f"{_root(run)}/telemetry/{area}"
+
+
+def clock_key(run: str) -> str:
+    return f"{_root(run)}/clock"
 
 
 def live_key(run: str, role: str, name: str, life: Incarnation) -> str:

@@ -1,23 +1,33 @@
-"""The lossy link: stands between protocol and transport, counts what is sent and drops what its faults say.
+"""The links of an area to its neighbours: between protocol and bus, with the faults of the scenario.
 
-The fate of a message depends on the seed, the directed link and the number of the message on that link, so
-the n-th message of a link meets the same fate in every run. Repeats and load messages count like all others.
+A machine without clock or threads, like the protocol: messages and time in, payloads for the bus out. What is
+delayed waits in a queue until somebody calls ``release`` at the time that ``next_due`` names.
 """
 
 from __future__ import annotations
 
-import hashlib
+import heapq
+import itertools
+import math
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
+from agents.faults import CORRUPTED, CUT, DELAYED, DUPLICATED, LOSSES, OVERTAKEN, LinkFate
 from agents.messages import Message, StateMessage, encode
 from dsse_core.link_faults import LinkFaults
 
+SOUND = LinkFaults()
+_Held = tuple[float, int, str, str, int, bytes]  # due, order, receiver, kind, number, payload
+
 
 @dataclass
-class LossyLink:
-    """Sends messages of area ``sender``; ``faults``: neighbour -> those of the link to it."""
+class FaultyLinks:
+    """Sends messages of area ``sender``; ``faults``: neighbour -> those of the link to it.
+
+    ``messages``, ``bytes``: handed over for neighbours, repeats and what is lost included; ``met``: kind of fault ->
+    how often it has happened.
+    """
 
     sender: str
     faults: Mapping[str, LinkFaults]
@@ -25,28 +35,62 @@ class LossyLink:
     put: Callable[[str | None, str, bytes], None]  # (neighbour or None for watchers, kind, payload)
     messages: int = 0
     bytes: int = 0
-    lost: int = 0
-    _count: Counter[str] = field(default_factory=Counter)
+    met: Counter[str] = field(default_factory=Counter)
+    _began: float | None = None
+    _fates: dict[str, LinkFate] = field(default_factory=dict)
+    _waiting: list[_Held] = field(default_factory=list)
+    _order: itertools.count[int] = field(default_factory=itertools.count)
+    _newest: Counter[str] = field(default_factory=Counter)  # number of the newest message that has gone out
 
-    def send(self, message: Message, to: str | None) -> None:
-        """Hand ``message`` to the bus for neighbour ``to``, or for whoever watches (None; never lost)."""
+    @property
+    def lost(self) -> int:
+        """Messages that never reach the bus."""
+        return sum(self.met[kind] for kind in LOSSES)
+
+    def begin(self, at: float) -> None:
+        """The run began at time ``at``: windows of faults count from there; until this is known, none has come."""
+        self._began = at
+
+    def send(self, message: Message, to: str | None, now: float) -> None:
+        """Hand ``message`` to the bus for neighbour ``to``, or for whoever watches (None; nothing befalls it)."""
         if to is None:
             if isinstance(message, StateMessage):
-                message = replace(message, messages=self.messages, bytes=self.bytes, lost=self.lost)
+                met = dict(self.met)
+                message = replace(message, messages=self.messages, bytes=self.bytes, lost=self.lost, faults=met)
             self.put(None, message.kind, encode(message))
             return
+        faults = self.faults.get(to, SOUND)
+        fate = self._fates.setdefault(to, LinkFate(faults, self.seed, self.sender, to))
+        fate.next()
+        elapsed = now - self._began if self._began is not None else -math.inf
+        over = faults.until_s is not None and elapsed >= faults.until_s
+        message, falsified = (message, "") if over else fate.falsify(message)
         payload = encode(message)
-        number = self._count[to]
-        self._count[to] += 1
         self.messages += 1
         self.bytes += len(payload)
-        if draw_fate(self.seed, self.sender, to, number) < self.faults.get(to, LinkFaults()).loss:
-            self.lost += 1
+        if any(start <= elapsed < end for start, end in faults.cuts):
+            self.met[CUT] += 1
+        elif not over and (reason := fate.find_loss()):
+            self.met[reason] += 1
         else:
-            self.put(to, message.kind, payload)
+            self.met.update([falsified] if falsified else [])
+            copies = [(0.0, payload, False)] if over else fate.copies(payload)
+            self.met.update([DUPLICATED] * (len(copies) - 1))
+            for delay, content, damaged in copies:
+                self.met.update([CORRUPTED] * damaged + [DELAYED] * (delay > 0))
+                entry = (now + delay, next(self._order), to, message.kind, fate.number, content)
+                heapq.heappush(self._waiting, entry)
+            self.release(now)
 
+    def next_due(self) -> float:
+        """When the next delayed message is to go out; infinity if none waits."""
+        return self._waiting[0][0] if self._waiting else math.inf
 
-def draw_fate(seed: int, sender: str, receiver: str, number: int) -> float:
-    """A uniform number in [0, 1) that belongs to message ``number`` of a directed link."""
-    digest = hashlib.blake2b(f"{seed}/{sender}/{receiver}/{number}".encode(), digest_size=8).digest()
-    return int.from_bytes(digest, "big") / 2**64
+    def release(self, now: float) -> None:
+        """Hand over what has waited long enough."""
+        while self._waiting and self._waiting[0][0] <= now:
+            _, _, to, kind, number, payload = heapq.heappop(self._waiting)
+            if number < self._newest[to]:
+                self.met[OVERTAKEN] += 1
+            self._newest[to] = max(self._newest[to], number)
+            self.put(to, kind, payload)

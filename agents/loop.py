@@ -13,6 +13,7 @@ from agents.inbox import Inbox
 from agents.keys import (
     all_from_neighbours,
     all_lives,
+    clock_key,
     live_key,
     name_of_live,
     neighbour_key,
@@ -20,8 +21,8 @@ from agents.keys import (
     state_key,
     telemetry_key,
 )
-from agents.link import LossyLink
-from agents.messages import MessageError, StateMessage, decode
+from agents.link import FaultyLinks
+from agents.messages import ClockMessage, MessageError, StateMessage, decode
 from agents.presence import Presence, begin_life
 from agents.protocol import AreaProtocol, Event, Finish, PresenceChanged, Publish, Received, Refused
 from agents.strategies import make_strategy
@@ -38,6 +39,14 @@ class _TokenSeen:
     alive: bool
 
 
+@dataclass(frozen=True, slots=True)
+class _ClockHeard:
+    """What arrived on the clock's key at monotonic time ``at``."""
+
+    at: float
+    payload: bytes
+
+
 def run_agent(content: AreaFile, session: Session, inbox: Inbox) -> str:
     """Take part in the exchange until something puts ``StopRequested`` into ``inbox``; return its reason.
 
@@ -48,11 +57,13 @@ def run_agent(content: AreaFile, session: Session, inbox: Inbox) -> str:
     strategy = make_strategy(content)
     protocol = AreaProtocol(content, strategy, incarnation, now=now, started_at=time.time())
     kinds = ("load", strategy.kind, *strategy.other_kinds)
-    link = LossyLink(content.area.name, content.links, content.seed, _publishers(content, session, kinds))
+    links = FaultyLinks(content.area.name, content.links, content.seed, _publishers(content, session, kinds))
     name, run = content.area.name, content.run
     neighbours = {n.area for n in content.area.neighbours}
     session.subscribe(all_from_neighbours(run, name), _put_messages_of(neighbours, inbox))
     session.subscribe(telemetry_key(run, name), lambda key, payload: inbox.put(key, (key, payload)))
+    if any(faults.has_windows for faults in content.links.values()):
+        session.subscribe(clock_key(run), lambda key, payload: inbox.put(key, _ClockHeard(time.monotonic(), payload)))
     for neighbour in sorted(neighbours):
         session.watch_presence(
             all_lives(run, "area", neighbour), lambda key, alive: inbox.put(key, _TokenSeen(key, alive))
@@ -63,16 +74,19 @@ def run_agent(content: AreaFile, session: Session, inbox: Inbox) -> str:
     events: list[Event] = []
     told: object = None
     while True:
-        for action in protocol.handle(events, time.monotonic()):
+        now = time.monotonic()
+        for action in protocol.handle(events, now):
             match action:
                 case Publish(message, to):
-                    link.send(message, to)
+                    links.send(message, to, now)
                     if isinstance(message, StateMessage):
                         told = _log_change(message, told)
                 case Finish(reason):
                     return reason
-        news = inbox.take(protocol.wait_s(time.monotonic()))
-        events = list(_events_of(news, presence))
+        now = time.monotonic()
+        news = inbox.take(min(protocol.wait_s(now), links.next_due() - now))
+        links.release(time.monotonic())
+        events = list(_events_of(news, presence, links))
 
 
 def _log_change(state: StateMessage, told: object) -> object:
@@ -104,9 +118,11 @@ def _put_messages_of(neighbours: set[str], inbox: Inbox) -> Callable[[str, bytes
     return put
 
 
-def _events_of(news: Sequence[Any], presence: Presence) -> Iterator[Event]:
+def _events_of(news: Sequence[Any], presence: Presence, links: FaultyLinks) -> Iterator[Event]:
     for item in news:
         match item:
+            case _ClockHeard(at, payload):
+                _take_clock(links, at, payload)
             case _TokenSeen(key, alive):
                 if presence.take(key, alive):
                     yield PresenceChanged(name_of_live(key)[1], alive)
@@ -114,6 +130,16 @@ def _events_of(news: Sequence[Any], presence: Presence) -> Iterator[Event]:
                 yield _received(key, payload)
             case _:
                 yield item
+
+
+def _take_clock(links: FaultyLinks, at: float, payload: bytes) -> None:
+    try:
+        message = decode(payload)
+    except MessageError as error:
+        log.warning("refused a payload on the clock's key: %s", error)
+    else:
+        if isinstance(message, ClockMessage):
+            links.begin(at - message.elapsed_s)
 
 
 def _received(key: str, payload: bytes) -> Event:

@@ -167,6 +167,15 @@ class TelemetryMessage:
 
 
 @dataclass(frozen=True, slots=True)
+class ClockMessage:
+    """How long the run has lasted since all areas were there, s; windows of injected faults count from then."""
+
+    kind: ClassVar[str] = "clock"
+    header: Header
+    elapsed_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class StateMessage:
     """What an area knows and on what it rests, for whoever watches.
 
@@ -174,8 +183,12 @@ class StateMessage:
     ``referenced``: angles count from the substation. ``removed``: meters taken out as bad data.
     ``critical``: meters that cannot be spared, whatever they read. ``checked``: bad data have been looked for.
     ``sent``, ``heard``: per neighbour the last sequence numbers of (load, boundary, tally) messages; 0 before any.
-    ``messages``, ``bytes``, ``lost``: totals handed to the bus, ``lost`` of them dropped by the link;
-    ``refused``: received payloads by reason of refusal. ``notes``: in words, what is missing.
+    ``messages``, ``bytes``, ``lost``: totals handed to the bus, ``lost`` of them dropped by the links; ``faults``:
+    what the links have done to them, by kind. ``refused``: received payloads by reason of refusal. ``notes``: in
+    words, what is missing.
+    ``quality``: what the state is worth (docs/quality.md). ``telemetry_age``: s since telemetry was last heard;
+    ``ages``, ``scans``: neighbour -> s since its boundary message was last heard, and the scan of the newest.
+    Quality and ages hold at ``header.time``; they may differ between two states of one sequence number.
     """
 
     kind: ClassVar[str] = "state"
@@ -198,10 +211,15 @@ class StateMessage:
     lost: int
     refused: dict[str, int]
     notes: tuple[str, ...]
+    faults: dict[str, int]
+    quality: str
+    telemetry_age: float
+    ages: dict[str, float]
+    scans: dict[str, int]
 
 
 BoundaryNews = BoundaryMessage | InformationMessage | AdmmMessage
-Message = LoadMessage | BoundaryNews | TallyMessage | TelemetryMessage | StateMessage
+Message = LoadMessage | BoundaryNews | TallyMessage | TelemetryMessage | ClockMessage | StateMessage
 
 _TYPES: Mapping[str, type[Any]] = {
     cls.kind: cls
@@ -212,6 +230,7 @@ _TYPES: Mapping[str, type[Any]] = {
         AdmmMessage,
         TallyMessage,
         TelemetryMessage,
+        ClockMessage,
         StateMessage,
     )
 }
@@ -352,4 +371,5 @@ _CHECKS: Mapping[str, Callable[[str, object], Any]] = {  # by the annotation of 
     "tuple[str, ...]": _tuple_of(_text),
     "dict[str, int]": _map_of(_count),
     "dict[str, tuple[int, int, int]]": _map_of(_tuple_of(_count, 3)),
+    "dict[str, float]": _map_of(_number),
 }

@@ -10,15 +10,16 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
 
 from agents.area_file import AreaFile
+from agents.hearing import Hearing
 from agents.messages import (
     AdmmMessage,
     BoundaryMessage,
     BoundaryNews,
+    ClockMessage,
     Header,
     Incarnation,
     InformationMessage,
@@ -28,14 +29,13 @@ from agents.messages import (
     TallyMessage,
     TelemetryMessage,
 )
+from agents.quality import judge_quality
 from agents.reminders import Reminders
 from agents.strategies.interface import Estimate, Knowledge, Strategy
 from dsse_core.boundary_load import NetLoad, load_message_for, measured_net_loads, own_net_load
 from dsse_core.measurement import Measurement, Source
 
 NEWS_LOAD = 1e-9  # p.u.
-
-M = TypeVar("M", bound=LoadMessage | BoundaryNews | TallyMessage)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,43 +105,47 @@ class AreaProtocol:
         self._reminders = Reminders(content.beat_s)
         self._by_name = {n.area: n for n in self._area.neighbours}
         self._meters = {meter.id: meter for meter in content.meters}
-        self._telemetry: TelemetryMessage | None = None
+        self._hearing = Hearing(content.beat_s)
+        self._used: set[str] = set()  # neighbours whose boundary message is in use
         self._measurements: tuple[Measurement, ...] = ()
-        self._loads: dict[str, LoadMessage] = {}
-        self._boundary: dict[str, BoundaryNews] = {}
         self._sent_load: dict[str, LoadMessage] = {}
         self._sent_boundary: dict[str, BoundaryNews] = {}
-        self._tallies: dict[str, TallyMessage] = {}
         self._sent_tally: dict[str, TallyMessage] = {}
         self._told: Estimate | None = None
-        self._state: StateMessage | None = None
+        self._shown: tuple[Estimate | None, bool, int] = (None, False, 0)  # in the state: with doubts? of which scan?
+        self._state: StateMessage | None = None  # as last published
         self._present: set[str] = set()
         self._gone: set[str] = set()
         self._refused: Counter[str] = Counter()
 
     def wait_s(self, now: float) -> float:
         """How long the protocol may be left alone, s."""
-        next_repeat = min(self._next_beat, self._reminders.next_due())
-        return 0.0 if self._strategy.restless else max(0.0, next_repeat - now)
+        at = min(self._next_beat, self._reminders.next_due(), self._hearing.next_change(now))
+        return 0.0 if self._strategy.restless else max(0.0, at - now)
 
     def handle(self, events: Sequence[Event], now: float) -> list[Action]:
         """Take in ``events``, all that arrived since the last call, and say what to do."""
         self._now = now
+        news = False
         for event in events:
+            repeated = False
             match event:
                 case StopRequested(reason):
                     return [Finish(reason)]
                 case Received(message, key_sender):
-                    self._take(message, key_sender)
+                    repeated = not self._take(message, key_sender)
                 case Refused(reason):
                     self._refused[reason] += 1
                 case PresenceChanged(area, alive):
                     (self._present if alive else self._gone).add(area)
                     (self._gone if alive else self._present).discard(area)
+            news |= not repeated
         actions: list[Action] = []
-        if self._telemetry is None:
+        used = set(self._hearing.usable(now))
+        if self._hearing.telemetry is None:
             actions += self._show_state(None, ["no telemetry yet"])
-        elif events or self._strategy.restless:
+        elif news or self._strategy.restless or used != self._used:
+            self._used = used
             actions += self._tell_loads()
             try:
                 actions += self._estimate()
@@ -149,6 +153,9 @@ class AreaProtocol:
                 # numbers beyond all reason, a neighbour's perhaps, leave no estimate and no crash
                 actions += self._show_state(None, (f"no estimate: {type(error).__name__}: {error}",))
             self._stop_answered_reminders()
+        elif self._state is not None and self._state.quality != self._quality:
+            self._state = self._as_of_now(self._state)
+            actions.append(Publish(self._state, None))
         actions += [Publish(self._sent_boundary[name], name) for name in self._reminders.take_due(now)]
         if now >= self._next_beat:
             self._next_beat = now + self._content.beat_s
@@ -157,21 +164,21 @@ class AreaProtocol:
 
     # What comes in
 
-    def _take(self, message: Message, key_sender: str) -> None:
-        """Keep ``message`` if it is the newest of its sender, else drop it; count what should not have come."""
+    def _take(self, message: Message, key_sender: str) -> bool:
+        """Keep ``message`` if it is the newest of its sender, else drop it; count what should not have come.
+
+        False for readings that are there already.
+        """
         reason = self._find_refusal(message, key_sender)
         if reason:
             self._refused[reason] += 1
-            return
-        match message:
-            case TelemetryMessage():
-                self._take_telemetry(message)
-            case LoadMessage():
-                _keep_newest(self._loads, message)
-            case BoundaryMessage() | InformationMessage() | AdmmMessage():
-                _keep_newest(self._boundary, message)
-            case TallyMessage():
-                _keep_newest(self._tallies, message)
+        elif isinstance(message, TelemetryMessage):
+            if not self._hearing.take_telemetry(message, self._now):
+                return False
+            self._read_telemetry(message)
+        elif isinstance(message, LoadMessage | BoundaryMessage | InformationMessage | AdmmMessage | TallyMessage):
+            self._hearing.take(message, self._now)
+        return True
 
     def _find_refusal(self, message: Message, key_sender: str) -> str:
         header = message.header
@@ -179,7 +186,7 @@ class AreaProtocol:
             return "other run"
         if isinstance(message, TelemetryMessage):
             return "" if message.area == self._area.name else "telemetry of another area"
-        if isinstance(message, StateMessage) or header.sender not in self._by_name:
+        if isinstance(message, StateMessage | ClockMessage) or header.sender not in self._by_name:
             return "unknown sender"
         if header.sender != key_sender:
             return "sender does not own the key"
@@ -189,9 +196,7 @@ class AreaProtocol:
             return ""
         return self._strategy.find_refusal(message) if message.kind == self._strategy.kind else "other strategy"
 
-    def _take_telemetry(self, message: TelemetryMessage) -> None:
-        if self._telemetry is not None and message.header.order <= self._telemetry.header.order:
-            return
+    def _read_telemetry(self, message: TelemetryMessage) -> None:
         readings = []
         for meter_id, value, sigma in zip(message.meters, message.values, message.sigmas, strict=True):
             meter = self._meters.get(meter_id)
@@ -202,7 +207,6 @@ class AreaProtocol:
             else:
                 readings.append(Measurement(meter, value, sigma))
         virtual = [Measurement(m, 0.0, 0.0) for m in self._content.meters if m.source is Source.VIRTUAL]
-        self._telemetry = message
         self._measurements = (*readings, *virtual)
 
     # What goes out
@@ -221,21 +225,21 @@ class AreaProtocol:
             estimate, contradictions = self._strategy.judge(self._knowledge(), estimate)
             notes += contradictions
             actions += self._tell_tallies()
-        return actions if self._strategy.restless else actions + self._show_state(estimate, notes)
+        return actions if self._strategy.restless else actions + self._show_state(estimate, notes, doubts=bool(notes))
 
     def _knowledge(self) -> Knowledge:
         return Knowledge(
             measurements=self._measurements,
             loads=self._heard_loads(),
-            boundary=dict(self._boundary),
+            boundary={name: m for name, m in self._hearing.boundary.items() if name in self._used},
             present=frozenset(self._present),
             scan=self._scan,
-            tallies={name: m for name, m in self._tallies.items() if m.header.scan == self._scan},
+            tallies={name: m for name, m in self._hearing.tallies.items() if m.header.scan == self._scan},
             told=dict(self._sent_boundary),
         )
 
     def _heard_loads(self) -> dict[str, NetLoad]:
-        return {name: message.load for name, message in sorted(self._loads.items())}
+        return {name: message.load for name, message in sorted(self._hearing.loads.items())}
 
     def _tell_loads(self) -> list[Action]:
         """Tell a neighbour the net load on this side once all the other neighbours have told theirs."""
@@ -282,8 +286,9 @@ class AreaProtocol:
             if not self._strategy.awaits_answer(n):
                 self._reminders.stop(n.area)
 
-    def _show_state(self, estimate: Estimate | None, notes: Sequence[str]) -> list[Action]:
-        last = self._state
+    def _show_state(self, estimate: Estimate | None, notes: Sequence[str], doubts: bool = False) -> list[Action]:
+        last, hearing = self._state, self._hearing
+        self._shown = (estimate, doubts, self._scan)
         state = StateMessage(
             header=self._header(last),
             buses=() if estimate is None else tuple(bus.id for bus in self._area.network.buses),
@@ -302,27 +307,54 @@ class AreaProtocol:
                 for n in self._area.neighbours
             },
             heard={
-                n.area: _sequences(n.area, self._loads, self._boundary, self._tallies) for n in self._area.neighbours
+                n.area: _sequences(n.area, hearing.loads, hearing.boundary, hearing.tallies)
+                for n in self._area.neighbours
             },
             messages=0,
             bytes=0,
             lost=0,
             refused=dict(self._refused),
             notes=(*notes, *self._what_is_missing()),
+            faults={},
+            quality=self._quality,
+            telemetry_age=0.0,
+            ages={},
+            scans={},
         )
-        if last is not None and replace(state, header=last.header) == last and last.header.scan == self._scan:
-            return []
-        self._state = state
-        return [Publish(state, None)]
+        if last is not None and _without_ages(last) == replace(state, header=last.header, quality=last.quality):
+            if (last.quality, last.header.scan) == (state.quality, self._scan):
+                return []
+            if last.header.scan == self._scan:
+                state = replace(state, header=last.header)
+        self._state = self._as_of_now(state)
+        return [Publish(self._state, None)]
+
+    @property
+    def _quality(self) -> str:
+        """Of the state as last shown; new readings leave it behind until they have been worked in."""
+        estimate, doubts, scan = self._shown
+        doubts |= scan != self._scan
+        return judge_quality(estimate, doubts, self._hearing, set(self._by_name), self._gone, self._now)
+
+    def _as_of_now(self, state: StateMessage) -> StateMessage:
+        """``state`` with the quality and the ages of this moment."""
+        return replace(
+            state,
+            header=replace(state.header, time=self._now + self._clock_offset),
+            quality=self._quality,
+            telemetry_age=self._hearing.telemetry_age(self._now),
+            ages=self._hearing.ages(self._now),
+            scans=self._hearing.scans(),
+        )
 
     def _what_is_missing(self) -> list[str]:
         notes = [f"neighbour {name} is gone" for name in sorted(self._gone)]
-        headers = [m.header for m in self._loads.values()] + [m.header for m in self._boundary.values()]
+        headers = [m.header for kept in (self._hearing.loads, self._hearing.boundary) for m in kept.values()]
         stale = {header.sender for header in headers if header.scan != self._scan}
         notes += [f"news from {name} is of another scan" for name in sorted(stale)]
         read = {m.meter.id for m in self._measurements}
         silent = [m.id for m in self._content.meters if m.id not in read]
-        if self._telemetry is not None and silent:
+        if self._hearing.telemetry is not None and silent:
             notes.append(f"no reading from {len(silent)} meters, the first is {silent[0]}")
         return notes
 
@@ -334,13 +366,14 @@ class AreaProtocol:
             for message in (d.get(n.area) for d in (self._sent_load, self._sent_boundary, self._sent_tally)):
                 if message is not None:
                     last_words.append(Publish(message, n.area))
-        if self._state is not None:
+        if self._state is not None and id(self._state) not in fresh:
+            self._state = self._as_of_now(self._state)
             last_words.append(Publish(self._state, None))
         return [a for a in last_words if isinstance(a, Publish) and id(a.message) not in fresh]
 
     @property
     def _scan(self) -> int:
-        return self._telemetry.header.scan if self._telemetry else 0
+        return self._hearing.scan
 
     def _header(self, last: Message | None) -> Header:
         return Header(
@@ -360,7 +393,5 @@ def _sequences(
     return load, state, tally
 
 
-def _keep_newest(kept: dict[str, M], message: M) -> None:
-    last = kept.get(message.header.sender)
-    if last is None or message.header.order > last.header.order:
-        kept[message.header.sender] = message
+def _without_ages(state: StateMessage) -> StateMessage:
+    return replace(state, telemetry_age=0.0, ages={}, scans={})

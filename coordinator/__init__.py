@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from coordinator.observer import Progress
     from coordinator.result import RunResult
+    from scenarios.faults import LinkChanges
     from scenarios.scenario import Scenario
 
 __all__ = ["run", "simulate"]
@@ -70,28 +71,23 @@ def simulate(
     seed: int | None = None,
     strategy: str | None = None,
     timeout_s: float | None = None,
-    delay_s: float = 0.001,
-    jitter_s: float = 0.0,
-    duplicate: float = 0.0,
+    links: LinkChanges | None = None,
     on_update: Callable[[Progress], None] | None = None,
     plots: bool = True,
 ) -> RunResult:
     """Run a scenario on the twin: the same areas on a simulated bus, in virtual time, in this process.
 
-    The same scenario, seed and link faults give the same result to the bit. Arguments are those of ``run``, and:
+    The same scenario, seed and links give the same result to the bit. Arguments are those of ``run``, and:
 
     Args:
-        delay_s, jitter_s: a message takes ``delay_s`` plus a random part of ``jitter_s`` of virtual time.
-        duplicate: probability that a message arrives twice.
+        links: ``delay_s``, ``jitter_s`` or ``duplicate`` of every link, in place of the scenario's.
 
     Raises:
         InvalidInputError: the scenario, the folder or a link fault cannot be used.
     """
     from coordinator.simulation import simulate_scenario
-    from coordinator.twin import LinkFaults
 
-    faults = LinkFaults(delay_s, jitter_s, duplicate)
-    result = simulate_scenario(scenario, faults, out, seed, strategy, timeout_s, on_update)
+    result = simulate_scenario(scenario, out, seed, strategy, timeout_s, on_update, links or {})
     if plots:
         from coordinator.plots import draw_plots
 

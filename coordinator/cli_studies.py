@@ -30,7 +30,7 @@ if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts
     from coordinator.result import RunOutcome
     from coordinator.sweep_plan import SweepPlan
     from coordinator.sweep_table import SweepTable
-    from coordinator.twin import LinkFaults
+    from scenarios.faults import LinkChanges
     from scenarios.scenario import Scenario
 
 MILLISECONDS = click.FloatRange(min=0, max=86_400_000)
@@ -38,37 +38,24 @@ strategies_option = click.option("--strategies", metavar="A,B,...", help="Only t
 
 
 def link_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """The faults of the twin's links as options; the command gets them as ``links``."""
+    """Faults of all links as options; the command gets those that are given as ``links``."""
 
+    @click.option("--delay-ms", type=MILLISECONDS, metavar="MS", help="Instead of the scenario's faults.delay_ms.")
+    @click.option("--jitter-ms", type=MILLISECONDS, metavar="MS", help="Instead of the scenario's faults.jitter_ms.")
     @click.option(
-        *("--delay-ms", "delay_ms"),
-        type=click.FloatRange(min=0, min_open=True, max=86_400_000),
-        default=1.0,
-        show_default=True,
-        metavar="MS",
-        help="Twin: how long a message travels.",
-    )
-    @click.option(
-        *("--jitter-ms", "jitter_ms"),
-        type=MILLISECONDS,
-        default=0.0,
-        show_default=True,
-        metavar="MS",
-        help="Twin: a random part of this is added, so that messages overtake each other.",
-    )
-    @click.option(
-        "--duplicate",
-        type=click.FloatRange(0, 1),
-        default=0.0,
-        show_default=True,
-        metavar="P",
-        help="Twin: probability that a message arrives twice.",
+        "--duplicate", type=click.FloatRange(0, 1), metavar="P", help="Instead of the scenario's faults.duplicate."
     )
     @functools.wraps(command)
-    def with_links(*arguments: Any, delay_ms: float, jitter_ms: float, duplicate: float, **options: Any) -> Any:
-        from coordinator.twin import LinkFaults
-
-        return command(*arguments, links=LinkFaults(delay_ms / 1000, jitter_ms / 1000, duplicate), **options)
+    def with_links(
+        *arguments: Any, delay_ms: float | None, jitter_ms: float | None, duplicate: float | None, **options: Any
+    ) -> Any:
+        given = {
+            "delay_s": None if delay_ms is None else delay_ms / 1000,
+            "jitter_s": None if jitter_ms is None else jitter_ms / 1000,
+            "duplicate": duplicate,
+        }
+        links = {key: value for key, value in given.items() if value is not None}
+        return command(*arguments, links=links, **options)
 
     return with_links
 
@@ -88,7 +75,7 @@ def simulate(
     timeout: float | None,
     seed: int | None,
     strategy: str | None,
-    links: LinkFaults,
+    links: LinkChanges,
     quiet: bool,
     no_plots: bool,
 ) -> int:
@@ -105,7 +92,7 @@ def simulate(
 
     end_orderly_on_signals()
     with progress(f"{scenario}, virtual time", quiet) as on_update:
-        result = simulate_scenario(scenario, links, out, seed, strategy, timeout, on_update)
+        result = simulate_scenario(scenario, out, seed, strategy, timeout, on_update, links)
     return finish_run(result, no_plots)
 
 
@@ -117,16 +104,14 @@ def simulate(
 @timeout_option
 @seed_option
 @link_options
-@click.pass_context
 def compare(
-    context: click.Context,
     scenario: str,
     strategies: str | None,
     processes: bool,
     out: Path | None,
     timeout: float | None,
     seed: int | None,
-    links: LinkFaults,
+    links: LinkChanges,
 ) -> None:
     """Run every strategy on the telemetry and the faults of SCENARIO and print one table.
 
@@ -137,25 +122,19 @@ def compare(
     Examples:  dsse compare ieee33-lossy
                dsse compare ieee33 --strategies angle-offset,information --processes --out comparison
     """
-    if processes and any(context.get_parameter_source(name) is not _DEFAULT for name in _LINK_OPTIONS):
-        raise click.UsageError("--delay-ms, --jitter-ms and --duplicate are the twin's; leave out --processes or them")
     from coordinator.judging import choose_scenario
     from coordinator.strategy_comparison import choose_strategies, compare_strategies, format_comparison
 
     end_orderly_on_signals()
     chosen = choose_strategies(strategies)
-    loaded = choose_scenario(scenario, seed, timeout_s=timeout)
-    rows = compare_strategies(loaded, chosen, _run_processes if processes else _run_on(links), out)
+    loaded = choose_scenario(scenario, seed, timeout_s=timeout, links=links)
+    rows = compare_strategies(loaded, chosen, _run_processes if processes else _run_on_twin, out)
     buses, areas = len(loaded.network.buses), len(loaded.partition.areas)
-    where = "real processes" if processes else f"on the twin, virtual time, {links.describe()}"
+    where = "real processes" if processes else "on the twin, virtual time"
     show(f"{loaded.name}, {buses} buses in {areas} areas, seed {loaded.seed}, {where}\n")
     show(format_comparison(rows))
     if out is not None:
         show(f"\nfiles: {out}")
-
-
-_DEFAULT = click.core.ParameterSource.DEFAULT
-_LINK_OPTIONS = ("delay_ms", "jitter_ms", "duplicate")
 
 
 def _run_processes(scenario: Scenario, folder: Path) -> RunOutcome:
@@ -165,14 +144,11 @@ def _run_processes(scenario: Scenario, folder: Path) -> RunOutcome:
     return coordinator.run(scenario, out=folder, plots=False)
 
 
-def _run_on(links: LinkFaults) -> Callable[[Scenario, Path], RunOutcome]:
+def _run_on_twin(scenario: Scenario, folder: Path) -> RunOutcome:
     from coordinator.simulation import simulate_scenario
 
-    def run(scenario: Scenario, folder: Path) -> RunOutcome:
-        say(f"{scenario.strategy} ...")
-        return simulate_scenario(scenario, links, folder)
-
-    return run
+    say(f"{scenario.strategy} ...")
+    return simulate_scenario(scenario, folder)
 
 
 @click.command(short_help="Run a scenario many times while one key varies; table and picture.")
@@ -193,7 +169,7 @@ def sweep(
     jobs: int | None,
     out: Path | None,
     timeout: float | None,
-    links: LinkFaults,
+    links: LinkChanges,
     quiet: bool,
 ) -> None:
     """Run SCENARIO on the twin for each value of one of its keys, each strategy and each seed.
@@ -244,7 +220,7 @@ def _draw(plan: SweepPlan, table: SweepTable) -> None:
     if table.rows:
         from coordinator.sweep_plot import draw_sweep
 
-        title = f"{plan.base.name} on the twin, {plan.faults.describe()}"
+        title = f"{plan.base.name} on the twin"
         draw_sweep(table.path.with_suffix(".png"), title, plan.key, table.rows)
 
 

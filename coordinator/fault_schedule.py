@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 from agents.access import PLANT
@@ -36,11 +37,16 @@ class FaultSchedule:
         steps += [Step(event.over_s, UNDO[event.kind], event.names) for event in events if event.kind in UNDO]
         return cls(sorted(steps, key=lambda step: step.at_s))
 
-    def carry_out(self, elapsed_s: float, system: System) -> Iterator[Step]:
-        """Do to ``system`` all that is due ``elapsed_s`` after the start; each step as it is done."""
+    @property
+    def next_at(self) -> float:
+        """When the next step is due, s after the start; infinity if none is left."""
+        return self.steps[0].at_s if self.steps else math.inf
+
+    def carry_out(self, elapsed_s: float, do: Callable[[Step], None]) -> Iterator[Step]:
+        """``do`` all that is due ``elapsed_s`` after the start; each step as it is done."""
         while self.steps and self.steps[0].at_s <= elapsed_s:
             step = self.steps.pop(0)
-            _do(step.kind, step.names[0], system)
+            do(step)
             self.counts[step.kind] += 1
             yield step
 
@@ -52,8 +58,10 @@ class FaultSchedule:
         )
 
 
-def _do(kind: str, name: str, system: System) -> None:
-    match kind:
+def do_to_processes(system: System, step: Step) -> None:
+    """Have one step happen to the processes of ``system``."""
+    name = step.names[0]
+    match step.kind:
         case "kill":
             system.kill(name)
         case "restart":

@@ -6,19 +6,19 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from agents.messages import StateMessage
 from agents.strategies import STRATEGIES
 from coordinator.comparison import compare
-from coordinator.events import EventLog
 from coordinator.observer import Observer
 from coordinator.result import RunOutcome, make_area_results, make_verdict
 from dsse_core.bad_data import BadDataReport, process_bad_data
 from dsse_core.errors import DsseError, InvalidInputError
 from scenarios.check import check_scenario
+from scenarios.faults import LinkChanges, change_links
 from scenarios.scenario import Scenario, load_scenario
 from scenarios.telemetry import Telemetry
 
 LONGEST_S = 86400.0
+NO_CHANGES: LinkChanges = {}
 MAX_NAMED = 20  # obstacles
 YARDSTICK = 1e-9  # p.u. and rad: the largest last step of an estimate that others are measured against
 
@@ -28,13 +28,14 @@ def prepare_scenario(
     seed: int | None = None,
     strategy: str | None = None,
     timeout_s: float | None = None,
+    links: LinkChanges = NO_CHANGES,
 ) -> Scenario:
     """Load a scenario by name or path, replace what is given, and check that it can be estimated.
 
     Raises:
         InvalidInputError: every problem found.
     """
-    scenario = choose_scenario(scenario, seed, strategy, timeout_s)
+    scenario = choose_scenario(scenario, seed, strategy, timeout_s, links)
     check_scenario(scenario)
     return scenario
 
@@ -44,6 +45,7 @@ def choose_scenario(
     seed: int | None = None,
     strategy: str | None = None,
     timeout_s: float | None = None,
+    links: LinkChanges = NO_CHANGES,
 ) -> Scenario:
     """Load a scenario by name or path and replace what is given; whether it can be estimated is not checked.
 
@@ -63,7 +65,7 @@ def choose_scenario(
         if not 0 < timeout_s <= LONGEST_S:
             raise InvalidInputError("time limit", [f"is {timeout_s} s; it must be positive and at most {LONGEST_S} s"])
         scenario = replace(scenario, run=replace(scenario.run, timeout_s=timeout_s))
-    return scenario
+    return replace(scenario, faults=change_links(scenario.faults, links)) if links else scenario
 
 
 def make_observer(scenario: Scenario) -> Observer:
@@ -94,22 +96,6 @@ def estimate_centralised(scenario: Scenario, telemetry: Telemetry) -> Centralise
         return Centralised(None, str(error))
 
 
-def write_state(events: EventLog, state: StateMessage, at: float) -> None:
-    """Write down a state that says something new."""
-    events.write(
-        "state changed",
-        at,
-        area=state.header.sender,
-        scan=state.header.scan,
-        sequence=state.header.sequence,
-        estimated=bool(state.buses),
-        referenced=state.referenced,
-        sent=state.sent,
-        heard=state.heard,
-        notes=list(state.notes),
-    )
-
-
 def no_consensus_within(scenario: Scenario, obstacles: tuple[str, ...]) -> str:
     """The reason of a run that has reached its time limit."""
     more = [f"and {len(obstacles) - MAX_NAMED} more"] if len(obstacles) > MAX_NAMED else []
@@ -128,10 +114,12 @@ def judge(
     wall_s: float,
     virtual_s: float | None,
     timing_s: Mapping[str, float],
+    faults: Mapping[str, int],
 ) -> RunOutcome:
     """Compare what the areas have published with the centralised estimate and the truth, and sum up.
 
-    ``reason``: None at consensus. ``started``: when the run began on the observer's clock, s.
+    ``reason``: None at consensus. ``started``: when the run began on the observer's clock, s. ``faults``: kind -> how
+    often it has happened.
     """
     comparison = compare(scenario.partition, observer.states, telemetry.truth, centralised.report)
     return RunOutcome(
@@ -144,4 +132,5 @@ def judge(
         centralised_failure=centralised.failure,
         history=tuple(replace(sample, time=sample.time - started) for sample in observer.history),
         timing_s=timing_s,
+        faults=faults,
     )

@@ -8,7 +8,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from agents.access import PLANT
@@ -21,7 +21,7 @@ from agents.transport import Session
 from dsse_core.errors import DsseError
 from dsse_core.measurement import Measurement, Source
 from scenarios.scenario import Scenario
-from scenarios.telemetry import make_telemetry
+from scenarios.telemetry import find_lateness, make_telemetry
 
 log = logging.getLogger(__name__)
 SILENT, SPEAK = signal.SIGUSR1, signal.SIGUSR2
@@ -68,7 +68,7 @@ def run_plant(
             voice = _Voice(publishers, inbox, scenario.run.beat_s)
             for number in (SILENT, SPEAK):
                 signal.signal(number, voice.be_silent)
-            while not voice.serve(payloads, every_s or math.inf):
+            while not voice.serve(payloads, find_lateness(scenario, scan), every_s or math.inf):
                 scan += 1
                 payloads = make_payloads(scenario, run, life, scan, draw=scan)
     except DsseError as error:
@@ -113,19 +113,25 @@ class _Voice:
     inbox: Inbox
     beat_s: float
     silent: bool = False
+    _newest: dict[str, bytes] = field(default_factory=dict)  # area -> the readings that have come in
 
-    def serve(self, payloads: Mapping[str, bytes], duration_s: float) -> bool:
-        """Publish one scan at every beat for ``duration_s``; whether to stop."""
-        next_beat = time.monotonic()
-        over = next_beat + duration_s
+    def serve(self, payloads: Mapping[str, bytes], late_s: Mapping[str, float], duration_s: float) -> bool:
+        """Publish one scan at every beat for ``duration_s``; whether to stop.
+
+        ``late_s``: area -> by how much its readings come late; until then the former ones are repeated.
+        """
+        start = next_beat = time.monotonic()
+        over = start + duration_s
         areas: list[str] = []
         while (now := time.monotonic()) < over:
             if now >= next_beat:
                 next_beat = now + self.beat_s
                 areas = list(payloads)
             for area in areas:
-                if not self.silent:
-                    self.publishers[area](payloads[area])
+                if now - start >= late_s.get(area, 0.0):
+                    self._newest[area] = payloads[area]
+                if area in self._newest and not self.silent:
+                    self.publishers[area](self._newest[area])
             news = self.inbox.take(min(next_beat, over) - time.monotonic())
             if None in news:
                 return True

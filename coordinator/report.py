@@ -57,9 +57,9 @@ def _format_gaps(result: RunResult) -> str:
 def _format_areas(result: RunResult) -> str:
     with_errors = result.comparison.knows_truth
     errors = ("error p.u.", "error deg") if with_errors else ()
-    header = ("area", "buses", "gap p.u.", "gap deg", *errors, "exchanges", "messages", "bytes", "lost")
-    rows = [(area.name, str(area.buses), *_figures(area, with_errors)) for area in result.areas]
-    total = ("all", str(len(result.scenario.network.buses)), *_figures(result.verdict, with_errors))
+    header = ("area", "buses", "gap p.u.", "gap deg", *errors, "exchanges", "messages", "bytes", "lost", "quality")
+    rows = [(area.name, str(area.buses), *_figures(area, with_errors), area.quality) for area in result.areas]
+    total = ("all", str(len(result.scenario.network.buses)), *_figures(result.verdict, with_errors), "")
     return format_table(header, [*rows, total])
 
 
@@ -72,6 +72,8 @@ def _figures(of: AreaResult | Verdict, with_errors: bool) -> tuple[str, ...]:
 def _format_findings(result: RunResult) -> list[str]:
     """Degraded areas and removed meters, one line each; nothing where all is well."""
     lines = []
+    if result.faults:
+        lines.append("faults: " + ", ".join(f"{count} {kind}" for kind, count in sorted(result.faults.items())))
     for area in result.areas:
         if area.degraded:
             refused = [f"{count} messages refused: {reason}" for reason, count in area.refused.items()]

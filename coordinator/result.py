@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from agents.quality import NONE
 from coordinator.comparison import Comparison
 from coordinator.observer import Observer, Sample, count_exchanges
 from dsse_core.bad_data import BadDataReport
@@ -46,7 +47,10 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True)
 class AreaResult:
-    """One area at the verdict; gaps and errors over every bus that it sees. ``notes``: what it has to do without."""
+    """One area at the verdict; gaps and errors over every bus that it sees. ``notes``: what it has to do without.
+
+    ``quality``: what its last state is worth (docs/quality.md).
+    """
 
     name: str
     buses: int
@@ -64,6 +68,7 @@ class AreaResult:
     removed: tuple[str, ...]
     critical: tuple[str, ...]
     notes: tuple[str, ...]
+    quality: str
 
     @property
     def degraded(self) -> bool:
@@ -74,6 +79,8 @@ class AreaResult:
 @dataclass(frozen=True)
 class RunOutcome:
     """Everything about one run. ``timing_s``: moments in seconds since the call, on the twin in virtual time.
+
+    ``faults``: kind -> how often it has happened, to messages and to processes.
 
     ``centralised`` is None where that estimate failed; ``centralised_failure`` says why.
     """
@@ -87,6 +94,7 @@ class RunOutcome:
     centralised_failure: str | None
     history: tuple[Sample, ...]
     timing_s: Mapping[str, float]
+    faults: Mapping[str, int]
 
     def in_folder(self, folder: Path) -> RunResult:
         return RunResult(**vars(self), folder=folder)
@@ -148,6 +156,7 @@ def _make_area_result(name: str, observer: Observer, comparison: Comparison) -> 
         removed=state.removed if state else (),
         critical=state.critical if state else (),
         notes=state.notes if state else ("never heard of",),
+        quality=state.quality if state else NONE,
     )
 
 
@@ -190,6 +199,7 @@ def as_json(result: RunOutcome) -> dict[str, Any]:
         "areas": {area.name: _area_json(area) for area in result.areas},
         "centralised": _centralised_json(result),
         "timing_s": dict(result.timing_s),
+        "faults": dict(result.faults),
         "versions": {"python": platform.python_version()} | {name: version_of(name) for name in DISTRIBUTIONS},
     }
 

@@ -6,28 +6,30 @@ import secrets
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 from agents.access import COORDINATOR
-from agents.keys import all_live, all_states, live_key, name_of_live
+from agents.keys import all_live, all_states, clock_key, live_key, name_of_live
 from agents.messages import MessageError, StateMessage, decode
 from agents.presence import Presence, begin_life
 from agents.transport import Session
 from coordinator.events import EventLog
-from coordinator.fault_schedule import FaultSchedule
+from coordinator.fault_schedule import FaultSchedule, do_to_processes
 from coordinator.judging import (
     estimate_centralised,
     judge,
     make_observer,
     no_consensus_within,
     prepare_scenario,
-    write_state,
 )
 from coordinator.observer import Observer, Progress
 from coordinator.processes import Launcher, News, describe_end, read_end
 from coordinator.result import RunResult, write_files
+from coordinator.run_clock import RunClock
 from coordinator.run_folder import make_run_folder
 from coordinator.split import default_run_id
+from coordinator.state_log import StateLog
 from coordinator.system import System
 from coordinator.zygote import Ended, Started
 from scenarios.scenario import Scenario
@@ -73,6 +75,8 @@ class _Run:
 
     def __post_init__(self) -> None:
         self.schedule = FaultSchedule.of(self.scenario.faults.events)
+        self.states = StateLog(self.events)
+        self.clock = RunClock(self.id, self.scenario.run.beat_s, begin_life())
 
     def note_time(self, moment: str) -> None:
         self.timing_s[moment] = round(time.monotonic() - self.started, 4)
@@ -165,6 +169,7 @@ def _run_with_router(run: _Run, on_update: Callable[[Progress], None] | None) ->
         wall_s=wall_s,
         virtual_s=None,
         timing_s=run.timing_s,
+        faults=run.states.faults + run.schedule.counts,
     )
     result = write_files(outcome.in_folder(run.folder), run.events.failure)
     if interrupted:
@@ -188,7 +193,9 @@ def _listen(run: _Run, session: Session) -> None:
     session.watch_presence(
         all_live(run.id), lambda key, alive: run.news.put(_PresenceSeen(time.monotonic(), key, alive))
     )
-    session.declare_presence(live_key(run.id, "coordinator", COORDINATOR, begin_life()))
+    if any(faults.has_windows for faults in run.scenario.faults.links.values()):
+        run.clock.publish = session.publisher(clock_key(run.id))
+    session.declare_presence(live_key(run.id, "coordinator", COORDINATOR, run.clock.life))
 
 
 def _watch(run: _Run, observer: Observer, on_update: Callable[[Progress], None] | None) -> str | None:
@@ -217,9 +224,10 @@ def _watch(run: _Run, observer: Observer, on_update: Callable[[Progress], None] 
 
 
 def _carry_out_faults(run: _Run, now: float) -> None:
-    """Do to the processes what the scenario says for this moment, and write it down."""
+    """Do to the processes what the scenario says for this moment, and write it down; the links know by the clock."""
     if run.joined is not None:
-        for step in run.schedule.carry_out(now - run.joined, run.system):
+        run.clock.tell(now - run.joined)
+        for step in run.schedule.carry_out(now - run.joined, partial(do_to_processes, run.system)):
             run.events.write("fault", kind=step.kind, names=step.names)
 
 
@@ -227,8 +235,8 @@ def _take(run: _Run, observer: Observer, item: object) -> str | None:
     """Take in one piece of news; the reason to end the run, if it is one."""
     match item:
         case _StateHeard(at, state):
-            if state.header.run == run.id and observer.take_state(state, at):
-                write_state(run.events, state, at)
+            if state.header.run == run.id:
+                run.states.take(state, at, observer.take_state(state, at))
         case _PresenceSeen(at, key, alive):
             if not run.presence.take(key, alive):
                 return None

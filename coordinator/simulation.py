@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -9,41 +10,46 @@ from typing import Any
 
 from agents.messages import StateMessage
 from coordinator.events import EventLog
+from coordinator.fault_schedule import FaultSchedule
 from coordinator.judging import (
+    NO_CHANGES,
     estimate_centralised,
     judge,
     make_observer,
     no_consensus_within,
     prepare_scenario,
-    write_state,
 )
 from coordinator.observer import Progress
 from coordinator.result import RunOutcome, RunResult, write_files
 from coordinator.run_folder import make_run_folder
 from coordinator.split import area_files, default_run_id
-from coordinator.twin import LinkFaults, SimulatedBus
+from coordinator.state_log import StateLog
+from coordinator.twin import SimulatedBus
+from coordinator.twin_faults import do_to_twin
+from scenarios.faults import LinkChanges
 from scenarios.scenario import Scenario
-from scenarios.telemetry import make_telemetry
+from scenarios.telemetry import find_lateness, make_telemetry
 
 NO_BUS = ("tcp/127.0.0.1:0",)  # what stands for it in the area files
 CHECKS_PER_BEAT = 10
+FIRST_SCAN = 1
 UPDATE_S = 0.1  # of wall time
 
 
 def simulate_scenario(
     scenario: str | Path | Scenario,
-    faults: LinkFaults,
     out: str | Path | None = None,
     seed: int | None = None,
     strategy: str | None = None,
     timeout_s: float | None = None,
     on_update: Callable[[Progress], None] | None = None,
+    links: LinkChanges = NO_CHANGES,
 ) -> RunResult:
     """Run ``scenario`` on the twin and write the files of a run; see ``coordinator.simulate``."""
-    scenario = prepare_scenario(scenario, seed, strategy, timeout_s)
+    scenario = prepare_scenario(scenario, seed, strategy, timeout_s, links)
     folder = make_run_folder(out, default_run_id(scenario))
     with EventLog(folder / "events.jsonl", 0.0) as events:
-        simulation = Simulation(scenario, faults, events, on_update)
+        simulation = Simulation(scenario, events, on_update)
         interrupted = False
         try:
             reason = simulation.run()
@@ -67,7 +73,6 @@ class Simulation:
     def __init__(
         self,
         scenario: Scenario,
-        faults: LinkFaults,
         events: EventLog | None = None,
         on_update: Callable[[Progress], None] | None = None,
     ) -> None:
@@ -75,6 +80,8 @@ class Simulation:
         self._next_update = self._started
         self._scenario = scenario
         self._events = events
+        self._states = StateLog(events)
+        self._schedule = FaultSchedule.of(scenario.faults.events)
         self._on_update = on_update
         self._id = f"{default_run_id(scenario)}-{scenario.seed % 2**32:08x}"  # as long as that of processes
         self._observer = make_observer(scenario)
@@ -82,19 +89,24 @@ class Simulation:
         self._centralised = estimate_centralised(scenario, self._telemetry)
         self._write(0.0, "run started", run=self._id, scenario=scenario.name, seed=scenario.seed)
         files = area_files(scenario, self._id, NO_BUS)
-        self._bus = SimulatedBus(files, self._telemetry.by_area, faults, self._take_state, self._take_presence)
+        late_s = find_lateness(scenario, FIRST_SCAN)
+        self._bus = SimulatedBus(files, self._telemetry.by_area, self._take_state, self._take_presence, late_s=late_s)
 
     def run(self) -> str | None:
         """Go on until consensus (None) or the time limit (the reason)."""
         settings = self._scenario.run
         check_s = settings.beat_s / CHECKS_PER_BEAT
         while True:
-            self._bus.run(min(check_s, settings.timeout_s - self._bus.now))
+            until = min(settings.timeout_s, self._schedule.next_at)
+            self._bus.run(min(check_s, until - self._bus.now))
             now = self._bus.now
-            if now - self._observer.changed_at >= check_s and not self._observer.find_obstacles(now):
+            for step in self._schedule.carry_out(now, functools.partial(do_to_twin, self._bus)):
+                self._write(now, "fault", kind=step.kind, names=step.names)
+            obstacles = (*self._schedule.describe_next(), *self._observer.find_obstacles(now))
+            if now - self._observer.changed_at >= check_s and not obstacles:
                 return None
             if now >= settings.timeout_s:
-                return no_consensus_within(self._scenario, self._observer.find_obstacles(now))
+                return no_consensus_within(self._scenario, obstacles)
 
     def judge(self, reason: str | None) -> RunOutcome:
         """The outcome up to now; ``reason``: why there is no consensus, None if there is."""
@@ -112,11 +124,11 @@ class Simulation:
             wall_s=time.monotonic() - self._started,
             virtual_s=round(now, 6),
             timing_s={"last_change": round(max(0.0, self._observer.changed_at), 6), "verdict": round(now, 6)},
+            faults=self._states.faults + self._schedule.counts,
         )
 
     def _take_state(self, at: float, state: StateMessage) -> None:
-        if self._observer.take_state(state, at) and self._events:
-            write_state(self._events, state, at)
+        self._states.take(state, at, self._observer.take_state(state, at))
         if self._on_update and time.monotonic() >= self._next_update:
             self._on_update(self._observer.progress(at, at))
             self._next_update = time.monotonic() + UPDATE_S

@@ -13,7 +13,6 @@ from concurrent.futures.process import BrokenProcessPool
 from coordinator.simulation import Simulation
 from coordinator.study_row import StudyRow, make_impossible_row, make_row
 from coordinator.sweep_plan import SweepPlan, Task
-from coordinator.twin import LinkFaults
 from dsse_core.errors import DsseError
 from scenarios.check import check_scenario
 from scenarios.scenario import Scenario
@@ -30,7 +29,7 @@ def run_tasks(plan: SweepPlan, tasks: Sequence[Task], jobs: int) -> Iterator[tup
     jobs = min(jobs, len(tasks))
     if jobs <= 1:
         for task in tasks:
-            yield task, run_on_twin(plan.scenario_of(task), plan.faults)
+            yield task, run_on_twin(plan.scenario_of(task))
         return
     context = multiprocessing.get_context("spawn")
     others = set(multiprocessing.active_children())
@@ -49,18 +48,18 @@ def run_tasks(plan: SweepPlan, tasks: Sequence[Task], jobs: int) -> Iterator[tup
     pool.shutdown()
 
 
-def run_on_twin(scenario: Scenario, faults: LinkFaults) -> StudyRow:
+def run_on_twin(scenario: Scenario) -> StudyRow:
     """The row of one run; one that is not possible has a row that says why."""
     try:
         check_scenario(scenario)
-        simulation = Simulation(scenario, faults)
+        simulation = Simulation(scenario)
     except DsseError as error:
         return make_impossible_row(scenario, error)
     return make_row(simulation.judge(simulation.run()))
 
 
 def _run_task(task: Task) -> StudyRow:
-    return run_on_twin(_plan.scenario_of(task), _plan.faults)
+    return run_on_twin(_plan.scenario_of(task))
 
 
 def _start_worker(plan: SweepPlan) -> None:

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from agents.strategies import STRATEGIES
-from coordinator.judging import choose_scenario
+from coordinator.judging import NO_CHANGES, choose_scenario
 from coordinator.result import version_of
-from coordinator.twin import LinkFaults
 from dsse_core.errors import InvalidInputError
+from scenarios.faults import LinkChanges
 from scenarios.scenario import Scenario, load_scenario
 
 NUMBER = r"[-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?"
@@ -43,7 +43,7 @@ class SweepPlan:
     scenarios: Mapping[str, Scenario]
     strategies: tuple[str, ...]
     seeds: int
-    faults: LinkFaults
+    links: LinkChanges
 
     @property
     def tasks(self) -> list[Task]:
@@ -60,11 +60,9 @@ class SweepPlan:
         content = repr(replace(self.base, path=Path()))
         return {
             "scenario": self.base.name,
+            "links": dict(self.links),
             "scenario_sha256": hashlib.sha256(content.encode()).hexdigest(),
             "vary": self.key,
-            "delay_s": self.faults.delay_s,
-            "jitter_s": self.faults.jitter_s,
-            "duplicate": self.faults.duplicate,
             "version": version_of("consensus-dsse"),
         }
 
@@ -74,7 +72,7 @@ def make_plan(
     vary: str,
     strategies: Sequence[str],
     seeds: int,
-    faults: LinkFaults,
+    links: LinkChanges = NO_CHANGES,
     timeout_s: float | None = None,
 ) -> SweepPlan:
     """Read the scenario once for every value of ``vary``, ``KEY=VALUES``.
@@ -83,17 +81,17 @@ def make_plan(
         InvalidInputError: the scenario or ``vary`` cannot be used; every value that the scenario refuses, and why.
     """
     key, values = parse_vary(vary)
-    base = choose_scenario(name_or_path, timeout_s=timeout_s)
+    base = choose_scenario(name_or_path, timeout_s=timeout_s, links=links)
     scenarios, problems = {}, []
     for value in values:
         try:
             loaded = load_scenario(name_or_path, strategies=tuple(STRATEGIES), changes={key: value})
-            scenarios[text_of(value)] = choose_scenario(loaded, timeout_s=timeout_s)
+            scenarios[text_of(value)] = choose_scenario(loaded, timeout_s=timeout_s, links=links)
         except InvalidInputError as error:
             problems += [f"with {key} = {text_of(value)}: {problem}" for problem in error.problems]
     if problems:
         raise InvalidInputError(str(base.path), list(dict.fromkeys(problems)))
-    return SweepPlan(key, base, scenarios, tuple(strategies), seeds, faults)
+    return SweepPlan(key, base, scenarios, tuple(strategies), seeds, links)
 
 
 def parse_vary(vary: str) -> tuple[str, list[object]]:

@@ -1,11 +1,12 @@
 """The twin: areas in one process on a simulated bus in virtual time, repeatable to the bit.
 
-Protocol, strategies, lossy links, encoding and decoding are those of real runs; only bus and clock are simulated.
+Protocol, strategies, faulty links, encoding and decoding are those of real runs; only bus and clock are simulated.
 Virtual time passes while messages travel and areas wait for their beat; computing takes none.
 """
 
 from __future__ import annotations
 
+import functools
 import heapq
 import itertools
 import zlib
@@ -14,56 +15,38 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from agents.area_file import AreaFile
-from agents.link import LossyLink, draw_fate
-from agents.messages import Header, Incarnation, Message, StateMessage, decode
-from agents.protocol import AreaProtocol, Event, Finish, PresenceChanged, Publish, Received
+from agents.link import FaultyLinks
+from agents.messages import Header, Incarnation, MessageError, StateMessage, TelemetryMessage, decode
+from agents.protocol import AreaProtocol, Event, Finish, PresenceChanged, Publish, Received, Refused
 from agents.strategies import make_strategy
 from coordinator.plant import make_message
-from dsse_core.errors import InvalidInputError
 from dsse_core.measurement import Measurement
 
-LONGEST_S = 86400.0
+TRAVEL_S = 0.001  # of every message, beside what the faults of its link hold it back
 STARTED_AT = 1.7e9  # s since 1970: what virtual time 0 is called in messages
 
 
 @dataclass(frozen=True, slots=True)
-class LinkFaults:
-    """What the twin's links do to messages that are not lost; different delays make messages overtake each other.
+class _Wake:
+    """An area's time has come: its beat, its wish to go on, or a message that its link has held back."""
 
-    A message takes ``delay_s`` plus a part of ``jitter_s``, uniformly drawn; with probability ``duplicate`` it
-    arrives a second time, after a delay of its own. As with losses, its fate depends on the seed, the link and
-    its number alone.
-    """
 
-    delay_s: float = 0.001
-    jitter_s: float = 0.0
-    duplicate: float = 0.0
+@dataclass(frozen=True, slots=True)
+class _Call:
+    """Something outside the areas happens."""
 
-    def __post_init__(self) -> None:
-        problems = []
-        if not 0 < self.delay_s <= LONGEST_S:
-            problems.append(f"delay is {self.delay_s} s; it must be positive and at most {LONGEST_S} s")
-        if not 0 <= self.jitter_s <= LONGEST_S:
-            problems.append(f"jitter is {self.jitter_s} s; it must be 0 to {LONGEST_S} s")
-        if not 0 <= self.duplicate <= 1:
-            problems.append(f"probability of a duplicate is {self.duplicate}; it must be 0 to 1")
-        if problems:
-            raise InvalidInputError("faults of the twin's links", problems)
+    function: Callable[[], None]
 
-    def describe(self) -> str:
-        """In words, for people."""
-        jitter = f" to {(self.delay_s + self.jitter_s) * 1000:g}" if self.jitter_s else ""
-        return f"delay {self.delay_s * 1000:g}{jitter} ms" + (
-            f", {self.duplicate:.3g} sent twice" if self.duplicate else ""
-        )
+
+WAKE = _Wake()
 
 
 class SimulatedBus:
-    """Areas joined by links that can fail, be cut and healed; areas can be killed and started again.
+    """Areas joined by links that can fail, be cut and healed; areas can be killed, paused and started again.
 
     Args:
         files: what each area's agent would read.
-        telemetry: area -> its measurements of the first scan.
+        telemetry: area -> its measurements of the first scan. late_s: area -> by how much they come late.
         on_state, on_presence: told at once, as a watcher who misses nothing, of every state that an area
             publishes (at, state), and when its presence token appears or vanishes (at, area, alive).
     """
@@ -72,55 +55,73 @@ class SimulatedBus:
         self,
         files: Sequence[AreaFile],
         telemetry: Mapping[str, Sequence[Measurement]],
-        faults: LinkFaults | None = None,
         on_state: Callable[[float, StateMessage], None] = lambda at, state: None,
         on_presence: Callable[[float, str, bool], None] = lambda at, area, alive: None,
+        late_s: Mapping[str, float] | None = None,
     ) -> None:
         self.now = 0.0
         self.scan = 0
         self.files = {content.area.name: content for content in files}
-        self.telemetry = dict(telemetry)
         self.states: dict[str, StateMessage] = {}
         self.protocols: dict[str, AreaProtocol] = {}
-        self.links: dict[str, LossyLink] = {}
-        self._faults = faults or LinkFaults()
+        self.links: dict[str, FaultyLinks] = {}
+        self.plant_speaks = True
         self._on_state = on_state
         self._on_presence = on_presence
-        self._queue: list[tuple[float, int, str, Event | None]] = []  # None: the area's beat, or its wish to go on
+        self._queue: list[tuple[float, int, str, Event | _Wake | _Call]] = []
         self._order = itertools.count()
         self._wake: dict[str, float] = {}
-        self._carried: Counter[tuple[str, str]] = Counter()
         self._cut: set[tuple[str, str]] = set()
+        self._paused: dict[str, list[Event]] = {}  # what has arrived meanwhile
         self._lives: Counter[str] = Counter()
+        self._telemetry: dict[str, TelemetryMessage] = {}  # what the plant repeats
+        self.router_runs = True
         for name in self.files:
             self.start(name)
-        self.next_scan(telemetry)
+        self.next_scan(telemetry, late_s)
+        self._beat_s = min((content.beat_s for content in files), default=1.0)
+        self.at(self._beat_s, self._repeat_telemetry)
 
     def start(self, name: str) -> None:
-        """Start or restart an area, as a new process would; it has to be sent its telemetry."""
+        """Start or restart an area, as a new process would; the plant serves it at once."""
         content = self.files[name]
         self._lives[name] += 1
         incarnation = Incarnation(int(STARTED_AT * 1000) + self._lives[name], zlib.crc32(name.encode()))
         self.protocols[name] = AreaProtocol(
             content, make_strategy(content), incarnation, now=self.now, started_at=STARTED_AT + self.now
         )
-        self.links[name] = LossyLink(
-            name, content.links, content.seed, lambda to, _, payload: self._put(name, to, payload)
-        )
+        links = FaultyLinks(name, content.links, content.seed, lambda to, _, payload: self._put(name, to, payload))
+        links.begin(0.0)
+        self.links[name] = links
         self._wake_in_time(name)
         self._on_presence(self.now, name, True)
         for n in content.area.neighbours:
             self.post(n.area, PresenceChanged(name, alive=True))
             if n.area in self.protocols:
                 self.post(name, PresenceChanged(n.area, alive=True))
+        self.send_telemetry(name)
 
     def kill(self, name: str) -> None:
-        """End an area without a word; its presence token vanishes."""
-        del self.protocols[name]
+        """End an area without a word; its presence token vanishes, and what its links have held back is lost."""
+        if name not in self.protocols:
+            return
+        del self.protocols[name], self.links[name]
+        self._paused.pop(name, None)
         self.states.pop(name, None)
         self._on_presence(self.now, name, False)
         for n in self.files[name].area.neighbours:
             self.post(n.area, PresenceChanged(name, alive=False))
+
+    def pause(self, name: str) -> None:
+        """Stop an area as SIGSTOP does: it does nothing, and what arrives waits for it."""
+        self._paused.setdefault(name, [])
+
+    def resume(self, name: str) -> None:
+        """Let a paused area go on with all that has arrived."""
+        for event in self._paused.pop(name, []):
+            self._push(self.now, name, event)
+        self._push(self.now, name, WAKE)
+        self._wake[name] = self.now
 
     def cut(self, one: str, other: str) -> None:
         """Let nothing pass between two areas."""
@@ -129,21 +130,42 @@ class SimulatedBus:
     def heal(self, one: str, other: str) -> None:
         self._cut -= {(one, other), (other, one)}
 
-    def next_scan(self, telemetry: Mapping[str, Sequence[Measurement]]) -> None:
-        """Send every area the readings of a new scan."""
+    def stop_router(self) -> None:
+        """Let nothing pass at all; everybody misses everybody's presence."""
+        self.router_runs = False
+        self._show_all(alive=False)
+
+    def start_router(self) -> None:
+        """Let everything pass again."""
+        self.router_runs = True
+        self._show_all(alive=True)
+
+    def next_scan(
+        self, telemetry: Mapping[str, Sequence[Measurement]], late_s: Mapping[str, float] | None = None
+    ) -> None:
+        """Have the plant make a new scan; ``late_s``: area -> how much later its readings are there."""
         self.scan += 1
-        self.telemetry = dict(telemetry)
-        for name in self.files:
-            self.send_telemetry(name)
+        for name, content in self.files.items():
+            header = Header(content.run, "plant", Incarnation(0, 0), self.scan, self.scan, STARTED_AT + self.now)
+            message = make_message(header, name, telemetry[name])
+            late = (late_s or {}).get(name, 0.0)
+            if late > 0:
+                self.at(self.now + late, functools.partial(self._take_over, name, message))
+            else:
+                self._take_over(name, message)
 
     def send_telemetry(self, name: str) -> None:
-        """Send one area its readings of the present scan, as the plant does when it appears."""
-        header = Header(self.files[name].run, "plant", Incarnation(0, 0), self.scan, self.scan, STARTED_AT + self.now)
-        self.post(name, Received(make_message(header, name, self.telemetry[name]), ""))
+        """Send one area its newest readings, as the plant does when it appears."""
+        if name in self._telemetry and self.plant_speaks and self.router_runs:
+            self.post(name, Received(self._telemetry[name], ""))
 
-    def post(self, receiver: str, event: Event, delay_s: float | None = None) -> None:
-        """Have ``event`` happen to ``receiver`` after ``delay_s``, by default the links' delay without jitter."""
-        self._push(self.now + (self._faults.delay_s if delay_s is None else delay_s), receiver, event)
+    def post(self, receiver: str, event: Event, delay_s: float = TRAVEL_S) -> None:
+        """Have ``event`` happen to ``receiver`` after ``delay_s``."""
+        self._push(self.now + delay_s, receiver, event)
+
+    def at(self, time: float, function: Callable[[], None]) -> None:
+        """Call ``function`` at ``time``, before anything else that happens then."""
+        self._push(time, "", _Call(function))
 
     def run(self, duration_s: float) -> None:
         """Let ``duration_s`` of virtual time pass."""
@@ -152,19 +174,31 @@ class SimulatedBus:
             self._step()
         self.now = end
 
-    def deliver(self, sender: str, receiver: str, message: Message) -> None:
-        """Hand a message that was not lost to the link's delays."""
-        faults, seed = self._faults, self.files[sender].seed
-        number = self._carried[sender, receiver]
-        self._carried[sender, receiver] += 1
+    def deliver(self, sender: str, receiver: str, payload: bytes) -> None:
+        """Let a payload that no link has lost travel to its receiver."""
+        try:
+            event: Event = Received(decode(payload), sender)
+        except MessageError as error:
+            event = Refused(error.reason)
+        self.post(receiver, event)
 
-        def draw(what: str) -> float:  # no area has a / in its name: a draw of its own, not that of the loss
-            return draw_fate(seed, sender, f"{receiver}/{what}", number)
+    def _take_over(self, name: str, message: TelemetryMessage) -> None:
+        """The plant has new readings of an area."""
+        last = self._telemetry.get(name)
+        if last is None or message.header.order > last.header.order:
+            self._telemetry[name] = message
+            self.send_telemetry(name)
 
-        event = Received(message, sender)
-        self.post(receiver, event, faults.delay_s + faults.jitter_s * (draw("delay") if faults.jitter_s else 0.0))
-        if faults.duplicate and draw("duplicate") < faults.duplicate:
-            self.post(receiver, event, faults.delay_s + faults.jitter_s * draw("second delay"))
+    def _repeat_telemetry(self) -> None:
+        for name in self.files:
+            self.send_telemetry(name)
+        self.at(self.now + self._beat_s, self._repeat_telemetry)
+
+    def _show_all(self, alive: bool) -> None:
+        for name, content in self.files.items():
+            for n in content.area.neighbours:
+                if n.area in self.protocols:
+                    self.post(name, PresenceChanged(n.area, alive))
 
     def _step(self) -> None:
         """Go to the next moment at which anything happens; who is concerned acts in the order of names."""
@@ -172,39 +206,48 @@ class SimulatedBus:
         happening: dict[str, list[Event]] = {}
         while self._queue and self._queue[0][0] <= self.now:
             _, _, name, event = heapq.heappop(self._queue)
-            if event is not None:
-                happening.setdefault(name, []).append(event)
-            elif self._wake.get(name) == self.now:
-                happening.setdefault(name, [])
+            match event:
+                case _Call(function):
+                    function()
+                case _Wake():
+                    if self._wake.get(name) == self.now:
+                        happening.setdefault(name, [])
+                case _:
+                    happening.setdefault(name, []).append(event)
         for name in sorted(happening):
-            if name in self.protocols:
+            if name in self._paused:
+                self._paused[name] += happening[name]
+            elif name in self.protocols:
                 self._act(name, happening[name])
 
     def _act(self, name: str, events: Sequence[Event]) -> None:
+        self.links[name].release(self.now)
         for action in self.protocols[name].handle(events, self.now):
             match action:
                 case Publish(message, to):
-                    self.links[name].send(message, to)
+                    self.links[name].send(message, to, self.now)
                 case Finish():
                     self.kill(name)
                     return
         self._wake_in_time(name)
 
     def _wake_in_time(self, name: str) -> None:
-        at = self.now + self.protocols[name].wait_s(self.now)
+        at = min(self.now + self.protocols[name].wait_s(self.now), self.links[name].next_due())
         if at == self.now or at != self._wake.get(name):
             self._wake[name] = at
-            self._push(at, name, None)
+            self._push(at, name, WAKE)
 
     def _put(self, sender: str, receiver: str | None, payload: bytes) -> None:
         """What a link hands to the bus: a state to who watches, a message to a neighbour."""
-        message = decode(payload)
+        if not self.router_runs:
+            return
         if receiver is None:
+            message = decode(payload)
             assert isinstance(message, StateMessage)
             self.states[sender] = message
             self._on_state(self.now, message)
         elif (sender, receiver) not in self._cut:
-            self.deliver(sender, receiver, message)
+            self.deliver(sender, receiver, payload)
 
-    def _push(self, at: float, name: str, event: Event | None) -> None:
+    def _push(self, at: float, name: str, event: Event | _Wake | _Call) -> None:
         heapq.heappush(self._queue, (at, next(self._order), name, event))

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
+from dsse_core.errors import InvalidInputError
 from dsse_core.link_faults import LinkFaults
 from dsse_core.partition import Partition
 from scenarios.fault_tables import BurstTable, FaultsTable, LieTable, LinkTable, LoadFaultTable
 
 Link = tuple[str, str]
 """(sending area, receiving area)."""
+LinkChanges = Mapping[str, float]
+"""``delay_s``, ``jitter_s`` and ``duplicate`` that every link is to have instead of the scenario's."""
 PROCESSES = ("plant", "router")
+LONGEST_S = 86400.0
 EventKind = Literal["kill", "restart", "pause", "cut", "silent"]
 
 
@@ -116,6 +120,23 @@ def _build_link(
         until_s=table.until_s,
         cuts=tuple(cuts),
     )
+
+
+def change_links(faults: Faults, changes: LinkChanges) -> Faults:
+    """``faults`` with some of every link's numbers replaced.
+
+    Raises:
+        InvalidInputError: every number that is impossible.
+    """
+    problems = []
+    for key, value in changes.items():
+        most = 1.0 if key == "duplicate" else LONGEST_S
+        if not 0 <= value <= most:
+            problems.append(f"{key} is {value:g}; it must be 0 to {most:g}")
+    if problems:
+        raise InvalidInputError("faults of all links", problems)
+    links = {link: replace(old, **changes) for link, old in faults.links.items()}  # type: ignore[arg-type]
+    return replace(faults, links=links)
 
 
 def find_name_problems(table: FaultsTable, areas: Collection[str] | None) -> Iterable[str]:

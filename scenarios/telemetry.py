@@ -53,9 +53,31 @@ def make_telemetry(scenario: Scenario, scan: int = 1) -> Telemetry:
         else:
             exact = _read_exactly(truth, scenario.meters)
         union = tuple(_read(scenario, scan, meter, lambda meter: exact[meter.id]) for meter in scenario.meters)
+    union = tuple(m for m in union if not _is_missing(scenario, scan, m.meter))
     reading = {measurement.meter: measurement for measurement in union}
-    by_area = {name: tuple(reading[meter] for meter in meters) for name, meters in meters_by_area.items()}
+    by_area = {name: tuple(reading[m] for m in meters if m in reading) for name, meters in meters_by_area.items()}
     return Telemetry(truth, by_area, union, area_power_flows)
+
+
+def find_lateness(scenario: Scenario, scan: int) -> dict[str, float]:
+    """Area -> by how many seconds the readings of ``scan`` reach it late, by the scenario's faults of telemetry."""
+    faults = scenario.faults.telemetry
+    lateness = {}
+    for area in scenario.partition.areas:
+        late, share = _draw(scenario, scan, area.name, 2)
+        if late < faults.late:
+            lateness[area.name] = float(share) * faults.late_s
+    return lateness
+
+
+def _is_missing(scenario: Scenario, scan: int, meter: Meter) -> bool:
+    missing = scenario.faults.telemetry.missing
+    return missing > 0 and meter.source is not Source.VIRTUAL and _draw(scenario, scan, meter.id, 1)[0] < missing
+
+
+def _draw(scenario: Scenario, scan: int, name: str, count: int) -> np.ndarray:
+    """Uniform numbers that belong to one meter or area in one scan, apart from the meter's noise."""
+    return np.random.default_rng([scenario.seed, scan, zlib.crc32(name.encode()), 1]).random(count)
 
 
 def find_missing_local_slacks(scenario: Scenario) -> list[str]:

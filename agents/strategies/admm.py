@@ -24,6 +24,7 @@ from dsse_core.measurement import Measurement, MeasurementKind
 from dsse_core.partition import Neighbour
 
 MOST_STEPS = 50  # between two messages
+SETTLED = 1e-6  # p.u., rad: a last step below it tells of the end
 
 
 class Admm(Strategy):
@@ -153,6 +154,7 @@ class Admm(Strategy):
             objective=float(weighted @ weighted),
             degrees_of_freedom=len(model.z) - 2 * owned + self._area.is_reference,
             removed=(),
+            settled=self._moved <= SETTLED,
         )
 
     def _notes(self) -> tuple[str, ...]:

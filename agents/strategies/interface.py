@@ -41,6 +41,7 @@ class Estimate:
 
     ``referenced``: ``va`` counts from the substation. ``removed``: meters taken out as bad data.
     ``critical``: meters that cannot be spared, whatever they read. ``checked``: bad data have been looked for.
+    ``settled``: no exchange under way is going to move it.
     """
 
     vm: np.ndarray
@@ -53,6 +54,7 @@ class Estimate:
     removed: tuple[str, ...]
     critical: tuple[str, ...] = ()
     checked: bool = True
+    settled: bool = True
 
 
 class Strategy(ABC):

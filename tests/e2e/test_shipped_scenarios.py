@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import coordinator
-from agents.link import draw_fate
+from agents.faults import draw_fate
 from coordinator.result import RunResult
 
 GOLDEN = Path(__file__).parents[1] / "golden"

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from agents.area_file import AreaFile
-from dsse_core import link_faults
+from dsse_core.link_faults import LinkFaults
 from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.network import Branch, Bus, Control, Generator, Network
 from dsse_core.partition import Partition, build_partition
@@ -27,7 +27,7 @@ class Feeder:
         area_of = {m.meter.id: self.partition.area_of_meter(m.meter) for m in self.measurements}
         return {a.name: [m for m in self.measurements if area_of[m.meter.id] == a.name] for a in self.partition.areas}
 
-    def area_files(self, loss: float, seed: int) -> list[AreaFile]:
+    def area_files(self, loss: float, seed: int, **faults: float) -> list[AreaFile]:
         telemetry = self.telemetry()
         return [
             AreaFile(
@@ -36,7 +36,7 @@ class Feeder:
                 meters=tuple(m.meter for m in telemetry[area.name]),
                 strategy="information",
                 endpoints=("tcp/127.0.0.1:7447",),
-                links={n.area: link_faults.LinkFaults(loss=loss) for n in area.neighbours},
+                links={n.area: LinkFaults(loss=loss, **faults) for n in area.neighbours},
                 seed=seed,
             )
             for area in self.partition.areas

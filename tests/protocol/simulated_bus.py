@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from agents.area_file import AreaFile
-from agents.messages import Message
+from agents.messages import Message, MessageError, decode
 from coordinator import twin
 from coordinator.split import area_files
-from dsse_core import link_faults
+from dsse_core.link_faults import LinkFaults
 from dsse_core.measurement import Measurement
 from scenarios.scenario import Scenario, load_scenario
 from scenarios.telemetry import Telemetry, make_telemetry
@@ -24,17 +24,20 @@ class SimulatedBus(twin.SimulatedBus):
         self,
         files: Sequence[AreaFile],
         telemetry: Mapping[str, Sequence[Measurement]],
-        faults: twin.LinkFaults | None = None,
         **watchers: Callable[..., None],
     ) -> None:
         self.delivered: list[tuple[float, str, str, Message]] = []
         self.refuse_delivery = lambda sender, receiver, message: False
-        super().__init__(files, telemetry, faults, **watchers)
+        super().__init__(files, telemetry, **watchers)
 
-    def deliver(self, sender: str, receiver: str, message: Message) -> None:
+    def deliver(self, sender: str, receiver: str, payload: bytes) -> None:
+        try:
+            message = decode(payload)
+        except MessageError:
+            return super().deliver(sender, receiver, payload)
         if not self.refuse_delivery(sender, receiver, message):
             self.delivered.append((self.now, sender, receiver, message))
-            super().deliver(sender, receiver, message)
+            super().deliver(sender, receiver, payload)
 
     @property
     def settled(self) -> bool:
@@ -67,6 +70,11 @@ def area_files_of(scenario: Scenario, **changes: object) -> list[AreaFile]:
     return [replace(content, **changes) for content in files]
 
 
+def with_links(files: Sequence[AreaFile], faults: LinkFaults) -> list[AreaFile]:
+    """``files`` with every link as faulty as ``faults``."""
+    return [replace(f, links={n.area: faults for n in f.area.neighbours}) for f in files]
+
+
 def bus_of(
     name: str, *, loss: float | None = None, seed: int | None = None
 ) -> tuple[SimulatedBus, Scenario, Telemetry]:
@@ -75,8 +83,5 @@ def bus_of(
     telemetry = make_telemetry(scenario)
     files = area_files_of(scenario)
     if loss is not None:
-        files = [
-            replace(f, links={n.area: link_faults.LinkFaults(loss=loss) for n in f.area.neighbours}, seed=seed or 0)
-            for f in files
-        ]
+        files = [replace(f, seed=seed or 0) for f in with_links(files, LinkFaults(loss=loss))]
     return SimulatedBus(files, telemetry.by_area), scenario, telemetry

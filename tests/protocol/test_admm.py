@@ -5,14 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from feeders import make_feeder
-from simulated_bus import SimulatedBus, area_files_of
+from simulated_bus import SimulatedBus, area_files_of, with_links
 from test_angle_offset import tree_scenario, with_angle_meters
 
 from agents.messages import AdmmMessage, encode
 from agents.protocol import Received
-from coordinator.twin import LinkFaults
-from dsse_core import link_faults
 from dsse_core.estimation import EstimationResult, estimate_state
+from dsse_core.link_faults import LinkFaults
 from dsse_core.partition import build_partition
 from scenarios.faults import Faults
 from scenarios.scenario import load_scenario
@@ -21,11 +20,11 @@ from scenarios.telemetry import make_telemetry
 GAP = 1e-8  # p.u. and rad
 
 
-def bus_with(scenario, loss=0.0, seed=0, faults=None, **changes):
+def bus_with(scenario, loss=0.0, seed=0, jitter_s=0.0, duplicate=0.0, **changes):
     telemetry = make_telemetry(scenario)
     files = area_files_of(scenario, strategy="admm", seed=seed, **changes)
-    files = [replace(f, links={n.area: link_faults.LinkFaults(loss=loss) for n in f.area.neighbours}) for f in files]
-    bus = SimulatedBus(files, telemetry.by_area, faults)
+    faults = LinkFaults(loss=loss, jitter_s=jitter_s, duplicate=duplicate)
+    bus = SimulatedBus(with_links(files, faults), telemetry.by_area)
     return bus, centralised_of(scenario, telemetry)
 
 
@@ -92,7 +91,7 @@ def test_a_tree_of_areas_without_voltmeters_in_some_reaches_it_too(loss):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_messages_that_arrive_twice_and_in_another_order_change_nothing(seed):
-    bus, centralised = bus_with(tree_scenario(), 0.3, seed, LinkFaults(jitter_s=0.02, duplicate=0.5))
+    bus, centralised = bus_with(tree_scenario(), 0.3, seed, jitter_s=0.02, duplicate=0.5)
     settle(bus)
     assert_equals_centralised(bus, centralised)
 

@@ -10,17 +10,16 @@ from feeders import make_feeder, make_star
 from grids import MeterShares, make_grid, with_gross_errors
 from hypothesis import example, given, reject
 from hypothesis import strategies as st
-from simulated_bus import SimulatedBus, area_files_of
+from simulated_bus import SimulatedBus, area_files_of, with_links
 from test_angle_offset import tree_scenario
 
 from agents.messages import InformationMessage, TallyMessage, encode
 from agents.protocol import Received
 from agents.strategies import information
 from agents.strategies.bad_data_tree import USE_CURRENTS, BadDataTree
-from coordinator.twin import LinkFaults
-from dsse_core import link_faults
 from dsse_core.bad_data import BadDataReport, chi_square_limit, process_bad_data
 from dsse_core.errors import EstimationDivergedError, NotObservableError
+from dsse_core.link_faults import LinkFaults
 from dsse_core.measurement import Source
 from dsse_core.power_flow import solve_power_flow
 from scenarios.scenario import load_scenario
@@ -37,11 +36,10 @@ def each_back_end(request):
         yield
 
 
-def settle(scenario, loss=0.0, seed=0, faults=None):
+def settle(scenario, loss=0.0, seed=0):
     telemetry = make_telemetry(scenario)
     files = area_files_of(scenario, strategy="information", seed=seed)
-    files = [replace(f, links={n.area: link_faults.LinkFaults(loss=loss) for n in f.area.neighbours}) for f in files]
-    bus = SimulatedBus(files, telemetry.by_area, faults)
+    bus = SimulatedBus(with_links(files, LinkFaults(loss=loss)), telemetry.by_area)
     settle_bus(bus)
     return bus, process_bad_data(scenario.network, telemetry.union, tolerance=1e-12)
 
@@ -55,8 +53,8 @@ def settle_bus(bus, limit_s=600.0):
     bus.run_until_settled(limit_s)
 
 
-def run_feeder(feeder, loss, seed, faults=None):
-    bus = SimulatedBus(feeder.area_files(loss, seed), feeder.telemetry(), faults)
+def run_feeder(feeder, loss, seed, **faults):
+    bus = SimulatedBus(feeder.area_files(loss, seed, **faults), feeder.telemetry())
     settle_bus(bus)
     return bus, process_bad_data(feeder.network, feeder.measurements, tolerance=1e-11)
 
@@ -107,8 +105,8 @@ def test_random_feeders_reach_it_whatever_the_bus_does(random_seed):
         decades=rng.choice([0, 1, 2, 4]),
         dense=rng.choice([0.2, 0.5, 1.0]),
     )
-    faults = LinkFaults(delay_s=0.001, jitter_s=rng.choice([0.0, 0.01, 0.3]), duplicate=rng.choice([0.0, 0.3]))
-    assert_equals_centralised(*run_feeder(feeder, rng.choice([0, 0.3, 0.6, 0.9]), random_seed, faults))
+    faults = {"jitter_s": rng.choice([0.0, 0.01, 0.3]), "duplicate": rng.choice([0.0, 0.3])}
+    assert_equals_centralised(*run_feeder(feeder, rng.choice([0, 0.3, 0.6, 0.9]), random_seed, **faults))
 
 
 @pytest.mark.usefixtures("each_back_end")

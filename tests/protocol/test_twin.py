@@ -7,27 +7,26 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from simulated_bus import SimulatedBus, area_files_of
+from simulated_bus import SimulatedBus, area_files_of, with_links
 from test_angle_offset import tree_scenario
 
 from agents.messages import StateMessage
-from coordinator.twin import LinkFaults
-from dsse_core import link_faults
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation import estimate_state
+from dsse_core.link_faults import LinkFaults
+from scenarios.faults import change_links
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 
-WILD = LinkFaults(delay_s=0.005, jitter_s=0.1, duplicate=0.4)
+WILD = LinkFaults(loss=0.3, delay_s=0.004, jitter_s=0.1, duplicate=0.4)
 
 
 def told(seed: int, faults: LinkFaults = WILD) -> list[StateMessage]:
     """Every state that the areas of a lossy run publish in two seconds."""
-    scenario = replace(load_scenario("ieee33-lossy"), seed=seed, strategy="information")
-    files = area_files_of(scenario)
+    files = with_links(area_files_of(load_scenario("ieee33"), seed=seed), faults)
     shown: list[StateMessage] = []
     telemetry = make_telemetry(load_scenario("ieee33")).by_area  # the same for every seed: only the links differ
-    bus = SimulatedBus(files, telemetry, faults, on_state=lambda at, state: shown.append(state))
+    bus = SimulatedBus(files, telemetry, on_state=lambda at, state: shown.append(state))
     bus.run(2.0)
     return shown
 
@@ -49,11 +48,8 @@ def test_link_faults_alone_change_the_history():
 def test_delays_duplicates_and_overtaking_do_not_change_the_fixed_point(strategy: str):
     scenario = tree_scenario()
     telemetry = make_telemetry(scenario)
-    files = [
-        replace(f, links={n.area: link_faults.LinkFaults(loss=0.2) for n in f.area.neighbours})
-        for f in area_files_of(scenario, seed=5)
-    ]
-    bus = SimulatedBus([replace(f, strategy=strategy) for f in files], telemetry.by_area, WILD)
+    files = with_links(area_files_of(scenario, seed=5, strategy=strategy), replace(WILD, loss=0.2))
+    bus = SimulatedBus(files, telemetry.by_area)
     arrived = record_arrivals(bus)
     bus.run_until_settled(300.0)
     bus.run(20.0)
@@ -115,7 +111,7 @@ def test_time_passes_exactly_as_asked_and_beats_come_in_it():
     assert sum(link.messages for link in bus.links.values()) - sent == links * kinds * round(1.0 / beat_s)
 
 
-def test_impossible_link_faults_are_refused_all_at_once():
+def test_impossible_changes_of_links_are_refused_all_at_once():
     with pytest.raises(InvalidInputError) as error:
-        LinkFaults(delay_s=0.0, jitter_s=-1.0, duplicate=2.0)
+        change_links(load_scenario("ieee33").faults, {"delay_s": -1.0, "jitter_s": 1e9, "duplicate": 2.0})
     assert len(error.value.problems) == 3

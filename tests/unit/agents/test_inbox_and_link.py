@@ -5,8 +5,9 @@ import time
 
 import pytest
 
+from agents.faults import draw_fate
 from agents.inbox import MAX_WAITING, Inbox
-from agents.link import LossyLink, draw_fate
+from agents.link import FaultyLinks
 from agents.messages import BoundaryMessage, Header, Incarnation, StateMessage, decode
 from dsse_core.link_faults import LinkFaults
 
@@ -41,14 +42,14 @@ def message(sequence):
 
 def send_many(seed, loss, count=400):
     arrived = []
-    link = LossyLink(
+    link = FaultyLinks(
         "a",
         {"b": LinkFaults(loss=loss)},
         seed,
         lambda to, kind, payload: arrived.append(decode(payload).header.sequence),
     )
     for k in range(count):
-        link.send(message(k), "b")
+        link.send(message(k), "b", 0.0)
     return arrived, link
 
 
@@ -77,11 +78,15 @@ def test_the_two_directions_of_a_link_have_fates_of_their_own():
 
 def test_a_state_carries_the_totals_of_the_link_and_is_never_lost():
     shown = []
-    link = LossyLink("a", {"b": LinkFaults(loss=1.0)}, 0, lambda to, kind, payload: shown.append((to, decode(payload))))
-    link.send(message(1), "b")
+    link = FaultyLinks(
+        "a", {"b": LinkFaults(loss=1.0)}, 0, lambda to, kind, payload: shown.append((to, decode(payload)))
+    )
+    link.send(message(1), "b", 0.0)
     empty = ((),) * 5
-    state = StateMessage(message(1).header, *empty, False, 0.0, 0, (), (), True, {}, {}, 0, 0, 0, {}, ())
-    link.send(state, None)
+    state = StateMessage(
+        message(1).header, *empty, False, 0.0, 0, (), (), True, {}, {}, 0, 0, 0, {}, (), {}, "good", 0.0, {}, {}
+    )
+    link.send(state, None, 0.0)
     ((to, seen),) = shown
     assert to is None
     assert (seen.messages, seen.lost) == (1, 1)

@@ -44,6 +44,11 @@ STATE = StateMessage(
     lost=2,
     refused={"malformed": 1},
     notes=("no load message from area2 yet",),
+    faults={"lost": 2, "delayed": 7},
+    quality="degraded",
+    telemetry_age=0.25,
+    ages={"area2": 1.5},
+    scans={"area2": 6},
 )
 MESSAGES = [
     LoadMessage(HEADER, 6, 0.25, -0.1, 0.01),

@@ -8,7 +8,6 @@ import pytest
 from coordinator.convergence import find_time_below, gap_history
 from coordinator.judging import choose_scenario
 from coordinator.simulation import Simulation
-from coordinator.twin import LinkFaults
 
 NAN = float("nan")
 
@@ -47,7 +46,7 @@ def test_an_area_that_never_published_is_not_close():
 
 
 def test_a_run_ends_with_the_gap_that_its_verdict_states():
-    simulation = Simulation(choose_scenario("ieee33", strategy="angle-offset"), LinkFaults())
+    simulation = Simulation(choose_scenario("ieee33", strategy="angle-offset"))
     outcome = simulation.judge(simulation.run())
     series = gap_history(outcome)
     assert list(series) == ["area1", "area2", "area3"]

@@ -42,6 +42,11 @@ def a_state(area: str, sequence: int = 1, **changes: object) -> StateMessage:
         lost=1,
         refused={},
         notes=(),
+        faults={},
+        quality="good",
+        telemetry_age=0.0,
+        ages={},
+        scans={},
     )
     return replace(state, **changes)  # type: ignore[arg-type]
 

@@ -26,7 +26,7 @@ def as_written(folder: Path) -> tuple[object, ...]:
 
 def test_the_same_seed_writes_the_same_files_and_another_seed_does_not(tmp_path: Path):
     for name, seed in (("one", 4), ("same", 4), ("other", 5)):
-        simulate(tmp_path / name, seed=seed, strategy="information", jitter_s=0.05, duplicate=0.3)
+        simulate(tmp_path / name, seed=seed, strategy="information", links={"jitter_s": 0.05, "duplicate": 0.3})
     assert as_written(tmp_path / "one") == as_written(tmp_path / "same")
     assert as_written(tmp_path / "one") != as_written(tmp_path / "other")
 
@@ -76,7 +76,7 @@ def test_the_command_ends_with_the_exit_codes_of_dsse_run(tmp_path: Path, capsys
     [
         ["simulate", "ieee34"],
         ["simulate", "ieee33", "--strategy", "gossip"],
-        ["simulate", "ieee33", "--delay-ms", "0"],
+        ["simulate", "ieee33", "--delay-ms", "-1"],
         ["simulate", "ieee33", "--duplicate", "1.5"],
         ["simulate", "ieee33", "--timeout", "0"],
         ["simulate", "ieee33", "--out", "."],
@@ -93,5 +93,5 @@ def test_a_users_mistake_ends_with_exit_code_2_and_no_traceback(
 
 
 def test_link_faults_are_checked_from_python_too(tmp_path: Path):
-    with pytest.raises(InvalidInputError, match="delay is -1"):
-        simulate(tmp_path / "out", delay_s=-1.0)
+    with pytest.raises(InvalidInputError, match="delay_s is -1"):
+        simulate(tmp_path / "out", links={"delay_s": -1.0})

@@ -107,7 +107,6 @@ def test_it_is_an_error_if_no_strategy_can_run(tmp_path: Path, capsys: pytest.Ca
         (["ieee33", "--strategies", "information,gossip"], "unknown strategy 'gossip'; allowed: angle-offset"),
         (["ieee33", "--strategies", "information,information"], "'information' is given twice"),
         (["ieee33", "--strategies", ""], "unknown strategy ''"),
-        (["ieee33", "--processes", "--jitter-ms", "3"], "leave out --processes or them"),
         (["ieee33", "--out", "."], "is not empty"),
         (["nowhere.toml"], "cannot read the file"),
     ],

@@ -90,7 +90,7 @@ def test_a_file_that_is_no_text_is_reported(tmp_path: Path) -> None:
 
 
 def test_an_unknown_shipped_scenario_is_refused_with_the_names_and_the_closest() -> None:
-    with pytest.raises(InvalidInputError, match=r"shipped: ieee33, ieee33-load-error.*did you mean 'ieee33-lossy'"):
+    with pytest.raises(InvalidInputError, match=r"shipped: ieee33, ieee33-bursts.*did you mean 'ieee33-lossy'"):
         load_scenario("ieee33-losy")
 
 

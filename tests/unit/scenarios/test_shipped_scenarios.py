@@ -16,8 +16,14 @@ from scenarios.shipped_files import find_shipped
 
 NAMES = [
     "ieee33",
+    "ieee33-bursts",
+    "ieee33-corruption",
+    "ieee33-cut",
+    "ieee33-disorder",
+    "ieee33-liar",
     "ieee33-load-error",
     "ieee33-lossy",
+    "ieee33-restart",
     "ieee33-thesis",
     "industrial13",
     "industrial13-load-error",

@@ -1,0 +1,115 @@
+"""What an area has last heard of its neighbours and of its telemetry, and how long ago.
+
+Of each sender the newest (incarnation, sequence) counts, and ages are by the area's own clock, from the moment at
+which the newest was last heard, repeats included: what a paused process or a slow link brings late is not young
+because it says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TypeVar
+
+from agents.messages import (
+    AdmmMessage,
+    BoundaryMessage,
+    BoundaryNews,
+    InformationMessage,
+    LoadMessage,
+    TallyMessage,
+    TelemetryMessage,
+)
+
+FRESH_BEATS = 3  # younger is fresh: everything is repeated at every beat, and two repeats in a row may be lost
+
+NeighbourNews = LoadMessage | BoundaryNews | TallyMessage
+M = TypeVar("M", bound=NeighbourNews)
+
+
+class Hearing:
+    """The newest messages of every kind; ``beat_s``: interval at which they are repeated."""
+
+    def __init__(self, beat_s: float) -> None:
+        self.telemetry: TelemetryMessage | None = None
+        self.loads: dict[str, LoadMessage] = {}
+        self.boundary: dict[str, BoundaryNews] = {}
+        self.tallies: dict[str, TallyMessage] = {}
+        self._fresh_s = FRESH_BEATS * beat_s
+        self._heard_at: dict[str, float] = {}  # the newest boundary message of each neighbour
+        self._telemetry_at = self._scan_since = 0.0
+
+    @property
+    def scan(self) -> int:
+        """The scan that the area works on; 0 before telemetry."""
+        return self.telemetry.header.scan if self.telemetry else 0
+
+    def take(self, message: NeighbourNews, now: float) -> None:
+        """Keep ``message`` if it is the newest of its sender and kind."""
+        match message:
+            case LoadMessage():
+                _keep_newest(self.loads, message)
+            case BoundaryMessage() | InformationMessage() | AdmmMessage():
+                if _keep_newest(self.boundary, message):
+                    self._heard_at[message.header.sender] = now
+            case TallyMessage():
+                _keep_newest(self.tallies, message)
+
+    def take_telemetry(self, message: TelemetryMessage, now: float) -> bool:
+        """Keep ``message`` if it is newer than what there is; whether it is."""
+        last = self.telemetry
+        if last is not None and message.header.order < last.header.order:
+            return False
+        self._telemetry_at = now
+        if last is not None and message.header.order == last.header.order:
+            return False
+        if message.header.scan != self.scan:
+            self._scan_since = now
+        self.telemetry = message
+        return True
+
+    def telemetry_age(self, now: float) -> float:
+        """s since the telemetry was last heard; 0 before the first."""
+        return now - self._telemetry_at if self.telemetry else 0.0
+
+    def ages(self, now: float) -> dict[str, float]:
+        """Neighbour -> s since its newest boundary message was last heard."""
+        return {name: now - at for name, at in sorted(self._heard_at.items())}
+
+    def scans(self) -> dict[str, int]:
+        """Neighbour -> the scan of its newest boundary message."""
+        return {name: message.header.scan for name, message in sorted(self.boundary.items())}
+
+    def usable(self, now: float) -> dict[str, BoundaryNews]:
+        """The boundary messages to be used: of an older scan only for a while, until their senders should have ours.
+
+        Later they would pass for knowledge of a state that has moved on.
+        """
+        waits = now - self._scan_since < self._fresh_s
+        return {name: m for name, m in self.boundary.items() if waits or m.header.scan >= self.scan}
+
+    def is_late(self, now: float) -> bool:
+        """Whether telemetry has not been heard for too long."""
+        return self.telemetry_age(now) >= self._fresh_s
+
+    def all_fresh(self, neighbours: Iterable[str], now: float) -> bool:
+        """Whether all of ``neighbours`` have been heard lately, about the current scan."""
+        return all(
+            name in self.boundary
+            and self.boundary[name].header.scan == self.scan
+            and now - self._heard_at[name] < self._fresh_s
+            for name in neighbours
+        )
+
+    def next_change(self, now: float) -> float:
+        """When something that is fresh now will not be, if nothing is heard until then; infinity if nothing is."""
+        moments = [*self._heard_at.values(), self._scan_since] + ([self._telemetry_at] if self.telemetry else [])
+        return min((at + self._fresh_s for at in moments if at + self._fresh_s > now), default=float("inf"))
+
+
+def _keep_newest(kept: dict[str, M], message: M) -> bool:
+    """Whether ``message`` is as new as what was kept of its sender; then it is kept."""
+    last = kept.get(message.header.sender)
+    if last is not None and message.header.order < last.header.order:
+        return False
+    kept[message.header.sender] = message if last is None or message.header.order > last.header.order else last
+    return True

@@ -1,0 +1,180 @@
+"""The quality of a published state: what each flag needs, and that it changes as soon as that is gone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simulated_bus import SimulatedBus, area_files_of, with_links
+from test_angle_offset import tree_scenario
+
+from agents.hearing import FRESH_BEATS
+from coordinator.simulation import Simulation
+from dsse_core.bad_data import process_bad_data
+from dsse_core.link_faults import LinkFaults
+from scenarios.scenario import load_scenario
+from scenarios.telemetry import make_telemetry
+
+BEAT = 0.2
+SOON = (FRESH_BEATS + 1) * BEAT
+
+
+@pytest.fixture
+def bus() -> SimulatedBus:
+    """The three areas of ieee33, at rest."""
+    scenario = load_scenario("ieee33")
+    bus = SimulatedBus(area_files_of(scenario), make_telemetry(scenario).by_area)
+    bus.run_until_settled()
+    bus.run(1.0)
+    return bus
+
+
+def qualities(bus: SimulatedBus) -> dict[str, str]:
+    return {name: state.quality for name, state in bus.states.items()}
+
+
+def second_scan() -> dict:
+    return make_telemetry(load_scenario("ieee33"), scan=2).by_area
+
+
+@pytest.mark.parametrize("strategy", ["information", "angle-offset", "admm"])
+def test_all_is_good_once_nothing_is_missing(strategy: str):
+    scenario = load_scenario("ieee33")
+    bus = SimulatedBus(area_files_of(scenario, strategy=strategy), make_telemetry(scenario).by_area)
+    bus.run_until_settled()
+    bus.run(2.0)
+    assert set(qualities(bus).values()) == {"good"}
+    for state in bus.states.values():
+        assert max(state.ages.values()) <= BEAT + 0.01
+        assert set(state.scans.values()) == {1}
+
+
+def test_before_telemetry_there_is_no_estimate_to_judge(bus: SimulatedBus):
+    bus.plant_speaks = False
+    bus.kill("area3")
+    bus.start("area3")
+    bus.run(0.5)
+    assert (bus.states["area3"].buses, bus.states["area3"].quality) == ((), "none")
+
+
+def test_an_area_whose_neighbour_has_gone_is_degraded_at_once_and_good_again_after_its_return(bus: SimulatedBus):
+    bus.kill("area2")
+    bus.run(0.01)
+    assert qualities(bus) == {"area1": "degraded", "area3": "good"}
+    bus.run(2.0)
+    assert bus.states["area1"].ages["area2"] > 1.9
+    bus.start("area2")
+    bus.run_until_settled()
+    bus.run(1.0)
+    assert set(qualities(bus).values()) == {"good"}
+
+
+def test_a_cut_link_degrades_both_sides_after_three_beats(bus: SimulatedBus):
+    bus.cut("area1", "area2")
+    bus.run((FRESH_BEATS - 1) * BEAT)
+    assert set(qualities(bus).values()) == {"good"}
+    bus.run(2 * BEAT)
+    assert qualities(bus) == {"area1": "degraded", "area2": "degraded", "area3": "good"}
+    bus.heal("area1", "area2")
+    bus.run(BEAT)
+    assert set(qualities(bus).values()) == {"good"}
+
+
+def test_the_side_of_the_reference_is_missed_as_soon_as_its_news_is_of_a_former_scan(bus: SimulatedBus):
+    """Then the parent's message is no longer used: angles are the area's own, and so are the standard deviations."""
+    before = bus.states["area2"]
+    bus.kill("area1")
+    bus.run(0.1)
+    assert qualities(bus)["area2"] == "degraded"  # it still knows the whole scan
+    assert bus.states["area2"].sigma_va == before.sigma_va
+    bus.next_scan(second_scan())
+    bus.run(SOON)
+    after = bus.states["area2"]
+    assert (after.quality, after.referenced) == ("relative-angle", False)
+    assert min(np.array(after.sigma_va) / before.sigma_va) > 2.0
+    assert min(np.array(after.sigma_vm) / before.sigma_vm) > 1.0
+
+
+def test_information_of_a_former_scan_degrades_and_the_sigmas_of_those_who_do_without_are_honest(bus: SimulatedBus):
+    scenario = load_scenario("ieee33")
+    telemetry = make_telemetry(scenario, scan=2)
+    bus.cut("area1", "area2")
+    bus.next_scan(telemetry.by_area)
+    bus.run(SOON)
+    central = process_bad_data(scenario.network, telemetry.union).result
+    assert set(qualities(bus).values()) == {"degraded", "relative-angle"}
+    for state in bus.states.values():
+        rows = [central.network.row[b] for b in state.buses]
+        assert np.all(abs(np.array(state.vm) - central.vm[rows]) <= 3 * np.array(state.sigma_vm))
+        if state.referenced:
+            assert np.all(abs(np.array(state.va) - central.va[rows]) <= 3 * np.array(state.sigma_va))
+
+
+def test_a_silent_plant_makes_every_estimate_stale_visibly(bus: SimulatedBus):
+    bus.plant_speaks = False
+    bus.run(SOON)
+    assert set(qualities(bus).values()) == {"stale"}
+    assert all(state.telemetry_age >= FRESH_BEATS * BEAT for state in bus.states.values())
+    bus.plant_speaks = True
+    bus.run(BEAT + 0.01)
+    assert set(qualities(bus).values()) == {"good"}
+
+
+def test_one_late_area_degrades_those_who_are_ahead_and_itself(bus: SimulatedBus):
+    bus.next_scan(second_scan(), late_s={"area2": 2.0})
+    bus.run(SOON)
+    assert qualities(bus)["area1"] == "degraded"
+    assert qualities(bus)["area2"] == "degraded"
+    bus.run(2.0)
+    assert set(qualities(bus).values()) == {"good"}
+
+
+def test_what_a_paused_area_says_when_it_wakes_does_not_pass_for_news(bus: SimulatedBus):
+    bus.pause("area2")
+    bus.next_scan(second_scan())
+    bus.run(3.0)
+    assert qualities(bus)["area1"] == "degraded"
+    shown = []
+    bus._on_state = lambda at, state: shown.append(state)
+    bus.resume("area2")
+    bus.run(1.0)
+    assert set(qualities(bus).values()) == {"good"}
+    assert not [s for s in shown if s.quality == "good" and s.header.scan == 1]
+
+
+def test_quality_is_no_change_of_the_state_and_keeps_its_number(bus: SimulatedBus):
+    before = bus.states["area1"]
+    bus.plant_speaks = False
+    bus.run(SOON)
+    after = bus.states["area1"]
+    assert (before.quality, after.quality) == ("good", "stale")
+    assert before.header.sequence == after.header.sequence
+    assert after.header.time > before.header.time
+
+
+def test_with_many_losses_areas_are_good_only_while_they_hear_each_other():
+    scenario = tree_scenario()
+    shown = []
+    files = with_links(area_files_of(scenario, strategy="information"), LinkFaults(loss=0.8))
+    bus = SimulatedBus(files, make_telemetry(scenario).by_area, on_state=lambda at, state: shown.append((at, state)))
+    bus.run(60.0)
+    found = {state.quality for _, state in shown}
+    assert {"good", "degraded", "relative-angle"} <= found
+    for _, state in shown:
+        if state.quality == "good":
+            assert max(state.ages.values()) < FRESH_BEATS * BEAT
+            assert set(state.scans.values()) == {state.header.scan}
+
+
+def test_a_contradiction_is_never_good():
+    link = [{"from": "area3", "to": "area1", "lie": {"vm_pu": 0.02}}]
+    scenario = load_scenario("ieee33", changes={"faults.link": link, "run.timeout_s": 3.0})
+    areas = {area.name: area for area in _judged(scenario).areas}
+    assert areas["area1"].quality == "degraded"
+    assert any("information from area3 contradicts the rest" in note for note in areas["area1"].notes)
+
+
+def _judged(scenario):
+    simulation = Simulation(replace(scenario, strategy="information"))
+    return simulation.judge(simulation.run())
