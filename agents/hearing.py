@@ -67,6 +67,11 @@ class Hearing:
         self.telemetry = message
         return True
 
+    def forget_neighbours(self) -> None:
+        """As if they had never spoken."""
+        for heard in (self.loads, self.boundary, self.tallies, self._heard_at):
+            heard.clear()
+
     def telemetry_age(self, now: float) -> float:
         """s since the telemetry was last heard; 0 before the first."""
         return now - self._telemetry_at if self.telemetry else 0.0

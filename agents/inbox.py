@@ -8,30 +8,35 @@ MAX_WAITING = 10_000
 
 
 class Inbox:
-    """Many threads put, one takes. ``overflowed`` counts what was dropped because nobody took for too long."""
+    """Many threads put, one takes. ``overflowed`` counts what was dropped because too many slots hold unread news.
+
+    No lock, because ``put`` is called by signal handlers too, which may interrupt ``take``: each operation on the
+    dict and on the queue is atomic by itself, and ``take`` takes all there is, however often it was announced.
+    """
 
     def __init__(self) -> None:
-        self._queue: queue.SimpleQueue[tuple[Any, Any]] = queue.SimpleQueue()  # put() is safe in a signal handler
+        self._news: dict[Any, Any] = {}
+        self._announced: queue.SimpleQueue[None] = queue.SimpleQueue()
         self.overflowed = 0
 
     def put(self, slot: Any, item: Any) -> None:
         """Leave ``item``; an earlier item of the same ``slot`` that has not been taken is superseded."""
-        if self._queue.qsize() >= MAX_WAITING:
+        if slot not in self._news and len(self._news) >= MAX_WAITING:
             self.overflowed += 1
-        else:
-            self._queue.put((slot, item))
+            return
+        self._news.pop(slot, None)  # the newest goes to the end of the order
+        self._news[slot] = item
+        if self._announced.qsize() < MAX_WAITING:
+            self._announced.put(None)
 
     def take(self, timeout_s: float) -> list[Any]:
         """Wait for news up to ``timeout_s``; everything unread, the newest of each slot, in order of arrival."""
-        news: dict[Any, Any] = {}
         try:
-            slot, item = self._queue.get(timeout=max(0.0, timeout_s))
+            self._announced.get(timeout=max(0.0, timeout_s))
             while True:
-                news.pop(slot, None)
-                news[slot] = item
-                slot, item = self._queue.get_nowait()
+                self._announced.get_nowait()
         except queue.Empty:
-            return list(news.values())
+            return [self._news.pop(slot) for slot in list(self._news)]
 
     def take_until(self, deadline: float) -> list[Any]:
         """``take`` with a deadline on ``time.monotonic()``."""

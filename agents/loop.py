@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from agents.area_file import AreaFile
+from agents.doorkeeper import Doorkeeper
 from agents.inbox import Inbox
 from agents.keys import (
     all_from_neighbours,
@@ -17,16 +18,16 @@ from agents.keys import (
     live_key,
     name_of_live,
     neighbour_key,
-    sender_of,
     state_key,
     telemetry_key,
 )
 from agents.link import FaultyLinks
-from agents.messages import ClockMessage, MessageError, StateMessage, decode
+from agents.messages import ClockMessage, StateMessage, decode
 from agents.presence import Presence, begin_life
-from agents.protocol import AreaProtocol, Event, Finish, PresenceChanged, Publish, Received, Refused
+from agents.protocol import AreaProtocol, Event, Finish, PresenceChanged, Publish
 from agents.strategies import make_strategy
 from agents.transport import Session
+from agents.wire_checks import MessageError
 
 log = logging.getLogger(__name__)
 
@@ -60,8 +61,10 @@ def run_agent(content: AreaFile, session: Session, inbox: Inbox) -> str:
     links = FaultyLinks(content.area.name, content.links, content.seed, _publishers(content, session, kinds))
     name, run = content.area.name, content.run
     neighbours = {n.area for n in content.area.neighbours}
-    session.subscribe(all_from_neighbours(run, name), _put_messages_of(neighbours, inbox))
-    session.subscribe(telemetry_key(run, name), lambda key, payload: inbox.put(key, (key, payload)))
+    known = {neighbour_key(run, neighbour, kind, name) for neighbour in neighbours for kind in kinds}
+    doorkeeper = Doorkeeper(known, telemetry_key(run, name), inbox)
+    session.subscribe(all_from_neighbours(run, name), doorkeeper.take)
+    session.subscribe(telemetry_key(run, name), doorkeeper.take)
     if any(faults.has_windows for faults in content.links.values()):
         session.subscribe(clock_key(run), lambda key, payload: inbox.put(key, _ClockHeard(time.monotonic(), payload)))
     for neighbour in sorted(neighbours):
@@ -110,14 +113,6 @@ def _publishers(content: AreaFile, session: Session, kinds: Sequence[str]) -> Ca
     return lambda to, kind, payload: publishers[to, kind](payload)
 
 
-def _put_messages_of(neighbours: set[str], inbox: Inbox) -> Callable[[str, bytes], None]:
-    def put(key: str, payload: bytes) -> None:
-        known = sender_of(key) in neighbours
-        inbox.put(key if known else "stranger", (key, payload) if known else Refused("unknown sender"))
-
-    return put
-
-
 def _events_of(news: Sequence[Any], presence: Presence, links: FaultyLinks) -> Iterator[Event]:
     for item in news:
         match item:
@@ -126,8 +121,6 @@ def _events_of(news: Sequence[Any], presence: Presence, links: FaultyLinks) -> I
             case _TokenSeen(key, alive):
                 if presence.take(key, alive):
                     yield PresenceChanged(name_of_live(key)[1], alive)
-            case (key, payload):
-                yield _received(key, payload)
             case _:
                 yield item
 
@@ -140,11 +133,3 @@ def _take_clock(links: FaultyLinks, at: float, payload: bytes) -> None:
     else:
         if isinstance(message, ClockMessage):
             links.begin(at - message.elapsed_s)
-
-
-def _received(key: str, payload: bytes) -> Event:
-    try:
-        return Received(decode(payload), sender_of(key))
-    except MessageError as error:
-        log.warning("refused a payload on %s: %s", key, error)
-        return Refused(error.reason)

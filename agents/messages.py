@@ -7,26 +7,30 @@ sequence, time, ...body]``: absolute, idempotent, and strictly checked when deco
 from __future__ import annotations
 
 import dataclasses
-import math
-from collections.abc import Callable, Mapping
+import zlib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import msgpack
 
+from agents.wire_checks import (
+    CHECKS,
+    LONGEST_TEXT,
+    MessageError,
+    check_count,
+    check_number,
+    check_text,
+    shown,
+    tuple_of,
+)
 from dsse_core.boundary_load import NetLoad
 
 WIRE_VERSION = 1
 MAX_BYTES = 8 * 1024 * 1024
+MAX_NEIGHBOUR_BYTES = 256 * 1024  # of what neighbours say; only telemetry and states grow with the area
+MOST_MAPS = 16  # in one message; a state has three
 Integer = int  # may be negative; an int in a message is a count
-
-
-class MessageError(ValueError):
-    """A payload that is not a message of this version; ``reason`` is the short word under which it is counted."""
-
-    def __init__(self, reason: str, detail: str) -> None:
-        self.reason = reason
-        super().__init__(f"{reason}: {detail}")
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -237,50 +241,75 @@ _TYPES: Mapping[str, type[Any]] = {
 
 
 def encode(message: Message) -> bytes:
-    """The payload of ``message``; a boundary message takes well under 200 bytes."""
+    """The payload of ``message``: MessagePack, then its CRC-32; a boundary message takes well under 200 bytes."""
     h = message.header
     head = [WIRE_VERSION, message.kind, h.run, h.sender, [h.incarnation.start_ms, h.incarnation.random]]
     body = [getattr(message, field.name) for field in dataclasses.fields(message)[1:]]
-    payload: bytes = msgpack.packb([*head, h.scan, h.sequence, h.time, *body])
-    return payload
+    return seal(msgpack.packb([*head, h.scan, h.sequence, h.time, *body]))
 
 
-def decode(payload: bytes) -> Message:
-    """The message in ``payload``.
+def seal(packed: bytes) -> bytes:
+    """``packed`` with its checksum, without which damaged numbers could not be told from others."""
+    return packed + zlib.crc32(packed).to_bytes(4, "big")
+
+
+def decode(payload: bytes, largest: int = MAX_BYTES) -> Message:
+    """The message in ``payload``, which may have ``largest`` bytes.
 
     Raises:
         MessageError: anything that is not a well-formed message of this wire version.
     """
-    if len(payload) > MAX_BYTES:
-        raise MessageError("too large", f"{len(payload)} bytes, the limit is {MAX_BYTES}")
-    try:
-        fields = msgpack.unpackb(payload, use_list=False, strict_map_key=True, raw=False)
-    except Exception as error:
-        raise MessageError("not MessagePack", str(error)) from None
+    fields = _unpack(payload, largest)
     if not isinstance(fields, tuple) or len(fields) < 8:
         raise MessageError("malformed", "not an array with a header of 8 fields")
-    if fields[0] != WIRE_VERSION:
-        raise MessageError("wire version", f"{fields[0]!r}, this program speaks {WIRE_VERSION}")
+    if type(fields[0]) is not int or fields[0] != WIRE_VERSION:
+        raise MessageError("wire version", f"{shown(fields[0])}, this program speaks {WIRE_VERSION}")
     message_type = _TYPES.get(fields[1]) if isinstance(fields[1], str) else None
     if message_type is None:
-        raise MessageError("malformed", f"unknown kind {fields[1]!r}")
+        raise MessageError("malformed", f"unknown kind {shown(fields[1])}")
     header = Header(
-        run=_text("run", fields[2]),
-        sender=_text("sender", fields[3]),
-        incarnation=Incarnation(*_tuple_of(_count, 2)("incarnation", fields[4])),
-        scan=_count("scan", fields[5]),
-        sequence=_count("sequence", fields[6]),
-        time=_number("time", fields[7]),
+        run=check_text("run", fields[2]),
+        sender=check_text("sender", fields[3]),
+        incarnation=Incarnation(*tuple_of(check_count, 2)("incarnation", fields[4])),
+        scan=check_count("scan", fields[5]),
+        sequence=check_count("sequence", fields[6]),
+        time=check_number("time", fields[7]),
     )
     places = dataclasses.fields(message_type)[1:]
     if len(fields) != 8 + len(places):
         raise MessageError("malformed", f"{message_type.kind} has {len(fields)} fields, not {8 + len(places)}")
     body = {
-        place.name: _CHECKS[str(place.type)](place.name, value) for place, value in zip(places, fields[8:], strict=True)
+        place.name: CHECKS[str(place.type)](place.name, value) for place, value in zip(places, fields[8:], strict=True)
     }
     _check_lengths(message_type, body)
     message: Message = message_type(header=header, **body)
     return message
+
+
+def _unpack(payload: bytes, largest: int) -> object:
+    """What ``payload`` packs, in at most a few times its size of memory."""
+    if len(payload) > largest:
+        raise MessageError("too large", f"{len(payload)} bytes, the limit is {largest}")
+    packed, checksum = payload[:-4], payload[-4:]
+    if zlib.crc32(packed).to_bytes(4, "big") != checksum:
+        raise MessageError("damaged", "the checksum does not fit")
+    maps = 0
+
+    def read_map(pairs: list[tuple[str, object]]) -> dict[str, object]:
+        nonlocal maps
+        maps += 1
+        content = dict(pairs)
+        if len(content) < len(pairs) or maps > MOST_MAPS:
+            raise MessageError("malformed", f"a key given twice, or more than {MOST_MAPS} maps")
+        return content
+
+    limits = {"max_str_len": 4 * LONGEST_TEXT, "max_bin_len": 0, "max_ext_len": 0}
+    try:
+        return msgpack.unpackb(packed, use_list=False, raw=False, object_pairs_hook=read_map, **limits)
+    except MessageError:
+        raise
+    except Exception as error:
+        raise MessageError("not MessagePack", f"{type(error).__name__}: {error}"[:200]) from None
 
 
 _EQUALLY_LONG = (
@@ -300,76 +329,3 @@ def _check_lengths(message_type: type[Any], body: Mapping[str, Any]) -> None:
     for group in _EQUALLY_LONG:
         if group[0] in body and len({len(body[name]) for name in group}) != 1:
             raise MessageError("malformed", f"{', '.join(group)} differ in length")
-
-
-def _text(name: str, value: object) -> str:
-    if not isinstance(value, str) or len(value) > 1000:
-        raise MessageError("malformed", f"{name} is {value!r:.80}, not a text of at most 1000 characters")
-    return value
-
-
-def _count(name: str, value: object) -> int:
-    if type(value) is not int or value < 0:
-        raise MessageError("malformed", f"{name} is {value!r:.80}, not a count")
-    return value
-
-
-def _integer(name: str, value: object) -> int:
-    if type(value) is not int:
-        raise MessageError("malformed", f"{name} is {value!r:.80}, not an integer")
-    return value
-
-
-def _number(name: str, value: object) -> float:
-    if type(value) not in (int, float):
-        raise MessageError("malformed", f"{name} is {value!r:.80}, not a number")
-    try:
-        number = float(value)  # type: ignore[arg-type]
-    except OverflowError:
-        number = math.inf
-    if not math.isfinite(number):
-        raise MessageError("not finite", f"{name} is {value!r:.80}")
-    return number
-
-
-def _flag(name: str, value: object) -> bool:
-    if not isinstance(value, bool):
-        raise MessageError("malformed", f"{name} is {value!r:.80}, not true or false")
-    return value
-
-
-def _tuple_of(
-    check: Callable[[str, object], Any], length: int | None = None
-) -> Callable[[str, object], tuple[Any, ...]]:
-    def check_all(name: str, value: object) -> tuple[Any, ...]:
-        if not isinstance(value, tuple) or (length is not None and len(value) != length):
-            raise MessageError(
-                "malformed", f"{name} is {value!r:.80}, not an array" + (f" of {length}" if length else "")
-            )
-        return tuple(check(name, item) for item in value)
-
-    return check_all
-
-
-def _map_of(check: Callable[[str, object], Any]) -> Callable[[str, object], dict[str, Any]]:
-    def check_all(name: str, value: object) -> dict[str, Any]:
-        if not isinstance(value, dict):
-            raise MessageError("malformed", f"{name} is {value!r:.80}, not a map")
-        return {_text(name, key): check(name, item) for key, item in value.items()}
-
-    return check_all
-
-
-_CHECKS: Mapping[str, Callable[[str, object], Any]] = {  # by the annotation of the field
-    "bool": _flag,
-    "float": _number,
-    "int": _count,
-    "Integer": _integer,
-    "str": _text,
-    "tuple[float, ...]": _tuple_of(_number),
-    "tuple[int, ...]": _tuple_of(_count),
-    "tuple[str, ...]": _tuple_of(_text),
-    "dict[str, int]": _map_of(_count),
-    "dict[str, tuple[int, int, int]]": _map_of(_tuple_of(_count, 3)),
-    "dict[str, float]": _map_of(_number),
-}

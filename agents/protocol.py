@@ -19,7 +19,6 @@ from agents.messages import (
     AdmmMessage,
     BoundaryMessage,
     BoundaryNews,
-    ClockMessage,
     Header,
     Incarnation,
     InformationMessage,
@@ -30,6 +29,7 @@ from agents.messages import (
     TelemetryMessage,
 )
 from agents.quality import judge_quality
+from agents.refusals import find_reading_refusal, find_refusal, find_unreasonable
 from agents.reminders import Reminders
 from agents.strategies.interface import Estimate, Knowledge, Strategy
 from dsse_core.boundary_load import NetLoad, load_message_for, measured_net_loads, own_net_load
@@ -48,9 +48,10 @@ class Received:
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """A payload that could not be decoded."""
+    """Payloads that were not let in for ``reason``; ``count``: how many so far."""
 
     reason: str
+    count: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,6 +118,7 @@ class AreaProtocol:
         self._present: set[str] = set()
         self._gone: set[str] = set()
         self._refused: Counter[str] = Counter()
+        self._not_let_in: dict[str, int] = {}
 
     def wait_s(self, now: float) -> float:
         """How long the protocol may be left alone, s."""
@@ -128,31 +130,24 @@ class AreaProtocol:
         self._now = now
         news = False
         for event in events:
-            repeated = False
             match event:
                 case StopRequested(reason):
                     return [Finish(reason)]
                 case Received(message, key_sender):
-                    repeated = not self._take(message, key_sender)
-                case Refused(reason):
-                    self._refused[reason] += 1
+                    news |= self._take(message, key_sender)
+                case Refused(reason, count):
+                    self._not_let_in[reason] = max(count, self._not_let_in.get(reason, 0))
                 case PresenceChanged(area, alive):
                     (self._present if alive else self._gone).add(area)
                     (self._gone if alive else self._present).discard(area)
-            news |= not repeated
+                    news = True
         actions: list[Action] = []
         used = set(self._hearing.usable(now))
         if self._hearing.telemetry is None:
             actions += self._show_state(None, ["no telemetry yet"])
         elif news or self._strategy.restless or used != self._used:
             self._used = used
-            actions += self._tell_loads()
-            try:
-                actions += self._estimate()
-            except (ArithmeticError, np.linalg.LinAlgError, RuntimeError, ValueError) as error:
-                # numbers beyond all reason, a neighbour's perhaps, leave no estimate and no crash
-                actions += self._show_state(None, (f"no estimate: {type(error).__name__}: {error}",))
-            self._stop_answered_reminders()
+            actions += self._work()
         elif self._state is not None and self._state.quality != self._quality:
             self._state = self._as_of_now(self._state)
             actions.append(Publish(self._state, None))
@@ -167,12 +162,16 @@ class AreaProtocol:
     def _take(self, message: Message, key_sender: str) -> bool:
         """Keep ``message`` if it is the newest of its sender, else drop it; count what should not have come.
 
-        False for readings that are there already.
+        False for what should not, and for readings that are there already.
         """
-        reason = self._find_refusal(message, key_sender)
+        reason = find_refusal(message, key_sender, self._content, self._now + self._clock_offset)
+        if not reason and isinstance(message, BoundaryNews):
+            known = message.kind == self._strategy.kind
+            reason = self._strategy.find_refusal(message) if known else "other strategy"
         if reason:
             self._refused[reason] += 1
-        elif isinstance(message, TelemetryMessage):
+            return False
+        if isinstance(message, TelemetryMessage):
             if not self._hearing.take_telemetry(message, self._now):
                 return False
             self._read_telemetry(message)
@@ -180,36 +179,45 @@ class AreaProtocol:
             self._hearing.take(message, self._now)
         return True
 
-    def _find_refusal(self, message: Message, key_sender: str) -> str:
-        header = message.header
-        if header.run != self._content.run:
-            return "other run"
-        if isinstance(message, TelemetryMessage):
-            return "" if message.area == self._area.name else "telemetry of another area"
-        if isinstance(message, StateMessage | ClockMessage) or header.sender not in self._by_name:
-            return "unknown sender"
-        if header.sender != key_sender:
-            return "sender does not own the key"
-        if message.bus != self._by_name[header.sender].bus:
-            return "other boundary bus"
-        if isinstance(message, LoadMessage | TallyMessage):
-            return ""
-        return self._strategy.find_refusal(message) if message.kind == self._strategy.kind else "other strategy"
-
     def _read_telemetry(self, message: TelemetryMessage) -> None:
         readings = []
         for meter_id, value, sigma in zip(message.meters, message.values, message.sigmas, strict=True):
             meter = self._meters.get(meter_id)
             if meter is None or meter.source is Source.VIRTUAL:
                 self._refused["unknown meter"] += 1
-            elif sigma <= 0:
-                self._refused["sigma not positive"] += 1
+            elif reason := find_reading_refusal(value, sigma):
+                self._refused[reason] += 1
             else:
                 readings.append(Measurement(meter, value, sigma))
         virtual = [Measurement(m, 0.0, 0.0) for m in self._content.meters if m.source is Source.VIRTUAL]
         self._measurements = (*readings, *virtual)
 
     # What goes out
+
+    def _work(self) -> list[Action]:
+        """Tell what is new. Numbers beyond all reason, a neighbour's perhaps, leave no estimate and no crash."""
+        actions: list[Action] = []
+        for _ in range(2):  # with all that was heard; if that leads nowhere, from the own telemetry alone
+            try:
+                actions += self._tell_loads()
+                actions += self._estimate()
+                break
+            except (ArithmeticError, np.linalg.LinAlgError, RuntimeError, ValueError) as error:
+                problem = f"no estimate: {type(error).__name__}: {error}"
+                self._start_anew()
+        else:
+            actions += self._show_state(None, (problem,))
+        self._stop_answered_reminders()
+        return actions
+
+    def _start_anew(self) -> None:
+        """Forget what cannot be computed with, as a restart would: where the iteration is, and all that was heard.
+
+        What the neighbours have been told on such a ground is replaced by the first estimate that follows.
+        """
+        self._strategy, self._told = type(self._strategy)(self._content), None
+        self._hearing.forget_neighbours()
+        self._refused["led to no estimate"] += 1
 
     def _estimate(self) -> list[Action]:
         """Solve, tell the neighbours what is new, judge what they say, show the state.
@@ -218,6 +226,8 @@ class AreaProtocol:
         """
         actions: list[Action] = []
         estimate, notes = self._strategy.solve(self._knowledge())
+        if estimate is not None and not estimate.is_reasonable:
+            raise ArithmeticError("it is beyond reason")
         if estimate is not None and not self._strategy.restless:
             if estimate is not self._told:
                 self._told = estimate
@@ -263,6 +273,7 @@ class AreaProtocol:
         for n in self._area.neighbours:
             last = self._sent_boundary.get(n.area)
             message = self._strategy.message_for(n, estimate, self._header(last))
+            _check_sayable(message, self._strategy.find_refusal(message))
             if last is None or last.header.scan != self._scan or self._strategy.is_news(n, message, last):
                 self._sent_boundary[n.area] = message
                 self._reminders.start(n.area, self._now)
@@ -276,6 +287,7 @@ class AreaProtocol:
             message = self._strategy.tally_for(n, self._header(last))
             if message is None:
                 continue
+            _check_sayable(message)
             if last is None or last.header.scan != self._scan or replace(message, header=last.header) != last:
                 self._sent_tally[n.area] = message
                 actions.append(Publish(message, n.area))
@@ -313,7 +325,7 @@ class AreaProtocol:
             messages=0,
             bytes=0,
             lost=0,
-            refused=dict(self._refused),
+            refused={},
             notes=(*notes, *self._what_is_missing()),
             faults={},
             quality=self._quality,
@@ -344,6 +356,7 @@ class AreaProtocol:
             quality=self._quality,
             telemetry_age=self._hearing.telemetry_age(self._now),
             ages=self._hearing.ages(self._now),
+            refused=dict(self._refused + Counter(self._not_let_in)),
             scans=self._hearing.scans(),
         )
 
@@ -394,4 +407,11 @@ def _sequences(
 
 
 def _without_ages(state: StateMessage) -> StateMessage:
-    return replace(state, telemetry_age=0.0, ages={}, scans={})
+    """Ages and counts are renewed at every beat; they are no news."""
+    return replace(state, telemetry_age=0.0, ages={}, scans={}, refused={})
+
+
+def _check_sayable(message: BoundaryNews | TallyMessage, refusal: str = "") -> None:
+    """Raise ``ArithmeticError`` if the neighbour will refuse ``message``."""
+    if reason := refusal or find_unreasonable(message):
+        raise ArithmeticError(f"what it would tell a neighbour: {reason}")

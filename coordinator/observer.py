@@ -86,6 +86,7 @@ class Observer:
 
     def __post_init__(self) -> None:
         self._watched = {area.name: _Watched() for area in self.partition.areas}
+        self._buses = {area.name: frozenset(area.network.row) for area in self.partition.areas}
         self._states: dict[str, StateMessage] = {}
         self._changes = 0
         self._restarted = False
@@ -108,7 +109,7 @@ class Observer:
     def take_state(self, state: StateMessage, now: float) -> bool:
         """Keep ``state`` if it is as new as the area's last; whether it says something new."""
         watched = self._watched.get(state.header.sender)
-        if watched is None:
+        if watched is None or not self._is_of_its_area(state):
             return False
         last = watched.state
         if last is not None and state.header.order < last.header.order:
@@ -124,6 +125,11 @@ class Observer:
         if state.buses:
             self.history.append(Sample(now, state.header.sender, state.buses, state.vm, state.va, state.referenced))
         return True
+
+    def _is_of_its_area(self, state: StateMessage) -> bool:
+        """Whether it is about the area's own buses, or about none yet."""
+        own = self._buses.get(state.header.sender, frozenset())
+        return not state.buses or (len(state.buses) == len(own) and own.issuperset(state.buses))
 
     def take_presence(self, area: str, alive: bool, now: float) -> bool:
         """Note that an area's token appeared or vanished; whether that is new."""

@@ -10,10 +10,11 @@ from functools import partial
 from pathlib import Path
 
 from agents.access import COORDINATOR
-from agents.keys import all_live, all_states, clock_key, live_key, name_of_live
-from agents.messages import MessageError, StateMessage, decode
+from agents.keys import all_live, all_states, clock_key, live_key, name_of_live, sender_of
+from agents.messages import StateMessage, decode
 from agents.presence import Presence, begin_life
 from agents.transport import Session
+from agents.wire_checks import MessageError
 from coordinator.events import EventLog
 from coordinator.fault_schedule import FaultSchedule, do_to_processes
 from coordinator.judging import (
@@ -186,7 +187,7 @@ def _listen(run: _Run, session: Session) -> None:
         except MessageError as error:
             run.news.put(error)
         else:
-            if isinstance(message, StateMessage):
+            if isinstance(message, StateMessage) and message.header.sender == sender_of(key):
                 run.news.put(_StateHeard(time.monotonic(), message))
 
     session.subscribe(all_states(run.id), on_state)

@@ -16,9 +16,10 @@ from dataclasses import dataclass
 
 from agents.area_file import AreaFile
 from agents.link import FaultyLinks
-from agents.messages import Header, Incarnation, MessageError, StateMessage, TelemetryMessage, decode
+from agents.messages import Header, Incarnation, StateMessage, TelemetryMessage, decode
 from agents.protocol import AreaProtocol, Event, Finish, PresenceChanged, Publish, Received, Refused
 from agents.strategies import make_strategy
+from agents.wire_checks import MessageError
 from coordinator.plant import make_message
 from dsse_core.measurement import Measurement
 
@@ -63,6 +64,7 @@ class SimulatedBus:
         self.scan = 0
         self.files = {content.area.name: content for content in files}
         self.states: dict[str, StateMessage] = {}
+        self._refused: Counter[tuple[str, str]] = Counter()  # receiver, reason
         self.protocols: dict[str, AreaProtocol] = {}
         self.links: dict[str, FaultyLinks] = {}
         self.plant_speaks = True
@@ -179,7 +181,8 @@ class SimulatedBus:
         try:
             event: Event = Received(decode(payload), sender)
         except MessageError as error:
-            event = Refused(error.reason)
+            self._refused[receiver, error.reason] += 1
+            event = Refused(error.reason, self._refused[receiver, error.reason])
         self.post(receiver, event)
 
     def _take_over(self, name: str, message: TelemetryMessage) -> None:

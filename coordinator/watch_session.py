@@ -11,8 +11,9 @@ from agents.access import COORDINATOR
 from agents.access_file import ACCESS_FILE, load_access
 from agents.credentials import load_credentials
 from agents.keys import all_live, all_states, name_of_live, run_of
-from agents.messages import MessageError, StateMessage, decode
+from agents.messages import StateMessage, decode
 from agents.transport import Session, TransportError
+from agents.wire_checks import MessageError
 from coordinator.processes import News
 from coordinator.watch import Watcher
 

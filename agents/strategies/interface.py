@@ -15,6 +15,9 @@ from dsse_core.boundary_load import NetLoad
 from dsse_core.measurement import Measurement
 from dsse_core.partition import Neighbour
 
+LARGEST_VM = 2.0  # p.u.; an iteration that goes there wanders for long before it comes back, if it does
+LARGEST_VA = 1e3  # rad; digits are lost beyond
+
 
 @dataclass(frozen=True)
 class Knowledge:
@@ -55,6 +58,16 @@ class Estimate:
     critical: tuple[str, ...] = ()
     checked: bool = True
     settled: bool = True
+
+    @property
+    def is_reasonable(self) -> bool:
+        """Whether a grid can be in this state, however far from any real one.
+
+        NaN is none, and nor is a negative magnitude, a mirror image at which an iteration that went astray can settle.
+        """
+        voltages = self.vm.min() > 0 and self.vm.max() < LARGEST_VM and abs(self.va).max() < LARGEST_VA
+        rest = np.concatenate([self.sigma_vm, self.sigma_va, [self.objective]])
+        return bool(voltages and np.isfinite(rest).all())
 
 
 class Strategy(ABC):

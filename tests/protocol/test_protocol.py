@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from simulated_bus import SimulatedBus, area_files_of, bus_of
 
-from agents.messages import BoundaryMessage, Header, Incarnation, LoadMessage
+from agents.messages import BoundaryMessage, Header, Incarnation, InformationMessage, LoadMessage
 from agents.protocol import AreaProtocol, Finish, PresenceChanged, Publish, Received, Refused, StopRequested
 from agents.strategies import make_strategy
+from coordinator.twin import STARTED_AT
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 
@@ -120,7 +121,7 @@ def area1():
     content = area_files_of(scenario, strategy="angle-offset")[0]
     bus = SimulatedBus([content], {"area1": make_telemetry(scenario).by_area["area1"]})
     (_, _, _, telemetry), *_ = [entry for entry in bus._queue if entry[2] == "area1"]
-    protocol = AreaProtocol(content, make_strategy(content), Incarnation(1, 1), now=0.0, started_at=1e9)
+    protocol = AreaProtocol(content, make_strategy(content), Incarnation(1, 1), now=0.0, started_at=STARTED_AT)
     return protocol, telemetry, content
 
 
@@ -163,19 +164,30 @@ def test_a_repeat_is_the_same_message_with_the_same_sequence(area1):
         (load_from_area2(sender="area9"), "area9", "unknown sender"),
         (load_from_area2(), "area3", "sender does not own the key"),
         (load_from_area2(bus=5), "area2", "other boundary bus"),
+        (load_from_area2(time=STARTED_AT + 1e4), "area2", "time in the future"),
+        (load_from_area2(incarnation=Incarnation(int(STARTED_AT * 1000) + 10**7, 1)), "area2", "time in the future"),
+        (replace(load_from_area2(), p=1e300), "area2", "numbers beyond reason"),
+        (replace(load_from_area2(), sigma=-0.1), "area2", "numbers beyond reason"),
+        (BoundaryMessage(load_from_area2().header, 6, 0.0, 0.0, True), "area2", "numbers beyond reason"),
+        (
+            InformationMessage(load_from_area2().header, 6, (1e4,) * 10, (1.0,) * 4, True, True),
+            "area2",
+            "other strategy",
+        ),
     ],
 )
 def test_what_should_not_have_come_is_refused_and_counted(area1, message, key_sender, reason):
-    protocol, telemetry, _ = area1
+    protocol, telemetry, content = area1
     protocol.handle([telemetry], 0.0)
-    state = last_state(protocol.handle([Received(message, key_sender)], 0.01))
+    assert protocol.handle([Received(message, key_sender)], 0.01) == []
+    state = last_state(protocol.handle([], content.beat_s))
     assert state.refused == {reason: 1}
     assert state.heard["area2"] == (0, 0, 0)
 
 
 def test_payloads_that_cannot_be_decoded_are_counted_by_reason(area1):
     protocol, telemetry, _ = area1
-    state = last_state(protocol.handle([telemetry, Refused("malformed"), Refused("malformed")], 0.0))
+    state = last_state(protocol.handle([telemetry, Refused("malformed", 2), Refused("malformed", 1)], 0.0))
     assert state.refused == {"malformed": 2}
 
 
@@ -213,10 +225,43 @@ def test_a_stop_finishes_with_its_reason(area1):
     assert protocol.handle([StopRequested("SIGTERM")], 0.0) == [Finish("SIGTERM")]
 
 
-def test_numbers_beyond_all_reason_leave_a_note_and_no_crash(area1):
+def test_a_flood_of_refused_payloads_is_no_news(area1):
+    protocol, telemetry, content = area1
+    before = last_state(protocol.handle([telemetry], 0.0))
+    assert protocol.handle([Refused("unknown sender", 10_000)], 0.01) == []
+    after = last_state(protocol.handle([], content.beat_s))
+    assert after.header.order == before.header.order
+    assert after.refused == {"unknown sender": 10_000}
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda m: replace(m, meters=(m.meters[0],) * len(m.meters)), "meter given twice"),
+        (lambda m: replace(m, area="area2"), "telemetry of another area"),
+        (lambda m: replace(m, values=(1e300, *m.values[1:])), "reading beyond reason"),
+        (lambda m: replace(m, sigmas=(1e-300, *m.sigmas[1:])), "reading beyond reason"),
+        (lambda m: replace(m, sigmas=(0.0, *m.sigmas[1:])), "sigma not positive"),
+    ],
+)
+def test_telemetry_that_cannot_be_is_refused_and_counted(area1, change, reason):
     protocol, telemetry, _ = area1
-    absurd = LoadMessage(load_from_area2().header, 6, 1e300, 1e300, 1e300)
-    protocol.handle([telemetry], 0.0)
-    other = replace(absurd, header=replace(absurd.header, sender="area3"))
-    state = last_state(protocol.handle([Received(absurd, "area2"), Received(other, "area3")], 0.01))
-    assert state.header.sequence == 2
+    state = last_state(protocol.handle([Received(change(telemetry.message), "")], 0.0))
+    assert state.refused == {reason: 1}
+
+
+@pytest.mark.parametrize("strategy", ["angle-offset", "information", "admm"])
+def test_readings_that_break_the_iteration_are_forgotten_with_the_next_scan(strategy):
+    sane = make_telemetry(load_scenario("ieee33")).by_area
+    bus = SimulatedBus(area_files_of(load_scenario("ieee33"), strategy=strategy), sane)
+    absurd = {area: [replace(m, value=1e12 if m.sigma else 0.0) for m in readings] for area, readings in sane.items()}
+    bus.next_scan(absurd)
+    bus.run(0.02)
+    for state in bus.states.values():
+        assert np.isfinite([*state.vm, *state.va, *state.sigma_vm, *state.sigma_va]).all()
+    bus.next_scan(sane)
+    bus.run_until_settled()
+    fresh = SimulatedBus(area_files_of(load_scenario("ieee33"), strategy=strategy), sane)
+    fresh.run_until_settled()
+    for name, state in bus.states.items():
+        np.testing.assert_allclose(state.vm, fresh.states[name].vm, atol=1e-7)

@@ -36,6 +36,15 @@ def test_a_flood_is_dropped_and_counted():
     assert len(inbox.take(0.0)) == MAX_WAITING
 
 
+def test_an_item_that_is_not_taken_holds_one_place_however_often_it_is_renewed():
+    inbox = Inbox()
+    for k in range(3 * MAX_WAITING):
+        inbox.put("a", k)
+    inbox.put("b", -1)
+    assert inbox.overflowed == 0
+    assert inbox.take(0.0) == [3 * MAX_WAITING - 1, -1]
+
+
 def message(sequence):
     return BoundaryMessage(Header("r", "a", Incarnation(1, 1), 1, sequence, 0.0), 6, 0.95, 0.0, True)
 

@@ -15,13 +15,14 @@ from agents.messages import (
     Incarnation,
     InformationMessage,
     LoadMessage,
-    MessageError,
     StateMessage,
     TallyMessage,
     TelemetryMessage,
     decode,
     encode,
+    seal,
 )
+from agents.wire_checks import MessageError
 
 HEADER = Header("run-1", "area1", Incarnation(1_795_200_000_000, 2**32 - 1), 7, 3, 1_795_200_000.25)
 STATE = StateMessage(
@@ -86,7 +87,7 @@ def test_a_boundary_message_fits_in_200_bytes_even_with_long_names():
 
 
 def fields_of(message):
-    return list(msgpack.unpackb(encode(message)))
+    return list(msgpack.unpackb(encode(message)[:-4]))
 
 
 @pytest.mark.parametrize(
@@ -112,10 +113,10 @@ def test_a_changed_field_is_refused_with_its_reason(change, reason):
     fields = fields_of(BoundaryMessage(HEADER, 6, 0.95, -0.02, True))
     change(fields)
     if reason is None:
-        assert decode(msgpack.packb(fields)).vm == float(2**64 - 1)
+        assert decode(seal(msgpack.packb(fields))).vm == float(2**64 - 1)
         return
     with pytest.raises(MessageError) as caught:
-        decode(msgpack.packb(fields))
+        decode(seal(msgpack.packb(fields)))
     assert caught.value.reason == reason
 
 
@@ -123,20 +124,71 @@ def test_arrays_of_a_state_must_have_one_length():
     fields = fields_of(STATE)
     fields[9] = [1.0]
     with pytest.raises(MessageError, match="differ in length"):
-        decode(msgpack.packb(fields))
+        decode(seal(msgpack.packb(fields)))
 
 
 def test_an_admm_message_has_four_numbers_of_each():
     fields = fields_of(next(m for m in MESSAGES if isinstance(m, AdmmMessage)))
     fields[11] = fields[11][:3]
     with pytest.raises(MessageError, match="do not have 4 numbers each"):
-        decode(msgpack.packb(fields))
+        decode(seal(msgpack.packb(fields)))
 
 
 def test_an_oversized_payload_is_refused_unread():
     with pytest.raises(MessageError) as caught:
         decode(bytes(8 * 1024 * 1024 + 1))
     assert caught.value.reason == "too large"
+
+
+@pytest.mark.parametrize("message", MESSAGES, ids=lambda m: m.kind)
+def test_a_single_flipped_bit_is_noticed(message):
+    payload = encode(message)
+    for bit in range(8 * len(payload)):
+        damaged = bytearray(payload)
+        damaged[bit // 8] ^= 1 << bit % 8
+        with pytest.raises(MessageError, match="damaged"):
+            decode(bytes(damaged))
+
+
+def array_around(value):
+    """An array with a header whose kind is ``value``."""
+    return b"\x98\x01" + value + b"\x00" * 6
+
+
+@pytest.mark.parametrize(
+    ("packed", "reason"),
+    [
+        (b"", "not MessagePack"),
+        (b"\xc1", "not MessagePack"),
+        (b"\xdd\xff\xff\xff\xff", "not MessagePack"),  # an array that says it has four thousand million items
+        (b"\x91" * 100_000, "not MessagePack"),
+        (array_around(b"\x91" * 900 + b"\xc0"), "malformed"),  # deeper than Python prints
+        (array_around(b"\xd9\xff" + b"\xff" * 255), "not MessagePack"),  # not UTF-8
+        (array_around(b"\xdb\x00\x10\x00\x00" + b"x" * 2**20), "not MessagePack"),  # a long text
+        (array_around(b"\xd4\x01x"), "not MessagePack"),  # an extension type
+        (array_around(b"\xc4\x01x"), "not MessagePack"),  # binary
+        (array_around(b"\x82\xa1a\x01\xa1a\x02"), "malformed"),  # a key given twice
+        (array_around(b"\x81\x01\x01"), "not MessagePack"),  # a key that is no text
+        (b"\xdd\x00\x40\x00\x00" + b"\x80" * 2**22, "malformed"),  # four million empty maps
+        (array_around(b"\xcf" + b"\xff" * 8), "malformed"),
+    ],
+)
+def test_what_could_exhaust_or_confuse_the_reader_is_refused_shortly(packed, reason):
+    with pytest.raises(MessageError) as caught:
+        decode(seal(packed))
+    assert caught.value.reason == reason
+    assert len(str(caught.value)) < 300
+    assert str(caught.value).isprintable()
+
+
+@pytest.mark.parametrize("place", [5, 6])
+def test_a_count_is_below_two_to_the_53(place):
+    fields = fields_of(MESSAGES[0])
+    fields[place] = 2**53 - 1
+    decode(seal(msgpack.packb(fields)))
+    fields[place] = 2**53
+    with pytest.raises(MessageError, match="not a count"):
+        decode(seal(msgpack.packb(fields)))
 
 
 def refusal_of(payload):
@@ -152,6 +204,7 @@ def refusal_of(payload):
 @given(st.binary(max_size=300))
 def test_any_bytes_decode_or_are_refused(payload):
     assert refusal_of(payload) != ""
+    assert refusal_of(seal(payload)) != ""
 
 
 @settings(max_examples=100)
@@ -160,7 +213,9 @@ def test_a_message_with_flipped_bytes_decodes_or_is_refused(message, data):
     payload = bytearray(encode(message))
     for _ in range(data.draw(st.integers(1, 4))):
         payload[data.draw(st.integers(0, len(payload) - 1))] = data.draw(st.integers(0, 255))
-    assert refusal_of(bytes(payload[: data.draw(st.integers(0, len(payload)))])) != ""
+    cut = bytes(payload[: data.draw(st.integers(0, len(payload)))])
+    assert refusal_of(cut) != ""
+    assert refusal_of(seal(cut)) != ""  # damaged before it was sealed
 
 
 def test_a_restarted_area_is_newer_than_its_past_whatever_the_sequence():

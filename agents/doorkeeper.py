@@ -1,0 +1,52 @@
+"""Who stands at the door of an agent: lets in messages on known keys, within their size, and counts the others."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections import Counter
+from collections.abc import Collection
+
+from agents.inbox import Inbox
+from agents.keys import sender_of
+from agents.messages import MAX_BYTES, MAX_NEIGHBOUR_BYTES, decode
+from agents.protocol import Received, Refused
+from agents.wire_checks import MessageError
+
+log = logging.getLogger(__name__)
+
+
+class Doorkeeper:
+    """Puts what arrives on the bus' threads into ``inbox``, one slot for each key: strangers do not make it grow.
+
+    Args:
+        neighbour_keys: those on which neighbours speak to this area.
+        telemetry_key: of this area's telemetry.
+    """
+
+    def __init__(self, neighbour_keys: Collection[str], telemetry_key: str, inbox: Inbox) -> None:
+        self._largest = dict.fromkeys(neighbour_keys, MAX_NEIGHBOUR_BYTES) | {telemetry_key: MAX_BYTES}
+        self._inbox = inbox
+        self._refused: Counter[str] = Counter()
+        self._lock = threading.Lock()
+
+    def take(self, key: str, payload: bytes) -> None:
+        """Let a message in, or count why not."""
+        largest = self._largest.get(key)
+        if largest is None:
+            self._refuse("unknown sender", key, "nobody who has a say here speaks on this key")
+            return
+        try:
+            message = decode(payload, largest)
+        except MessageError as error:
+            self._refuse(error.reason, key, str(error))
+        else:
+            self._inbox.put(key, Received(message, sender_of(key)))
+
+    def _refuse(self, reason: str, key: str, why: str) -> None:
+        with self._lock:
+            self._refused[reason] += 1
+            count = self._refused[reason]
+        self._inbox.put(("refused", reason), Refused(reason, count))
+        if str(count).strip("0") == "1":  # 1, 10, 100, ...: a flood must not fill the disk
+            log.warning("refused payload number %s for this reason, on %.200s: %s", count, ascii(key), why)

@@ -1,0 +1,77 @@
+"""Why a well-formed message is refused: whose it is, when it was made, and numbers that cannot be."""
+
+from __future__ import annotations
+
+import math
+
+from agents.area_file import AreaFile
+from agents.messages import (
+    BoundaryMessage,
+    BoundaryNews,
+    ClockMessage,
+    LoadMessage,
+    Message,
+    StateMessage,
+    TallyMessage,
+    TelemetryMessage,
+)
+from dsse_core.boundary_information import BEYOND_REASON
+
+LONGEST_LEAD_S = 600.0  # by which the sender's clock may be ahead of ours
+
+
+def find_refusal(message: Message, key_sender: str, content: AreaFile, now: float) -> str:
+    """Why the agent of ``content`` cannot take ``message``, in short; empty if it can.
+
+    ``key_sender``: as in ``agents.protocol.Received``. ``now``: s since 1970. A time in the past is no reason: order
+    is a matter of incarnation and sequence. One far in the future is, because its incarnation would stay the newest.
+    """
+    header = message.header
+    if header.run != content.run:
+        return "other run"
+    if max(header.time, header.incarnation.start_ms / 1000) > now + LONGEST_LEAD_S:
+        return "time in the future"
+    if isinstance(message, TelemetryMessage):
+        return _find_telemetry_refusal(message, content)
+    bus = {n.area: n.bus for n in content.area.neighbours}.get(header.sender)
+    if isinstance(message, StateMessage | ClockMessage) or bus is None:
+        return "unknown sender"
+    if header.sender != key_sender:
+        return "sender does not own the key"
+    if message.bus != bus:
+        return "other boundary bus"
+    return find_unreasonable(message)
+
+
+def find_unreasonable(message: LoadMessage | BoundaryNews | TallyMessage) -> str:
+    """That no estimate can have the numbers of ``message``; empty if one can. Strategies know more of their own."""
+    match message:
+        case LoadMessage():
+            possible = _are_within_reason(message.p, message.q, message.sigma) and message.sigma >= 0
+        case BoundaryMessage():
+            possible = _are_within_reason(message.vm, message.va) and message.vm > 0
+        case TallyMessage():
+            counts = message.degrees_of_freedom, message.held_back
+            figures = message.objective, *message.normalized
+            possible = _are_within_reason(*counts, *figures, *message.no_load) and min(figures) >= 0
+        case _:
+            possible = True
+    return "" if possible else "numbers beyond reason"
+
+
+def _find_telemetry_refusal(message: TelemetryMessage, content: AreaFile) -> str:
+    if message.area != content.area.name:
+        return "telemetry of another area"
+    return "meter given twice" if len(set(message.meters)) < len(message.meters) else ""
+
+
+def find_reading_refusal(value: float, sigma: float) -> str:
+    """Why a reading cannot be used, in short; p.u. or rad."""
+    if sigma <= 0:
+        return "sigma not positive"
+    weight = 1 / sigma
+    return "" if _are_within_reason(value, sigma, weight, value * weight) else "reading beyond reason"
+
+
+def _are_within_reason(*numbers: float) -> bool:
+    return all(math.isfinite(number) and abs(number) < BEYOND_REASON for number in numbers)

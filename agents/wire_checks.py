@@ -1,0 +1,94 @@
+"""What stands at one place of a message: checks by the type of the field, and what is wrong as a refusal."""
+
+from __future__ import annotations
+
+import math
+import reprlib
+from collections.abc import Callable, Mapping
+from typing import Any
+
+LARGEST_COUNT = 2**53  # and of integers the largest size: exact as a float, too
+LONGEST_TEXT = 1000  # characters
+
+
+class MessageError(ValueError):
+    """A payload that is not a message of this version; ``reason`` is the short word under which it is counted."""
+
+    def __init__(self, reason: str, detail: str) -> None:
+        self.reason = reason
+        super().__init__(f"{reason}: {detail}")
+
+
+def shown(value: object) -> str:
+    """``value`` in at most 80 printable characters, however long or deep it is."""
+    return ascii(reprlib.repr(value))[1:-1][:80]
+
+
+def check_text(name: str, value: object) -> str:
+    if not isinstance(value, str) or len(value) > LONGEST_TEXT:
+        raise MessageError("malformed", f"{name} is {shown(value)}, not a text of at most {LONGEST_TEXT} characters")
+    return value
+
+
+def check_count(name: str, value: object) -> int:
+    if type(value) is not int or not 0 <= value < LARGEST_COUNT:
+        raise MessageError("malformed", f"{name} is {shown(value)}, not a count")
+    return value
+
+
+def check_integer(name: str, value: object) -> int:
+    if type(value) is not int or abs(value) >= LARGEST_COUNT:
+        raise MessageError("malformed", f"{name} is {shown(value)}, not an integer")
+    return value
+
+
+def check_number(name: str, value: object) -> float:
+    if type(value) not in (int, float):
+        raise MessageError("malformed", f"{name} is {shown(value)}, not a number")
+    number = float(value)  # type: ignore[arg-type]
+    if not math.isfinite(number):
+        raise MessageError("not finite", f"{name} is {shown(value)}")
+    return number
+
+
+def check_flag(name: str, value: object) -> bool:
+    if not isinstance(value, bool):
+        raise MessageError("malformed", f"{name} is {shown(value)}, not true or false")
+    return value
+
+
+def tuple_of(
+    check: Callable[[str, object], Any], length: int | None = None
+) -> Callable[[str, object], tuple[Any, ...]]:
+    def check_all(name: str, value: object) -> tuple[Any, ...]:
+        if not isinstance(value, tuple) or (length is not None and len(value) != length):
+            raise MessageError(
+                "malformed", f"{name} is {shown(value)}, not an array" + (f" of {length}" if length else "")
+            )
+        return tuple(check(name, item) for item in value)
+
+    return check_all
+
+
+def map_of(check: Callable[[str, object], Any]) -> Callable[[str, object], dict[str, Any]]:
+    def check_all(name: str, value: object) -> dict[str, Any]:
+        if not isinstance(value, dict):
+            raise MessageError("malformed", f"{name} is {shown(value)}, not a map")
+        return {check_text(name, key): check(name, item) for key, item in value.items()}
+
+    return check_all
+
+
+CHECKS: Mapping[str, Callable[[str, object], Any]] = {  # by the annotation of the field
+    "bool": check_flag,
+    "float": check_number,
+    "int": check_count,
+    "Integer": check_integer,
+    "str": check_text,
+    "tuple[float, ...]": tuple_of(check_number),
+    "tuple[int, ...]": tuple_of(check_count),
+    "tuple[str, ...]": tuple_of(check_text),
+    "dict[str, int]": map_of(check_count),
+    "dict[str, float]": map_of(check_number),
+    "dict[str, tuple[int, int, int]]": map_of(tuple_of(check_count, 3)),
+}

@@ -1,0 +1,56 @@
+"""The doorkeeper lets in what belongs here, counts the rest, and does not grow."""
+
+import logging
+
+import pytest
+
+from agents.doorkeeper import Doorkeeper
+from agents.inbox import Inbox
+from agents.messages import MAX_NEIGHBOUR_BYTES, Header, Incarnation, LoadMessage, encode
+from agents.protocol import Received, Refused
+
+KEY, TELEMETRY = "dsse/v1/r/area/area2/load/area1", "dsse/v1/r/telemetry/area1"
+LOAD = LoadMessage(Header("r", "area2", Incarnation(1, 1), 1, 1, 0.0), 6, 0.1, 0.0, 0.01)
+
+
+@pytest.fixture
+def door():
+    inbox = Inbox()
+    return Doorkeeper({KEY}, TELEMETRY, inbox), inbox
+
+
+def test_a_message_on_a_known_key_is_let_in_with_the_owner_of_the_key(door):
+    doorkeeper, inbox = door
+    doorkeeper.take(KEY, encode(LOAD))
+    assert inbox.take(0.0) == [Received(LOAD, "area2")]
+
+
+def test_strangers_take_one_slot_however_many_keys_they_have(door, caplog):
+    doorkeeper, inbox = door
+    with caplog.at_level(logging.WARNING):
+        for k in range(12_345):
+            doorkeeper.take(f"dsse/v1/r/area/stranger{k}/load/area1", encode(LOAD))
+    assert inbox.take(0.0) == [Refused("unknown sender", 12_345)]
+    assert len(caplog.records) == 5  # number 1, 10, 100, 1000, 10000
+
+
+def test_a_known_neighbour_cannot_invent_kinds_either(door):
+    doorkeeper, inbox = door
+    doorkeeper.take("dsse/v1/r/area/area2/gossip/area1", encode(LOAD))
+    assert inbox.take(0.0) == [Refused("unknown sender", 1)]
+
+
+def test_neighbours_have_less_room_than_telemetry(door):
+    doorkeeper, inbox = door
+    payload = bytes(MAX_NEIGHBOUR_BYTES + 1)
+    doorkeeper.take(KEY, payload)
+    doorkeeper.take(TELEMETRY, payload)
+    assert inbox.take(0.0) == [Refused("too large", 1), Refused("damaged", 1)]
+
+
+def test_refusals_do_not_push_out_what_has_been_let_in(door):
+    doorkeeper, inbox = door
+    doorkeeper.take(KEY, encode(LOAD))
+    for _ in range(100):
+        doorkeeper.take(KEY, encode(LOAD)[:-1])
+    assert inbox.take(0.0) == [Received(LOAD, "area2"), Refused("damaged", 100)]
