@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -67,7 +69,7 @@ def dsse(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
 
 @pytest.fixture
 def start_run(tmp_path: Path) -> Iterator[Callable[..., RunUnderWay]]:
-    """Start ``dsse run`` with arguments, its run folder being ``out``; killed after the test if still there."""
+    """Start ``dsse run`` with arguments, its run folder being ``out``; all of it is killed after the test."""
     started = []
 
     def start(*arguments: object) -> RunUnderWay:
@@ -80,6 +82,7 @@ def start_run(tmp_path: Path) -> Iterator[Callable[..., RunUnderWay]]:
             stderr=subprocess.PIPE,
             text=True,
             start_new_session=True,
+            preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),  # under nohup it would be ignored
         )
         started.append(RunUnderWay(process, folder))
         return started[-1]
@@ -88,6 +91,9 @@ def start_run(tmp_path: Path) -> Iterator[Callable[..., RunUnderWay]]:
     for run in started:
         run.process.kill()
         run.process.communicate()
+        if parent := run.pids().get("parent"):  # outlives the killed run, with its process group
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(parent, signal.SIGKILL)
 
 
 @pytest.fixture
