@@ -98,6 +98,12 @@ def _access_control(access: Access | None) -> dict[str, Any]:
     return {"access_control": zenoh_access_control(access)} if access else {}
 
 
+def _log_refused_links(credentials: Credentials | None) -> None:
+    """Let Zenoh write on standard output whom it refused; not that somebody is not there yet."""
+    if credentials:
+        zenoh.init_log_from_env_or("warn,zenoh::net::runtime::orchestrator=error")
+
+
 def _cannot_listen(endpoints: Sequence[str], error: Exception) -> TransportError:
     return TransportError(
         f"cannot listen on {', '.join(endpoints)}: {_short(error)}; is the port taken by another "
@@ -174,6 +180,7 @@ class Session(_Closing):
             TransportError: an endpoint to listen on is occupied or cannot be opened.
         """
         _check_protocol([*endpoints, *listen], credentials)
+        _log_refused_links(credentials if listen else None)
         try:
             config = _config(
                 "peer",
@@ -241,8 +248,7 @@ class Router(_Closing):
             TransportError: an endpoint is occupied or cannot be opened.
         """
         _check_protocol([*endpoints, *others], credentials)
-        if credentials:
-            zenoh.init_log_from_env_or("warn")
+        _log_refused_links(credentials)
         try:
             session = zenoh.open(
                 _config(

@@ -188,22 +188,26 @@ def estimate(scenario: str, seed: int | None) -> None:
     "--connect",
     "endpoints",
     multiple=True,
-    default=[DEFAULT_ENDPOINT],
-    show_default=True,
-    help="Endpoint of the router; repeatable.",
+    help=f"Endpoint of the router; repeatable.  [default: {DEFAULT_ENDPOINT}; with --secure {SECURE_ENDPOINT}]",
 )
+@click.option("--secure", is_flag=True, help="For agents with --keys: areas that link directly do so with TLS.")
 @seed_option
-def split(scenario: str, out: Path, run_id: str | None, endpoints: tuple[str, ...], seed: int | None) -> None:
+def split(
+    scenario: str, out: Path, run_id: str | None, endpoints: tuple[str, ...], secure: bool, seed: int | None
+) -> None:
     """Write one file per area of SCENARIO: all that `dsse agent` needs, here or on another host.
 
     \b
-    Example:  dsse split ieee33 --out areas --connect tcp/192.0.2.7:7447
+    Examples:  dsse split ieee33 --out areas --connect tcp/192.0.2.7:7447
+               dsse split ieee33 --out areas --secure
     """
     prepared = _prepare(scenario, seed)
     from coordinator.places import choose_places
     from coordinator.split import choose_run_id, write_area_files
 
-    places = choose_places(prepared) if prepared.transport.kind == "neighbours" else {}
+    endpoints = endpoints or (SECURE_ENDPOINT if secure else DEFAULT_ENDPOINT,)
+    direct = prepared.transport.kind == "neighbours"
+    places = choose_places(prepared, "tls" if secure else "tcp") if direct else {}
     for path in write_area_files(prepared, choose_run_id(prepared, run_id), endpoints, out, places).values():
         print(path)
 

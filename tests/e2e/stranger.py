@@ -7,6 +7,7 @@ python stranger.py flood[-wildly] ENDPOINT        until it is killed
 
 from __future__ import annotations
 
+import itertools
 import json
 import socket
 import sys
@@ -71,6 +72,18 @@ def connect(endpoint: str, credentials: Credentials | None) -> None:
         print(error)
 
 
+def shout(endpoint: str, credentials: Credentials | None) -> None:
+    """Send rubbish to all areas in the name of one that does not exist, as fast as can be."""
+    with Session.connect([endpoint], DEADLINE_S, credentials) as session:
+        areas = [area.name for area in load_scenario(RUN).partition.areas]
+        publishers = [session.publisher(neighbour_key(RUN, "area9", "information", area)) for area in areas]
+        for number in itertools.count():
+            for put in publishers:
+                put(b"rubbish" * 20)
+            if number == ROUNDS:
+                print("shouting", flush=True)
+
+
 def flood(endpoint: str, wildly: bool) -> None:
     """Open connection after connection and send rubbish; ``wildly``: without waiting for what becomes of it."""
     host, _, port = endpoint.partition("/")[2].rpartition(":")
@@ -90,7 +103,8 @@ def flood(endpoint: str, wildly: bool) -> None:
 
 if __name__ == "__main__":
     what, at, *whose = sys.argv[1:]
+    own = credentials_in(Path(whose[0]), whose[1]) if whose else None
     if what.startswith("flood"):
         flood(at, wildly=what == "flood-wildly")
     else:
-        {"speak": speak, "connect": connect}[what](at, credentials_in(Path(whose[0]), whose[1]) if whose else None)
+        {"speak": speak, "connect": connect, "shout": shout}[what](at, own)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime
 import json
 import math
 import os
@@ -12,18 +11,16 @@ import socket
 import ssl
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from cryptography import x509
-from cryptography.hazmat.primitives import hashes, serialization
+from expiring import let_expire
 from stranger import RUN
 from system_by_hand import ROOT, SystemByHand, Watcher, free_port
 from waiting import DEADLINE_S, wait_until
 
-from agents.credentials import credentials_in
 from coordinator.certificates import access_of, create_keys
 from coordinator.split import write_area_files
 from scenarios.scenario import load_scenario
@@ -37,8 +34,10 @@ SEE_REFUSED_MESSAGES = {"RUST_LOG": "warn,zenoh::net::routing::interceptor=trace
 class Secured(SystemByHand):
     """Router, plant and the three areas of ieee33, with ``keys`` or, for comparison, without."""
 
-    def __init__(self, folder: Path, secured: bool = True) -> None:
-        super().__init__(folder, SEE_REFUSED_MESSAGES)
+    def __init__(
+        self, folder: Path, secured: bool = True, environment: Mapping[str, str] = SEE_REFUSED_MESSAGES
+    ) -> None:
+        super().__init__(folder, environment)
         scenario = load_scenario(RUN)
         self.endpoint = f"{'tls' if secured else 'tcp'}/127.0.0.1:{free_port()}"
         self.files = write_area_files(scenario, RUN, [self.endpoint], folder / "areas")
@@ -154,7 +153,7 @@ def test_a_link_with_tls_but_without_a_certificate_is_refused(system: Secured):
 def test_an_agent_with_an_expired_certificate_is_kept_out(dsse, system: Secured, tmp_path: Path):
     old = tmp_path / "old"
     shutil.copytree(system.keys, old)  # type: ignore[arg-type]
-    _let_expire(old, "area3")
+    let_expire(old, "area3", in_s=-3600.0)
     done = dsse("agent", system.files["area3"], "--keys", old)
     assert done.returncode == 2
     assert f"{old / 'area3.crt'}: expired at " in done.stderr
@@ -163,25 +162,6 @@ def test_an_agent_with_an_expired_certificate_is_kept_out(dsse, system: Secured,
         "connect", system.endpoint, old, "area3"
     )
     wait_until(lambda: "certificate expired" in log_since(system, before))
-
-
-def _let_expire(keys: Path, name: str) -> None:
-    """Have the authority in ``keys`` issue ``name``'s certificate again, for a time that is over."""
-    files, authority = credentials_in(keys, name), credentials_in(keys, "authority")
-    signing_key = serialization.load_pem_private_key(authority.key.read_bytes(), None)
-    good = x509.load_pem_x509_certificate(files.certificate.read_bytes())
-    now = datetime.datetime.now(datetime.UTC)
-    builder = x509.CertificateBuilder(
-        issuer_name=good.issuer,
-        subject_name=good.subject,
-        public_key=good.public_key(),
-        serial_number=x509.random_serial_number(),
-        not_valid_before=now - datetime.timedelta(days=2),
-        not_valid_after=now - datetime.timedelta(days=1),
-        extensions=list(good.extensions),
-    )
-    expired = builder.sign(signing_key, hashes.SHA256())  # type: ignore[arg-type]
-    files.certificate.write_bytes(expired.public_bytes(serialization.Encoding.PEM))
 
 
 def test_an_agent_with_another_areas_certificate_is_refused_by_its_own_check(dsse, system: Secured, tmp_path: Path):
@@ -248,6 +228,28 @@ def test_a_flood_that_keeps_new_links_waiting_does_not_touch_those_that_are_ther
                 watcher.wait_until(lambda: all(watcher.states[a].messages > before[a] + 20 for a in AREAS))
                 gap = watcher.wait_for_consensus()
                 assert max(gap.vm_pu, math.radians(gap.va_deg)) <= 1e-8
+
+
+def test_who_has_one_areas_key_and_shouts_for_others_does_not_keep_a_restarted_area_from_agreeing(tmp_path: Path):
+    with Secured(tmp_path, environment={}) as system:
+        system.start_all()
+        shout = [*STRANGER, "shout", system.endpoint, str(system.keys), "area2"]
+        with (
+            Watcher(RUN, [system.endpoint], system.keys) as watcher,
+            subprocess.Popen(shout, env=ENVIRONMENT, stdout=subprocess.PIPE, text=True) as shouter,
+        ):
+            try:
+                assert shouter.stdout is not None
+                assert shouter.stdout.readline() == "shouting\n"
+                watcher.wait_for_consensus()
+                system.end("area3", signal.SIGKILL)
+                watcher.wait_until(lambda: "area3 is not on the bus" in watcher.obstacles())
+                system.start_agent("area3")
+                watcher.wait_for_consensus()
+                system.assert_unharmed()
+                assert shouter.poll() is None
+            finally:
+                shouter.kill()
 
 
 def test_a_secured_run_ends_with_the_verdict_of_any_other(dsse, tmp_path: Path):

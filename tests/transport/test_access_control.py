@@ -1,0 +1,155 @@
+"""Certificates on real links: what is delivered, at a router and between neighbours, and what happens at expiry."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+from expiring import let_expire
+from waiting import wait_until
+
+from agents.access import Access
+from agents.credentials import credentials_in, load_credentials
+from agents.transport import Router, Session, TransportError
+from coordinator.certificates import create_keys
+
+CHAIN = Access("run", {"a": ("b",), "b": ("a", "c"), "c": ("b",)})
+NAMES = ("a", "b", "c", "plant", "coordinator")
+SUBSCRIPTIONS = {
+    **{area: (f"area/*/*/{area}", f"telemetry/{area}") for area in CHAIN.neighbours},
+    "coordinator": ("area/*/state",),
+}
+KEYS = (
+    *(f"area/{i}/information/{j}" for i in "abc" for j in "abc"),
+    *(f"area/{i}/state" for i in "abc"),
+    *(f"telemetry/{i}" for i in "abc"),
+)
+DELIVERED = {
+    ("a", "area/a/information/b", "b"),
+    ("b", "area/b/information/a", "a"),
+    ("b", "area/b/information/c", "c"),
+    ("c", "area/c/information/b", "b"),
+    *((area, f"area/{area}/state", "coordinator") for area in "abc"),
+    *(("plant", f"telemetry/{area}", area) for area in "abc"),
+}
+
+Heard = set[tuple[str, str, str]]
+
+
+@pytest.fixture(scope="module")
+def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("keys") / "keys"
+    create_keys(folder, CHAIN, days=1)
+    return folder
+
+
+@pytest.fixture
+def router(keys: Path) -> Iterator[Router]:
+    with Router.listen(["tls/127.0.0.1:0"], load_credentials(keys, "router"), CHAIN) as router:
+        yield router
+
+
+@pytest.fixture
+def join(keys: Path, router: Router) -> Iterator[Callable[[str], Session]]:
+    with ExitStack() as opened:
+        yield lambda name: opened.enter_context(
+            Session.connect(router.endpoints, credentials=credentials_in(keys, name))
+        )
+
+
+def listen(session: Session, name: str, heard: Heard) -> None:
+    """Note (who says it, key, ``name``) of all that arrives at ``name``, in ``heard``."""
+
+    def note(key: str, payload: bytes) -> None:
+        heard.add((payload.decode(), key.removeprefix("dsse/v1/run/"), name))
+
+    for expression in SUBSCRIPTIONS.get(name, ()):
+        session.subscribe(f"dsse/v1/run/{expression}", note)
+
+
+def say_all(session: Session, name: str) -> list[Callable[[], None]]:
+    """Functions that say ``name`` on every key there is, what is refused first."""
+    keys = sorted(KEYS, key=lambda key: any(key == k for who, k, _ in DELIVERED if who == name))
+    publishers = [session.publisher(f"dsse/v1/run/{key}") for key in keys]
+    return [lambda put=put: put(name.encode()) for put in publishers]  # type: ignore[misc]
+
+
+def test_of_all_that_anybody_says_only_what_is_allowed_is_delivered(join: Callable[[str], Session]):
+    heard: Heard = set()
+    for name in NAMES:
+        listen(join(name), name, heard)
+    said = [put for name in NAMES for put in say_all(join(name), name)]
+
+    def said_until_all_is_heard() -> bool:
+        for put in said:
+            put()
+        return heard >= DELIVERED
+
+    wait_until(said_until_all_is_heard)
+    assert said_until_all_is_heard()  # once more, now that everybody knows who listens
+    assert heard == DELIVERED
+
+
+def test_between_neighbours_everybody_sees_to_it_alone(keys: Path):
+    heard: Heard = set()
+    with ExitStack() as opened:
+        with Router.listen(["tls/127.0.0.1:0"], load_credentials(keys, "router"), CHAIN) as probe:
+            (place,) = probe.endpoints
+        own = load_credentials(keys, "b")
+        listen(opened.enter_context(Session.meet([], [place], own, CHAIN)), "b", heard)
+        said = []
+        for name in ("a", "c", "plant", "coordinator"):
+            neighbour = Session.meet([place], credentials=load_credentials(keys, name))
+            said += say_all(opened.enter_context(neighbour), name)
+        wanted = {(who, key, whom) for who, key, whom in DELIVERED if whom == "b"}
+
+        def said_until_all_is_heard() -> bool:
+            for put in said:
+                put()
+            return heard >= wanted
+
+        wait_until(said_until_all_is_heard)
+        assert said_until_all_is_heard()
+        assert heard == wanted
+
+
+def test_a_certificate_that_expires_in_operation_ends_its_link(
+    keys: Path, tmp_path: Path, router: Router, join: Callable[[str], Session]
+):
+    changes: list[tuple[str, bool]] = []
+    join("coordinator").watch_presence("dsse/v1/run/live/*/*/*", lambda key, alive: changes.append((key, alive)))
+    short = tmp_path / "short"
+    short.mkdir()
+    for path in keys.iterdir():
+        (short / path.name).write_bytes(path.read_bytes())
+        (short / path.name).chmod(0o600)
+    let_expire(short, "a", in_s=6.0)
+    token = "dsse/v1/run/live/area/a/1-2"
+    with Session.connect(router.endpoints, credentials=load_credentials(short, "a")) as session:
+        session.declare_presence(token)
+        wait_until(lambda: (token, True) in changes)
+        wait_until(lambda: (token, False) in changes)
+
+
+@pytest.mark.parametrize("endpoint", ["tcp/127.0.0.1:7447", "ws/127.0.0.1:7447"])
+def test_with_keys_no_link_is_open(keys: Path, endpoint: str):
+    credentials = load_credentials(keys, "a")
+    for opening in (
+        lambda: Session.connect([endpoint], credentials=credentials),
+        lambda: Session.meet([endpoint], credentials=credentials),
+        lambda: Router.listen([endpoint], credentials),
+    ):
+        with pytest.raises(TransportError, match=r"is not secured, and there are keys; write tls/127\.0\.0\.1:7447"):
+            opening()
+
+
+def test_a_router_that_was_called_by_a_name_not_in_its_certificate_is_refused_with_the_reason(keys: Path):
+    with (
+        Router.listen(["tls/127.0.0.2:0"], load_credentials(keys, "router"), CHAIN) as router,
+        pytest.raises(TransportError) as caught,
+    ):
+        Session.connect(router.endpoints, 0.5, load_credentials(keys, "a"))
+    assert "its certificate is refused here" in str(caught.value)
+    assert "127.0.0.2" in str(caught.value)
