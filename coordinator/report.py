@@ -106,7 +106,8 @@ def format_power_flow(result: PowerFlowResult) -> str:
     ]
     table = format_table(("bus", "vm p.u.", "va deg", "injection MW", "Mvar"), rows)
     losses = result.losses * base
-    return f"{table}\n\nlosses {_mega(losses.real)} MW, {_mega(losses.imag)} Mvar; {result.iterations} iterations"
+    steps = "backward and forward sweeps" if result.method == "sweep" else "Newton-Raphson steps"
+    return f"{table}\n\nlosses {_mega(losses.real)} MW, {_mega(losses.imag)} Mvar; {result.iterations} {steps}"
 
 
 def format_estimate(report: BadDataReport, truth: PowerFlowResult | None) -> str:
@@ -133,7 +134,7 @@ def format_estimate(report: BadDataReport, truth: PowerFlowResult | None) -> str
 def _format_bad_data(report: BadDataReport) -> list[str]:
     lines = [
         f"J = {report.objective:.4g} with {report.degrees_of_freedom} degrees of freedom, "
-        f"limit {report.chi_square_limit:.4g}; {report.result.iterations} iterations"
+        f"limit {report.chi_square_limit:.4g}; {report.result.iterations} iterations, back end {report.result.backend}"
     ]
     for removed in report.removed:
         others = removed.indistinguishable_from
