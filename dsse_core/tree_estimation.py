@@ -25,8 +25,8 @@ def estimate_on_tree(
     from dsse_core import tree_iteration, tree_kernel
 
     n = len(plan.order)
-    z, w = np.zeros((n, N_SLOT)), _weights(plan, sigmas)
-    z.ravel()[plan.slot] = values
+    z, w = np.zeros((n, N_SLOT)), tree_kernel.absent(n)
+    tree_iteration.store(plan.slot, values, sigmas, z, w)
     if start is None:
         v, va = plan.start.copy(), plan.start_va.copy()
     else:
@@ -48,8 +48,7 @@ def estimate_on_tree(
     )
     h = np.empty((n, N_SLOT))
     tree_iteration.predict(plan.parent, plan.admittance, v, va, h)
-    residual = values - h.ravel()[plan.slot]
-    residual[plan.angles] = np.pi - (np.pi - residual[plan.angles]) % (2 * np.pi)
+    residual = tree_iteration.subtract(plan.slot, values, h)
     if end != tree_iteration.CONVERGED:
         weighted = residual / np.where(sigmas > 0, sigmas, np.inf)
         worst = plan.meters[int(np.argmax(abs(weighted)))] if len(plan.meters) else "no meter"
@@ -63,12 +62,13 @@ def find_variances_on_tree(
     plan: TreePlan, sigmas: np.ndarray, vm: np.ndarray, va: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """diag of the covariance of x = [va; vm], shape (2 n_bus,), network order, and diag(Omega), (n_meas,)."""
-    from dsse_core import tree_inverse, tree_kernel
+    from dsse_core import tree_inverse, tree_iteration, tree_kernel
 
     n = len(vm)
     va = va[plan.order]
     v = vm[plan.order] * np.exp(1j * va)
-    z, w = np.zeros((n, N_SLOT)), _weights(plan, sigmas)
+    z, w = np.zeros((n, N_SLOT)), tree_kernel.absent(n)
+    tree_iteration.store(plan.slot, np.zeros(len(sigmas)), sigmas, z, w)
     work = tree_kernel.Work.of(n)
     tree_kernel.eliminate(plan.parent, plan.admittance, z, w, v, va, True, tree_kernel.INVERT, *work)
     root = tree_inverse.root_of_reference(work.block)
@@ -76,17 +76,3 @@ def find_variances_on_tree(
     state = np.empty((2, n))
     state[:, plan.order] = in_tree_order.T
     return state.ravel(), omega.ravel()[plan.slot]
-
-
-def _weights(plan: TreePlan, sigmas: np.ndarray) -> np.ndarray:
-    """Shape (n_bus, N_SLOT): 1 / sigma^2, of injections sigma^2; as ``tree_kernel.absent`` where there is no meter."""
-    from dsse_core import tree_kernel
-
-    w = tree_kernel.absent(len(plan.order))
-    weight = sigmas * sigmas
-    variance = weight[plan.injections]
-    weight[plan.injections] = 1.0
-    np.reciprocal(weight, out=weight)
-    weight[plan.injections] = variance
-    w.ravel()[plan.slot] = weight
-    return w

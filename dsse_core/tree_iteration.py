@@ -7,9 +7,30 @@ import math
 import numpy as np
 
 from dsse_core.gauss_newton import FLOWS_KNOWN, FULL_STEPS, LARGEST_STEP, MAX_DVA, MAX_DVM
-from dsse_core.tree_kernel import CURRENT_FLOOR, SMALL_ANGLE, STEP, compiled, eliminate, substitute
+from dsse_core.tree_kernel import CURRENT_FLOOR, SMALL_ANGLE, STEP, compiled, eliminate, substitute, wrap
 
 CONVERGED, TOO_MANY, LEFT = 0, 1, 2
+
+
+@compiled
+def store(slot, values, sigmas, z, w):
+    """Readings into ``z`` and weights into ``w``, both (n, 10): 1 / sigma^2, of injections sigma^2."""
+    for k in range(len(slot)):
+        i, column = slot[k] // 10, slot[k] % 10
+        z[i, column] = values[k]
+        variance = sigmas[k] * sigmas[k]
+        w[i, column] = variance if column == 2 or column == 3 else 1.0 / variance
+
+
+@compiled
+def subtract(slot, values, h):
+    """z - h(x) of every meter; differences of angles are wrapped to (-pi, pi]."""
+    residual = np.empty(len(slot))
+    for k in range(len(slot)):
+        column = slot[k] % 10
+        difference = values[k] - h[slot[k] // 10, column]
+        residual[k] = wrap(difference) if column == 0 else difference
+    return residual
 
 
 @compiled

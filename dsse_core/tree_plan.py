@@ -57,16 +57,6 @@ class TreePlan:
     def has_currents(self) -> bool:
         return bool(np.isin(self.slot % N_SLOT, (6, 9)).any())
 
-    @cached_property
-    def injections(self) -> np.ndarray:
-        """Positions of the injections among the meters."""
-        return np.flatnonzero(np.isin(self.slot % N_SLOT, (2, 3)))
-
-    @cached_property
-    def angles(self) -> np.ndarray:
-        """Positions of the angles among the meters."""
-        return np.flatnonzero(self.slot % N_SLOT == 0)
-
 
 @dataclass(frozen=True)
 class TreeLayout:
