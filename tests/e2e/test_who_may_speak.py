@@ -194,7 +194,7 @@ def test_without_keys_the_same_stranger_hears_and_moves_the_whole_grid(tmp_path:
             assert any("/telemetry/area1" in key for key in told["heard"])
             watcher.wait_until(lambda: all(s.header.scan == told["scan"] for s in watcher.states.values()))
             # what area9 said, who is no neighbour of anybody, and what is no message
-            watcher.wait_until(lambda: {"unknown sender", "not MessagePack"} <= watcher.states["area1"].refused.keys())
+            watcher.wait_until(lambda: {"unknown sender", "damaged"} <= watcher.states["area1"].refused.keys())
 
 
 @contextmanager

@@ -46,6 +46,8 @@ ALLOWED = [
     ("coordinator", "ingress", "declare_subscriber", "run/area/*/state"),
     ("coordinator", "egress", "put", "run/area/c/state"),
     ("coordinator", "ingress", "declare_liveliness_subscriber", "run/live/*/*/*"),
+    ("coordinator", "ingress", "put", "run/clock"),
+    ("a", "egress", "put", "run/clock"),
     ("router", "ingress", "put", "run/area/c/state"),
     ("router", "egress", "liveliness_token", "run/live/area/b/1-2"),
 ]
@@ -77,6 +79,8 @@ REFUSED = [
     ("coordinator", "ingress", "put", "run/telemetry/a"),
     ("coordinator", "ingress", "declare_subscriber", "run/area/*/*/b"),
     ("coordinator", "ingress", "declare_subscriber", "run/telemetry/*"),
+    ("a", "ingress", "put", "run/clock"),
+    ("plant", "ingress", "put", "run/clock"),
     ("router", "ingress", "put", "other/area/c/state"),
     ("somebody", "ingress", "put", "run/area/a/state"),
     ("authority", "ingress", "put", "run/area/a/state"),
