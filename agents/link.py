@@ -77,7 +77,7 @@ class FaultyLinks:
             copies = [(0.0, payload, False)] if over else fate.copies(payload)
             self.met.update([DUPLICATED] * (len(copies) - 1))
             for delay, content, damaged in copies:
-                self.met.update([CORRUPTED] * damaged + [DELAYED] * (delay > 0))
+                self.met.update(kind for kind, met in ((CORRUPTED, damaged), (DELAYED, delay > 0)) if met)
                 entry = (now + delay, next(self._order), to, message.kind, fate.number, content)
                 heapq.heappush(self._waiting, entry)
             self.release(now)
