@@ -54,6 +54,8 @@ def run(
 
     with Launcher() as launcher:  # the other processes' imports run beside ours
         launcher.preload("coordinator.router_process", "agents.__main__", "coordinator.plant")
+        if secure or keys is not None:
+            launcher.preload("agents.access_file", "agents.certificate_checks")
         from coordinator.run_scenario import run_scenario
 
         result = run_scenario(launcher, scenario, started, out, seed, strategy, timeout_s, on_update, secure, keys)

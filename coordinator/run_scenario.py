@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 
 from agents.access import COORDINATOR
+from agents.credentials import AUTHORITY, credentials_in
 from agents.keys import all_live, all_states, clock_key, live_key, name_of_live, sender_of
 from agents.messages import StateMessage, decode
 from agents.presence import Presence, begin_life
@@ -127,6 +128,7 @@ def _find_keys(scenario: Scenario, run_id: str, folder: Path, secure: bool, keys
         return Path(keys).absolute()
     host = scenario.transport.listen.partition("/")[2].rpartition(":")[0]
     create_keys(folder / "keys", access, DAYS_OF_A_RUN, [host.strip("[]")])
+    credentials_in(folder / "keys", AUTHORITY).key.unlink()  # nobody is to get a certificate later
     return (folder / "keys").absolute()
 
 

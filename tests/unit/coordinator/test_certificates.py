@@ -11,6 +11,7 @@ from agents.access import Access
 from agents.access_file import ACCESS_FILE, load_access
 from agents.credentials import credentials_in, load_credentials
 from coordinator.certificates import access_of, check_keys, create_keys
+from coordinator.cli import run_command
 from dsse_core.errors import InvalidInputError
 from scenarios.scenario import load_scenario
 
@@ -122,3 +123,30 @@ def test_keys_for_other_areas_are_refused(keys: Path):
     with pytest.raises(InvalidInputError) as caught:
         check_keys(keys, Access("grid", {"area1": (), "area2": ()}))
     assert "area area1 has neighbours area2 there, none in the scenario" in str(caught.value)
+
+
+def test_dsse_keys_create_says_what_it_made_and_refuses_to_do_it_again(tmp_path: Path, capsys):
+    out = tmp_path / "keys"
+    command = ["keys", "create", "industrial13", "--out", str(out), "--days", "3", "--run", "trial"]
+    assert run_command(command) == 0
+    said = capsys.readouterr().out
+    assert f"{out}: keys of router, plant, coordinator, area1, area2, valid for 3 days" in said
+    assert f"keep {out / 'authority.key'} off the hosts" in said
+    check_keys(out, Access("trial", {"area1": ("area2",), "area2": ("area1",)}))
+    assert load_access(out / ACCESS_FILE).run == "trial"
+    assert run_command(command) == 2
+    assert "is not empty; keys are never overwritten: choose a new folder" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        (["--days", "0"], "--days"),
+        (["--run", "a/b"], "may only contain a-z, 0-9, _ and -"),
+        (["--host", "händler.example"], "is neither a name in ASCII nor an address"),
+        (["--out", "/dev/null/keys"], "cannot be made: Not a directory"),
+    ],
+)
+def test_dsse_keys_create_refuses_what_cannot_be(tmp_path: Path, capsys, options: list[str], expected: str):
+    assert run_command(["keys", "create", "industrial13", "--out", str(tmp_path / "keys"), *options]) == 2
+    assert expected in capsys.readouterr().err
