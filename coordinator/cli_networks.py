@@ -90,16 +90,17 @@ def generate(
     \b
     Example:  dsse generate --buses 200 --seed 7 --areas 6 --out feeder && dsse run feeder/scenario.toml
     """
-    from scenarios.generated_files import write_generated
+    from scenarios.generated_files import name_network_file, write_generated
 
-    if present := [name for name in ("network.toml", "scenario.toml") if (out / name).exists()]:
+    network_file = name_network_file(n_bus)
+    if present := [name for name in (network_file, "scenario.toml") if (out / name).exists()]:
         raise InvalidInputError(
             f"folder {out}", [f"{name} is there already; choose another folder" for name in present]
         )
     if n_area is None:
         n_area = min(MAX_DEFAULT_AREAS, max(1, n_bus // BUSES_OF_AN_AREA))
     path = write_generated(out, n_bus, seed, n_area=n_area, lowest_vm=lowest_vm, n_pv=n_pv, meters=meters)
-    show(f"{out / 'network.toml'}\n{path}\nnext: dsse run {path}")
+    show(f"{out / network_file}\n{path}\nnext: dsse run {path}")
 
 
 @click.command("import", short_help="Take over a network from MATPOWER, pandapower or power-grid-model.")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import pickle
 import queue
 import signal
 import subprocess
@@ -80,7 +81,7 @@ class Launcher:
         ``stop_last``: on leaving, stop it after the others.
         """
         self._any_started = True
-        self._send(Start(name, target, arguments, log, stop_last))
+        self._send(Start(name, target, pickle.dumps(arguments), log, stop_last))
 
     def signal(self, name: str, number: int) -> None:
         """Send a signal to process ``name``; nothing happens where it has ended."""

@@ -103,9 +103,9 @@ class System:
     def start_others(self) -> None:
         """Write the area files, start plant and agents."""
         files = write_area_files(self.scenario, self.id, self.endpoints, self.folder / "areas", self._places, ".json")
-        self._start_plant(scan=1)
         for name, path in files.items():
             self._order(name, "agents.__main__:main", [str(path.absolute()), *self._keys()])
+        self._start_plant(scan=1)  # which in a large grid is long busy with its readings
 
     def kill(self, name: str) -> None:
         """End a process, if it runs, without a chance to say anything."""

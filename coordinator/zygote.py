@@ -14,6 +14,7 @@ import gc
 import importlib
 import logging
 import os
+import pickle
 import signal
 import sys
 import time
@@ -37,12 +38,13 @@ class Preload:
 class Start:
     """Fork process ``name``: it calls ``target`` ("module:function") and exits with what that returns.
 
-    ``stop_last``: it is stopped when the others have ended.
+    ``arguments``: pickled, so that only the process itself spends time on them. ``stop_last``: it is stopped when
+    the others have ended.
     """
 
     name: str
     target: str
-    arguments: tuple[Any, ...]
+    arguments: bytes
     log: Path
     stop_last: bool = False
 
@@ -200,7 +202,7 @@ def _redirect(log: Path) -> None:
 def _call(order: Start) -> int:
     module, function = order.target.split(":")
     try:
-        return int(getattr(importlib.import_module(module), function)(*order.arguments) or 0)
+        return int(getattr(importlib.import_module(module), function)(*pickle.loads(order.arguments)) or 0)
     except SystemExit as request:
         if isinstance(request.code, str):
             print(request.code, file=sys.stderr)

@@ -148,9 +148,9 @@ def _pack(blocks: Sequence[Block], bound: int) -> list[_Bundle]:
             if bus in hanging:
                 bundled = _bundle(hanging.pop(bus), bound)
                 bundles += bundled
-                lightest.append(min(bundled, key=lambda bundle: bundle.weight))
+                lightest.append(min(bundled, key=_weight) if len(bundled) > 1 else bundled[0])
         weight = len(block.buses)
-        for bundle in sorted(lightest, key=lambda bundle: bundle.weight):
+        for bundle in sorted(lightest, key=_weight) if len(lightest) > 1 else lightest:
             if weight + bundle.weight > bound:
                 break
             weight += bundle.weight
@@ -163,6 +163,8 @@ def _pack(blocks: Sequence[Block], bound: int) -> list[_Bundle]:
 
 def _bundle(items: list[tuple[int, int]], bound: int) -> list[_Bundle]:
     """Bundles of (weight, block), none heavier than ``bound`` but single items, any two together heavier."""
+    if len(items) == 1:  # nearly everywhere
+        return [_Bundle(items[0][0], [items[0][1]])]
     bundles: list[_Bundle] = []
     lightest: list[tuple[int, int]] = []
     for weight, block in sorted(items, reverse=True):
@@ -175,6 +177,10 @@ def _bundle(items: list[tuple[int, int]], bound: int) -> list[_Bundle]:
             heapq.heappush(lightest, (weight, len(bundles)))
             bundles.append(_Bundle(weight, [block]))
     return bundles
+
+
+def _weight(bundle: _Bundle) -> int:
+    return bundle.weight
 
 
 def _read_off(blocks: Sequence[Block], bundles: Sequence[_Bundle]) -> list[list[Block]]:

@@ -15,13 +15,15 @@ from scenarios.network_file import save_network
 METERS_STREAM = 1  # of the seed; the network has stream 0, so that it is the same whatever the meters are
 VOLTMETER_EVERY = {"standard": 10, "sparse": 50}  # buses
 
+LARGEST_TOML = 5000  # buses; of larger networks JSON, which is read much faster
+
 SCENARIO = """\
 # Written by: {command}
 
 version = 1
 description = "{description}"
 seed = {seed}
-network = "network.toml"
+network = "{network}"
 strategy = "information"
 areas = {{ count = {n_area} }}
 
@@ -44,7 +46,7 @@ def write_generated(
     n_pv: int = 0,
     meters: Literal["standard", "sparse"] = "standard",
 ) -> Path:
-    """Write ``network.toml`` and ``scenario.toml`` into ``folder``, always the same ones; the path of the scenario.
+    """Write network file and ``scenario.toml`` into ``folder``, always the same ones; the path of the scenario.
 
     ``standard``: a voltmeter at the substation and at one bus in ten, flow meters on all branches, injection meters
     of 10 %. ``sparse``: a voltmeter at one bus in fifty, flow meters where trunks and laterals begin, injections from
@@ -60,10 +62,15 @@ def write_generated(
     command = f"dsse generate --buses {n_bus} --seed {seed} --areas {n_area} --lowest-vm {lowest_vm} --meters {meters}"
     command += f" --pv {n_pv}" if n_pv else ""
     folder.mkdir(parents=True, exist_ok=True)
-    save_network(folder / "network.toml", network, f"made up by: {command}")
+    save_network(folder / name_network_file(n_bus), network, f"made up by: {command}")
     path = folder / "scenario.toml"
     path.write_text(_format_scenario(command, network, tree, seed, n_area, meters), encoding="utf-8")
     return path
+
+
+def name_network_file(n_bus: int) -> str:
+    """The name of the network file of a generated feeder."""
+    return "network.toml" if n_bus <= LARGEST_TOML else "network.json"
 
 
 def _format_scenario(
@@ -79,6 +86,7 @@ def _format_scenario(
         command=command,
         description=f"A made-up feeder of {n_bus} buses in {n_area} areas, {meters} meters",
         seed=seed,
+        network=name_network_file(n_bus),
         n_area=n_area,
         voltmeters=[1, *sorted(drawn.tolist())],
         flow_meters=flow_meters,

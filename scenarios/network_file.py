@@ -209,7 +209,7 @@ def default_branch_id(from_bus: int, to_bus: int, taken: Collection[str | None])
 
 
 def save_network(path: Path, network: Network, data_source: str) -> None:
-    """Write a network file that ``load_network`` reads back; impedances in p.u., numbers to 15 digits.
+    """Write a network file that ``load_network`` reads back, TOML or JSON; impedances in p.u., numbers to 15 digits.
 
     Raises:
         InvalidInputError: listing every branch whose id a network file cannot hold.
@@ -223,6 +223,9 @@ def save_network(path: Path, network: Network, data_source: str) -> None:
         "branch": [_branch_row(branch) for branch in network.branches],
         "source": [_source_row(generator, base) for generator in network.generators],
     }
+    if path.suffix == ".json":
+        path.write_text(json.dumps(head | rows), encoding="utf-8")
+        return
     lines = [f"{key} = {_toml(value)}" for key, value in head.items()]
     for table, items in rows.items():
         lines += ["", f"{table} = [", *(f"    {_inline(item)}," for item in items), "]"]

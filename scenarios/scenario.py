@@ -165,11 +165,11 @@ def _find_file(name_or_path: str | Path) -> Path:
 
 
 def _load_network_of(file: ScenarioFile, path: Path) -> tuple[Network | None, list[str]]:
-    is_path = file.network.endswith(".toml") or "/" in file.network
+    is_path = file.network.endswith((".toml", ".json")) or "/" in file.network
     try:
         return (load_network(path.parent / file.network) if is_path else load_case(file.network)), []
     except InvalidInputError as error:
-        hint = "" if is_path else " (a network file of your own ends in .toml)"
+        hint = "" if is_path else " (a network file of your own ends in .toml or .json)"
         return None, [f"network: {error.what}: {problem}{hint}" for problem in error.problems]
 
 
