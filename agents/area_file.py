@@ -94,14 +94,14 @@ def save_area_file(path: Path, content: AreaFile) -> None:
 
 def _rows_of(item: Any) -> dict[str, Any]:
     """A dataclass as a table: values that equal their default are left out, and so is None."""
-    values = ((key, getattr(item, key), default) for key, default in _keys_of(type(item)))
+    values = ((key, getattr(item, key), default) for key, default in _keys_of(item.__class__))
     return {key: value for key, value, default in values if default is dataclasses.MISSING or value != default}
 
 
 @functools.cache
-def _keys_of(cls: Any) -> tuple[tuple[str, Any], ...]:
+def _keys_of(cls: Any) -> list[tuple[str, Any]]:
     """Name and default of every field of a dataclass."""
-    return tuple((f.name, f.default) for f in dataclasses.fields(cls))
+    return [(f.name, f.default) for f in dataclasses.fields(cls)]
 
 
 def _neighbour_row(neighbour: Neighbour, faults: LinkFaults) -> dict[str, Any]:

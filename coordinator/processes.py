@@ -71,9 +71,9 @@ class Launcher:
         """Process id of the warmed parent, and id of the process group of all."""
         return self._zygote.pid
 
-    def preload(self, *modules: str) -> None:
-        """Have the parent import ``modules`` now."""
-        self._send(Preload(modules))
+    def preload(self, *targets: str) -> None:
+        """Have the parent import modules ("module"), or call functions ("module:function"), now."""
+        self._send(Preload(targets))
 
     def start(self, name: str, target: str, *arguments: Any, log: Path, stop_last: bool = False) -> None:
         """Start process ``name``, which calls ``target`` ("module:function") and writes its output to ``log``.

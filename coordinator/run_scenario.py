@@ -19,7 +19,6 @@ from agents.wire_checks import MessageError
 from coordinator.events import EventLog
 from coordinator.fault_schedule import FaultSchedule, do_to_processes
 from coordinator.judging import (
-    estimate_centralised,
     judge,
     make_observer,
     no_consensus_within,
@@ -33,9 +32,9 @@ from coordinator.run_folder import make_run_folder
 from coordinator.split import default_run_id
 from coordinator.state_log import StateLog
 from coordinator.system import System
+from coordinator.yardstick import start_yardstick
 from coordinator.zygote import Ended, Started
 from scenarios.scenario import Scenario
-from scenarios.telemetry import make_telemetry
 
 UPDATE_S = 0.1
 DAYS_OF_A_RUN = 1.0  # that the keys of one secured run are valid
@@ -148,9 +147,7 @@ def _run_with_router(run: _Run, on_update: Callable[[Progress], None] | None) ->
     observer = make_observer(scenario)
     with run.system.join(COORDINATOR) as session:
         _listen(run, session)
-        telemetry = make_telemetry(scenario)  # the processes are busy meanwhile
-        centralised = estimate_centralised(scenario, telemetry)
-        run.note_time("centralised_estimated")
+        yardstick = start_yardstick(scenario, lambda: run.note_time("centralised_estimated"))
         interrupted = False
         try:
             reason = _watch(run, observer, on_update)
@@ -161,6 +158,7 @@ def _run_with_router(run: _Run, on_update: Callable[[Progress], None] | None) ->
     run.note_time("verdict")
     run.events.write("consensus" if reason is None else "no consensus", reason=reason)
     run.system.launcher.stop()  # the processes end while the files are written
+    telemetry, centralised = yardstick.result()
     outcome = judge(
         scenario,
         run.id,

@@ -17,6 +17,7 @@ from coordinator.places import choose_places
 from coordinator.processes import Launcher, check_open_files, read_end
 from coordinator.split import write_area_files
 from coordinator.zygote import Ended, Started
+from dsse_core.area_model import uses_tree
 from scenarios.scenario import Scenario
 
 SECOND_ROUTER = f"{ROUTER}2"
@@ -102,6 +103,8 @@ class System:
 
     def start_others(self) -> None:
         """Write the area files, start plant and agents."""
+        if any(map(uses_tree, self.scenario.partition.areas)):
+            self.launcher.preload("agents.warm_up:warm_up")  # meanwhile the files are written
         files = write_area_files(self.scenario, self.id, self.endpoints, self.folder / "areas", self._places, ".json")
         for name, path in files.items():
             self._order(name, "agents.__main__:main", [str(path.absolute()), *self._keys()])

@@ -29,9 +29,9 @@ STOP_S = 3.0  # from SIGTERM to SIGKILL
 
 @dataclass(frozen=True, slots=True)
 class Preload:
-    """Import these modules."""
+    """Import these modules, and call what of them stands behind a colon ("module:function")."""
 
-    modules: tuple[str, ...]
+    targets: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,9 +117,11 @@ class Zygote:
 
     def _obey(self, order: Preload | Start | Signal | Stop) -> None:
         match order:
-            case Preload(modules):
-                for module in modules:
-                    importlib.import_module(module)
+            case Preload(targets):
+                for module, _, function in (target.partition(":") for target in targets):
+                    imported = importlib.import_module(module)
+                    if function:
+                        getattr(imported, function)()
                 gc.freeze()  # the children share these pages as long as no collector touches them
             case Start():
                 self._fork(order)

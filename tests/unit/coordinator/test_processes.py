@@ -124,5 +124,5 @@ def test_the_end_of_the_parent_is_told_and_its_children_are_stopped(tmp_path: Pa
 
 def test_a_launcher_that_started_nothing_closes_at_once():
     with Launcher() as launcher:
-        launcher.preload("json")
+        launcher.preload("json", "time:monotonic")
     assert is_gone(launcher.pid)

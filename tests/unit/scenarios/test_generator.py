@@ -13,9 +13,11 @@ from hypothesis import strategies as st
 from dsse_core.errors import InvalidInputError
 from dsse_core.network import Control
 from dsse_core.power_flow import solve_power_flow
+from scenarios import generated_files
 from scenarios.check import check_scenario
 from scenarios.generated_files import write_generated
 from scenarios.generator import BUSES_OF_A_FEEDER, PV_SHARE, VM_TOLERANCE, generate_feeder
+from scenarios.network_file import load_network
 from scenarios.scenario import load_scenario
 
 
@@ -85,6 +87,23 @@ def test_the_same_arguments_write_the_same_files_to_the_byte(tmp_path: Path) -> 
     for name in ("network.toml", "scenario.toml"):
         one, two, other = ((tmp_path / folder / name).read_bytes() for folder in ("one", "two", "other"))
         assert one == two != other
+
+
+def test_a_large_network_is_written_as_json_and_read_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    small = load_scenario(write_generated(tmp_path / "small", 60, 7, n_area=3), strategies=["information"])
+    monkeypatch.setattr(generated_files, "LARGEST_TOML", 59)
+    large = load_scenario(write_generated(tmp_path / "large", 60, 7, n_area=3), strategies=["information"])
+    assert not (tmp_path / "large" / "network.toml").exists()
+    for one, two in zip(small.network.branches, large.network.branches, strict=True):
+        assert (one.id, one.r, one.x) == (two.id, pytest.approx(two.r, rel=1e-14), pytest.approx(two.x, rel=1e-14))
+    assert [area.name for area in small.partition.areas] == [area.name for area in large.partition.areas]
+
+
+def test_broken_json_is_refused_with_its_place(tmp_path: Path) -> None:
+    path = tmp_path / "network.json"
+    path.write_text('{"name": "x",}')
+    with pytest.raises(InvalidInputError, match=r"not valid JSON: .*line 1 column"):
+        load_network(path)
 
 
 def test_meters_do_not_change_the_network(tmp_path: Path) -> None:

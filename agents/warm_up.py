@@ -1,0 +1,39 @@
+"""Has the compiled exchange ready in this process, so that what is forked from it shares the machine code."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dsse_core.area_model import build_area_model
+from dsse_core.exchange import compute_information, residual_variance, solve_step, solve_step_near, state_variance
+from dsse_core.measurement import Measurement, MeasurementKind, Meter
+from dsse_core.network import Branch, Bus, Control, Generator, Network
+from dsse_core.partition import build_partition
+
+SIGMA = 0.01
+
+
+def warm_up() -> None:
+    """Go once through all that an area with a parent and a child computes on its tree."""
+    network = Network(
+        name="warm-up",
+        base_mva=1.0,
+        buses=tuple(Bus(i, 20.0, p_load=0.01) for i in range(1, 5)),
+        branches=tuple(Branch(f"{i}-{i + 1}", i, i + 1, 0.01, 0.01) for i in range(1, 4)),
+        generators=(Generator(1, Control.SLACK),),
+    )
+    area = build_partition(network, {"up": [1, 2], "here": [2, 3], "down": [3, 4]}).area("here")
+    kinds = (MeasurementKind.VM, MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION)
+    meters = [Meter(kind, bus.id) for bus in area.network.buses for kind in kinds]
+    flows = (MeasurementKind.P_FLOW, MeasurementKind.Q_FLOW)
+    meters += [Meter(kind, branch.from_bus, branch.id) for branch in area.network.branches for kind in flows]
+    readings = [Measurement(m, float(m.kind is MeasurementKind.VM), SIGMA) for m in meters]
+    model = build_area_model(area, readings, None, backend="tree")
+    x = np.zeros(model.size)
+    x[len(area.network.buses) : 2 * len(area.network.buses)] = 1.0
+    heard = {n.area: compute_information(model, x, n, {}) for n in area.neighbours}
+    for known in ({}, heard):
+        solve_step(model, x, known)
+        solve_step_near(model, x, known, x)
+        state_variance(model, x, known)
+        residual_variance(model, x, known)

@@ -1,0 +1,29 @@
+"""The centralised estimate that a run is measured against, made beside the watching: of a large grid it takes long."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future
+
+from coordinator.judging import Centralised, estimate_centralised
+from scenarios.scenario import Scenario
+from scenarios.telemetry import Telemetry, make_telemetry
+
+
+def start_yardstick(scenario: Scenario, when_done: Callable[[], None]) -> Future[tuple[Telemetry, Centralised]]:
+    """Make telemetry and centralised estimate on a thread, which does not hold up the end of the program."""
+    future: Future[tuple[Telemetry, Centralised]] = Future()
+
+    def make() -> None:
+        try:
+            telemetry = make_telemetry(scenario)
+            result = telemetry, estimate_centralised(scenario, telemetry)
+        except BaseException as error:
+            future.set_exception(error)
+        else:
+            when_done()
+            future.set_result(result)
+
+    threading.Thread(target=make, name="centralised estimate", daemon=True).start()
+    return future

@@ -1,0 +1,25 @@
+"""What is forked from a warmed parent finds the compiled exchange ready."""
+
+from __future__ import annotations
+
+import pytest
+
+from agents.warm_up import warm_up
+from dsse_core.area_tree import AreaTree
+
+
+def test_warming_up_goes_through_every_pass_of_the_tree(monkeypatch: pytest.MonkeyPatch):
+    pytest.importorskip("numba")
+    from dsse_core import tree_boundary
+
+    declined: list[str] = []
+    monkeypatch.setattr(AreaTree, "_decline", lambda self, reason: declined.append(reason))
+    warm_up()
+    assert not declined
+    for kernel in (
+        tree_boundary.pass_upward,
+        tree_boundary.describe_root,
+        tree_boundary.step_downward,
+        tree_boundary.variances_downward,
+    ):
+        assert len(kernel.signatures) >= 1
