@@ -32,10 +32,9 @@ def load_area_file(path: Path) -> AreaFile:
         table = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidInputError(what, [f"cannot be read: {error}"]) from None
-    except tomllib.TOMLDecodeError as error:
-        raise InvalidInputError(what, [f"is not TOML: {error}"]) from None
-    except json.JSONDecodeError as error:
-        raise InvalidInputError(what, [f"is not JSON: {error}"]) from None
+    except (ValueError, RecursionError) as error:  # of the two readers, or integers that Python cannot hold
+        language = "JSON" if path.suffix == ".json" else "TOML"
+        raise InvalidInputError(what, [f"is not {language}: {error}"]) from None
     try:
         t = _FileTable.model_validate(table)
     except ValidationError as error:

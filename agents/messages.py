@@ -225,7 +225,7 @@ class StateMessage:
 BoundaryNews = BoundaryMessage | InformationMessage | AdmmMessage
 Message = LoadMessage | BoundaryNews | TallyMessage | TelemetryMessage | ClockMessage | StateMessage
 
-_TYPES: Mapping[str, type[Any]] = {
+MESSAGE_TYPES: Mapping[str, type[Any]] = {
     cls.kind: cls
     for cls in (
         LoadMessage,
@@ -264,7 +264,7 @@ def decode(payload: bytes, largest: int = MAX_BYTES) -> Message:
         raise MessageError("malformed", "not an array with a header of 8 fields")
     if type(fields[0]) is not int or fields[0] != WIRE_VERSION:
         raise MessageError("wire version", f"{shown(fields[0])}, this program speaks {WIRE_VERSION}")
-    message_type = _TYPES.get(fields[1]) if isinstance(fields[1], str) else None
+    message_type = MESSAGE_TYPES.get(fields[1]) if isinstance(fields[1], str) else None
     if message_type is None:
         raise MessageError("malformed", f"unknown kind {shown(fields[1])}")
     header = Header(

@@ -16,6 +16,7 @@ from pathlib import Path
 from dsse_core.errors import InvalidInputError
 from dsse_core.measurement import Measurement, MeasurementKind, Meter, find_meter_problems
 from dsse_core.network import Network
+from scenarios.bounded_files import read_text
 from scenarios.strict_toml import suggest
 
 KIND = MeasurementKind
@@ -32,6 +33,7 @@ WRITTEN_IN = {KIND.VM: "pu", KIND.VA: "deg", KIND.CURRENT: "a"} | {
     kind: "mw" if kind in UNITS["mw"] else "mvar" for kind in UNITS["mw"] | UNITS["mvar"]
 }
 SMALLEST_SIGMA, LARGEST_SIGMA = 1e-9, 1e6  # p.u. or rad, as in scenario files
+LONGEST_BUS = 18  # digits
 
 
 def unit_size(unit: str, meter: Meter, network: Network) -> float:
@@ -57,12 +59,7 @@ def load_readings(path: Path, network: Network) -> tuple[Measurement, ...]:
         InvalidInputError: the file cannot be read, or every problem of its header, or else of its rows, with line
             numbers: unknown meters, meters given twice, wrong units, values that are no numbers.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise InvalidInputError(str(path), [f"cannot read the file ({error.strerror}); check the path"]) from None
-    except UnicodeDecodeError as error:
-        raise InvalidInputError(str(path), [f"not UTF-8 text ({error.reason} at byte {error.start})"]) from None
+    text = read_text(path, encoding="utf-8-sig")
     rows = csv.reader(io.StringIO(text, newline=""), strict=True)
     table = _Table(network)
     try:
@@ -108,19 +105,19 @@ class _Table:
             self.problems.append("line 1: the columns are separated by ';'; separate them by ','")
             return
         if not header or header[0] != "meter":
-            found = repr(header[0]) if header else "an empty file"
+            found = f"{header[0]!r:.80}" if header else "an empty file"
             self.problems.append(f"line 1: the first column must be 'meter', found {found}")
         for name in header:
             if name not in allowed:
                 self.problems.append(
-                    f"line 1: unknown column {name!r}; allowed: {', '.join(allowed)}{suggest(name, allowed)}"
+                    f"line 1: unknown column {name!r:.80}; allowed: {', '.join(allowed)}{suggest(name, allowed)}"
                 )
         self.units = [name.removeprefix("value_") for name in header if name.startswith("value_")]
         expected = ["meter", *(f"{column}_{unit}" for unit in self.units for column in ("value", "sigma"))]
         if not self.problems and (list(header) != expected or len(set(header)) < len(header) or not self.units):
             self.problems.append(
                 "line 1: after 'meter' come pairs value_UNIT,sigma_UNIT of one unit, each unit once; found "
-                + ",".join(header)
+                + ",".join(header)[:200]
             )
 
     def take(self, row: Sequence[str], line: int) -> None:
@@ -150,7 +147,9 @@ class _Table:
             allowed = " or ".join(f"value_{unit},sigma_{unit}" for unit in UNITS if meter.kind in UNITS[unit])
             problems.append(f"meter {meter.id} cannot be in {filled[0]}; its columns are {allowed}")
         elif None in (numbers := [_number(cell) for cell in pairs[filled[0]]]):
-            problems.append(f"meter {meter.id}: value and sigma must be finite numbers, found {pairs[filled[0]]}")
+            problems.append(
+                f"meter {meter.id}: value and sigma must be finite numbers, found {pairs[filled[0]]!s:.200}"
+            )
         elif not problems:
             value, sigma = (n * unit_size(filled[0], meter, self.network) for n in numbers if n is not None)
             problems += _find_value_problems(meter, value, sigma)
@@ -163,10 +162,10 @@ def parse_meter(text: str) -> Meter | str:
     kind_name, at, place = text.partition("@")
     bus, _, branch = place.partition(":")
     kinds = [str(kind) for kind in KIND]
-    if not at or kind_name not in kinds or not bus.isdecimal():
+    if not at or kind_name not in kinds or not bus.isdecimal() or len(bus) > LONGEST_BUS:
         close = suggest(kind_name, kinds) if kind_name not in kinds else ""
         return (
-            f"{text!r} is no meter id; one looks like vm@1, p_injection@4 or p_flow@3:3-4 "
+            f"{text!r:.80} is no meter id; one looks like vm@1, p_injection@4 or p_flow@3:3-4 "
             f"(KIND@BUS or KIND@BUS:BRANCH, kinds: {', '.join(kinds)}){close}"
         )
     return Meter(KIND(kind_name), int(bus), branch or None)

@@ -17,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, Tag, ValidationError
 from pydantic_core import ErrorDetails
 
 from dsse_core.errors import InvalidInputError
+from scenarios.bounded_files import LARGEST, LARGEST_TOML, read_text
 
 
 class Table(BaseModel):
@@ -35,17 +36,13 @@ def load_strict(path: Path, model: type[Model], changes: Mapping[str, object] | 
         InvalidInputError: the file cannot be read, is not TOML (with line and column), or does not fit the
             model: every problem with its key path (list items count from 0) and, for unknown keys, what is allowed.
     """
+    text = read_text(path, largest=LARGEST if path.suffix == ".json" else LARGEST_TOML)
     try:
-        text = path.read_text(encoding="utf-8")
         content = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
-    except OSError as error:
-        raise InvalidInputError(str(path), [f"cannot read the file ({error.strerror}); check the path"]) from None
-    except UnicodeDecodeError as error:
-        raise InvalidInputError(str(path), [f"not UTF-8 text ({error.reason} at byte {error.start})"]) from None
-    except tomllib.TOMLDecodeError as error:
-        raise InvalidInputError(str(path), [f"not valid TOML: {error}"]) from None
-    except json.JSONDecodeError as error:
-        raise InvalidInputError(str(path), [f"not valid JSON: {error}"]) from None
+    except (ValueError, RecursionError) as error:  # of the two readers, or dates and integers that Python cannot hold
+        language = "JSON" if path.suffix == ".json" else "TOML"
+        deep = "it nests too deeply" if isinstance(error, RecursionError) else error
+        raise InvalidInputError(str(path), [f"not valid {language}: {deep}"]) from None
     if problems := [problem for key, value in (changes or {}).items() if (problem := _change(content, key, value))]:
         raise InvalidInputError(str(path), problems)
     try:
@@ -94,7 +91,7 @@ def _describe(model: type[Table], error: ErrorDetails) -> str:
     if error["type"] == "value_error":
         text = str(error["ctx"]["error"])
         return f"{key}: {text}" if key else text
-    found = "a table" if isinstance(error["input"], dict) else repr(error["input"])
+    found = "a table" if isinstance(error["input"], dict) else f"{error['input']!r:.200}"
     text = error["msg"].replace("Input should", "must", 1).replace("String should", "must", 1)
     return f"{key}: {text}, found {found}" + (f" ({meaning})" if meaning else "")
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from dsse_core.errors import InvalidInputError
+from scenarios.bounded_files import read_text
 from scenarios.importers.imported import Imported
 
 __all__ = ["Imported", "import_grid"]
@@ -26,22 +27,23 @@ def import_grid(path: Path, *, name: str | None = None, frequency_hz: float = 50
 
 
 def _read(path: Path, frequency_hz: float) -> Imported:
-    try:
-        if path.suffix == ".m":
-            from scenarios.importers.matpower import read_matpower
+    if path.suffix == ".m":
+        from scenarios.importers.matpower import read_matpower
 
-            return read_matpower(path)
-        if path.suffix != ".json":
-            raise InvalidInputError(str(path), [f"the ending {path.suffix!r} is not known; .m and .json are"])
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InvalidInputError(str(path), [f"cannot read the file ({error.strerror}); check the path"]) from None
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        return read_matpower(path)
+    if path.suffix != ".json":
+        raise InvalidInputError(str(path), [f"the ending {path.suffix!r} is not known; .m and .json are"])
+    text = read_text(path)
+    try:
+        content = json.loads(text)
+    except ValueError as error:  # more than JSONDecodeError: integers that Python cannot hold
         raise InvalidInputError(str(path), [f"not JSON: {error}"]) from None
+    except RecursionError:
+        raise InvalidInputError(str(path), ["not JSON: it nests too deeply"]) from None
     if isinstance(content, dict) and content.get("_class") == "pandapowerNet":
         from scenarios.importers.pandapower import read_pandapower
 
-        return read_pandapower(path)
+        return read_pandapower(path, text)
     if isinstance(content, dict) and "is_batch" in content and "data" in content:
         if content["is_batch"] or content.get("type") != "input":
             problem = (

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.network import Branch, Bus, Control, Generator, Network
+from scenarios.bounded_files import read_text
 from scenarios.importers.fused_branches import fuse_zero_impedances
 from scenarios.importers.imported import Imported, Remark, leave_out_islands, listed, without_buses
 from scenarios.importers.matpower_program import BASE_KV, BR_R, BR_X, PD, QD, Case, Matrix, run_program
@@ -24,7 +25,7 @@ def read_matpower(path: Path) -> Imported:
     Raises:
         InvalidInputError: listing every statement that is not understood, and whatever the network cannot hold.
     """
-    case = run_program(path.read_text(encoding="utf-8", errors="replace"))
+    case = run_program(read_text(path, errors="replace"))
     if case.problems or case.base_mva is None:
         raise InvalidInputError(str(path), case.problems)
     return _build(path, case, case.base_mva)

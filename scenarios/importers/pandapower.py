@@ -27,6 +27,7 @@ from scenarios.importers.imported import (
 from scenarios.importers.matpower import BR_B, BS, BUS_I, F_BUS, GS, SHIFT, T_BUS, TAP
 from scenarios.importers.matpower_program import BASE_KV, BR_R, BR_X, PD, QD
 from scenarios.importers.pandapower_checks import find_broken, find_unsupported
+from scenarios.importers.pandapower_objects import find_foreign_objects
 from scenarios.network_file import default_branch_id
 from scenarios.zero_impedances import refuse_zero_impedances
 
@@ -51,21 +52,27 @@ class Conversion:
     open_ends: frozenset[tuple[str, int]]
 
 
-def read_pandapower(path: Path) -> Imported:
-    """Read a pandapower network saved with ``pandapower.to_json``, and its measurement table.
+def read_pandapower(path: Path, text: str) -> Imported:
+    """Read ``text``, a pandapower network saved with ``pandapower.to_json`` in ``path``, and its measurement table.
 
     Raises:
-        InvalidInputError: pandapower is missing or cannot read the file; every element that the network model cannot
-            hold; every measurement that no meter can be.
+        InvalidInputError: the file names objects that are no data; pandapower is missing or cannot read it; every
+            element that the network model cannot hold; every measurement that no meter can be.
     """
     pandapower = load_extra("pandapower", "pandapower", str(path))
+    if foreign := list(find_foreign_objects(text)):
+        raise InvalidInputError(str(path), foreign)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            net = pandapower.from_json(str(path))
+            net = pandapower.from_json_string(text)
         except Exception as error:  # whatever a foreign reader raises
             raise InvalidInputError(str(path), [f"pandapower cannot read it: {error}"]) from None
-        if problems := list(find_broken(net)) or list(find_unsupported(net)):
+        try:
+            problems = list(find_broken(net)) or list(find_unsupported(net))
+        except Exception as error:  # tables so broken that pandas cannot go through them
+            problems = [f"its tables are broken ({type(error).__name__}: {error}); pandapower.diagnostic may say why"]
+        if problems:
             raise InvalidInputError(str(path), problems)
         sgen = net.sgen.copy()  # sources here, negative loads in pandapower's matrices, clipped to limits there
         net.sgen["in_service"] = False

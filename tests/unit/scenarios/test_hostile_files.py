@@ -1,0 +1,128 @@
+"""Files that would hang, exhaust or take over the reader are refused as every other mistake is."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from pathlib import Path
+
+import pytest
+
+from dsse_core.errors import InvalidInputError
+from scenarios.bounded_files import LARGEST_TOML, read_text
+from scenarios.importers import import_grid
+from scenarios.network_file import load_case
+from scenarios.readings_file import load_readings
+from scenarios.scenario import load_scenario
+
+READERS = [
+    ("scenario.toml", load_scenario),
+    ("readings.csv", lambda path: load_readings(path, load_case("ieee33"))),
+    ("case.m", import_grid),
+    ("grid.json", import_grid),
+]
+HOSTILE = {
+    "a folder": lambda path: path.mkdir(),
+    "a pipe": os.mkfifo,
+    "a loop of links": lambda path: path.symlink_to(path),
+    "a device": lambda path: path.symlink_to("/dev/zero"),
+    "random bytes": lambda path: path.write_bytes(bytes(range(256)) * 4),
+    "UTF-16": lambda path: path.write_bytes("version = 1".encode("utf-16")),
+    "deep arrays": lambda path: path.write_text("x = " + "[" * 100_000),
+    "deep JSON": lambda path: path.write_text("[" * 100_000),
+    "a long integer": lambda path: path.write_text("x = " + "9" * 1_000_000),
+    "a long integer in JSON": lambda path: path.write_text('{"x": ' + "9" * 1_000_000 + "}"),
+    "nothing": lambda path: path.write_text(""),
+}
+
+
+@pytest.mark.parametrize("hostile", HOSTILE)
+@pytest.mark.parametrize(("name", "read"), READERS, ids=[name for name, _ in READERS])
+def test_what_is_no_file_of_its_kind_is_one_error(tmp_path: Path, name: str, read, hostile: str):
+    HOSTILE[hostile](tmp_path / name)
+    with pytest.raises(InvalidInputError) as caught:
+        read(tmp_path / name)
+    assert len(str(caught.value)) < 5000
+
+
+def test_a_file_over_the_limit_is_refused_with_the_limit(tmp_path: Path):
+    path = tmp_path / "scenario.toml"
+    with path.open("wb") as file:
+        file.truncate(LARGEST_TOML + 1)
+    with pytest.raises(InvalidInputError, match="more than 16 MiB"):
+        load_scenario(path)
+    assert len(read_text(path)) == LARGEST_TOML + 1  # others may be larger
+
+
+# pandapower builds what a file names
+
+
+@pytest.fixture
+def evil(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A file that appears when module ``evil_module`` is imported."""
+    (tmp_path / "evil_module.py").write_text(
+        f"import pathlib\npathlib.Path({str(tmp_path / 'taken_over')!r}).touch()\nclass Evil: pass\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    return tmp_path / "taken_over"
+
+
+EVIL = {"_module": "evil_module", "_class": "Evil", "_object": "{}"}
+TABLE = {"_module": "pandas.core.frame", "_class": "DataFrame", "orient": "split", "dtype": {}}
+
+
+def in_a_cell(content: object) -> dict[str, object]:
+    return TABLE | {"_object": json.dumps({"columns": ["object"], "index": [0], "data": [[content]]})}
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (EVIL, "evil_module"),
+        ([[EVIL]], "evil_module"),
+        (in_a_cell(EVIL), "evil_module"),
+        (in_a_cell(TABLE | {"_object": json.dumps(EVIL)}), "evil_module"),
+        (EVIL | {"_class": "function", "_object": "Evil"}, "class 'function'"),
+        (EVIL | {"_module": "pandapower.control.basic_controller", "_class": "function"}, "class 'function'"),
+        ({"_module": "os", "_class": "system", "_object": "true"}, "'os', class 'system'"),
+        ({"_module": ["evil_module"], "_class": "Evil"}, "one text each is expected"),
+        (TABLE | {"_object": "/etc/hostname.json"}, "no JSON but '/etc/hostname.json'"),
+        (TABLE | {"_object": "{}", "compression": "gzip"}, "the key 'compression'"),
+    ],
+)
+def test_a_pandapower_file_that_names_foreign_objects_is_refused_unread(
+    tmp_path: Path, evil: Path, content, words: str
+):
+    path = tmp_path / "net.json"
+    net = {"_module": "pandapower.auxiliary", "_class": "pandapowerNet", "_object": {"bus": content}}
+    path.write_text(json.dumps(net))
+    with pytest.raises(InvalidInputError) as caught:
+        import_grid(path)
+    assert words in str(caught.value)
+    assert not evil.exists()
+    assert "evil_module" not in sys.modules
+
+
+def test_a_module_named_twice_or_in_escapes_is_seen_too(tmp_path: Path, evil: Path):
+    path = tmp_path / "net.json"
+    for text in (
+        '{"_module": "builtins", "_module": "evil_module", "_class": "Evil"}',
+        '{"_modul\\u0065": "evil_module", "_class": "Evil"}',
+    ):
+        path.write_text(
+            '{"_class": "pandapowerNet", "_module": "pandapower.auxiliary", "_object": {"bus": ' + text + "}}"
+        )
+        with pytest.raises(InvalidInputError, match=r"evil_module|one text each"):
+            import_grid(path)
+    assert not evil.exists()
+
+
+def test_the_module_would_be_imported_by_pandapower_itself(tmp_path: Path, evil: Path):
+    """What the allow-list is for; if this fails, pandapower has become careful itself."""
+    pandapower = pytest.importorskip("pandapower")
+    net = {"_module": "pandapower.auxiliary", "_class": "pandapowerNet", "_object": {"bus": EVIL}}
+    with pytest.raises(Exception):  # noqa: B017, PT011  # it refuses to build the class, but only after the import
+        pandapower.from_json_string(json.dumps(net))
+    assert evil.exists()
+    sys.modules.pop("evil_module", None)
