@@ -29,7 +29,7 @@ from benchmarks.limits import GIB
 
 GROUPS = {
     "messages": ("messages",),
-    "scenarios": ("scenario.toml", "network.toml", "area.toml", "readings.csv"),
+    "scenarios": ("scenario.toml", "network.toml", "network.json", "area.toml", "area.json", "readings.csv"),
     "importers": ("matpower.m", "pandapower.json", "power_grid_model.json"),
 }
 LONGEST_S = 30.0  # of one input

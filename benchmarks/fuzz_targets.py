@@ -128,9 +128,7 @@ def _spoil_file(rng: random.Random, samples: tuple[bytes, ...], language: str) -
 
 def _spoil_json(rng: random.Random, tree: Any) -> Any:
     """Mostly within one of the tables that stand as text inside, where there are any."""
-    tables = (
-        [table for table in tree.get("_object", {}).values() if isinstance(table, dict)] if "_object" in tree else []
-    )
+    tables = [table for table in dict(tree.get("_object", {})).values() if isinstance(table, dict)]
     full = [table for table in tables if isinstance(table.get("_object"), str) and '"data":[[' in table["_object"]]
     if full and rng.random() < 0.8:
         table = rng.choice(full)
@@ -147,6 +145,14 @@ def scenario_samples() -> tuple[bytes, ...]:
 @functools.cache
 def network_samples() -> tuple[bytes, ...]:
     return tuple(path.read_bytes() for path in find_shipped("cases").values())
+
+
+def network_samples_as_json() -> tuple[bytes, ...]:
+    return tuple(json.dumps(tomllib.loads(sample.decode())).encode() for sample in network_samples())
+
+
+def area_samples_as_json() -> tuple[bytes, ...]:
+    return tuple(json.dumps(tomllib.loads(sample.decode())).encode() for sample in area_samples())
 
 
 @functools.cache
@@ -221,6 +227,8 @@ TARGETS: dict[str, Target] = {
     "messages": Target(make_payload, read_payload),
     "scenario.toml": _file_target(scenario_samples, "toml", load_scenario),
     "network.toml": _file_target(network_samples, "toml", load_network),
+    "network.json": _file_target(network_samples_as_json, "json", load_network),
+    "area.json": _file_target(area_samples_as_json, "json", load_area_file),
     "area.toml": _file_target(area_samples, "toml", load_area_file),
     "readings.csv": _file_target(readings_samples, "text", _load_readings),
     "matpower.m": _file_target(matpower_samples, "text", import_grid),

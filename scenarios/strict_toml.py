@@ -93,7 +93,7 @@ def _describe(model: type[Table], error: ErrorDetails) -> str:
         return f"{key}: {text}" if key else text
     found = "a table" if isinstance(error["input"], dict) else f"{error['input']!r:.200}"
     text = error["msg"].replace("Input should", "must", 1).replace("String should", "must", 1)
-    return f"{key}: {text}, found {found}" + (f" ({meaning})" if meaning else "")
+    return f"{key or 'the file'}: {text}, found {found}" + (f" ({meaning})" if meaning else "")
 
 
 def _is_tag(step: int | str) -> bool:
