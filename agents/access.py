@@ -12,6 +12,7 @@ from typing import Any
 
 from agents.keys import (
     all_from_neighbours,
+    all_live,
     all_lives,
     all_of_run,
     all_states,
@@ -54,10 +55,10 @@ class Rights:
 
     Args:
         publishes: messages that it may send.
-        shows: presence tokens that it may show.
+        shows: presence tokens that it may show, and say farewell on.
         subscribes: subscriptions that it may make.
         hears: messages that are handed to it.
-        sees: presence tokens that it may watch.
+        sees: presence tokens that it may watch, and hear farewells on.
         is_heard_by: subscriptions of others that it is told of, so that it knows that somebody listens.
     """
 
@@ -87,7 +88,7 @@ def _rights_of_area(access: Access, area: str) -> Rights:
         subscribes=(all_from_neighbours(run, area), telemetry_key(run, area), clock_key(run)),
         hears=(*(neighbour_key(run, n, "*", area) for n in neighbours), telemetry_key(run, area), clock_key(run)),
         sees=tuple(all_lives(run, "area", n) for n in neighbours),
-        is_heard_by=(*(all_from_neighbours(run, n) for n in neighbours), all_states(run)),
+        is_heard_by=(*(all_from_neighbours(run, n) for n in neighbours), all_states(run), all_live(run)),
     )
 
 
@@ -99,7 +100,7 @@ def _rights_of_plant(access: Access) -> Rights:
         subscribes=(),
         hears=(),
         sees=(all_lives(access.run, "area", "*"),),
-        is_heard_by=telemetry,
+        is_heard_by=(*telemetry, all_live(access.run)),
     )
 
 
@@ -109,7 +110,7 @@ def _rights_of_coordinator(access: Access) -> Rights:
         shows=(all_lives(access.run, "coordinator", COORDINATOR),),
         subscribes=(all_states(access.run),),
         hears=(all_states(access.run),),
-        sees=(all_lives(access.run, "*", "*"),),
+        sees=(all_live(access.run),),
         is_heard_by=(clock_key(access.run),),
     )
 
@@ -142,11 +143,11 @@ def _table(rights: Rights) -> tuple[tuple[str, tuple[str, ...], tuple[str, ...]]
     """(from or to the certificate's owner, kinds of message, key expressions)"""
     return (
         ("ingress", ("put",), rights.publishes),
-        ("ingress", ("liveliness_token",), rights.shows),
+        ("ingress", ("liveliness_token", "put"), rights.shows),
         ("ingress", ("declare_subscriber",), rights.subscribes),
-        ("ingress", ("declare_liveliness_subscriber", "liveliness_query"), rights.sees),
+        ("ingress", ("declare_liveliness_subscriber", "liveliness_query", "declare_subscriber"), rights.sees),
         ("egress", ("put",), rights.hears),
-        ("egress", ("liveliness_token",), rights.sees),
+        ("egress", ("liveliness_token", "put"), rights.sees),
         ("egress", ("declare_subscriber",), rights.is_heard_by),
     )
 

@@ -23,7 +23,7 @@ from agents.keys import (
 )
 from agents.link import FaultyLinks
 from agents.messages import ClockMessage, StateMessage, decode
-from agents.presence import Presence, begin_life
+from agents.presence import Presence, begin_life, read_farewell
 from agents.protocol import AreaProtocol, Event, Finish, PresenceChanged, Publish
 from agents.strategies import make_strategy
 from agents.transport import Session
@@ -34,10 +34,11 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class _TokenSeen:
-    """The presence token of one life of a neighbour appeared or vanished."""
+    """The presence token of one life of a neighbour appeared, or it vanished, with or without a farewell before."""
 
     key: str
     alive: bool
+    farewell: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,10 +69,12 @@ def run_agent(content: AreaFile, session: Session, inbox: Inbox) -> str:
     if any(faults.has_windows for faults in content.links.values()):
         session.subscribe(clock_key(run), lambda key, payload: inbox.put(key, _ClockHeard(time.monotonic(), payload)))
     for neighbour in sorted(neighbours):
-        session.watch_presence(
-            all_lives(run, "area", neighbour), lambda key, alive: inbox.put(key, _TokenSeen(key, alive))
-        )
-    session.declare_presence(live_key(run, "area", name, incarnation))
+        lives = all_lives(run, "area", neighbour)
+        session.subscribe(lives, lambda key, payload: _put_farewell(inbox, key, payload))
+        session.watch_presence(lives, lambda key, alive: inbox.put(key, _TokenSeen(key, alive)))
+    own_token = live_key(run, "area", name, incarnation)
+    say_farewell = session.publisher(own_token)
+    session.declare_presence(own_token)
     log.info("area %s of run %s, strategy %s, incarnation %s", name, run, content.strategy, incarnation)
     presence = Presence()
     events: list[Event] = []
@@ -85,6 +88,7 @@ def run_agent(content: AreaFile, session: Session, inbox: Inbox) -> str:
                     if isinstance(message, StateMessage):
                         told = _log_change(message, told)
                 case Finish(reason):
+                    say_farewell(reason.encode())
                     return reason
         now = time.monotonic()
         news = inbox.take(min(protocol.wait_s(now), links.next_due() - now))
@@ -113,14 +117,20 @@ def _publishers(content: AreaFile, session: Session, kinds: Sequence[str]) -> Ca
     return lambda to, kind, payload: publishers[to, kind](payload)
 
 
+def _put_farewell(inbox: Inbox, key: str, payload: bytes) -> None:
+    """In a slot of its own: the end of the token, which follows, must not take its place."""
+    if farewell := read_farewell(payload):
+        inbox.put(("farewell", key), _TokenSeen(key, False, farewell))
+
+
 def _events_of(news: Sequence[Any], presence: Presence, links: FaultyLinks) -> Iterator[Event]:
     for item in news:
         match item:
             case _ClockHeard(at, payload):
                 _take_clock(links, at, payload)
-            case _TokenSeen(key, alive):
-                if presence.take(key, alive):
-                    yield PresenceChanged(name_of_live(key)[1], alive)
+            case _TokenSeen(key, alive, farewell):
+                if presence.take_farewell(key) if farewell else presence.take(key, alive):
+                    yield PresenceChanged(name_of_live(key)[1], alive, farewell)
             case _:
                 yield item
 

@@ -1,16 +1,25 @@
 """Who is there: every life of a process shows a presence token of its own, which vanishes with it.
 
-A process that was killed and started again may be there before the bus notices the end of its former life; a name
-is present as long as any of its lives is.
+A process that ends in order says so on the key of its token before it goes (``read_farewell``); one that dies does
+not. A process that was killed and started again may be there before the bus notices the end of its former life; a
+name is present as long as any of its lives is.
 """
 
 from __future__ import annotations
 
 import random
+import re
 import time
 
 from agents.keys import name_of_live
 from agents.messages import Incarnation
+
+FAREWELL = re.compile(rb"[A-Za-z0-9 ._-]{1,40}")
+
+
+def read_farewell(payload: bytes) -> str:
+    """Why a process says that it goes, in a word or two; empty for anything else."""
+    return payload.decode("ascii") if FAREWELL.fullmatch(payload) else ""
 
 
 def begin_life() -> Incarnation:
@@ -28,6 +37,14 @@ class Presence:
     def names(self) -> set[tuple[str, str]]:
         """(role, name) of all that are there."""
         return {name for name, lives in self._lives.items() if lives}
+
+    def take_farewell(self, key: str) -> bool:
+        """Note that the life that shows the token on ``key`` ends; whether its name is gone, now or already.
+
+        The farewell and the end of the token may overtake each other.
+        """
+        self.take(key, False)
+        return name_of_live(key) not in self.names
 
     def take(self, key: str, alive: bool) -> bool:
         """Note that the token on ``key`` appeared or vanished; whether its name came, came anew or went with it."""

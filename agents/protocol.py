@@ -56,10 +56,11 @@ class Refused:
 
 @dataclass(frozen=True, slots=True)
 class PresenceChanged:
-    """A neighbour's liveliness token appeared or vanished."""
+    """A neighbour came or went. ``farewell``: what it said when it went in order; empty if it died or was cut off."""
 
     area: str
     alive: bool
+    farewell: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +117,7 @@ class AreaProtocol:
         self._shown: tuple[Estimate | None, bool, int] = (None, False, 0)  # in the state: with doubts? of which scan?
         self._state: StateMessage | None = None  # as last published
         self._present: set[str] = set()
-        self._gone: set[str] = set()
+        self._gone: dict[str, str] = {}  # neighbour -> its farewell
         self._refused: Counter[str] = Counter()
         self._not_let_in: dict[str, int] = {}
 
@@ -137,9 +138,13 @@ class AreaProtocol:
                     news |= self._take(message, key_sender)
                 case Refused(reason, count):
                     self._not_let_in[reason] = max(count, self._not_let_in.get(reason, 0))
-                case PresenceChanged(area, alive):
-                    (self._present if alive else self._gone).add(area)
-                    (self._gone if alive else self._present).discard(area)
+                case PresenceChanged(area, True):
+                    self._present.add(area)
+                    self._gone.pop(area, None)
+                    news = True
+                case PresenceChanged(area, False, farewell):
+                    self._present.discard(area)
+                    self._gone[area] = farewell
                     news = True
         actions: list[Action] = []
         used = set(self._hearing.usable(now))
@@ -346,7 +351,7 @@ class AreaProtocol:
         """Of the state as last shown; new readings leave it behind until they have been worked in."""
         estimate, doubts, scan = self._shown
         doubts |= scan != self._scan
-        return judge_quality(estimate, doubts, self._hearing, set(self._by_name), self._gone, self._now)
+        return judge_quality(estimate, doubts, self._hearing, set(self._by_name), set(self._gone), self._now)
 
     def _as_of_now(self, state: StateMessage) -> StateMessage:
         """``state`` with the quality and the ages of this moment."""
@@ -361,7 +366,10 @@ class AreaProtocol:
         )
 
     def _what_is_missing(self) -> list[str]:
-        notes = [f"neighbour {name} is gone" for name in sorted(self._gone)]
+        notes = [
+            f"neighbour {name} has left: {farewell}" if farewell else f"neighbour {name} is gone"
+            for name, farewell in sorted(self._gone.items())
+        ]
         headers = [m.header for kept in (self._hearing.loads, self._hearing.boundary) for m in kept.values()]
         stale = {header.sender for header in headers if header.scan != self._scan}
         notes += [f"news from {name} is of another scan" for name in sorted(stale)]

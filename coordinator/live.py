@@ -60,6 +60,21 @@ def format_view(view: View) -> str:
     return "\n".join(line.rstrip() for line in captured.get().splitlines())
 
 
+WATCHED = (
+    "quality",
+    "scan",
+    "heard s ago",
+    "telemetry s old",
+    "neighbours s old",
+    "gap deg",
+    "gap p.u.",
+    "exchanges",
+    "messages",
+    "lost",
+    "refused",
+)
+
+
 def build_view_table(view: View) -> Table:
     """What a watcher sees of a run; gaps are the largest to a neighbour at a bus that both publish."""
     table = Table(
@@ -67,15 +82,18 @@ def build_view_table(view: View) -> Table:
     )
     for heading in ("area", "state"):
         table.add_column(heading)
-    for heading in ("scan", "heard s ago", "gap deg", "gap p.u.", "exchanges", "messages", "lost", "refused"):
+    for heading in WATCHED:
         table.add_column(heading, justify="right")
     table.add_column("notes")
     for area in view.areas:
         table.add_row(
             area.name,
             area.state,
+            area.quality,
             str(area.scan),
             "-" if area.age_s is None else f"{area.age_s:.1f}",
+            f"{area.telemetry_age_s:.1f}",
+            "-" if not area.ages_s else f"{max(area.ages_s.values()):.1f}",
             "-" if area.gap_va_deg is None else f"{area.gap_va_deg:.2g}",
             "-" if area.gap_vm_pu is None else f"{area.gap_vm_pu:.2g}",
             str(area.exchanges),

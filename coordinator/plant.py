@@ -63,7 +63,9 @@ def run_plant(
             session.watch_presence(
                 all_lives(run, "area", "*"), lambda key, alive: inbox.put(key, key) if alive else None
             )
-            session.declare_presence(live_key(run, "plant", PLANT, life))
+            own_token = live_key(run, "plant", PLANT, life)
+            say_farewell = session.publisher(own_token)
+            session.declare_presence(own_token)
             log.info("plant of run %s, seed %s, %s areas", run, scenario.seed, len(payloads))
             voice = _Voice(publishers, inbox, scenario.run.beat_s)
             for number in (SILENT, SPEAK):
@@ -71,6 +73,7 @@ def run_plant(
             while not voice.serve(payloads, find_lateness(scenario, scan), every_s or math.inf):
                 scan += 1
                 payloads = make_payloads(scenario, run, life, scan, draw=scan)
+            say_farewell(b"stopped")
     except DsseError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

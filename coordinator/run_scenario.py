@@ -13,7 +13,7 @@ from agents.access import COORDINATOR
 from agents.credentials import AUTHORITY, credentials_in
 from agents.keys import all_live, all_states, clock_key, live_key, name_of_live, sender_of
 from agents.messages import StateMessage, decode
-from agents.presence import Presence, begin_life
+from agents.presence import Presence, begin_life, read_farewell
 from agents.transport import Session
 from agents.wire_checks import MessageError
 from coordinator.events import EventLog
@@ -51,6 +51,7 @@ class _PresenceSeen:
     at: float
     key: str
     alive: bool
+    farewell: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,6 +192,12 @@ def _listen(run: _Run, session: Session) -> None:
                 run.news.put(_StateHeard(time.monotonic(), message))
 
     session.subscribe(all_states(run.id), on_state)
+
+    def on_farewell(key: str, payload: bytes) -> None:
+        if farewell := read_farewell(payload):
+            run.news.put(_PresenceSeen(time.monotonic(), key, False, farewell))
+
+    session.subscribe(all_live(run.id), on_farewell)
     session.watch_presence(
         all_live(run.id), lambda key, alive: run.news.put(_PresenceSeen(time.monotonic(), key, alive))
     )
@@ -238,11 +245,12 @@ def _take(run: _Run, observer: Observer, item: object) -> str | None:
         case _StateHeard(at, state):
             if state.header.run == run.id:
                 run.states.take(state, at, observer.take_state(state, at))
-        case _PresenceSeen(at, key, alive):
-            if not run.presence.take(key, alive):
+        case _PresenceSeen(at, key, alive, farewell):
+            if not (run.presence.take_farewell(key) if farewell else run.presence.take(key, alive)):
                 return None
             role, name = name_of_live(key)
-            run.events.write("appeared" if alive else "vanished", at, role=role, name=name)
+            what, why = ("left", {"farewell": farewell}) if farewell else ("appeared" if alive else "vanished", {})
+            run.events.write(what, at, role=role, name=name, **why)
             if role == "area":
                 observer.take_presence(name, alive, at)
                 if run.joined is None and not observer.find_absent():

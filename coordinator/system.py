@@ -42,9 +42,10 @@ class System:
     scan_every_s: float | None = None
     keys: Path | None = None
     endpoints: tuple[str, ...] = ()
-    pids: dict[str, int] = field(default_factory=dict)  # of what runs
+    pids: dict[str, int] = field(default_factory=dict)  # of the last life of each
     _places: dict[str, str] = field(default_factory=dict)  # where each area listens if there is no router
     _orders: dict[str, tuple[Any, ...]] = field(default_factory=dict)  # target and arguments of each process
+    _running: set[str] = field(default_factory=set)  # started, and neither killed nor heard of as ended
     _killed: Counter[str] = field(default_factory=Counter)  # deaths ordered and not yet heard of
 
     def log_of(self, process: str) -> Path:
@@ -112,8 +113,8 @@ class System:
 
     def kill(self, name: str) -> None:
         """End a process, if it runs, without a chance to say anything."""
-        if name in self.pids:
-            del self.pids[name]
+        if name in self._running:
+            self._running.remove(name)
             self._killed[name] += 1
             self.launcher.signal(name, signal.SIGKILL)
 
@@ -148,7 +149,7 @@ class System:
         if news.code == -signal.SIGKILL and self._killed[news.name]:
             self._killed[news.name] -= 1
             return True
-        self.pids.pop(news.name, None)
+        self._running.discard(news.name)
         return False
 
     def _next_scan(self, every_s: float) -> int:
@@ -162,6 +163,7 @@ class System:
 
     def _order(self, name: str, target: str, *arguments: Any) -> None:
         self._orders[name] = (target, *arguments)
+        self._running.add(name)
         self.launcher.start(name, target, *arguments, log=self.log_of(name), stop_last=name in ROUTERS)
 
     def _keys(self) -> list[str]:

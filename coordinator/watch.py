@@ -6,8 +6,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from agents.keys import name_of_live
 from agents.messages import StateMessage
 from agents.presence import Presence
+from agents.quality import NONE
 from coordinator.observer import count_exchanges
 
 
@@ -16,13 +18,19 @@ class AreaView:
     """One area as a watcher sees it; everything but ``present`` is what it published ``age_s`` ago.
 
     ``gap_vm_pu``, ``gap_va_deg``: the largest differences to a neighbour at a bus that both publish, None where there
-    is none. ``neighbours``: those that it speaks to. ``age_s``: None if it was never heard.
+    is none. ``neighbours``: those that it speaks to. ``age_s``: None if it was never heard. ``farewell``: what it said
+    when it left, empty if it died. ``quality``, ``telemetry_age_s`` and ``ages_s`` (of each neighbour's information)
+    are what the area said of its own state then (docs/quality.md).
     """
 
     name: str
     present: bool
     age_s: float | None
+    farewell: str = ""
     scan: int = 0
+    quality: str = NONE
+    telemetry_age_s: float = 0.0
+    ages_s: Mapping[str, float] = field(default_factory=dict)
     estimated: bool = False
     referenced: bool = False
     checked: bool = False
@@ -41,7 +49,7 @@ class AreaView:
     def state(self) -> str:
         """In a word."""
         if not self.present:
-            return "gone"
+            return "left" if self.farewell else "gone"
         if self.age_s is None:
             return "silent"
         if not self.estimated:
@@ -64,11 +72,17 @@ class Watcher:
 
     run: str
     _presence: Presence = field(default_factory=Presence)
+    _farewells: dict[str, str] = field(default_factory=dict)
     _heard: dict[str, tuple[float, StateMessage]] = field(default_factory=dict)
 
     def take_presence(self, key: str, alive: bool) -> None:
         """Note that a token appeared or vanished."""
         self._presence.take(key, alive)
+
+    def take_farewell(self, key: str, farewell: str) -> None:
+        """Note that a process said that it goes."""
+        self._presence.take(key, False)
+        self._farewells[name_of_live(key)[1]] = farewell
 
     def take_state(self, state: StateMessage, now: float) -> None:
         """Keep ``state`` if it is of this run and as new as the area's last."""
@@ -93,15 +107,20 @@ class Watcher:
 
     def _view_of(self, name: str, now: float) -> AreaView:
         present = name in self._names_of("area")
+        farewell = "" if present else self._farewells.get(name, "")
         if name not in self._heard:
-            return AreaView(name, present, None)
+            return AreaView(name, present, None, farewell)
         at, state = self._heard[name]
         gaps = [gap for other in state.sent if (gap := self._gap(state, other))]
         return AreaView(
             name=name,
             present=present,
             age_s=round(now - at, 3),
+            farewell=farewell,
             scan=state.header.scan,
+            quality=state.quality,
+            telemetry_age_s=state.telemetry_age,
+            ages_s=state.ages,
             estimated=bool(state.buses),
             referenced=state.referenced,
             checked=state.checked,

@@ -12,6 +12,7 @@ from agents.access_file import ACCESS_FILE, load_access
 from agents.credentials import load_credentials
 from agents.keys import all_live, all_states, name_of_live, run_of
 from agents.messages import StateMessage, decode
+from agents.presence import read_farewell
 from agents.transport import Session, TransportError
 from agents.wire_checks import MessageError
 from coordinator.processes import News
@@ -48,15 +49,19 @@ def attach(
     ) as session:
         run = run or _find_run(session, timeout_s)
         watcher, news = Watcher(run), News()
-        session.subscribe(all_states(run), lambda key, payload: news.put(payload))
+        session.subscribe(all_states(run), lambda key, payload: news.put(_decoded(payload)))
+        session.subscribe(all_live(run), lambda key, payload: news.put((key, read_farewell(payload))))
         session.watch_presence(all_live(run), lambda key, alive: news.put((key, alive)))
 
         def look(duration_s: float) -> Watcher:
             for item in news.take(duration_s):
-                if isinstance(item, tuple):
-                    watcher.take_presence(*item)
-                elif (state := _decoded(item)) is not None:
-                    watcher.take_state(state, time.monotonic())
+                match item:
+                    case StateMessage():
+                        watcher.take_state(item, time.monotonic())
+                    case (key, bool() as alive):
+                        watcher.take_presence(key, alive)
+                    case (key, farewell) if farewell:
+                        watcher.take_farewell(key, farewell)
             return watcher
 
         yield look

@@ -207,6 +207,9 @@ def test_a_message_of_a_former_life_changes_nothing(area1):
 def test_a_gone_neighbour_is_named(area1):
     protocol, telemetry, _ = area1
     protocol.handle([telemetry, PresenceChanged("area2", alive=True)], 0.0)
+    left = last_state(protocol.handle([PresenceChanged("area2", alive=False, farewell="SIGTERM")], 0.005))
+    assert "neighbour area2 has left: SIGTERM" in left.notes
+    protocol.handle([PresenceChanged("area2", alive=True)], 0.007)
     state = last_state(protocol.handle([PresenceChanged("area2", alive=False)], 0.01))
     assert "neighbour area2 is gone" in state.notes
 

@@ -2,7 +2,7 @@
 
 from agents.keys import live_key, name_of_live
 from agents.messages import Incarnation
-from agents.presence import Presence, begin_life
+from agents.presence import Presence, begin_life, read_farewell
 
 OLD, NEW = (live_key("r", "area", "area1", Incarnation(start, 7)) for start in (1_000, 2_000))
 
@@ -20,6 +20,18 @@ def test_the_token_of_an_old_life_that_vanishes_late_does_not_hide_the_new_life(
     assert presence.take(NEW, False)
 
 
+def test_a_farewell_counts_before_and_after_the_end_of_its_token_but_not_while_another_life_is_there():
+    presence = Presence()
+    presence.take(OLD, True)
+    assert presence.take_farewell(OLD)
+    assert not presence.take(OLD, False)
+    presence.take(OLD, True)
+    presence.take(OLD, False)
+    assert presence.take_farewell(OLD)
+    presence.take(NEW, True)
+    assert not presence.take_farewell(OLD)
+
+
 def test_a_token_seen_twice_is_no_news_and_one_never_seen_cannot_vanish():
     presence = Presence()
     assert presence.take(OLD, True)
@@ -27,6 +39,12 @@ def test_a_token_seen_twice_is_no_news_and_one_never_seen_cannot_vanish():
     assert not presence.take(NEW, False)
     assert presence.take(OLD, False)
     assert not presence.take(OLD, False)
+
+
+def test_a_farewell_is_a_word_or_two_and_nothing_else():
+    assert read_farewell(b"SIGTERM") == "SIGTERM"
+    for other in (b"", b"\xff", b"a\nb", b"x" * 41):
+        assert read_farewell(other) == ""
 
 
 def test_two_lives_that_begin_in_the_same_millisecond_differ():

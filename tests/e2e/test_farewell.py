@@ -1,0 +1,35 @@
+"""An area that ends in order is told from one that dies, by its neighbours and by who watches."""
+
+from __future__ import annotations
+
+import json
+import signal
+from pathlib import Path
+
+import pytest
+from system_by_hand import SystemByHand, Watcher, free_port
+
+NOTES = {signal.SIGTERM: "neighbour area2 has left: SIGTERM", signal.SIGKILL: "neighbour area2 is gone"}
+
+
+@pytest.mark.parametrize("secured", [False, True], ids=["open", "secured"])
+def test_neighbours_and_watchers_tell_an_orderly_end_from_a_death(dsse, tmp_path: Path, secured: bool):
+    protocol, keys = ("tls", ["--keys", "keys"]) if secured else ("tcp", [])
+    endpoint = f"{protocol}/127.0.0.1:{free_port()}"
+    if secured:
+        assert dsse("keys", "create", "industrial13", "--out", "keys").returncode == 0
+    assert dsse("split", "industrial13", "--out", "areas", "--connect", endpoint).returncode == 0
+    with SystemByHand(tmp_path) as system:
+        system.start("router", "router", "--listen", endpoint, *keys)
+        system.start("plant", "plant", "industrial13", "--connect", endpoint, *keys)
+        system.start("area1", "agent", "areas/area1.toml", *keys)
+        with Watcher("industrial13", [endpoint], tmp_path / "keys" if secured else None) as watcher:
+            for number in (signal.SIGTERM, signal.SIGKILL):
+                system.start("area2", "agent", "areas/area2.toml", *keys)
+                watcher.wait_for_consensus()
+                system.end("area2", number)
+                note = NOTES[number]
+                watcher.wait_until(lambda note=note: note in watcher.states["area1"].notes)
+        done = dsse("watch", "--connect", endpoint, *keys, "--once", "--json")
+        areas = json.loads(done.stdout)["areas"]
+        assert (areas["area1"]["quality"], areas["area2"]["state"]) == ("degraded", "gone")
