@@ -1,0 +1,261 @@
+"""One seeded history of faults on the twin: a small random feeder, whatever can go wrong for a while, then peace.
+
+Its areas publish states all the while. Counted is how many were marked good, and how many of those lie beyond three of
+their own standard deviations of the estimate with fresh information: the centralised one of the same scan's readings.
+Measured is how far they are from it in the end.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from agents.area_file import AreaFile
+from agents.messages import StateMessage
+from agents.quality import GOOD
+from coordinator.twin import SimulatedBus
+from dsse_core.bad_data import BadDataReport, process_bad_data
+from dsse_core.link_faults import LinkFaults, Window
+from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
+from dsse_core.network import Network
+from dsse_core.partition import Partition, build_partition
+from dsse_core.power_flow import PowerFlowResult, solve_power_flow
+from scenarios.cutting import cut_into
+from scenarios.generator import generate_feeder
+
+Link = tuple[str, str]
+KIND = MeasurementKind
+MOST_SIGMAS = 3.0
+ROUNDING = 1e-9  # p.u. and rad: an angle that is known exactly has no sigma
+GAP = 1e-8  # p.u. and rad: the fixed point is reached
+BEAT_S = 0.2
+FAULTS_S = 2.4  # how long there are faults
+PATIENCE_S = 60.0  # afterwards
+SCANS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class HistoryOutcome:
+    """``good``, ``wrong``: distinct states marked good, and those of them that lie too far off; ``states``: all.
+
+    ``gap``: to the centralised estimate in the end, p.u. and rad; ``settled_s``: from the end of the faults until it
+    is and stays below ``GAP`` with all areas good, nan if never. ``worst``: the largest distance of a good state, in
+    its standard deviations.
+    """
+
+    seed: int
+    areas: int
+    buses: int
+    states: int
+    good: int
+    wrong: int
+    worst: float
+    gap: float
+    settled_s: float
+
+
+@dataclass(frozen=True)
+class World:
+    """A feeder cut into areas, with the readings of every scan (numbered from 1) and what they say altogether."""
+
+    network: Network
+    partition: Partition
+    telemetry: tuple[dict[str, list[Measurement]], ...]
+    central: tuple[BadDataReport, ...]
+
+    def files(self, links: Mapping[Link, LinkFaults], seed: int) -> list[AreaFile]:
+        """What every area's agent reads; it knows every meter that has ever been read."""
+        meters = {
+            name: list(dict.fromkeys(m.meter for scan in self.telemetry for m in scan[name]))
+            for name in self.telemetry[0]
+        }
+        return [
+            AreaFile(
+                run="history",
+                area=area,
+                meters=tuple(meters[area.name]),
+                strategy="information",
+                endpoints=("tcp/127.0.0.1:0",),
+                beat_s=BEAT_S,
+                links={n.area: links[area.name, n.area] for n in area.neighbours},
+                seed=seed,
+            )
+            for area in self.partition.areas
+        ]
+
+
+def run_history(seed: int) -> HistoryOutcome:
+    """Draw and live through one history."""
+    rng = np.random.default_rng(seed)
+    world = draw_world(rng)
+    severity = float(rng.random())  # share of what can go wrong that does
+    shown: list[StateMessage] = []
+    links = [(area.name, n.area) for area in world.partition.areas for n in area.neighbours]
+    cuts = _draw_cuts(rng, severity, links)
+    drawn = {}
+    for link in links:
+        cut = cuts.get(frozenset(link))
+        drawn[link] = _draw_link(rng, severity, (cut,) if cut else ())
+    bus = SimulatedBus(world.files(drawn, seed), world.telemetry[0], lambda at, state: shown.append(state))
+    _draw_events(rng, severity, bus, world)
+    bus.run(FAULTS_S)
+    settled_s = _wait_for_peace(bus, world)
+    good = _judge(world, shown)
+    return HistoryOutcome(
+        seed=seed,
+        areas=len(world.partition.areas),
+        buses=len(world.network.buses),
+        states=len({(s.header.sender, s.header.order) for s in shown}),
+        good=len(good),
+        wrong=sum(off > MOST_SIGMAS for off in good),
+        worst=max(good, default=0.0),
+        gap=find_gap(bus, world),
+        settled_s=settled_s,
+    )
+
+
+def draw_world(rng: np.random.Generator) -> World:
+    """3 to 6 areas of 3 to 8 buses; loads move from scan to scan; readings fail now and then."""
+    n_area = int(rng.choice([3, 4, 5, 6], p=[0.5, 0.25, 0.15, 0.1]))
+    network, _ = generate_feeder(n_area * int(rng.integers(3, 9)), rng, lowest_vm=float(rng.uniform(0.92, 0.98)))
+    partition = build_partition(network, cut_into(network, n_area))
+    meters = _draw_meters(rng, network)
+    missing = float(rng.choice([0.0, 0.0, 0.05]))
+    telemetry, central = [], []
+    for _ in range(SCANS):
+        flow = solve_power_flow(_with_other_loads(rng, network))
+        spared = [m.source is Source.VIRTUAL or m.kind.of_injection or rng.random() >= missing for m in meters]
+        kept = [m for m, stays in zip(_read(rng, meters, flow), spared, strict=True) if stays]
+        central.append(process_bad_data(network, kept, tolerance=1e-11))
+        by_area: dict[str, list[Measurement]] = {area.name: [] for area in partition.areas}
+        for measurement in kept:
+            by_area[partition.area_of_meter(measurement.meter)].append(measurement)
+        telemetry.append(by_area)
+    return World(network, partition, tuple(telemetry), tuple(central))
+
+
+def find_gap(bus: SimulatedBus, world: World) -> float:
+    """Largest distance of what areas publish to the centralised estimate of the last scan; infinity if one is mute."""
+    gap = 0.0
+    for name in bus.files:
+        state = bus.states.get(name)
+        if state is None or not state.buses or state.header.scan != SCANS:
+            return math.inf
+        dvm, dva = _distance(world, state)
+        gap = max(gap, float(dvm.max()), float(dva.max()))
+    return gap
+
+
+def _wait_for_peace(bus: SimulatedBus, world: World) -> float:
+    while bus.now < FAULTS_S + PATIENCE_S:
+        bus.run(BEAT_S)
+        good = all(name in bus.states and bus.states[name].quality == GOOD for name in bus.files)
+        if good and find_gap(bus, world) <= GAP:
+            return bus.now - FAULTS_S
+    return math.nan
+
+
+def _judge(world: World, shown: list[StateMessage]) -> list[float]:
+    """How many of its sigmas each distinct good state is off at most; a state that was good once counts once."""
+    good = {(state.header.sender, state.header.order): state for state in shown if state.quality == GOOD}
+    return [_sigmas_off(world, state) for state in good.values()]
+
+
+def _sigmas_off(world: World, state: StateMessage) -> float:
+    dvm, dva = _distance(world, state)
+    vm = np.maximum(dvm - ROUNDING, 0.0) / np.maximum(state.sigma_vm, 1e-12)
+    va = np.maximum(dva - ROUNDING, 0.0) / np.maximum(state.sigma_va, 1e-12)
+    return float(max(vm.max(), va.max()))
+
+
+def _distance(world: World, state: StateMessage) -> tuple[np.ndarray, np.ndarray]:
+    central = world.central[state.header.scan - 1].result
+    rows = [world.network.row[bus] for bus in state.buses]
+    turned = np.array(state.va) - central.va[rows]
+    return abs(np.array(state.vm) - central.vm[rows]), abs((turned + np.pi) % (2 * np.pi) - np.pi)
+
+
+def _draw_meters(rng: np.random.Generator, network: Network) -> list[Meter]:
+    assert network.slack is not None
+    meters = [Meter(KIND.VM, b.id) for b in network.buses if b.id == network.slack.bus or rng.random() < 0.4]
+    for branch in network.active_branches:
+        if rng.random() < 0.6:
+            meters += [Meter(k, branch.from_bus, branch.id) for k in (KIND.P_FLOW, KIND.Q_FLOW)]
+    for bus in network.buses:
+        exact = network.scheduled_injection(bus.id) == 0 and bus.id != network.slack.bus
+        source = Source.VIRTUAL if exact else Source.TELEMETERED
+        meters += [Meter(k, bus.id, source=source) for k in (KIND.P_INJECTION, KIND.Q_INJECTION)]
+    return meters
+
+
+def _with_other_loads(rng: np.random.Generator, network: Network) -> Network:
+    level = rng.uniform(0.6, 1.1)
+    buses = []
+    for bus in network.buses:
+        factor = level * rng.lognormal(0.0, 0.3)
+        buses.append(replace(bus, p_load=factor * bus.p_load, q_load=factor * bus.q_load))
+    return replace(network, buses=tuple(buses))
+
+
+def _read(rng: np.random.Generator, meters: Sequence[Meter], flow: PowerFlowResult) -> list[Measurement]:
+    """0.2 % of voltages, 1 % of flows, 10 % of injections."""
+    readings = []
+    for meter, value in zip(meters, flow.read_all(meters).tolist(), strict=True):
+        sigma = 0.002 if meter.kind is KIND.VM else (0.01 if meter.branch else 0.1) * (abs(value) + 0.001)
+        if meter.source is Source.VIRTUAL:
+            readings.append(Measurement(meter, 0.0, 0.0))
+        else:
+            readings.append(Measurement(meter, value + sigma * float(rng.standard_normal()), sigma))
+    return readings
+
+
+def _draw_link(rng: np.random.Generator, severity: float, cuts: tuple[Window, ...]) -> LinkFaults:
+    if rng.random() >= severity:
+        return LinkFaults(cuts=cuts)
+    bursts = rng.random() < 0.3
+    slow = rng.random() < 0.4
+    return LinkFaults(
+        loss=float(rng.choice([0.0, 0.1, 0.3, 0.6])),
+        burst_enter=0.1 if bursts else 0.0,
+        burst_leave=float(rng.uniform(0.1, 0.5)) if bursts else 1.0,
+        delay_s=float(rng.uniform(0.0, 0.1)) if slow else 0.0,
+        jitter_s=float(rng.uniform(0.0, 0.6)) if slow else 0.0,
+        duplicate=float(rng.choice([0.0, 0.2])),
+        corrupt=float(rng.choice([0.0, 0.0, 0.2])),
+        until_s=FAULTS_S,
+        cuts=cuts,
+    )
+
+
+def _draw_window(rng: np.random.Generator, longest: float) -> Window:
+    start = float(rng.uniform(0.1, FAULTS_S - 0.2))
+    return start, min(FAULTS_S, start + float(rng.uniform(0.1, longest)))
+
+
+def _draw_cuts(rng: np.random.Generator, severity: float, links: Sequence[Link]) -> dict[frozenset[str], Window]:
+    pairs = dict.fromkeys(frozenset(link) for link in links)  # in order: a set would shuffle the draws
+    return {pair: _draw_window(rng, 1.5) for pair in pairs if rng.random() < 0.3 * severity}
+
+
+def _draw_events(rng: np.random.Generator, severity: float, bus: SimulatedBus, world: World) -> None:
+    """Kills and restarts, pauses, a silent plant, and new scans, late for some areas."""
+    names = list(bus.files)
+    for name in names:
+        fate, (start, end) = rng.random(), _draw_window(rng, 1.0)
+        if fate < 0.25 * severity:
+            bus.at(start, partial(bus.kill, name))
+            bus.at(end, partial(bus.start, name))
+        elif fate < 0.4 * severity:
+            bus.at(start, partial(bus.pause, name))
+            bus.at(end, partial(bus.resume, name))
+    if rng.random() < 0.2 * severity:
+        start, end = _draw_window(rng, 1.0)
+        bus.at(start, partial(setattr, bus, "plant_speaks", False))
+        bus.at(end, partial(setattr, bus, "plant_speaks", True))
+    for telemetry, at in zip(world.telemetry[1:], sorted(rng.uniform(0.5, FAULTS_S, SCANS - 1)), strict=True):
+        late_s = {name: float(rng.uniform(0.0, 0.5)) for name in names if rng.random() < 0.2 * severity}
+        bus.at(float(at), partial(bus.next_scan, telemetry, late_s))

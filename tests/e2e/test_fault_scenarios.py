@@ -1,0 +1,77 @@
+"""The shipped scenarios with faults, on real processes and on the twin: the same faults, the same end."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import coordinator
+from coordinator.report import format_verdict
+from coordinator.result import RunResult
+
+KINDS = {
+    "ieee33-bursts": {"lost in a burst"},
+    "ieee33-disorder": {"delayed", "overtaken", "duplicated"},
+    "ieee33-corruption": {"corrupted"},
+    "ieee33-cut": {"cut", "heal"},
+    "ieee33-restart": {"kill", "restart"},
+}
+RUNS = {"processes": coordinator.run, "twin": coordinator.simulate}
+GAP = 1e-8  # p.u. and rad
+
+
+def events_of(result: RunResult, kind: str) -> list[dict]:
+    lines = (result.folder / "events.jsonl").read_text().splitlines()
+    return [event for event in map(json.loads, lines) if event["event"] == kind]
+
+
+@pytest.mark.parametrize("run", RUNS.values(), ids=RUNS)
+@pytest.mark.parametrize("name", KINDS)
+def test_faults_delay_the_centralised_estimate_and_are_counted(
+    name: str, run: Callable[..., RunResult], tmp_path: Path
+):
+    result = run(name, out=tmp_path / "out", plots=False)
+    assert result.verdict.consensus, result.verdict.reason
+    assert result.verdict.gap_vm_pu is not None
+    assert result.verdict.gap_vm_pu <= GAP
+    assert KINDS[name] <= result.faults.keys()
+    worth = {area.quality for area in result.areas}
+    assert worth == {"good"} or (run is coordinator.run and worth <= {"good", "degraded"})  # as the last word was lost
+    written = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert written["faults"] == dict(result.faults)
+    assert "faults: " in format_verdict(result)
+    told = {key for event in events_of(result, "link faults") for key in event} | {
+        event["kind"] for event in events_of(result, "fault")
+    }
+    assert KINDS[name] <= told
+
+
+def test_a_liar_is_named_and_there_is_neither_consensus_nor_a_good_state_of_who_hears_it(tmp_path: Path):
+    result = coordinator.simulate("ieee33-liar", out=tmp_path / "out", plots=False)
+    assert not result.verdict.consensus
+    assert "area1 and area3 differ" in str(result.verdict.reason)
+    assert result.faults["lied"] > 0
+    (hears,) = [area for area in result.areas if area.name == "area1"]
+    assert hears.quality == "degraded"
+    assert any("information from area3 contradicts the rest" in note for note in hears.notes)
+
+
+def test_damaged_messages_are_refused_and_counted_by_reason(tmp_path: Path):
+    result = coordinator.simulate("ieee33-corruption", out=tmp_path / "out", plots=False)
+    refused = sum(area.refused.get("damaged", 0) for area in result.areas)
+    assert 0 < refused <= result.faults["corrupted"]
+
+
+def test_missing_and_late_readings_are_the_same_for_plant_areas_and_the_centralised_estimate(tmp_path: Path):
+    from scenarios.scenario import load_scenario
+
+    changes = {"faults.telemetry": {"missing": 0.05, "late": 1.0, "late_s": 0.5}}
+    for run in RUNS.values():
+        result = run(load_scenario("ieee33", changes=changes), out=tmp_path / run.__name__, plots=False)
+        assert result.verdict.consensus, result.verdict.reason
+        assert result.verdict.gap_vm_pu is not None
+        assert result.verdict.gap_vm_pu <= GAP
+        assert any("no reading from" in note for area in result.areas for note in area.notes)
