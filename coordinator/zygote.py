@@ -19,7 +19,7 @@ import signal
 import sys
 import time
 import traceback
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any, NoReturn
@@ -136,7 +136,7 @@ class Zygote:
         pid = os.fork()
         if pid == 0:
             self._become(order)
-        self.children[pid] = order
+        self.children[pid] = replace(order, arguments=b"")  # what is forked later shall not inherit them
         self._report(Started(order.name, pid))
 
     def _become(self, order: Start) -> NoReturn:
