@@ -11,8 +11,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import agents.doorkeeper
 import agents.link
-import agents.loop
 from agents.__main__ import main as run_agent
 from agents.protocol import AreaProtocol
 from agents.transport import Session
@@ -36,7 +36,7 @@ def run_timed_agent(area_file: str, out: str) -> int:
 
         return call
 
-    agents.loop.decode = timed("decode", agents.loop.decode)  # type: ignore[attr-defined]
+    agents.doorkeeper.decode = timed("decode", agents.doorkeeper.decode)  # type: ignore[attr-defined]
     agents.link.encode = timed("encode", agents.link.encode)  # type: ignore[attr-defined]
     AreaProtocol.handle = timed("solve", AreaProtocol.handle)  # type: ignore[method-assign]
     code = run_agent([area_file])
