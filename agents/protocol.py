@@ -110,7 +110,9 @@ class AreaProtocol:
         self._hearing = Hearing(content.beat_s)
         self._used: set[str] = set()  # neighbours whose boundary message is in use
         self._measurements: tuple[Measurement, ...] = ()
+        self._silent: list[str] = []  # meters without a reading
         self._sent_load: dict[str, LoadMessage] = {}
+        self._load_of: tuple[object, NetLoad] | None = None  # measurements, and the net load of the area's own buses
         self._sent_boundary: dict[str, BoundaryNews] = {}
         self._sent_tally: dict[str, TallyMessage] = {}
         self._told: Estimate | None = None
@@ -196,6 +198,8 @@ class AreaProtocol:
                 readings.append(Measurement(meter, value, sigma))
         virtual = [Measurement(m, 0.0, 0.0) for m in self._content.meters if m.source is Source.VIRTUAL]
         self._measurements = (*readings, *virtual)
+        read = {m.meter.id for m in self._measurements}
+        self._silent = [meter.id for meter in self._content.meters if meter.id not in read]
 
     # What goes out
 
@@ -258,8 +262,7 @@ class AreaProtocol:
 
     def _tell_loads(self) -> list[Action]:
         """Tell a neighbour the net load on this side once all the other neighbours have told theirs."""
-        telemetered = self._content.generation == "telemetered"
-        own = own_net_load(self._area, measured_net_loads(self._area, self._measurements) if telemetered else {})
+        own = self._own_load()
         heard = self._heard_loads()
         actions: list[Action] = []
         for n in self._area.neighbours:
@@ -272,6 +275,14 @@ class AreaProtocol:
                 self._sent_load[n.area] = message
                 actions.append(Publish(message, n.area))
         return actions
+
+    def _own_load(self) -> NetLoad:
+        """The net load of the area's own buses, found anew for new measurements only."""
+        if self._load_of is None or self._load_of[0] is not self._measurements:
+            telemetered = self._content.generation == "telemetered"
+            measured = measured_net_loads(self._area, self._measurements) if telemetered else {}
+            self._load_of = (self._measurements, own_net_load(self._area, measured))
+        return self._load_of[1]
 
     def _tell_boundaries(self, estimate: Estimate) -> list[Action]:
         actions: list[Action] = []
@@ -373,10 +384,8 @@ class AreaProtocol:
         headers = [m.header for kept in (self._hearing.loads, self._hearing.boundary) for m in kept.values()]
         stale = {header.sender for header in headers if header.scan != self._scan}
         notes += [f"news from {name} is of another scan" for name in sorted(stale)]
-        read = {m.meter.id for m in self._measurements}
-        silent = [m.id for m in self._content.meters if m.id not in read]
-        if self._hearing.telemetry is not None and silent:
-            notes.append(f"no reading from {len(silent)} meters, the first is {silent[0]}")
+        if self._hearing.telemetry is not None and self._silent:
+            notes.append(f"no reading from {len(self._silent)} meters, the first is {self._silent[0]}")
         return notes
 
     def _repeat(self, just_done: Sequence[Action]) -> list[Action]:

@@ -43,6 +43,11 @@ class AreaModel:
     no_load: bool = False
     backend: Backend = "auto"
 
+    @cached_property
+    def virtual(self) -> np.ndarray:
+        """Which measurements are virtual, shape (n_meas,)."""
+        return np.array([meter.source is Source.VIRTUAL for meter in self.meters], dtype=bool)
+
     @property
     def size(self) -> int:
         return 2 * self._n + int(self.into_children.shape[1])
@@ -88,6 +93,27 @@ class AreaModel:
         C = sp.csr_array((C.data, C.indices, C.indptr), shape=(2, self.size))
         T = sp.vstack([C, _select(voltage, self.size)], format="csr")
         return np.concatenate([flows, x[voltage]]), sp.csr_array(T)
+
+    def boundary_values(self, x: np.ndarray, neighbour: Neighbour) -> np.ndarray:
+        """y of ``boundary`` alone."""
+        if self.into_area is None or not neighbour.is_parent:
+            return np.asarray(x[[*self._power_columns(neighbour), *self.voltage_columns(neighbour)]])
+        bus, there, own, mutual = self._branches_at_parent
+        va, vm = x[there], x[self._n + there]
+        v = float(x[self._n + bus])
+        s = (own * v * v).sum() + (mutual * (v * vm * np.exp(1j * (x[bus] - va)))).sum()
+        return np.array([s.real, s.imag, v, x[bus]])
+
+    @cached_property
+    def _branches_at_parent(self) -> tuple[int, np.ndarray, np.ndarray, np.ndarray]:
+        """Row of the parent's bus; of the branches there: row of the other end, conj of own and mutual admittance."""
+        assert self.area.parent is not None
+        assert self.into_area is not None
+        bus = self.area.network.row[self.area.parent.bus]
+        y = self.into_area.y[[0], :].tocoo()
+        columns, values = y.coords[1], y.data.conj()
+        at_bus = columns == bus
+        return bus, columns[~at_bus], values[at_bus], values[~at_bus]
 
     def voltage_columns(self, neighbour: Neighbour) -> list[int]:
         row = self.area.network.row[neighbour.bus]

@@ -32,6 +32,10 @@ if TYPE_CHECKING:
 
 LEAST_OF_FLOW = 1e-12  # information given to powers through branches that nothing determines yet
 LEAST_OF_POWER = 1e-8  # the same of powers into children
+# Determinant of a covariance of (p, q) over the product of its diagonal. Below it one combination of p and q is known
+# so much better than the other that in two numbers and their product it has drowned.
+LEAST_SPREAD = 1e-5
+LEAST_SPREAD_NEAR = 1e-8  # of steps that a start guides: what they miss, the next one finds
 
 
 def find_no_tree(network: Network) -> str:
@@ -93,7 +97,8 @@ class AreaTree:
         """The step of ``(G + D) dx = b - D (x - start)``, shape (size,); ``damping``: D of voltages and of powers."""
         from dsse_core import tree_boundary as tree
 
-        t = self._pass(self._top, x, heard, damping, start, 0.0)
+        spread = LEAST_SPREAD if start is x else LEAST_SPREAD_NEAR
+        t = self._pass(self._top, x, heard, damping, start, 0.0, least_spread=spread)
         if t is None:
             return None
         dx = np.empty(self._size)
@@ -157,7 +162,7 @@ class AreaTree:
             column = self._column[self._area.neighbours.index(neighbour)]
             power = x[column : column + 2]
             S, slope, mean, M, g = _with_own_balance(S, -slope, -mean - power, M, g, t.w[0, 2:4] >= 0)
-        if S[0, 1] ** 2 > (1 - tree.LEAST_SPREAD) * abs(S[0, 0] * S[1, 1]):
+        if S[0, 1] ** 2 > (1 - LEAST_SPREAD) * abs(S[0, 0] * S[1, 1]):
             self._decline("an open combination of p and q at the boundary")
             return None
         P = factor_inverse(S)
@@ -173,6 +178,7 @@ class AreaTree:
         start: np.ndarray,
         least_of_flow: float,
         addressee: str = "",
+        least_spread: float = LEAST_SPREAD,
     ) -> _Rooted | None:
         from dsse_core import tree_boundary as tree
 
@@ -186,7 +192,7 @@ class AreaTree:
         enough = tree.pass_upward(
             t.layout.order, t.layout.parent, t.admittance, t.z, t.w, t.at, self._column, t.role, t.R, t.told_z,
             np.asarray(x, dtype=float), np.asarray(start, dtype=float), damping, least_of_flow,
-            t.v, t.va, t.told, *t.work,
+            least_spread, t.v, t.va, t.told, *t.work,
         )  # fmt: skip
         if not enough:
             self._decline("an open combination of p and q")

@@ -46,20 +46,29 @@ def tally_area(
     spared: Collection[str],
 ) -> Tally:
     """The area's own part. ``variance``: ``residual_variance`` at ``x``; ``spared``: critical meters."""
-    residual = model.residual(x)
-    normalized = normalize_residuals(measurements, residual, variance)
-    real = np.array([m.meter.source is not Source.VIRTUAL for m in measurements], dtype=bool)
-    owned = len(model.area.network.buses) - (model.area.parent is not None)
+    normalized = normalize_residuals(measurements, model.residual(x), variance)
     suspects = {
-        m.meter.id: float(value)
-        for m, value in zip(measurements, normalized, strict=True)
-        if value > THRESHOLD and m.meter.id not in spared
+        model.meters[k].id: float(normalized[k])
+        for k in np.flatnonzero(normalized > THRESHOLD)
+        if model.meters[k].id not in spared
     }
     return Tally(
-        objective=float(((residual[real] / model.sigma[real]) ** 2).sum()),
-        degrees_of_freedom=len(measurements) - 2 * owned + model.area.is_reference,
+        objective=find_objective(model, x),
+        degrees_of_freedom=count_freedom(model),
         worst=_keep_tied(suspects),
     )
+
+
+def find_objective(model: AreaModel, x: np.ndarray) -> float:
+    """J of the area's own measurements; virtual ones do not count."""
+    weighted = np.where(model.virtual, 0.0, model.residual(x) / model.sigma)
+    return float(weighted @ weighted)
+
+
+def count_freedom(model: AreaModel) -> int:
+    """The area's part of the degrees of freedom."""
+    owned = len(model.area.network.buses) - (model.area.parent is not None)
+    return len(model.meters) - 2 * owned + model.area.is_reference
 
 
 def add_tallies(tallies: Iterable[Tally]) -> Tally:

@@ -20,15 +20,12 @@ from dsse_core.tree_kernel import UPWARD, compiled, eliminate, solve_block, subs
 SILENT, HEARD, ADDRESSEE = 0, 1, 2  # what a neighbour is in a pass
 N_TOLD = 9  # of a neighbour's message: V (3), A (4), mean (2)
 N_KNOWN = 16  # of an addressee: see describe_root
-# Determinant of a covariance of (p, q) over the product of its diagonal. Below it one combination of p and q is known
-# so much better than the other that in two numbers and their product it has drowned.
-LEAST_SPREAD = 1e-5
 LARGEST_LOSS = 1e-4  # of a variance that is a difference, relative to what it is taken of: 1e-9 of it is kept
 
 
 @compiled
 def pass_upward(
-    order, parent, Y, z, w, at, column, role, R, told_z, x, start, damping, least_of_flow,
+    order, parent, Y, z, w, at, column, role, R, told_z, x, start, damping, least_of_flow, least_spread,
     v, va, told, above, factor, more, block, step,
 ):  # fmt: skip
     """Leaves to root with all messages; whether digits enough are left. What is known of the root is in ``above[0]``.
@@ -58,18 +55,18 @@ def pass_upward(
             p, q = x[c], x[c + 1]
             sign, d, pull0, pull1 = 1.0, damping[1], p - start[c], q - start[c + 1]
         _add_message(above[i], told[k], R[k], told_z[k], p, q, abs(v[i]), va[i], sign, d, pull0, pull1)
-        if (w[i, 2] >= 0.0 or w[i, 3] >= 0.0) and not _is_spread(told[k, 0], told[k, 1], told[k, 2]):
+        if (w[i, 2] >= 0.0 or w[i, 3] >= 0.0) and not _is_spread(told[k, 0], told[k, 1], told[k, 2], least_spread):
             return False
     eliminate(parent, Y, z, w, v, va, True, UPWARD, above, factor, more, block, step, least_of_flow)
     for i in range(1, n):
-        if not _is_spread(factor[i, 8], factor[i, 9], factor[i, 13]):
+        if not _is_spread(factor[i, 8], factor[i, 9], factor[i, 13], least_spread):
             return False
     return math.isfinite(above[0].sum())
 
 
 @compiled
-def _is_spread(V00, V01, V11):
-    return V00 > 0.0 and V11 > 0.0 and V00 * V11 - V01 * V01 > LEAST_SPREAD * V00 * V11
+def _is_spread(V00, V01, V11, least):
+    return V00 > 0.0 and V11 > 0.0 and least * V00 * V11 < V00 * V11 - V01 * V01
 
 
 @compiled

@@ -22,7 +22,7 @@ from dsse_core.bad_data import CONFIDENCE, CRITICAL_REDUNDANCY, chi_square_limit
 from dsse_core.boundary_information import BoundaryInformation
 from dsse_core.exchange import residual_variance
 from dsse_core.feeder_bad_data import NoLoadModel, Tally, add_tallies, tally_area
-from dsse_core.measurement import Measurement, MeasurementKind, Source
+from dsse_core.measurement import Measurement, MeasurementKind
 from dsse_core.partition import Area, Neighbour
 
 UPPER = np.triu_indices(4)
@@ -155,13 +155,10 @@ class BadDataTree:
         indispensable = self._find_indispensable(no_load)
         if self._own is None or self._own[0] is not x or self._own[1] != indispensable:
             variance = residual_variance(model, x, heard)
-            critical = {
-                m.meter.id
-                for m, v in zip(measurements, variance, strict=True)
-                if m.meter.source is not Source.VIRTUAL
-                and (v <= CRITICAL_REDUNDANCY * m.sigma**2 or m.meter.id in indispensable)
-            }
-            self.critical = tuple(m.meter.id for m in measurements if m.meter.id in critical)
+            without_check = (variance <= CRITICAL_REDUNDANCY * model.sigma**2) & ~model.virtual
+            real = {model.meters[k].id for k in np.flatnonzero(~model.virtual)} if indispensable else set()
+            critical = {model.meters[k].id for k in np.flatnonzero(without_check)} | (indispensable & real)
+            self.critical = tuple(m.id for m in model.meters if m.id in critical) if critical else ()
             self._own = (x, indispensable, tally_area(model, measurements, x, variance, critical))
         return self._own[2]
 

@@ -21,7 +21,7 @@ from dsse_core.area_model import AreaModel, build_area_model
 from dsse_core.bad_data import DEAD_VM, chi_square_limit
 from dsse_core.boundary_information import BoundaryInformation
 from dsse_core.exchange import compute_information, solve_step, solve_step_near, state_variance
-from dsse_core.feeder_bad_data import build_no_load_model, tally_area
+from dsse_core.feeder_bad_data import build_no_load_model, count_freedom, find_objective
 from dsse_core.measurement import Measurement, MeasurementKind
 from dsse_core.partition import Neighbour
 
@@ -48,6 +48,7 @@ class Information(Strategy):
         self._basis: object = None  # telemetry and decisions that the model is made from
         self._measurements: tuple[Measurement, ...] = ()
         self._removed: tuple[str, ...] = ()  # the area's own meters
+        self._has_own_angle = content.area.reference is not None
         self._model: AreaModel | None = None
         self._x = self._start = np.zeros(0)
         self._newest: dict[str, tuple[Incarnation, int]] = {}
@@ -111,18 +112,13 @@ class Information(Strategy):
         assert isinstance(message, InformationMessage)
         assert isinstance(last, InformationMessage)
         assert self._model is not None
-        y, _ = self._model.boundary(self._x, neighbour)
+        y = self._model.boundary_values(self._x, neighbour)
         moved = has_moved(y, _read(message), _read(last), self._heard.get(neighbour.area))
         return moved or (message.referenced, message.complete) != (last.referenced, last.complete)
 
     def find_refusal(self, message: BoundaryNews) -> str:
         assert isinstance(message, InformationMessage)
         return "" if _read(message).is_reasonable else "information beyond reason"
-
-    @property
-    def _has_own_angle(self) -> bool:
-        angle_meters = any(m.meter.kind is MeasurementKind.VA for m in self._measurements)
-        return self._area.reference is not None or angle_meters
 
     @property
     def _is_referenced(self) -> bool:
@@ -143,6 +139,8 @@ class Information(Strategy):
         self._removed = (*dead, *(meter for meter in self._tree.decisions if meter in own and meter not in dead))
         selected = self._tree.select(telemetry)
         self._measurements = tuple(m for m in selected if m.meter.id not in dead)
+        has_angle_meter = any(m.meter.kind is MeasurementKind.VA for m in self._measurements)
+        self._has_own_angle = has_angle_meter or self._area.reference is not None
         held_back = len(telemetry) - len(self._measurements) - len(self._removed)
         reference = self._area.reference[0] if self._area.reference else None
         self._model = build_area_model(self._area, self._measurements, reference)
@@ -178,7 +176,7 @@ class Information(Strategy):
         """By how much neighbour ``name`` would have us turn all angles, power and magnitude as they are."""
         assert self._model is not None
         neighbour = next(n for n in self._area.neighbours if n.area == name)
-        y, _ = self._model.boundary(self._x, neighbour)
+        y = self._model.boundary_values(self._x, neighbour)
         told = self._heard[name]
         of_angle = told.R[:, 3]
         return float(of_angle @ (told.z - told.R @ y) / max(of_angle @ of_angle, TINY))
@@ -232,15 +230,14 @@ class Information(Strategy):
         n = len(self._area.network.buses)
         variance = state_variance(model, x, self._heard, near_start=not self._is_informed)
         sigma = np.sqrt(np.maximum(variance, 0.0))
-        tally = tally_area(model, self._measurements, x, np.zeros(len(model.z)), ())
         return Estimate(
             vm=x[n : 2 * n],
             va=x[:n],
             sigma_vm=sigma[n : 2 * n],
             sigma_va=sigma[:n],
             referenced=self._is_referenced,
-            objective=tally.objective,
-            degrees_of_freedom=tally.degrees_of_freedom,
+            objective=find_objective(model, x),
+            degrees_of_freedom=count_freedom(model),
             removed=self._removed,
             checked=False,
         )
@@ -250,7 +247,7 @@ class Information(Strategy):
         assert self._model is not None
         notes = []
         for n in self._area.neighbours:
-            told, y = known.told[n.area], self._model.boundary(self._x, n)[0]
+            told, y = known.told[n.area], self._model.boundary_values(self._x, n)
             assert isinstance(told, InformationMessage)
             distance, freedom = distance_between(y, _read(told), self._heard[n.area])
             limit = chi_square_limit(freedom, CONTRADICTION)
