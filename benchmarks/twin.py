@@ -21,7 +21,8 @@ from benchmarks.machine import describe_machine
 SEED = 1
 HEADER = (
     "| areas | buses | consensus | gap vm p.u. | gap va deg | last change, virtual ms "
-    "| boundary messages of an area: median, most | all its messages: median, most | its bytes: median, most | CPU s | of it per area, ms | memory MiB |"
+    "| boundary messages of an area: median, most | all its messages: median, most | its bytes: median, most "
+    "| CPU s | of it per area, ms | memory MiB |"
 )
 
 
