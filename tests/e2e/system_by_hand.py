@@ -28,6 +28,7 @@ from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 
 ROOT = Path(__file__).parents[2]
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
 DSSE = [sys.executable, "-P", "-m", "coordinator"]
 
 
@@ -43,7 +44,7 @@ class SystemByHand:
     def __init__(self, folder: Path, environment: Mapping[str, str] | None = None) -> None:
         self.folder = folder
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
-        self._environment = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1", **(environment or {})}
+        self._environment = {**ENVIRONMENT, **(environment or {})}
 
     def start(self, name: str, *arguments: object, prefix: Sequence[str] = ()) -> None:
         """Start ``dsse`` with ``arguments``; ``prefix``: the command that runs it elsewhere."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import shutil
 import signal
 import socket
@@ -18,7 +17,7 @@ from pathlib import Path
 import pytest
 from expiring import let_expire
 from stranger import RUN
-from system_by_hand import ROOT, SystemByHand, Watcher, free_port
+from system_by_hand import ENVIRONMENT, ROOT, SystemByHand, Watcher, free_port
 from waiting import DEADLINE_S, wait_until
 
 from coordinator.certificates import access_of, create_keys
@@ -27,7 +26,6 @@ from scenarios.scenario import load_scenario
 
 AREAS = ("area1", "area2", "area3")
 STRANGER = [sys.executable, "-P", str(ROOT / "tests" / "e2e" / "stranger.py")]
-ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
 SEE_REFUSED_MESSAGES = {"RUST_LOG": "warn,zenoh::net::routing::interceptor=trace"}
 
 
