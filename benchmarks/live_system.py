@@ -1,0 +1,154 @@
+"""A system of real processes that goes on until its block ends, watched over the bus like any other watcher would."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from functools import lru_cache
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+
+from agents.access import COORDINATOR
+from agents.keys import all_states, clock_key
+from agents.messages import StateMessage, decode
+from agents.presence import begin_life
+from coordinator.comparison import rows_of
+from coordinator.judging import estimate_centralised
+from coordinator.processes import Launcher, News
+from coordinator.run_clock import RunClock
+from coordinator.system import System
+from coordinator.zygote import Ended, Started
+from scenarios.scenario import Scenario
+from scenarios.telemetry import make_telemetry
+
+START_S = 60.0
+LOOK_S = 0.02
+
+States = Mapping[str, StateMessage]
+
+
+class LiveSystem:
+    """The processes of ``scenario``; ``states`` are the newest that were heard, ``strays`` ended unasked.
+
+    ``scan_every_s``: time between scans, None for one only. ``folder``: empty, for area files and logs.
+    """
+
+    def __init__(self, scenario: Scenario, folder: Path, scan_every_s: float | None = None) -> None:
+        (folder / "logs").mkdir(parents=True)
+        self.scenario = scenario
+        self.folder = folder
+        self.states: dict[str, StateMessage] = {}
+        self.strays: list[str] = []
+        self.heard_at: dict[str, float] = {}
+        self._silence = 0.0
+        self._news = News()
+        self._began: float | None = None
+        self._clock = RunClock("live", scenario.run.beat_s, begin_life())
+        self._launcher = Launcher(self._news.put)
+        self.system = System(self._launcher, scenario, "live", folder, scan_every_s)
+        self._rows = {area.name: rows_of(scenario.partition, area.name) for area in scenario.partition.areas}
+        self._centralised = lru_cache(maxsize=8)(self._estimate)
+
+    @property
+    def areas(self) -> tuple[str, ...]:
+        return tuple(self._rows)
+
+    def __enter__(self) -> Self:
+        try:
+            self._launcher.preload("coordinator.router_process", "agents.__main__", "coordinator.plant")
+            self.system.start_bus(lambda: self.take(LOOK_S) or None)
+            self.system.start_others()
+            self._session = self.system.join(COORDINATOR)
+            self._clock.publish = self._session.publisher(clock_key("live"))
+            self._session.subscribe(
+                all_states("live"), lambda key, payload: self._news.put((time.monotonic(), payload))
+            )
+        except BaseException:
+            self._launcher.close()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._session.close()
+        self._launcher.close()
+
+    def take(self, timeout_s: float = 0.0) -> str:
+        """Take in what has arrived, or wait for it; the strays, in words."""
+        if self._began is not None:
+            self._clock.tell(time.monotonic() - self._began)
+        for item in self._news.take(timeout_s):
+            if isinstance(item, Started | Ended):
+                if not self.system.note(item):
+                    self.strays.append(str(item))
+            else:
+                at, payload = item
+                self._keep(at, decode(payload))
+        return "; ".join(self.strays)
+
+    def wait_until(self, holds: Callable[[States], bool], deadline_s: float = START_S) -> float | None:
+        """The monotonic time at which the states came to fulfil ``holds``; None if they do not in time."""
+        deadline = time.monotonic() + deadline_s
+        while not holds(self.states):
+            if time.monotonic() > deadline:
+                return None
+            self.take(LOOK_S)
+        return time.monotonic()
+
+    def begin(self) -> None:
+        """Windows of faults of the links count from now."""
+        self._began = time.monotonic()
+
+    def pass_time(self, duration_s: float) -> None:
+        """Listen for ``duration_s``."""
+        self.wait_until(lambda _: False, duration_s)
+
+    def forget_silences(self) -> None:
+        """Begin to measure ``longest_silence`` now."""
+        self._silence = 0.0
+
+    def longest_silence(self) -> float:
+        """The longest time between two states of one area that arrived since ``forget_silences``, s."""
+        return self._silence
+
+    def describe(self) -> str:
+        """What the areas note, and how far off they are, for people."""
+        notes = [
+            f"{name} {state.quality}: {'; '.join(state.notes)}" for name, state in self.states.items() if state.notes
+        ]
+        return "; ".join([f"gap {self.gap(self.states):.2g}", *notes, *self.strays])
+
+    def gap(self, states: States) -> float:
+        """The largest difference to the centralised estimate of the same scan, p.u. and rad.
+
+        Infinite while an area has no estimate, angles of its own, or another scan than the rest.
+        """
+        scans = {states[name].header.scan if name in states else None for name in self.areas}
+        if len(scans) > 1 or None in scans:
+            return float("inf")
+        vm, va = self._centralised(scans.pop())
+        gaps = []
+        for name, rows in self._rows.items():
+            state = states[name]
+            if not (state.buses and state.referenced):
+                return float("inf")
+            gaps += [abs(np.array(state.vm) - vm[rows]).max(), abs(np.array(state.va) - va[rows]).max()]
+        return float(max(gaps))
+
+    def _keep(self, at: float, state: object) -> None:
+        if isinstance(state, StateMessage):
+            last = self.states.get(state.header.sender)
+            before = self.heard_at.get(state.header.sender, at)
+            self.heard_at[state.header.sender] = at
+            self._silence = max(self._silence, at - before)
+            if last is None or state.header.order >= last.header.order:
+                self.states[state.header.sender] = state
+
+    def _estimate(self, scan: int) -> tuple[np.ndarray, np.ndarray]:
+        report = estimate_centralised(self.scenario, make_telemetry(self.scenario, scan)).report
+        assert report is not None, "the centralised estimate of a shipped network"
+        return report.result.vm, report.result.va

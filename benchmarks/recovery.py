@@ -1,0 +1,155 @@
+"""``python -m benchmarks.recovery``: how long until the death of an area is noticed, and until it is made good.
+
+The 33-bus feeder in twelve areas, as processes. Again and again one of them is killed, left dead for a while, and
+started again; a watcher on the bus takes the times, from the signal to the arrival of a state that says so.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import statistics
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before anything loads numpy
+
+import click
+
+from agents.access import ROUTER
+from agents.quality import GOOD
+from benchmarks.live_system import LiveSystem, States
+from benchmarks.machine import describe_machine
+from coordinator.judging import prepare_scenario
+from coordinator.system import SECOND_ROUTER
+from scenarios.scenario import Scenario, load_scenario
+
+AREAS = 12
+GAP = 1e-8
+DEAD_S = 0.5
+DEADLINE_S = 20.0
+
+BEAT_S = 0.2  # of the shipped scenarios
+FAST_BEAT_S = 0.02  # so that a silence of some tens of milliseconds shows
+
+Times = dict[str, list[float]]
+
+
+def build_scenario(routers: int, beat_s: float) -> Scenario:
+    """The feeder in twelve areas, with one router or two linked ones."""
+    changes = {"areas": {"count": AREAS}, "transport.routers": routers, "run.beat_s": beat_s}
+    return prepare_scenario(load_scenario("ieee33", changes=changes))
+
+
+def kill_area(live: LiveSystem, victim: str) -> dict[str, float]:
+    """How long it takes all neighbours to notice the death of ``victim``, and all areas to be whole again, s."""
+    neighbours = [n.area for n in live.scenario.partition.area(victim).neighbours]
+    life = live.states[victim].header.incarnation
+    mark = f"neighbour {victim} is gone"
+    killed = time.monotonic()
+    live.system.kill(victim)
+    noticed = _wait(live, lambda states: all(mark in states[name].notes for name in neighbours))
+    degraded = _wait(live, lambda states: all(states[name].quality != GOOD for name in neighbours))
+    live.pass_time(DEAD_S)
+    restarted = time.monotonic()
+    live.system.restart(victim)
+    whole = _wait(live, lambda states: states[victim].header.incarnation > life and _is_whole(live, states))
+    good = _wait(live, lambda states: all(states[name].quality == GOOD for name in live.areas))
+    return {
+        "area killed: all its neighbours say so": noticed - killed,
+        "area killed: all its neighbours are no longer good": degraded - killed,
+        "area restarted: all areas at the fixed point": whole - restarted,
+        "area restarted: all areas good": good - restarted,
+    }
+
+
+def kill_router(live: LiveSystem) -> dict[str, float]:
+    """How long after the restart of the only router all areas have been heard and are whole again, s."""
+    live.system.kill(ROUTER)
+    live.pass_time(DEAD_S)
+    restarted = time.monotonic()
+    live.system.restart(ROUTER)
+    whole = _wait(
+        live, lambda states: all(live.heard_at[name] > restarted for name in live.areas) and _is_whole(live, states)
+    )
+    return {"only router restarted: all areas heard and at the fixed point": whole - restarted}
+
+
+def lose_one_router(live: LiveSystem) -> dict[str, float]:
+    """The longest silence of an area at a watcher without any fault, and when the first of two routers dies, s."""
+    live.forget_silences()
+    live.pass_time(DEAD_S)
+    usual = live.longest_silence()
+    live.forget_silences()
+    live.system.kill(ROUTER)
+    live.pass_time(DEAD_S)
+    silence = live.longest_silence()
+    live.system.restart(ROUTER)
+    _wait(live, lambda states: _is_whole(live, states))
+    live.system.kill(SECOND_ROUTER)  # so that all are linked to the first again
+    live.pass_time(DEAD_S)
+    live.system.restart(SECOND_ROUTER)
+    _wait(live, lambda states: _is_whole(live, states))
+    return {"longest silence of an area, no fault": usual, "longest silence, one of two routers killed": silence}
+
+
+def _is_whole(live: LiveSystem, states: States) -> bool:
+    """At the fixed point, and nobody misses anybody."""
+    return not any(states[name].notes for name in live.areas if name in states) and live.gap(states) <= GAP
+
+
+def _wait(live: LiveSystem, holds: Callable[[States], bool]) -> float:
+    """The time at which the states came to fulfil ``holds``."""
+    at = live.wait_until(holds, DEADLINE_S)
+    if at is None:
+        raise SystemExit(f"error: did not happen within {DEADLINE_S:g} s; {live.describe()}")
+    return at
+
+
+def repeat(times: Times, found: dict[str, float]) -> None:
+    """Add what was ``found`` once to the series of each."""
+    for what, seconds in found.items():
+        times.setdefault(what, []).append(seconds)
+
+
+def summarise(times: Times) -> dict[str, dict[str, float]]:
+    """Median and worst of each, ms."""
+    return {
+        what: {
+            "times": len(series),
+            "median_ms": round(1000 * statistics.median(series), 1),
+            "worst_ms": round(1000 * max(series), 1),
+        }
+        for what, series in times.items()
+    }
+
+
+@click.command(context_settings={"show_default": True})
+@click.option(
+    "--kills", type=click.IntRange(1), default=30, help="Of areas, of the only router, and of one of two routers."
+)
+@click.option("--seed", type=click.IntRange(0), default=1)
+def main(kills: int, seed: int) -> None:
+    """Print median and worst of each time as JSON."""
+    times: Times = {}
+    draws = random.Random(seed)
+    with tempfile.TemporaryDirectory() as scratch:
+        with LiveSystem(build_scenario(1, BEAT_S), Path(scratch) / "one") as live:
+            _wait(live, lambda states: _is_whole(live, states))
+            for _ in range(kills):
+                repeat(times, kill_area(live, draws.choice(live.areas)))
+            for _ in range(kills):
+                repeat(times, kill_router(live))
+        with LiveSystem(build_scenario(2, FAST_BEAT_S), Path(scratch) / "two") as linked:
+            _wait(linked, lambda states: _is_whole(linked, states))
+            for _ in range(kills):
+                repeat(times, lose_one_router(linked))
+    found = describe_machine(()) | {"beat_s": str(BEAT_S), "fast_beat_s": str(FAST_BEAT_S)}
+    print(json.dumps(found | summarise(times), indent=2))
+
+
+if __name__ == "__main__":
+    main()
