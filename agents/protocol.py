@@ -8,7 +8,7 @@ slow beat, so that a lost last message does not matter. Messages are absolute: o
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,13 +24,12 @@ from agents.messages import (
     InformationMessage,
     LoadMessage,
     Message,
-    StateMessage,
     TallyMessage,
     TelemetryMessage,
 )
-from agents.quality import judge_quality
 from agents.refusals import find_reading_refusal, find_refusal, find_unreasonable
 from agents.reminders import Reminders
+from agents.shown_state import ShownState
 from agents.strategies.interface import Estimate, Knowledge, Strategy
 from dsse_core.boundary_load import NetLoad, load_message_for, measured_net_loads, own_net_load
 from dsse_core.measurement import Measurement, Source
@@ -116,8 +115,7 @@ class AreaProtocol:
         self._sent_boundary: dict[str, BoundaryNews] = {}
         self._sent_tally: dict[str, TallyMessage] = {}
         self._told: Estimate | None = None
-        self._shown: tuple[Estimate | None, bool, int] = (None, False, 0)  # in the state: with doubts? of which scan?
-        self._state: StateMessage | None = None  # as last published
+        self._state = ShownState(content.area, self._hearing, self._header)
         self._present: set[str] = set()
         self._gone: dict[str, str] = {}  # neighbour -> its farewell
         self._refused: Counter[str] = Counter()
@@ -155,9 +153,8 @@ class AreaProtocol:
         elif news or self._strategy.restless or used != self._used:
             self._used = used
             actions += self._work()
-        elif self._state is not None and self._state.quality != self._quality:
-            self._state = self._as_of_now(self._state)
-            actions.append(Publish(self._state, None))
+        elif self._state.message and self._state.message.quality != self._state.quality(set(self._gone), now):
+            actions.append(self._renew_state())
         actions += [Publish(self._sent_boundary[name], name) for name in self._reminders.take_due(now)]
         if now >= self._next_beat:
             self._next_beat = now + self._content.beat_s
@@ -315,66 +312,14 @@ class AreaProtocol:
                 self._reminders.stop(n.area)
 
     def _show_state(self, estimate: Estimate | None, notes: Sequence[str], doubts: bool = False) -> list[Action]:
-        last, hearing = self._state, self._hearing
-        self._shown = (estimate, doubts, self._scan)
-        state = StateMessage(
-            header=self._header(last),
-            buses=() if estimate is None else tuple(bus.id for bus in self._area.network.buses),
-            vm=() if estimate is None else tuple(estimate.vm.tolist()),
-            va=() if estimate is None else tuple(estimate.va.tolist()),
-            sigma_vm=() if estimate is None else tuple(estimate.sigma_vm.tolist()),
-            sigma_va=() if estimate is None else tuple(estimate.sigma_va.tolist()),
-            referenced=estimate is not None and estimate.referenced,
-            objective=0.0 if estimate is None else estimate.objective,
-            degrees_of_freedom=0 if estimate is None else estimate.degrees_of_freedom,
-            removed=() if estimate is None else estimate.removed,
-            critical=() if estimate is None else estimate.critical,
-            checked=estimate is not None and estimate.checked,
-            sent={
-                n.area: _sequences(n.area, self._sent_load, self._sent_boundary, self._sent_tally)
-                for n in self._area.neighbours
-            },
-            heard={
-                n.area: _sequences(n.area, hearing.loads, hearing.boundary, hearing.tallies)
-                for n in self._area.neighbours
-            },
-            messages=0,
-            bytes=0,
-            lost=0,
-            refused={},
-            notes=(*notes, *self._what_is_missing()),
-            faults={},
-            quality=self._quality,
-            telemetry_age=0.0,
-            ages={},
-            scans={},
-        )
-        if last is not None and _without_ages(last) == replace(state, header=last.header, quality=last.quality):
-            if (last.quality, last.header.scan) == (state.quality, self._scan):
-                return []
-            if last.header.scan == self._scan:
-                state = replace(state, header=last.header)
-        self._state = self._as_of_now(state)
-        return [Publish(self._state, None)]
+        sent = (self._sent_load, self._sent_boundary, self._sent_tally)
+        notes = (*notes, *self._what_is_missing())
+        changed = self._state.change(estimate, notes, doubts, sent, set(self._gone), self._now)
+        return [self._renew_state()] if changed else []
 
-    @property
-    def _quality(self) -> str:
-        """Of the state as last shown; new readings leave it behind until they have been worked in."""
-        estimate, doubts, scan = self._shown
-        doubts |= scan != self._scan
-        return judge_quality(estimate, doubts, self._hearing, set(self._by_name), set(self._gone), self._now)
-
-    def _as_of_now(self, state: StateMessage) -> StateMessage:
-        """``state`` with the quality and the ages of this moment."""
-        return replace(
-            state,
-            header=replace(state.header, time=self._now + self._clock_offset),
-            quality=self._quality,
-            telemetry_age=self._hearing.telemetry_age(self._now),
-            ages=self._hearing.ages(self._now),
-            refused=dict(self._refused + Counter(self._not_let_in)),
-            scans=self._hearing.scans(),
-        )
+    def _renew_state(self) -> Publish:
+        refused = self._refused + Counter(self._not_let_in)
+        return Publish(self._state.renew(set(self._gone), refused, self._now), None)
 
     def _what_is_missing(self) -> list[str]:
         notes = [
@@ -396,9 +341,8 @@ class AreaProtocol:
             for message in (d.get(n.area) for d in (self._sent_load, self._sent_boundary, self._sent_tally)):
                 if message is not None:
                     last_words.append(Publish(message, n.area))
-        if self._state is not None and id(self._state) not in fresh:
-            self._state = self._as_of_now(self._state)
-            last_words.append(Publish(self._state, None))
+        if self._state.message is not None and id(self._state.message) not in fresh:
+            last_words.append(self._renew_state())
         return [a for a in last_words if isinstance(a, Publish) and id(a.message) not in fresh]
 
     @property
@@ -414,18 +358,6 @@ class AreaProtocol:
             sequence=last.header.sequence + 1 if last else 1,
             time=self._now + self._clock_offset,
         )
-
-
-def _sequences(
-    name: str, loads: Mapping[str, Message], boundary: Mapping[str, Message], tallies: Mapping[str, Message]
-) -> tuple[int, int, int]:
-    load, state, tally = (kept[name].header.sequence if name in kept else 0 for kept in (loads, boundary, tallies))
-    return load, state, tally
-
-
-def _without_ages(state: StateMessage) -> StateMessage:
-    """Ages and counts are renewed at every beat; they are no news."""
-    return replace(state, telemetry_age=0.0, ages={}, scans={}, refused={})
 
 
 def _check_sayable(message: BoundaryNews | TallyMessage, refusal: str = "") -> None:

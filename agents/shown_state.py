@@ -1,0 +1,124 @@
+"""The state that an area shows to whoever watches: composed when it changes, renewed with its ages at every beat."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+from agents.hearing import Hearing
+from agents.messages import Header, Message, StateMessage
+from agents.quality import judge_quality
+from agents.strategies.interface import Estimate
+from dsse_core.partition import Area
+
+Sent = Mapping[str, Message]
+
+
+class ShownState:
+    """``message``: the state as last shown, None before the first.
+
+    Args:
+        header_for: the header of a message that follows the given one.
+    """
+
+    def __init__(self, area: Area, hearing: Hearing, header_for: Callable[[Message | None], Header]) -> None:
+        self.message: StateMessage | None = None
+        self._area = area
+        self._hearing = hearing
+        self._header_for = header_for
+        self._estimate: Estimate | None = None
+        self._doubts = False
+        self._scan = 0
+
+    def change(
+        self,
+        estimate: Estimate | None,
+        notes: Sequence[str],
+        doubts: bool,
+        sent: tuple[Sent, Sent, Sent],
+        gone: set[str],
+        now: float,
+    ) -> bool:
+        """Show ``estimate``; whether that says something new.
+
+        ``sent``: the last load, boundary and tally message to each neighbour. Under the number of the last state
+        only its quality, ages and counts may change.
+        """
+        hearing, last = self._hearing, self.message
+        self._estimate, self._doubts, self._scan = estimate, doubts, hearing.scan
+        state = _compose(self._area, self._header_for(last), estimate)
+        names = [n.area for n in self._area.neighbours]
+        state = replace(
+            state,
+            sent={name: _sequences(name, *sent) for name in names},
+            heard={name: _sequences(name, hearing.loads, hearing.boundary, hearing.tallies) for name in names},
+            notes=tuple(notes),
+            quality=self.quality(gone, now),
+        )
+        if last is not None and _without_ages(last) == replace(state, header=last.header, quality=last.quality):
+            if (last.quality, last.header.scan) == (state.quality, hearing.scan):
+                return False
+            if last.header.scan == hearing.scan:
+                state = replace(state, header=last.header)
+        self.message = state
+        return True
+
+    def renew(self, gone: set[str], refused: Mapping[str, int], now: float) -> StateMessage:
+        """The state with the quality, the ages and the counts of time ``now``."""
+        assert self.message is not None
+        self.message = replace(
+            self.message,
+            header=replace(self.message.header, time=self._header_for(None).time),
+            quality=self.quality(gone, now),
+            telemetry_age=self._hearing.telemetry_age(now),
+            ages=self._hearing.ages(now),
+            scans=self._hearing.scans(),
+            refused=dict(refused),
+        )
+        return self.message
+
+    def quality(self, gone: set[str], now: float) -> str:
+        """Of the state as last shown; new readings leave it behind until they have been worked in."""
+        doubts = self._doubts or self._scan != self._hearing.scan
+        names = {n.area for n in self._area.neighbours}
+        return judge_quality(self._estimate, doubts, self._hearing, names, gone, now)
+
+
+def _compose(area: Area, header: Header, estimate: Estimate | None) -> StateMessage:
+    """What there is to say of ``estimate``; everything else is empty."""
+    return StateMessage(
+        header=header,
+        buses=() if estimate is None else tuple(bus.id for bus in area.network.buses),
+        vm=() if estimate is None else tuple(estimate.vm.tolist()),
+        va=() if estimate is None else tuple(estimate.va.tolist()),
+        sigma_vm=() if estimate is None else tuple(estimate.sigma_vm.tolist()),
+        sigma_va=() if estimate is None else tuple(estimate.sigma_va.tolist()),
+        referenced=estimate is not None and estimate.referenced,
+        objective=0.0 if estimate is None else estimate.objective,
+        degrees_of_freedom=0 if estimate is None else estimate.degrees_of_freedom,
+        removed=() if estimate is None else estimate.removed,
+        critical=() if estimate is None else estimate.critical,
+        checked=estimate is not None and estimate.checked,
+        sent={},
+        heard={},
+        messages=0,
+        bytes=0,
+        lost=0,
+        refused={},
+        notes=(),
+        faults={},
+        quality="",
+        telemetry_age=0.0,
+        ages={},
+        scans={},
+    )
+
+
+def _sequences(name: str, loads: Sent, boundary: Sent, tallies: Sent) -> tuple[int, int, int]:
+    load, state, tally = (kept[name].header.sequence if name in kept else 0 for kept in (loads, boundary, tallies))
+    return load, state, tally
+
+
+def _without_ages(state: StateMessage) -> StateMessage:
+    """Ages and counts are renewed at every beat; they are no news."""
+    return replace(state, telemetry_age=0.0, ages={}, scans={}, refused={})
