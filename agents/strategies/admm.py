@@ -24,6 +24,7 @@ from dsse_core.measurement import Measurement, MeasurementKind
 from dsse_core.partition import Neighbour
 
 MOST_STEPS = 50  # between two messages
+LARGEST_R = np.array([1e6, 1e6, 1e3, 1e3])  # p.u. and rad; from farther away z would not come back with all digits
 SETTLED = 1e-6  # p.u., rad: a last step below it tells of the end
 
 
@@ -88,8 +89,9 @@ class Admm(Strategy):
 
     def find_refusal(self, message: BoundaryNews) -> str:
         assert isinstance(message, AdmmMessage)
-        largest = np.abs([message.r, message.r_before, message.weight]).max()
-        return "" if largest < BEYOND_REASON and min(message.weight) > 0 else "numbers beyond reason"
+        possible = (np.abs([message.r, message.r_before]) < LARGEST_R).all()
+        weighs = min(message.weight) > 0 and max(message.weight) < BEYOND_REASON
+        return "" if possible and weighs else "numbers beyond reason"
 
     @property
     def _has_own_angle(self) -> bool:

@@ -1,0 +1,70 @@
+"""A neighbour that says anything the format allows: nothing falls over, and its end heals everything."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from simulated_bus import SimulatedBus, area_files_of
+
+from agents.messages import Header, decode, encode
+from scenarios.scenario import load_scenario
+from scenarios.telemetry import make_telemetry
+
+HOSTILE = (0.0, -1.0, 1e-300, 1e-9, 1e3, 1e9, 1e17, 1e300, -1e300)
+UNTOUCHED = ("header", "bus", "kind")
+
+
+def spoil(message, rng: np.random.Generator):
+    """``message`` with some of its numbers, flags and texts replaced; header and place stay."""
+    changes = {}
+    for field in fields(message):
+        value = getattr(message, field.name)
+        if field.name in UNTOUCHED or rng.random() < 0.5:
+            continue
+        if isinstance(value, bool):
+            changes[field.name] = not value
+        elif isinstance(value, float):
+            changes[field.name] = float(rng.choice(HOSTILE))
+        elif isinstance(value, int):
+            changes[field.name] = int(rng.choice([0, 1, 10**6, 2**52]))
+        elif isinstance(value, tuple) and value and isinstance(value[0], float):
+            changes[field.name] = tuple(float(rng.choice([v, *HOSTILE])) for v in value)
+        elif isinstance(value, tuple) and field.name == "decisions":
+            changes[field.name] = ("vm@1", f"made-up@{rng.integers(1000)}")
+    return replace(message, **changes)
+
+
+@pytest.mark.random_cases(few=2, many=60)
+@pytest.mark.parametrize("strategy", ["information", "angle-offset", "admm"])
+def test_whatever_a_neighbour_says_states_stay_finite_and_recover_when_it_is_sane(strategy, random_seed):
+    rng = np.random.default_rng(random_seed)
+    scenario = load_scenario("ieee33")
+    telemetry = make_telemetry(scenario).by_area
+    bus = SimulatedBus(area_files_of(scenario, strategy=strategy), telemetry)
+    lying = True
+    honest = bus.deliver
+
+    def deliver(sender: str, receiver: str, payload: bytes) -> None:
+        if lying and sender == "area2":
+            message = spoil(decode(payload), rng)
+            header: Header = message.header
+            payload = encode(replace(message, header=replace(header, scan=int(rng.choice([header.scan, 0, 2**40])))))
+        honest(sender, receiver, payload)
+
+    bus.deliver = deliver
+    for _ in range(10):
+        bus.run(0.02)
+        for state in bus.states.values():
+            assert np.isfinite([*state.vm, *state.va, *state.sigma_vm, *state.sigma_va, state.objective]).all()
+    lying = False
+    bus.kill("area2")
+    bus.start("area2")
+    bus.send_telemetry("area2")
+    bus.run_until_settled()
+    fresh = SimulatedBus(area_files_of(scenario, strategy=strategy), telemetry)
+    fresh.run_until_settled()
+    for name, state in bus.states.items():
+        np.testing.assert_allclose(state.vm, fresh.states[name].vm, atol=1e-7)
+        np.testing.assert_allclose(state.va, fresh.states[name].va, atol=1e-7)
