@@ -21,6 +21,7 @@ from agents.messages import (
 )
 
 FRESH_BEATS = 3  # younger is fresh: everything is repeated at every beat, and two repeats in a row may be lost
+OVER_BEATS = 10  # a life that was not heard for so long has ended, and the clock of the next one may be set back
 
 NeighbourNews = LoadMessage | BoundaryNews | TallyMessage
 M = TypeVar("M", bound=NeighbourNews)
@@ -35,6 +36,8 @@ class Hearing:
         self.boundary: dict[str, BoundaryNews] = {}
         self.tallies: dict[str, TallyMessage] = {}
         self._fresh_s = FRESH_BEATS * beat_s
+        self._over_s = OVER_BEATS * beat_s
+        self._spoke_at: dict[tuple[str, str], float] = {}  # when what is kept was last heard, by kind and sender
         self._heard_at: dict[str, float] = {}  # the newest boundary message of each neighbour
         self._telemetry_at = self._scan_since = 0.0
 
@@ -47,17 +50,17 @@ class Hearing:
         """Keep ``message`` if it is the newest of its sender and kind."""
         match message:
             case LoadMessage():
-                _keep_newest(self.loads, message)
+                self._keep_newest(self.loads, message, now)
             case BoundaryMessage() | InformationMessage() | AdmmMessage():
-                if _keep_newest(self.boundary, message):
+                if self._keep_newest(self.boundary, message, now):
                     self._heard_at[message.header.sender] = now
             case TallyMessage():
-                _keep_newest(self.tallies, message)
+                self._keep_newest(self.tallies, message, now)
 
     def take_telemetry(self, message: TelemetryMessage, now: float) -> bool:
         """Keep ``message`` if it is newer than what there is; whether it is."""
         last = self.telemetry
-        if last is not None and message.header.order < last.header.order:
+        if last is not None and self._is_old(message, last, now - self._telemetry_at):
             return False
         self._telemetry_at = now
         if last is not None and message.header.order == last.header.order:
@@ -67,9 +70,28 @@ class Hearing:
         self.telemetry = message
         return True
 
+    def _keep_newest(self, kept: dict[str, M], message: M, now: float) -> bool:
+        """Whether ``message`` is as new as what was kept of its sender; then it is kept."""
+        sender = message.header.sender
+        last = kept.get(sender)
+        if last is not None and self._is_old(message, last, now - self._spoke_at[message.kind, sender]):
+            return False
+        self._spoke_at[message.kind, sender] = now
+        if last is None or message.header.order != last.header.order:
+            kept[sender] = message
+        return True
+
+    def _is_old(
+        self, message: NeighbourNews | TelemetryMessage, last: NeighbourNews | TelemetryMessage, silence_s: float
+    ) -> bool:
+        """Whether ``last``, not heard for ``silence_s``, is newer: a later word, or of a later life that still is."""
+        one, other = message.header, last.header
+        is_over = one.incarnation != other.incarnation and silence_s > self._over_s
+        return one.order < other.order and not is_over
+
     def forget_neighbours(self) -> None:
         """As if they had never spoken."""
-        for heard in (self.loads, self.boundary, self.tallies, self._heard_at):
+        for heard in (self.loads, self.boundary, self.tallies, self._heard_at, self._spoke_at):
             heard.clear()
 
     def telemetry_age(self, now: float) -> float:
@@ -109,12 +131,3 @@ class Hearing:
         """When something that is fresh now will not be, if nothing is heard until then; infinity if nothing is."""
         moments = [*self._heard_at.values(), self._scan_since] + ([self._telemetry_at] if self.telemetry else [])
         return min((at + self._fresh_s for at in moments if at + self._fresh_s > now), default=float("inf"))
-
-
-def _keep_newest(kept: dict[str, M], message: M) -> bool:
-    """Whether ``message`` is as new as what was kept of its sender; then it is kept."""
-    last = kept.get(message.header.sender)
-    if last is not None and message.header.order < last.header.order:
-        return False
-    kept[message.header.sender] = message if last is None or message.header.order > last.header.order else last
-    return True

@@ -12,6 +12,8 @@ from agents.presence import Presence
 from agents.quality import NONE
 from coordinator.observer import count_exchanges
 
+OVER_S = 2.0  # a life that was not heard for so long has ended, and the clock of the next one may be set back
+
 
 @dataclass(frozen=True, slots=True)
 class AreaView:
@@ -85,10 +87,12 @@ class Watcher:
         self._farewells[name_of_live(key)[1]] = farewell
 
     def take_state(self, state: StateMessage, now: float) -> None:
-        """Keep ``state`` if it is of this run and as new as the area's last."""
-        last = self._heard.get(state.header.sender)
-        if state.header.run == self.run and (last is None or state.header.order >= last[1].header.order):
-            self._heard[state.header.sender] = (now, state)
+        """Keep ``state`` if it is of this run and as new as the area's last, or the life of that is over."""
+        header = state.header
+        at, last = self._heard.get(header.sender, (now, state))
+        is_over = header.incarnation != last.header.incarnation and now - at > OVER_S
+        if header.run == self.run and (header.order >= last.header.order or is_over):
+            self._heard[header.sender] = (now, state)
 
     def is_whole(self) -> bool:
         """Whether there are areas, and every one that is there has been heard."""

@@ -1,0 +1,55 @@
+"""Of each sender the newest life counts, unless it is over and the clock of the next one was set back."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from agents.hearing import OVER_BEATS, Hearing
+from agents.messages import Header, Incarnation, LoadMessage, TelemetryMessage
+
+BEAT_S = 0.2
+OVER_S = OVER_BEATS * BEAT_S
+FIRST, SET_BACK = Incarnation(2_000, 1), Incarnation(1_000, 2)
+
+
+def header(life: Incarnation, sequence: int = 1) -> Header:
+    return Header("run", "area2", life, scan=1, sequence=sequence, time=0.0)
+
+
+def load(life: Incarnation, p: float, sequence: int = 1) -> LoadMessage:
+    return LoadMessage(header(life, sequence), 6, p, 0.0, 0.1)
+
+
+def test_a_former_life_is_not_heard_while_the_newest_speaks():
+    hearing = Hearing(BEAT_S)
+    hearing.take(load(FIRST, 1.0), 0.0)
+    hearing.take(load(FIRST, 1.0), OVER_S)  # a repeat
+    hearing.take(load(SET_BACK, 2.0), 1.9 * OVER_S)
+    assert hearing.loads["area2"].p == 1.0
+
+
+def test_a_restarted_area_whose_clock_was_set_back_is_heard_once_its_former_life_is_over():
+    hearing = Hearing(BEAT_S)
+    hearing.take(load(FIRST, 1.0, sequence=9), 0.0)
+    hearing.take(load(SET_BACK, 2.0), 0.9 * OVER_S)
+    assert hearing.loads["area2"].p == 1.0
+    hearing.take(load(SET_BACK, 2.0), 1.1 * OVER_S)
+    hearing.take(load(SET_BACK, 3.0, sequence=2), 1.2 * OVER_S)
+    assert hearing.loads["area2"].p == 3.0
+
+
+def test_an_old_word_of_the_same_life_is_never_taken_however_long_it_was_silent():
+    hearing = Hearing(BEAT_S)
+    hearing.take(load(FIRST, 1.0, sequence=9), 0.0)
+    hearing.take(load(FIRST, 2.0, sequence=8), 5 * OVER_S)
+    assert hearing.loads["area2"].p == 1.0
+
+
+def test_a_plant_whose_clock_was_set_back_is_heard_once_its_former_life_is_over():
+    hearing = Hearing(BEAT_S)
+    telemetry = TelemetryMessage(header(FIRST, 5), "area1", (), (), ())
+    set_back = replace(telemetry, header=header(SET_BACK))
+    assert hearing.take_telemetry(telemetry, 0.0)
+    assert not hearing.take_telemetry(set_back, 0.9 * OVER_S)
+    assert hearing.take_telemetry(set_back, 1.1 * OVER_S)
+    assert hearing.telemetry == set_back
