@@ -1,7 +1,6 @@
 """The inbox between the bus' threads and the one loop of a process: unread news of a slot is replaced by newer."""
 
 import queue
-import time
 from typing import Any
 
 MAX_WAITING = 10_000
@@ -37,7 +36,3 @@ class Inbox:
                 self._announced.get_nowait()
         except queue.Empty:
             return [self._news.pop(slot) for slot in list(self._news)]
-
-    def take_until(self, deadline: float) -> list[Any]:
-        """``take`` with a deadline on ``time.monotonic()``."""
-        return self.take(deadline - time.monotonic())

@@ -6,7 +6,6 @@ from agents.hearing import Hearing
 from agents.strategies.interface import Estimate
 
 GOOD, DEGRADED, RELATIVE_ANGLE, STALE, NONE = "good", "degraded", "relative-angle", "stale", "none"
-QUALITIES = (GOOD, DEGRADED, RELATIVE_ANGLE, STALE, NONE)
 
 
 def judge_quality(

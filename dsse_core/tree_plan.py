@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from dsse_core.errors import InvalidInputError
-from dsse_core.measurement import MeasurementKind, Meter, Source, find_meter_problems
+from dsse_core.measurement import MeasurementKind, Meter, find_meter_problems
 from dsse_core.network import Network
 from dsse_core.observability import check_observable, find_reference
 from dsse_core.radial import find_tree
@@ -36,9 +36,8 @@ class TreePlan:
 
     ``order`` (n_bus,): network row of each bus of the tree. ``parent`` (n_bus,): number of its parent; the root's is 0.
     ``admittance`` (n_bus, 8) complex: see ``_stack_admittances``; ``no_load_admittance``: without shunts and charging.
-    ``slot`` (n_meas,): place of each meter's reading in an array (n_bus, N_SLOT), flattened. ``virtual`` (n_meas,):
-    which readings hold exactly. ``start`` (n_bus,) complex and ``start_va`` (n_bus,): the flat start in tree order,
-    with the angle that is given at the root.
+    ``slot`` (n_meas,): place of each meter's reading in an array (n_bus, N_SLOT), flattened. ``start`` (n_bus,) complex
+    and ``start_va`` (n_bus,): the flat start in tree order, with the angle that is given at the root.
     """
 
     network: Network
@@ -49,7 +48,6 @@ class TreePlan:
     admittance: np.ndarray
     no_load_admittance: np.ndarray
     slot: np.ndarray
-    virtual: np.ndarray
     start: np.ndarray
     start_va: np.ndarray
 
@@ -120,7 +118,6 @@ def build_tree_plan(network: Network, meters: Sequence[Meter], *, reference: int
         admittance=stack_admittances(network, layout),
         no_load_admittance=_stack_admittances(series, 0 * ends, ratio, layout.from_parent, layout.child, 0 * start),
         slot=find_slots(network, meters, layout),
-        virtual=np.array([meter.source is Source.VIRTUAL for meter in meters], dtype=bool),
         start=start * np.exp(1j * angle),
         start_va=np.angle(start) + angle,
     )
@@ -131,7 +128,7 @@ def drop_meters(plan: TreePlan, rows: Sequence[int]) -> TreePlan | str:
     """The plan without the meters at the positions ``rows``. Returns and raises as ``build_tree_plan``."""
     kept = np.delete(np.arange(len(plan.meters)), rows)
     meters = tuple(plan.meters[k] for k in kept.tolist())
-    return _check_determined(replace(plan, meters=meters, slot=plan.slot[kept], virtual=plan.virtual[kept]))
+    return _check_determined(replace(plan, meters=meters, slot=plan.slot[kept]))
 
 
 def _check_determined(plan: TreePlan) -> TreePlan | str:
