@@ -45,6 +45,7 @@ SHARES = tuple(f"const_{kind}_{part}_percent" for kind in "zi" for part in "pq")
 """Columns that the table of loads may have."""
 SWITCHED = {"b": "bus", "l": "line", "t": "trafo"}
 """Type of a switch -> the table of its element."""
+LARGEST_INDEX = 10_000_000  # pandapower makes arrays of this length
 SUPPORTED = {*COLUMNS, "switch"}
 NO_ELEMENTS = {"controller", "measurement"}
 
@@ -56,6 +57,13 @@ def find_broken(net: Any) -> Iterator[str]:
             yield f"{name} is {net.get(name)!r}; {POSITIVE} is expected"
     if missing := [name for name in ALL_COLUMNS if not hasattr(net.get(name), "columns")]:
         yield f"table {listed(missing)} is missing"
+        return
+    bad = {name: [i for i in net[name].index if not _is_index(i)] for name in ALL_COLUMNS}
+    if any(bad.values()):
+        for name, found in bad.items():
+            if found:
+                named = listed([f"{i!s:.40}" for i in found])
+                yield f"{name} {named}: an index is a whole number, 0 to {LARGEST_INDEX}"
         return
     for name, columns in ALL_COLUMNS.items():
         table = net[name]
@@ -105,6 +113,10 @@ def _is(value: Any, expected: str, there: set[Any]) -> bool:
     if expected == PLACE:
         return _is_number(value) and value in there
     return {POSITIVE: _is_positive, NUMBER: _is_number, FLAG: _is_flag}.get(expected, _is_anything)(value)
+
+
+def _is_index(value: Any) -> bool:
+    return isinstance(value, int | np.integer) and 0 <= int(value) <= LARGEST_INDEX
 
 
 def _is_anything(_: Any) -> bool:

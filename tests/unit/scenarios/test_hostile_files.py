@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import sys
@@ -116,6 +117,19 @@ def test_a_module_named_twice_or_in_escapes_is_seen_too(tmp_path: Path, evil: Pa
         with pytest.raises(InvalidInputError, match=r"evil_module|one text each"):
             import_grid(path)
     assert not evil.exists()
+
+
+@pytest.mark.parametrize("index", [[], "a", 1.5, -1, 10**12])
+def test_an_index_that_is_none_or_would_fill_the_memory_is_named(tmp_path: Path, index):
+    networks = pytest.importorskip("pandapower.networks")
+    net = json.loads(importlib.import_module("pandapower").to_json(networks.case4gs()))
+    table = json.loads(net["_object"]["bus"]["_object"])
+    table["index"][0] = index
+    net["_object"]["bus"]["_object"] = json.dumps(table)
+    path = tmp_path / "net.json"
+    path.write_text(json.dumps(net))
+    with pytest.raises(InvalidInputError, match=r"an index is a whole number|cannot read it"):
+        import_grid(path)
 
 
 def test_the_module_would_be_imported_by_pandapower_itself(tmp_path: Path, evil: Path):
