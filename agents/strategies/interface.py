@@ -15,7 +15,7 @@ from dsse_core.boundary_load import NetLoad
 from dsse_core.measurement import Measurement
 from dsse_core.partition import Neighbour
 
-LARGEST_VM = 2.0  # p.u.; an iteration that goes there wanders for long before it comes back, if it does
+LARGEST_VM = 10.0  # p.u.; an iteration that goes there wanders for long before it comes back, if it does
 LARGEST_VA = 1e3  # rad; digits are lost beyond
 
 
