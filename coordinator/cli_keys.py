@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from coordinator.terminal import run_id_option, scenario_argument
+from coordinator.terminal import Number, run_id_option, scenario_argument
 
 YEAR_DAYS = 365.0
 LONGEST_DAYS = 36500.0
@@ -26,7 +26,7 @@ def keys_commands() -> None:
 @click.option("--out", type=click.Path(path_type=Path), default="keys", show_default=True, help="Folder, new or empty.")
 @click.option(
     "--days",
-    type=click.FloatRange(min=0, min_open=True, max=LONGEST_DAYS),
+    type=Number(min=0, min_open=True, max=LONGEST_DAYS),
     default=YEAR_DAYS,
     show_default=True,
     help="They are valid so long.",

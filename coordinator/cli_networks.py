@@ -7,7 +7,7 @@ from typing import Literal
 
 import click
 
-from coordinator.terminal import scenario_argument, show
+from coordinator.terminal import Number, scenario_argument, show
 from dsse_core.errors import InvalidInputError
 
 PICTURES = (".png", ".pdf", ".svg")
@@ -111,7 +111,7 @@ def generate(
 @click.option(
     "--frequency",
     "frequency_hz",
-    type=click.FloatRange(min=0, min_open=True),
+    type=Number(min=0, min_open=True),
     default=50.0,
     show_default=True,
     metavar="HZ",

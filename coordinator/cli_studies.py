@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from coordinator.terminal import (
+    Number,
     end_orderly_on_signals,
     finish_run,
     no_plots_option,
@@ -33,7 +34,7 @@ if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts
     from scenarios.faults import LinkChanges
     from scenarios.scenario import Scenario
 
-MILLISECONDS = click.FloatRange(min=0, max=86_400_000)
+MILLISECONDS = Number(min=0, max=86_400_000)
 strategies_option = click.option("--strategies", metavar="A,B,...", help="Only these strategies.  [default: all]")
 
 
@@ -42,9 +43,7 @@ def link_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
     @click.option("--delay-ms", type=MILLISECONDS, metavar="MS", help="Instead of the scenario's faults.delay_ms.")
     @click.option("--jitter-ms", type=MILLISECONDS, metavar="MS", help="Instead of the scenario's faults.jitter_ms.")
-    @click.option(
-        "--duplicate", type=click.FloatRange(0, 1), metavar="P", help="Instead of the scenario's faults.duplicate."
-    )
+    @click.option("--duplicate", type=Number(0, 1), metavar="P", help="Instead of the scenario's faults.duplicate.")
     @functools.wraps(command)
     def with_links(
         *arguments: Any, delay_ms: float | None, jitter_ms: float | None, duplicate: float | None, **options: Any

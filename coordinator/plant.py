@@ -70,6 +70,7 @@ def run_plant(
             voice = _Voice(publishers, inbox, scenario.run.beat_s)
             for number in (SILENT, SPEAK):
                 signal.signal(number, voice.be_silent)
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, (SILENT, SPEAK))  # a run's plant may have been told already
             while not voice.serve(payloads, find_lateness(scenario, scan), every_s or math.inf):
                 scan += 1
                 payloads = make_payloads(scenario, run, life, scan, draw=scan)
@@ -126,7 +127,8 @@ class _Voice:
         start = next_beat = time.monotonic()
         over = start + duration_s
         areas: list[str] = []
-        while (now := time.monotonic()) < over:
+        while True:  # once at least: the next scan may be due already
+            now = time.monotonic()
             if now >= next_beat:
                 next_beat = now + self.beat_s
                 areas = list(payloads)
@@ -138,8 +140,9 @@ class _Voice:
             news = self.inbox.take(min(next_beat, over) - time.monotonic())
             if None in news:
                 return True
+            if time.monotonic() >= over:
+                return False
             areas = [name for key in news if (name := name_of_live(key)[1]) in payloads]
-        return False
 
     def be_silent(self, number: int, _: object) -> None:
         """Handler of two signals."""

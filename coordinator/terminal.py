@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import sys
@@ -9,7 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
@@ -21,7 +22,19 @@ PROGRESS_LINE_S = 1.0
 MAX_NAMED = 12
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 SECURE_ENDPOINT = "tls/127.0.0.1:7447"
-SECONDS = click.FloatRange(min=0, min_open=True, max=86400)
+
+
+class Number(click.FloatRange):
+    """A number within limits; NaN, which no limit keeps out, and infinity are none."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        number = super().convert(value, param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"{value!r} is not a finite number.", param, ctx)
+        return number
+
+
+SECONDS = Number(min=0, min_open=True, max=86400)
 
 scenario_argument = click.argument("scenario")
 strategy_option = click.option("--strategy", help="Use this strategy instead of the scenario's.")

@@ -95,6 +95,8 @@ class Zygote:
         signal.set_wakeup_fd(wake_write, warn_on_full_buffer=False)
         signal.signal(signal.SIGCHLD, lambda *_: None)  # the byte on the pipe is what counts
         signal.signal(signal.SIGTERM, self._on_sigterm)
+        # inherited: orders to a process wait until it knows what to do at them; unheard of, they would end it
+        signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGUSR1, signal.SIGUSR2))
         self._inherited = (wake_read, wake_write)
         try:
             orphaned = False

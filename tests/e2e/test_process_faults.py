@@ -69,6 +69,20 @@ def test_a_run_ends_in_consensus_after_its_processes_were_killed_frozen_and_star
     assert_nothing_left(run.pids())
 
 
+def test_a_plant_that_is_to_be_silent_from_the_start_is_silent_and_lives(
+    start_run, edited_scenario, assert_nothing_left
+):
+    scenario = edited_scenario("ieee33")
+    scenario.write_text(scenario.read_text() + '[[faults.events]]\nat_s = 0.0\nsilent = "plant"\nfor_s = 1.5\n')
+    run = start_run(scenario)
+    code, out, err = run.end()
+    assert code == 0, out + err
+    events = run.events()
+    told = events[: next(i for i, e in enumerate(events) if e.get("kind") == "speak")]
+    assert {e["quality"] for e in {e["area"]: e for e in told if e["event"] == "quality"}.values()} <= {"none", "stale"}
+    assert_nothing_left(run.pids())
+
+
 def test_a_death_that_the_scenario_did_not_order_still_ends_the_run(start_run, edited_scenario, assert_nothing_left):
     scenario = edited_scenario("ieee33")
     scenario.write_text(scenario.read_text() + '[[faults.events]]\nat_s = 20.0\nkill = "area2"\n')

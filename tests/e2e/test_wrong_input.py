@@ -130,6 +130,23 @@ def free_endpoint() -> str:
         return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("plant", "ieee33", "--every", "nan"),
+        ("watch", "--timeout", "nan"),
+        ("keys", "create", "ieee33", "--days", "nan"),
+        ("simulate", "ieee33", "--delay-ms", "nan"),
+        ("import", "case.m", "--out", "case", "--frequency", "inf"),
+    ],
+    ids=lambda arguments: " ".join(arguments[:2]),
+)
+def test_a_number_that_is_not_finite_is_refused(dsse, arguments: tuple[str, ...]):
+    done = dsse(*arguments)
+    assert done.returncode == 2
+    assert "is not a finite number" in done.stderr
+
+
 def test_an_agent_that_reaches_no_router_says_so(dsse):
     assert dsse("split", "industrial13", "--out", "areas").returncode == 0
     endpoint = free_endpoint()

@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 from agents.area_reader import load_area_file
+from agents.inbox import Inbox
 from agents.messages import Incarnation, TelemetryMessage, decode
-from coordinator.plant import make_payloads
+from coordinator.plant import _Voice, make_payloads
 from coordinator.split import choose_run_id, default_run_id, write_area_files
 from dsse_core.errors import InvalidInputError
 from dsse_core.link_faults import LinkFaults
@@ -76,3 +77,13 @@ def test_a_run_id_is_made_of_what_a_key_may_contain():
     assert default_run_id(replace(load_scenario("ieee33"), name="My Grid (2)")) == "my-grid-2"
     with pytest.raises(InvalidInputError, match="My/Run"):
         choose_run_id(load_scenario("ieee33"), "My/Run")
+
+
+def test_a_plant_whose_scans_follow_at_once_publishes_each_and_can_be_stopped():
+    published: list[bytes] = []
+    inbox = Inbox()
+    voice = _Voice({"area1": published.append}, inbox, beat_s=0.2)
+    assert not voice.serve({"area1": b"scan 1"}, {}, duration_s=1e-9)
+    inbox.put("stop", None)
+    assert voice.serve({"area1": b"scan 2"}, {}, duration_s=1e-9)
+    assert published == [b"scan 1", b"scan 2"]

@@ -126,3 +126,11 @@ def test_a_launcher_that_started_nothing_closes_at_once():
     with Launcher() as launcher:
         launcher.preload("json", "time:monotonic")
     assert is_gone(launcher.pid)
+
+
+def test_an_order_to_a_process_that_is_not_ready_for_it_waits_and_does_not_end_it(tmp_path: Path):
+    news = News()
+    with Launcher(news.put) as launcher:
+        launcher.start("one", "signal:sigwait", {signal.SIGUSR1}, log=tmp_path / "one.log")
+        launcher.signal("one", signal.SIGUSR1)  # long before it waits for it
+        assert take_until(news, Ended, "one").code == signal.SIGUSR1
