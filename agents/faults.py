@@ -14,7 +14,7 @@ from agents.messages import AdmmMessage, BoundaryMessage, InformationMessage, Lo
 from agents.strategies.bad_data_tree import UPPER
 from dsse_core.link_faults import LinkFaults
 
-LOST, BURST, CUT = "lost", "lost in a burst", "cut"
+LOST, BURST, CUT = "lost", "lost in a burst", "lost in a cut"
 DELAYED, OVERTAKEN, DUPLICATED, CORRUPTED = "delayed", "overtaken", "duplicated", "corrupted"
 LOAD_CHANGED, LIED = "load changed", "lied"
 LOSSES = (LOST, BURST, CUT)

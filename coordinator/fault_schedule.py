@@ -35,7 +35,8 @@ class FaultSchedule:
     def of(cls, events: Sequence[FaultEvent]) -> FaultSchedule:
         steps = [Step(event.at_s, event.kind, event.names) for event in events]
         steps += [Step(event.over_s, UNDO[event.kind], event.names) for event in events if event.kind in UNDO]
-        return cls(sorted(steps, key=lambda step: step.at_s))
+        # what ends ends first: a pause that begins at that moment shall last
+        return cls(sorted(steps, key=lambda step: (step.at_s, step.kind not in UNDO.values())))
 
     @property
     def next_at(self) -> float:

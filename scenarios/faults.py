@@ -139,8 +139,8 @@ def change_links(faults: Faults, changes: LinkChanges) -> Faults:
     return replace(faults, links=links)
 
 
-def find_name_problems(table: FaultsTable, areas: Collection[str] | None) -> Iterable[str]:
-    """Names of no area or process; nothing as long as no areas are known (None)."""
+def find_name_problems(table: FaultsTable, areas: Collection[str] | None, *, direct: bool) -> Iterable[str]:
+    """Names of no area or process; nothing as long as no areas are known (None). ``direct``: there is no router."""
     if areas is None:
         return
     known = ", ".join(areas)
@@ -152,11 +152,12 @@ def find_name_problems(table: FaultsTable, areas: Collection[str] | None) -> Ite
             if name not in areas:
                 yield f"faults.link[{i}].{key}: there is no area {name!r}; areas: {known}"
     for i, event in enumerate(table.events):
-        processes = () if event.kind == "cut" else PROCESSES
+        processes = () if event.kind == "cut" else PROCESSES[:1] if direct else PROCESSES
         for name in event.names:
             if name not in areas and name not in processes:
                 allowed = ", ".join([*areas, *processes])
-                yield f"faults.events[{i}].{event.kind}: there is no {name!r}; allowed: {allowed}"
+                why = ' with transport.kind = "neighbours"' if direct and name in PROCESSES else ""
+                yield f"faults.events[{i}].{event.kind}: there is no {name!r}{why}; allowed: {allowed}"
 
 
 def find_link_problems(table: FaultsTable, partition: Partition) -> Iterable[str]:
@@ -173,14 +174,3 @@ def find_link_problems(table: FaultsTable, partition: Partition) -> Iterable[str
     for i, event in enumerate(table.events):
         if event.kind == "cut" and set(event.names) <= areas and event.names not in links:
             yield f"faults.events[{i}].cut: {' and '.join(event.names)} are not neighbours; links: {pairs}"
-
-
-def find_time_problems(table: FaultsTable, timeout_s: float) -> Iterable[str]:
-    """Events that the time limit of the run would cut off."""
-    for i, event in enumerate(table.events):
-        over_s = event.at_s + (event.for_s or 0.0)
-        if over_s >= timeout_s:
-            yield (
-                f"faults.events[{i}]: is over {over_s:g} s after the start, but run.timeout_s is {timeout_s:g}; "
-                "raise timeout_s or let it happen earlier"
-            )

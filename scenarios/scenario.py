@@ -14,7 +14,8 @@ from dsse_core.measurement import Measurement, Meter, Source
 from dsse_core.network import Network
 from dsse_core.partition import Partition, build_partition
 from scenarios.cutting import cut_at, cut_into
-from scenarios.faults import Faults, build_faults, find_link_problems, find_name_problems, find_time_problems
+from scenarios.fault_order import find_order_problems, find_time_problems
+from scenarios.faults import Faults, build_faults, find_link_problems, find_name_problems
 from scenarios.meters import SigmaRule, build_meters, build_sigma_rule, find_place_problems, find_virtual_buses
 from scenarios.network_file import load_case, load_network
 from scenarios.readings_file import load_readings
@@ -125,8 +126,9 @@ def load_scenario(
     problems += network_problems
     area_buses, area_problems = _find_area_buses(file, network)
     problems += area_problems
-    problems += find_name_problems(file.faults, area_buses)
-    problems += find_time_problems(file.faults, file.run.timeout_s)
+    problems += find_name_problems(file.faults, area_buses, direct=file.transport.kind == "neighbours")
+    problems += find_time_problems(file.faults.events, file.run.timeout_s)
+    problems += find_order_problems(file.faults.events)
     problems += [
         f"areas.{name}: this name belongs to a process of every run; choose another"
         for name in sorted(RESERVED & (area_buses or {}).keys())

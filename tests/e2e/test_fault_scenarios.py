@@ -16,7 +16,7 @@ KINDS = {
     "ieee33-bursts": {"lost in a burst"},
     "ieee33-disorder": {"delayed", "overtaken", "duplicated"},
     "ieee33-corruption": {"corrupted"},
-    "ieee33-cut": {"cut", "heal"},
+    "ieee33-cut": {"cut", "heal", "lost in a cut"},
     "ieee33-restart": {"kill", "restart"},
 }
 RUNS = {"processes": coordinator.run, "twin": coordinator.simulate}

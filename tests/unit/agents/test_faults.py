@@ -150,7 +150,7 @@ def test_a_cut_lets_nothing_pass_in_its_window_once_the_run_has_begun():
     for k, now in enumerate((10.5, 11.0, 11.9, 12.0), start=2):
         link.send(boundary(k), "b", now)
     assert [decode(payload).header.sequence for _, payload in arrived] == [1, 2, 5]
-    assert (link.lost, dict(link.met)) == (2, {"cut": 2})
+    assert (link.lost, dict(link.met)) == (2, {"lost in a cut": 2})
 
 
 def test_after_until_nothing_befalls_a_message_any_more():

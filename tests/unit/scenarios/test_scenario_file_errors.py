@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from coordinator.fault_schedule import FaultSchedule
 from dsse_core.errors import InvalidInputError
 from dsse_core.link_faults import LinkFaults
 from scenarios.scenario import load_scenario
@@ -274,6 +275,41 @@ def test_every_event_that_cannot_happen_is_refused_with_its_number(tmp_path: Pat
         "earlier",
         "faults.events[1].cut: area2 and area3 are not neighbours; links: area2 to area1, area3 to area1, "
         "area1 to area2, area1 to area3",
+    )
+
+
+def test_events_that_meet_what_is_dead_frozen_silent_or_cut_already_are_refused(tmp_path: Path) -> None:
+    text = GOOD + events(
+        'at_s = 9, kill = "area1"',  # lines need not be in the order of time
+        'at_s = 1, kill = "area1"',
+        'at_s = 2, pause = "area1", for_s = 1',
+        'at_s = 3.5, restart = "area1"',
+        'at_s = 1, pause = "plant", for_s = 3',
+        'at_s = 2, silent = "plant", for_s = 5',
+        'at_s = 1, cut = ["area1", "area2"], for_s = 2',
+        'at_s = 2, cut = ["area2", "area1"], for_s = 2',
+    )
+    assert problems_of(tmp_path, text) == (
+        "faults.events[2].pause: area1 is dead by then, killed by faults.events[1]; restart it before, or remove one "
+        "of the two",
+        "faults.events[5].silent: falls into faults.events[4], pause plant until 4 s; let it happen earlier or later",
+        "faults.events[7].cut: falls into faults.events[6], cut area1 and area2 until 3 s; let it happen earlier or "
+        "later",
+    )
+
+
+def test_an_event_may_begin_when_the_one_before_it_ends(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(GOOD + events('at_s = 1, pause = "area1", for_s = 1', 'at_s = 2, pause = "area1", for_s = 1'))
+    steps = FaultSchedule.of(load_scenario(path).faults.events).steps
+    assert [(step.at_s, step.kind) for step in steps] == [(1, "pause"), (2, "resume"), (2, "pause"), (3, "resume")]
+
+
+def test_there_is_no_router_to_kill_where_neighbours_link_directly(tmp_path: Path) -> None:
+    text = GOOD + '[transport]\nkind = "neighbours"\n' + events('at_s = 1, restart = "router"')
+    assert the_only(problems_of(tmp_path, text)) == (
+        "faults.events[0].restart: there is no 'router' with transport.kind = \"neighbours\"; allowed: area1, area2, "
+        "area3, plant"
     )
 
 
