@@ -85,7 +85,6 @@ def summarise(outcomes: Sequence[HistoryOutcome]) -> str:
 
 def _run(seeds: Sequence[int], jobs: int) -> Iterator[HistoryOutcome]:
     if jobs == 1:
-        _start_worker()
         yield from map(run_history, seeds)
         return
     with multiprocessing.get_context("spawn").Pool(jobs, _start_worker) as pool:
@@ -93,7 +92,7 @@ def _run(seeds: Sequence[int], jobs: int) -> Iterator[HistoryOutcome]:
 
 
 def _start_worker() -> None:
-    """Small areas too are solved by the compiled tree, where there is one: three times as fast."""
+    """In a process of its own, small areas too are solved by the compiled tree, where there is one: it is faster."""
     area_model.TREE_FROM = 0
 
 
