@@ -3,6 +3,7 @@
 ==============================  ====================================================
 ``area/<i>/boundary/<j>``       boundary messages of area i for neighbour j, angle-offset
 ``area/<i>/information/<j>``    the same of strategy information
+``area/<i>/admm/<j>``           the same of strategy admm
 ``area/<i>/tally/<j>``          what area i adds to the test for bad data, and what is decided
 ``area/<i>/load/<j>``           load messages of area i for neighbour j
 ``area/<i>/state``              what area i knows, for whoever watches

@@ -50,7 +50,7 @@ class Header:
     incarnation: Incarnation
     scan: int
     sequence: int
-    time: float  # s since 1970, for people and logs; nothing is decided by it
+    time: float  # s since 1970, for people and logs; decides only that news from the future is refused
 
     @property
     def order(self) -> tuple[Incarnation, int]:
