@@ -193,6 +193,20 @@ class Session(_Closing):
         except zenoh.ZError as error:
             raise _cannot_listen(listen, error) from None
 
+    @classmethod
+    def join(
+        cls,
+        endpoints: Sequence[str],
+        timeout_s: float = 10.0,
+        credentials: Credentials | None = None,
+        *,
+        direct: bool = False,
+    ) -> Session:
+        """``connect`` to one of the routers at ``endpoints``, or, ``direct``, ``meet`` all areas there."""
+        if direct:
+            return cls.meet(endpoints, credentials=credentials)
+        return cls.connect(endpoints, timeout_s, credentials)
+
     def publisher(self, key: str) -> Callable[[bytes], None]:
         """A function that puts a payload on ``key``."""
         publisher = self._session.declare_publisher(

@@ -1,8 +1,8 @@
 """Launches router, plant and agents, watches them, compares and reports; the command line.
 
 ``coordinator.run(scenario)`` is what ``dsse run`` does, ``coordinator.simulate(scenario)`` what ``dsse simulate``
-does. Importing this package imports nothing heavy: a process
-that becomes an agent must not pay for what only the coordinator needs.
+does. Importing this package imports nothing heavy: a process that becomes an agent must not pay for what only the
+coordinator needs.
 """
 
 from __future__ import annotations

@@ -19,6 +19,9 @@ from coordinator.terminal import (
     DEFAULT_ENDPOINT,
     SECONDS,
     SECURE_ENDPOINT,
+    bus_timeout_option,
+    choose_endpoints,
+    connect_option,
     end_orderly_on_signals,
     finish_run,
     keys_option,
@@ -184,12 +187,7 @@ def estimate(scenario: str, seed: int | None) -> None:
 @scenario_argument
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for the area files.")
 @run_id_option
-@click.option(
-    "--connect",
-    "endpoints",
-    multiple=True,
-    help=f"Endpoint of the router; repeatable.  [default: {DEFAULT_ENDPOINT}; with --secure {SECURE_ENDPOINT}]",
-)
+@connect_option("--secure")
 @click.option("--secure", is_flag=True, help="For agents with --keys: areas that link directly do so with TLS.")
 @seed_option
 def split(
@@ -205,7 +203,7 @@ def split(
     from coordinator.places import choose_places
     from coordinator.split import choose_run_id, write_area_files
 
-    endpoints = endpoints or (SECURE_ENDPOINT if secure else DEFAULT_ENDPOINT,)
+    endpoints = choose_endpoints(endpoints, secure)
     direct = prepared.transport.kind == "neighbours"
     places = choose_places(prepared, "tls" if secure else "tcp") if direct else {}
     for path in write_area_files(prepared, choose_run_id(prepared, run_id), endpoints, out, places).values():
@@ -255,15 +253,10 @@ def router(endpoints: tuple[str, ...], others: tuple[str, ...], keys: Path | Non
 
 @commands.command(short_help="Publish the meter readings of a scenario.")
 @scenario_argument
-@click.option(
-    "--connect",
-    "endpoints",
-    multiple=True,
-    help=f"Endpoint of the router; repeatable.  [default: {DEFAULT_ENDPOINT}; with --keys {SECURE_ENDPOINT}]",
-)
+@connect_option()
 @keys_option
 @run_id_option
-@click.option("--timeout", type=SECONDS, default=10.0, show_default=True, metavar="S", help="Wait for the bus so long.")
+@bus_timeout_option
 @seed_option
 @click.option("--every", type=SECONDS, metavar="S", help="Make a new scan every so many seconds.  [default: one only]")
 def plant(
@@ -286,7 +279,7 @@ def plant(
 
     # a plant that is started anew has new readings: seconds count on where its last life ended
     scan = int(time.time())
-    endpoints = endpoints or (SECURE_ENDPOINT if keys else DEFAULT_ENDPOINT,)
+    endpoints = choose_endpoints(endpoints, keys is not None)
     direct = prepared.transport.kind == "neighbours"
     return run_plant(prepared, choose_run_id(prepared, run_id), endpoints, timeout, scan, every, keys, direct)
 

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, NoReturn
 import click
 
 from coordinator.terminal import (
-    DEFAULT_ENDPOINT,
-    SECONDS,
-    SECURE_ENDPOINT,
+    bus_timeout_option,
+    choose_endpoints,
+    connect_option,
     end_orderly_on_signals,
     keys_option,
     show,
@@ -29,12 +29,7 @@ LINE_S = 1.0  # between two lines where there is no terminal
 
 
 @click.command(short_help="Watch a running system from outside.")
-@click.option(
-    "--connect",
-    "endpoints",
-    multiple=True,
-    help=f"Endpoint of the router; repeatable.  [default: {DEFAULT_ENDPOINT}; with --keys {SECURE_ENDPOINT}]",
-)
+@connect_option()
 @click.option("--direct", is_flag=True, help="There is no router: link with the endpoint of every area.")
 @keys_option
 @click.option(
@@ -42,7 +37,7 @@ LINE_S = 1.0  # between two lines where there is no terminal
 )
 @click.option("--once", is_flag=True, help="Show it once, when all areas that are there have been heard, and end.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line.")
-@click.option("--timeout", type=SECONDS, default=10.0, show_default=True, metavar="S", help="Wait for the bus so long.")
+@bus_timeout_option
 def watch(
     endpoints: tuple[str, ...],
     direct: bool,
@@ -62,10 +57,9 @@ def watch(
     """
     from coordinator.watch_session import attach, wait_until_whole
 
-    endpoints = endpoints or (SECURE_ENDPOINT if keys else DEFAULT_ENDPOINT,)
     end_orderly_on_signals()
     try:
-        with attach(endpoints, run_id, timeout, keys, direct) as look:
+        with attach(choose_endpoints(endpoints, keys is not None), run_id, timeout, keys, direct) as look:
             if once:
                 watcher = wait_until_whole(look, timeout)
                 show(_format(watcher.look(time.monotonic()), as_json))

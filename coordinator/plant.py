@@ -52,11 +52,7 @@ def run_plant(
         life = begin_life()
         payloads = make_payloads(scenario, run, life, scan, draw=scan if every_s else DRAW)
         credentials = load_credentials(keys, PLANT)
-        with (
-            Session.meet(endpoints, credentials=credentials)
-            if direct
-            else Session.connect(endpoints, timeout_s, credentials)
-        ) as session:
+        with Session.join(endpoints, timeout_s, credentials, direct=direct) as session:
             for number in (signal.SIGTERM, signal.SIGINT):
                 signal.signal(number, lambda *_: inbox.put("stop", None))
             publishers = {area: session.publisher(telemetry_key(run, area)) for area in payloads}
@@ -85,7 +81,7 @@ def make_payloads(scenario: Scenario, run: str, life: Incarnation, scan: int = 1
     """Area -> its encoded readings with noise ``draw``. Virtual measurements are no readings: agents know them."""
     header = Header(
         run=run,
-        sender="plant",
+        sender=PLANT,
         incarnation=life,
         scan=scan,
         sequence=scan,

@@ -79,10 +79,7 @@ class System:
 
     def join(self, name: str) -> Session:
         """A session of ours on the bus, with the credentials of process ``name`` if it is secured."""
-        credentials = load_credentials(self.keys, name)
-        if self.direct:
-            return Session.meet(self.endpoints, credentials=credentials)
-        return Session.connect(self.endpoints, credentials=credentials)
+        return Session.join(self.endpoints, credentials=load_credentials(self.keys, name), direct=self.direct)
 
     def _start_router(self, name: str, listen: str, wait: Callable[[], str | None]) -> tuple[str, ...]:
         """Start a router that links with those before it; its endpoints."""

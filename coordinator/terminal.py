@@ -48,9 +48,23 @@ no_plots_option = click.option("--no-plots", is_flag=True, help="Draw no picture
 keys_option = click.option(
     "--keys", type=click.Path(path_type=Path), metavar="DIR", help="Show the certificate in DIR (`dsse keys create`)."
 )
+bus_timeout_option = click.option(
+    "--timeout", type=SECONDS, default=10.0, show_default=True, metavar="S", help="Wait for the bus so long."
+)
 run_folder_option = click.option(
     "--out", type=click.Path(path_type=Path), help="Run folder, new or empty.  [default: runs/SCENARIO-TIME]"
 )
+
+
+def connect_option(secured_by: str = "--keys") -> Callable[[Callable[..., object]], Callable[..., object]]:
+    """``--connect``; without it ``choose_endpoints`` decides. ``secured_by``: the option that asks for TLS."""
+    default = f"[default: {DEFAULT_ENDPOINT}; with {secured_by} {SECURE_ENDPOINT}]"
+    return click.option("--connect", "endpoints", multiple=True, help=f"Endpoint of the router; repeatable.  {default}")
+
+
+def choose_endpoints(given: tuple[str, ...], secured: bool) -> tuple[str, ...]:
+    """The endpoints ``given``, or that of a router on this host."""
+    return given or (SECURE_ENDPOINT if secured else DEFAULT_ENDPOINT,)
 
 
 def show(text: str) -> None:

@@ -42,11 +42,7 @@ def attach(
     credentials = load_credentials(keys, COORDINATOR)
     if keys and not run:
         run = load_access(keys / ACCESS_FILE).run
-    with (
-        Session.meet(endpoints, credentials=credentials)
-        if direct
-        else Session.connect(endpoints, timeout_s, credentials)
-    ) as session:
+    with Session.join(endpoints, timeout_s, credentials, direct=direct) as session:
         run = run or _find_run(session, timeout_s)
         watcher, news = Watcher(run), News()
         session.subscribe(all_states(run), lambda key, payload: news.put(_decoded(payload)))
