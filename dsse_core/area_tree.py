@@ -6,7 +6,6 @@ is not, the answer is None, and the sparse path has to find it.
 
 from __future__ import annotations
 
-import importlib.util
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -25,7 +24,15 @@ from dsse_core.boundary_information import (
 from dsse_core.measurement import Meter
 from dsse_core.network import Network
 from dsse_core.partition import Area, Neighbour
-from dsse_core.tree_plan import N_SLOT, TreeLayout, find_slots, lay_out_tree, stack_admittances
+from dsse_core.tree_plan import (
+    N_SLOT,
+    TreeLayout,
+    find_slots,
+    lay_out_tree,
+    read_branches,
+    read_shunts,
+    stack_admittances,
+)
 
 if TYPE_CHECKING:
     from dsse_core.tree_kernel import Work
@@ -40,8 +47,6 @@ LEAST_SPREAD_NEAR = 1e-8  # of steps that a start guides: what they miss, the ne
 
 def find_no_tree(network: Network) -> str:
     """Why the tree cannot serve ``network``; empty if it can."""
-    if importlib.util.find_spec("numba") is None:
-        return "numba is not installed"
     layout = lay_out_tree(network, network.buses[0].id)
     return layout if isinstance(layout, str) else ""
 
@@ -217,7 +222,7 @@ class AreaTree:
         w.ravel()[slot] = np.where(of_injection, self._sigma**2.0, self._sigma**-2.0)
         self._rooted[bus] = rooted = _Rooted(
             layout=layout,
-            admittance=stack_admittances(network, layout),
+            admittance=stack_admittances(*read_branches(network), read_shunts(network, layout), layout),
             slot=slot,
             z=z,
             w=w,

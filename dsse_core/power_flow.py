@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import cmath
-import importlib.util
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -135,10 +134,8 @@ def _lay_out(network: Network, slack_bus: int, held: Mapping[int, float], method
         raise InvalidInputError("power flow", [f"method is {method!r}; choose one of {known}"])
     if method == "newton" or (method == "auto" and n < FEWEST_BUSES_OF_SWEEP):
         return "not asked for"
-    layout: TreeLayout | str = "numba is not installed"
-    if len(held) > 1:
-        layout = "other buses than the slack hold their voltage"
-    elif importlib.util.find_spec("numba") is not None:
+    layout: TreeLayout | str = "other buses than the slack hold their voltage"
+    if len(held) == 1:
         layout = lay_out_tree(network, slack_bus)
     if isinstance(layout, str) and method == "sweep":
         problem = f"sweeps cannot serve: {layout}; choose 'auto' or 'newton'"

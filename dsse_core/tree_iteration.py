@@ -7,7 +7,8 @@ import math
 import numpy as np
 
 from dsse_core.gauss_newton import FLOWS_KNOWN, FULL_STEPS, LARGEST_STEP, MAX_DVA, MAX_DVM
-from dsse_core.tree_kernel import CURRENT_FLOOR, SMALL_ANGLE, STEP, compiled, eliminate, substitute, wrap
+from dsse_core.measurement_model import CURRENT_FLOOR
+from dsse_core.tree_kernel import SMALL_ANGLE, STEP, compiled, eliminate, substitute, wrap
 
 CONVERGED, TOO_MANY, LEFT = 0, 1, 2
 

@@ -24,7 +24,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-CURRENT_FLOOR = 1e-9  # p.u.; as in measurement_model
+from dsse_core.measurement_model import CURRENT_FLOOR
+
 SMALL_ANGLE = 0.01  # rad; below it three terms give sine and cosine to the last digit
 LEAST_SCALE = 1e-8  # of the rows of lam, in units of 1 / variance: round-off in place of information sets no scale
 SURELY_DEFINITE = 1e-4  # determinant over product of the diagonal from which on 2 x 2 blocks need no pivoting

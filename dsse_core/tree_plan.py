@@ -35,7 +35,7 @@ class TreePlan:
     """A tree of buses, numbered from the root (the reference bus) so that every parent precedes its children.
 
     ``order`` (n_bus,): network row of each bus of the tree. ``parent`` (n_bus,): number of its parent; the root's is 0.
-    ``admittance`` (n_bus, 8) complex: see ``_stack_admittances``; ``no_load_admittance``: without shunts and charging.
+    ``admittance`` (n_bus, 8) complex: see ``stack_admittances``; ``no_load_admittance``: without shunts and charging.
     ``slot`` (n_meas,): place of each meter's reading in an array (n_bus, N_SLOT), flattened. ``start`` (n_bus,) complex
     and ``start_va`` (n_bus,): the flat start in tree order, with the angle that is given at the root.
     """
@@ -73,7 +73,9 @@ class TreeLayout:
 
 
 def lay_out_tree(network: Network, root: int) -> TreeLayout | str:
-    """The tree of ``network`` with bus ``root`` on top, or, as text, why there is none."""
+    """The tree of ``network`` with bus ``root`` on top, or, as text, why the compiled passes cannot serve it."""
+    if importlib.util.find_spec("numba") is None:
+        return "numba is not installed"
     if isinstance(tree := find_tree(network, root), str):
         return tree
     number = np.empty(len(tree.order), dtype=np.int64)
@@ -81,12 +83,6 @@ def lay_out_tree(network: Network, root: int) -> TreeLayout | str:
     parent = number[tree.upstream[tree.order]]
     from_parent = tree.upstream[tree.t] == tree.f
     return TreeLayout(tree.order, number, parent, number[np.where(from_parent, tree.t, tree.f)], from_parent)
-
-
-def stack_admittances(network: Network, layout: TreeLayout) -> np.ndarray:
-    """Shape (n_bus, 8), complex; see ``_stack_admittances``."""
-    series, ends, ratio = read_branches(network)
-    return _stack_admittances(series, ends, ratio, layout.from_parent, layout.child, _read_shunts(network, layout))
 
 
 def build_tree_plan(network: Network, meters: Sequence[Meter], *, reference: int | None = None) -> TreePlan | str:
@@ -100,11 +96,10 @@ def build_tree_plan(network: Network, meters: Sequence[Meter], *, reference: int
         NotObservableError: the meters do not determine the state.
     """
     reference = find_reference(network, reference)
-    if importlib.util.find_spec("numba") is None:
-        return "numba is not installed"
     if isinstance(layout := lay_out_tree(network, reference), str):
         return layout
-    series, ends, ratio = read_branches(network)
+    ys, ends, ratio = read_branches(network)
+    shunts = read_shunts(network, layout)
     gain = np.ones(len(network.buses), dtype=complex)
     gain[layout.child] = np.where(layout.from_parent, 1 / ratio, ratio)
     start = _follow(layout.parent, gain)
@@ -115,8 +110,8 @@ def build_tree_plan(network: Network, meters: Sequence[Meter], *, reference: int
         reference=reference,
         order=layout.order,
         parent=layout.parent,
-        admittance=stack_admittances(network, layout),
-        no_load_admittance=_stack_admittances(series, 0 * ends, ratio, layout.from_parent, layout.child, 0 * start),
+        admittance=stack_admittances(ys, ends, ratio, shunts, layout),
+        no_load_admittance=stack_admittances(ys, 0 * ends, ratio, 0 * shunts, layout),
         slot=find_slots(network, meters, layout),
         start=start * np.exp(1j * angle),
         start_va=np.angle(start) + angle,
@@ -140,32 +135,40 @@ def _check_determined(plan: TreePlan) -> TreePlan | str:
 
 
 def read_branches(network: Network) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Series admittance, admittance at each end and complex tap ratio of the branches in service."""
+    """Of the branches in service: series admittance ys, admittance at each end, complex tap ratio, (n_branch,) each."""
     branches = network.active_branches
     r, x, g, b, tap, shift = np.array([(b.r, b.x, b.g, b.b, b.tap, b.shift) for b in branches]).reshape(-1, 6).T
     return 1 / (r + 1j * x), 0.5 * (g + 1j * b), tap * np.exp(1j * shift)
 
 
-def _read_shunts(network: Network, layout: TreeLayout) -> np.ndarray:
+def read_shunts(network: Network, layout: TreeLayout) -> np.ndarray:
+    """Shunt admittances in tree order, shape (n_bus,)."""
     shunts = np.array([complex(b.g_shunt, b.b_shunt) for b in network.buses], dtype=complex)
     in_tree_order: np.ndarray = shunts[layout.order]
     return in_tree_order
 
 
-def _stack_admittances(
-    ys: np.ndarray, ends: np.ndarray, ratio: np.ndarray, from_parent: np.ndarray, child: np.ndarray, shunt: np.ndarray
-) -> np.ndarray:
-    """Shape (n_bus, 8), complex, conjugates of admittances: with c the child's end of the branch and p the parent's,
-
-    ``ycc, ycp, ypp, ypc, ypp / ypc, 1 / ypc, ycp / conj(ypc)`` and the shunt; see ``build_admittance`` for the first.
-    """
+def orient_branches(
+    ys: np.ndarray, ends: np.ndarray, ratio: np.ndarray, layout: TreeLayout
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """``ycc, ycp, ypp, ypc`` of the branches, c the child's end and p the parent's; see ``build_admittance``."""
     ytt = ys + ends
     yff, yft, ytf = ytt / abs(ratio) ** 2, -ys / ratio.conj(), -ys / ratio
-    ycc, ycp = np.where(from_parent, ytt, yff), np.where(from_parent, ytf, yft)
-    ypp, ypc = np.where(from_parent, yff, ytt), np.where(from_parent, yft, ytf)
-    stacked = np.zeros((len(shunt), 8), dtype=complex)
-    stacked[child, :7] = np.stack([ycc, ycp, ypp, ypc, ypp / ypc, 1 / ypc, ycp / ypc.conj()], axis=1).conj()
-    stacked[:, 7] = shunt.conj()
+    down = layout.from_parent
+    return np.where(down, ytt, yff), np.where(down, ytf, yft), np.where(down, yff, ytt), np.where(down, yft, ytf)
+
+
+def stack_admittances(
+    ys: np.ndarray, ends: np.ndarray, ratio: np.ndarray, shunts: np.ndarray, layout: TreeLayout
+) -> np.ndarray:
+    """What the compiled passes need of the branch above each bus and of its shunt, shape (n_bus, 8), complex.
+
+    Conjugates of ``ycc, ycp, ypp, ypc, ypp / ypc, 1 / ypc, ycp / conj(ypc)`` and of the shunt.
+    """
+    ycc, ycp, ypp, ypc = orient_branches(ys, ends, ratio, layout)
+    stacked = np.zeros((len(shunts), 8), dtype=complex)
+    stacked[layout.child, :7] = np.stack([ycc, ycp, ypp, ypc, ypp / ypc, 1 / ypc, ycp / ypc.conj()], axis=1).conj()
+    stacked[:, 7] = shunts.conj()
     return stacked
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from dsse_core.network import Network
 from dsse_core.tree_kernel import compiled
-from dsse_core.tree_plan import TreeLayout, read_branches
+from dsse_core.tree_plan import TreeLayout, orient_branches, read_branches, read_shunts
 
 SMALLEST_CHANGE = 1e-13  # p.u., of any voltage; sweeps gain a digit or more each
 MOST_SWEEPS = 50  # where more are needed Newton's method does better
@@ -24,15 +24,11 @@ def sweep_power_flow(
     forward: ``v_c = (i_c - ycp v_p) / ycc``; ``det = ycc ypp - ycp ypc = y (2 ys + y) / |t|^2``, y at each end.
     """
     ys, ends, ratio = read_branches(network)
-    ytt = ys + ends
-    yff, yft, ytf = ytt / abs(ratio) ** 2, -ys / ratio.conj(), -ys / ratio
-    down = layout.from_parent
-    ycc, ycp, ypp = np.where(down, ytt, yff), np.where(down, ytf, yft), np.where(down, yff, ytt)
+    ycc, ycp, ypp, _ = orient_branches(ys, ends, ratio, layout)
     factors = np.zeros((len(layout.order), 5), dtype=complex)
     det = ends * (2 * ys + ends) / abs(ratio) ** 2
     factors[layout.child, :4] = np.stack([ypp / ycp, -det / ycp, 1 / ycc, ycp / ycc], axis=1)
-    shunts = np.array([complex(b.g_shunt, b.b_shunt) for b in network.buses], dtype=complex)
-    factors[:, 4] = shunts[layout.order]
+    factors[:, 4] = read_shunts(network, layout)
     in_tree_order = v[layout.order]
     sweeps = _sweep(layout.parent, factors, scheduled[layout.order], in_tree_order)
     if not sweeps:
