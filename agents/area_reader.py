@@ -6,6 +6,7 @@ import dataclasses
 import json
 import tomllib
 import typing
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -27,18 +28,7 @@ def load_area_file(path: Path) -> AreaFile:
         InvalidInputError: naming the file and every unknown, missing or impossible key.
     """
     what = f"area file {path}"
-    try:
-        text = path.read_text(encoding="utf-8")
-        table = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
-    except (OSError, UnicodeDecodeError) as error:
-        raise InvalidInputError(what, [f"cannot be read: {error}"]) from None
-    except (ValueError, RecursionError) as error:  # of the two readers, or integers that Python cannot hold
-        language = "JSON" if path.suffix == ".json" else "TOML"
-        raise InvalidInputError(what, [f"is not {language}: {error}"]) from None
-    try:
-        t = _FileTable.model_validate(table)
-    except ValidationError as error:
-        raise InvalidInputError(what, [describe_schema_error(e) for e in error.errors()]) from None
+    t = _read_tables(what, path)
     network = Network(
         name=t.area,
         base_mva=t.network.base_mva,
@@ -47,32 +37,13 @@ def load_area_file(path: Path) -> AreaFile:
         generators=tuple(Generator(**vars(row)) for row in t.network.generator),
     )
     meters = tuple(Meter(**vars(row)) for row in t.meter)
-    neighbours = tuple(Neighbour(n.area, n.bus, n.is_parent) for n in t.neighbour)
-    problems = list(find_meter_problems(network, meters))
-    problems += [
-        f"neighbour {n.area}: bus {n.bus} is not in the network" for n in neighbours if n.bus not in network.row
-    ]
-    problems += [f"neighbour {n.area}: is the area itself" for n in neighbours if n.area == t.area]
-    if t.local_slack.bus not in network.row:
-        problems.append(f"local_slack.bus: bus {t.local_slack.bus} is not in the network")
-    if t.reference and t.reference.bus not in network.row:
-        problems.append(f"reference.bus: bus {t.reference.bus} is not in the network")
-    if sum(n.is_parent for n in neighbours) != (0 if network.slack else 1):
-        problems.append("neighbour: exactly one must be the parent, or none where the network holds the substation")
-    if not (t.endpoints or t.listen):
-        problems.append("endpoints: is empty; name a router, or give listen, where neighbours link with this area")
-    if problems:
+    if problems := [*find_meter_problems(network, meters), *_find_place_problems(t, network)]:
         raise InvalidInputError(what, problems)
+    reference = (t.reference.bus, t.reference.va) if t.reference else None
+    neighbours = tuple(Neighbour(n.area, n.bus, n.is_parent) for n in t.neighbour)
     return AreaFile(
         run=t.run,
-        area=Area(
-            t.area,
-            network,
-            neighbours,
-            t.local_slack.bus,
-            t.local_slack.vm,
-            (t.reference.bus, t.reference.va) if t.reference else None,
-        ),
+        area=Area(t.area, network, neighbours, t.local_slack.bus, t.local_slack.vm, reference),
         meters=meters,
         strategy=t.strategy,
         endpoints=tuple(t.endpoints),
@@ -85,6 +56,39 @@ def load_area_file(path: Path) -> AreaFile:
         seed=t.seed,
         penalty=t.admm.penalty,
     )
+
+
+def _read_tables(what: str, path: Path) -> Any:
+    """The file as ``_FileTable``: every key is known, there and of its type."""
+    try:
+        text = path.read_text(encoding="utf-8")
+        table = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
+    except (OSError, UnicodeDecodeError) as error:
+        raise InvalidInputError(what, [f"cannot be read: {error}"]) from None
+    except (ValueError, RecursionError) as error:  # of the two readers, or integers that Python cannot hold
+        language = "JSON" if path.suffix == ".json" else "TOML"
+        raise InvalidInputError(what, [f"is not {language}: {error}"]) from None
+    try:
+        return _FileTable.model_validate(table)
+    except ValidationError as error:
+        raise InvalidInputError(what, [describe_schema_error(e) for e in error.errors()]) from None
+
+
+def _find_place_problems(t: Any, network: Network) -> Iterator[str]:
+    """What does not fit the network, and where nobody could be met."""
+    for n in t.neighbour:
+        if n.bus not in network.row:
+            yield f"neighbour {n.area}: bus {n.bus} is not in the network"
+        if n.area == t.area:
+            yield f"neighbour {n.area}: is the area itself"
+    if t.local_slack.bus not in network.row:
+        yield f"local_slack.bus: bus {t.local_slack.bus} is not in the network"
+    if t.reference and t.reference.bus not in network.row:
+        yield f"reference.bus: bus {t.reference.bus} is not in the network"
+    if sum(n.is_parent for n in t.neighbour) != (0 if network.slack else 1):
+        yield "neighbour: exactly one must be the parent, or none where the network holds the substation"
+    if not (t.endpoints or t.listen):
+        yield "endpoints: is empty; name a router, or give listen, where neighbours link with this area"
 
 
 def describe_schema_error(error: Any) -> str:

@@ -61,17 +61,7 @@ def run_agent(content: AreaFile, session: Session, inbox: Inbox) -> str:
     kinds = ("load", strategy.kind, *strategy.other_kinds)
     links = FaultyLinks(content.area.name, content.links, content.seed, _publishers(content, session, kinds))
     name, run = content.area.name, content.run
-    neighbours = {n.area for n in content.area.neighbours}
-    known = {neighbour_key(run, neighbour, kind, name) for neighbour in neighbours for kind in kinds}
-    doorkeeper = Doorkeeper(known, telemetry_key(run, name), inbox)
-    session.subscribe(all_from_neighbours(run, name), doorkeeper.take)
-    session.subscribe(telemetry_key(run, name), doorkeeper.take)
-    if any(faults.has_windows for faults in content.links.values()):
-        session.subscribe(clock_key(run), lambda key, payload: inbox.put(key, _ClockHeard(time.monotonic(), payload)))
-    for neighbour in sorted(neighbours):
-        lives = all_lives(run, "area", neighbour)
-        session.subscribe(lives, lambda key, payload: _put_farewell(inbox, key, payload))
-        session.watch_presence(lives, lambda key, alive: inbox.put(key, _TokenSeen(key, alive)))
+    _listen(content, session, kinds, inbox)
     own_token = live_key(run, "area", name, incarnation)
     say_farewell = session.publisher(own_token)
     session.declare_presence(own_token)
@@ -94,6 +84,22 @@ def run_agent(content: AreaFile, session: Session, inbox: Inbox) -> str:
         news = inbox.take(min(protocol.wait_s(now), links.next_due() - now))
         links.release(time.monotonic())
         events = list(_events_of(news, presence, links))
+
+
+def _listen(content: AreaFile, session: Session, kinds: Sequence[str], inbox: Inbox) -> None:
+    """Have all that is meant for the area put into ``inbox``."""
+    run, name = content.run, content.area.name
+    neighbours = sorted({n.area for n in content.area.neighbours})
+    known = {neighbour_key(run, neighbour, kind, name) for neighbour in neighbours for kind in kinds}
+    doorkeeper = Doorkeeper(known, telemetry_key(run, name), inbox)
+    session.subscribe(all_from_neighbours(run, name), doorkeeper.take)
+    session.subscribe(telemetry_key(run, name), doorkeeper.take)
+    if any(faults.has_windows for faults in content.links.values()):
+        session.subscribe(clock_key(run), lambda key, payload: inbox.put(key, _ClockHeard(time.monotonic(), payload)))
+    for neighbour in neighbours:
+        lives = all_lives(run, "area", neighbour)
+        session.subscribe(lives, lambda key, payload: _put_farewell(inbox, key, payload))
+        session.watch_presence(lives, lambda key, alive: inbox.put(key, _TokenSeen(key, alive)))
 
 
 def _log_change(state: StateMessage, told: object) -> object:
