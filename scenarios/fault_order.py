@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from scenarios.fault_tables import ENDLESS, EventTable
+from scenarios.fault_tables import MOMENTARY, EventTable
 
 
 def find_time_problems(events: Sequence[EventTable], timeout_s: float) -> Iterable[str]:
@@ -35,7 +35,7 @@ def find_order_problems(events: Sequence[EventTable]) -> Iterable[str]:
                 f"faults.events[{i}].{event.kind}: {name} is dead by then, killed by faults.events[{killed[name]}]; "
                 "restart it before, or remove one of the two"
             )
-        if event.kind in ENDLESS:
+        if event.kind in MOMENTARY:
             killed.pop(event.names[0], None)
         else:
             lasting[whom] = i

@@ -14,7 +14,7 @@ Moment = Annotated[float, Field(ge=0, le=86400)]
 Milliseconds = Annotated[float, Field(ge=0, le=86_400_000)]
 Probability = Annotated[float, Field(ge=0, le=1)]
 
-ENDLESS = ("kill", "restart")
+MOMENTARY = ("kill", "restart")
 LASTING = ("pause", "cut", "silent")
 
 
@@ -89,7 +89,7 @@ class EventTable(Table):
     @property
     def kind(self) -> str:
         """Which of the five it is."""
-        return next(kind for kind in (*ENDLESS, *LASTING) if getattr(self, kind) is not None)
+        return next(kind for kind in (*MOMENTARY, *LASTING) if getattr(self, kind) is not None)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -99,7 +99,7 @@ class EventTable(Table):
 
     @model_validator(mode="after")
     def _is_one_event(self) -> Self:
-        given = [kind for kind in (*ENDLESS, *LASTING) if getattr(self, kind) is not None]
+        given = [kind for kind in (*MOMENTARY, *LASTING) if getattr(self, kind) is not None]
         if len(given) != 1:
             found = " and ".join(given) or "none"
             raise ValueError(f"give exactly one of kill, restart, pause, cut and silent, found {found}")
@@ -107,7 +107,7 @@ class EventTable(Table):
             raise ValueError(f"cut must name two neighbouring areas, found {self.cut!r}")
         if given[0] in LASTING and self.for_s is None:
             raise ValueError(f"{given[0]} lasts; say how long with for_s")
-        if given[0] in ENDLESS and self.for_s is not None:
+        if given[0] in MOMENTARY and self.for_s is not None:
             raise ValueError(f"{given[0]} happens in a moment; remove for_s")
         return self
 

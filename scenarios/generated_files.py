@@ -14,8 +14,7 @@ from scenarios.network_file import save_network
 
 METERS_STREAM = 1  # of the seed; the network has stream 0, so that it is the same whatever the meters are
 VOLTMETER_EVERY = {"standard": 10, "sparse": 50}  # buses
-
-LARGEST_TOML = 5000  # buses; of larger networks JSON, which is read much faster
+MOST_BUSES_IN_TOML = 5000  # larger networks become JSON, which is read much faster
 
 SCENARIO = """\
 # Written by: {command}
@@ -70,7 +69,7 @@ def write_generated(
 
 def name_network_file(n_bus: int) -> str:
     """The name of the network file of a generated feeder."""
-    return "network.toml" if n_bus <= LARGEST_TOML else "network.json"
+    return "network.toml" if n_bus <= MOST_BUSES_IN_TOML else "network.json"
 
 
 def _format_scenario(

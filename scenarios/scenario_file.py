@@ -229,7 +229,9 @@ class ScenarioFile(Table):
     version: Literal[1] = Field(description="version of this format, 1")
     description: str = Field(min_length=1, description="one line that says what the scenario shows")
     seed: int = Field(default=1, ge=0, description="seed of noise and losses")
-    network: str = Field(description="name of a shipped network, or path of a .toml file relative to this file")
+    network: str = Field(
+        description="name of a shipped network, or path of a .toml or .json file relative to this file"
+    )
     strategy: str = "information"
     areas: Areas = Field(
         description="one [areas.NAME] with its buses for each area, or { count = N }, or { switches = [...] }"

@@ -91,7 +91,7 @@ def test_the_same_arguments_write_the_same_files_to_the_byte(tmp_path: Path) -> 
 
 def test_a_large_network_is_written_as_json_and_read_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     small = load_scenario(write_generated(tmp_path / "small", 60, 7, n_area=3), strategies=["information"])
-    monkeypatch.setattr(generated_files, "LARGEST_TOML", 59)
+    monkeypatch.setattr(generated_files, "MOST_BUSES_IN_TOML", 59)
     large = load_scenario(write_generated(tmp_path / "large", 60, 7, n_area=3), strategies=["information"])
     assert not (tmp_path / "large" / "network.toml").exists()
     for one, two in zip(small.network.branches, large.network.branches, strict=True):
