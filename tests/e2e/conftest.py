@@ -7,17 +7,13 @@ import json
 import os
 import signal
 import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from dsse_command import COMMAND, ENVIRONMENT, ROOT
 from waiting import DEADLINE_S, is_gone, wait_until
-
-ROOT = Path(__file__).parents[2]
-COMMAND = [sys.executable, "-P", "-m", "coordinator"]
-ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
 
 
 @dataclass

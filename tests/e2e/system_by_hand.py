@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import queue
 import signal
-import socket
 import subprocess
-import sys
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -15,27 +12,19 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from dsse_command import COMMAND, ENVIRONMENT
 from waiting import DEADLINE_S
 
 from agents.credentials import load_credentials
 from agents.keys import all_live, all_states, name_of_live
-from agents.messages import MessageError, StateMessage, decode
+from agents.messages import StateMessage, decode
 from agents.presence import Presence
 from agents.transport import Session
+from agents.wire_checks import MessageError
 from coordinator.comparison import Gap, compare
 from coordinator.judging import estimate_centralised, make_observer
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
-
-ROOT = Path(__file__).parents[2]
-ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
-DSSE = [sys.executable, "-P", "-m", "coordinator"]
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 class SystemByHand:
@@ -49,7 +38,7 @@ class SystemByHand:
     def start(self, name: str, *arguments: object, prefix: Sequence[str] = ()) -> None:
         """Start ``dsse`` with ``arguments``; ``prefix``: the command that runs it elsewhere."""
         with self.log_of(name).open("ab") as log:
-            command = [*prefix, *DSSE, *map(str, arguments)]
+            command = [*prefix, *COMMAND, *map(str, arguments)]
             self.processes[name] = subprocess.Popen(
                 command, cwd=self.folder, env=self._environment, stdout=log, stderr=subprocess.STDOUT
             )

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import psutil
 import pytest
-from system_by_hand import SystemByHand, Watcher, free_port
+from dsse_command import free_endpoint
+from system_by_hand import SystemByHand, Watcher
 from waiting import wait_until
 
 THREADS_OF_A_BUS = 2  # a process with more has imported all, and looks for the bus or is on it
@@ -19,7 +20,7 @@ ORDERS = (
 
 @pytest.mark.parametrize("order", ORDERS, ids="-".join)
 def test_a_system_started_one_after_the_other_agrees_whoever_is_first(dsse, tmp_path: Path, order: tuple[str, ...]):
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    endpoint = free_endpoint()
     assert dsse("split", "ieee33", "--out", "areas", "--connect", endpoint).returncode == 0
     commands: dict[str, tuple[object, ...]] = {
         "router": ("router", "--listen", endpoint),

@@ -4,24 +4,18 @@ from __future__ import annotations
 
 import queue
 import signal
-import socket
 import subprocess
 import sys
 import time
 from pathlib import Path
 
+from dsse_command import COMMAND, ENVIRONMENT, free_endpoint
+
 from agents.keys import all_states
 from agents.messages import StateMessage, decode
 from agents.transport import Session
 
-COMMAND = [sys.executable, "-m", "coordinator"]
 DEADLINE_S = 30.0
-
-
-def free_endpoint() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 def test_agents_started_by_hand_agree_and_end_with_exit_code_0(dsse, tmp_path: Path):
@@ -33,7 +27,7 @@ def test_agents_started_by_hand_agree_and_end_with_exit_code_0(dsse, tmp_path: P
         [sys.executable, "-m", "agents", str(tmp_path / "areas" / "area2.toml")],
         [*COMMAND, "plant", "industrial13", "--connect", endpoint],
     ]
-    processes = [subprocess.Popen(command) for command in commands]
+    processes = [subprocess.Popen(command, env=ENVIRONMENT) for command in commands]
     try:
         states: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         with Session.connect([endpoint], DEADLINE_S) as session:

@@ -7,7 +7,8 @@ import signal
 from pathlib import Path
 
 import pytest
-from system_by_hand import SystemByHand, Watcher, free_port
+from dsse_command import free_endpoint
+from system_by_hand import SystemByHand, Watcher
 
 NOTES = {signal.SIGTERM: "neighbour area2 has left: SIGTERM", signal.SIGKILL: "neighbour area2 is gone"}
 
@@ -15,7 +16,7 @@ NOTES = {signal.SIGTERM: "neighbour area2 has left: SIGTERM", signal.SIGKILL: "n
 @pytest.mark.parametrize("secured", [False, True], ids=["open", "secured"])
 def test_neighbours_and_watchers_tell_an_orderly_end_from_a_death(dsse, tmp_path: Path, secured: bool):
     protocol, keys = ("tls", ["--keys", "keys"]) if secured else ("tcp", [])
-    endpoint = f"{protocol}/127.0.0.1:{free_port()}"
+    endpoint = free_endpoint(protocol)
     if secured:
         assert dsse("keys", "create", "industrial13", "--out", "keys").returncode == 0
     assert dsse("split", "industrial13", "--out", "areas", "--connect", endpoint).returncode == 0

@@ -11,7 +11,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from system_by_hand import SystemByHand, Watcher, free_port
+from dsse_command import free_port
+from system_by_hand import SystemByHand, Watcher
 from tcp_fault_proxy import TcpFaultProxy
 from waiting import DEADLINE_S, wait_until
 

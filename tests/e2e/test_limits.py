@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import json
 import resource
-import socket
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from conftest import COMMAND, ENVIRONMENT
+from dsse_command import COMMAND, ENVIRONMENT
 from waiting import DEADLINE_S
 
 from coordinator.events import EventLog
@@ -49,17 +48,6 @@ def test_too_few_open_files_for_the_links_of_all_areas_are_told_before_anything_
     done = run_limited(tmp_path, resource.RLIMIT_NOFILE, 30, "ieee33", "--out", "out")
     assert done.returncode == 2
     assert "a process may open 30 files here, and 3 areas need 35; raise the limit (ulimit -n 35)" in done.stderr
-
-
-def test_a_port_that_is_taken_is_named(edited_scenario, dsse):
-    scenario = edited_scenario("ieee33")
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        endpoint = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
-        scenario.write_text(scenario.read_text() + f'[transport]\nlisten = "{endpoint}"\n')
-        done = dsse("run", scenario)
-    assert done.returncode == 2
-    assert f"cannot listen on {endpoint}" in done.stderr
-    assert "is the port taken by another program?" in done.stderr
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux has a device that is always full")

@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from system_by_hand import ENVIRONMENT
+from dsse_command import ENVIRONMENT
 from units import DEPLOY, PROGRAM, command_of, read_host_file
 from waiting import DEADLINE_S
 

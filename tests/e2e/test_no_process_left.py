@@ -9,8 +9,10 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
+from dsse_command import ROOT
 from waiting import wait_until
 
 import coordinator
@@ -18,8 +20,6 @@ from agents.inbox import Inbox
 from agents.keys import all_states
 from agents.messages import decode
 from agents.transport import Session
-
-ROOT = Path(__file__).parents[2]
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
@@ -98,14 +98,22 @@ def test_a_crashed_process_ends_the_run(start_run, deaf_scenario, assert_nothing
     assert_nothing_left(run.pids())
 
 
+def events_in(folder: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in (folder / "events.jsonl").read_text().splitlines()]
+
+
+def started_in(events: list[dict[str, Any]]) -> dict[str, int]:
+    return {e["name"]: e["pid"] for e in events if e["event"] == "process started"}
+
+
 def test_an_exception_in_the_callers_code_leaves_nothing_behind(tmp_path: Path, deaf_scenario, assert_nothing_left):
     def fail(progress: object) -> None:
         raise RuntimeError("mine")
 
     with pytest.raises(RuntimeError, match="mine"):
         coordinator.run(deaf_scenario, out=tmp_path / "out", on_update=fail, plots=False)
-    events = [json.loads(line) for line in (tmp_path / "out" / "events.jsonl").read_text().splitlines()]
-    assert_nothing_left({e["name"]: e["pid"] for e in events if e["event"] == "process started"})
+    events = events_in(tmp_path / "out")
+    assert_nothing_left(started_in(events))
     assert events[-1]["event"] == "run ended"
 
 
@@ -127,6 +135,7 @@ def test_a_script_without_a_main_guard_may_run_a_scenario(tmp_path: Path, assert
         check=False,
     )
     assert (done.stdout, done.stderr) == ("once\nTrue\n", "")
+    assert_nothing_left(started_in(events_in(tmp_path / "out")))
 
 
 def test_folders_of_the_user_with_our_names_do_not_disturb(tmp_path: Path, dsse):

@@ -7,9 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-from conftest import ENVIRONMENT
+from dsse_command import ENVIRONMENT, ROOT
 
-ROOT = Path(__file__).parents[2]
 DEADLINE_S = 180.0
 
 

@@ -6,10 +6,10 @@ import json
 import math
 import signal
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from dsse_command import COMMAND, ENVIRONMENT
 from waiting import DEADLINE_S, wait_until
 
 from agents.area_reader import load_area_file
@@ -68,9 +68,8 @@ def test_area_files_of_neighbours_run_by_hand_with_a_watcher(dsse, edited_scenar
     assert dsse("split", scenario, "--out", "areas").returncode == 0
     files = sorted((tmp_path / "areas").glob("*.toml"))
     connect = [part for path in files for part in ("--connect", *load_area_file(path).listen)]
-    command = [sys.executable, "-m", "coordinator"]
-    processes = [subprocess.Popen([*command, "plant", str(scenario), *connect])]
-    processes += [subprocess.Popen([*command, "agent", str(path)]) for path in files]
+    processes = [subprocess.Popen([*COMMAND, "plant", str(scenario), *connect], env=ENVIRONMENT)]
+    processes += [subprocess.Popen([*COMMAND, "agent", str(path)], env=ENVIRONMENT) for path in files]
     try:
 
         def all_estimate() -> bool:

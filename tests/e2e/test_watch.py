@@ -9,10 +9,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-from test_by_hand import free_endpoint
+from dsse_command import COMMAND, ENVIRONMENT, free_endpoint
 from waiting import DEADLINE_S, wait_until
 
-ROOT = Path(__file__).parents[2]
 AREAS = ["area1", "area2", "area3"]
 
 
@@ -49,14 +48,14 @@ def test_a_watcher_sees_a_system_whole_whose_coordinator_was_killed(start_run, d
     assert_nothing_left(run.pids())
 
 
-def test_ctrl_c_ends_the_watching_and_nothing_else(start_run, deaf_scenario, assert_nothing_left, tmp_path: Path):
+def test_ctrl_c_ends_the_watching_and_nothing_else(start_run, deaf_scenario, tmp_path: Path):
     run = start_run(deaf_scenario)
     run.wait_until_joined("area1", "area2")
     endpoint = (run.folder / "logs" / "router.endpoints").read_text().split()[0]
     watching = subprocess.Popen(
-        [sys.executable, "-P", "-m", "coordinator", "watch", "--connect", endpoint, "--json"],
+        [*COMMAND, "watch", "--connect", endpoint, "--json"],
         cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        env=ENVIRONMENT,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

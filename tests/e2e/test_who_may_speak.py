@@ -15,9 +15,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from dsse_command import ENVIRONMENT, ROOT, free_endpoint
 from expiring import let_expire
 from stranger import RUN
-from system_by_hand import ENVIRONMENT, ROOT, SystemByHand, Watcher, free_port
+from system_by_hand import SystemByHand, Watcher
 from waiting import DEADLINE_S, wait_until
 
 from coordinator.certificates import access_of, create_keys
@@ -37,7 +38,7 @@ class Secured(SystemByHand):
     ) -> None:
         super().__init__(folder, environment)
         scenario = load_scenario(RUN)
-        self.endpoint = f"{'tls' if secured else 'tcp'}/127.0.0.1:{free_port()}"
+        self.endpoint = free_endpoint("tls" if secured else "tcp")
         self.files = write_area_files(scenario, RUN, [self.endpoint], folder / "areas")
         self.keys = folder / "keys" if secured else None
         if self.keys:

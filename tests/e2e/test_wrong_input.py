@@ -8,11 +8,11 @@ import socket
 from pathlib import Path
 
 import pytest
+from dsse_command import ROOT, free_endpoint
 
 import coordinator
 import coordinator.system
 
-ROOT = Path(__file__).parents[2]
 AREA1 = "buses = [1, 2, 3, 4, 5, 6, 19, 20, 21, 22, 23, 24, 25]"
 AREA2 = "buses = [16, 17, 18, 15, 14, 13, 12, 11, 10, 9, 8, 7, 6]"
 AREA3 = "buses = [30, 31, 32, 33, 29, 28, 27, 26, 6]"
@@ -122,12 +122,6 @@ def test_an_occupied_endpoint_is_named(dsse, edited_scenario):
     assert done.returncode == 2
     assert f"error: cannot listen on {endpoint}" in done.stderr
     assert "taken by another program" in done.stderr
-
-
-def free_endpoint() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 @pytest.mark.parametrize(
@@ -242,7 +236,7 @@ def test_an_endpoint_that_is_none_is_refused_before_files_are_written(dsse, tmp_
     assert not (tmp_path / "areas").exists()
 
 
-def test_a_reader_who_leaves_changes_neither_the_result_nor_the_exit_code(start_run, tmp_path: Path):
+def test_a_reader_who_leaves_changes_neither_the_result_nor_the_exit_code(start_run):
     run = start_run("industrial13")
     assert run.process.stdout is not None
     run.process.stdout.close()

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from agents.area_file import AreaFile
-from agents.messages import Message, MessageError, decode
+from agents.messages import Message, decode
+from agents.wire_checks import MessageError
 from coordinator import twin
 from coordinator.split import area_files
 from dsse_core.link_faults import LinkFaults

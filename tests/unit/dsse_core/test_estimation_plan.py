@@ -67,7 +67,7 @@ def test_no_success_on_a_step_that_was_shortened(chain, read, meters_of, backend
     assert estimate_state(network, high, tolerance=10.0, backend=backend).vm[1] > 1.85
 
 
-def test_the_choice_is_told_with_its_reason(case, meshed, meters_of, chain):
+def test_the_choice_is_told_with_its_reason(case, meshed, meters_of):
     small = build_estimation_plan(case("ieee33"), meters_of(case("ieee33"), Kind.VM, *FLOWS))
     assert (small.backend, "33 buses" in str(small.tree)) == ("sparse", True)
     asked = build_estimation_plan(meshed, meters_of(meshed, Kind.VM, *FLOWS), backend="sparse")

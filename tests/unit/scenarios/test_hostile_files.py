@@ -132,7 +132,7 @@ def test_an_index_that_is_none_or_would_fill_the_memory_is_named(tmp_path: Path,
         import_grid(path)
 
 
-def test_the_module_would_be_imported_by_pandapower_itself(tmp_path: Path, evil: Path):
+def test_the_module_would_be_imported_by_pandapower_itself(evil: Path):
     """What the allow-list is for; if this fails, pandapower has become careful itself."""
     pandapower = pytest.importorskip("pandapower")
     net = {"_module": "pandapower.auxiliary", "_class": "pandapowerNet", "_object": {"bus": EVIL}}

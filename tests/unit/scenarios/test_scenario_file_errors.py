@@ -64,7 +64,9 @@ def test_an_unknown_key_inside_a_list_of_tables_is_refused_with_its_position(tmp
 
 def test_a_missing_key_is_named_with_its_meaning(tmp_path: Path) -> None:
     problem = the_only(problems_of(tmp_path, changed('network = "ieee33"', "")))
-    assert problem == "network: missing; name of a shipped network, or path of a .toml or .json file relative to this file"
+    assert (
+        problem == "network: missing; name of a shipped network, or path of a .toml or .json file relative to this file"
+    )
 
 
 def test_missing_measurements_are_named(tmp_path: Path) -> None:
