@@ -54,10 +54,7 @@ class FaultyLinks:
     def send(self, message: Message, to: str | None, now: float) -> None:
         """Hand ``message`` to the bus for neighbour ``to``, or for whoever watches (None; nothing befalls it)."""
         if to is None:
-            if isinstance(message, StateMessage):
-                met = dict(self.met)
-                message = replace(message, messages=self.messages, bytes=self.bytes, lost=self.lost, faults=met)
-            self.put(None, message.kind, encode(message))
+            self.put(None, message.kind, encode(self.with_counts(message)))
             return
         faults = self.faults.get(to, SOUND)
         fate = self._fates.setdefault(to, LinkFate(faults, self.seed, self.sender, to))
@@ -81,6 +78,13 @@ class FaultyLinks:
                 entry = (now + delay, next(self._order), to, message.kind, fate.number, content)
                 heapq.heappush(self._waiting, entry)
             self.release(now)
+
+    def with_counts(self, message: Message) -> Message:
+        """``message``, a state with what the links have counted."""
+        if not isinstance(message, StateMessage):
+            return message
+        met = dict(self.met)
+        return replace(message, messages=self.messages, bytes=self.bytes, lost=self.lost, faults=met)
 
     def next_due(self) -> float:
         """When the next delayed message is to go out; infinity if none waits."""

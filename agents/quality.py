@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from agents.hearing import Hearing
 from agents.strategies.interface import Estimate
 
@@ -9,7 +11,7 @@ GOOD, DEGRADED, RELATIVE_ANGLE, STALE, NONE = "good", "degraded", "relative-angl
 
 
 def judge_quality(
-    estimate: Estimate | None, doubts: bool, hearing: Hearing, neighbours: set[str], gone: set[str], now: float
+    estimate: Estimate | None, doubts: bool, hearing: Hearing, neighbours: Sequence[str], gone: set[str], now: float
 ) -> str:
     """The worst that holds at time ``now``.
 

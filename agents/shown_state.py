@@ -23,7 +23,8 @@ class ShownState:
 
     def __init__(self, area: Area, hearing: Hearing, header_for: Callable[[Message | None], Header]) -> None:
         self.message: StateMessage | None = None
-        self._area = area
+        self._buses = tuple(bus.id for bus in area.network.buses)
+        self._neighbours = [n.area for n in area.neighbours]
         self._hearing = hearing
         self._header_for = header_for
         self._estimate: Estimate | None = None
@@ -46,8 +47,8 @@ class ShownState:
         """
         hearing, last = self._hearing, self.message
         self._estimate, self._doubts, self._scan = estimate, doubts, hearing.scan
-        state = _compose(self._area, self._header_for(last), estimate)
-        names = [n.area for n in self._area.neighbours]
+        state = _compose(self._buses, self._header_for(last), estimate)
+        names = self._neighbours
         state = replace(
             state,
             sent={name: _sequences(name, *sent) for name in names},
@@ -80,15 +81,14 @@ class ShownState:
     def quality(self, gone: set[str], now: float) -> str:
         """Of the state as last shown; new readings leave it behind until they have been worked in."""
         doubts = self._doubts or self._scan != self._hearing.scan
-        names = {n.area for n in self._area.neighbours}
-        return judge_quality(self._estimate, doubts, self._hearing, names, gone, now)
+        return judge_quality(self._estimate, doubts, self._hearing, self._neighbours, gone, now)
 
 
-def _compose(area: Area, header: Header, estimate: Estimate | None) -> StateMessage:
+def _compose(buses: tuple[int, ...], header: Header, estimate: Estimate | None) -> StateMessage:
     """What there is to say of ``estimate``; everything else is empty."""
     return StateMessage(
         header=header,
-        buses=() if estimate is None else tuple(bus.id for bus in area.network.buses),
+        buses=() if estimate is None else buses,
         vm=() if estimate is None else tuple(estimate.vm.tolist()),
         va=() if estimate is None else tuple(estimate.va.tolist()),
         sigma_vm=() if estimate is None else tuple(estimate.sigma_vm.tolist()),

@@ -1,7 +1,8 @@
 """The twin: areas in one process on a simulated bus in virtual time, repeatable to the bit.
 
 Protocol, strategies, faulty links, encoding and decoding are those of real runs; only bus and clock are simulated.
-Virtual time passes while messages travel and areas wait for their beat; computing takes none.
+States alone, half of all bytes, reach who watches as they are: nothing befalls them. Virtual time passes while
+messages travel and areas wait for their beat; computing takes none.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from dataclasses import dataclass
 
 from agents.area_file import AreaFile
 from agents.link import FaultyLinks
-from agents.messages import Header, Incarnation, StateMessage, TelemetryMessage, decode
+from agents.messages import Header, Incarnation, Message, StateMessage, TelemetryMessage, decode
 from agents.protocol import AreaProtocol, Event, Finish, PresenceChanged, Publish, Received, Refused
 from agents.strategies import make_strategy
 from agents.wire_checks import MessageError
@@ -227,6 +228,8 @@ class SimulatedBus:
         self.links[name].release(self.now)
         for action in self.protocols[name].handle(events, self.now):
             match action:
+                case Publish(message, None):
+                    self._show(self.links[name].with_counts(message))
                 case Publish(message, to):
                     self.links[name].send(message, to, self.now)
                 case Finish():
@@ -240,16 +243,16 @@ class SimulatedBus:
             self._wake[name] = at
             self._push(at, name, WAKE)
 
-    def _put(self, sender: str, receiver: str | None, payload: bytes) -> None:
-        """What a link hands to the bus: a state to who watches, a message to a neighbour."""
-        if not self.router_runs:
-            return
-        if receiver is None:
-            message = decode(payload)
-            assert isinstance(message, StateMessage)
-            self.states[sender] = message
+    def _show(self, message: Message) -> None:
+        """Show who watches the state of an area."""
+        assert isinstance(message, StateMessage)
+        if self.router_runs:
+            self.states[message.header.sender] = message
             self._on_state(self.now, message)
-        elif (sender, receiver) not in self._cut:
+
+    def _put(self, sender: str, receiver: str | None, payload: bytes) -> None:
+        """What a link hands to the bus for a neighbour."""
+        if receiver is not None and self.router_runs and (sender, receiver) not in self._cut:
             self.deliver(sender, receiver, payload)
 
     def _push(self, at: float, name: str, event: Event | _Wake | _Call) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import qr
+from scipy.linalg.lapack import dgeqp3, dormqr, dtrtri, dtrtrs
 
 from dsse_core.boundary_information import BoundaryInformation
 
@@ -24,16 +24,32 @@ def marginal_of(y: np.ndarray, *sides: BoundaryInformation) -> tuple[np.ndarray,
     length = np.sqrt((R**2).sum(axis=0))
     spoken = np.flatnonzero(length)
     heavy_first = np.argsort(-abs(R).max(axis=1), kind="stable")
-    Q, upper, order = qr(R[np.ix_(heavy_first, spoken)] / length[spoken], mode="economic", pivoting=True)
+    upper, turned, order = _factor(R[heavy_first][:, spoken] / length[spoken], r[heavy_first])
     order = spoken[order]
     k = int((abs(np.diag(upper)) > SINGULAR).sum())
     mean = y.copy()
-    mean[order[:k]] += np.linalg.solve(upper[:k, :k], (Q.T @ r[heavy_first])[:k]) / length[order[:k]]
+    if k > 0:
+        mean[order[:k]] += dtrtrs(upper[:k, :k], turned[:k])[0] / length[order[:k]]
     if k < len(order):
         return mean, None
     sigma = np.ones(4)
-    sigma[order] = np.sqrt((np.linalg.inv(upper) ** 2).sum(axis=1)) / length[order]
+    if k > 0:
+        sigma[order] = np.sqrt((np.triu(dtrtri(upper)[0]) ** 2).sum(axis=1)) / length[order]
     return mean, sigma
+
+
+def _factor(A: np.ndarray, r: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The triangle of ``A[:, order] = Q [upper; 0]``, ``Q'r`` and ``order``, pivoted.
+
+    By LAPACK's own calls: an area asks before every message, and around so small a matrix ``scipy.linalg.qr`` takes
+    several times as long as the work itself.
+    """
+    n_row, n_column = A.shape
+    if n_column == 0:
+        return np.zeros((0, 0)), r, np.zeros(0, dtype=int)
+    reflectors, order, tau, _, _ = dgeqp3(A)
+    turned = dormqr("L", "T", reflectors, tau, r[:, None], max(1, n_row))[0][:, 0]
+    return np.triu(reflectors[: min(n_row, n_column)]), turned, order - 1
 
 
 def distance_between(y: np.ndarray, one: BoundaryInformation, other: BoundaryInformation) -> tuple[float, int]:
