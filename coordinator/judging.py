@@ -126,7 +126,7 @@ def judge(
         scenario=scenario,
         run=run,
         verdict=make_verdict(observer, comparison, reason, round(wall_s, 4), virtual_s),
-        areas=make_area_results(observer, comparison),
+        areas=make_area_results(observer, comparison, started + (wall_s if virtual_s is None else virtual_s)),
         comparison=comparison,
         centralised=centralised.report,
         centralised_failure=centralised.failure,

@@ -3,8 +3,8 @@
 Consensus: every area is alive, has an estimate of the current scan whose angles count from the substation,
 agrees with the others at every boundary bus and has heard the last words of its neighbours. Areas show
 themselves at rest, and only news can wake them: when all words said have been heard, no more will follow.
-After a restart, whose words are numbered from one again, nothing must have changed for two beats besides,
-of which every area was heard to repeat itself.
+After a restart, whose words are numbered from one again, and after whatever else the scenario did to processes or
+links, nothing must have changed for two beats besides, of which every area was heard to repeat itself.
 """
 
 from __future__ import annotations
@@ -14,7 +14,9 @@ from array import array
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from agents.hearing import FRESH_BEATS
 from agents.messages import StateMessage
+from agents.quality import NONE, STALE
 from dsse_core.partition import Partition
 
 QUIET_BEATS = 2
@@ -63,6 +65,7 @@ class Sample:
 class _Watched:
     alive: bool = False
     state: StateMessage | None = None
+    heard_at: float = -math.inf
     repeats: int = 0  # of the state, since change number ``change``, the last anywhere that it knows of
     change: int = 0
 
@@ -90,7 +93,7 @@ class Observer:
         self._buses = {area.name: frozenset(area.network.row) for area in self.partition.areas}
         self._states: dict[str, StateMessage] = {}
         self._changes = 0
-        self._restarted = False
+        self._disturbed = False
 
     @property
     def states(self) -> Mapping[str, StateMessage]:
@@ -116,7 +119,8 @@ class Observer:
         if last is not None and state.header.order < last.header.order:
             return False
         if last is not None and state.header.incarnation != last.header.incarnation:
-            self._restarted = True
+            self._disturbed = True
+        watched.heard_at = now
         watched.state = self._states[state.header.sender] = state  # a repeat carries newer message counts
         if last is not None and state.header.order == last.header.order:
             watched.repeats = self._repeats(watched) + 1
@@ -139,9 +143,21 @@ class Observer:
         if watched is None or watched.alive == alive:
             return False
         watched.alive = alive
-        self._restarted |= not alive
+        self._disturbed |= not alive
         self._note_change(now)
         return True
+
+    def take_fault(self, now: float) -> None:
+        """Note that the scenario has done something: who was there before may be dead, which nobody has told yet."""
+        self._disturbed = True
+        self._note_change(now)
+
+    def quality_of(self, area: str, now: float) -> str:
+        """What the area's last state is worth at time ``now``: stale once it is gone or has not been heard for long."""
+        watched = self._watched[area]
+        said = watched.state.quality if watched.state else NONE
+        is_heard = watched.alive and now - watched.heard_at < FRESH_BEATS * self.beat_s
+        return said if is_heard or said == NONE else STALE
 
     def find_obstacles(self, now: float) -> tuple[str, ...]:
         """What is missing to consensus at time ``now``, in words that name areas and buses; empty at consensus."""
@@ -155,8 +171,10 @@ class Observer:
                 bus, [name for name in names if name in states and states[name].buses]
             )
         obstacles += self._find_unheard()
-        if not obstacles and self._restarted and not self._is_quiet(now):
-            obstacles.append(f"something has changed within the last {QUIET_BEATS} beats, after a restart")
+        if not obstacles and self._disturbed and not self._is_quiet(now):
+            obstacles.append(
+                f"something has changed within the last {QUIET_BEATS} beats, after a restart or another fault"
+            )
         return tuple(obstacles)
 
     def _is_quiet(self, now: float) -> bool:

@@ -12,7 +12,6 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from agents.quality import NONE
 from coordinator.comparison import Comparison
 from coordinator.observer import Observer, Sample, count_exchanges
 from dsse_core.bad_data import BadDataReport
@@ -49,7 +48,7 @@ class Verdict:
 class AreaResult:
     """One area at the verdict; gaps and errors over every bus that it sees. ``notes``: what it has to do without.
 
-    ``quality``: what its last state is worth (docs/quality.md).
+    ``quality``: what its last state is worth at the verdict (docs/quality.md).
     """
 
     name: str
@@ -130,12 +129,12 @@ def make_verdict(
     )
 
 
-def make_area_results(observer: Observer, comparison: Comparison) -> tuple[AreaResult, ...]:
-    """One row per area, in the scenario's order."""
-    return tuple(_make_area_result(area.name, observer, comparison) for area in observer.partition.areas)
+def make_area_results(observer: Observer, comparison: Comparison, now: float) -> tuple[AreaResult, ...]:
+    """One row per area, in the scenario's order; ``now``: the time of the verdict on the observer's clock, s."""
+    return tuple(_make_area_result(area.name, observer, comparison, now) for area in observer.partition.areas)
 
 
-def _make_area_result(name: str, observer: Observer, comparison: Comparison) -> AreaResult:
+def _make_area_result(name: str, observer: Observer, comparison: Comparison, now: float) -> AreaResult:
     state = observer.states.get(name)
     gap, error = comparison.gap_of(name), comparison.error_of(name)
     estimated = state is not None and bool(state.buses)
@@ -156,7 +155,7 @@ def _make_area_result(name: str, observer: Observer, comparison: Comparison) -> 
         removed=state.removed if state else (),
         critical=state.critical if state else (),
         notes=state.notes if state else ("never heard of",),
-        quality=state.quality if state else NONE,
+        quality=observer.quality_of(name, now),
     )
 
 

@@ -217,7 +217,7 @@ def _watch(run: _Run, observer: Observer, on_update: Callable[[Progress], None] 
             if reason:
                 return reason
         now = time.monotonic()
-        _carry_out_faults(run, now)
+        _carry_out_faults(run, observer, now)
         if now < next_check:
             continue
         next_check = now + check_s
@@ -231,12 +231,13 @@ def _watch(run: _Run, observer: Observer, on_update: Callable[[Progress], None] 
             return no_consensus_within(run.scenario, obstacles)
 
 
-def _carry_out_faults(run: _Run, now: float) -> None:
+def _carry_out_faults(run: _Run, observer: Observer, now: float) -> None:
     """Do to the processes what the scenario says for this moment, and write it down; the links know by the clock."""
     if run.joined is not None:
         run.clock.tell(now - run.joined)
         for step in run.schedule.carry_out(now - run.joined, partial(do_to_processes, run.system)):
             run.events.write("fault", kind=step.kind, names=step.names)
+            observer.take_fault(now)
 
 
 def _take(run: _Run, observer: Observer, item: object) -> str | None:
@@ -258,8 +259,11 @@ def _take(run: _Run, observer: Observer, item: object) -> str | None:
                     run.timing_s["areas_joined"] = round(at - run.started, 4)
         case MessageError():
             run.events.write("refused", reason=str(item))
-        case _ProcessNews():
-            return _take_process_news(run, item)
+        case _ProcessNews(at, news):
+            reason = _take_process_news(run, item)
+            if reason:  # the bus may not have told of its death yet
+                observer.take_presence(news.name, False, at)
+            return reason
     return None
 
 

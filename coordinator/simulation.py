@@ -102,6 +102,7 @@ class Simulation:
             now = self._bus.now
             for step in self._schedule.carry_out(now, functools.partial(do_to_twin, self._bus)):
                 self._write(now, "fault", kind=step.kind, names=step.names)
+                self._observer.take_fault(now)
             obstacles = (*self._schedule.describe_next(), *self._observer.find_obstacles(now))
             if now - self._observer.changed_at >= check_s and not obstacles:
                 return None

@@ -75,3 +75,18 @@ def test_missing_and_late_readings_are_the_same_for_plant_areas_and_the_centrali
         assert result.verdict.gap_vm_pu is not None
         assert result.verdict.gap_vm_pu <= GAP
         assert any("no reading from" in note for area in result.areas for note in area.notes)
+
+
+@pytest.mark.parametrize("run", RUNS.values(), ids=RUNS)
+def test_an_area_killed_at_last_is_missed_and_its_last_state_is_not_called_good(
+    run: Callable[..., RunResult], edited_scenario, tmp_path: Path
+):
+    scenario = edited_scenario("ieee33")
+    scenario.write_text(scenario.read_text() + '[[faults.events]]\nat_s = 1.0\nkill = "area2"\n')
+    result = run(scenario, out=tmp_path / "out", plots=False, timeout_s=8.0)
+    assert result.verdict.reason == "no consensus within 8 s: area2 is not on the bus"
+    assert {area.name: area.quality for area in result.areas} == {
+        "area1": "degraded",
+        "area2": "stale",
+        "area3": "good",
+    }

@@ -172,7 +172,7 @@ def restarted(area: str) -> StateMessage:
 def test_after_a_restart_nothing_must_have_changed_for_two_beats():
     observer = watch()
     observer.take_state(restarted("area1"), 3 * BEAT)
-    assert obstacles(observer, 3) == "something has changed within the last 2 beats, after a restart"
+    assert obstacles(observer, 3) == "something has changed within the last 2 beats, after a restart or another fault"
     for beat in (4, 5, 6):
         for state in (restarted("area1"), a_state("area2"), a_state("area3")):
             observer.take_state(state, beat * BEAT)
@@ -182,7 +182,7 @@ def test_after_a_restart_nothing_must_have_changed_for_two_beats():
 def test_after_a_restart_silence_is_not_quiet_because_every_area_must_be_heard_to_repeat_itself():
     observer = watch()
     observer.take_state(restarted("area1"), 3 * BEAT)
-    assert obstacles(observer, 100) == "something has changed within the last 2 beats, after a restart"
+    assert obstacles(observer, 100) == "something has changed within the last 2 beats, after a restart or another fault"
 
 
 def test_an_older_message_does_not_replace_a_newer_one():
@@ -230,3 +230,26 @@ def test_progress_shows_state_and_gap_of_every_area():
     assert by_name["area2"].gap_va == pytest.approx(0.1)
     assert by_name["area3"].state == "agrees"
     assert progress.obstacles
+
+
+def test_after_a_fault_every_area_must_have_been_heard_again():
+    observer = watch()
+    assert not observer.find_obstacles(5 * BEAT)
+    observer.take_fault(5 * BEAT)
+    for beat in (6, 7):
+        for state in (a_state("area1"), a_state("area2")):  # area3 was killed, and nobody has told yet
+            observer.take_state(state, beat * BEAT)
+    assert obstacles(observer, 8) == "something has changed within the last 2 beats, after a restart or another fault"
+    for beat in (8, 9):
+        observer.take_state(a_state("area3"), beat * BEAT)
+    assert obstacles(observer, 9) == ""
+
+
+def test_the_state_of_an_area_that_is_gone_or_not_heard_is_no_longer_good():
+    observer = watch(beats=0)
+    assert observer.quality_of("area1", 2 * BEAT) == "good"
+    assert observer.quality_of("area1", 4 * BEAT) == "stale"
+    observer.take_state(a_state("area1"), 4 * BEAT)
+    assert observer.quality_of("area1", 4 * BEAT) == "good"
+    observer.take_presence("area1", False, 4 * BEAT)
+    assert observer.quality_of("area1", 4 * BEAT) == "stale"
