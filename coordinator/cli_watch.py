@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING
 
 import click
 
@@ -66,12 +66,13 @@ def watch(
                 return 0 if watcher.is_whole() else 1
             live = sys.stdout.isatty() and not as_json
             _show_on(lambda: look(UPDATE_S).look(time.monotonic()), live, as_json)
+            return 0
     except KeyboardInterrupt:
         return 0
 
 
-def _show_on(look: Callable[[], View], live: bool, as_json: bool) -> NoReturn:
-    """Go on showing what ``look`` sees, until Ctrl-C."""
+def _show_on(look: Callable[[], View], live: bool, as_json: bool) -> None:
+    """Go on showing what ``look`` sees, until Ctrl-C or until nobody reads it any more."""
     if live:
         from coordinator.live import live_view
 
@@ -83,7 +84,8 @@ def _show_on(look: Callable[[], View], live: bool, as_json: bool) -> NoReturn:
         view = look()
         if time.monotonic() >= next_line:
             next_line = time.monotonic() + LINE_S
-            show(_format(view, as_json))
+            if not show(_format(view, as_json)):
+                return
 
 
 def _format(view: View, as_json: bool) -> str:

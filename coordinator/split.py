@@ -53,9 +53,18 @@ def choose_run_id(scenario: Scenario, given: str | None) -> str:
     Raises:
         InvalidInputError: ``given`` has letters that a key may not contain.
     """
-    if given is not None and not NAME.fullmatch(given):
+    return check_run_id(given) if given is not None else default_run_id(scenario)
+
+
+def check_run_id(given: str) -> str:
+    """``given``, if it may be a part of a key.
+
+    Raises:
+        InvalidInputError: it has letters that a key may not contain.
+    """
+    if not NAME.fullmatch(given):
         raise InvalidInputError("run", [f"{given!r} may only contain a-z, 0-9, _ and -"])
-    return given if given is not None else default_run_id(scenario)
+    return given
 
 
 def write_area_files(

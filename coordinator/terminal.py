@@ -67,13 +67,15 @@ def choose_endpoints(given: tuple[str, ...], secured: bool) -> tuple[str, ...]:
     return given or (SECURE_ENDPOINT if secured else DEFAULT_ENDPOINT,)
 
 
-def show(text: str) -> None:
-    """Print in one piece; a reader who has left changes nothing but that nobody reads."""
+def show(text: str) -> bool:
+    """Print in one piece; whether anybody still reads: to a result it makes no difference."""
     try:
         sys.stdout.write(text + "\n")
         sys.stdout.flush()
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return False
+    return True
 
 
 def say(text: str) -> None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from agents.keys import name_of_live
 from agents.messages import StateMessage
 from agents.presence import Presence
-from agents.quality import NONE
+from agents.quality import NONE, STALE
 from coordinator.observer import count_exchanges
 
 OVER_S = 2.0  # a life that was not heard for so long has ended, and the clock of the next one may be set back
@@ -21,8 +21,8 @@ class AreaView:
 
     ``gap_vm_pu``, ``gap_va_deg``: the largest differences to a neighbour at a bus that both publish, None where there
     is none. ``neighbours``: those that it speaks to. ``age_s``: None if it was never heard. ``farewell``: what it said
-    when it left, empty if it died. ``quality``, ``telemetry_age_s`` and ``ages_s`` (of each neighbour's information)
-    are what the area said of its own state then (docs/quality.md).
+    when it left, empty if it died. ``quality`` is what the area said of its own state then (docs/quality.md), and stale
+    once it is gone. ``telemetry_age_s`` and ``ages_s`` (of each neighbour's information) have gone on counting since.
     """
 
     name: str
@@ -79,12 +79,13 @@ class Watcher:
 
     def take_presence(self, key: str, alive: bool) -> None:
         """Note that a token appeared or vanished."""
-        self._presence.take(key, alive)
+        if self._presence.take(key, alive) and alive:
+            self._farewells.pop(name_of_live(key)[1], None)  # that was said by a former life
 
     def take_farewell(self, key: str, farewell: str) -> None:
         """Note that a process said that it goes."""
-        self._presence.take(key, False)
-        self._farewells[name_of_live(key)[1]] = farewell
+        if self._presence.take_farewell(key):
+            self._farewells[name_of_live(key)[1]] = farewell
 
     def take_state(self, state: StateMessage, now: float) -> None:
         """Keep ``state`` if it is of this run and as new as the area's last, or the life of that is over."""
@@ -122,9 +123,9 @@ class Watcher:
             age_s=round(now - at, 3),
             farewell=farewell,
             scan=state.header.scan,
-            quality=state.quality,
-            telemetry_age_s=state.telemetry_age,
-            ages_s=state.ages,
+            quality=state.quality if present or state.quality == NONE else STALE,
+            telemetry_age_s=round(state.telemetry_age + now - at, 3),
+            ages_s={other: round(age + now - at, 3) for other, age in state.ages.items()},
             estimated=bool(state.buses),
             referenced=state.referenced,
             checked=state.checked,

@@ -16,6 +16,7 @@ from agents.presence import read_farewell
 from agents.transport import Session, TransportError
 from agents.wire_checks import MessageError
 from coordinator.processes import News
+from coordinator.split import check_run_id
 from coordinator.watch import Watcher
 
 ANY = "*"
@@ -36,9 +37,10 @@ def attach(
     ``endpoints`` are those of all areas, and there is no router.
 
     Raises:
-        InvalidInputError: ``keys`` cannot be used.
+        InvalidInputError: ``keys`` cannot be used, or ``run`` is no name of a run.
         TransportError: no endpoint answers in time, no run or several are there.
     """
+    run = check_run_id(run) if run is not None else None
     credentials = load_credentials(keys, COORDINATOR)
     if keys and not run:
         run = load_access(keys / ACCESS_FILE).run

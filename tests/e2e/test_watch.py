@@ -48,18 +48,22 @@ def test_a_watcher_sees_a_system_whole_whose_coordinator_was_killed(start_run, d
     assert_nothing_left(run.pids())
 
 
-def test_ctrl_c_ends_the_watching_and_nothing_else(start_run, deaf_scenario, tmp_path: Path):
-    run = start_run(deaf_scenario)
-    run.wait_until_joined("area1", "area2")
-    endpoint = (run.folder / "logs" / "router.endpoints").read_text().split()[0]
-    watching = subprocess.Popen(
+def start_watching(endpoint: str, folder: Path) -> subprocess.Popen[str]:
+    return subprocess.Popen(
         [*COMMAND, "watch", "--connect", endpoint, "--json"],
-        cwd=tmp_path,
+        cwd=folder,
         env=ENVIRONMENT,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
     )
+
+
+def test_ctrl_c_ends_the_watching_and_nothing_else(start_run, deaf_scenario, tmp_path: Path):
+    run = start_run(deaf_scenario)
+    run.wait_until_joined("area1", "area2")
+    endpoint = (run.folder / "logs" / "router.endpoints").read_text().split()[0]
+    watching = start_watching(endpoint, tmp_path)
     try:
         assert watching.stdout is not None
         wait_until(lambda: len(json.loads(watching.stdout.readline())["areas"]) == 2)
@@ -71,6 +75,28 @@ def test_ctrl_c_ends_the_watching_and_nothing_else(start_run, deaf_scenario, tmp
     assert (watching.returncode, err) == (0, "")
     assert run.process.poll() is None
     assert not [e for e in run.events() if e["event"] == "process ended"]
+
+
+def test_the_watching_ends_when_nobody_reads_it_any_more(start_run, deaf_scenario, tmp_path: Path):
+    run = start_run(deaf_scenario)
+    run.wait_until_joined("area1", "area2")
+    endpoint = (run.folder / "logs" / "router.endpoints").read_text().split()[0]
+    watching = start_watching(endpoint, tmp_path)
+    try:
+        assert watching.stdout is not None
+        assert watching.stderr is not None
+        watching.stdout.readline()
+        watching.stdout.close()
+        assert (watching.wait(DEADLINE_S), watching.stderr.read()) == (0, "")
+    finally:
+        watching.kill()
+        watching.wait()
+
+
+def test_a_pattern_is_no_run_to_watch(dsse):
+    done = dsse("watch", "--run", "a/*", "--once", "--timeout", "1")
+    assert done.returncode == 2
+    assert "'a/*' may only contain a-z, 0-9, _ and -" in done.stderr
 
 
 def test_a_bus_without_a_run_and_a_bus_that_is_not_there_are_told_apart(dsse):

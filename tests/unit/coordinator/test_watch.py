@@ -1,0 +1,74 @@
+"""What a watcher makes of presence and states, without a bus."""
+
+from __future__ import annotations
+
+import pytest
+
+from agents.keys import live_key
+from agents.messages import Header, Incarnation, StateMessage
+from coordinator.split import check_run_id
+from coordinator.watch import AreaView, Watcher
+from dsse_core.errors import InvalidInputError
+
+ONE, OTHER = (live_key("run", "area", "area1", Incarnation(start, 1)) for start in (1, 2))
+
+
+def a_state(**changes: object) -> StateMessage:
+    """A good state of area1."""
+    body = {
+        **{"buses": (1,), "vm": (1.0,), "va": (0.0,), "sigma_vm": (0.001,), "sigma_va": (0.001,), "referenced": True},
+        **{"objective": 1.0, "degrees_of_freedom": 1, "removed": (), "critical": (), "checked": True},
+        **{"sent": {}, "heard": {}, "messages": 5, "bytes": 500, "lost": 0, "refused": {}, "notes": (), "faults": {}},
+        **{"quality": "good", "telemetry_age": 0.1, "ages": {"area2": 0.2}, "scans": {}},
+    }
+    return StateMessage(Header("run", "area1", Incarnation(1, 1), 1, 1, 0.0), **(body | changes))  # type: ignore[arg-type]
+
+
+def seen(watcher: Watcher, now: float) -> AreaView:
+    return next(area for area in watcher.look(now).areas if area.name == "area1")
+
+
+def test_the_last_state_of_an_area_that_is_gone_is_stale_and_its_ages_go_on():
+    watcher = Watcher("run")
+    watcher.take_presence(ONE, True)
+    watcher.take_state(a_state(), 5.0)
+    assert seen(watcher, 5.0).quality == "good"
+    watcher.take_presence(ONE, False)
+    gone = seen(watcher, 65.0)
+    assert (gone.quality, gone.state, gone.telemetry_age_s, gone.ages_s) == ("stale", "gone", 60.1, {"area2": 60.2})
+
+
+def test_what_never_was_an_estimate_does_not_become_a_stale_one():
+    watcher = Watcher("run")
+    watcher.take_state(a_state(quality="none"), 5.0)
+    assert seen(watcher, 6.0).quality == "none"
+
+
+def test_a_farewell_belongs_to_one_life_so_that_a_later_death_is_told():
+    watcher = Watcher("run")
+    watcher.take_presence(ONE, True)
+    watcher.take_farewell(ONE, "SIGTERM")
+    assert seen_state(watcher) == "left"
+    watcher.take_presence(OTHER, True)
+    watcher.take_presence(OTHER, False)
+    assert seen_state(watcher) == "gone"
+
+
+def test_the_farewell_of_a_former_life_does_not_outlast_the_next_one():
+    watcher = Watcher("run")
+    watcher.take_presence(ONE, True)
+    watcher.take_presence(OTHER, True)
+    watcher.take_farewell(ONE, "SIGTERM")
+    watcher.take_presence(OTHER, False)
+    assert seen_state(watcher) == "gone"
+
+
+def seen_state(watcher: Watcher) -> str:
+    watcher.take_state(a_state(), 5.0)
+    return seen(watcher, 5.0).state
+
+
+@pytest.mark.parametrize("name", ["a/*", "**", "", "IEEE33"])
+def test_a_run_to_watch_is_a_name_and_no_pattern(name: str):
+    with pytest.raises(InvalidInputError, match="may only contain"):
+        check_run_id(name)
