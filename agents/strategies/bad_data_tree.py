@@ -26,6 +26,7 @@ from dsse_core.measurement import Measurement, MeasurementKind
 from dsse_core.partition import Area, Neighbour
 
 UPPER = np.triu_indices(4)
+_NoLoad = dict[str, tuple[float, ...]]  # neighbour -> ``TallyMessage.no_load``
 USE_CURRENTS = "use current magnitudes"  # a decision; the others are the id of the meter to be removed
 
 
@@ -149,7 +150,7 @@ class BadDataTree:
         measurements: Sequence[Measurement],
         x: np.ndarray,
         heard: Mapping[str, BoundaryInformation],
-        no_load: Mapping[str, BoundaryInformation],
+        no_load: _NoLoad,
     ) -> Tally:
         """The area's own figures, made anew only when what they rest on has changed."""
         indispensable = self._find_indispensable(no_load)
@@ -162,22 +163,16 @@ class BadDataTree:
             self._own = (x, indispensable, tally_area(model, measurements, x, variance, critical))
         return self._own[2]
 
-    def _find_indispensable(self, no_load: Mapping[str, BoundaryInformation]) -> set[str]:
+    def _find_indispensable(self, no_load: _NoLoad) -> set[str]:
         assert self._no_load is not None  # there are measurements
-        basis = {name: told.R.tolist() for name, told in no_load.items()}
-        if self._indispensable is None or self._indispensable[0] != basis:
-            self._indispensable = (basis, self._no_load.find_indispensable(no_load))
+        if self._indispensable is None or self._indispensable[0] != no_load:
+            self._indispensable = (no_load, self._no_load.find_indispensable(_read_no_load(no_load)))
         return self._indispensable[1]
 
-    def _heard_no_load(self) -> dict[str, BoundaryInformation]:
+    def _heard_no_load(self) -> _NoLoad:
         """Of the neighbours that follow the same decisions."""
-        told = {}
-        for name, tally in self._known.tallies.items():
-            if tally.decisions == self.decisions and tally.no_load:
-                R = np.zeros((4, 4))
-                R[UPPER] = tally.no_load
-                told[name] = BoundaryInformation(R, np.zeros(4))
-        return told
+        tallies = self._known.tallies.items()
+        return {name: t.no_load for name, t in tallies if t.no_load and t.decisions == self.decisions}
 
     def _no_load_for(self, neighbour: Neighbour) -> tuple[float, ...]:
         heard = {name: told for name, told in self._heard_no_load().items() if name != neighbour.area}
@@ -187,12 +182,20 @@ class BadDataTree:
             or len(heard) < len(self._area.neighbours) - 1
         ):
             return ()
-        basis = {name: told.R.tolist() for name, told in heard.items()}
         last = self._told_no_load.get(neighbour.area)
-        if last is None or last[0] != basis:
-            information = self._no_load.information_for(neighbour, heard)
-            last = self._told_no_load[neighbour.area] = (basis, tuple(information.R[UPPER].tolist()))
+        if last is None or last[0] != heard:
+            information = self._no_load.information_for(neighbour, _read_no_load(heard))
+            last = self._told_no_load[neighbour.area] = (heard, tuple(information.R[UPPER].tolist()))
         return last[1]
+
+
+def _read_no_load(told: _NoLoad) -> dict[str, BoundaryInformation]:
+    information = {}
+    for name, numbers in told.items():
+        R = np.zeros((4, 4))
+        R[UPPER] = numbers
+        information[name] = BoundaryInformation(R, np.zeros(4))
+    return information
 
 
 def _order(message: BoundaryNews | None) -> tuple[int, ...]:
