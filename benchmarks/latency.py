@@ -26,9 +26,9 @@ from benchmarks.helics_round_trip import time_helics_round_trips
 from benchmarks.machine import describe_machine
 from benchmarks.timed_agent import PING, PONG
 from coordinator.judging import estimate_centralised, prepare_scenario
-from coordinator.plant import make_payloads
 from coordinator.processes import Launcher
 from coordinator.split import write_area_files
+from coordinator.telemetry_messages import make_payloads
 from dsse_core.errors import DsseError
 from scenarios.scenario import Scenario
 from scenarios.telemetry import make_telemetry

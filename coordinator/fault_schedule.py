@@ -7,9 +7,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
-from agents.access import PLANT
-from coordinator.plant import SILENT, SPEAK
-from coordinator.system import System
 from scenarios.faults import FaultEvent
 
 UNDO = {"pause": "resume", "cut": "heal", "silent": "speak"}
@@ -57,23 +54,3 @@ class FaultSchedule:
             f"still to come: {step.kind} {' and '.join(step.names)} {step.at_s:g} s after the start"
             for step in self.steps[:1]
         )
-
-
-def do_to_processes(system: System, step: Step) -> None:
-    """Have one step happen to the processes of ``system``."""
-    name = step.names[0]
-    match step.kind:
-        case "kill":
-            system.kill(name)
-        case "restart":
-            system.restart(name)
-        case "pause":
-            system.pause(name)
-        case "resume":
-            system.go_on(name)
-        case "silent":
-            system.launcher.signal(PLANT, SILENT)
-        case "speak":
-            system.launcher.signal(PLANT, SPEAK)
-        case _:
-            pass  # the links of the two areas know from their area files when they are cut

@@ -15,17 +15,15 @@ from agents.access import PLANT
 from agents.credentials import load_credentials
 from agents.inbox import Inbox
 from agents.keys import all_lives, live_key, name_of_live, telemetry_key
-from agents.messages import Header, Incarnation, TelemetryMessage, encode
 from agents.presence import begin_life
 from agents.transport import Session
+from coordinator.telemetry_messages import DRAW, make_payloads
 from dsse_core.errors import DsseError
-from dsse_core.measurement import Measurement, Source
 from scenarios.scenario import Scenario
-from scenarios.telemetry import find_lateness, make_telemetry
+from scenarios.telemetry import find_lateness
 
 log = logging.getLogger(__name__)
 SILENT, SPEAK = signal.SIGUSR1, signal.SIGUSR2
-DRAW = 1  # of the noise: the same readings for the same seed
 
 
 def run_plant(
@@ -75,34 +73,6 @@ def run_plant(
         print(f"error: {error}", file=sys.stderr)
         return 2
     return 0
-
-
-def make_payloads(scenario: Scenario, run: str, life: Incarnation, scan: int = 1, draw: int = DRAW) -> dict[str, bytes]:
-    """Area -> its encoded readings with noise ``draw``. Virtual measurements are no readings: agents know them."""
-    header = Header(
-        run=run,
-        sender=PLANT,
-        incarnation=life,
-        scan=scan,
-        sequence=scan,
-        time=time.time(),
-    )
-    return {
-        area: encode(make_message(header, area, measurements))
-        for area, measurements in make_telemetry(scenario, draw).by_area.items()
-    }
-
-
-def make_message(header: Header, area: str, measurements: Sequence[Measurement]) -> TelemetryMessage:
-    """One scan of ``area``'s meters as a message."""
-    readings = [m for m in measurements if m.meter.source is not Source.VIRTUAL]
-    return TelemetryMessage(
-        header,
-        area,
-        tuple(m.meter.id for m in readings),
-        tuple(float(m.value) for m in readings),
-        tuple(float(m.sigma) for m in readings),
-    )
 
 
 @dataclass

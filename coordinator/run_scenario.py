@@ -17,14 +17,10 @@ from agents.presence import Presence, begin_life, read_farewell
 from agents.transport import Session
 from agents.wire_checks import MessageError
 from coordinator.events import EventLog
-from coordinator.fault_schedule import FaultSchedule, do_to_processes
-from coordinator.judging import (
-    judge,
-    make_observer,
-    no_consensus_within,
-    prepare_scenario,
-)
+from coordinator.fault_schedule import FaultSchedule
+from coordinator.judging import judge, make_observer, no_consensus_within, prepare_scenario
 from coordinator.observer import Observer, Progress
+from coordinator.process_faults import do_to_processes
 from coordinator.processes import Launcher, News, describe_end, read_end
 from coordinator.result import RunResult, write_files
 from coordinator.run_clock import RunClock

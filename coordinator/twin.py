@@ -21,7 +21,7 @@ from agents.messages import Header, Incarnation, Message, StateMessage, Telemetr
 from agents.protocol import AreaProtocol, Event, Finish, PresenceChanged, Publish, Received, Refused
 from agents.strategies import make_strategy
 from agents.wire_checks import MessageError
-from coordinator.plant import make_message
+from coordinator.telemetry_messages import make_message
 from dsse_core.measurement import Measurement
 
 TRAVEL_S = 0.001  # of every message, beside what the faults of its link hold it back

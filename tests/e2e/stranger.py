@@ -21,7 +21,7 @@ from agents.credentials import Credentials, credentials_in
 from agents.keys import all_from_neighbours, all_lives, neighbour_key, state_key, telemetry_key
 from agents.presence import begin_life
 from agents.transport import Session, TransportError
-from coordinator.plant import make_payloads
+from coordinator.telemetry_messages import make_payloads
 from scenarios.scenario import load_scenario
 
 RUN = "ieee33"

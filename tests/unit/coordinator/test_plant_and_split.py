@@ -10,8 +10,9 @@ import pytest
 from agents.area_reader import load_area_file
 from agents.inbox import Inbox
 from agents.messages import Incarnation, TelemetryMessage, decode
-from coordinator.plant import _Voice, make_payloads
+from coordinator.plant import _Voice
 from coordinator.split import choose_run_id, default_run_id, write_area_files
+from coordinator.telemetry_messages import make_payloads
 from dsse_core.errors import InvalidInputError
 from dsse_core.link_faults import LinkFaults
 from dsse_core.measurement import Source
