@@ -73,10 +73,7 @@ class AreaModel:
 
     def residual(self, x: np.ndarray) -> np.ndarray:
         """z - h(x), shape (n_meas,); angles wrapped to (-pi, pi]."""
-        r = self.z - self.predict(x)
-        angles = self.kinds == MeasurementKind.VA
-        r[angles] = np.pi - (np.pi - r[angles]) % (2 * np.pi)
-        return np.asarray(r)
+        return self.model.subtract(self.z, self.predict(x))
 
     def jacobian(self, x: np.ndarray) -> sp.csr_array:
         """H(x), shape (n_meas, size)."""

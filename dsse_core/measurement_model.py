@@ -40,6 +40,13 @@ class MeasurementModel:
         u, i, _, _ = self._phasors(x)
         return self._read(u, i)
 
+    def subtract(self, z: np.ndarray, h: np.ndarray) -> np.ndarray:
+        """z - h, shape (n_meas,); differences of angles are wrapped to (-pi, pi]."""
+        r = np.asarray(z - h)
+        angles = self._rows[-1]
+        r[angles] = np.pi - (np.pi - r[angles]) % (2 * np.pi)
+        return r
+
     def jacobian(self, x: np.ndarray) -> sp.csr_array:
         """H(x) = dh/dx, shape (n_meas, 2 n_bus); its pattern is the same for every x."""
         return self.linearize(x)[1]

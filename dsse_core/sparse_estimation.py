@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
@@ -36,22 +35,11 @@ class SparsePlan:
     pattern: AugmentedPattern
     start: np.ndarray
 
-    @cached_property
-    def angles(self) -> np.ndarray:
-        """Positions of the angles among the meters."""
-        return np.flatnonzero(self.model.kinds == MeasurementKind.VA)
-
     def linearize(self, x: np.ndarray) -> tuple[np.ndarray, sp.csr_array]:
         """h(x), (n_meas,), and the columns ``free`` of H(x)."""
         h, H = self.model.linearize(x)
         shape = len(self.meters), len(self.free)
         return h, sp.csr_array((H.data[self.entries], self.indices, self.indptr), shape=shape)
-
-    def subtract(self, values: np.ndarray, h: np.ndarray) -> np.ndarray:
-        """z - h(x), shape (n_meas,); differences of angles are wrapped to (-pi, pi]."""
-        r = values - h
-        r[self.angles] = np.pi - (np.pi - r[self.angles]) % (2 * np.pi)
-        return np.asarray(r)
 
 
 def build_sparse_plan(network: Network, meters: Sequence[Meter], reference: int) -> SparsePlan:
@@ -89,7 +77,7 @@ def estimate_sparse(
     flows_known, step = start is not None or not len(steps.currents), np.inf
     for iteration in range(1, max_iterations + 1):
         h, H = plan.linearize(x)
-        r = plan.subtract(values, h)
+        r = plan.model.subtract(values, h)
         try:
             dx, gain = steps.solve(H, r, flows_known, nearby=step < SMALL_STEP)
         except RuntimeError:  # SuperLU: singular away from the no-load state, where the rank was full
@@ -103,7 +91,7 @@ def estimate_sparse(
         x[plan.free] += dx * (share if small or iteration <= FULL_STEPS else min(share, 0.5))
         if small and flows_known and gain <= GRADIENT * max(1, len(values) - len(plan.free)):
             va, vm = np.split(x, 2)
-            return Solution(vm, va, plan.subtract(values, plan.model.predict(x)), iteration)
+            return Solution(vm, va, plan.model.subtract(values, plan.model.predict(x)), iteration)
         flows_known = flows_known or step < FLOWS_KNOWN
     raise _diverged(plan, sigmas, r, max_iterations, step)
 
