@@ -19,7 +19,8 @@ Eliminating ``(lam, f)`` of a bus, a 4 x 4 block D solved with pivoting, leaves 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -38,7 +39,13 @@ N_INVERSE = 11  # columns of a block with right-hand sides: D (4), U (4), r (1),
 # above[0], and (D^-1)_lamlam, always with pivoting, so that of what nobody measures nothing seems to be known.
 STEP, INVERT, CHECK, UPWARD = 0, 1, 2, 3
 
-compiled = njit(cache=True, error_model="numpy")
+
+def compiled(function: Callable[..., Any]) -> Any:
+    """``function`` compiled once for all processes; for each anew where no folder can be written to keep it in."""
+    try:
+        return njit(cache=True, error_model="numpy")(function)
+    except RuntimeError:  # as under a unit of systemd that sees neither a home nor anything to write in
+        return njit(error_model="numpy")(function)
 
 
 class Work(NamedTuple):

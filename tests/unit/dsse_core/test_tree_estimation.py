@@ -1,5 +1,9 @@
 """The estimate on the tree is that of the sparse back end: state, variances, refusals, for every kind of meter."""
 
+import math
+import os
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -194,3 +198,12 @@ def test_a_network_of_one_bus_and_one_of_two_are_trees():
 def test_without_numba_the_reason_is_given(monkeypatch, case, meters_of):
     monkeypatch.setattr("importlib.util.find_spec", lambda name, *rest: None)
     assert "numba is not installed" in str(build_tree_plan(case("ieee33"), meters_of(case("ieee33"), *Kind)))
+
+
+def test_what_is_compiled_is_of_use_where_nothing_can_be_written_to_keep_it():
+    nowhere = {**os.environ, "NUMBA_CACHE_LOCATOR_CLASSES": "UserProvidedCacheLocator"}
+    nowhere.pop("NUMBA_CACHE_DIR", None)
+    command = [sys.executable, "-c", "from dsse_core import tree_kernel as t; print(t.wrap(7.0))"]
+    done = subprocess.run(command, env=nowhere, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert float(done.stdout) == pytest.approx(7.0 - 2 * math.pi, rel=1e-15)
