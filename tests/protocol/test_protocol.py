@@ -253,7 +253,7 @@ def test_telemetry_that_cannot_be_is_refused_and_counted(area1, change, reason):
     assert state.refused == {reason: 1}
 
 
-@pytest.mark.parametrize("strategy", ["angle-offset", "information", "admm"])
+@pytest.mark.parametrize("strategy", ["angle-offset", "information"])
 def test_readings_that_break_the_iteration_are_forgotten_with_the_next_scan(strategy):
     sane = make_telemetry(load_scenario("ieee33")).by_area
     bus = SimulatedBus(area_files_of(load_scenario("ieee33"), strategy=strategy), sane)
