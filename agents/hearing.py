@@ -14,6 +14,7 @@ from agents.messages import (
     AdmmMessage,
     BoundaryMessage,
     BoundaryNews,
+    Header,
     InformationMessage,
     LoadMessage,
     TallyMessage,
@@ -21,10 +22,19 @@ from agents.messages import (
 )
 
 FRESH_BEATS = 3  # younger is fresh: everything is repeated at every beat, and two repeats in a row may be lost
-OVER_BEATS = 10  # a life that was not heard for so long has ended, and the clock of the next one may be set back
+OVER_BEATS = 10  # after which a life that is not heard is over
 
 NeighbourNews = LoadMessage | BoundaryNews | TallyMessage
 M = TypeVar("M", bound=NeighbourNews)
+
+
+def is_old(header: Header, last: Header, silence_s: float, over_s: float) -> bool:
+    """Whether ``last``, not heard for ``silence_s``, is newer: a later word of its life, or of a later life.
+
+    A life that was silent for more than ``over_s`` is over; the clock of the next one may have been set back.
+    """
+    is_over = header.incarnation != last.incarnation and silence_s > over_s
+    return header.order < last.order and not is_over
 
 
 class Hearing:
@@ -60,7 +70,7 @@ class Hearing:
     def take_telemetry(self, message: TelemetryMessage, now: float) -> bool:
         """Keep ``message`` if it is newer than what there is; whether it is."""
         last = self.telemetry
-        if last is not None and self._is_old(message, last, now - self._telemetry_at):
+        if last is not None and is_old(message.header, last.header, now - self._telemetry_at, self._over_s):
             return False
         self._telemetry_at = now
         if last is not None and message.header.order == last.header.order:
@@ -74,20 +84,14 @@ class Hearing:
         """Whether ``message`` is as new as what was kept of its sender; then it is kept."""
         sender = message.header.sender
         last = kept.get(sender)
-        if last is not None and self._is_old(message, last, now - self._spoke_at[message.kind, sender]):
+        if last is not None and is_old(
+            message.header, last.header, now - self._spoke_at[message.kind, sender], self._over_s
+        ):
             return False
         self._spoke_at[message.kind, sender] = now
         if last is None or message.header.order != last.header.order:
             kept[sender] = message
         return True
-
-    def _is_old(
-        self, message: NeighbourNews | TelemetryMessage, last: NeighbourNews | TelemetryMessage, silence_s: float
-    ) -> bool:
-        """Whether ``last``, not heard for ``silence_s``, is newer: a later word, or of a later life that still is."""
-        one, other = message.header, last.header
-        is_over = one.incarnation != other.incarnation and silence_s > self._over_s
-        return one.order < other.order and not is_over
 
     def forget_neighbours(self) -> None:
         """As if they had never spoken."""

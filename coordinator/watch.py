@@ -6,13 +6,14 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from agents.hearing import is_old
 from agents.keys import name_of_live
 from agents.messages import StateMessage
 from agents.presence import Presence
 from agents.quality import NONE, STALE
 from coordinator.observer import count_exchanges
 
-OVER_S = 2.0  # a life that was not heard for so long has ended, and the clock of the next one may be set back
+OVER_S = 2.0  # after which a life that is not heard is over; nobody tells a watcher the beat
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,11 +90,9 @@ class Watcher:
 
     def take_state(self, state: StateMessage, now: float) -> None:
         """Keep ``state`` if it is of this run and as new as the area's last, or the life of that is over."""
-        header = state.header
-        at, last = self._heard.get(header.sender, (now, state))
-        is_over = header.incarnation != last.header.incarnation and now - at > OVER_S
-        if header.run == self.run and (header.order >= last.header.order or is_over):
-            self._heard[header.sender] = (now, state)
+        at, last = self._heard.get(state.header.sender, (now, state))
+        if state.header.run == self.run and not is_old(state.header, last.header, now - at, OVER_S):
+            self._heard[state.header.sender] = (now, state)
 
     def is_whole(self) -> bool:
         """Whether there are areas, and every one that is there has been heard."""
