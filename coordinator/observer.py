@@ -34,7 +34,6 @@ class AreaProgress:
     gap_va: float | None
     messages: int
     lost: int
-    notes: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,7 +254,7 @@ class Observer:
         watched = self._watched[name]
         state = watched.state
         if state is None:
-            return AreaProgress(name, "starting" if not watched.alive else "joined", 0, 0, None, None, 0, 0, ())
+            return AreaProgress(name, "starting" if not watched.alive else "joined", 0, 0, None, None, 0, 0)
         gaps = self._gaps_to_neighbours(name)
         return AreaProgress(
             name=name,
@@ -266,7 +265,6 @@ class Observer:
             gap_va=max((va for _, va in gaps), default=None),
             messages=state.messages,
             lost=state.lost,
-            notes=state.notes,
         )
 
     def _gaps_to_neighbours(self, name: str) -> list[tuple[float, float]]:
