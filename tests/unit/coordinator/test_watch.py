@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from agents.keys import live_key
 from agents.messages import Header, Incarnation, StateMessage
 from coordinator.split import check_run_id
-from coordinator.watch import AreaView, Watcher
+from coordinator.watch import OVER_S, AreaView, Watcher
 from dsse_core.errors import InvalidInputError
 
 ONE, OTHER = (live_key("run", "area", "area1", Incarnation(start, 1)) for start in (1, 2))
@@ -66,6 +68,29 @@ def test_the_farewell_of_a_former_life_does_not_outlast_the_next_one():
 def seen_state(watcher: Watcher) -> str:
     watcher.take_state(a_state(), 5.0)
     return seen(watcher, 5.0).state
+
+
+def said_by(area: str, life: Incarnation, **changes: object) -> StateMessage:
+    return replace(a_state(**changes), header=Header("run", area, life, 1, 1, 0.0))
+
+
+def test_a_life_whose_clock_was_set_back_is_shown_once_the_newer_one_was_silent_for_long():
+    watcher = Watcher("run")
+    watcher.take_state(said_by("area1", Incarnation(2, 1), messages=1), 0.0)
+    watcher.take_state(said_by("area1", Incarnation(1, 1), messages=2), 0.9 * OVER_S)
+    assert seen(watcher, OVER_S).messages == 1
+    watcher.take_state(said_by("area1", Incarnation(1, 1), messages=2), 1.1 * OVER_S)
+    assert seen(watcher, 2 * OVER_S).messages == 2
+
+
+def test_gaps_are_the_largest_to_a_neighbour_at_a_bus_that_both_show():
+    watcher = Watcher("run")
+    life, neighbours = Incarnation(1, 1), {"area2": (1, 1, 1), "area3": (1, 1, 1)}
+    watcher.take_state(said_by("area1", life, sent=neighbours), 0.0)
+    assert seen(watcher, 0.0).gap_vm_pu is None
+    watcher.take_state(said_by("area2", life, vm=(1.01,)), 0.0)
+    watcher.take_state(said_by("area3", life, vm=(0.97,)), 0.0)
+    assert seen(watcher, 0.0).gap_vm_pu == pytest.approx(0.03)
 
 
 @pytest.mark.parametrize("name", ["a/*", "**", "", "IEEE33"])
