@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import numpy as np
 import scipy.sparse as sp
@@ -13,12 +14,15 @@ import scipy.sparse as sp
 from dsse_core.admittance import build_admittance
 from dsse_core.area_tree import AreaTree, find_no_tree
 from dsse_core.boundary_information import EXACT_SIGMA
+from dsse_core.dense_rows import DenseRows
 from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.measurement_model import MeasurementModel, build_measurement_model
 from dsse_core.partition import Area, Neighbour
 
-Backend = Literal["auto", "tree", "sparse"]
+Backend = Literal["auto", "tree", "sparse", "dense"]
+Matrix: TypeAlias = sp.csr_array | np.ndarray
 TREE_FROM = 60  # buses of an area, from which the tree repays the loading of numba
+DENSE_BELOW = 40  # buses of an area, below which dense matrices cost less than sparse ones
 _POWER = (MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION)
 
 
@@ -28,7 +32,7 @@ class AreaModel:
 
     ``free``: the variables that are unknown, all but a reference angle. ``no_load``: the weights say nothing of how
     well powers and voltages are known. ``backend``: "tree" takes the tree wherever there is one, "auto" from
-    TREE_FROM buses on.
+    TREE_FROM buses on, and dense matrices below DENSE_BELOW.
     """
 
     area: Area
@@ -63,32 +67,62 @@ class AreaModel:
             return None
         return AreaTree(self.area, self.meters, self.z, self.sigma, self.reference)
 
+    @cached_property
+    def dense(self) -> DenseRows | None:
+        """Its rows in dense arrays, if that is the back end."""
+        small = self.backend == "auto" and len(self.area.network.buses) < DENSE_BELOW
+        return DenseRows(self.model, self.into_children, self.into_area) if small or self.backend == "dense" else None
+
+    def with_readings(self, measurements: Sequence[Measurement]) -> AreaModel:
+        """The same meters, read anew: what rests on topology and meters is kept."""
+        other = copy.copy(self)  # with all that is cached
+        other.__dict__.update(z=_values_of(measurements), sigma=_sigmas_of(measurements))
+        other.__dict__.pop("tree", None)
+        return other
+
     @property
     def kinds(self) -> np.ndarray:
         return self.model.kinds
 
+    @cached_property
+    def angles(self) -> np.ndarray:
+        """Rows of angle meters."""
+        return np.flatnonzero(self.kinds == MeasurementKind.VA)
+
+    @cached_property
+    def fixed(self) -> np.ndarray:
+        """The variables that are not ``free``."""
+        return np.setdiff1d(np.arange(self.size), self.free)
+
     def predict(self, x: np.ndarray) -> np.ndarray:
         """h(x), shape (n_meas,)."""
+        if self.dense:
+            return self.dense.linearize(x)[0]
         return np.asarray(self.model.predict(x[: 2 * self._n]) + self.into_children @ x[2 * self._n :])
 
     def residual(self, x: np.ndarray) -> np.ndarray:
         """z - h(x), shape (n_meas,); angles wrapped to (-pi, pi]."""
         return self.model.subtract(self.z, self.predict(x))
 
-    def jacobian(self, x: np.ndarray) -> sp.csr_array:
+    def jacobian(self, x: np.ndarray) -> Matrix:
         """H(x), shape (n_meas, size)."""
+        if self.dense:
+            return self.dense.linearize(x)[1]
         return sp.csr_array(sp.hstack([self.model.jacobian(x[: 2 * self._n]), self.into_children], format="csr"))
 
-    def boundary(self, x: np.ndarray, neighbour: Neighbour) -> tuple[np.ndarray, sp.csr_array]:
+    def boundary(self, x: np.ndarray, neighbour: Neighbour) -> tuple[np.ndarray, Matrix]:
         """y, shape (4,), and T = dy/dx, shape (4, size), at the boundary to ``neighbour``."""
         voltage = self.voltage_columns(neighbour)
         if self.into_area is None or not neighbour.is_parent:
             columns = [*self._power_columns(neighbour), *voltage]
-            return x[columns], _select(columns, self.size)
+            return x[columns], self._select(columns)
+        if self.dense:
+            flows, along = self.dense.linearize_into_area(x)
+            return np.concatenate([flows, x[voltage]]), np.concatenate([along, self._select(voltage)])
         flows = self.into_area.predict(x[: 2 * self._n])
         C = sp.csr_array(self.into_area.jacobian(x[: 2 * self._n]))
         C = sp.csr_array((C.data, C.indices, C.indptr), shape=(2, self.size))
-        T = sp.vstack([C, _select(voltage, self.size)], format="csr")
+        T = sp.vstack([C, self._select(voltage)], format="csr")
         return np.concatenate([flows, x[voltage]]), sp.csr_array(T)
 
     def boundary_values(self, x: np.ndarray, neighbour: Neighbour) -> np.ndarray:
@@ -120,6 +154,14 @@ class AreaModel:
         children = [n.area for n in self.area.neighbours if not n.is_parent]
         first = 2 * self._n + 2 * children.index(child.area)
         return [first, first + 1]
+
+    def _select(self, columns: Sequence[int]) -> Matrix:
+        shape = (len(columns), self.size)
+        if self.dense:
+            chosen = np.zeros(shape)
+            chosen[np.arange(len(columns)), columns] = 1.0
+            return chosen
+        return sp.csr_array((np.ones(len(columns)), np.array(columns), np.arange(len(columns) + 1)), shape=shape)
 
 
 def uses_tree(area: Area, backend: Backend = "auto") -> bool:
@@ -160,10 +202,8 @@ def build_area_model(
         model=build_measurement_model(network, admittance, [m.meter for m in measurements]),
         into_children=sp.csr_array(sp.coo_array((np.ones(len(rows)), (rows, columns)), shape=shape)),
         into_area=build_measurement_model(network, admittance, at_parent) if at_parent else None,
-        z=np.array([m.value for m in measurements], dtype=float),
-        sigma=np.array(
-            [EXACT_SIGMA if m.meter.source is Source.VIRTUAL else m.sigma for m in measurements], dtype=float
-        ),
+        z=_values_of(measurements),
+        sigma=_sigmas_of(measurements),
         free=np.delete(np.arange(size), fixed),
         meters=tuple(m.meter for m in measurements),
         reference=reference,
@@ -171,6 +211,10 @@ def build_area_model(
     )
 
 
-def _select(columns: Sequence[int], size: int) -> sp.csr_array:
-    indptr = np.arange(len(columns) + 1)
-    return sp.csr_array((np.ones(len(columns)), np.array(columns), indptr), shape=(len(columns), size))
+def _values_of(measurements: Sequence[Measurement]) -> np.ndarray:
+    return np.array([m.value for m in measurements], dtype=float)
+
+
+def _sigmas_of(measurements: Sequence[Measurement]) -> np.ndarray:
+    sigmas = [EXACT_SIGMA if m.meter.source is Source.VIRTUAL else m.sigma for m in measurements]
+    return np.array(sigmas, dtype=float)

@@ -7,8 +7,9 @@ from collections.abc import Mapping
 import numpy as np
 import scipy.sparse as sp
 
-from dsse_core.area_model import AreaModel
-from dsse_core.augmented import AugmentedFactor, scale_rows
+from dsse_core.area_model import AreaModel, Matrix
+from dsse_core.augmented import AugmentedFactor
+from dsse_core.augmented_dense import DenseFactor
 from dsse_core.boundary_information import (
     NOTHING_OF_VOLTAGE,
     BoundaryInformation,
@@ -32,7 +33,7 @@ def solve_damped(
     """The step dx, shape (size,), of ``(G + D) dx = b - pull``; ``damping``, diag(D), and ``pull`` (free,)."""
     H, r, sigma = _stack(model, x, heard)
     dx = np.zeros(model.size)
-    dx[model.free] = AugmentedFactor(sp.csr_array(H[:, model.free]), sigma, damping).solve(r, pull)[1]
+    dx[model.free] = _factor(H[:, model.free], sigma, damping).solve(r[:, None], pull[:, None])[1].ravel()
     return dx
 
 
@@ -42,7 +43,7 @@ def state_variance(
     """diag of ``(G + D)^-1``, shape (size,); ``damping`` (free,): the diagonal of D."""
     H, _, sigma = _stack(model, x, heard)
     variance = np.zeros(model.size)
-    variance[model.free] = AugmentedFactor(sp.csr_array(H[:, model.free]), sigma, damping).state_variance()
+    variance[model.free] = _factor(H[:, model.free], sigma, damping).state_variance()
     return variance
 
 
@@ -58,13 +59,21 @@ def least_information(model: AreaModel, columns: np.ndarray) -> np.ndarray:
     return np.where(columns < 2 * len(model.area.network.buses), NOT_YET, NOT_YET_OF_POWER)
 
 
-def _factor_undamped(model: AreaModel, H: sp.csr_array, sigma: np.ndarray, columns: np.ndarray) -> AugmentedFactor:
+def _factor(H: Matrix, sigma: np.ndarray, damping: np.ndarray) -> AugmentedFactor | DenseFactor:
+    if isinstance(H, np.ndarray):
+        return DenseFactor(H, sigma, damping)
+    return AugmentedFactor(sp.csr_array(H), sigma, damping)
+
+
+def _factor_undamped(
+    model: AreaModel, H: Matrix, sigma: np.ndarray, columns: np.ndarray
+) -> AugmentedFactor | DenseFactor:
     """The factor of some columns of H, damped only where nothing determines a variable yet."""
-    H = sp.csr_array(H[:, columns])
+    H = H[:, columns]
     if not model.no_load:
-        return AugmentedFactor(H, sigma, least_information(model, columns))
-    told = np.bincount(H.indices, scale_rows(H, 1 / sigma).data ** 2, len(columns))
-    return AugmentedFactor(H, sigma, np.where(told > 0, NO_LOAD_NOT_YET * np.minimum(told, 1.0), NOTHING))
+        return _factor(H, sigma, least_information(model, columns))
+    told = np.asarray((H * H).T @ sigma**-2.0)
+    return _factor(H, sigma, np.where(told > 0, NO_LOAD_NOT_YET * np.minimum(told, 1.0), NOTHING))
 
 
 def compute_information(
@@ -83,18 +92,20 @@ def compute_information(
     H, r, sigma = _stack(model, x, heard)
     B, dp = _responses_to_shift(model, x, neighbour, heard, H)
     y, T = model.boundary(x, neighbour)
-    u = np.setdiff1d(model.free, T[2:].indices)
+    u = model.free[~np.isin(model.free, model.voltage_columns(neighbour))]
     factor = _factor_undamped(model, H, sigma, u)
     nothing = 0.0 if model.no_load else NOTHING_OF_VOLTAGE
     s, _ = factor.solve(np.column_stack([B, r]), np.zeros((len(u), 3)))
     information = B.T @ s
     N, told_v = factor_information(information[:, :2], information[:, 2], nothing)
-    W, S, A = _find_power(factor, sp.csr_array(T[:2, u]), len(r))
+    W, S, A = _find_power(factor, T[:2, u], len(r))
     P = factor_inverse(S)
     return put_together(y, P @ W.T, P @ (A.T @ B - W.T @ dp), P @ (A.T @ r), (N, told_v))
 
 
-def _find_power(factor: AugmentedFactor, C: sp.csr_array, n_rows: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _find_power(
+    factor: AugmentedFactor | DenseFactor, C: Matrix, n_rows: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What is known of (p, q), with v given: W, S, (2, 2), and A, (rows, 2).
 
     S is the covariance of ``W'(p, q)``, and ``W'C du = A'r`` for residuals r. W turns the axes: beside a combination
@@ -112,7 +123,7 @@ def _find_power(factor: AugmentedFactor, C: sp.csr_array, n_rows: int) -> tuple[
 
 
 def _responses_to_shift(
-    model: AreaModel, x: np.ndarray, neighbour: Neighbour, heard: Mapping[str, BoundaryInformation], H: sp.csr_array
+    model: AreaModel, x: np.ndarray, neighbour: Neighbour, heard: Mapping[str, BoundaryInformation], H: Matrix
 ) -> tuple[np.ndarray, np.ndarray]:
     """How all rows H of ``_stack``, shape (rows, 2), and (p, q) at the boundary, shape (2, 2), answer to dv.
 
@@ -121,7 +132,7 @@ def _responses_to_shift(
     changes, to rounding.
     """
     vm_b = float(x[model.voltage_columns(neighbour)[0]])
-    fixed = np.setdiff1d(np.arange(model.size), model.free)
+    fixed = model.fixed
     rows = [np.column_stack([_degrees(model.kinds) * model.predict(x) / vm_b, model.kinds == MeasurementKind.VA])]
     for n in model.area.neighbours:
         y, T = model.boundary(x, n)
@@ -145,17 +156,18 @@ def _degrees(kinds: np.ndarray) -> np.ndarray:
 
 def _stack(
     model: AreaModel, x: np.ndarray, heard: Mapping[str, BoundaryInformation]
-) -> tuple[sp.csr_array, np.ndarray, np.ndarray]:
+) -> tuple[Matrix, np.ndarray, np.ndarray]:
     """H, residual and sigma of the area's own measurements and of the messages ``heard``, up to four rows each."""
     H, r, sigma = [model.jacobian(x)], [model.residual(x)], [model.sigma]
     for n in model.area.neighbours:
         if (message := heard.get(n.area)) is not None:
             y, T = model.boundary(x, n)
             told = _telling(message)
-            H.append(sp.csr_array(message.R[told] @ T))
+            H.append(message.R[told] @ T)
             r.append(message.z[told] - message.R[told] @ y)
             sigma.append(np.ones(int(told.sum())))
-    return sp.csr_array(sp.vstack(H, format="csr")), np.concatenate(r), np.concatenate(sigma)
+    together = np.concatenate(H) if model.dense else sp.csr_array(sp.vstack([sp.csr_array(h) for h in H], format="csr"))
+    return together, np.concatenate(r), np.concatenate(sigma)
 
 
 def _telling(message: BoundaryInformation) -> np.ndarray:

@@ -38,7 +38,7 @@ class MeasurementModel:
     def predict(self, x: np.ndarray) -> np.ndarray:
         """h(x), shape (n_meas,), p.u. and rad."""
         u, i, _, _ = self._phasors(x)
-        return self._read(u, i)
+        return self.read(u, i)
 
     def subtract(self, z: np.ndarray, h: np.ndarray) -> np.ndarray:
         """z - h, shape (n_meas,); differences of angles are wrapped to (-pi, pi]."""
@@ -59,14 +59,15 @@ class MeasurementModel:
         ``d arg u = Im(conj(u) du) / |u|^2``; ``Im s = Re(-j s)``. And ``dv/dva = j v``, ``dv/dvm = exp(j va)``.
         """
         u, i, vm, phase = self._phasors(x)
-        of_u, of_i = self._weigh(u, i)
+        of_u, of_i = self.weigh(u, i)
         row, column = self.meter_row, self.y.indices
         along = (of_u[row] * self.at_bus + of_i[row] * self.y.data) * phase[column]
         order, indices, indptr = self._pattern
         data = np.concatenate([-along.imag * vm[column], along.real])[order]
-        return self._read(u, i), sp.csr_array((data, indices, indptr), shape=(len(self.kinds), 2 * self.y.shape[1]))
+        return self.read(u, i), sp.csr_array((data, indices, indptr), shape=(len(self.kinds), 2 * self.y.shape[1]))
 
-    def _read(self, u: np.ndarray, i: np.ndarray) -> np.ndarray:
+    def read(self, u: np.ndarray, i: np.ndarray) -> np.ndarray:
+        """h of ``u`` and ``i``, shape (n_meas,) each."""
         p, q, current, magnitude, angle = self._rows
         s = u * i.conj()
         h = np.empty(len(self.kinds))
@@ -74,19 +75,21 @@ class MeasurementModel:
         h[current], h[magnitude], h[angle] = abs(i[current]), abs(u[magnitude]), np.angle(u[angle])
         return h
 
-    def _weigh(self, u: np.ndarray, i: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """``of_u`` and ``of_i`` of every meter, shape (n_meas,), complex."""
+    def weigh(self, u: np.ndarray, i: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """``of_u`` and ``of_i`` of every meter, shape (n_meas,), complex; see ``linearize``."""
         _, q, current, magnitude, angle = self._rows
         of_u, of_i = i.conj(), u.conj()
         of_u[q] *= -1j
         of_i[q] *= 1j
-        size = abs(i[current])
-        of_i[current] = np.where(size > CURRENT_FLOOR, of_u[current] / np.maximum(size, CURRENT_FLOOR), 0.0)
-        of_u[current] = 0.0
+        if current.size:
+            size = abs(i[current])
+            of_i[current] = np.where(size > CURRENT_FLOOR, of_u[current] / np.maximum(size, CURRENT_FLOOR), 0.0)
+            of_u[current] = 0.0
         for rows in (magnitude, angle):
             of_u[rows] = u[rows].conj() / np.maximum(abs(u[rows]), VOLTAGE_FLOOR)
             of_i[rows] = 0.0
-        of_u[angle] *= -1j / np.maximum(abs(u[angle]), VOLTAGE_FLOOR)
+        if angle.size:
+            of_u[angle] *= -1j / np.maximum(abs(u[angle]), VOLTAGE_FLOOR)
         return of_u, of_i
 
     @cached_property
@@ -97,7 +100,8 @@ class MeasurementModel:
         return order, indices, 2 * self.y.indptr
 
     def _phasors(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        va, vm = np.split(x, 2)
+        n = self.y.shape[1]
+        va, vm = x[:n], x[n:]
         phase = np.exp(1j * va)
         v = vm * phase
         return v[self.bus_row], self.y @ v, vm, phase
@@ -115,6 +119,17 @@ _FORMULAS = (
     (MeasurementKind.VM,),
     (MeasurementKind.VA,),
 )
+
+
+def stack_models(above: MeasurementModel, below: MeasurementModel) -> MeasurementModel:
+    """The rows of two models of one network."""
+    return MeasurementModel(
+        kinds=np.concatenate([above.kinds, below.kinds]),
+        bus_row=np.concatenate([above.bus_row, below.bus_row]),
+        y=sp.csr_array(sp.vstack([above.y, below.y], format="csr")),
+        meter_row=np.concatenate([above.meter_row, len(above.kinds) + below.meter_row]),
+        at_bus=np.concatenate([above.at_bus, below.at_bus]),
+    )
 
 
 def build_measurement_model(network: Network, admittance: Admittance, meters: Sequence[Meter]) -> MeasurementModel:

@@ -1,4 +1,4 @@
-"""Both back ends of the exact exchange, whatever the size of an area."""
+"""All back ends of the exact exchange, whatever the size of an area."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -7,14 +7,15 @@ import pytest
 
 from dsse_core import area_model
 
-BACK_ENDS = ("sparse", "tree")
+BACK_ENDS = ("sparse", "tree", "dense")
 
 
 @contextmanager
 def back_end(name: str) -> Iterator[None]:
-    """Have areas use the tree wherever there is one, or nowhere."""
+    """Have all areas use the tree wherever there is one, or dense matrices, or sparse ones."""
     if name == "tree":
         pytest.importorskip("numba", reason="the tree back end needs numba: pip install 'consensus-dsse[fast]'")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(area_model, "TREE_FROM", 0 if name == "tree" else 10**9)
+        patch.setattr(area_model, "DENSE_BELOW", 10**9 if name == "dense" else 0)
         yield

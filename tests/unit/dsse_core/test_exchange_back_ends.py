@@ -1,5 +1,6 @@
-"""The exact exchange on the tree of an area's buses gives what the sparse path gives, function by function."""
+"""The exact exchange on the tree of an area's buses, and dense, gives what the sparse path gives in every function."""
 
+import importlib.util
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
@@ -9,7 +10,7 @@ from feeders import Feeder, make_feeder, make_star
 from grids import MeterShares, make_grid
 
 from agents.strategies.boundary_marginal import marginal_of
-from dsse_core.area_model import AreaModel, build_area_model, uses_tree
+from dsse_core.area_model import AreaModel, Backend, build_area_model, uses_tree
 from dsse_core.boundary_information import BoundaryInformation
 from dsse_core.exchange import (
     compute_information,
@@ -21,7 +22,9 @@ from dsse_core.exchange import (
 from dsse_core.partition import Neighbour
 from dsse_core.power_flow import solve_power_flow
 
-pytest.importorskip("numba", reason="the tree back end needs numba: pip install 'consensus-dsse[fast]'")
+has_numba = importlib.util.find_spec("numba") is not None
+needs_numba = pytest.mark.skipif(not has_numba, reason="the tree needs numba: pip install 'consensus-dsse[fast]'")
+each_back_end = pytest.mark.parametrize("backend", [pytest.param("tree", marks=needs_numba), "dense"])
 
 CLOSE = 1e-9  # of a step or a variance; p.u., rad
 ROUNDS = 12  # after which every area has heard of all the others
@@ -29,15 +32,15 @@ ROUNDS = 12  # after which every area has heard of all the others
 
 @dataclass(frozen=True)
 class Case:
-    """One area in some state, with what it has heard, on both back ends."""
+    """One area in some state, with what it has heard, on two back ends."""
 
     sparse: AreaModel
-    tree: AreaModel
+    other: AreaModel
     x: np.ndarray
     heard: Mapping[str, BoundaryInformation]
 
 
-def cases_of(feeder: Feeder, rng: np.random.Generator) -> Iterator[Case]:
+def cases_of(feeder: Feeder, rng: np.random.Generator, backend: Backend = "tree") -> Iterator[Case]:
     """All areas near the true state, after they have told each other all they know."""
     truth, telemetry = solve_power_flow(feeder.network), feeder.telemetry()
     models, states = {}, {}
@@ -58,80 +61,86 @@ def cases_of(feeder: Feeder, rng: np.random.Generator) -> Iterator[Case]:
                 told[n.area][name] = compute_information(model, states[name], n, heard[name])
         heard = told
     for name, model in models.items():
-        yield Case(model, replace(model, backend="tree"), states[name], heard[name])
+        yield Case(model, replace(model, backend=backend), states[name], heard[name])
 
 
 def assert_same(case: Case) -> int:
     """All five functions agree; how many of them the tree left to the sparse path."""
-    sparse, tree, x, heard = case.sparse, case.tree, case.x, case.heard
+    sparse, fast, x, heard = case.sparse, case.other, case.x, case.heard
     start = x + 1e-3
     voltages = slice(0, 2 * len(sparse.area.network.buses))
     for last_step in (np.inf, 1e-9):
-        one, other = (solve_step(m, x, heard, last_step)[voltages] for m in (sparse, tree))
+        one, other = (solve_step(m, x, heard, last_step)[voltages] for m in (sparse, fast))
         np.testing.assert_allclose(other, one, rtol=0, atol=CLOSE * max(abs(one).max(), 1e-3))
-    one, other = (solve_step_near(m, x, heard, start) for m in (sparse, tree))
+    one, other = (solve_step_near(m, x, heard, start) for m in (sparse, fast))
     np.testing.assert_allclose(other[voltages], one[voltages], rtol=0, atol=CLOSE * max(abs(one).max(), 1e-3))
     for near in (False, True):
-        one, other = (state_variance(m, x, heard, near_start=near) for m in (sparse, tree))
+        one, other = (state_variance(m, x, heard, near_start=near) for m in (sparse, fast))
         np.testing.assert_allclose(other, one, rtol=CLOSE, atol=1e-20)
-    one, other = (residual_variance(m, x, heard) / sparse.sigma**2 for m in (sparse, tree))
+    one, other = (residual_variance(m, x, heard) / sparse.sigma**2 for m in (sparse, fast))
     np.testing.assert_allclose(other, one, rtol=0, atol=CLOSE)
     for neighbour in sparse.area.neighbours:
         assert_same_information(case, neighbour)
-    assert tree.tree is not None
-    return tree.tree.declined.total()
+    assert fast.tree or fast.dense
+    return fast.tree.declined.total() if fast.tree else 0
 
 
 def assert_same_information(case: Case, neighbour: Neighbour) -> None:
     """What both sides together then know of the boundary is the same, and so is what a message tells alone."""
-    one, other = (compute_information(m, case.x, neighbour, case.heard) for m in (case.sparse, case.tree))
+    one, other = (compute_information(m, case.x, neighbour, case.heard) for m in (case.sparse, case.other))
     y, _ = case.sparse.boundary(case.x, neighbour)
     theirs = case.heard[neighbour.area]
-    (mean, sigma), (tree_mean, tree_sigma) = (marginal_of(y, told, theirs) for told in (one, other))
+    (mean, sigma), (other_mean, other_sigma) = (marginal_of(y, told, theirs) for told in (one, other))
     assert sigma is not None
-    assert tree_sigma is not None
-    np.testing.assert_allclose(tree_sigma, sigma, rtol=1e-8)
-    np.testing.assert_allclose(tree_mean - y, mean - y, rtol=0, atol=CLOSE * max(abs(mean - y).max(), 1.0))
+    assert other_sigma is not None
+    np.testing.assert_allclose(other_sigma, sigma, rtol=1e-8)
+    np.testing.assert_allclose(other_mean - y, mean - y, rtol=0, atol=CLOSE * max(abs(mean - y).max(), 1.0))
 
 
+@each_back_end
 @pytest.mark.random_cases(few=12, many=200)
-def test_random_feeders_agree(random_seed):
+def test_random_feeders_agree(random_seed, backend):
     rng = np.random.default_rng(random_seed)
     size = {"n_bus": int(rng.integers(3, 60)), "n_area": int(rng.integers(2, 8))}
     feeder = make_feeder(random_seed, **size, decades=float(rng.choice([0, 1, 2])))
-    for case in cases_of(feeder, rng):
+    for case in cases_of(feeder, rng, backend):
         assert_same(case)
 
 
+@each_back_end
 @pytest.mark.random_cases(few=12, many=200)
-def test_grids_with_transformers_shunts_angle_and_current_meters_agree(random_seed):
+def test_grids_with_transformers_shunts_angle_and_current_meters_agree(random_seed, backend):
     rng = np.random.default_rng([1, random_seed])
     shares = MeterShares(angle=float(rng.choice([0, 0.1])), current=float(rng.choice([0, 0.3])))
     n_bus, n_area = int(rng.integers(3, 40)), int(rng.integers(2, 9))
     short = [None, 1e-4, 1e-6][random_seed % 3]
     feeder = make_grid(random_seed, n_bus, n_area, 0.6, 1.0, 0, 0.15, short, bool(random_seed % 2), shares)
-    for case in cases_of(feeder, rng):
+    for case in cases_of(feeder, rng, backend):
         assert_same(case)
 
 
+@each_back_end
 @pytest.mark.parametrize("busbar", [False, True])
-def test_fifteen_areas_at_one_bus_agree(busbar):
-    for case in cases_of(make_star(3, busbar=busbar), np.random.default_rng(3)):
+def test_fifteen_areas_at_one_bus_agree(busbar, backend):
+    for case in cases_of(make_star(3, busbar=busbar), np.random.default_rng(3), backend):
         assert_same(case)
 
 
+@needs_numba
 def test_where_injections_are_measured_the_tree_leaves_only_messages_away_from_the_reference_to_the_sparse_path():
     for case in cases_of(make_feeder(5, n_bus=60, n_area=6, decades=1.0), np.random.default_rng(5)):
         declined = assert_same(case)
-        assert declined == (len(case.tree.area.neighbours) if case.tree.reference is not None else 0)
+        assert declined == (len(case.other.area.neighbours) if case.other.reference is not None else 0)
 
 
+@needs_numba
 def test_an_unmetered_bus_is_left_to_the_sparse_path_where_digits_would_be_lost_and_that_is_counted():
     feeder = make_grid(3, 30, 4, 0.6, 1.0, 0, 0.0, None, True, MeterShares(injection=0.8))
     declined = sum(assert_same(case) for case in cases_of(feeder, np.random.default_rng(4)))
     assert declined > 0
 
 
+@needs_numba
 def test_the_back_end_is_the_tree_for_large_radial_areas_only():
     small = make_feeder(1, n_bus=20, n_area=1).partition.areas[0]
     large = make_feeder(1, n_bus=80, n_area=1).partition.areas[0]
@@ -142,3 +151,10 @@ def test_the_back_end_is_the_tree_for_large_radial_areas_only():
     meshed = make_grid(2, 30, 1, 0.3, 0.0, 3, 0.0, None, True, MeterShares()).partition.areas[0]
     assert len(meshed.network.active_branches) >= len(meshed.network.buses)
     assert not uses_tree(meshed, "tree")
+
+
+def test_small_areas_are_dense_unless_asked_otherwise():
+    small, large = (make_feeder(1, n_bus=n_bus, n_area=1).partition.areas[0] for n_bus in (20, 80))
+    assert build_area_model(small, (), None).dense
+    assert build_area_model(small, (), None, backend="sparse").dense is None
+    assert build_area_model(large, (), None).dense is None

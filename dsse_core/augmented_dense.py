@@ -1,0 +1,75 @@
+"""The augmented system of ``augmented`` for areas so small that a dense factor costs less than a sparse matrix."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg import lapack
+
+from dsse_core.augmented import LARGEST_DAMPING, PIVOT_SCALE
+
+
+class DenseFactor:
+    """The factorised system for a dense ``H`` (n_meas, n_state); see ``AugmentedFactor`` for it and its answers.
+
+    Raises:
+        RuntimeError: the matrix is exactly singular, and no damping mends that.
+    """
+
+    def __init__(self, H: np.ndarray, sigma: np.ndarray, damping: np.ndarray) -> None:
+        m, n = H.shape
+        self._n_meas = m
+        self._variance = sigma * sigma
+        row_scale = _reciprocal(np.einsum("ij,ij->i", H, H))
+        scaled_variance = self._variance * row_scale * row_scale
+        positive = np.sort(scaled_variance[scaled_variance > 0])
+        self._a = PIVOT_SCALE / float(positive[len(positive) // 2]) if len(positive) else 1.0
+        scaled = H * row_scale[:, None]
+        column_scale = _reciprocal(np.einsum("ij,ij->j", scaled, scaled) + damping / self._a)
+        scaled *= column_scale
+        self._scale = np.concatenate([row_scale, column_scale])
+        below = damping / self._a * column_scale * column_scale
+        self._tableau = np.zeros((m + n, m + n), order="F")
+        self._tableau[:m, m:], self._tableau[m:, :m] = scaled, scaled.T
+        diagonal = self._tableau.reshape(-1, order="F")[:: m + n + 1]
+        diagonal[:m] = self._a * scaled_variance
+        while True:
+            diagonal[m:] = -below
+            self._lu, self._pivots, zero_pivot = lapack.dgetrf(self._tableau)
+            if not zero_pivot:
+                break
+            if not below.any() or below.max() > LARGEST_DAMPING:
+                raise RuntimeError("the tableau is exactly singular")
+            below = below * 1e3  # a damping that rounding has swallowed must be larger
+
+    def solve(self, above: np.ndarray, below: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(s, dx) of ``R s + H dx = above``, ``H's - damping dx = below``; columns."""
+        solution = self._solve(np.concatenate([above, below / self._a]))
+        return self._a * solution[: self._n_meas], solution[self._n_meas :]
+
+    def state_variance(self) -> np.ndarray:
+        """diag(G^-1), shape (n_state,)."""
+        return self._diagonal(self._n_meas, len(self._scale)) / -self._a
+
+    def residual_variance(self) -> np.ndarray:
+        """diag(Omega), shape (n_meas,)."""
+        variance: np.ndarray = self._a * self._variance**2 * self._diagonal(0, self._n_meas)
+        return variance
+
+    def _diagonal(self, first: int, end: int) -> np.ndarray:
+        """Entries first ... end - 1 of the diagonal of the inverse."""
+        unit = np.zeros((len(self._scale), end - first), order="F")
+        unit[np.arange(first, end), np.arange(end - first)] = 1.0
+        return self._solve(unit)[np.arange(first, end), np.arange(end - first)]
+
+    def _solve(self, b: np.ndarray) -> np.ndarray:
+        scale = self._scale[:, None]
+        b = scale * b
+        solution = lapack.dgetrs(self._lu, self._pivots, b)[0]
+        solution += lapack.dgetrs(self._lu, self._pivots, b - self._tableau @ solution)[0]
+        return np.asarray(scale * solution)
+
+
+def _reciprocal(square: np.ndarray) -> np.ndarray:
+    length = np.sqrt(square)
+    length[length == 0] = 1.0
+    return np.asarray(1 / length)
