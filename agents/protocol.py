@@ -8,7 +8,7 @@ slow beat, so that a lost last message does not matter. Messages are absolute: o
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -126,14 +126,18 @@ class AreaProtocol:
         at = min(self._next_beat, self._reminders.next_due(), self._hearing.next_change(now))
         return 0.0 if self._strategy.restless else max(0.0, at - now)
 
-    def handle(self, events: Sequence[Event], now: float) -> list[Action]:
-        """Take in ``events``, all that arrived since the last call, and say what to do."""
+    def handle(self, events: Sequence[Event], now: float) -> Iterator[Action]:
+        """Take in ``events``, all that arrived since the last call, and say what to do.
+
+        To be carried out one by one as they come: neighbours need not wait for what only watchers see.
+        """
         self._now = now
         news = False
         for event in events:
             match event:
                 case StopRequested(reason):
-                    return [Finish(reason)]
+                    yield Finish(reason)
+                    return
                 case Received(message, key_sender):
                     news |= self._take(message, key_sender)
                 case Refused(reason, count):
@@ -146,20 +150,25 @@ class AreaProtocol:
                     self._present.discard(area)
                     self._gone[area] = farewell
                     news = True
-        actions: list[Action] = []
-        used = set(self._hearing.usable(now))
-        if self._hearing.telemetry is None:
-            actions += self._show_state(None, ["no telemetry yet"])
-        elif news or self._strategy.restless or used != self._used:
-            self._used = used
-            actions += self._work()
-        elif self._state.message and self._state.message.quality != self._state.quality(set(self._gone), now):
-            actions.append(self._renew_state())
-        actions += [Publish(self._sent_boundary[name], name) for name in self._reminders.take_due(now)]
+        done: list[Action] = []
+        for action in self._react(news):
+            done.append(action)
+            yield action
         if now >= self._next_beat:
             self._next_beat = now + self._content.beat_s
-            actions += self._repeat(actions)
-        return actions
+            yield from self._repeat(done)
+
+    def _react(self, news: bool) -> Iterator[Action]:
+        used = set(self._hearing.usable(self._now))
+        if self._hearing.telemetry is None:
+            yield from self._show_state(None, ["no telemetry yet"])
+        elif news or self._strategy.restless or used != self._used:
+            self._used = used
+            yield from self._work()
+        elif self._state.message and self._state.message.quality != self._state.quality(set(self._gone), self._now):
+            yield self._renew_state()
+        for name in self._reminders.take_due(self._now):
+            yield Publish(self._sent_boundary[name], name)
 
     # What comes in
 
@@ -200,21 +209,19 @@ class AreaProtocol:
 
     # What goes out
 
-    def _work(self) -> list[Action]:
+    def _work(self) -> Iterator[Action]:
         """Tell what is new. Numbers beyond all reason, a neighbour's perhaps, leave no estimate and no crash."""
-        actions: list[Action] = []
         for _ in range(2):  # with all that was heard; if that leads nowhere, from the own telemetry alone
             try:
-                actions += self._tell_loads()
-                actions += self._estimate()
+                yield from self._tell_loads()
+                yield from self._estimate()
                 break
             except (ArithmeticError, np.linalg.LinAlgError, RuntimeError, ValueError) as error:
                 problem = f"no estimate: {type(error).__name__}: {error}"
                 self._start_anew()
         else:
-            actions += self._show_state(None, (problem,))
+            yield from self._show_state(None, (problem,))
         self._stop_answered_reminders()
-        return actions
 
     def _start_anew(self) -> None:
         """Forget what cannot be computed with, as a restart would: where the iteration is, and all that was heard.
@@ -225,23 +232,23 @@ class AreaProtocol:
         self._hearing.forget_neighbours()
         self._refused["led to no estimate"] += 1
 
-    def _estimate(self) -> list[Action]:
+    def _estimate(self) -> Iterator[Action]:
         """Solve, tell the neighbours what is new, judge what they say, show the state.
 
         A state is shown at rest only: whoever has seen one knows that nothing but news will change it.
         """
-        actions: list[Action] = []
         estimate, notes = self._strategy.solve(self._knowledge())
-        if estimate is not None and not estimate.is_reasonable:
-            raise ArithmeticError("it is beyond reason")
+        _check_reasonable(estimate)
         if estimate is not None and not self._strategy.restless:
             if estimate is not self._told:
                 self._told = estimate
-                actions += self._tell_boundaries(estimate)
+                yield from self._tell_boundaries(estimate)
             estimate, contradictions = self._strategy.judge(self._knowledge(), estimate)
+            _check_reasonable(estimate)
             notes += contradictions
-            actions += self._tell_tallies()
-        return actions if self._strategy.restless else actions + self._show_state(estimate, notes, doubts=bool(notes))
+            yield from self._tell_tallies()
+        if not self._strategy.restless:
+            yield from self._show_state(estimate, notes, doubts=bool(notes))
 
     def _knowledge(self) -> Knowledge:
         return Knowledge(
@@ -281,8 +288,7 @@ class AreaProtocol:
             self._load_of = (self._measurements, own_net_load(self._area, measured))
         return self._load_of[1]
 
-    def _tell_boundaries(self, estimate: Estimate) -> list[Action]:
-        actions: list[Action] = []
+    def _tell_boundaries(self, estimate: Estimate) -> Iterator[Action]:
         for n in self._area.neighbours:
             last = self._sent_boundary.get(n.area)
             message = self._strategy.message_for(n, estimate, self._header(last))
@@ -290,8 +296,7 @@ class AreaProtocol:
             if last is None or last.header.scan != self._scan or self._strategy.is_news(n, message, last):
                 self._sent_boundary[n.area] = message
                 self._reminders.start(n.area, self._now)
-                actions.append(Publish(message, n.area))
-        return actions
+                yield Publish(message, n.area)
 
     def _tell_tallies(self) -> list[Action]:
         actions: list[Action] = []
@@ -358,6 +363,12 @@ class AreaProtocol:
             sequence=last.header.sequence + 1 if last else 1,
             time=self._now + self._clock_offset,
         )
+
+
+def _check_reasonable(estimate: Estimate | None) -> None:
+    """Raise ``ArithmeticError`` if no grid can be in this state."""
+    if estimate is not None and not estimate.is_reasonable:
+        raise ArithmeticError("it is beyond reason")
 
 
 def _check_sayable(message: BoundaryNews | TallyMessage, refusal: str = "") -> None:

@@ -7,14 +7,14 @@ import queue
 import signal
 import time
 from collections import Counter, defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import agents.doorkeeper
 import agents.link
 from agents.__main__ import main as run_agent
-from agents.protocol import AreaProtocol
+from agents.protocol import Action, AreaProtocol
 from agents.transport import Session
 
 PING, PONG = "dsse/v1/latency/ping", "dsse/v1/latency/pong"
@@ -38,8 +38,17 @@ def run_timed_agent(area_file: str, out: str) -> int:
 
     agents.doorkeeper.decode = timed("decode", agents.doorkeeper.decode)  # type: ignore[attr-defined]
     agents.link.encode = timed("encode", agents.link.encode)  # type: ignore[attr-defined]
-    AreaProtocol.handle = timed("solve", AreaProtocol.handle)  # type: ignore[method-assign]
+    handle = AreaProtocol.handle
+
+    def timed_handle(*arguments: Any) -> Iterator[Action]:
+        actions, following = handle(*arguments), timed("solve", next)
+        while (action := following(actions, None)) is not None:
+            yield action
+        calls["handled"] += 1
+
+    AreaProtocol.handle = timed_handle  # type: ignore[method-assign, assignment]
     code = run_agent([area_file])
+    calls["solve"] = calls.pop("handled", 0)
     Path(out).write_text(json.dumps({"seconds": seconds, "calls": calls}))
     return code
 

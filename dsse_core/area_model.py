@@ -90,6 +90,12 @@ class AreaModel:
         return np.flatnonzero(self.kinds == MeasurementKind.VA)
 
     @cached_property
+    def degrees(self) -> np.ndarray:
+        """The power k for which h grows as c^k when all voltages grow by c, shape (n_meas,)."""
+        once = np.isin(self.kinds, (MeasurementKind.VM, MeasurementKind.CURRENT))
+        return np.where(once, 1.0, np.where(self.kinds == MeasurementKind.VA, 0.0, 2.0))
+
+    @cached_property
     def fixed(self) -> np.ndarray:
         """The variables that are not ``free``."""
         return np.setdiff1d(np.arange(self.size), self.free)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -22,6 +24,12 @@ class BoundaryInformation:
     R: np.ndarray
     z: np.ndarray
 
+    @cached_property
+    def rows(self) -> tuple[np.ndarray, np.ndarray]:
+        """The rows of R and z that tell something."""
+        told = self.R.any(axis=1)
+        return self.R[told], self.z[told]
+
     @property
     def is_reasonable(self) -> bool:
         return bool(max(abs(self.R).max(), abs(self.z).max()) < BEYOND_REASON)
@@ -35,10 +43,12 @@ def put_together(
     dpq and dv, (2,) each, are the changes of (p, q) and (vm, va); ``power`` and ``response`` (2, 2).
     """
     N, told_v = voltage
-    Q, P = np.linalg.qr(power)
+    a, b = float(power[0, 0]), float(power[1, 0])
+    turn = np.array([[a, b], [-b, a]]) / math.hypot(a, b) if a or b else np.eye(2)
     R = np.zeros((4, 4))
-    R[:2, :2], R[:2, 2:], R[2:, 2:] = P, Q.T @ response, N
-    return BoundaryInformation(R, R @ y + np.concatenate([Q.T @ shift, told_v]))
+    R[:2, :2], R[:2, 2:], R[2:, 2:] = turn @ power, turn @ response, N
+    R[1, 0] = 0.0
+    return BoundaryInformation(R, R @ y + np.concatenate([turn @ shift, told_v]))
 
 
 def factor_information(M: np.ndarray, g: np.ndarray, nothing: float) -> tuple[np.ndarray, np.ndarray]:

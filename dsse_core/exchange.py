@@ -93,9 +93,16 @@ def state_variance(
 
 def residual_variance(model: AreaModel, x: np.ndarray, heard: Mapping[str, BoundaryInformation]) -> np.ndarray:
     """diag(Omega) of the area's own measurements with all messages in, shape (n_meas,) (eq. 3.22)."""
+    return find_variances(model, x, heard)[1]
+
+
+def find_variances(
+    model: AreaModel, x: np.ndarray, heard: Mapping[str, BoundaryInformation]
+) -> tuple[np.ndarray, np.ndarray]:
+    """``state_variance`` and ``residual_variance`` at once."""
     if model.tree and (found := model.tree.variances(x, heard, (NOT_YET, NOT_YET_OF_POWER))) is not None:
-        return found[1]
-    return sparse.residual_variance(model, x, heard)
+        return found
+    return sparse.variances(model, x, heard)
 
 
 def compute_information(

@@ -17,7 +17,6 @@ from dsse_core.boundary_information import (
     factor_inverse,
     put_together,
 )
-from dsse_core.measurement import MeasurementKind
 from dsse_core.partition import Neighbour
 
 NOT_YET = 1e-6  # information given to eliminated voltages that nothing determines yet
@@ -25,6 +24,8 @@ NOT_YET_OF_POWER = 1e-8  # the same of powers, which may be large
 NO_LOAD_NOT_YET = 1e-18  # the same in the no-load model, relative to what the rows tell where that is less than 1
 NOTHING = 1e-30  # for variables that no row speaks of
 MOST_TURNS = 4  # of the axes of (p, q)
+VA = 3  # place of the angle in y
+DEGREES_OF_BOUNDARY = np.array([2.0, 2.0, 1.0, 0.0])  # the power k for which y grows as c^k, see AreaModel.degrees
 
 
 def solve_damped(
@@ -47,11 +48,15 @@ def state_variance(
     return variance
 
 
-def residual_variance(model: AreaModel, x: np.ndarray, heard: Mapping[str, BoundaryInformation]) -> np.ndarray:
-    """diag(Omega) of the area's own measurements with all messages in, shape (n_meas,) (eq. 3.22)."""
+def variances(
+    model: AreaModel, x: np.ndarray, heard: Mapping[str, BoundaryInformation]
+) -> tuple[np.ndarray, np.ndarray]:
+    """diag(G^-1), shape (size,), and diag(Omega) of the area's own measurements, shape (n_meas,) (eq. 3.22)."""
     H, _, sigma = _stack(model, x, heard)
-    variance: np.ndarray = _factor_undamped(model, H, sigma, model.free).residual_variance()
-    return variance[: len(model.z)]
+    factor = _factor_undamped(model, H, sigma, model.free)
+    of_state = np.zeros(model.size)
+    of_state[model.free] = factor.state_variance()
+    return of_state, factor.residual_variance()[: len(model.z)]
 
 
 def least_information(model: AreaModel, columns: np.ndarray) -> np.ndarray:
@@ -92,33 +97,38 @@ def compute_information(
     H, r, sigma = _stack(model, x, heard)
     B, dp = _responses_to_shift(model, x, neighbour, heard, H)
     y, T = model.boundary(x, neighbour)
-    u = model.free[~np.isin(model.free, model.voltage_columns(neighbour))]
+    vm_b, va_b = model.voltage_columns(neighbour)
+    u = model.free[(model.free != vm_b) & (model.free != va_b)]
+    C = T[:2, u]
     factor = _factor_undamped(model, H, sigma, u)
+    s, du = factor.solve(
+        np.hstack([B, r[:, None], np.zeros((len(r), 2))]), np.hstack([np.zeros((len(u), 3)), _full(C).T])
+    )
+    information = B.T @ s[:, :3]
     nothing = 0.0 if model.no_load else NOTHING_OF_VOLTAGE
-    s, _ = factor.solve(np.column_stack([B, r]), np.zeros((len(u), 3)))
-    information = B.T @ s
     N, told_v = factor_information(information[:, :2], information[:, 2], nothing)
-    W, S, A = _find_power(factor, T[:2, u], len(r))
+    W, S, A = _find_power(factor, C, s[:, 3:], du[:, 3:])
     P = factor_inverse(S)
     return put_together(y, P @ W.T, P @ (A.T @ B - W.T @ dp), P @ (A.T @ r), (N, told_v))
 
 
 def _find_power(
-    factor: AugmentedFactor | DenseFactor, C: Matrix, n_rows: int
+    factor: AugmentedFactor | DenseFactor, C: Matrix, A: np.ndarray, du: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What is known of (p, q), with v given: W, S, (2, 2), and A, (rows, 2).
 
     S is the covariance of ``W'(p, q)``, and ``W'C du = A'r`` for residuals r. W turns the axes: beside a combination
-    that is as good as unknown the other one would drown in rounding, so both are solved for by themselves.
+    that is as good as unknown the other one would drown in rounding, so both are solved for by themselves. ``A``,
+    ``du``: the solution for W = 1.
     """
     W = np.eye(2)
-    for _ in range(MOST_TURNS):
-        A, du = factor.solve(np.zeros((n_rows, 2)), C.T @ W)
+    for turn in range(MOST_TURNS):
         S = -(W.T @ (C @ du))
         S = (S + S.T) / 2
-        if S[0, 1] ** 2 <= abs(S[0, 0] * S[1, 1]) / 2:
+        if turn == MOST_TURNS - 1 or S[0, 1] ** 2 <= abs(S[0, 0] * S[1, 1]) / 2:
             break
         W = W @ np.linalg.svd(S)[0]
+        A, du = factor.solve(np.zeros(A.shape), C.T @ W)
     return W, S, A
 
 
@@ -131,27 +141,26 @@ def _responses_to_shift(
     2 s / vm_b and 0 exactly. Moving bus b alone would change flows by dv / z and leave M, a difference of such
     changes, to rounding.
     """
-    vm_b = float(x[model.voltage_columns(neighbour)[0]])
-    fixed = model.fixed
-    rows = [np.column_stack([_degrees(model.kinds) * model.predict(x) / vm_b, model.kinds == MeasurementKind.VA])]
+    voltage, fixed, m = model.voltage_columns(neighbour), model.fixed, len(model.z)
+    vm_b = float(x[voltage[0]])
+    B = np.zeros((H.shape[0], 2))
+    B[:m, 0], B[model.angles, 1] = model.degrees * model.predict(x) / vm_b, 1.0
+    dy, dp = np.zeros((4, 2)), np.zeros((2, 2))
+    dy[VA, 1] = 1.0
+    end = m
     for n in model.area.neighbours:
         y, T = model.boundary(x, n)
-        dy = np.column_stack([y * (2.0, 2.0, 1.0, 0.0) / vm_b, (0.0, 0.0, 0.0, 1.0)])
+        dy[:, 0] = y * DEGREES_OF_BOUNDARY / vm_b
         if n.area == neighbour.area:
-            dp = dy[:2] - np.column_stack([np.zeros(2), T[:2, fixed].sum(axis=1)])
+            dp[:, 0], dp[:, 1] = dy[:2, 0], -T[:2, fixed].sum(axis=1)
         elif (message := heard.get(n.area)) is not None:
-            rows.append(message.R[_telling(message)] @ dy)
-    B = np.concatenate(rows)
-    B[:, 1] -= H[:, fixed].sum(axis=1)
-    if model.voltage_columns(neighbour)[1] in fixed:  # the reference itself: it does not move
+            first, end = end, end + len(message.rows[0])
+            B[first:end] = message.rows[0] @ dy
+    if fixed.size:
+        B[:, 1] -= H[:, fixed].sum(axis=1)
+    if voltage[1] in fixed:  # the reference itself: it does not move
         B[:, 1] = dp[:, 1] = 0.0
     return B, dp
-
-
-def _degrees(kinds: np.ndarray) -> np.ndarray:
-    """The power k for which h grows as c^k when all voltages grow by c, shape (n_meas,)."""
-    once = np.isin(kinds, (MeasurementKind.VM, MeasurementKind.CURRENT))
-    return np.where(once, 1.0, np.where(kinds == MeasurementKind.VA, 0.0, 2.0))
 
 
 def _stack(
@@ -162,14 +171,15 @@ def _stack(
     for n in model.area.neighbours:
         if (message := heard.get(n.area)) is not None:
             y, T = model.boundary(x, n)
-            told = _telling(message)
-            H.append(message.R[told] @ T)
-            r.append(message.z[told] - message.R[told] @ y)
-            sigma.append(np.ones(int(told.sum())))
-    together = np.concatenate(H) if model.dense else sp.csr_array(sp.vstack([sp.csr_array(h) for h in H], format="csr"))
-    return together, np.concatenate(r), np.concatenate(sigma)
+            R, z = message.rows
+            H.append(R @ T)
+            r.append(z - R @ y)
+            sigma.append(np.ones(len(z)))
+    if model.dense:
+        return np.concatenate(H), np.concatenate(r), np.concatenate(sigma)
+    stacked = sp.vstack([sp.csr_array(rows) for rows in H], format="csr")
+    return sp.csr_array(stacked), np.concatenate(r), np.concatenate(sigma)
 
 
-def _telling(message: BoundaryInformation) -> np.ndarray:
-    told: np.ndarray = abs(message.R).max(axis=1) > 0
-    return told
+def _full(C: Matrix) -> np.ndarray:
+    return C if isinstance(C, np.ndarray) else np.asarray(C.toarray())

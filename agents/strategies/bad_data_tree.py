@@ -10,7 +10,7 @@ load, once it has heard it from all the others.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -20,7 +20,6 @@ from agents.strategies.interface import Knowledge
 from dsse_core.area_model import AreaModel
 from dsse_core.bad_data import CONFIDENCE, CRITICAL_REDUNDANCY, chi_square_limit
 from dsse_core.boundary_information import BoundaryInformation
-from dsse_core.exchange import residual_variance
 from dsse_core.feeder_bad_data import NoLoadModel, Tally, add_tallies, tally_area
 from dsse_core.measurement import Measurement, MeasurementKind
 from dsse_core.partition import Area, Neighbour
@@ -68,29 +67,34 @@ class BadDataTree:
 
     def take_measurements(self, no_load: NoLoadModel, held_back: int) -> None:
         """The measurements have changed, by a new scan or a decision; ``held_back``: how many are not yet in use."""
-        self._no_load = no_load
+        if no_load is not self._no_load:
+            self._no_load = no_load
+            self._indispensable = None
+            self._told_no_load = {}
         self._no_load_decisions = self.decisions
         self._held_back = held_back
-        self._tally = self._own = self._indispensable = None
-        self._told_no_load = {}
+        self._tally = self._own = None
 
     def judge(
         self,
         model: AreaModel,
         measurements: Sequence[Measurement],
         x: np.ndarray,
-        heard: Mapping[str, BoundaryInformation],
+        find_variance: Callable[[], np.ndarray],
         settled: bool,
         known: Knowledge,
     ) -> None:
-        """Add up this side's figures where all of them are final; the substation's area decides."""
+        """Add up this side's figures where all of them are final; the substation's area decides.
+
+        ``find_variance``: the ``residual_variance`` at ``x``; asked for it if that is needed.
+        """
         self._known = known
         self._tally = None
         no_load = self._heard_no_load()
         children = [known.tallies.get(n.area) for n in self._children]
         if not settled or len(no_load) < len(self._area.neighbours):
             return
-        own = self._tally_own(model, measurements, x, heard, no_load)
+        own = self._tally_own(model, measurements, x, find_variance, no_load)
         final = [t for t, n in zip(children, self._children, strict=True) if t is not None and self._is_final(t, n)]
         if len(final) < len(self._children):
             return
@@ -149,13 +153,13 @@ class BadDataTree:
         model: AreaModel,
         measurements: Sequence[Measurement],
         x: np.ndarray,
-        heard: Mapping[str, BoundaryInformation],
+        find_variance: Callable[[], np.ndarray],
         no_load: _NoLoad,
     ) -> Tally:
         """The area's own figures, made anew only when what they rest on has changed."""
         indispensable = self._find_indispensable(no_load)
         if self._own is None or self._own[0] is not x or self._own[1] != indispensable:
-            variance = residual_variance(model, x, heard)
+            variance = find_variance()
             without_check = (variance <= CRITICAL_REDUNDANCY * model.sigma**2) & ~model.virtual
             real = {model.meters[k].id for k in np.flatnonzero(~model.virtual)} if indispensable else set()
             critical = {model.meters[k].id for k in np.flatnonzero(without_check)} | (indispensable & real)

@@ -20,13 +20,15 @@ from agents.strategies.start import start_state
 from dsse_core.area_model import AreaModel, build_area_model
 from dsse_core.bad_data import DEAD_VM, chi_square_limit
 from dsse_core.boundary_information import BoundaryInformation
-from dsse_core.exchange import compute_information, solve_step, solve_step_near, state_variance
-from dsse_core.feeder_bad_data import build_no_load_model, count_freedom, find_objective
+from dsse_core.exchange import compute_information, find_variances, solve_step, solve_step_near, state_variance
+from dsse_core.feeder_bad_data import NoLoadModel, build_no_load_model, count_freedom, find_objective
 from dsse_core.measurement import Measurement, MeasurementKind
 from dsse_core.partition import Neighbour
 
 SETTLED_STEP = 1e-11  # p.u., rad: below it a further step changes nothing
 ON_THE_WAY = 1e-9  # p.u., rad: after a larger last step there is more to be done; below it may be rounding
+NO_FURTHER = 0.1  # rate of steps, below which the last one tells how large the next one would be
+STEPS_AT_ONCE = 3  # before news is looked for
 SETTLED_NEAR_START = 1e-6  # p.u., rad: while news is missing
 STEPS_PER_NEWS = 40
 TINY = 1e-30
@@ -50,6 +52,7 @@ class Information(Strategy):
         self._removed: tuple[str, ...] = ()  # the area's own meters
         self._has_own_angle = content.area.reference is not None
         self._model: AreaModel | None = None
+        self._no_load: NoLoadModel | None = None
         self._x = self._start = np.zeros(0)
         self._newest: dict[str, tuple[Incarnation, int]] = {}
         self._heard: dict[str, BoundaryInformation] = {}
@@ -59,6 +62,8 @@ class Information(Strategy):
         self._last_step = np.inf
         self._news = 0  # since all areas have been heard, of these measurements
         self._shown: Estimate | None = None
+        self._shown_x = np.zeros(0)
+        self._sigma: np.ndarray | None = None  # of the shown state, once it has been asked for
 
     @property
     def restless(self) -> bool:
@@ -81,20 +86,23 @@ class Information(Strategy):
             self._steps_left = 0 if self._is_swinging else STEPS_PER_NEWS
         elif self._is_informed and self._steps_left == 0 and self._last_step > ON_THE_WAY and not self._is_swinging:
             self._steps_left = STEPS_PER_NEWS  # it was not enough, and there is time now
-        if self._steps_left > 0:
-            self._step()
+        for _ in range(STEPS_AT_ONCE):
+            if self._steps_left > 0:
+                self._step()
         return self._shown, self._notes()
 
     def judge(self, known: Knowledge, estimate: Estimate) -> tuple[Estimate, tuple[str, ...]]:
         assert self._model is not None  # there is an estimate
         tree = self._tree
         settled = self._is_informed and not self._is_swinging
-        tree.judge(self._model, self._measurements, self._x, self._heard, settled, known)
+        tree.judge(self._model, self._measurements, self._x, self._find_residual_variance, settled, known)
         if (known.measurements, tree.decisions) != self._basis:
             self._steps_left = 1
         checked = tree.finished and settled
-        if (checked, tree.critical) != (estimate.checked, estimate.critical):
-            self._shown = estimate = replace(estimate, checked=checked, critical=tree.critical)
+        n, sigma = len(self._area.network.buses), self._find_sigma()
+        estimate = replace(
+            estimate, sigma_vm=sigma[n : 2 * n], sigma_va=sigma[:n], checked=checked, critical=tree.critical
+        )
         return estimate, self._find_contradictions(known) if checked else ()
 
     def tally_for(self, neighbour: Neighbour, header: Header) -> TallyMessage:
@@ -142,11 +150,20 @@ class Information(Strategy):
         has_angle_meter = any(m.meter.kind is MeasurementKind.VA for m in self._measurements)
         self._has_own_angle = has_angle_meter or self._area.reference is not None
         held_back = len(telemetry) - len(self._measurements) - len(self._removed)
-        reference = self._area.reference[0] if self._area.reference else None
-        self._model = build_area_model(self._area, self._measurements, reference)
-        self._tree.take_measurements(build_no_load_model(self._area, self._measurements, reference), held_back)
+        self._build_models()
+        assert self._no_load is not None
+        self._tree.take_measurements(self._no_load, held_back)
         self._shown = None
         self._news = 0
+
+    def _build_models(self) -> None:
+        """For other meters anew; other readings of the same ones change neither rows nor what cannot be spared."""
+        if self._model is not None and self._model.meters == tuple(m.meter for m in self._measurements):
+            self._model = self._model.with_readings(self._measurements)
+            return
+        reference = self._area.reference[0] if self._area.reference else None
+        self._model = build_area_model(self._area, self._measurements, reference)
+        self._no_load = build_no_load_model(self._area, self._measurements, reference)
 
     def _take_messages(self, known: Knowledge) -> None:
         assert self._model is not None
@@ -205,8 +222,8 @@ class Information(Strategy):
         if self._steps_left < STEPS_PER_NEWS - FULL_STEPS:
             dx = dx / 2
         self._x = _with_positive_magnitudes(self._x + dx, len(self._area.network.buses))
-        self._last_step = float(abs(dx).max(initial=0.0))
-        if self._last_step <= SETTLED_STEP:
+        before, self._last_step = self._last_step, float(abs(dx).max(initial=0.0))
+        if _find_rest(before, self._last_step) <= SETTLED_STEP:
             self._steps_left = 0
             self._start = self._x
         if self._steps_left == 0 or self._shown is None:
@@ -227,20 +244,37 @@ class Information(Strategy):
         return x
 
     def _estimate(self, model: AreaModel, x: np.ndarray) -> Estimate:
+        """The state ``x``; how well it is known, and what of it is sure, neighbours need not wait for (``judge``)."""
         n = len(self._area.network.buses)
-        variance = state_variance(model, x, self._heard, near_start=not self._is_informed)
-        sigma = np.sqrt(np.maximum(variance, 0.0))
+        self._shown_x = x
+        self._sigma = None
         return Estimate(
             vm=x[n : 2 * n],
             va=x[:n],
-            sigma_vm=sigma[n : 2 * n],
-            sigma_va=sigma[:n],
+            sigma_vm=np.zeros(n),
+            sigma_va=np.zeros(n),
             referenced=self._is_referenced,
             objective=find_objective(model, x),
             degrees_of_freedom=count_freedom(model),
             removed=self._removed,
             checked=False,
         )
+
+    def _find_sigma(self) -> np.ndarray:
+        """Standard deviations of the variables of the shown state, p.u. and rad."""
+        if self._sigma is None:
+            assert self._model is not None
+            near_start = not self._is_informed
+            variance = state_variance(self._model, self._shown_x, self._heard, near_start=near_start)
+            self._sigma = np.sqrt(np.maximum(variance, 0.0))
+        return self._sigma
+
+    def _find_residual_variance(self) -> np.ndarray:
+        """diag(Omega) in the shown state, which is settled; its standard deviations come with it."""
+        assert self._model is not None
+        of_state, of_residuals = find_variances(self._model, self._x, self._heard)
+        self._sigma = np.sqrt(np.maximum(of_state, 0.0))
+        return of_residuals
 
     def _find_contradictions(self, known: Knowledge) -> tuple[str, ...]:
         """Neighbours whose information is farther from that of this side than their covariances allow."""
@@ -268,6 +302,12 @@ class Information(Strategy):
                 "or decision; a false message can do this, or currents metered far better than flows and injections"
             )
         return tuple(notes)
+
+
+def _find_rest(before: float, last: float) -> float:
+    """The size of the next step, as far as that of the last two tells it; else that of the last one."""
+    shrinks = last <= ON_THE_WAY and last <= NO_FURTHER * before < np.inf
+    return last * last / before if shrinks else last
 
 
 def _with_positive_magnitudes(x: np.ndarray, n: int) -> np.ndarray:

@@ -131,29 +131,47 @@ def load_from_area2(sequence=1, **changes):
     return LoadMessage(Header(sequence=sequence, **(fields | changes)), bus, 0.08 + sequence / 1000, 0.05, 0.001)
 
 
+def act(protocol, events, now):
+    return list(protocol.handle(events, now))
+
+
 def last_state(actions):
     return [a.message for a in actions if isinstance(a, Publish) and a.to is None][-1]
 
 
+def test_neighbours_are_told_before_the_state_is_judged(area1, monkeypatch):
+    protocol, telemetry, content = area1
+    judged = []
+    judge = protocol._strategy.judge
+    monkeypatch.setattr(protocol._strategy, "judge", lambda *known: judged.append(known) or judge(*known))
+    told = set()
+    for action in protocol.handle([telemetry], 0.0):
+        if action.message.kind == protocol._strategy.kind:
+            assert not judged
+            told.add(action.to)
+    assert told == {n.area for n in content.area.neighbours}
+    assert judged
+
+
 def test_before_any_telemetry_an_area_says_that_it_has_none(area1):
     protocol, _, _ = area1
-    assert last_state(protocol.handle([], 0.0)).notes == ("no telemetry yet",)
+    assert last_state(act(protocol, [], 0.0)).notes == ("no telemetry yet",)
 
 
 def test_nothing_new_means_nothing_said_until_the_beat(area1):
     protocol, telemetry, content = area1
-    assert protocol.handle([telemetry], 0.0)
-    assert protocol.handle([telemetry], 0.01) == []
+    assert act(protocol, [telemetry], 0.0)
+    assert act(protocol, [telemetry], 0.01) == []
     assert protocol.wait_s(0.01) == pytest.approx(content.beat_s - 0.01)
-    repeated = protocol.handle([], content.beat_s)
+    repeated = act(protocol, [], content.beat_s)
     assert repeated
-    assert protocol.handle([], content.beat_s + 0.01) == []
+    assert act(protocol, [], content.beat_s + 0.01) == []
 
 
 def test_a_repeat_is_the_same_message_with_the_same_sequence(area1):
     protocol, telemetry, content = area1
-    first = {a.to: a.message for a in protocol.handle([telemetry], 0.0) if a.message.kind == "boundary"}
-    again = {a.to: a.message for a in protocol.handle([], content.beat_s) if a.message.kind == "boundary"}
+    first = {a.to: a.message for a in act(protocol, [telemetry], 0.0) if a.message.kind == "boundary"}
+    again = {a.to: a.message for a in act(protocol, [], content.beat_s) if a.message.kind == "boundary"}
     assert first == again != {}
 
 
@@ -178,39 +196,39 @@ def test_a_repeat_is_the_same_message_with_the_same_sequence(area1):
 )
 def test_what_should_not_have_come_is_refused_and_counted(area1, message, key_sender, reason):
     protocol, telemetry, content = area1
-    protocol.handle([telemetry], 0.0)
-    assert protocol.handle([Received(message, key_sender)], 0.01) == []
-    state = last_state(protocol.handle([], content.beat_s))
+    act(protocol, [telemetry], 0.0)
+    assert act(protocol, [Received(message, key_sender)], 0.01) == []
+    state = last_state(act(protocol, [], content.beat_s))
     assert state.refused == {reason: 1}
     assert state.heard["area2"] == (0, 0, 0)
 
 
 def test_payloads_that_cannot_be_decoded_are_counted_by_reason(area1):
     protocol, telemetry, _ = area1
-    state = last_state(protocol.handle([telemetry, Refused("malformed", 2), Refused("malformed", 1)], 0.0))
+    state = last_state(act(protocol, [telemetry, Refused("malformed", 2), Refused("malformed", 1)], 0.0))
     assert state.refused == {"malformed": 2}
 
 
 def test_an_overtaken_message_changes_nothing(area1):
     protocol, telemetry, _ = area1
-    protocol.handle([telemetry, Received(load_from_area2(3), "area2")], 0.0)
-    assert protocol.handle([Received(load_from_area2(2), "area2")], 0.01) == []
+    act(protocol, [telemetry, Received(load_from_area2(3), "area2")], 0.0)
+    assert act(protocol, [Received(load_from_area2(2), "area2")], 0.01) == []
 
 
 def test_a_message_of_a_former_life_changes_nothing(area1):
     protocol, telemetry, _ = area1
-    protocol.handle([telemetry, Received(load_from_area2(1), "area2")], 0.0)
+    act(protocol, [telemetry, Received(load_from_area2(1), "area2")], 0.0)
     late = load_from_area2(99, incarnation=Incarnation(4, 9))
-    assert protocol.handle([Received(late, "area2")], 0.01) == []
+    assert act(protocol, [Received(late, "area2")], 0.01) == []
 
 
 def test_a_gone_neighbour_is_named(area1):
     protocol, telemetry, _ = area1
-    protocol.handle([telemetry, PresenceChanged("area2", alive=True)], 0.0)
-    left = last_state(protocol.handle([PresenceChanged("area2", alive=False, farewell="SIGTERM")], 0.005))
+    act(protocol, [telemetry, PresenceChanged("area2", alive=True)], 0.0)
+    left = last_state(act(protocol, [PresenceChanged("area2", alive=False, farewell="SIGTERM")], 0.005))
     assert "neighbour area2 has left: SIGTERM" in left.notes
-    protocol.handle([PresenceChanged("area2", alive=True)], 0.007)
-    state = last_state(protocol.handle([PresenceChanged("area2", alive=False)], 0.01))
+    act(protocol, [PresenceChanged("area2", alive=True)], 0.007)
+    state = last_state(act(protocol, [PresenceChanged("area2", alive=False)], 0.01))
     assert "neighbour area2 is gone" in state.notes
 
 
@@ -218,21 +236,21 @@ def test_readings_of_unknown_meters_are_refused_and_missing_ones_named(area1):
     protocol, telemetry, _ = area1
     message = telemetry.message
     strange = replace(message, meters=("vm@999", *message.meters[1:]))
-    state = last_state(protocol.handle([Received(strange, "")], 0.0))
+    state = last_state(act(protocol, [Received(strange, "")], 0.0))
     assert state.refused == {"unknown meter": 1}
     assert "no reading from 1 meters, the first is vm@1" in state.notes
 
 
 def test_a_stop_finishes_with_its_reason(area1):
     protocol, _, _ = area1
-    assert protocol.handle([StopRequested("SIGTERM")], 0.0) == [Finish("SIGTERM")]
+    assert act(protocol, [StopRequested("SIGTERM")], 0.0) == [Finish("SIGTERM")]
 
 
 def test_a_flood_of_refused_payloads_is_no_news(area1):
     protocol, telemetry, content = area1
-    before = last_state(protocol.handle([telemetry], 0.0))
-    assert protocol.handle([Refused("unknown sender", 10_000)], 0.01) == []
-    after = last_state(protocol.handle([], content.beat_s))
+    before = last_state(act(protocol, [telemetry], 0.0))
+    assert act(protocol, [Refused("unknown sender", 10_000)], 0.01) == []
+    after = last_state(act(protocol, [], content.beat_s))
     assert after.header.order == before.header.order
     assert after.refused == {"unknown sender": 10_000}
 
@@ -249,7 +267,7 @@ def test_a_flood_of_refused_payloads_is_no_news(area1):
 )
 def test_telemetry_that_cannot_be_is_refused_and_counted(area1, change, reason):
     protocol, telemetry, _ = area1
-    state = last_state(protocol.handle([Received(change(telemetry.message), "")], 0.0))
+    state = last_state(act(protocol, [Received(change(telemetry.message), "")], 0.0))
     assert state.refused == {reason: 1}
 
 

@@ -158,3 +158,18 @@ def test_small_areas_are_dense_unless_asked_otherwise():
     assert build_area_model(small, (), None).dense
     assert build_area_model(small, (), None, backend="sparse").dense is None
     assert build_area_model(large, (), None).dense is None
+
+
+@pytest.mark.parametrize("backend", [pytest.param("tree", marks=needs_numba), "sparse", "dense"])
+def test_the_same_meters_read_anew_give_what_a_new_model_gives(backend):
+    feeder = make_feeder(7, n_bus=20, n_area=1)
+    (area,) = feeder.partition.areas
+    first = feeder.telemetry()[area.name]
+    second = [replace(m, value=m.value + 0.01, sigma=2 * m.sigma) for m in first]
+    reference = area.reference[0]
+    built, old = (build_area_model(area, readings, reference, backend=backend) for readings in (second, first))
+    x = np.r_[np.zeros(20), np.ones(20)]
+    before = solve_step(old, x, {})
+    np.testing.assert_array_equal(solve_step(old.with_readings(second), x, {}), solve_step(built, x, {}))
+    np.testing.assert_array_equal(solve_step(old, x, {}), before)
+    assert abs(solve_step(built, x, {}) - before).max() > 1e-6
