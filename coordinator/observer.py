@@ -14,7 +14,7 @@ from array import array
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from agents.hearing import FRESH_BEATS
+from agents.hearing import FRESH_BEATS, OVER_BEATS, is_old
 from agents.messages import StateMessage
 from agents.quality import NONE, STALE
 from dsse_core.partition import Partition
@@ -115,7 +115,7 @@ class Observer:
         if watched is None or not self._is_of_its_area(state):
             return False
         last = watched.state
-        if last is not None and state.header.order < last.header.order:
+        if last is not None and is_old(state.header, last.header, now - watched.heard_at, OVER_BEATS * self.beat_s):
             return False
         if last is not None and state.header.incarnation != last.header.incarnation:
             self._disturbed = True

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import pytest
 
+from agents.hearing import OVER_BEATS
 from agents.messages import Header, Incarnation, StateMessage
 from coordinator.observer import Observer
 from dsse_core.partition import Area
@@ -201,6 +202,16 @@ def test_a_restarted_area_is_heard_at_once_although_it_counts_from_one_again():
     observer = watch(a_state("area1", sequence=9))
     assert observer.take_state(restarted("area1"), 1.0)
     assert observer.states["area1"].header.incarnation == Incarnation(2, 0)
+
+
+def test_an_area_restarted_with_its_clock_set_back_is_heard_once_its_former_life_is_over():
+    observer = watch()
+    last_heard = 3 * BEAT
+    earlier = a_state(AREAS[0], vm=(1.01,) * len(a_state(AREAS[0]).buses))
+    earlier = replace(earlier, header=replace(earlier.header, incarnation=Incarnation(0, 7)))
+    assert not observer.take_state(earlier, last_heard + OVER_BEATS * BEAT)
+    assert observer.take_state(earlier, last_heard + (OVER_BEATS + 1) * BEAT)
+    assert observer.states[AREAS[0]].vm[0] == 1.01
 
 
 def test_a_stranger_is_ignored():
