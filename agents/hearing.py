@@ -111,12 +111,17 @@ class Hearing:
         return {name: message.header.scan for name, message in sorted(self.boundary.items())}
 
     def usable(self, now: float) -> dict[str, BoundaryNews]:
-        """The boundary messages to be used: of an older scan only for a while, until their senders should have ours.
+        """The boundary messages to be used: of another scan only for a while, until their senders should have ours.
 
-        Later they would pass for knowledge of a state that has moved on.
+        Later they would pass for knowledge of a state that has moved on. Who is ahead is used as long as he is heard.
         """
         waits = now - self._scan_since < self._fresh_s
-        return {name: m for name, m in self.boundary.items() if waits or m.header.scan >= self.scan}
+        ahead = {name for name, at in self._heard_at.items() if now - at < self._fresh_s}
+        return {
+            name: m
+            for name, m in self.boundary.items()
+            if waits or m.header.scan == self.scan or (m.header.scan > self.scan and name in ahead)
+        }
 
     def is_late(self, now: float) -> bool:
         """Whether telemetry has not been heard for too long."""

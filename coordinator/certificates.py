@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime
 import ipaddress
 import os
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -20,6 +21,8 @@ from dsse_core.errors import InvalidInputError
 from dsse_core.partition import Partition
 
 HERE = ("localhost", "127.0.0.1", "::1")
+LONGEST_HOST = 253  # letters of a name in the DNS, RFC 1035
+LABEL = re.compile(r"[A-Za-z0-9_]([A-Za-z0-9_-]{0,61}[A-Za-z0-9_])?")
 LONGEST_NAME = 64  # letters of a common name, X.520
 CLOCKS_DIFFER = datetime.timedelta(minutes=5)  # a certificate is valid so long before it was made
 
@@ -60,7 +63,11 @@ def create_keys(folder: Path, access: Access, days: float, hosts: Sequence[str] 
         for name in access.names
         if len(name) > LONGEST_NAME
     ]
-    problems += [f"host {host!r} is neither a name in ASCII nor an address" for host in hosts if not host.isascii()]
+    problems += [
+        f"host {host!r} is neither a name nor an address; without port and protocol, as grid-a.example or 192.0.2.7"
+        for host in hosts
+        if not _is_host(host)
+    ]
     if AUTHORITY in access.names:
         problems.append(f"area {AUTHORITY!r}: its files would be those of the authority; name the area otherwise")
     if problems:
@@ -145,6 +152,13 @@ def _begin(
 
 def _name(common_name: str) -> x509.Name:
     return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, common_name)])
+
+
+def _is_host(host: str) -> bool:
+    """Whether it is an address, or a name of letters, digits and hyphens, not all numbers."""
+    labels = host.split(".")
+    is_name = len(host) <= LONGEST_HOST and all(map(LABEL.fullmatch, labels)) and not labels[-1].isdigit()
+    return is_name or (host.isascii() and isinstance(_host(host), x509.IPAddress))
 
 
 def _host(host: str) -> x509.GeneralName:

@@ -17,8 +17,8 @@ from coordinator.cli_studies import study_commands
 from coordinator.cli_watch import watch
 from coordinator.terminal import (
     DEFAULT_ENDPOINT,
-    SECONDS,
     SECURE_ENDPOINT,
+    Number,
     bus_timeout_option,
     choose_endpoints,
     connect_option,
@@ -40,6 +40,10 @@ from dsse_core.errors import DsseError
 
 if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts fast
     from scenarios.scenario import Scenario
+
+
+SHORTEST_SCAN_S = 0.001
+SCAN_SECONDS = Number(min=SHORTEST_SCAN_S, max=86400)
 
 
 def run_command(arguments: Sequence[str]) -> int:
@@ -258,7 +262,9 @@ def router(endpoints: tuple[str, ...], others: tuple[str, ...], keys: Path | Non
 @run_id_option
 @bus_timeout_option
 @seed_option
-@click.option("--every", type=SECONDS, metavar="S", help="Make a new scan every so many seconds.  [default: one only]")
+@click.option(
+    "--every", type=SCAN_SECONDS, metavar="S", help="Make a new scan every so many seconds.  [default: one only]"
+)
 def plant(
     scenario: str,
     endpoints: tuple[str, ...],
@@ -277,8 +283,8 @@ def plant(
     from coordinator.plant import run_plant
     from coordinator.split import choose_run_id
 
-    # a plant that is started anew has new readings: seconds count on where its last life ended
-    scan = int(time.time())
+    # a plant that is started anew has new readings: the clock is ahead of all numbers of its last life
+    scan = int(time.time() / SHORTEST_SCAN_S)
     endpoints = choose_endpoints(endpoints, keys is not None)
     direct = prepared.transport.kind == "neighbours"
     return run_plant(prepared, choose_run_id(prepared, run_id), endpoints, timeout, scan, every, keys, direct)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from agents.hearing import OVER_BEATS, Hearing
-from agents.messages import Header, Incarnation, LoadMessage, TelemetryMessage
+from agents.messages import BoundaryMessage, Header, Incarnation, LoadMessage, TelemetryMessage
 
 BEAT_S = 0.2
 OVER_S = OVER_BEATS * BEAT_S
@@ -53,3 +53,13 @@ def test_a_plant_whose_clock_was_set_back_is_heard_once_its_former_life_is_over(
     assert not hearing.take_telemetry(set_back, 0.9 * OVER_S)
     assert hearing.take_telemetry(set_back, 1.1 * OVER_S)
     assert hearing.telemetry == set_back
+
+
+def test_information_of_a_later_scan_is_used_only_as_long_as_it_is_heard():
+    hearing = Hearing(BEAT_S)
+    own = TelemetryMessage(replace(header(FIRST), sender="plant"), "area1", (), (), ())
+    hearing.take_telemetry(own, 0.0)
+    ahead = BoundaryMessage(replace(header(FIRST), scan=2), 6, 1.0, 0.0, True)
+    hearing.take(ahead, 1.0)
+    assert hearing.usable(1.5) == {"area2": ahead}
+    assert hearing.usable(1.7) == {}  # its scan was that of a plant that is no more, and so is its sender

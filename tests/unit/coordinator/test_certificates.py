@@ -143,7 +143,12 @@ def test_dsse_keys_create_says_what_it_made_and_refuses_to_do_it_again(tmp_path:
     [
         (["--days", "0"], "--days"),
         (["--run", "a/b"], "may only contain a-z, 0-9, _ and -"),
-        (["--host", "händler.example"], "is neither a name in ASCII nor an address"),
+        (["--host", "händler.example"], "host 'händler.example' is neither a name nor an address"),
+        (["--host", "a.example:7447"], "host 'a.example:7447' is neither a name nor an address; without port"),
+        (["--host", "tls/192.0.2.7"], "is neither a name nor an address"),
+        (["--host", "192.0.2.777"], "is neither a name nor an address"),
+        (["--host", ""], "is neither a name nor an address"),
+        (["--host", "a" * 64 + ".example"], "is neither a name nor an address"),
         (["--out", "/dev/null/keys"], "cannot be made: Not a directory"),
     ],
 )
