@@ -5,12 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from dsse_core.errors import InvalidInputError, NotObservableError
+from dsse_core.estimation_plan import build_estimation_plan
 from dsse_core.measurement import MeasurementKind, Meter, Source
 from dsse_core.network import Network
 from dsse_core.observability import check_observable
 from dsse_core.partition import Area
 from scenarios.scenario import Scenario
 from scenarios.telemetry import find_missing_local_slacks
+
+# From which on the compiled check of a plan, numba's import included, is quicker where the grid is radial.
+# Measured, processor time: 0.30 and 0.17 s for 10,000 buses, 0.7 and 3.4 s for 100,000.
+FEWEST_BUSES_OF_PLAN = 20_000
 
 
 def check_scenario(scenario: Scenario) -> None:
@@ -78,8 +83,9 @@ def _find_substation_problems(scenario: Scenario) -> Iterator[str]:
 
 
 def _find_gaps(place: str, network: Network, meters: Sequence[Meter], reference: int | None) -> list[str]:
+    is_large = len(network.buses) >= FEWEST_BUSES_OF_PLAN
     try:
-        check_observable(network, meters, reference=reference)
+        (build_estimation_plan if is_large else check_observable)(network, meters, reference=reference)
     except NotObservableError as error:
         return [f"{place}: {error}"]
     return []

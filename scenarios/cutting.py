@@ -96,28 +96,46 @@ def _find_switch_problems(network: Network, blocks: Sequence[Block], switches: S
     return problems
 
 
-@dataclass(slots=True)
-class _Bundle:
-    """Blocks that hang at one bus, with all that is joined to them below; ``joined`` to the block above, or closed."""
+@dataclass(frozen=True, slots=True)
+class _Hanging:
+    """What hangs where. ``below``: of each block under which any do, for each such bus the blocks whose top it is."""
 
-    weight: int
-    blocks: list[int]
-    joined: bool = False
+    sizes: list[int]
+    below: dict[int, list[list[int]]]  # in the order of the blocks
+    at_top: list[list[int]]  # those that hang below no block
+
+
+@dataclass(slots=True)
+class _Packing:
+    """Blocks in bundles: blocks that hang at one bus, with all that is joined to them below.
+
+    ``leader``: of each block the one that stands for its bundle. ``joined``: whether the bundle that it stands for
+    is joined to the block above; else it is an area. ``weight``: of a leader that of the bundle.
+    """
+
+    weight: list[int]
+    leader: list[int]
+    joined: bytearray
+
+    @property
+    def n_area(self) -> int:
+        return len(set(self.leader)) - sum(self.joined)
 
 
 def _balance(blocks: Sequence[Block], count: int) -> list[list[Block]]:
     """Exactly ``count`` areas of ``blocks``, which are connected, each before the one above it."""
+    hanging = _find_hanging(blocks)
 
     def fits(bound: int) -> bool:
-        return sum(not bundle.joined for bundle in _pack(blocks, bound)) <= count
+        return _pack(hanging, bound).n_area <= count
 
-    low, high = 0, -(-sum(len(block.buses) for block in blocks) // count)
+    low, high = 0, -(-sum(hanging.sizes) // count)
     while not fits(high):
         low, high = high, 2 * high
     while high - low > 1:
         middle = (low + high) // 2
         low, high = (low, middle) if fits(middle) else (middle, high)
-    areas = _read_off(blocks, _pack(blocks, high))
+    areas = _read_off(blocks, _pack(hanging, high))
     largest = [(-sum(len(block.buses) for block in area), i) for i, area in enumerate(areas)]
     heapq.heapify(largest)
     while len(areas) < count:
@@ -132,7 +150,17 @@ def _balance(blocks: Sequence[Block], count: int) -> list[list[Block]]:
     return areas
 
 
-def _pack(blocks: Sequence[Block], bound: int) -> list[_Bundle]:
+def _find_hanging(blocks: Sequence[Block]) -> _Hanging:
+    at: dict[int, list[int]] = {}  # bus -> the blocks that hang there
+    below = {}
+    for i, block in enumerate(blocks):
+        if groups := [at.pop(bus) for bus in block.buses if bus in at]:
+            below[i] = groups
+        at.setdefault(block.top, []).append(i)
+    return _Hanging([len(block.buses) for block in blocks], below, list(at.values()))
+
+
+def _pack(hanging: _Hanging, bound: int) -> _Packing:
     """As few areas as found in one walk towards the substation, none larger than ``bound`` but single blocks.
 
     Kundu and Misra's greedy rule for trees ("A linear tree partitioning algorithm", SIAM J. Comput. 6 (1977)
@@ -140,57 +168,46 @@ def _pack(blocks: Sequence[Block], bound: int) -> list[_Bundle]:
     block above: they are bundled, the lightest bundle may be joined. Any two bundles at a bus exceed ``bound``, and
     from this follows by their exchange argument that twice the smallest possible bound needs no more areas.
     """
-    bundles: list[_Bundle] = []
-    hanging: dict[int, list[tuple[int, int]]] = {}  # bus -> (weight with what is joined below, block) of each there
-    for i, block in enumerate(blocks):
-        lightest = []
-        for bus in block.buses:
-            if bus in hanging:
-                bundled = _bundle(hanging.pop(bus), bound)
-                bundles += bundled
-                lightest.append(min(bundled, key=_weight) if len(bundled) > 1 else bundled[0])
-        weight = len(block.buses)
-        for bundle in sorted(lightest, key=_weight) if len(lightest) > 1 else lightest:
-            if weight + bundle.weight > bound:
+    weight, leader = hanging.sizes.copy(), list(range(len(hanging.sizes)))
+    joined = bytearray(len(weight))
+    for i, groups in hanging.below.items():
+        lightest = [group[0] if len(group) == 1 else _bundle(group, bound, weight, leader) for group in groups]
+        for k in sorted(lightest, key=weight.__getitem__) if len(lightest) > 1 else lightest:
+            if weight[i] + weight[k] > bound:
                 break
-            weight += bundle.weight
-            bundle.joined = True
-        hanging.setdefault(block.top, []).append((weight, i))
-    for at_top in hanging.values():
-        bundles += _bundle(at_top, bound)
-    return bundles
+            weight[i] += weight[k]
+            joined[k] = True
+    for group in hanging.at_top:
+        _bundle(group, bound, weight, leader)
+    return _Packing(weight, leader, joined)
 
 
-def _bundle(items: list[tuple[int, int]], bound: int) -> list[_Bundle]:
-    """Bundles of (weight, block), none heavier than ``bound`` but single items, any two together heavier."""
-    if len(items) == 1:  # nearly everywhere
-        return [_Bundle(items[0][0], [items[0][1]])]
-    bundles: list[_Bundle] = []
-    lightest: list[tuple[int, int]] = []
-    for weight, block in sorted(items, reverse=True):
-        if lightest and lightest[0][0] + weight <= bound:
-            bundle = bundles[lightest[0][1]]
-            bundle.weight += weight
-            bundle.blocks.append(block)
-            heapq.heapreplace(lightest, (bundle.weight, lightest[0][1]))
+def _bundle(group: Sequence[int], bound: int, weight: list[int], leader: list[int]) -> int:
+    """Put the blocks of ``group`` into bundles, none heavier than ``bound`` but single blocks, any two heavier.
+
+    Returns the lightest; ``weight`` and ``leader`` are changed.
+    """
+    leaders: list[int] = []
+    lightest: list[tuple[int, int]] = []  # weight, and where in leaders
+    for _, i in sorted(((weight[i], i) for i in group), reverse=True):
+        if lightest and lightest[0][0] + weight[i] <= bound:
+            first = leaders[lightest[0][1]]
+            leader[i] = first
+            weight[first] += weight[i]
+            heapq.heapreplace(lightest, (weight[first], lightest[0][1]))
         else:
-            heapq.heappush(lightest, (weight, len(bundles)))
-            bundles.append(_Bundle(weight, [block]))
-    return bundles
+            heapq.heappush(lightest, (weight[i], len(leaders)))
+            leaders.append(i)
+    return leaders[lightest[0][1]]
 
 
-def _weight(bundle: _Bundle) -> int:
-    return bundle.weight
-
-
-def _read_off(blocks: Sequence[Block], bundles: Sequence[_Bundle]) -> list[list[Block]]:
-    """The areas that bundles stand for, each in the order of ``blocks``."""
-    bundle_of = {i: bundle for bundle in bundles for i in bundle.blocks}
+def _read_off(blocks: Sequence[Block], packing: _Packing) -> list[list[Block]]:
+    """The areas of ``packing``, each in the order of ``blocks``."""
     area_above: dict[int, list[Block]] = {}  # bus -> the area that reaches down to it
-    areas: dict[int, list[Block]] = {}
+    areas: dict[int, list[Block]] = {}  # by leader
     for i in range(len(blocks) - 1, -1, -1):
-        block, bundle = blocks[i], bundle_of[i]
-        area = area_above[block.top] if bundle.joined else areas.setdefault(id(bundle), [])
+        block, first = blocks[i], packing.leader[i]
+        area = area_above[block.top] if packing.joined[first] else areas.setdefault(first, [])
         area.append(block)
         for bus in block.buses:
             area_above[bus] = area

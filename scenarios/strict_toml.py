@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Tag, ValidationError
 from pydantic_core import ErrorDetails
 
 from dsse_core.errors import InvalidInputError
-from scenarios.bounded_files import LARGEST, LARGEST_TOML, read_text
+from scenarios.bounded_files import LARGEST_JSON, LARGEST_TOML, read_text
 
 
 class Table(BaseModel):
@@ -36,7 +36,7 @@ def load_strict(path: Path, model: type[Model], changes: Mapping[str, object] | 
         InvalidInputError: the file cannot be read, is not TOML (with line and column), or does not fit the
             model: every problem with its key path (list items count from 0) and, for unknown keys, what is allowed.
     """
-    text = read_text(path, largest=LARGEST if path.suffix == ".json" else LARGEST_TOML)
+    text = read_text(path, largest=LARGEST_JSON if path.suffix == ".json" else LARGEST_TOML)
     try:
         content = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # of the two readers, or dates and integers that Python cannot hold
