@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,6 +12,7 @@ from dsse_core.boundary_load import boundary_loads, scheduled_load_messages
 from dsse_core.errors import InvalidInputError
 from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.power_flow import PowerFlowResult, solve_power_flow
+from scenarios.meter_noise import draw_noise
 from scenarios.meters import other_power
 from scenarios.scenario import Scenario
 
@@ -52,7 +53,8 @@ def make_telemetry(scenario: Scenario, scan: int = 1) -> Telemetry:
                 exact |= _read_exactly(power_flow, meters_by_area[name])
         else:
             exact = _read_exactly(truth, scenario.meters)
-        union = tuple(_read(scenario, scan, meter, lambda meter: exact[meter.id]) for meter in scenario.meters)
+        noise = _draw_noise(scenario, scan)
+        union = tuple(_read(scenario, meter, exact, noise.get(meter.id, 0.0)) for meter in scenario.meters)
     union = tuple(m for m in union if not _is_missing(scenario, scan, m.meter))
     reading = {measurement.meter: measurement for measurement in union}
     by_area = {name: tuple(reading[m] for m in meters if m in reading) for name, meters in meters_by_area.items()}
@@ -120,12 +122,24 @@ def _real_reading(scenario: Scenario, meter: Meter) -> Measurement:
     return replace(real, value=real.value + scenario.telemetry.gross_errors.get(meter.id, 0.0) * real.sigma)
 
 
-def _read(scenario: Scenario, scan: int, meter: Meter, read: Callable[[Meter], float]) -> Measurement:
+def _draw_noise(scenario: Scenario, scan: int) -> dict[str, float]:
+    """Id of each meter that reads -> its noise, in standard deviations; empty where there is none."""
+    if not scenario.telemetry.noise:
+        return {}
+    ids = [meter.id for meter in scenario.meters if meter.source is not Source.VIRTUAL]
+    own = np.array([zlib.crc32(meter_id.encode()) for meter_id in ids], dtype=np.uint32)
+    return dict(zip(ids, draw_noise([scenario.seed, scan], own).tolist(), strict=True))
+
+
+def _read(scenario: Scenario, meter: Meter, exact: Mapping[str, float], noise: float) -> Measurement:
+    """``exact``: see ``_read_exactly``; ``noise``: in standard deviations."""
     if meter.source is Source.VIRTUAL:
         return Measurement(meter, 0.0, 0.0)
+
+    def read(meter: Meter) -> float:
+        return exact[meter.id]
+
     sigma = scenario.sigma_rule.sigma(meter, read)
-    sigmas_off = scenario.telemetry.gross_errors.get(meter.id, 0.0)
-    if scenario.telemetry.noise:
-        sigmas_off += np.random.default_rng([scenario.seed, scan, zlib.crc32(meter.id.encode())]).standard_normal()
+    sigmas_off = scenario.telemetry.gross_errors.get(meter.id, 0.0) + noise
     value = read(meter) + sigmas_off * sigma
     return Measurement(meter, max(value, 0.0) if meter.kind is MeasurementKind.CURRENT else value, sigma)
