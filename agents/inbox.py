@@ -4,6 +4,7 @@ import queue
 from typing import Any
 
 MAX_WAITING = 10_000
+SUPERSEDED = object()  # a newer item of the slot is being put at this very moment, and will be announced
 
 
 class Inbox:
@@ -35,4 +36,5 @@ class Inbox:
             while True:
                 self._announced.get_nowait()
         except queue.Empty:
-            return [self._news.pop(slot) for slot in list(self._news)]
+            taken = [self._news.pop(slot, SUPERSEDED) for slot in list(self._news)]
+            return [item for item in taken if item is not SUPERSEDED]

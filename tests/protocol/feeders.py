@@ -99,7 +99,12 @@ def _draw_network(rng: np.random.Generator, upstream: list[int], decades: float)
 
 
 def load_to(network: Network, lowest: float) -> Network:
-    """Scale all loads until the largest voltage drop against the unloaded feeder is ``1 - lowest``."""
+    """Scale all loads until the largest voltage drop against the unloaded feeder is ``1 - lowest``.
+
+    Without a load beyond the slack bus nothing drops, and nothing is scaled.
+    """
+    if not any(b.p_load for b in network.buses if b.id != network.slack.bus):
+        return network
 
     def scaled(factor: float) -> Network:
         buses = tuple(replace(b, p_load=b.p_load * factor, q_load=b.q_load * factor) for b in network.buses)
