@@ -35,7 +35,7 @@ def speak(endpoint: str, credentials: Credentials | None) -> None:
     """As area2, tell lies in the name of others, and listen to what is not for area2."""
     heard: set[str] = set()
     seen: set[str] = set()
-    scan = int(time.time()) + LATER
+    scan = int(1000 * time.time()) + LATER
     lies = make_payloads(replace(load_scenario(RUN), seed=99), RUN, begin_life(), scan)
     with (
         Session.connect([endpoint], DEADLINE_S, credentials) as mouth,  # a session hears itself, whoever forbids it

@@ -106,7 +106,7 @@ class TwoRouters(SystemByHand):
 
     def replace_plant(self, after: int) -> None:
         """A new plant makes a new scan, above ``after``, with the same readings: the seed is the same."""
-        wait_until(lambda: time.time() >= after + 1)  # it numbers its scan by the second
+        wait_until(lambda: 1000 * time.time() >= after + 1)  # it numbers its scan by the millisecond
         assert self.end("plant") == 0
         self.start("plant", "plant", RUN, "--connect", self.here)
 
