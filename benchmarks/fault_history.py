@@ -119,16 +119,18 @@ def run_history(seed: int) -> HistoryOutcome:
 
 
 def draw_world(rng: np.random.Generator) -> World:
-    """3 to 6 areas of 3 to 8 buses; loads move from scan to scan; readings fail now and then."""
+    """3 to 6 areas of 3 to 8 buses; loads move from scan to scan; readings, but one voltmeter's, fail now and then."""
     n_area = int(rng.choice([3, 4, 5, 6], p=[0.5, 0.25, 0.15, 0.1]))
     network, _ = generate_feeder(n_area * int(rng.integers(3, 9)), rng, lowest_vm=float(rng.uniform(0.92, 0.98)))
     partition = build_partition(network, cut_into(network, n_area))
     meters = _draw_meters(rng, network)
     missing = float(rng.choice([0.0, 0.0, 0.05]))
+    voltmeter = next(m for m in meters if m.kind is MeasurementKind.VM)  # without any there is no estimate
     telemetry, central = [], []
     for _ in range(SCANS):
         flow = solve_power_flow(_with_other_loads(rng, network))
-        spared = [m.source is Source.VIRTUAL or m.kind.of_injection or rng.random() >= missing for m in meters]
+        lasting = [m.source is Source.VIRTUAL or m.kind.of_injection for m in meters]
+        spared = [lasts or rng.random() >= missing or m == voltmeter for m, lasts in zip(meters, lasting, strict=True)]
         kept = [m for m, stays in zip(_read(rng, meters, flow), spared, strict=True) if stays]
         central.append(process_bad_data(network, kept, tolerance=1e-11))
         by_area: dict[str, list[Measurement]] = {area.name: [] for area in partition.areas}
