@@ -15,6 +15,9 @@ import pytest
 from dsse_command import COMMAND, ENVIRONMENT, ROOT
 from waiting import DEADLINE_S, is_gone, wait_until
 
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # what nohup and background jobs ignore, commands would ignore, too
+signal.signal(signal.SIGINT, signal.default_int_handler)
+
 
 @dataclass
 class RunUnderWay:
@@ -78,7 +81,6 @@ def start_run(tmp_path: Path) -> Iterator[Callable[..., RunUnderWay]]:
             stderr=subprocess.PIPE,
             text=True,
             start_new_session=True,
-            preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),  # under nohup it would be ignored
         )
         started.append(RunUnderWay(process, folder))
         return started[-1]

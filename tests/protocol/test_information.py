@@ -194,6 +194,8 @@ THREE_BUSES = {"seed": 467362, "n_bus": 3, "n_area": 3, "chain": 0.9, "decades":
 @given(GRIDS, st.sampled_from([0.0, 0.3, 0.6]), st.one_of(st.none(), st.integers(0, 1000)))
 def test_any_grid_with_any_meters_reaches_it(grid, loss, gross_errors):
     feeder = make_grid(**grid)
+    if not any(b.p_load for b in feeder.network.buses if b.id != feeder.network.slack.bus):
+        reject()  # where nothing flows, a gross error leaves several minima
     if gross_errors is not None:
         feeder = with_gross_errors(np.random.default_rng(gross_errors), feeder)
     try:
