@@ -77,7 +77,8 @@ class AreaModel:
         """The same meters, read anew: what rests on topology and meters is kept."""
         other = copy.copy(self)  # with all that is cached
         other.__dict__.update(z=_values_of(measurements), sigma=_sigmas_of(measurements))
-        other.__dict__.pop("tree", None)
+        if (tree := self.__dict__.get("tree")) is not None:
+            other.__dict__.update(tree=tree.with_readings(other.z, other.sigma))
         return other
 
     @property

@@ -6,9 +6,10 @@ is not, the answer is None, and the sparse path has to find it.
 
 from __future__ import annotations
 
+import copy
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -88,6 +89,13 @@ class AreaTree:
             [-1 if n.is_parent else first + 2 * children.index(n.area) for n in area.neighbours], dtype=np.int64
         )
         self._size = first + 2 * len(children)
+
+    def with_readings(self, z: np.ndarray, sigma: np.ndarray) -> AreaTree:
+        """The same meters, read anew: trees and the memory of the passes are shared."""
+        other = copy.copy(self)
+        other._z, other._sigma = z, sigma
+        other._rooted = {bus: other._read_into(rooted) for bus, rooted in self._rooted.items()}
+        return other
 
     @cached_property
     def _top(self) -> int:
@@ -215,17 +223,12 @@ class AreaTree:
         layout = lay_out_tree(network, bus)
         assert isinstance(layout, TreeLayout)  # find_no_tree
         n, k = len(network.buses), len(neighbours)
-        slot = find_slots(network, self._meters, layout)
-        of_injection = np.isin(slot % N_SLOT, (2, 3))
-        z, w = np.zeros((n, N_SLOT)), tree_kernel.absent(n)
-        z.ravel()[slot] = self._z
-        w.ravel()[slot] = np.where(of_injection, self._sigma**2.0, self._sigma**-2.0)
-        self._rooted[bus] = rooted = _Rooted(
+        rooted = _Rooted(
             layout=layout,
             admittance=stack_admittances(*read_branches(network), read_shunts(network, layout), layout),
-            slot=slot,
-            z=z,
-            w=w,
+            slot=find_slots(network, self._meters, layout),
+            z=np.zeros((n, N_SLOT)),
+            w=tree_kernel.absent(n),
             at=np.array([layout.number[network.row[n.bus]] for n in neighbours], dtype=np.int64),
             work=tree_kernel.Work.of(n),
             v=np.empty(n, dtype=complex),
@@ -235,7 +238,16 @@ class AreaTree:
             told_z=np.zeros((k, 4)),
             role=np.zeros(k, dtype=np.int64),
         )
+        self._rooted[bus] = rooted = self._read_into(rooted)
         return rooted
+
+    def _read_into(self, t: _Rooted) -> _Rooted:
+        """``t`` with the readings."""
+        z, w = t.z.copy(), t.w.copy()
+        of_injection = np.isin(t.slot % N_SLOT, (2, 3))
+        z.ravel()[t.slot] = self._z
+        w.ravel()[t.slot] = np.where(of_injection, self._sigma**2.0, self._sigma**-2.0)
+        return replace(t, z=z, w=w)
 
 
 def _with_own_balance(
