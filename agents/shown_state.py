@@ -86,19 +86,19 @@ class ShownState:
 
 def _compose(buses: tuple[int, ...], header: Header, estimate: Estimate | None) -> StateMessage:
     """What there is to say of ``estimate``; everything else is empty."""
-    return StateMessage(
+    state = StateMessage(
         header=header,
-        buses=() if estimate is None else buses,
-        vm=() if estimate is None else tuple(estimate.vm.tolist()),
-        va=() if estimate is None else tuple(estimate.va.tolist()),
-        sigma_vm=() if estimate is None else tuple(estimate.sigma_vm.tolist()),
-        sigma_va=() if estimate is None else tuple(estimate.sigma_va.tolist()),
-        referenced=estimate is not None and estimate.referenced,
-        objective=0.0 if estimate is None else estimate.objective,
-        degrees_of_freedom=0 if estimate is None else estimate.degrees_of_freedom,
-        removed=() if estimate is None else estimate.removed,
-        critical=() if estimate is None else estimate.critical,
-        checked=estimate is not None and estimate.checked,
+        buses=(),
+        vm=(),
+        va=(),
+        sigma_vm=(),
+        sigma_va=(),
+        referenced=False,
+        objective=0.0,
+        degrees_of_freedom=0,
+        removed=(),
+        critical=(),
+        checked=False,
         sent={},
         heard={},
         messages=0,
@@ -111,6 +111,22 @@ def _compose(buses: tuple[int, ...], header: Header, estimate: Estimate | None) 
         telemetry_age=0.0,
         ages={},
         scans={},
+    )
+    if estimate is None:
+        return state
+    return replace(
+        state,
+        buses=buses,
+        vm=tuple(estimate.vm.tolist()),
+        va=tuple(estimate.va.tolist()),
+        sigma_vm=tuple(estimate.sigma_vm.tolist()),
+        sigma_va=tuple(estimate.sigma_va.tolist()),
+        referenced=estimate.referenced,
+        objective=estimate.objective,
+        degrees_of_freedom=estimate.degrees_of_freedom,
+        removed=estimate.removed,
+        critical=estimate.critical,
+        checked=estimate.checked,
     )
 
 
