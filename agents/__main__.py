@@ -15,9 +15,9 @@ from agents.access_file import ACCESS_FILE, load_access
 from agents.area_file import AreaFile
 from agents.area_reader import load_area_file
 from agents.credentials import load_credentials
+from agents.events import StopRequested
 from agents.inbox import Inbox
 from agents.loop import run_agent
-from agents.protocol import StopRequested
 from agents.strategies import STRATEGIES
 from agents.transport import Session
 from dsse_core.errors import DsseError, InvalidInputError

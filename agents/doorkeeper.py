@@ -7,10 +7,10 @@ import threading
 from collections import Counter
 from collections.abc import Collection
 
+from agents.events import Received, Refused
 from agents.inbox import Inbox
 from agents.keys import sender_of
 from agents.messages import MAX_BYTES, MAX_NEIGHBOUR_BYTES, decode
-from agents.protocol import Received, Refused
 from agents.wire_checks import MessageError
 
 log = logging.getLogger(__name__)

@@ -10,6 +10,7 @@ from typing import Any
 
 from agents.area_file import AreaFile
 from agents.doorkeeper import Doorkeeper
+from agents.events import Event, Finish, PresenceChanged, Publish
 from agents.inbox import Inbox
 from agents.keys import (
     all_from_neighbours,
@@ -24,7 +25,7 @@ from agents.keys import (
 from agents.link import FaultyLinks
 from agents.messages import ClockMessage, StateMessage, decode
 from agents.presence import Presence, begin_life, read_farewell
-from agents.protocol import AreaProtocol, Event, Finish, PresenceChanged, Publish
+from agents.protocol import AreaProtocol
 from agents.strategies import make_strategy
 from agents.transport import Session
 from agents.wire_checks import MessageError

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from agents.area_file import AreaFile
+from agents.events import Action, Event, Finish, PresenceChanged, Publish, Received, Refused, StopRequested
 from agents.hearing import Hearing
 from agents.messages import (
     AdmmMessage,
@@ -35,55 +36,6 @@ from dsse_core.boundary_load import NetLoad, load_message_for, measured_net_load
 from dsse_core.measurement import Measurement, Source
 
 NEWS_LOAD = 1e-9  # p.u.
-
-
-@dataclass(frozen=True, slots=True)
-class Received:
-    """A decoded message; ``key_sender``: the area that its key belongs to, empty for telemetry."""
-
-    message: Message
-    key_sender: str
-
-
-@dataclass(frozen=True, slots=True)
-class Refused:
-    """Payloads that were not let in for ``reason``; ``count``: how many so far."""
-
-    reason: str
-    count: int
-
-
-@dataclass(frozen=True, slots=True)
-class PresenceChanged:
-    """A neighbour came or went. ``farewell``: what it said when it went in order; empty if it died or was cut off."""
-
-    area: str
-    alive: bool
-    farewell: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class StopRequested:
-    reason: str
-
-
-Event = Received | Refused | PresenceChanged | StopRequested
-
-
-@dataclass(frozen=True, slots=True)
-class Publish:
-    """Send ``message`` to neighbour ``to``, or show it to whoever watches (None)."""
-
-    message: Message
-    to: str | None
-
-
-@dataclass(frozen=True, slots=True)
-class Finish:
-    reason: str
-
-
-Action = Publish | Finish
 
 
 class AreaProtocol:
@@ -338,17 +290,17 @@ class AreaProtocol:
             notes.append(f"no reading from {len(self._silent)} meters, the first is {self._silent[0]}")
         return notes
 
-    def _repeat(self, just_done: Sequence[Action]) -> list[Action]:
+    def _repeat(self, just_done: Sequence[Action]) -> list[Publish]:
         """The last message to each neighbour and the last state, except those sent this very moment."""
         fresh = {id(action.message) for action in just_done if isinstance(action, Publish)}
-        last_words: list[Action] = []
+        last_words: list[Publish] = []
         for n in self._area.neighbours:
             for message in (d.get(n.area) for d in (self._sent_load, self._sent_boundary, self._sent_tally)):
                 if message is not None:
                     last_words.append(Publish(message, n.area))
         if self._state.message is not None and id(self._state.message) not in fresh:
             last_words.append(self._renew_state())
-        return [a for a in last_words if isinstance(a, Publish) and id(a.message) not in fresh]
+        return [publish for publish in last_words if id(publish.message) not in fresh]
 
     @property
     def _scan(self) -> int:

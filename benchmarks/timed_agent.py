@@ -14,7 +14,8 @@ from typing import Any
 import agents.doorkeeper
 import agents.link
 from agents.__main__ import main as run_agent
-from agents.protocol import Action, AreaProtocol
+from agents.events import Action
+from agents.protocol import AreaProtocol
 from agents.transport import Session
 
 PING, PONG = "dsse/v1/latency/ping", "dsse/v1/latency/pong"

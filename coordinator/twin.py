@@ -16,9 +16,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from agents.area_file import AreaFile
+from agents.events import Event, Finish, PresenceChanged, Publish, Received, Refused
 from agents.link import FaultyLinks
 from agents.messages import Header, Incarnation, Message, StateMessage, TelemetryMessage, decode
-from agents.protocol import AreaProtocol, Event, Finish, PresenceChanged, Publish, Received, Refused
+from agents.protocol import AreaProtocol
 from agents.strategies import make_strategy
 from agents.wire_checks import MessageError
 from coordinator.telemetry_messages import make_message

@@ -8,8 +8,8 @@ from feeders import make_feeder
 from simulated_bus import SimulatedBus, area_files_of, with_links
 from test_angle_offset import tree_scenario, with_angle_meters
 
+from agents.events import Received
 from agents.messages import AdmmMessage, encode
-from agents.protocol import Received
 from dsse_core.estimation import EstimationResult, estimate_state
 from dsse_core.link_faults import LinkFaults
 from dsse_core.partition import build_partition

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from simulated_bus import SimulatedBus, area_files_of, with_links
 from test_angle_offset import tree_scenario
 
+from agents.events import Received
 from agents.messages import InformationMessage, TallyMessage, encode
-from agents.protocol import Received
 from agents.strategies import information
 from agents.strategies.bad_data_tree import USE_CURRENTS, BadDataTree
 from dsse_core.bad_data import BadDataReport, chi_square_limit, process_bad_data

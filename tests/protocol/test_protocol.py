@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from simulated_bus import SimulatedBus, area_files_of, bus_of
 
+from agents.events import Finish, PresenceChanged, Publish, Received, Refused, StopRequested
 from agents.messages import BoundaryMessage, Header, Incarnation, InformationMessage, LoadMessage
-from agents.protocol import AreaProtocol, Finish, PresenceChanged, Publish, Received, Refused, StopRequested
+from agents.protocol import AreaProtocol
 from agents.strategies import make_strategy
 from coordinator.twin import STARTED_AT
 from scenarios.scenario import load_scenario

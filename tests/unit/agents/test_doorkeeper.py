@@ -5,9 +5,9 @@ import logging
 import pytest
 
 from agents.doorkeeper import Doorkeeper
+from agents.events import Received, Refused
 from agents.inbox import Inbox
 from agents.messages import MAX_NEIGHBOUR_BYTES, Header, Incarnation, LoadMessage, encode
-from agents.protocol import Received, Refused
 
 KEY, TELEMETRY = "dsse/v1/r/area/area2/load/area1", "dsse/v1/r/telemetry/area1"
 LOAD = LoadMessage(Header("r", "area2", Incarnation(1, 1), 1, 1, 0.0), 6, 0.1, 0.0, 0.01)
