@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import math
 import signal
 import subprocess
 from pathlib import Path
 
 import pytest
 from dsse_command import COMMAND, ENVIRONMENT
+from verdicts import assert_centralised
 from waiting import DEADLINE_S, wait_until
 
 from agents.area_reader import load_area_file
@@ -26,13 +26,6 @@ restart = "area1"
 [transport]
 kind = "neighbours"
 """
-
-
-def assert_centralised(folder: Path) -> None:
-    verdict = json.loads((folder / "result.json").read_text())["verdict"]
-    assert verdict["consensus"] is True
-    assert verdict["gap_vm_pu"] <= 1e-8
-    assert verdict["gap_va_deg"] <= math.degrees(1e-8)
 
 
 @pytest.mark.parametrize("options", [(), ("--secure",)], ids=["open", "secured"])

@@ -7,8 +7,10 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
 from dsse_command import COMMAND, ENVIRONMENT, free_endpoint
 from waiting import DEADLINE_S, wait_until
 
@@ -59,38 +61,39 @@ def start_watching(endpoint: str, folder: Path) -> subprocess.Popen[str]:
     )
 
 
-def test_ctrl_c_ends_the_watching_and_nothing_else(start_run, deaf_scenario, tmp_path: Path):
+@pytest.fixture
+def run(start_run, deaf_scenario):
+    """A run whose two areas have joined and wait for readings."""
     run = start_run(deaf_scenario)
     run.wait_until_joined("area1", "area2")
+    return run
+
+
+@pytest.fixture
+def watching(run, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
     endpoint = (run.folder / "logs" / "router.endpoints").read_text().split()[0]
-    watching = start_watching(endpoint, tmp_path)
-    try:
-        assert watching.stdout is not None
-        wait_until(lambda: len(json.loads(watching.stdout.readline())["areas"]) == 2)
-        watching.send_signal(signal.SIGINT)
-        _, err = watching.communicate(timeout=DEADLINE_S)
-    finally:
-        watching.kill()
-        watching.wait()
+    process = start_watching(endpoint, tmp_path)
+    yield process
+    process.kill()
+    process.wait()
+
+
+def test_ctrl_c_ends_the_watching_and_nothing_else(run, watching):
+    assert watching.stdout is not None
+    wait_until(lambda: len(json.loads(watching.stdout.readline())["areas"]) == 2)
+    watching.send_signal(signal.SIGINT)
+    _, err = watching.communicate(timeout=DEADLINE_S)
     assert (watching.returncode, err) == (0, "")
     assert run.process.poll() is None
     assert not [e for e in run.events() if e["event"] == "process ended"]
 
 
-def test_the_watching_ends_when_nobody_reads_it_any_more(start_run, deaf_scenario, tmp_path: Path):
-    run = start_run(deaf_scenario)
-    run.wait_until_joined("area1", "area2")
-    endpoint = (run.folder / "logs" / "router.endpoints").read_text().split()[0]
-    watching = start_watching(endpoint, tmp_path)
-    try:
-        assert watching.stdout is not None
-        assert watching.stderr is not None
-        watching.stdout.readline()
-        watching.stdout.close()
-        assert (watching.wait(DEADLINE_S), watching.stderr.read()) == (0, "")
-    finally:
-        watching.kill()
-        watching.wait()
+def test_the_watching_ends_when_nobody_reads_it_any_more(watching):
+    assert watching.stdout is not None
+    assert watching.stderr is not None
+    watching.stdout.readline()
+    watching.stdout.close()
+    assert (watching.wait(DEADLINE_S), watching.stderr.read()) == (0, "")
 
 
 def test_a_pattern_is_no_run_to_watch(dsse):
