@@ -22,6 +22,7 @@ from dsse_core.partition import Neighbour
 NOT_YET = 1e-6  # information given to eliminated voltages that nothing determines yet
 NOT_YET_OF_POWER = 1e-8  # the same of powers, which may be large
 NO_LOAD_NOT_YET = 1e-18  # the same in the no-load model, relative to what the rows tell where that is less than 1
+DRAWS = 32  # of which the mean square is a fifth of its expectation with a probability of 1e-7
 NOTHING = 1e-30  # for variables that no row speaks of
 MOST_TURNS = 4  # of the axes of (p, q)
 VA = 3  # place of the angle in y
@@ -57,6 +58,21 @@ def variances(
     of_state = np.zeros(model.size)
     of_state[model.free] = factor.state_variance()
     return of_state, factor.residual_variance()[: len(model.z)]
+
+
+def sample_redundancy(
+    model: AreaModel, x: np.ndarray, heard: Mapping[str, BoundaryInformation], rng: np.random.Generator
+) -> np.ndarray:
+    """diag(Omega) / sigma^2 of the area's own measurements, shape (n_meas,), from residuals of random readings.
+
+    With S = Omega / (sigma sigma') a projection, readings of variance 1 leave residuals of variance S_ii: as the mean
+    square of DRAWS of them it is found to a factor of two or so, and 0 to the square of round-off.
+    """
+    H, _, sigma = _stack(model, x, heard)
+    factor = _factor_undamped(model, H, sigma, model.free)
+    readings = sigma[:, None] * rng.standard_normal((len(sigma), DRAWS))
+    s = factor.solve(readings, np.zeros((len(model.free), DRAWS)))[0][: len(model.z)]
+    return np.asarray(((model.sigma[:, None] * s) ** 2).mean(axis=1))
 
 
 def least_information(model: AreaModel, columns: np.ndarray) -> np.ndarray:

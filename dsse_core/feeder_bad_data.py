@@ -15,7 +15,8 @@ from dsse_core.admittance import flat_start
 from dsse_core.area_model import AreaModel, build_area_model
 from dsse_core.bad_data import THRESHOLD, TIE, normalize_residuals
 from dsse_core.boundary_information import BoundaryInformation
-from dsse_core.exchange import compute_information, residual_variance
+from dsse_core.exchange import compute_information
+from dsse_core.exchange_sparse import sample_redundancy
 from dsse_core.measurement import Measurement, MeasurementKind, Source
 from dsse_core.partition import Area, Neighbour
 
@@ -104,7 +105,7 @@ class NoLoadModel:
 
     def find_indispensable(self, heard: Mapping[str, BoundaryInformation]) -> set[str]:
         """Ids of the meters, virtual ones included, without any one of which the state is not observable."""
-        redundancy = residual_variance(self.model, self.x, heard) / self.model.sigma**2
+        redundancy = sample_redundancy(self.model, self.x, heard, np.random.default_rng(0))
         return {self.ids[k] for k in np.flatnonzero(redundancy < NO_LOAD_REDUNDANCY)}
 
 
