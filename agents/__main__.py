@@ -19,12 +19,13 @@ from agents.events import StopRequested
 from agents.inbox import Inbox
 from agents.loop import run_agent
 from agents.strategies import STRATEGIES
+from agents.succession import REPLACED_CODE, ReplacedError
 from agents.transport import Session
 from dsse_core.errors import DsseError, InvalidInputError
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one agent; 0 after an orderly end, 2 on wrong input or a bus that cannot be reached."""
+    """Run one agent; 0 after an orderly end, 2 on wrong input or a bus that cannot be reached, 3 if replaced."""
     parser = argparse.ArgumentParser(
         prog="dsse agent",
         description="Run the agent of one area until SIGTERM or Ctrl-C. `dsse split` writes the area files.",
@@ -44,7 +45,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         run_area(arguments.area_file, arguments.connect or (), arguments.timeout, arguments.keys)
     except DsseError as error:
         print(f"error: {error}", file=sys.stderr)
-        return 2
+        return REPLACED_CODE if isinstance(error, ReplacedError) else 2
     return 0
 
 
@@ -61,6 +62,7 @@ def run_area(path: Path, endpoints: Sequence[str] = (), timeout_s: float = 10.0,
     Raises:
         InvalidInputError: the area file or the credentials cannot be used.
         TransportError: no endpoint answers within ``timeout_s``.
+        ReplacedError: another agent of the area runs that began later.
     """
     content = load_area_file(path)
     if content.strategy not in STRATEGIES:

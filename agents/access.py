@@ -87,7 +87,7 @@ def _rights_of_area(access: Access, area: str) -> Rights:
         shows=(all_lives(run, "area", area),),
         subscribes=(all_from_neighbours(run, area), telemetry_key(run, area), clock_key(run)),
         hears=(*(neighbour_key(run, n, "*", area) for n in neighbours), telemetry_key(run, area), clock_key(run)),
-        sees=tuple(all_lives(run, "area", n) for n in neighbours),
+        sees=tuple(all_lives(run, "area", n) for n in (area, *neighbours)),
         is_heard_by=(*(all_from_neighbours(run, n) for n in neighbours), all_states(run), all_live(run)),
     )
 
@@ -99,7 +99,7 @@ def _rights_of_plant(access: Access) -> Rights:
         shows=(all_lives(access.run, "plant", PLANT),),
         subscribes=(),
         hears=(),
-        sees=(all_lives(access.run, "area", "*"),),
+        sees=(all_lives(access.run, "area", "*"), all_lives(access.run, "plant", PLANT)),
         is_heard_by=(*telemetry, all_live(access.run)),
     )
 

@@ -18,6 +18,7 @@ import re
 from agents.messages import Incarnation
 
 NAME = re.compile(r"[a-z0-9_-]+")
+LIFE = re.compile(r"([0-9a-f]{1,14})-([0-9a-f]{8})")
 
 
 def _root(run: str) -> str:
@@ -54,7 +55,7 @@ def clock_key(run: str) -> str:
 
 
 def live_key(run: str, role: str, name: str, life: Incarnation) -> str:
-    return f"{_root(run)}/live/{role}/{name}/{life.start_ms:x}-{life.random:08x}"
+    return f"{_root(run)}/live/{role}/{name}/{life}"
 
 
 def all_lives(run: str, role: str, name: str) -> str:
@@ -81,3 +82,9 @@ def name_of_live(key: str) -> tuple[str, str]:
     """(role, name) of a presence token."""
     chunks = key.split("/")
     return chunks[4], chunks[5]
+
+
+def life_of(key: str) -> Incarnation | None:
+    """The life that a presence token stands for; None if it is not written as lives are."""
+    found = LIFE.fullmatch(key.rpartition("/")[2])
+    return Incarnation(int(found[1], 16), int(found[2], 16)) if found else None

@@ -27,6 +27,7 @@ from agents.messages import ClockMessage, StateMessage, decode
 from agents.presence import Presence, begin_life, read_farewell
 from agents.protocol import AreaProtocol
 from agents.strategies import make_strategy
+from agents.succession import GIVES_WAY, ReplacedError, Succession
 from agents.transport import Session
 from agents.wire_checks import MessageError
 
@@ -43,6 +44,14 @@ class _TokenSeen:
 
 
 @dataclass(frozen=True, slots=True)
+class _NamesakeSeen:
+    """The token of a life of this very area, our own perhaps, appeared or vanished."""
+
+    key: str
+    alive: bool
+
+
+@dataclass(frozen=True, slots=True)
 class _ClockHeard:
     """What arrived on the clock's key at monotonic time ``at``."""
 
@@ -54,6 +63,9 @@ def run_agent(content: AreaFile, session: Session, inbox: Inbox) -> str:
     """Take part in the exchange until something puts ``StopRequested`` into ``inbox``; return its reason.
 
     Subscribes first and shows its presence last, so that who sees the token can be sure to be heard.
+
+    Raises:
+        ReplacedError: another agent of the area runs that began later.
     """
     now = time.monotonic()
     incarnation = begin_life()
@@ -67,7 +79,7 @@ def run_agent(content: AreaFile, session: Session, inbox: Inbox) -> str:
     say_farewell = session.publisher(own_token)
     session.declare_presence(own_token)
     log.info("area %s of run %s, strategy %s, incarnation %s", name, run, content.strategy, incarnation)
-    presence = Presence()
+    presence, succession = Presence(), Succession(f"area {name} of run {run}", incarnation, now)
     events: list[Event] = []
     told: object = None
     while True:
@@ -82,9 +94,14 @@ def run_agent(content: AreaFile, session: Session, inbox: Inbox) -> str:
                     say_farewell(reason.encode())
                     return reason
         now = time.monotonic()
-        news = inbox.take(min(protocol.wait_s(now), links.next_due() - now))
+        news = inbox.take(min(protocol.wait_s(now), links.next_due() - now, succession.next_due() - now))
         links.release(time.monotonic())
-        events = list(_events_of(news, presence, links))
+        events = list(_events_of(news, presence, succession, links))
+        try:
+            succession.check(time.monotonic())
+        except ReplacedError:
+            say_farewell(GIVES_WAY.encode())
+            raise
 
 
 def _listen(content: AreaFile, session: Session, kinds: Sequence[str], inbox: Inbox) -> None:
@@ -101,6 +118,7 @@ def _listen(content: AreaFile, session: Session, kinds: Sequence[str], inbox: In
         lives = all_lives(run, "area", neighbour)
         session.subscribe(lives, lambda key, payload: _put_farewell(inbox, key, payload))
         session.watch_presence(lives, lambda key, alive: inbox.put(key, _TokenSeen(key, alive)))
+    session.watch_presence(all_lives(run, "area", name), lambda key, alive: inbox.put(key, _NamesakeSeen(key, alive)))
 
 
 def _log_change(state: StateMessage, told: object) -> object:
@@ -130,11 +148,13 @@ def _put_farewell(inbox: Inbox, key: str, payload: bytes) -> None:
         inbox.put(("farewell", key), _TokenSeen(key, False, farewell))
 
 
-def _events_of(news: Sequence[Any], presence: Presence, links: FaultyLinks) -> Iterator[Event]:
+def _events_of(news: Sequence[Any], presence: Presence, succession: Succession, links: FaultyLinks) -> Iterator[Event]:
     for item in news:
         match item:
             case _ClockHeard(at, payload):
                 _take_clock(links, at, payload)
+            case _NamesakeSeen(key, alive):
+                succession.take(key, alive, time.monotonic())
             case _TokenSeen(key, alive, farewell):
                 if presence.take_farewell(key) if farewell else presence.take(key, alive):
                     yield PresenceChanged(name_of_live(key)[1], alive, farewell)

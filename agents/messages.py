@@ -40,6 +40,10 @@ class Incarnation:
     start_ms: int
     random: int
 
+    def __str__(self) -> str:
+        """As in the key of its presence token."""
+        return f"{self.start_ms:x}-{self.random:08x}"
+
 
 @dataclass(frozen=True, slots=True)
 class Header:

@@ -11,7 +11,7 @@ import random
 import re
 import time
 
-from agents.keys import name_of_live
+from agents.keys import life_of, name_of_live
 from agents.messages import Incarnation
 
 FAREWELL = re.compile(rb"[A-Za-z0-9 ._-]{1,40}")
@@ -37,6 +37,10 @@ class Presence:
     def names(self) -> set[tuple[str, str]]:
         """(role, name) of all that are there."""
         return {name for name, lives in self._lives.items() if lives}
+
+    def lives_of(self, role: str, name: str) -> list[Incarnation]:
+        """All lives of a name that are there, the newest last."""
+        return sorted(filter(None, map(life_of, self._lives.get((role, name), ()))))
 
     def take_farewell(self, key: str) -> bool:
         """Note that the life that shows the token on ``key`` ends; whether its name is gone, now or already.

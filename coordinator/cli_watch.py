@@ -93,7 +93,9 @@ def _format(view: View, as_json: bool) -> str:
         areas = {area.name: {"state": area.state} | asdict(area) for area in view.areas}
         for area in areas.values():
             del area["name"]
-        return json.dumps({"time": time.time(), "run": view.run, "others": view.others, "areas": areas})
+        return json.dumps(
+            {"time": time.time(), "run": view.run, "others": view.others, "doubles": view.doubles, "areas": areas}
+        )
     from coordinator.live import format_view
 
     return format_view(view)

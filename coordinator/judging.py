@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from agents.strategies import STRATEGIES
 from coordinator.comparison import compare
+from coordinator.doubles import Double
 from coordinator.observer import Observer
 from coordinator.result import RunOutcome, make_area_results, make_verdict
 from dsse_core.bad_data import BadDataReport, process_bad_data
@@ -115,11 +116,12 @@ def judge(
     virtual_s: float | None,
     timing_s: Mapping[str, float],
     faults: Mapping[str, int],
+    doubles: Sequence[Double] = (),
 ) -> RunOutcome:
     """Compare what the areas have published with the centralised estimate and the truth, and sum up.
 
     ``reason``: None at consensus. ``started``: when the run began on the observer's clock, s. ``faults``: kind -> how
-    often it has happened.
+    often it has happened. ``doubles``: whoever ran twice.
     """
     comparison = compare(scenario.partition, observer.states, telemetry.truth, centralised.report)
     return RunOutcome(
@@ -133,4 +135,5 @@ def judge(
         history=tuple(replace(sample, time=sample.time - started) for sample in observer.history),
         timing_s=timing_s,
         faults=faults,
+        doubles=tuple(doubles),
     )

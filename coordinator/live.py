@@ -77,9 +77,8 @@ WATCHED = (
 
 def build_view_table(view: View) -> Table:
     """What a watcher sees of a run; gaps are the largest to a neighbour at a bus that both publish."""
-    table = Table(
-        title=f"run {view.run}", caption=f"also there: {', '.join(view.others) or 'nobody'}", title_justify="left"
-    )
+    below = "\n".join([f"also there: {', '.join(view.others) or 'nobody'}", *view.doubles])
+    table = Table(title=f"run {view.run}", caption=below, title_justify="left")
     for heading in ("area", "state"):
         table.add_column(heading)
     for heading in WATCHED:

@@ -16,6 +16,7 @@ from agents.credentials import load_credentials
 from agents.inbox import Inbox
 from agents.keys import all_lives, live_key, name_of_live, telemetry_key
 from agents.presence import begin_life
+from agents.succession import GIVES_WAY, REPLACED_CODE, ReplacedError, Succession
 from agents.transport import Session
 from coordinator.telemetry_messages import DRAW, make_payloads
 from dsse_core.errors import DsseError
@@ -38,6 +39,8 @@ def run_plant(
 ) -> int:
     """Publish the telemetry of ``scenario`` for ``run`` until SIGTERM or Ctrl-C; 0, or 2 after a user's mistake.
 
+    3 if another plant of the run began later.
+
     An area is served when it appears and then at every beat: it subscribes before it shows itself. ``scan``: above
     that of any plant before it in the same run. ``every_s``: time from one scan to the next; None: there is one only.
     Signal ``SILENT`` makes it publish nothing until signal ``SPEAK``. ``keys``: folder of the plant's credentials.
@@ -57,21 +60,27 @@ def run_plant(
             session.watch_presence(
                 all_lives(run, "area", "*"), lambda key, alive: inbox.put(key, key) if alive else None
             )
+            session.watch_presence(all_lives(run, "plant", PLANT), lambda key, alive: inbox.put(key, (key, alive)))
             own_token = live_key(run, "plant", PLANT, life)
             say_farewell = session.publisher(own_token)
             session.declare_presence(own_token)
             log.info("plant of run %s, seed %s, %s areas", run, scenario.seed, len(payloads))
-            voice = _Voice(publishers, inbox, scenario.run.beat_s)
+            succession = Succession(f"plant of run {run}", life, time.monotonic())
+            voice = _Voice(publishers, inbox, scenario.run.beat_s, succession)
             for number in (SILENT, SPEAK):
                 signal.signal(number, voice.be_silent)
             signal.pthread_sigmask(signal.SIG_UNBLOCK, (SILENT, SPEAK))  # a run's plant may have been told already
-            while not voice.serve(payloads, find_lateness(scenario, scan), every_s or math.inf):
-                scan += 1
-                payloads = make_payloads(scenario, run, life, scan, draw=scan)
+            try:
+                while not voice.serve(payloads, find_lateness(scenario, scan), every_s or math.inf):
+                    scan += 1
+                    payloads = make_payloads(scenario, run, life, scan, draw=scan)
+            except ReplacedError:
+                say_farewell(GIVES_WAY.encode())
+                raise
             say_farewell(b"stopped")
     except DsseError as error:
         print(f"error: {error}", file=sys.stderr)
-        return 2
+        return REPLACED_CODE if isinstance(error, ReplacedError) else 2
     return 0
 
 
@@ -82,6 +91,7 @@ class _Voice:
     publishers: Mapping[str, Callable[[bytes], None]]
     inbox: Inbox
     beat_s: float
+    succession: Succession
     silent: bool = False
     _newest: dict[str, bytes] = field(default_factory=dict)  # area -> the readings that have come in
 
@@ -89,6 +99,9 @@ class _Voice:
         """Publish one scan at every beat for ``duration_s``; whether to stop.
 
         ``late_s``: area -> by how much its readings come late; until then the former ones are repeated.
+
+        Raises:
+            ReplacedError: another plant of the run began later.
         """
         start = next_beat = time.monotonic()
         over = start + duration_s
@@ -106,9 +119,16 @@ class _Voice:
             news = self.inbox.take(min(next_beat, over) - time.monotonic())
             if None in news:
                 return True
+            self._mind_successors([item for item in news if isinstance(item, tuple)])
             if time.monotonic() >= over:
                 return False
-            areas = [name for key in news if (name := name_of_live(key)[1]) in payloads]
+            areas = [name for key in news if isinstance(key, str) and (name := name_of_live(key)[1]) in payloads]
+
+    def _mind_successors(self, tokens: Sequence[tuple[str, bool]]) -> None:
+        now = time.monotonic()
+        for key, alive in tokens:
+            self.succession.take(key, alive, now)
+        self.succession.check(now)
 
     def be_silent(self, number: int, _: object) -> None:
         """Handler of two signals."""

@@ -74,6 +74,7 @@ def _format_findings(result: RunResult) -> list[str]:
     lines = []
     if result.faults:
         lines.append("faults: " + ", ".join(f"{count} {kind}" for kind, count in sorted(result.faults.items())))
+    lines += [f"warning: {double}" for double in result.doubles]
     for area in result.areas:
         if area.degraded:
             refused = [f"{count} messages refused: {reason}" for reason, count in area.refused.items()]

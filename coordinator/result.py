@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from coordinator.comparison import Comparison
+from coordinator.doubles import Double
 from coordinator.observer import Observer, Sample, count_exchanges
 from dsse_core.bad_data import BadDataReport
 from scenarios.scenario import Scenario
@@ -79,7 +80,8 @@ class AreaResult:
 class RunOutcome:
     """Everything about one run. ``timing_s``: moments in seconds since the call, on the twin in virtual time.
 
-    ``faults``: kind -> how often it has happened, to messages and to processes.
+    ``faults``: kind -> how often it has happened, to messages and to processes. ``doubles``: areas and plants that ran
+    twice at once.
 
     ``centralised`` is None where that estimate failed; ``centralised_failure`` says why.
     """
@@ -94,6 +96,7 @@ class RunOutcome:
     history: tuple[Sample, ...]
     timing_s: Mapping[str, float]
     faults: Mapping[str, int]
+    doubles: tuple[Double, ...]
 
     def in_folder(self, folder: Path) -> RunResult:
         return RunResult(**vars(self), folder=folder)
@@ -199,6 +202,7 @@ def as_json(result: RunOutcome) -> dict[str, Any]:
         "centralised": _centralised_json(result),
         "timing_s": dict(result.timing_s),
         "faults": dict(result.faults),
+        "doubles": [asdict(double) for double in result.doubles],
         "versions": {"python": platform.python_version()} | {name: version_of(name) for name in DISTRIBUTIONS},
     }
 

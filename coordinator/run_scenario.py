@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import secrets
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 
@@ -16,6 +16,7 @@ from agents.messages import StateMessage, decode
 from agents.presence import Presence, begin_life, read_farewell
 from agents.transport import Session
 from agents.wire_checks import MessageError
+from coordinator.doubles import Double, Doubles
 from coordinator.events import EventLog
 from coordinator.fault_schedule import FaultSchedule
 from coordinator.judging import judge, make_observer, no_consensus_within, prepare_scenario
@@ -68,6 +69,7 @@ class _Run:
     started: float
     news: News = field(default_factory=News)
     presence: Presence = field(default_factory=Presence)
+    doubles: Doubles = field(default_factory=Doubles)
     joined: float | None = None  # when all areas were on the bus for the first time
     timing_s: dict[str, float] = field(default_factory=dict)
 
@@ -168,6 +170,7 @@ def _run_with_router(run: _Run, on_update: Callable[[Progress], None] | None) ->
         virtual_s=None,
         timing_s=run.timing_s,
         faults=run.states.faults + run.schedule.counts,
+        doubles=run.doubles.found,
     )
     result = write_files(outcome.in_folder(run.folder), run.events.failure)
     if interrupted:
@@ -213,6 +216,7 @@ def _watch(run: _Run, observer: Observer, on_update: Callable[[Progress], None] 
             if reason:
                 return reason
         now = time.monotonic()
+        _note_doubles(run, run.doubles.find_lasting(now), now)
         _carry_out_faults(run, observer, now)
         if now < next_check:
             continue
@@ -243,6 +247,8 @@ def _take(run: _Run, observer: Observer, item: object) -> str | None:
             if state.header.run == run.id:
                 run.states.take(state, at, observer.take_state(state, at))
         case _PresenceSeen(at, key, alive, farewell):
+            if double := run.doubles.take(key, alive, at, farewell):
+                _note_doubles(run, [double], at)
             if not (run.presence.take_farewell(key) if farewell else run.presence.take(key, alive)):
                 return None
             role, name = name_of_live(key)
@@ -261,6 +267,11 @@ def _take(run: _Run, observer: Observer, item: object) -> str | None:
                 observer.take_presence(news.name, False, at)
             return reason
     return None
+
+
+def _note_doubles(run: _Run, doubles: Sequence[Double], at: float) -> None:
+    for double in doubles:
+        run.events.write("two at once", at, **asdict(double))
 
 
 def _take_process_news(run: _Run, item: _ProcessNews) -> str | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 from agents.hearing import is_old
@@ -11,6 +11,7 @@ from agents.keys import name_of_live
 from agents.messages import StateMessage
 from agents.presence import Presence
 from agents.quality import NONE, STALE
+from coordinator.doubles import NOUNS, describe_double
 from coordinator.observer import count_exchanges
 
 OVER_S = 2.0  # after which a life that is not heard is over; nobody tells a watcher the beat
@@ -62,11 +63,15 @@ class AreaView:
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """A run at one moment. ``others``: plant, coordinators and watchers that are there, as ``role name``."""
+    """A run at one moment. ``others``: plant, coordinators and watchers that are there, as ``role name``.
+
+    ``doubles``: in words, which area or plant runs more than once; one that has just been started again may, for 2 s.
+    """
 
     run: str
     areas: tuple[AreaView, ...]
     others: tuple[str, ...]
+    doubles: tuple[str, ...] = ()
 
 
 @dataclass
@@ -104,7 +109,14 @@ class Watcher:
         spoken_to = {name for _, state in self._heard.values() for name in state.sent}
         names = sorted(self._names_of("area") | self._heard.keys() | spoken_to, key=_by_number)
         others = sorted(f"{role} {name}" for role, name in self._presence.names if role != "area")
-        return View(self.run, tuple(self._view_of(name, now) for name in names), tuple(others))
+        views = tuple(self._view_of(name, now) for name in names)
+        return View(self.run, views, tuple(others), tuple(self._find_doubles()))
+
+    def _find_doubles(self) -> Iterator[str]:
+        for role, name in sorted(self._presence.names):
+            lives = self._presence.lives_of(role, name)
+            if role in NOUNS and len(lives) > 1:
+                yield describe_double(role, name, tuple(map(str, lives)))
 
     def _names_of(self, role: str) -> set[str]:
         return {name for its_role, name in self._presence.names if its_role == role}

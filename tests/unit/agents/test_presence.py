@@ -41,6 +41,14 @@ def test_a_token_seen_twice_is_no_news_and_one_never_seen_cannot_vanish():
     assert not presence.take(OLD, False)
 
 
+def test_the_lives_of_a_name_are_told_from_the_oldest_to_the_newest_and_no_chunk_that_is_none():
+    presence = Presence()
+    for key in (NEW, OLD, NEW.replace("-", "x"), NEW + "0"):
+        presence.take(key, True)
+    assert presence.lives_of("area", "area1") == [Incarnation(1_000, 7), Incarnation(2_000, 7)]
+    assert presence.lives_of("area", "area2") == []
+
+
 def test_a_farewell_is_a_word_or_two_and_nothing_else():
     assert read_farewell(b"SIGTERM") == "SIGTERM"
     for other in (b"", b"\xff", b"a\nb", b"x" * 41):

@@ -10,6 +10,7 @@ import pytest
 from agents.area_reader import load_area_file
 from agents.inbox import Inbox
 from agents.messages import Incarnation, TelemetryMessage, decode
+from agents.succession import Succession
 from coordinator.plant import _Voice
 from coordinator.split import choose_run_id, default_run_id, write_area_files
 from coordinator.telemetry_messages import make_payloads
@@ -83,7 +84,8 @@ def test_a_run_id_is_made_of_what_a_key_may_contain():
 def test_a_plant_whose_scans_follow_at_once_publishes_each_and_can_be_stopped():
     published: list[bytes] = []
     inbox = Inbox()
-    voice = _Voice({"area1": published.append}, inbox, beat_s=0.2)
+    succession = Succession("plant", Incarnation(1, 1), 0.0)
+    voice = _Voice({"area1": published.append}, inbox, beat_s=0.2, succession=succession)
     assert not voice.serve({"area1": b"scan 1"}, {}, duration_s=1e-9)
     inbox.put("stop", None)
     assert voice.serve({"area1": b"scan 2"}, {}, duration_s=1e-9)

@@ -82,6 +82,7 @@ def a_result(folder: Path, missing: str | None = None, relative: str | None = No
         history=tuple(observer.history),
         timing_s={"verdict": 1.0},
         faults={"lost": 3, "kill": 1},
+        doubles=(),
     )
 
 

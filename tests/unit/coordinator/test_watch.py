@@ -8,6 +8,7 @@ import pytest
 
 from agents.keys import live_key
 from agents.messages import Header, Incarnation, StateMessage
+from coordinator.live import format_view
 from coordinator.split import check_run_id
 from coordinator.watch import OVER_S, AreaView, Watcher
 from dsse_core.errors import InvalidInputError
@@ -97,3 +98,15 @@ def test_gaps_are_the_largest_to_a_neighbour_at_a_bus_that_both_show():
 def test_a_run_to_watch_is_a_name_and_no_pattern(name: str):
     with pytest.raises(InvalidInputError, match="may only contain"):
         check_run_id(name)
+
+
+def test_an_area_and_a_plant_that_run_twice_are_named_with_their_lives_as_long_as_they_do():
+    watcher = Watcher("run")
+    for key in (OTHER, ONE, *(live_key("run", "plant", "plant", Incarnation(start, 1)) for start in (3, 4))):
+        watcher.take_presence(key, True)
+    one, other = watcher.look(0.0).doubles
+    assert "2 agents of area area1 publish at once, lives 1-00000001 and 2-00000001" in one
+    assert "2 plants publish at once" in other
+    assert other in format_view(watcher.look(0.0))
+    watcher.take_presence(ONE, False)
+    assert watcher.look(0.0).doubles == (other,)

@@ -1,0 +1,69 @@
+"""Two agents of one area, or two plants: everybody who watches is told, and the older one gives way."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from pathlib import Path
+
+import pytest
+from dsse_command import COMMAND, ENVIRONMENT, free_endpoint
+from system_by_hand import SystemByHand, Watcher
+from waiting import DEADLINE_S, wait_until
+
+from agents.succession import REPLACED_CODE
+
+
+@pytest.mark.parametrize("secured", [False, True], ids=["open", "secured"])
+def test_the_older_agent_and_the_older_plant_give_way_and_the_estimate_stays(dsse, tmp_path: Path, secured: bool):
+    protocol, keys = ("tls", ["--keys", "keys"]) if secured else ("tcp", [])
+    endpoint = free_endpoint(protocol)
+    if secured:
+        assert dsse("keys", "create", "industrial13", "--out", "keys").returncode == 0
+    assert dsse("split", "industrial13", "--out", "areas", "--connect", endpoint).returncode == 0
+    with SystemByHand(tmp_path) as system:
+        system.start("router", "router", "--listen", endpoint, *keys)
+        for name in ("area1", "area2"):
+            system.start(name, "agent", f"areas/{name}.toml", *keys)
+        system.start("plant", "plant", "industrial13", "--connect", endpoint, *keys)
+        with Watcher("industrial13", [endpoint], tmp_path / "keys" if secured else None) as watcher:
+            watcher.wait_for_consensus()
+            system.start("area2 again", "agent", "areas/area2.toml", *keys)
+            system.start("plant again", "plant", "industrial13", "--connect", endpoint, *keys)
+            for name, whom in (("area2", "area area2 of run industrial13"), ("plant", "plant of run industrial13")):
+                process = system.processes[name]
+                watcher.wait_until(lambda process=process: process.poll() is not None)
+                assert process.returncode == REPLACED_CODE
+                assert f"error: two processes run as {whom} at once" in system.said(name)
+            watcher.wait_for_consensus()
+        assert all(system.processes[f"{name} again"].poll() is None for name in ("area2", "plant"))
+
+
+def test_a_run_whose_area_runs_twice_says_so_with_both_lives(start_run, deaf_scenario, assert_nothing_left):
+    run = start_run(deaf_scenario)
+    run.wait_until_joined("area1", "area2")
+    command = [*COMMAND, "agent", str(run.folder / "areas" / "area2.json")]
+    stranger = subprocess.Popen(command, env=ENVIRONMENT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        endpoint = (run.folder / "logs" / "router.endpoints").read_text().split()[0]
+
+        def is_shown() -> bool:
+            watch = [*COMMAND, "watch", "--connect", endpoint, "--once", "--json"]
+            view = subprocess.run(watch, env=ENVIRONMENT, capture_output=True, timeout=DEADLINE_S, check=False).stdout
+            return any("2 agents of area area2 publish at once" in line for line in json.loads(view)["doubles"])
+
+        wait_until(is_shown)
+        code, out, _ = run.end()
+    finally:
+        stranger.terminate()
+        stranger.wait(DEADLINE_S)
+    assert code == 1
+    assert "area area2 died with exit code 3" in out
+    assert "error: two processes run as area area2" in out
+    assert "warning: 2 agents of area area2 publish at once" in out
+    (event,) = (e for e in run.events() if e["event"] == "two at once")
+    (double,) = json.loads((run.folder / "result.json").read_text())["doubles"]
+    assert double == {key: event[key] for key in ("role", "name", "older", "newer")}
+    assert (double["role"], double["name"]) == ("area", "area2")
+    assert double["older"] < double["newer"]
+    assert_nothing_left(run.pids())
