@@ -4,7 +4,8 @@ Consensus: every area is alive, has an estimate of the current scan whose angles
 agrees with the others at every boundary bus and has heard the last words of its neighbours. Areas show
 themselves at rest, and only news can wake them: when all words said have been heard, no more will follow.
 After a restart, whose words are numbered from one again, and after whatever else the scenario did to processes or
-links, nothing must have changed for two beats besides, of which every area was heard to repeat itself.
+links, nothing must have changed for two beats besides, of which every area was heard to repeat itself, and every
+area must have heard its telemetry since: estimates that the areas agree on may have lost their plant.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from agents.quality import NONE, STALE
 from dsse_core.partition import Partition
 
 QUIET_BEATS = 2
+MAX_NAMED = 12  # areas
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +94,7 @@ class Observer:
         self._buses = {area.name: frozenset(area.network.row) for area in self.partition.areas}
         self._states: dict[str, StateMessage] = {}
         self._changes = 0
-        self._disturbed = False
+        self._disturbed_at = -math.inf  # when the last disturbance came, if any did
 
     @property
     def states(self) -> Mapping[str, StateMessage]:
@@ -118,7 +120,7 @@ class Observer:
         if last is not None and is_old(state.header, last.header, now - watched.heard_at, OVER_BEATS * self.beat_s):
             return False
         if last is not None and state.header.incarnation != last.header.incarnation:
-            self._disturbed = True
+            self._disturbed_at = now
         watched.heard_at = now
         watched.state = self._states[state.header.sender] = state  # a repeat carries newer message counts
         if last is not None and state.header.order == last.header.order:
@@ -142,13 +144,14 @@ class Observer:
         if watched is None or watched.alive == alive:
             return False
         watched.alive = alive
-        self._disturbed |= not alive
+        if not alive:
+            self._disturbed_at = now
         self._note_change(now)
         return True
 
     def take_fault(self, now: float) -> None:
         """Note that the scenario has done something: who was there before may be dead, which nobody has told yet."""
-        self._disturbed = True
+        self._disturbed_at = now
         self._note_change(now)
 
     def quality_of(self, area: str, now: float) -> str:
@@ -160,6 +163,35 @@ class Observer:
 
     def find_obstacles(self, now: float) -> tuple[str, ...]:
         """What is missing to consensus at time ``now``, in words that name areas and buses; empty at consensus."""
+        if disunity := self._find_disunity(now):
+            return tuple(disunity)
+        return tuple(f"{name} has heard no telemetry for {age:.1f} s" for name, age in self._find_cut_off(now).items())
+
+    def find_dead_end(self, now: float) -> str | None:
+        """Why waiting helps no more, if it does not: the areas agree, on estimates that have been stale for long."""
+        ages = self._find_cut_off(now)
+        if not ages or min(ages.values()) < OVER_BEATS * self.beat_s or self._find_disunity(now):
+            return None
+        named = ", ".join(list(ages)[:MAX_NAMED]) + (f" and {len(ages) - MAX_NAMED} more" * (len(ages) > MAX_NAMED))
+        return (
+            f"the areas agree, but on stale estimates: {named} heard the last telemetry, of scan {self.scan}, "
+            f"{min(ages.values()):.1f} s ago; is the plant or gateway gone?"
+        )
+
+    def _find_cut_off(self, now: float) -> dict[str, float]:
+        """Areas that are stale, or have heard no telemetry since the last disturbance -> for how long, s."""
+        found = {}
+        for name, watched in self._watched.items():
+            state = watched.state
+            if state is None or state.quality == NONE:
+                continue
+            telemetry_at = watched.heard_at - state.telemetry_age
+            if state.quality == STALE or telemetry_at < self._disturbed_at:
+                found[name] = now - telemetry_at
+        return found
+
+    def _find_disunity(self, now: float) -> list[str]:
+        """What is missing to agreement, whatever the estimates are worth."""
         states, scan, obstacles = self.states, self.scan, []
         for name, watched in self._watched.items():
             obstacle = self._find_area_obstacle(name, watched, scan)
@@ -170,11 +202,11 @@ class Observer:
                 bus, [name for name in names if name in states and states[name].buses]
             )
         obstacles += self._find_unheard()
-        if not obstacles and self._disturbed and not self._is_quiet(now):
+        if not obstacles and self._disturbed_at > -math.inf and not self._is_quiet(now):
             obstacles.append(
                 f"something has changed within the last {QUIET_BEATS} beats, after a restart or another fault"
             )
-        return tuple(obstacles)
+        return obstacles
 
     def _is_quiet(self, now: float) -> bool:
         """Whether nothing has changed for so long that every area must have been heard to repeat itself."""

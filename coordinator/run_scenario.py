@@ -227,6 +227,8 @@ def _watch(run: _Run, observer: Observer, on_update: Callable[[Progress], None] 
             on_update(observer.progress(now - run.started, now))
         if not obstacles:
             return None
+        if not run.schedule.steps and (reason := observer.find_dead_end(now)):
+            return reason
         if now >= deadline:
             return no_consensus_within(run.scenario, obstacles)
 

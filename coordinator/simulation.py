@@ -106,6 +106,8 @@ class Simulation:
             obstacles = (*self._schedule.describe_next(), *self._observer.find_obstacles(now))
             if now - self._observer.changed_at >= check_s and not obstacles:
                 return None
+            if not self._schedule.steps and (reason := self._observer.find_dead_end(now)):
+                return reason
             if now >= settings.timeout_s:
                 return no_consensus_within(self._scenario, obstacles)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 
@@ -77,6 +78,21 @@ def test_a_plant_that_is_to_be_silent_from_the_start_is_silent_and_lives(
     events = run.events()
     told = events[: next(i for i, e in enumerate(events) if e.get("kind") == "speak")]
     assert {e["quality"] for e in {e["area"]: e for e in told if e["event"] == "quality"}.values()} <= {"none", "stale"}
+    assert_nothing_left(run.pids())
+
+
+def test_a_run_whose_plant_died_is_no_consensus_although_the_areas_agree(
+    start_run, edited_scenario, assert_nothing_left
+):
+    scenario = edited_scenario("ieee33")
+    scenario.write_text(scenario.read_text() + '[[faults.events]]\nat_s = 1.5\nkill = "plant"\n')
+    run = start_run(scenario)
+    code, out, err = run.end()
+    assert code == 1, out + err
+    assert "the areas agree, but on stale estimates: area1, area2, area3 heard the last telemetry, of scan 1, " in out
+    result = json.loads((run.folder / "result.json").read_text())
+    assert {area["quality"] for area in result["areas"].values()} == {"stale"}
+    assert result["verdict"]["gap_vm_pu"] <= 1e-8
     assert_nothing_left(run.pids())
 
 

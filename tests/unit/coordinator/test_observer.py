@@ -256,6 +256,30 @@ def test_after_a_fault_every_area_must_have_been_heard_again():
     assert obstacles(observer, 9) == ""
 
 
+def test_areas_that_agree_on_stale_estimates_are_no_consensus_and_after_ten_beats_a_dead_end_that_names_the_scan():
+    observer = watch(a_state("area2", quality="stale", telemetry_age=1.0))
+    assert obstacles(observer) == "area2 has heard no telemetry for 1.0 s"
+    assert observer.find_dead_end(3 * BEAT) is None
+    later = (3 + OVER_BEATS) * BEAT
+    reason = observer.find_dead_end(later)
+    assert reason is not None
+    assert "stale estimates: area2 heard the last telemetry, of scan 1, 3.0 s ago" in reason
+    observer.take_state(shifted(a_state("area1", sequence=2), va=0.1), later)
+    assert observer.find_dead_end(later) is None, "areas that differ may still come to agree"
+
+
+def test_after_a_fault_every_area_must_have_heard_its_telemetry_again_which_a_dead_plant_has_not_sent():
+    observer = watch()
+    observer.take_fault(3 * BEAT)
+    for beat in (4, 5, 6):
+        for area in AREAS:
+            heard = 0.0 if area != "area3" else (beat - 3) * BEAT + 0.01
+            observer.take_state(a_state(area, telemetry_age=heard), beat * BEAT)
+    assert obstacles(observer, 6) == "area3 has heard no telemetry for 0.6 s"
+    observer.take_state(a_state("area3"), 7 * BEAT)
+    assert obstacles(observer, 7) == ""
+
+
 def test_the_state_of_an_area_that_is_gone_or_not_heard_is_no_longer_good():
     observer = watch(beats=0)
     assert observer.quality_of("area1", 2 * BEAT) == "good"

@@ -11,6 +11,7 @@ import coordinator
 from coordinator.cli import run_command
 from coordinator.report import format_verdict
 from dsse_core.errors import InvalidInputError
+from scenarios.scenario import load_scenario
 
 
 def simulate(folder: Path, name: str = "ieee33-lossy", **options: object) -> coordinator.result.RunResult:
@@ -44,6 +45,19 @@ def test_a_run_without_consensus_ends_at_its_time_limit_and_says_why(tmp_path: P
     assert verdict.reason.startswith("no consensus within 0.3 s: ")
 
 
+def test_areas_that_agree_after_the_death_of_their_plant_are_no_consensus_and_all_files_are_there(tmp_path: Path):
+    events = [{"at_s": 0.05, "kill": "plant"}]
+    scenario = load_scenario("ieee33", changes={"faults.events": events})
+    result = simulate(tmp_path / "out", scenario)  # type: ignore[arg-type]
+    assert result.verdict.reason is not None
+    assert "the areas agree, but on stale estimates: area1, area2, area3" in result.verdict.reason
+    assert "of scan 1" in result.verdict.reason
+    assert result.verdict.virtual_s is not None
+    assert result.verdict.virtual_s < 5.0, "it is not worth the whole time limit"
+    assert {area.quality for area in result.areas} == {"stale"}
+    assert json.loads((tmp_path / "out" / "result.json").read_text())["verdict"]["gap_vm_pu"] < 1e-8
+
+
 def test_events_are_those_of_a_run_with_virtual_times(tmp_path: Path):
     result = simulate(tmp_path / "out", "industrial13")
     events = [json.loads(line) for line in (tmp_path / "out" / "events.jsonl").read_text().splitlines()]
@@ -55,8 +69,6 @@ def test_events_are_those_of_a_run_with_virtual_times(tmp_path: Path):
 
 
 def test_a_loss_of_all_messages_leaves_every_area_alone(tmp_path: Path):
-    from scenarios.scenario import load_scenario
-
     verdict = simulate(tmp_path / "out", load_scenario("ieee33", changes={"faults.loss": 1.0}), timeout_s=2.0).verdict  # type: ignore[arg-type]
     assert not verdict.consensus
     assert verdict.lost == verdict.messages > 0
