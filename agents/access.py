@@ -23,6 +23,8 @@ from agents.keys import (
 )
 
 ROUTER, PLANT, COORDINATOR = "router", "plant", "coordinator"
+SECOND_ROUTER = f"{ROUTER}2"  # with the certificate of a router, too
+ROUTERS = (ROUTER, SECOND_ROUTER)
 EVERY_MESSAGE = (
     "put",
     "delete",

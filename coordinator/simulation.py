@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -25,7 +24,7 @@ from coordinator.run_folder import make_run_folder
 from coordinator.split import area_files, default_run_id
 from coordinator.state_log import StateLog
 from coordinator.twin import SimulatedBus
-from coordinator.twin_faults import do_to_twin
+from coordinator.twin_faults import TwinFaults
 from scenarios.faults import LinkChanges
 from scenarios.scenario import Scenario
 from scenarios.telemetry import find_lateness, make_telemetry
@@ -91,6 +90,7 @@ class Simulation:
         files = area_files(scenario, self._id, NO_BUS)
         late_s = find_lateness(scenario, FIRST_SCAN)
         self._bus = SimulatedBus(files, self._telemetry.by_area, self._take_state, self._take_presence, late_s=late_s)
+        self._faults = TwinFaults(self._bus, scenario.transport.routers)
 
     def run(self) -> str | None:
         """Go on until consensus (None) or the time limit (the reason)."""
@@ -100,7 +100,7 @@ class Simulation:
             until = min(settings.timeout_s, self._schedule.next_at)
             self._bus.run(min(check_s, until - self._bus.now))
             now = self._bus.now
-            for step in self._schedule.carry_out(now, functools.partial(do_to_twin, self._bus)):
+            for step in self._schedule.carry_out(now, self._faults.do):
                 self._write(now, "fault", kind=step.kind, names=step.names)
                 self._observer.take_fault(now)
             obstacles = (*self._schedule.describe_next(), *self._observer.find_obstacles(now))

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from agents.access import PLANT, ROUTER
+from agents.access import PLANT, ROUTER, ROUTERS, SECOND_ROUTER
 from agents.credentials import load_credentials
 from agents.transport import Session, TransportError
 from coordinator.places import choose_places
@@ -20,8 +20,6 @@ from coordinator.zygote import Ended, Started
 from dsse_core.area_model import uses_tree
 from scenarios.scenario import Scenario
 
-SECOND_ROUTER = f"{ROUTER}2"
-ROUTERS = (ROUTER, SECOND_ROUTER)
 ROUTER_START_S = 10.0
 HELD_S = 86400.0  # for which a held scan stays
 

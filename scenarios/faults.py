@@ -16,7 +16,8 @@ Link = tuple[str, str]
 """(sending area, receiving area)."""
 LinkChanges = Mapping[str, float]
 """``delay_s``, ``jitter_s`` and ``duplicate`` that every link is to have instead of the scenario's."""
-PROCESSES = ("plant", "router")
+ROUTERS = ("router", "router2")
+PROCESSES = ("plant", *ROUTERS)
 LONGEST_S = 86400.0
 EventKind = Literal["kill", "restart", "pause", "cut", "silent"]
 
@@ -25,7 +26,8 @@ EventKind = Literal["kill", "restart", "pause", "cut", "silent"]
 class FaultEvent:
     """At ``at_s`` after the start of the run (all areas on the bus) ``kind`` happens to ``names``, for ``for_s``.
 
-    ``names``: the areas, ``plant`` or ``router``; two areas for a cut. ``for_s``: 0 for what happens in a moment.
+    ``names``: an area, ``plant``, ``router`` or ``router2``; two areas for a cut. ``for_s``: 0 for what happens in a
+    moment.
     """
 
     at_s: float
@@ -139,8 +141,8 @@ def change_links(faults: Faults, changes: LinkChanges) -> Faults:
     return replace(faults, links=links)
 
 
-def find_name_problems(table: FaultsTable, areas: Collection[str] | None, *, direct: bool) -> Iterable[str]:
-    """Names of no area or process; nothing as long as no areas are known (None). ``direct``: there is no router."""
+def find_name_problems(table: FaultsTable, areas: Collection[str] | None, routers: int) -> Iterable[str]:
+    """Names of no area or process; nothing as long as no areas are known (None). ``routers``: how many there are."""
     if areas is None:
         return
     known = ", ".join(areas)
@@ -152,11 +154,12 @@ def find_name_problems(table: FaultsTable, areas: Collection[str] | None, *, dir
             if name not in areas:
                 yield f"faults.link[{i}].{key}: there is no area {name!r}; areas: {known}"
     for i, event in enumerate(table.events):
-        processes = () if event.kind == "cut" else PROCESSES[:1] if direct else PROCESSES
+        processes = () if event.kind == "cut" else PROCESSES[: 1 + routers]
         for name in event.names:
             if name not in areas and name not in processes:
                 allowed = ", ".join([*areas, *processes])
-                why = ' with transport.kind = "neighbours"' if direct and name in PROCESSES else ""
+                why = ' with transport.kind = "neighbours"' if not routers and name in ROUTERS else ""
+                why = " with transport.routers = 1" if routers == 1 and name in ROUTERS else why
                 yield f"faults.events[{i}].{event.kind}: there is no {name!r}{why}; allowed: {allowed}"
 
 

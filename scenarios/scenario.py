@@ -126,7 +126,8 @@ def load_scenario(
     problems += network_problems
     area_buses, area_problems = _find_area_buses(file, network)
     problems += area_problems
-    problems += find_name_problems(file.faults, area_buses, direct=file.transport.kind == "neighbours")
+    routers = 0 if file.transport.kind == "neighbours" else file.transport.routers
+    problems += find_name_problems(file.faults, area_buses, routers)
     problems += find_time_problems(file.faults.events, file.run.timeout_s)
     problems += find_order_problems(file.faults.events)
     problems += [

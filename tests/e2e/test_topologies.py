@@ -42,15 +42,23 @@ def test_neighbours_need_no_router_even_if_the_one_they_all_link_with_dies_and_c
     assert_nothing_left(run.pids())
 
 
-def test_one_of_two_linked_routers_may_die_and_come_back(start_run, edited_scenario, assert_nothing_left):
+def test_either_of_two_linked_routers_may_die_and_come_back(start_run, edited_scenario, assert_nothing_left):
     scenario = edited_scenario("ieee33")
-    deaths = [("kill", "router", 0.2), ("restart", "router", 0.8), ("kill", "area2", 1.2), ("restart", "area2", 1.3)]
+    deaths = [
+        ("kill", "router", 0.2),
+        ("restart", "router", 0.8),
+        ("kill", "router2", 1.1),
+        ("restart", "router2", 1.6),
+    ]
+    deaths += [("kill", "area2", 1.8), ("restart", "area2", 1.9)]
     events = "".join(f'[[faults.events]]\nat_s = {at}\n{kind} = "{name}"\n' for kind, name, at in deaths)
     scenario.write_text(scenario.read_text() + events + "[transport]\nrouters = 2\n")
     run = start_run(scenario)
     code, out, err = run.end()
     assert code == 0, out + err
-    assert {"router", "router2"} <= run.pids().keys()
+    ends = [(e["name"], e["code"]) for e in run.events() if e["event"] == "process ended"]
+    for name in ("router", "router2"):
+        assert [code for ended, code in ends if ended == name] == [-signal.SIGKILL, 0]
     assert_centralised(run.folder)
     assert_nothing_left(run.pids())
 

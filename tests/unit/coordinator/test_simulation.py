@@ -107,3 +107,30 @@ def test_a_users_mistake_ends_with_exit_code_2_and_no_traceback(
 def test_link_faults_are_checked_from_python_too(tmp_path: Path):
     with pytest.raises(InvalidInputError, match="delay_s is -1"):
         simulate(tmp_path / "out", links={"delay_s": -1.0})
+
+
+def router_events(*events: dict[str, object]) -> object:
+    changes = {"faults.events": list(events), "transport.routers": 2}
+    return load_scenario("ieee33", changes=changes)
+
+
+def test_on_the_twin_too_one_of_two_routers_may_die_unnoticed_and_both_may_not(tmp_path: Path):
+    first, second = {"at_s": 0.01, "kill": "router"}, {"at_s": 0.02, "kill": "router2"}
+    one = simulate(tmp_path / "one", router_events(first, {"at_s": 0.05, "restart": "router"}))  # type: ignore[arg-type]
+    assert one.verdict.consensus
+    both = simulate(tmp_path / "both", router_events(first, second), timeout_s=3.0)  # type: ignore[arg-type]
+    assert not both.verdict.consensus
+    back = router_events(first, second, {"at_s": 1.0, "restart": "router2"})
+    assert simulate(tmp_path / "back", back).verdict.consensus  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("name", "passes"), [("router", False), ("router2", True)])
+def test_on_the_twin_too_a_frozen_router_holds_up_those_who_are_linked_to_it_until_they_give_it_up(
+    tmp_path: Path, name: str, passes: bool
+):
+    simulate(tmp_path / "out", router_events({"at_s": 0.001, "pause": name, "for_s": 5.0}))  # type: ignore[arg-type]
+    lines = (tmp_path / "out" / "events.jsonl").read_text().splitlines()
+    agreed = [e["time"] for e in map(json.loads, lines) if e["event"] == "quality" and e["quality"] == "good"]
+    assert len(agreed) == 3
+    assert (max(agreed) < 0.5) == passes
+    assert max(agreed) < 3.0

@@ -307,6 +307,17 @@ def test_an_event_may_begin_when_the_one_before_it_ends(tmp_path: Path) -> None:
     assert [(step.at_s, step.kind) for step in steps] == [(1, "pause"), (2, "resume"), (2, "pause"), (3, "resume")]
 
 
+def test_the_second_router_can_be_named_where_there_is_one(tmp_path: Path) -> None:
+    happens = events('at_s = 1, kill = "router2"', 'at_s = 2, restart = "router2"')
+    assert the_only(problems_of(tmp_path, GOOD + events('at_s = 1, kill = "router2"'))) == (
+        "faults.events[0].kill: there is no 'router2' with transport.routers = 1; allowed: area1, area2, area3, plant, "
+        "router"
+    )
+    path = tmp_path / "mine.toml"
+    path.write_text(GOOD + "[transport]\nrouters = 2\n" + happens)
+    assert [event.names for event in load_scenario(path).faults.events] == [("router2",), ("router2",)]
+
+
 def test_there_is_no_router_to_kill_where_neighbours_link_directly(tmp_path: Path) -> None:
     text = GOOD + '[transport]\nkind = "neighbours"\n' + events('at_s = 1, restart = "router"')
     assert the_only(problems_of(tmp_path, text)) == (
