@@ -13,9 +13,13 @@ Problems, 2.7).
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
+
+from dsse_core.selected_inverse import find_inverse_diagonal
 
 PIVOT_SCALE = 1e-3  # median of the scaled a R; anything from 1 to 1e-6 works, with fewer digits at the ends
 LARGEST_DAMPING = 1e-6  # of the scaled tableau
@@ -26,6 +30,7 @@ MOST_REFINEMENTS = 5
 # Of SuperLU, where the order of elimination is given: little pivoting, which refinement makes up for, and no
 # supernodes, of which these tableaus have none worth having.
 ORDERED = {"diag_pivot_thresh": 1e-3, "relax": 1, "panel_size": 1, "options": {"SymmetricMode": True}}
+FEWEST_SELECTED = 400  # rows of the tableau, from which the selected inverse takes less than solves
 BLOCK = 256  # right-hand sides solved at once; bounds memory at (n_meas + n_state, BLOCK)
 
 
@@ -65,9 +70,14 @@ class AugmentedPattern:
         there[self.order] = b
         return there
 
-    def factor(self, tableau: sp.csc_array) -> spla.SuperLU:
-        """Raises RuntimeError where the tableau is exactly singular."""
-        return spla.splu(tableau) if self.order is None else spla.splu(tableau, permc_spec="NATURAL", **ORDERED)
+    def factor(self, tableau: sp.csc_array, *, exact: bool = False) -> spla.SuperLU:
+        """``exact``: with full pivoting, so that refinement has nothing to make up for.
+
+        Raises RuntimeError where the tableau is exactly singular.
+        """
+        if self.order is None:
+            return spla.splu(tableau)
+        return spla.splu(tableau, permc_spec="NATURAL", **(ORDERED | ({"diag_pivot_thresh": 1.0} if exact else {})))
 
 
 class AugmentedFactor:
@@ -156,8 +166,18 @@ class AugmentedFactor:
         variance: np.ndarray = self._a * self._variance**2 * self._diagonal(0, self._n_meas)
         return variance
 
+    @cached_property
+    def _inverse_diagonal(self) -> np.ndarray | None:
+        """Of the tableau, where that takes less than its solves."""
+        if len(self._scale) < FEWEST_SELECTED:
+            return None
+        found = find_inverse_diagonal(self._tableau, self._pattern.factor(self._tableau, exact=True))
+        return None if found is None else self._scale**2 * self._pattern.permute_back(found)
+
     def _diagonal(self, first: int, count: int) -> np.ndarray:
         """Entries first ... first + count - 1 of the diagonal of the inverse."""
+        if self._inverse_diagonal is not None:
+            return self._inverse_diagonal[first : first + count]
         diagonal = np.zeros(count)
         for k in range(0, count, BLOCK):
             block = np.arange(k, min(k + BLOCK, count))
