@@ -137,13 +137,13 @@ class AdmmMessage:
 class TallyMessage:
     """Bad data of the whole feeder: what the sender's side of the tree of areas adds, and what is decided.
 
-    ``decisions``: meters taken out, in order, and when current magnitudes came into use; figures of the same list
-    only are combined. ``finished``: from the substation's side, there will be no more. ``sent``, ``heard``:
-    (start_ms, random, sequence) of the last information message to the receiver and of the newest from it, on which
-    the figures rest. ``settled``: they are final, all areas of this side included; only then ``objective`` (J),
-    ``degrees_of_freedom``, ``worst`` with its ``normalized`` residuals and ``held_back``, the number of current
-    magnitudes not yet in use, count. ``no_load``: as ``InformationMessage.R``, of the no-load model, empty until
-    known.
+    ``decisions``: meters taken out, in order, and when current magnitudes came into use; figures of the same list only
+    are combined. ``finished``: from the substation's side, there will be no more, and nothing is under way. ``sent``,
+    ``heard``: (start_ms, random, sequence) of the last information message to the receiver and of the newest from it,
+    on which that and the figures rest. ``settled``: they are final, all areas of this side included; only then
+    ``objective`` (J), ``degrees_of_freedom``, ``worst`` with its ``normalized`` residuals and ``held_back``, the number
+    of current magnitudes not yet in use, count. ``no_load``: as ``InformationMessage.R``, of the no-load model, empty
+    until known.
     """
 
     kind: ClassVar[str] = "tally"

@@ -3,7 +3,9 @@
 Sums and the largest normalised residual climb from the leaves to the substation's area, which sends down the list
 of its decisions: to use current magnitudes, which mislead before the flows are known, then which meters to remove.
 That list is the epoch: only figures of the same list are combined, and only of neighbours that have heard each
-other's last boundary message and have nothing more to say. Everything is absolute and may be lost, repeated or late.
+other's last boundary message and have nothing more to say. That there will be no more decisions is said on the way
+down under the same conditions, and is taken back as soon as they fail: it holds for no other information than that
+from which it was found. Everything is absolute and may be lost, repeated or late.
 What cannot be spared is found on the same way: each area tells its neighbours the cost-to-go of its meters at no
 load, once it has heard it from all the others.
 """
@@ -30,7 +32,10 @@ USE_CURRENTS = "use current magnitudes"  # a decision; the others are the id of 
 
 
 class BadDataTree:
-    """One area's part. ``decisions``: of the substation's area, in order; ``finished``: there will be no more."""
+    """One area's part. ``decisions``: of the substation's area, in order.
+
+    ``finished``: there will be no more, and nothing is under way anywhere in the feeder.
+    """
 
     def __init__(self, area: Area, own_meters: Collection[str]) -> None:
         self._area = area
@@ -54,11 +59,11 @@ class BadDataTree:
         self._known = known
         if known.scan != self._scan:
             self._scan = known.scan
-            self.decisions, self.finished = (), False
+            self.decisions = ()
         parent = self._area.parent
         order = known.tallies.get(parent.area) if parent else None
         if order is not None:
-            self.decisions, self.finished = order.decisions, order.finished
+            self.decisions = order.decisions
 
     def select(self, telemetry: Sequence[Measurement]) -> list[Measurement]:
         """The measurements that the decisions so far leave in use."""
@@ -84,24 +89,30 @@ class BadDataTree:
         settled: bool,
         known: Knowledge,
     ) -> None:
-        """Add up this side's figures where all of them are final; the substation's area decides.
+        """Add up this side's figures where all of them are final; the substation's area decides, others hear from it.
 
         ``find_variance``: the ``residual_variance`` at ``x``; asked for it if that is needed.
         """
         self._known = known
-        self._tally = None
+        self._tally, self.finished = None, False
         no_load = self._heard_no_load()
         children = [known.tallies.get(n.area) for n in self._children]
         if not settled or len(no_load) < len(self._area.neighbours):
             return
         own = self._tally_own(model, measurements, x, find_variance, no_load)
-        final = [t for t, n in zip(children, self._children, strict=True) if t is not None and self._is_final(t, n)]
+        final = [
+            t for t, n in zip(children, self._children, strict=True) if t and t.settled and self._is_last_word(t, n)
+        ]
         if len(final) < len(self._children):
             return
         below = [self.read(t) for t in final]
         self._tally = add_tallies([replace(own, held_back=self._held_back), *below])
-        if self._area.parent is None and not self.finished:
+        parent = self._area.parent
+        if parent is None:
             self._decide(self._tally)
+        else:
+            order = known.tallies.get(parent.area)
+            self.finished = order is not None and order.finished and self._is_last_word(order, parent)
 
     def _decide(self, tally: Tally) -> None:
         exceeds = tally.objective >= chi_square_limit(tally.degrees_of_freedom, CONFIDENCE)
@@ -117,14 +128,16 @@ class BadDataTree:
     def message_for(self, neighbour: Neighbour, header: Header) -> TallyMessage:
         told, heard = self._known.told.get(neighbour.area), self._known.boundary.get(neighbour.area)
         up = self._tally if neighbour.is_parent else None
+        finished = self.finished and not neighbour.is_parent
+        holds = up is not None or finished
         return TallyMessage(
             header=header,
             bus=neighbour.bus,
             decisions=self.decisions,
-            finished=self.finished and not neighbour.is_parent,
+            finished=finished,
             settled=up is not None,
-            sent=_order(told) if up else (),
-            heard=_order(heard) if up else (),
+            sent=_order(told) if holds else (),
+            heard=_order(heard) if holds else (),
             objective=up.objective if up else 0.0,
             degrees_of_freedom=up.degrees_of_freedom if up else 0,
             held_back=up.held_back if up else 0,
@@ -133,13 +146,12 @@ class BadDataTree:
             no_load=self._no_load_for(neighbour),
         )
 
-    def _is_final(self, tally: TallyMessage, child: Neighbour) -> bool:
-        """Whether nothing is under way between us and ``child``, whose side is settled in our epoch."""
+    def _is_last_word(self, tally: TallyMessage, neighbour: Neighbour) -> bool:
+        """Whether nothing is under way between us and ``neighbour``, who is in our epoch."""
         return (
-            tally.settled
-            and tally.decisions == self.decisions
-            and tally.sent == _order(self._known.boundary.get(child.area))
-            and tally.heard == _order(self._known.told.get(child.area))
+            tally.decisions == self.decisions
+            and tally.sent == _order(self._known.boundary.get(neighbour.area))
+            and tally.heard == _order(self._known.told.get(neighbour.area))
         )
 
     def read(self, message: TallyMessage) -> Tally:

@@ -1,0 +1,95 @@
+"""A state that is marked good is the centralised estimate of its scan, whatever is late, lost or restarted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from simulated_bus import SimulatedBus, area_files_of
+from test_angle_offset import tree_scenario
+
+from agents.messages import StateMessage, TallyMessage
+from agents.quality import GOOD
+from dsse_core.bad_data import BadDataReport, process_bad_data
+from scenarios.scenario import Scenario, load_scenario
+from scenarios.telemetry import make_telemetry
+
+SCANS = (1, 2)
+
+
+class Watched:
+    """A scenario under way on the twin; ``shown``: every state that was good when it was shown, whoever saw it."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.telemetry = {scan: make_telemetry(scenario, scan=scan) for scan in SCANS}
+        self.central = {scan: process_bad_data(scenario.network, self.telemetry[scan].union) for scan in SCANS}
+        self.shown: list[StateMessage] = []
+        files = area_files_of(scenario, strategy="information")
+        self.bus = SimulatedBus(files, self.telemetry[1].by_area, on_state=lambda at, state: self._keep(state))
+        self.bus.run_until_settled()
+        self.bus.run(1.0)
+        assert self.good_now == self.bus.files.keys()
+
+    @property
+    def good_now(self) -> set[str]:
+        return {name for name, state in self.bus.states.items() if state.quality == GOOD}
+
+    def lose_tallies_to(self, *receivers: str) -> None:
+        self.bus.refuse_delivery = lambda _, receiver, message: (
+            isinstance(message, TallyMessage) and receiver in receivers
+        )
+
+    def lose_nothing(self) -> None:
+        self.bus.refuse_delivery = lambda *_: False
+
+    def _keep(self, state: StateMessage) -> None:
+        if state.quality == GOOD:
+            self.shown.append(state)
+
+    def assert_good_states_are_the_centralised_estimate(self) -> None:
+        for state in self.shown:
+            assert gap_of(state, self.central[state.header.scan]) <= 1e-8, (state.header.sender, state.header.time)
+
+
+def gap_of(state: StateMessage, report: BadDataReport) -> float:
+    central = report.result
+    rows = [central.network.row[bus] for bus in state.buses]
+    return max(abs(central.vm[rows] - state.vm).max(), abs(central.va[rows] - state.va).max())
+
+
+@pytest.mark.parametrize("lose_tallies", [False, True])
+@pytest.mark.parametrize("ahead", ["b", "d"])
+def test_two_scans_under_the_label_of_one_are_not_good(ahead: str, lose_tallies: bool):
+    """Area c is late; what it hears of the next scan from ``ahead`` goes into what it tells others of its own scan."""
+    world = Watched(tree_scenario())
+    if lose_tallies:
+        world.lose_tallies_to("a", "b", "d", "e")
+    others = set(world.bus.files) - {ahead, "c"}
+    world.bus.next_scan(world.telemetry[2].by_area, late_s={"c": 0.2} | dict.fromkeys(others, 0.4))
+    world.bus.run(1.0)
+    world.lose_nothing()
+    world.bus.run_until_settled()
+    world.bus.run(0.5)
+    assert world.good_now == world.bus.files.keys()
+    world.assert_good_states_are_the_centralised_estimate()
+
+
+def test_who_has_not_heard_that_the_search_for_bad_data_began_anew_is_not_good():
+    """The substation's area restarts and uses its bad meter again until it has found it out once more.
+
+    A wrong flow inside area 1 moves the boundary too little for the others to see a contradiction.
+    """
+    scenario = load_scenario("ieee33")
+    scenario = replace(scenario, telemetry=replace(scenario.telemetry, gross_errors={"p_flow@2:2-3": 20.0}))
+    world = Watched(scenario)
+    assert world.bus.states["area1"].removed == ("p_flow@2:2-3",)
+    world.lose_tallies_to("area2", "area3")
+    world.bus.kill("area1")
+    world.bus.run(0.3)
+    world.bus.start("area1")
+    world.bus.run(1.0)
+    world.lose_nothing()
+    world.bus.run_until_settled()
+    world.bus.run(0.5)
+    assert world.good_now == world.bus.files.keys()
+    world.assert_good_states_are_the_centralised_estimate()
