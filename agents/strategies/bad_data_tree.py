@@ -44,6 +44,7 @@ class BadDataTree:
         self._scan = 0
         self.decisions: tuple[str, ...] = ()
         self.finished = False
+        self._searched: tuple[int, tuple[str, ...]] | None = None  # scan and decisions with which it last finished
         self.critical: tuple[str, ...] = ()
         self._tally: Tally | None = None  # of this side, final
         self._own: tuple[np.ndarray, set[str], Tally] | None = None  # what the area's own part rests on, and it
@@ -53,6 +54,11 @@ class BadDataTree:
         self._indispensable: tuple[object, set[str]] | None = None
         self._told_no_load: dict[str, tuple[object, tuple[float, ...]]] = {}  # what it was made from, and it
         self._known = Knowledge(())
+
+    @property
+    def searched(self) -> bool:
+        """Whether it has finished with these decisions in this scan, whatever has come up since."""
+        return self._searched == (self._scan, self.decisions)
 
     def adopt(self, known: Knowledge) -> None:
         """Take over what the side of the substation has decided; a new scan starts anew."""
@@ -113,6 +119,8 @@ class BadDataTree:
         else:
             order = known.tallies.get(parent.area)
             self.finished = order is not None and order.finished and self._is_last_word(order, parent)
+        if self.finished:
+            self._searched = (self._scan, self.decisions)
 
     def _decide(self, tally: Tally) -> None:
         exceeds = tally.objective >= chi_square_limit(tally.degrees_of_freedom, CONFIDENCE)

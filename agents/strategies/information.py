@@ -103,7 +103,7 @@ class Information(Strategy):
         estimate = replace(
             estimate, sigma_vm=sigma[n : 2 * n], sigma_va=sigma[:n], checked=checked, critical=tree.critical
         )
-        return estimate, self._find_contradictions(known) if checked else ()
+        return estimate, self._find_contradictions(known) if tree.searched and settled else ()
 
     def tally_for(self, neighbour: Neighbour, header: Header) -> TallyMessage:
         return self._tree.message_for(neighbour, header)
