@@ -51,7 +51,7 @@ class Meter:
     @property
     def id(self) -> str:
         """Unique within a network, e.g. ``vm@1``, ``p_injection@4``, ``q_flow@3:3-6``; the tie-breaker."""
-        return f"{self.kind}@{self.bus}" + (f":{self.branch}" if self.branch else "")
+        return self.kind + (f"@{self.bus}:{self.branch}" if self.branch else f"@{self.bus}")
 
     def __str__(self) -> str:
         place = f"branch {self.branch} at bus {self.bus}" if self.branch else f"bus {self.bus}"
@@ -93,9 +93,9 @@ def find_meter_problems(network: Network, meters: Iterable[Meter]) -> Iterable[s
     """Every meter that does not fit the network, as text."""
     seen: set[str] = set()
     for meter in meters:
-        if meter.id in seen:
-            yield f"meter {meter.id} is given twice; keep one reading of each quantity"
-        seen.add(meter.id)
+        if (meter_id := meter.id) in seen:
+            yield f"meter {meter_id} is given twice; keep one reading of each quantity"
+        seen.add(meter_id)
         if meter.bus not in network.row:
             yield f"meter {meter.id}: bus {meter.bus} is not in network {network.name!r}"
         if meter.kind.of_branch:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import TypeVar
+
+import numpy as np
 
 from dsse_core.measurement import MeasurementKind, Meter, Source
 from dsse_core.network import Network
@@ -14,7 +16,7 @@ from scenarios.scenario_file import MeasurementsTable, SigmaTable
 
 KIND = MeasurementKind
 Place = TypeVar("Place", int, str)
-_OTHER_POWER = {
+OTHER_POWER = {
     KIND.P_FLOW: KIND.Q_FLOW,
     KIND.Q_FLOW: KIND.P_FLOW,
     KIND.P_INJECTION: KIND.Q_INJECTION,
@@ -34,22 +36,22 @@ class SigmaRule:
     absolute: dict[MeasurementKind, float]
     floor: float
 
-    def sigma(self, meter: Meter, read: Callable[[Meter], float]) -> float:
-        """Standard deviation of ``meter``, p.u. or rad; ``read`` gives the true value of a meter. 0 if virtual."""
-        if meter.source is Source.VIRTUAL:
-            return 0.0
-        if meter.kind in self.absolute:
-            return self.absolute[meter.kind]
-        size = abs(read(meter))
-        if meter.kind in _OTHER_POWER:
-            size = math.hypot(size, read(other_power(meter)))
-        sigma = self.relative[meter.kind] * size
-        return sigma if meter.kind is KIND.VM else max(sigma, self.floor)
+    def sigmas(self, meters: Sequence[Meter], size: np.ndarray) -> np.ndarray:
+        """Standard deviations of ``meters``, p.u. or rad, shape (n_meas,); 0 of virtual ones.
 
-
-def other_power(meter: Meter) -> Meter:
-    """The meter of Q for one of P and of P for one of Q at the same place; ``meter`` itself for other kinds."""
-    return replace(meter, kind=_OTHER_POWER.get(meter.kind, meter.kind))
+        ``size``: of each the size of the true value, of a power that of the apparent power at its place.
+        """
+        kinds = np.array([meter.kind for meter in meters], dtype="<U12")
+        sigma = np.zeros(len(meters))
+        for kind in self.relative.keys() | self.absolute.keys():
+            of_kind = kinds == kind
+            if kind in self.absolute:
+                sigma[of_kind] = self.absolute[kind]
+            else:
+                least = 0.0 if kind is KIND.VM else self.floor
+                sigma[of_kind] = np.maximum(self.relative[kind] * size[of_kind], least)
+        sigma[[meter.source is Source.VIRTUAL for meter in meters]] = 0.0
+        return sigma
 
 
 def build_sigma_rule(table: MeasurementsTable, base_mva: float) -> SigmaRule:

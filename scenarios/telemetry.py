@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,7 +13,7 @@ from dsse_core.errors import InvalidInputError
 from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.power_flow import PowerFlowResult, solve_power_flow
 from scenarios.meter_noise import draw_noise
-from scenarios.meters import other_power
+from scenarios.meters import OTHER_POWER
 from scenarios.scenario import Scenario
 
 
@@ -40,25 +40,24 @@ def make_telemetry(scenario: Scenario, scan: int = 1) -> Telemetry:
         InvalidInputError: ``area-power-flow`` and an area without local slack voltage.
         PowerFlowDivergedError: the grid, or an area by itself, has no power flow solution.
     """
-    meters_by_area = scenario.partition.meters_by_area(scenario.meters)
     truth, area_power_flows = None, {}
     if scenario.telemetry.source == "file":
         union = tuple(_real_reading(scenario, meter) for meter in scenario.meters)
     else:
         truth = solve_power_flow(scenario.network)
-        exact: dict[str, float] = {}
         if scenario.telemetry.source == "area-power-flow":
             area_power_flows = _solve_area_power_flows(scenario)
-            for name, power_flow in area_power_flows.items():
-                exact |= _read_exactly(power_flow, meters_by_area[name])
+            by_meter = {m: s for part in _read_by_area(scenario, area_power_flows) for m, *s in zip(*part, strict=True)}
+            exact, size = np.array([by_meter[m] for m in scenario.meters], dtype=float).reshape(-1, 2).T
         else:
-            exact = _read_exactly(truth, scenario.meters)
-        noise = _draw_noise(scenario, scan)
-        union = tuple(_read(scenario, meter, exact, noise.get(meter.id, 0.0)) for meter in scenario.meters)
-    union = tuple(m for m in union if not _is_missing(scenario, scan, m.meter))
-    reading = {measurement.meter: measurement for measurement in union}
-    by_area = {name: tuple(reading[m] for m in meters if m in reading) for name, meters in meters_by_area.items()}
-    return Telemetry(truth, by_area, union, area_power_flows)
+            exact, size = _read_exactly(truth, scenario.meters)
+        union = _read(scenario, scan, exact, size)
+    if scenario.faults.telemetry.missing > 0:
+        union = tuple(m for m in union if not _is_missing(scenario, scan, m.meter))
+    by_area: dict[str, list[Measurement]] = {area.name: [] for area in scenario.partition.areas}
+    for measurement in union:
+        by_area[scenario.partition.area_of_meter(measurement.meter)].append(measurement)
+    return Telemetry(truth, {name: tuple(part) for name, part in by_area.items()}, union, area_power_flows)
 
 
 def find_lateness(scenario: Scenario, scan: int) -> dict[str, float]:
@@ -109,10 +108,27 @@ def _solve_area_power_flows(scenario: Scenario) -> dict[str, PowerFlowResult]:
     return results
 
 
-def _read_exactly(power_flow: PowerFlowResult, meters: Sequence[Meter]) -> dict[str, float]:
-    """Id of each meter, and of the one of the other power at its place -> what it would read without error."""
-    places = {m.id: m for meter in meters for m in (meter, other_power(meter))}
-    return dict(zip(places, power_flow.read_all(list(places.values())).tolist(), strict=True))
+def _read_by_area(
+    scenario: Scenario, power_flows: Mapping[str, PowerFlowResult]
+) -> Iterator[tuple[Sequence[Meter], np.ndarray, np.ndarray]]:
+    """The meters of each area and what ``_read_exactly`` finds for them in its own power flow."""
+    for name, meters in scenario.partition.meters_by_area(scenario.meters).items():
+        yield (meters, *_read_exactly(power_flows[name], meters))
+
+
+def _read_exactly(power_flow: PowerFlowResult, meters: Sequence[Meter]) -> tuple[np.ndarray, np.ndarray]:
+    """What each meter would read without error, and its size: of a power the apparent one, shape (n_meas,) each."""
+    places = {(m.kind, m.bus, m.branch): k for k, m in enumerate(meters)}
+    also: list[Meter] = []
+    partner = np.arange(len(meters))
+    for k, m in enumerate(meters):
+        if (kind := OTHER_POWER.get(m.kind)) is not None:
+            partner[k] = places.setdefault((kind, m.bus, m.branch), len(places))
+            if partner[k] == len(meters) + len(also):
+                also.append(Meter(kind, m.bus, m.branch))
+    read = power_flow.read_all([*meters, *also])
+    exact = read[: len(meters)]
+    return exact, np.where(partner == np.arange(len(meters)), abs(exact), np.hypot(exact, read[partner]))
 
 
 def _real_reading(scenario: Scenario, meter: Meter) -> Measurement:
@@ -122,24 +138,22 @@ def _real_reading(scenario: Scenario, meter: Meter) -> Measurement:
     return replace(real, value=real.value + scenario.telemetry.gross_errors.get(meter.id, 0.0) * real.sigma)
 
 
-def _draw_noise(scenario: Scenario, scan: int) -> dict[str, float]:
-    """Id of each meter that reads -> its noise, in standard deviations; empty where there is none."""
+def _read(scenario: Scenario, scan: int, exact: np.ndarray, size: np.ndarray) -> tuple[Measurement, ...]:
+    """``exact``, ``size``: see ``_read_exactly``."""
+    meters = scenario.meters
+    ids = [meter.id for meter in meters]
+    sigma = scenario.sigma_rule.sigmas(meters, size)
+    gross = scenario.telemetry.gross_errors
+    sigmas_off = np.array([gross.get(i, 0.0) for i in ids]) + _draw_noise(scenario, scan, ids)
+    values = np.array(exact + sigmas_off * sigma)
+    values[[m.kind is MeasurementKind.CURRENT for m in meters] & (values < 0)] = 0.0
+    values[[m.source is Source.VIRTUAL for m in meters]] = 0.0
+    return tuple(map(Measurement, meters, values.tolist(), sigma.tolist()))
+
+
+def _draw_noise(scenario: Scenario, scan: int, ids: Sequence[str]) -> np.ndarray:
+    """The noise of the meters called ``ids``, in standard deviations, shape (n_meas,)."""
     if not scenario.telemetry.noise:
-        return {}
-    ids = [meter.id for meter in scenario.meters if meter.source is not Source.VIRTUAL]
+        return np.zeros(len(ids))
     own = np.array([zlib.crc32(meter_id.encode()) for meter_id in ids], dtype=np.uint32)
-    return dict(zip(ids, draw_noise([scenario.seed, scan], own).tolist(), strict=True))
-
-
-def _read(scenario: Scenario, meter: Meter, exact: Mapping[str, float], noise: float) -> Measurement:
-    """``exact``: see ``_read_exactly``; ``noise``: in standard deviations."""
-    if meter.source is Source.VIRTUAL:
-        return Measurement(meter, 0.0, 0.0)
-
-    def read(meter: Meter) -> float:
-        return exact[meter.id]
-
-    sigma = scenario.sigma_rule.sigma(meter, read)
-    sigmas_off = scenario.telemetry.gross_errors.get(meter.id, 0.0) + noise
-    value = read(meter) + sigmas_off * sigma
-    return Measurement(meter, max(value, 0.0) if meter.kind is MeasurementKind.CURRENT else value, sigma)
+    return draw_noise([scenario.seed, scan], own)

@@ -116,9 +116,8 @@ def test_a_percentage_of_power_refers_to_the_apparent_power_and_has_a_floor() ->
 
 def test_an_absolute_sigma_has_no_floor_and_a_current_has_one() -> None:
     rule = SigmaRule(relative={KIND.CURRENT: 0.01}, absolute={KIND.P_FLOW: 1e-9}, floor=1e-4)
-    assert rule.sigma(Meter(KIND.P_FLOW, 1, "1-2"), lambda _: 1.0) == 1e-9
-    assert rule.sigma(Meter(KIND.CURRENT, 1, "1-2"), lambda _: 0.0) == 1e-4
-    assert rule.sigma(Meter(KIND.CURRENT, 1, "1-2"), lambda _: 2.0) == 0.02
+    meters = [Meter(KIND.P_FLOW, 1, "1-2"), *2 * [Meter(KIND.CURRENT, 1, "1-2")]]
+    assert rule.sigmas(meters, np.array([1.0, 0.0, 2.0])).tolist() == [1e-9, 1e-4, 0.02]
 
 
 def test_virtual_measurements_are_exact_zeros_and_belong_to_the_owner_of_their_bus() -> None:
