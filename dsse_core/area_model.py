@@ -121,7 +121,7 @@ class AreaModel:
         """y, shape (4,), and T = dy/dx, shape (4, size), at the boundary to ``neighbour``."""
         voltage = self.voltage_columns(neighbour)
         if self.into_area is None or not neighbour.is_parent:
-            columns = [*self._power_columns(neighbour), *voltage]
+            columns = self.boundary_columns(neighbour)
             return x[columns], self._select(columns)
         if self.dense:
             flows, along = self.dense.linearize_into_area(x)
@@ -135,7 +135,7 @@ class AreaModel:
     def boundary_values(self, x: np.ndarray, neighbour: Neighbour) -> np.ndarray:
         """y of ``boundary`` alone."""
         if self.into_area is None or not neighbour.is_parent:
-            return np.asarray(x[[*self._power_columns(neighbour), *self.voltage_columns(neighbour)]])
+            return np.asarray(x[self.boundary_columns(neighbour)])
         bus, there, own, mutual = self._branches_at_parent
         va, vm = x[there], x[self._n + there]
         v = float(x[self._n + bus])
@@ -157,10 +157,15 @@ class AreaModel:
         row = self.area.network.row[neighbour.bus]
         return [self._n + row, row]
 
-    def _power_columns(self, child: Neighbour) -> list[int]:
+    def boundary_columns(self, child: Neighbour) -> list[int]:
+        """Where x has y of the boundary to a child."""
+        first = self._first_power[child.area]
+        return [first, first + 1, *self.voltage_columns(child)]
+
+    @cached_property
+    def _first_power(self) -> dict[str, int]:
         children = [n.area for n in self.area.neighbours if not n.is_parent]
-        first = 2 * self._n + 2 * children.index(child.area)
-        return [first, first + 1]
+        return {area: 2 * (self._n + k) for k, area in enumerate(children)}
 
     def _select(self, columns: Sequence[int]) -> Matrix:
         shape = (len(columns), self.size)

@@ -165,10 +165,9 @@ def _responses_to_shift(
     dy[VA, 1] = 1.0
     end = m
     for n in model.area.neighbours:
-        y, T = model.boundary(x, n)
-        dy[:, 0] = y * DEGREES_OF_BOUNDARY / vm_b
+        dy[:, 0] = model.boundary_values(x, n) * DEGREES_OF_BOUNDARY / vm_b
         if n.area == neighbour.area:
-            dp[:, 0], dp[:, 1] = dy[:2, 0], -T[:2, fixed].sum(axis=1)
+            dp[:, 0], dp[:, 1] = dy[:2, 0], -model.boundary(x, n)[1][:2, fixed].sum(axis=1)
         elif (message := heard.get(n.area)) is not None:
             first, end = end, end + len(message.rows[0])
             B[first:end] = message.rows[0] @ dy
@@ -183,18 +182,42 @@ def _stack(
     model: AreaModel, x: np.ndarray, heard: Mapping[str, BoundaryInformation]
 ) -> tuple[Matrix, np.ndarray, np.ndarray]:
     """H, residual and sigma of the area's own measurements and of the messages ``heard``, up to four rows each."""
-    H, r, sigma = [model.jacobian(x)], [model.residual(x)], [model.sigma]
+    rows, r = _stack_messages(model, x, heard)
+    H = model.jacobian(x)
+    r = np.concatenate([model.residual(x), r])
+    sigma = np.concatenate([model.sigma, np.ones(len(r) - len(model.z))])
+    if isinstance(H, np.ndarray):
+        return np.concatenate([H, rows]), r, sigma
+    return sp.csr_array(sp.vstack([H, rows], format="csr")), r, sigma
+
+
+def _stack_messages(
+    model: AreaModel, x: np.ndarray, heard: Mapping[str, BoundaryInformation]
+) -> tuple[Matrix, np.ndarray]:
+    """Rows and residual of the messages ``heard`` alone; all sparse rows at once, as an area may have many children."""
+    rows: list[tuple[np.ndarray, np.ndarray]] = []  # numbers, and the columns that they belong to
+    r = [np.zeros(0)]
     for n in model.area.neighbours:
-        if (message := heard.get(n.area)) is not None:
+        if (message := heard.get(n.area)) is None:
+            continue
+        R, z = message.rows
+        if model.dense or (n.is_parent and model.into_area is not None):
             y, T = model.boundary(x, n)
-            R, z = message.rows
-            H.append(R @ T)
-            r.append(z - R @ y)
-            sigma.append(np.ones(len(z)))
+            rows.append((np.asarray(R @ T), np.arange(model.size)))
+        else:
+            columns = np.array(model.boundary_columns(n))
+            y = x[columns]
+            rows.append((R, columns))
+        r.append(z - R @ y)
     if model.dense:
-        return np.concatenate(H), np.concatenate(r), np.concatenate(sigma)
-    stacked = sp.vstack([sp.csr_array(rows) for rows in H], format="csr")
-    return sp.csr_array(stacked), np.concatenate(r), np.concatenate(sigma)
+        return np.concatenate([np.zeros((0, model.size)), *(part for part, _ in rows)]), np.concatenate(r)
+    if not rows:
+        return sp.csr_array((0, model.size)), r[0]
+    told = [part != 0 for part, _ in rows]
+    data = np.concatenate([part[is_told] for (part, _), is_told in zip(rows, told, strict=True)])
+    at = np.concatenate([np.broadcast_to(columns, k.shape)[k] for (_, columns), k in zip(rows, told, strict=True)])
+    ends = np.cumsum(np.concatenate([[0], *(is_told.sum(axis=1) for is_told in told)]))
+    return sp.csr_array((data, at, ends), shape=(len(ends) - 1, model.size)), np.concatenate(r)
 
 
 def _full(C: Matrix) -> np.ndarray:

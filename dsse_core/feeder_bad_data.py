@@ -17,7 +17,7 @@ from dsse_core.bad_data import THRESHOLD, TIE, normalize_residuals
 from dsse_core.boundary_information import BoundaryInformation
 from dsse_core.exchange import compute_information
 from dsse_core.exchange_sparse import sample_redundancy
-from dsse_core.measurement import Measurement, MeasurementKind, Source
+from dsse_core.measurement import Measurement, MeasurementKind, Meter
 from dsse_core.partition import Area, Neighbour
 
 # Below it an indispensable meter. Rounding and NO_LOAD_NOT_YET leave one 1e-15; a meter that another one replaces only
@@ -112,7 +112,7 @@ class NoLoadModel:
 def build_no_load_model(area: Area, measurements: Sequence[Measurement], reference: int | None) -> NoLoadModel:
     """``reference``: bus of the grid's angle reference, if the area sees it."""
     unit = [
-        Measurement(replace(m.meter, source=Source.TELEMETERED), 0.0, 1.0)
+        Measurement(Meter(m.meter.kind, m.meter.bus, m.meter.branch), 0.0, 1.0)
         for m in measurements
         if m.meter.kind is not MeasurementKind.CURRENT
     ]
