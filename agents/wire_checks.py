@@ -70,6 +70,13 @@ def tuple_of(
     return check_all
 
 
+def check_numbers(name: str, value: object) -> tuple[float, ...]:
+    """As ``tuple_of(check_number)``; states are long, and nearly all are finite floats whose sum is finite, too."""
+    if isinstance(value, tuple) and set(map(type, value)) <= {float} and math.isfinite(sum(value)):
+        return value
+    return tuple_of(check_number)(name, value)
+
+
 def map_of(check: Callable[[str, object], Any]) -> Callable[[str, object], dict[str, Any]]:
     def check_all(name: str, value: object) -> dict[str, Any]:
         if not isinstance(value, dict):
@@ -85,7 +92,7 @@ CHECKS: Mapping[str, Callable[[str, object], Any]] = {  # by the annotation of t
     "int": check_count,
     "Integer": check_integer,
     "str": check_text,
-    "tuple[float, ...]": tuple_of(check_number),
+    "tuple[float, ...]": check_numbers,
     "tuple[int, ...]": tuple_of(check_count),
     "tuple[str, ...]": tuple_of(check_text),
     "dict[str, int]": map_of(check_count),
