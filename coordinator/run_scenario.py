@@ -19,7 +19,7 @@ from agents.wire_checks import MessageError
 from coordinator.doubles import Double, Doubles
 from coordinator.events import EventLog
 from coordinator.fault_schedule import FaultSchedule
-from coordinator.judging import judge, make_observer, no_consensus_within, prepare_scenario
+from coordinator.judging import choose_scenario, judge, make_observer, no_consensus_within
 from coordinator.observer import Observer, Progress
 from coordinator.process_faults import do_to_processes
 from coordinator.processes import Launcher, News, describe_end, read_end
@@ -31,6 +31,8 @@ from coordinator.state_log import StateLog
 from coordinator.system import System
 from coordinator.yardstick import start_yardstick
 from coordinator.zygote import Ended, Started
+from dsse_core.area_model import uses_tree
+from scenarios.check import check_scenario
 from scenarios.scenario import Scenario
 
 UPDATE_S = 0.1
@@ -95,7 +97,10 @@ def run_scenario(
     keys: str | Path | None = None,
 ) -> RunResult:
     """Run ``scenario`` with the processes of ``launcher``; see ``coordinator.run``. ``started``: monotonic time."""
-    scenario = prepare_scenario(scenario, seed, strategy, timeout_s)
+    scenario = choose_scenario(scenario, seed, strategy, timeout_s)
+    if any(map(uses_tree, scenario.partition.areas)):
+        launcher.preload("agents.warm_up:warm_up")  # beside the check, which in a large grid takes as long
+    check_scenario(scenario)
     folder = make_run_folder(out, default_run_id(scenario), ("areas", "logs"))
     with EventLog(folder / "events.jsonl", started) as events:
         run_id = f"{default_run_id(scenario)}-{secrets.token_hex(4)}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from agents.area_file import AreaFile, save_area_file
@@ -76,12 +76,23 @@ def write_area_files(
     suffix: str = ".toml",
 ) -> dict[str, Path]:
     """Write ``<area>.toml`` (or ``suffix``) for every area into ``folder``; area -> file. See ``area_files``."""
+    return dict(write_one_by_one(scenario, run, endpoints, folder, places, suffix))
+
+
+def write_one_by_one(
+    scenario: Scenario,
+    run: str,
+    endpoints: Sequence[str],
+    folder: Path,
+    places: Mapping[str, str] | None = None,
+    suffix: str = ".toml",
+) -> Iterator[tuple[str, Path]]:
+    """``write_area_files``, where an area need not wait for the files of the others."""
     if strange := [e for e in endpoints if not re.fullmatch(r"[a-z-]+/.+", e)]:
         problems = [f"{e!r} is no Zenoh endpoint; one looks like tcp/192.0.2.7:7447" for e in strange]
         raise InvalidInputError("endpoints", problems)
     folder.mkdir(parents=True, exist_ok=True)
-    files = {}
     for content in area_files(scenario, run, endpoints, places):
-        files[content.area.name] = folder / f"{content.area.name}{suffix}"
-        save_area_file(files[content.area.name], content)
-    return files
+        path = folder / f"{content.area.name}{suffix}"
+        save_area_file(path, content)
+        yield content.area.name, path

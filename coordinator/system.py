@@ -15,9 +15,8 @@ from agents.credentials import load_credentials
 from agents.transport import Session, TransportError
 from coordinator.places import choose_places
 from coordinator.processes import Launcher, check_open_files, read_end
-from coordinator.split import write_area_files
+from coordinator.split import write_one_by_one
 from coordinator.zygote import Ended, Started
-from dsse_core.area_model import uses_tree
 from scenarios.scenario import Scenario
 
 ROUTER_START_S = 10.0
@@ -99,10 +98,8 @@ class System:
 
     def start_others(self) -> None:
         """Write the area files, start plant and agents."""
-        if any(map(uses_tree, self.scenario.partition.areas)):
-            self.launcher.preload("agents.warm_up:warm_up")  # meanwhile the files are written
-        files = write_area_files(self.scenario, self.id, self.endpoints, self.folder / "areas", self._places, ".json")
-        for name, path in files.items():
+        where = (self.endpoints, self.folder / "areas", self._places, ".json")
+        for name, path in write_one_by_one(self.scenario, self.id, *where):
             self._order(name, "agents.__main__:main", [str(path.absolute()), *self._keys()])
         self._start_plant(scan=1)  # which in a large grid is long busy with its readings
 

@@ -98,6 +98,7 @@ class Zygote:
         # inherited: orders to a process wait until it knows what to do at them; unheard of, they would end it
         signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGUSR1, signal.SIGUSR2))
         self._inherited = (wake_read, wake_write)
+        gc.set_threshold(100_000, 50, 100)  # the plant of a large grid is millions of objects without cycles
         try:
             orphaned = False
             while not self.stopped and not (orphaned and not self.children):
