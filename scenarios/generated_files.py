@@ -32,7 +32,12 @@ zero_injection = "virtual"
 voltage = {{ buses = {voltmeters}, sigma_percent = 0.2 }}
 flow = {{ branches = {flow_meters}, sigma_percent = 1.0 }}
 injection = {{ buses = "all", sigma_percent = {injection_percent} }}
+
+[run]
+beat_s = {beat_s}
 """
+SHORTEST_BEAT_S, LONGEST_BEAT_S = 0.2, 2.0
+REPEATS_PER_S = 100  # of all areas together, each with its whole state: what one who watches has to read
 
 
 def write_generated(
@@ -90,4 +95,5 @@ def _format_scenario(
         voltmeters=[1, *sorted(drawn.tolist())],
         flow_meters=flow_meters,
         injection_percent=10.0 if meters == "standard" else 30.0,
+        beat_s=min(max(n_area / REPEATS_PER_S, SHORTEST_BEAT_S), LONGEST_BEAT_S),
     )
