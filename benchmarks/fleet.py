@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import resource
 import subprocess
 import sys
 import tempfile
@@ -28,7 +29,7 @@ def main(areas: int, buses: int, timeout_s: float) -> None:
         generate = ("generate", "--buses", str(areas * buses), "--areas", str(areas), "--out", str(feeder))
         subprocess.run([*_dsse(), *generate], check=True, stdout=subprocess.DEVNULL)
         arguments = ("run", str(feeder / "scenario.toml"), "--out", str(out), "--timeout", str(timeout_s), "--no-plots")
-        start = time.monotonic()
+        start, spent = time.monotonic(), _processor_time()
         with subprocess.Popen([*_dsse(), *arguments], stdout=subprocess.PIPE, text=True) as process:
             most = _watch_memory(process, out)
             said = process.stdout.read() if process.stdout else ""
@@ -38,20 +39,27 @@ def main(areas: int, buses: int, timeout_s: float) -> None:
         click.echo(f"\n{areas} areas of {buses} buses, {areas * buses} in all\n{said.strip()}")
         if not (out / "result.json").exists():
             raise click.ClickException(f"dsse run ended with {process.returncode} and left no result")
-        _report(json.loads((out / "result.json").read_text()), wall_s, most)
+        _report(json.loads((out / "result.json").read_text()), wall_s, _processor_time() - spent, most)
 
 
 def _dsse() -> list[str]:
     return [sys.executable, "-m", "coordinator"]
 
 
-def _report(result: dict[str, Any], wall_s: float, most: dict[str, float]) -> None:
+def _processor_time() -> float:
+    """s that all children that have ended took, with those that they waited for."""
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime
+
+
+def _report(result: dict[str, Any], wall_s: float, processor_s: float, most: dict[str, float]) -> None:
     verdict, timing = result["verdict"], result["timing_s"]
     click.echo(f"\nall areas present: {timing.get('areas_joined', float('nan')):.1f} s after the command's own start")
     for moment in ("scenario_loaded", "agents_started", "centralised_estimated", "last_change", "verdict"):
         if moment in timing:
             click.echo(f"  {moment}: {timing[moment]:.1f} s")
     click.echo(f"command's end: {wall_s:.1f} s; consensus: {verdict['consensus']}")
+    click.echo(f"processor time of the command and all its processes: {processor_s:.0f} s")
     click.echo(f"gap to the centralised estimate: {verdict['gap_vm_pu']} p.u., {verdict['gap_va_deg']} deg")
     click.echo(f"messages: {verdict['messages']}, bytes: {verdict['bytes']}, exchanges: {verdict['exchanges']}")
     for name, mebibytes in most.items():
