@@ -87,9 +87,9 @@ def _open_session(content: AreaFile, timeout_s: float, keys: Path | None) -> Ses
     """Join the bus at a router, or listen for the neighbours."""
     credentials = load_credentials(keys, content.area.name)
     if not content.listen:
-        return Session.connect(content.endpoints, timeout_s, credentials)
+        return Session.connect(content.endpoints, timeout_s, credentials, beat_s=content.beat_s)
     access = replace(load_access(keys / ACCESS_FILE), run=content.run) if keys else None
-    return Session.meet(content.endpoints, content.listen, credentials, access)
+    return Session.meet(content.endpoints, content.listen, credentials, access, beat_s=content.beat_s)
 
 
 if __name__ == "__main__":

@@ -21,7 +21,8 @@ from agents.credentials import Credentials
 from agents.messages import MAX_BYTES
 from dsse_core.errors import DsseError
 
-LEASE_MS = 2000
+SHORTEST_LEASE_S = 2.0
+LEASE_BEATS = 3  # by then, what has come over the link is stale anyway
 LONGEST_WAIT_S = 86400.0
 RETRY = {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 2}
 
@@ -30,7 +31,8 @@ class TransportError(DsseError):
     """The bus cannot be reached or opened; names the endpoint."""
 
 
-def _config(mode: str, credentials: Credentials | None = None, **sections: Any) -> zenoh.Config:
+def _config(mode: str, credentials: Credentials | None = None, beat_s: float = 0.0, **sections: Any) -> zenoh.Config:
+    """``beat_s``: that of who speaks here; the other end waits for a sign of life as long as that allows."""
     return zenoh.Config.from_json5(
         json.dumps(
             {
@@ -48,7 +50,7 @@ def _config(mode: str, credentials: Credentials | None = None, **sections: Any) 
                     "link": {
                         **_tls(credentials),
                         "tx": {
-                            "lease": LEASE_MS,
+                            "lease": int(1000 * max(SHORTEST_LEASE_S, LEASE_BEATS * beat_s)),
                             "keep_alive": 4,
                             "queue": {"congestion_control": {"block": {"wait_before_close": 1_000_000}}},
                         },
@@ -138,7 +140,12 @@ class Session(_Closing):
 
     @classmethod
     def connect(
-        cls, endpoints: Sequence[str], timeout_s: float = 10.0, credentials: Credentials | None = None
+        cls,
+        endpoints: Sequence[str],
+        timeout_s: float = 10.0,
+        credentials: Credentials | None = None,
+        *,
+        beat_s: float = 0.0,
     ) -> Session:
         """Connect to the first of ``endpoints`` that answers within ``timeout_s``.
 
@@ -155,7 +162,7 @@ class Session(_Closing):
             "retry": RETRY,
         }
         try:
-            return cls(zenoh.open(_config("client", credentials, connect=connect)))
+            return cls(zenoh.open(_config("client", credentials, beat_s, connect=connect)))
         except zenoh.ZError as error:
             raise TransportError(
                 f"cannot reach {', '.join(endpoints)} within {timeout_s:g} s: "
@@ -170,6 +177,8 @@ class Session(_Closing):
         listen: Sequence[str] = (),
         credentials: Credentials | None = None,
         access: Access | None = None,
+        *,
+        beat_s: float = 0.0,
     ) -> Session:
         """Link with each of ``endpoints`` directly, as soon and as often as it is there; no router takes part.
 
@@ -185,6 +194,7 @@ class Session(_Closing):
             config = _config(
                 "peer",
                 credentials,
+                beat_s,
                 listen={"endpoints": list(listen), "exit_on_failure": True},
                 connect=_in_the_background(endpoints),
                 **_access_control(access),
