@@ -88,7 +88,7 @@ def build_view_table(view: View) -> Table:
         table.add_row(
             area.name,
             area.state,
-            area.quality,
+            area.quality if area.quality == area.said_quality else f"{area.quality} (said {area.said_quality})",
             str(area.scan),
             "-" if area.age_s is None else f"{area.age_s:.1f}",
             f"{area.telemetry_age_s:.1f}",

@@ -15,6 +15,7 @@ from coordinator.doubles import NOUNS, describe_double
 from coordinator.observer import count_exchanges
 
 OVER_S = 2.0  # after which a life that is not heard is over; nobody tells a watcher the beat
+SILENT_GAPS = 3  # an area that was not heard for so many of its longest pauses, and for OVER_S, is silent
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,8 +24,9 @@ class AreaView:
 
     ``gap_vm_pu``, ``gap_va_deg``: the largest differences to a neighbour at a bus that both publish, None where there
     is none. ``neighbours``: those that it speaks to. ``age_s``: None if it was never heard. ``farewell``: what it said
-    when it left, empty if it died. ``quality`` is what the area said of its own state then (docs/quality.md), and stale
-    once it is gone. ``telemetry_age_s`` and ``ages_s`` (of each neighbour's information) have gone on counting since.
+    when it left, empty if it died. ``silent``: it has said nothing for long, though its token may be there.
+    ``said_quality``: what it said of its own state (docs/quality.md); ``quality``: the same, and stale once it is gone
+    or silent. ``telemetry_age_s`` and ``ages_s`` (of each neighbour's information) have gone on counting since.
     """
 
     name: str
@@ -33,6 +35,8 @@ class AreaView:
     farewell: str = ""
     scan: int = 0
     quality: str = NONE
+    said_quality: str = NONE
+    silent: bool = False
     telemetry_age_s: float = 0.0
     ages_s: Mapping[str, float] = field(default_factory=dict)
     estimated: bool = False
@@ -54,7 +58,7 @@ class AreaView:
         """In a word."""
         if not self.present:
             return "left" if self.farewell else "gone"
-        if self.age_s is None:
+        if self.age_s is None or self.silent:
             return "silent"
         if not self.estimated:
             return "waits for telemetry" if self.scan == 0 else "no estimate"
@@ -82,6 +86,7 @@ class Watcher:
     _presence: Presence = field(default_factory=Presence)
     _farewells: dict[str, str] = field(default_factory=dict)
     _heard: dict[str, tuple[float, StateMessage]] = field(default_factory=dict)
+    _longest_gap: dict[str, float] = field(default_factory=dict)  # between two states of an area's life, s
 
     def take_presence(self, key: str, alive: bool) -> None:
         """Note that a token appeared or vanished."""
@@ -95,9 +100,12 @@ class Watcher:
 
     def take_state(self, state: StateMessage, now: float) -> None:
         """Keep ``state`` if it is of this run and as new as the area's last, or the life of that is over."""
-        at, last = self._heard.get(state.header.sender, (now, state))
+        area = state.header.sender
+        at, last = self._heard.get(area, (now, state))
         if state.header.run == self.run and not is_old(state.header, last.header, now - at, OVER_S):
-            self._heard[state.header.sender] = (now, state)
+            same_life = state.header.incarnation == last.header.incarnation
+            self._longest_gap[area] = max(now - at, self._longest_gap.get(area, 0.0)) if same_life else 0.0
+            self._heard[area] = (now, state)
 
     def is_whole(self) -> bool:
         """Whether there are areas, and every one that is there has been heard."""
@@ -127,6 +135,7 @@ class Watcher:
         if name not in self._heard:
             return AreaView(name, present, None, farewell)
         at, state = self._heard[name]
+        is_silent = now - at > max(OVER_S, SILENT_GAPS * self._longest_gap.get(name, 0.0))
         gaps = [gap for other in state.sent if (gap := self._gap(state, other))]
         return AreaView(
             name=name,
@@ -134,7 +143,9 @@ class Watcher:
             age_s=round(now - at, 3),
             farewell=farewell,
             scan=state.header.scan,
-            quality=state.quality if present or state.quality == NONE else STALE,
+            quality=state.quality if (present and not is_silent) or state.quality == NONE else STALE,
+            said_quality=state.quality,
+            silent=is_silent,
             telemetry_age_s=round(state.telemetry_age + now - at, 3),
             ages_s={other: round(age + now - at, 3) for other, age in state.ages.items()},
             estimated=bool(state.buses),

@@ -41,6 +41,25 @@ def test_the_last_state_of_an_area_that_is_gone_is_stale_and_its_ages_go_on():
     assert (gone.quality, gone.state, gone.telemetry_age_s, gone.ages_s) == ("stale", "gone", 60.1, {"area2": 60.2})
 
 
+def test_an_area_that_is_there_and_silent_for_long_is_stale_whatever_it_said():
+    watcher = Watcher("run")
+    watcher.take_presence(ONE, True)
+    for at in (5.0, 5.2, 5.4):
+        watcher.take_state(a_state(), at)
+    assert (seen(watcher, 5.4 + 0.9 * OVER_S).quality, seen(watcher, 5.4 + 1.1 * OVER_S).quality) == ("good", "stale")
+    assert seen(watcher, 8.4).age_s == 3.0
+    assert seen(watcher, 8.4).state == "silent"
+    assert "stale (said good)" in format_view(watcher.look(8.4))
+
+
+def test_an_area_with_a_slow_beat_is_not_silent_between_two_of_its_words():
+    watcher = Watcher("run")
+    watcher.take_presence(ONE, True)
+    for at in (0.0, 10.0):
+        watcher.take_state(a_state(), at)
+    assert (seen(watcher, 29.0).quality, seen(watcher, 41.0).quality) == ("good", "stale")
+
+
 def test_what_never_was_an_estimate_does_not_become_a_stale_one():
     watcher = Watcher("run")
     watcher.take_state(a_state(quality="none"), 5.0)
