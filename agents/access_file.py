@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from agents.access import Access
 from agents.area_reader import describe_schema_error
+from agents.bounded_file import LARGEST_TOML, read_bounded
 from agents.keys import NAME
 from dsse_core.errors import InvalidInputError
 
@@ -30,7 +31,7 @@ def load_access(path: Path) -> Access:
     """
     what = f"access file {path}"
     try:
-        table = _FileTable.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+        table = _FileTable.model_validate(tomllib.loads(read_bounded(path, LARGEST_TOML).decode("utf-8")))
     except OSError as error:
         raise InvalidInputError(what, [f"{error.strerror}; `dsse keys create SCENARIO` writes one"]) from None
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:

@@ -14,6 +14,7 @@ from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric.types import PrivateKeyTypes
 from cryptography.x509.oid import NameOID
 
+from agents.bounded_file import LARGEST_PEM, read_bounded
 from agents.credentials import Credentials
 
 PROBE_S = 2.0  # time for a handshake that only asks why there is no connection
@@ -49,7 +50,7 @@ def find_credential_problems(credentials: Credentials) -> list[str]:
 
 def _read_certificates(path: Path, problems: list[str]) -> list[x509.Certificate]:
     try:
-        return x509.load_pem_x509_certificates(path.read_bytes())
+        return x509.load_pem_x509_certificates(read_bounded(path, LARGEST_PEM))
     except OSError as error:
         problems.append(_describe_unreadable(path, error))
     except ValueError:
@@ -61,7 +62,7 @@ def _read_key(path: Path, problems: list[str]) -> PrivateKeyTypes | None:
     try:
         if path.stat().st_mode & 0o007:
             problems.append(f"{path}: anybody on this host may read or change this private key; chmod o-rwx {path}")
-        return serialization.load_pem_private_key(path.read_bytes(), password=None)
+        return serialization.load_pem_private_key(read_bounded(path, LARGEST_PEM), password=None)
     except OSError as error:
         problems.append(_describe_unreadable(path, error))
     except TypeError:

@@ -16,6 +16,7 @@ from agents.keys import (
     all_from_neighbours,
     all_lives,
     clock_key,
+    life_of,
     live_key,
     name_of_live,
     neighbour_key,
@@ -117,8 +118,10 @@ def _listen(content: AreaFile, session: Session, kinds: Sequence[str], inbox: In
     for neighbour in neighbours:
         lives = all_lives(run, "area", neighbour)
         session.subscribe(lives, lambda key, payload: _put_farewell(inbox, key, payload))
-        session.watch_presence(lives, lambda key, alive: inbox.put(key, _TokenSeen(key, alive)))
-    session.watch_presence(all_lives(run, "area", name), lambda key, alive: inbox.put(key, _NamesakeSeen(key, alive)))
+        session.watch_presence(lives, lambda key, alive: _put_token(inbox, _TokenSeen(key, alive)))
+    session.watch_presence(
+        all_lives(run, "area", name), lambda key, alive: _put_token(inbox, _NamesakeSeen(key, alive))
+    )
 
 
 def _log_change(state: StateMessage, told: object) -> object:
@@ -142,9 +145,15 @@ def _publishers(content: AreaFile, session: Session, kinds: Sequence[str]) -> Ca
     return lambda to, kind, payload: publishers[to, kind](payload)
 
 
+def _put_token(inbox: Inbox, seen: _TokenSeen | _NamesakeSeen) -> None:
+    """If it is a life's: a stranger's keys may be long, and each takes a slot."""
+    if life_of(seen.key):
+        inbox.put(seen.key, seen)
+
+
 def _put_farewell(inbox: Inbox, key: str, payload: bytes) -> None:
     """In a slot of its own: the end of the token, which follows, must not take its place."""
-    if farewell := read_farewell(payload):
+    if life_of(key) and (farewell := read_farewell(payload)):
         inbox.put(("farewell", key), _TokenSeen(key, False, farewell))
 
 

@@ -27,20 +27,25 @@ def begin_life() -> Incarnation:
     return Incarnation(time.time_ns() // 1_000_000, random.getrandbits(32))
 
 
+MAX_NAMES = 20_000  # that are kept in mind, and
+MAX_LIVES = 100  # of each: whoever may show tokens may show many
+LONGEST_KEY = 4000  # characters
+
+
 class Presence:
-    """Keeps the lives of every name whose tokens are there."""
+    """Keeps the lives of every name whose tokens are there; what is not written as a life is none."""
 
     def __init__(self) -> None:
-        self._lives: dict[tuple[str, str], set[str]] = {}  # role and name -> keys of its tokens
+        self._lives: dict[tuple[str, str], set[Incarnation]] = {}  # role and name -> those whose tokens are there
 
     @property
     def names(self) -> set[tuple[str, str]]:
         """(role, name) of all that are there."""
-        return {name for name, lives in self._lives.items() if lives}
+        return set(self._lives)
 
     def lives_of(self, role: str, name: str) -> list[Incarnation]:
         """All lives of a name that are there, the newest last."""
-        return sorted(filter(None, map(life_of, self._lives.get((role, name), ()))))
+        return sorted(self._lives.get((role, name), ()))
 
     def take_farewell(self, key: str) -> bool:
         """Note that the life that shows the token on ``key`` ends; whether its name is gone, now or already.
@@ -48,15 +53,21 @@ class Presence:
         The farewell and the end of the token may overtake each other.
         """
         self.take(key, False)
-        return name_of_live(key) not in self.names
+        return name_of_live(key) not in self._lives
 
     def take(self, key: str, alive: bool) -> bool:
         """Note that the token on ``key`` appeared or vanished; whether its name came, came anew or went with it."""
-        lives = self._lives.setdefault(name_of_live(key), set())
-        if alive:
-            new = key not in lives
-            lives.add(key)
-            return new
-        known = key in lives
-        lives.discard(key)
-        return known and not lives
+        name, life = name_of_live(key), life_of(key)
+        lives = self._lives.get(name, set())
+        if life is None or (life in lives) == alive:
+            return False
+        if not alive:
+            lives.remove(life)
+            if not lives:
+                del self._lives[name]
+            return not lives
+        is_too_much = len(self._lives) >= MAX_NAMES if name not in self._lives else len(lives) >= MAX_LIVES
+        if is_too_much or len(key) > LONGEST_KEY:
+            return False
+        self._lives.setdefault(name, lives).add(life)
+        return True

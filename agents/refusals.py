@@ -15,6 +15,7 @@ from agents.messages import (
     TallyMessage,
     TelemetryMessage,
 )
+from agents.strategies.bad_data_tree import has_too_many_names
 from dsse_core.boundary_information import BEYOND_REASON
 
 LONGEST_LEAD_S = 600.0  # by which the sender's clock may be ahead of ours
@@ -50,6 +51,8 @@ def find_unreasonable(message: LoadMessage | BoundaryNews | TallyMessage) -> str
             possible = _are_within_reason(message.p, message.q, message.sigma) and message.sigma >= 0
         case BoundaryMessage():
             possible = _are_within_reason(message.vm, message.va) and message.vm > 0
+        case TallyMessage() if has_too_many_names(message.decisions) or has_too_many_names(message.worst):
+            return "too many names"
         case TallyMessage():
             counts = message.degrees_of_freedom, message.held_back
             figures = message.objective, *message.normalized

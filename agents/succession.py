@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from agents.keys import life_of
 from agents.messages import Incarnation
+from agents.presence import MAX_LIVES
 from agents.refusals import LONGEST_LEAD_S
 from dsse_core.errors import DsseError
 
 OVERLAP_S = 3.0  # longer than the bus takes to notice a death (its lease, 2 s)
 GIVES_WAY = "gives way to a newer life"  # farewell of the older one
 REPLACED_CODE = 3  # its exit code: started again, it would be the newer one, and the other one would have to go
-MAX_LIVES = 100  # of one name that are kept in mind: whoever may show tokens may show many
 
 
 class ReplacedError(DsseError):

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 from agents.keys import life_of, name_of_live
 from agents.messages import Incarnation
-from agents.succession import GIVES_WAY, MAX_LIVES
+from agents.presence import MAX_LIVES
+from agents.succession import GIVES_WAY
 
 SURE_S = 2.5  # after the bus must have noticed a death (its lease, 2 s), before the older one gives way
 NOUNS = {"area": "agents of area {}", "plant": "plants"}

@@ -7,7 +7,7 @@ import math
 import signal
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -58,7 +58,8 @@ def run_plant(
                 signal.signal(number, lambda *_: inbox.put("stop", None))
             publishers = {area: session.publisher(telemetry_key(run, area)) for area in payloads}
             session.watch_presence(
-                all_lives(run, "area", "*"), lambda key, alive: inbox.put(key, key) if alive else None
+                all_lives(run, "area", "*"),
+                lambda key, alive: inbox.put(name_of_live(key), key) if alive and _is_known(key, payloads) else None,
             )
             session.watch_presence(all_lives(run, "plant", PLANT), lambda key, alive: inbox.put(key, (key, alive)))
             own_token = live_key(run, "plant", PLANT, life)
@@ -82,6 +83,11 @@ def run_plant(
         print(f"error: {error}", file=sys.stderr)
         return REPLACED_CODE if isinstance(error, ReplacedError) else 2
     return 0
+
+
+def _is_known(key: str, areas: Collection[str]) -> bool:
+    """Whether a token is that of one of ``areas``: for strangers there is nothing, and no place in the inbox."""
+    return name_of_live(key)[1] in areas
 
 
 @dataclass

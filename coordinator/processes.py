@@ -25,6 +25,7 @@ ONE_THREAD = {
 FILES_OF_A_PROCESS = 32  # beside one for the link of each area; measured: a router with three areas runs with 24
 # glibc's allocator: one heap for all threads, and what is free goes back to the system
 ONE_HEAP = {"MALLOC_ARENA_MAX": "1", "MALLOC_TRIM_THRESHOLD_": "131072", "MALLOC_MMAP_THRESHOLD_": "131072"}
+MAX_WAITING = 100_000  # pieces of news
 ROOT = Path(__file__).resolve().parent.parent  # where this package was imported from
 
 
@@ -164,6 +165,11 @@ def read_end(log: Path, lines: int = 24, width: int = 160) -> str:
 
 class News(queue.SimpleQueue[Any]):
     """What arrives from bus and processes, in order, for the one loop of the coordinator."""
+
+    def offer(self, item: Any) -> None:
+        """Leave what will be said again; it is dropped where too much waits."""
+        if self.qsize() < MAX_WAITING:
+            self.put(item)
 
     def take(self, timeout_s: float) -> list[Any]:
         """Wait up to ``timeout_s`` for something; everything that has arrived."""

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import secrets
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 
-from agents.access import COORDINATOR
+from agents.access import COORDINATOR, PLANT
 from agents.credentials import AUTHORITY, credentials_in
 from agents.keys import all_live, all_states, clock_key, live_key, name_of_live, sender_of
 from agents.messages import StateMessage, decode
@@ -72,6 +73,7 @@ class _Run:
     news: News = field(default_factory=News)
     presence: Presence = field(default_factory=Presence)
     doubles: Doubles = field(default_factory=Doubles)
+    refused: Counter[str] = field(default_factory=Counter)  # by reason
     joined: float | None = None  # when all areas were on the bus for the first time
     timing_s: dict[str, float] = field(default_factory=dict)
 
@@ -190,21 +192,25 @@ def _listen(run: _Run, session: Session) -> None:
         try:
             message = decode(payload)
         except MessageError as error:
-            run.news.put(error)
+            run.news.offer(error)
         else:
             if isinstance(message, StateMessage) and message.header.sender == sender_of(key):
-                run.news.put(_StateHeard(time.monotonic(), message))
+                run.news.offer(_StateHeard(time.monotonic(), message))
 
     session.subscribe(all_states(run.id), on_state)
+    known = {("plant", PLANT), ("coordinator", COORDINATOR)}
+    known |= {("area", area.name) for area in run.scenario.partition.areas}
+
+    def on_presence(key: str, alive: bool, farewell: str = "") -> None:
+        if name_of_live(key) in known:
+            run.news.put(_PresenceSeen(time.monotonic(), key, alive, farewell))
 
     def on_farewell(key: str, payload: bytes) -> None:
         if farewell := read_farewell(payload):
-            run.news.put(_PresenceSeen(time.monotonic(), key, False, farewell))
+            on_presence(key, False, farewell)
 
     session.subscribe(all_live(run.id), on_farewell)
-    session.watch_presence(
-        all_live(run.id), lambda key, alive: run.news.put(_PresenceSeen(time.monotonic(), key, alive))
-    )
+    session.watch_presence(all_live(run.id), on_presence)
     if any(faults.has_windows for faults in run.scenario.faults.links.values()):
         run.clock.publish = session.publisher(clock_key(run.id))
     session.declare_presence(live_key(run.id, "coordinator", COORDINATOR, run.clock.life))
@@ -251,8 +257,9 @@ def _take(run: _Run, observer: Observer, item: object) -> str | None:
     """Take in one piece of news; the reason to end the run, if it is one."""
     match item:
         case _StateHeard(at, state):
-            if state.header.run == run.id:
-                run.states.take(state, at, observer.take_state(state, at))
+            is_new = state.header.run == run.id and observer.take_state(state, at)
+            if observer.states.get(state.header.sender) is state:  # neither a stranger's nor one that came too late
+                run.states.take(state, at, is_new)
         case _PresenceSeen(at, key, alive, farewell):
             if double := run.doubles.take(key, alive, at, farewell):
                 _note_doubles(run, [double], at)
@@ -267,7 +274,9 @@ def _take(run: _Run, observer: Observer, item: object) -> str | None:
                     run.joined = at
                     run.timing_s["areas_joined"] = round(at - run.started, 4)
         case MessageError():
-            run.events.write("refused", reason=str(item))
+            run.refused[item.reason] += 1
+            if str(run.refused[item.reason]).strip("0") == "1":  # 1, 10, 100, ...: a flood must not fill the disk
+                run.events.write("refused", reason=str(item), count=run.refused[item.reason])
         case _ProcessNews(at, news):
             reason = _take_process_news(run, item)
             if reason:  # the bus may not have told of its death yet

@@ -131,7 +131,9 @@ class Simulation:
         )
 
     def _take_state(self, at: float, state: StateMessage) -> None:
-        self._states.take(state, at, self._observer.take_state(state, at))
+        is_new = self._observer.take_state(state, at)
+        if self._observer.states.get(state.header.sender) is state:
+            self._states.take(state, at, is_new)
         if self._on_update and time.monotonic() >= self._next_update:
             self._on_update(self._observer.progress(at, at))
             self._next_update = time.monotonic() + UPDATE_S

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 
+from agents.faults import KINDS
 from agents.messages import Incarnation, StateMessage
 from coordinator.events import EventLog
 
@@ -16,14 +17,16 @@ class StateLog:
     events: EventLog | None
     faults: Counter[str] = field(default_factory=Counter)
     _quality: dict[str, str] = field(default_factory=dict)
-    _counted: dict[tuple[str, Incarnation], Counter[str]] = field(default_factory=dict)
+    _counted: dict[str, tuple[Incarnation, Counter[str]]] = field(default_factory=dict)  # of the last life
 
     def take(self, state: StateMessage, at: float, is_new: bool) -> None:
-        """Note ``state``, shown at time ``at``; ``is_new``: it says more than a repeat would."""
+        """Note ``state``, an area's newest, shown at time ``at``; ``is_new``: it says more than a repeat would."""
         area = state.header.sender
-        before = self._counted.get((area, state.header.incarnation), Counter())
-        more = Counter(state.faults) - before
-        self._counted[area, state.header.incarnation] = before | Counter(state.faults)
+        told = Counter({kind: state.faults[kind] for kind in KINDS if kind in state.faults})  # a liar may make up more
+        life, before = self._counted.get(area, (state.header.incarnation, Counter()))
+        before = before if life == state.header.incarnation else Counter()
+        more = told - before
+        self._counted[area] = (state.header.incarnation, before | told)
         self.faults += more
         if self.events is None:
             return

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from agents.hearing import is_old
 from agents.keys import name_of_live
 from agents.messages import StateMessage
-from agents.presence import Presence
+from agents.presence import MAX_NAMES, Presence
 from agents.quality import NONE, STALE
 from coordinator.doubles import NOUNS, describe_double
 from coordinator.observer import count_exchanges
@@ -80,7 +80,10 @@ class View:
 
 @dataclass
 class Watcher:
-    """Takes in presence and states of run ``run`` with the time of their arrival, s on any one clock."""
+    """Takes in presence and states of run ``run`` with the time of their arrival, s on any one clock.
+
+    Of no more than ``MAX_NAMES`` areas: a watcher has no scenario that would tell areas from strangers.
+    """
 
     run: str
     _presence: Presence = field(default_factory=Presence)
@@ -95,13 +98,15 @@ class Watcher:
 
     def take_farewell(self, key: str, farewell: str) -> None:
         """Note that a process said that it goes."""
-        if self._presence.take_farewell(key):
+        if self._presence.take_farewell(key) and len(self._farewells) < MAX_NAMES:
             self._farewells[name_of_live(key)[1]] = farewell
 
     def take_state(self, state: StateMessage, now: float) -> None:
         """Keep ``state`` if it is of this run and as new as the area's last, or the life of that is over."""
         area = state.header.sender
         at, last = self._heard.get(area, (now, state))
+        if area not in self._heard and len(self._heard) >= MAX_NAMES:
+            return
         if state.header.run == self.run and not is_old(state.header, last.header, now - at, OVER_S):
             same_life = state.header.incarnation == last.header.incarnation
             self._longest_gap[area] = max(now - at, self._longest_gap.get(area, 0.0)) if same_life else 0.0
@@ -115,7 +120,7 @@ class Watcher:
     def look(self, now: float) -> View:
         """What is known at ``now``."""
         spoken_to = {name for _, state in self._heard.values() for name in state.sent}
-        names = sorted(self._names_of("area") | self._heard.keys() | spoken_to, key=_by_number)
+        names = sorted(self._names_of("area") | self._heard.keys() | spoken_to, key=_by_number)[:MAX_NAMES]
         others = sorted(f"{role} {name}" for role, name in self._presence.names if role != "area")
         views = tuple(self._view_of(name, now) for name in names)
         return View(self.run, views, tuple(others), tuple(self._find_doubles()))

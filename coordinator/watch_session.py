@@ -10,7 +10,7 @@ from pathlib import Path
 from agents.access import COORDINATOR
 from agents.access_file import ACCESS_FILE, load_access
 from agents.credentials import load_credentials
-from agents.keys import all_live, all_states, name_of_live, run_of
+from agents.keys import all_live, all_states, name_of_live, run_of, sender_of
 from agents.messages import StateMessage, decode
 from agents.presence import read_farewell
 from agents.transport import Session, TransportError
@@ -47,7 +47,7 @@ def attach(
     with Session.join(endpoints, timeout_s, credentials, direct=direct) as session:
         run = run or _find_run(session, timeout_s)
         watcher, news = Watcher(run), News()
-        session.subscribe(all_states(run), lambda key, payload: news.put(_decoded(payload)))
+        session.subscribe(all_states(run), lambda key, payload: news.offer(_decoded(key, payload)))
         session.subscribe(all_live(run), lambda key, payload: news.put((key, read_farewell(payload))))
         session.watch_presence(all_live(run), lambda key, alive: news.put((key, alive)))
 
@@ -91,10 +91,10 @@ def _find_run(session: Session, timeout_s: float) -> str:
     return runs.pop()
 
 
-def _decoded(payload: bytes) -> StateMessage | None:
-    """The state in ``payload``; None for anything else, which a watcher has nothing to say about."""
+def _decoded(key: str, payload: bytes) -> StateMessage | None:
+    """What the area that ``key`` belongs to says of its state; None for anything else: no watcher's business."""
     try:
         message = decode(payload)
     except MessageError:
         return None
-    return message if isinstance(message, StateMessage) else None
+    return message if isinstance(message, StateMessage) and message.header.sender == sender_of(key) else None

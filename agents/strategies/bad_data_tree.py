@@ -12,6 +12,7 @@ load, once it has heard it from all the others.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 
@@ -28,6 +29,9 @@ from dsse_core.partition import Area, Neighbour
 
 UPPER = np.triu_indices(4)
 _NoLoad = dict[str, tuple[float, ...]]  # neighbour -> ``TallyMessage.no_load``
+MAX_TIED = 20  # suspects of one side that are named; the first of them by name may be taken out
+MAX_DECISIONS = 1000  # of one scan, and
+MOST_NAMED = 25_000  # characters of names in a list: what all say about them must fit into a message
 USE_CURRENTS = "use current magnitudes"  # a decision; the others are the id of the meter to be removed
 
 
@@ -124,13 +128,18 @@ class BadDataTree:
 
     def _decide(self, tally: Tally) -> None:
         exceeds = tally.objective >= chi_square_limit(tally.degrees_of_freedom, CONFIDENCE)
-        if tally.held_back:
-            self.decisions = (*self.decisions, USE_CURRENTS)
+        if tally.held_back and USE_CURRENTS not in self.decisions:
+            decision = USE_CURRENTS
         elif exceeds and tally.worst:
-            self.decisions = (*self.decisions, min(tally.worst))
+            decision = min(tally.worst)
         else:
             self.finished = True
             return
+        decisions = (*self.decisions, decision)
+        if has_too_many_names(decisions):  # somebody makes up meters, and would do so for ever
+            self.finished = True
+            return
+        self.decisions = decisions
         self._tally = None
 
     def message_for(self, neighbour: Neighbour, header: Header) -> TallyMessage:
@@ -138,6 +147,7 @@ class BadDataTree:
         up = self._tally if neighbour.is_parent else None
         finished = self.finished and not neighbour.is_parent
         holds = up is not None or finished
+        worst = dict(itertools.islice(up.worst.items(), MAX_TIED)) if up else {}
         return TallyMessage(
             header=header,
             bus=neighbour.bus,
@@ -149,8 +159,8 @@ class BadDataTree:
             objective=up.objective if up else 0.0,
             degrees_of_freedom=up.degrees_of_freedom if up else 0,
             held_back=up.held_back if up else 0,
-            worst=tuple(up.worst) if up else (),
-            normalized=tuple(up.worst.values()) if up else (),
+            worst=tuple(worst),
+            normalized=tuple(worst.values()),
             no_load=self._no_load_for(neighbour),
         )
 
@@ -211,6 +221,11 @@ class BadDataTree:
             information = self._no_load.information_for(neighbour, _read_no_load(heard))
             last = self._told_no_load[neighbour.area] = (heard, tuple(information.R[UPPER].tolist()))
         return last[1]
+
+
+def has_too_many_names(names: Collection[str]) -> bool:
+    """Whether there are more than any feeder has bad readings, or a message has room for."""
+    return len(names) > MAX_DECISIONS or sum(map(len, names)) > MOST_NAMED
 
 
 def _read_no_load(told: _NoLoad) -> dict[str, BoundaryInformation]:

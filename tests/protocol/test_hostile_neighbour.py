@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 from simulated_bus import SimulatedBus, area_files_of
 
-from agents.messages import Header, decode, encode
+from agents.messages import Header, Incarnation, TallyMessage, decode, encode
+from agents.refusals import find_unreasonable
+from agents.strategies import bad_data_tree
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 
@@ -68,3 +71,40 @@ def test_whatever_a_neighbour_says_states_stay_finite_and_recover_when_it_is_san
     for name, state in bus.states.items():
         np.testing.assert_allclose(state.vm, fresh.states[name].vm, atol=1e-7)
         np.testing.assert_allclose(state.va, fresh.states[name].va, atol=1e-7)
+
+
+def test_meters_that_a_neighbour_makes_up_do_not_keep_the_search_for_bad_data_going_for_ever(monkeypatch):
+    monkeypatch.setattr(bad_data_tree, "MAX_DECISIONS", 12)
+    scenario = load_scenario("ieee33")
+    bus = SimulatedBus(area_files_of(scenario, strategy="information"), make_telemetry(scenario).by_area)
+    honest, made_up = bus.deliver, itertools.count()
+    longest = 0
+
+    def deliver(sender: str, receiver: str, payload: bytes) -> None:
+        nonlocal longest
+        message = decode(payload)
+        if isinstance(message, TallyMessage):
+            longest = max(longest, len(message.decisions))
+            assert longest <= 12
+            if message.settled and sender == "area2":
+                bad = {"objective": 1e9, "worst": (f"made-up@{next(made_up)}",), "normalized": (1e3,)}
+                payload = encode(replace(message, **bad))
+        honest(sender, receiver, payload)
+
+    bus.deliver = deliver
+    bus.run_until_settled()
+    assert longest == 12
+    bus.run(5.0)
+    assert longest == 12
+    assert all(state.checked for state in bus.states.values())
+    assert {len(state.removed) for state in bus.states.values()} == {0}
+
+
+@pytest.mark.parametrize("names", [("m",) * (bad_data_tree.MAX_DECISIONS + 1), ("m" * 999,) * 30])
+def test_more_names_than_a_message_can_pass_on_are_refused(names):
+    tally = TallyMessage(
+        Header("run", "area2", Incarnation(1, 1), 1, 1, 0.0), 6, (), True, True, (), (), 1.0, 1, 0, (), (), ()
+    )
+    assert find_unreasonable(tally) == ""
+    assert find_unreasonable(replace(tally, decisions=names)) == "too many names"
+    assert find_unreasonable(replace(tally, worst=names, normalized=(1.0,) * len(names))) == "too many names"

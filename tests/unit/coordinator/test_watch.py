@@ -2,29 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
+from shown_states import a_state, said_by
 
 from agents.keys import live_key
-from agents.messages import Header, Incarnation, StateMessage
+from agents.messages import Incarnation
 from coordinator.live import format_view
 from coordinator.split import check_run_id
 from coordinator.watch import OVER_S, AreaView, Watcher
 from dsse_core.errors import InvalidInputError
 
 ONE, OTHER = (live_key("run", "area", "area1", Incarnation(start, 1)) for start in (1, 2))
-
-
-def a_state(**changes: object) -> StateMessage:
-    """A good state of area1."""
-    body = {
-        **{"buses": (1,), "vm": (1.0,), "va": (0.0,), "sigma_vm": (0.001,), "sigma_va": (0.001,), "referenced": True},
-        **{"objective": 1.0, "degrees_of_freedom": 1, "removed": (), "critical": (), "checked": True},
-        **{"sent": {}, "heard": {}, "messages": 5, "bytes": 500, "lost": 0, "refused": {}, "notes": (), "faults": {}},
-        **{"quality": "good", "telemetry_age": 0.1, "ages": {"area2": 0.2}, "scans": {}},
-    }
-    return StateMessage(Header("run", "area1", Incarnation(1, 1), 1, 1, 0.0), **(body | changes))  # type: ignore[arg-type]
 
 
 def seen(watcher: Watcher, now: float) -> AreaView:
@@ -88,10 +76,6 @@ def test_the_farewell_of_a_former_life_does_not_outlast_the_next_one():
 def seen_state(watcher: Watcher) -> str:
     watcher.take_state(a_state(), 5.0)
     return seen(watcher, 5.0).state
-
-
-def said_by(area: str, life: Incarnation, **changes: object) -> StateMessage:
-    return replace(a_state(**changes), header=Header("run", area, life, 1, 1, 0.0))
 
 
 def test_a_life_whose_clock_was_set_back_is_shown_once_the_newer_one_was_silent_for_long():

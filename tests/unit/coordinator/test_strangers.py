@@ -1,0 +1,92 @@
+"""Who is no part of the scenario finds no place in the memory of those who watch."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+from types import SimpleNamespace
+
+import pytest
+from shown_states import a_state, said_by
+
+from agents import presence
+from agents.faults import LOST
+from agents.keys import live_key
+from agents.messages import Header, Incarnation
+from agents.presence import MAX_LIVES, Presence
+from coordinator import processes, watch
+from coordinator.processes import News
+from coordinator.run_scenario import _listen
+from coordinator.state_log import StateLog
+from coordinator.watch import Watcher
+from scenarios.scenario import load_scenario
+
+LIFE = Incarnation(1, 1)
+
+
+class Bus:
+    """Keeps what a listener asks of its session."""
+
+    def subscribe(self, keys: str, callback) -> None:
+        self.farewell = callback  # the last one
+
+    def watch_presence(self, keys: str, callback) -> None:
+        self.token = callback
+
+    def declare_presence(self, key: str) -> None:
+        pass
+
+
+def test_a_run_takes_in_the_tokens_of_its_own_processes_only():
+    bus, clock = Bus(), SimpleNamespace(life=LIFE)
+    run = SimpleNamespace(id="run", news=News(), scenario=load_scenario("ieee33"), clock=clock)
+    _listen(run, bus)  # type: ignore[arg-type]
+    for role, name in (("area", "area99"), ("plant", "other"), ("stranger", "area1")):
+        bus.token(live_key("run", role, name, LIFE), True)
+        bus.farewell(live_key("run", role, name, LIFE), b"SIGTERM")
+    assert run.news.take(0.0) == []
+    for role, name in (("area", "area1"), ("plant", "plant"), ("coordinator", "coordinator")):
+        bus.token(live_key("run", role, name, LIFE), True)
+    assert len(run.news.take(0.0)) == 3
+
+
+def test_states_that_nobody_takes_in_do_not_pile_up(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(processes, "MAX_WAITING", 10)
+    news = News()
+    for k in range(100):
+        news.offer(k)
+    news.put("the end of a process")
+    assert news.take(0.0) == [*range(10), "the end of a process"]
+
+
+def test_of_one_name_no_more_lives_are_kept_than_anybody_needs_and_no_more_names(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(presence, "MAX_NAMES", 3)
+    kept = Presence()
+    for start in range(2 * MAX_LIVES):
+        kept.take(live_key("run", "area", "area1", Incarnation(start, 1)), True)
+    assert len(kept.lives_of("area", "area1")) == MAX_LIVES
+    for k in range(10):
+        kept.take(live_key("run", "area", f"stranger{k}", LIFE), True)
+    assert len(kept.names) == 3
+    kept.take(live_key("run", "area", "stranger0", LIFE), False)
+    assert kept.take(live_key("run", "area", "area2", LIFE), True), "there is room again"
+    assert not kept.take(live_key("run", "area", "x" * presence.LONGEST_KEY, LIFE), True)
+
+
+def test_a_watcher_keeps_so_many_areas_and_no_more(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(watch, "MAX_NAMES", 5)
+    watcher = Watcher("run")
+    for k in range(20):
+        watcher.take_state(said_by(f"area{k}", LIFE, sent={f"made-up{j}": (1, 1, 1) for j in range(20)}), 0.0)
+        watcher.take_farewell(live_key("run", "area", f"area{k}", LIFE), "SIGTERM")
+    assert len(watcher.look(0.0).areas) == 5
+    assert len(watcher._heard) == len(watcher._farewells) == 5
+
+
+def test_faults_that_no_link_has_and_ever_new_lives_leave_no_trace_in_a_runs_sums():
+    log = StateLog(None)
+    for start in range(50):
+        state = a_state(faults={LOST: 2, f"made up {start}": 5})
+        log.take(replace(state, header=Header("run", "area1", Incarnation(start, 1), 1, 1, 0.0)), 0.0, True)
+    assert log.faults == Counter({LOST: 100})
+    assert len(log._counted) == 1
