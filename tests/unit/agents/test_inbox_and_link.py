@@ -45,6 +45,28 @@ def test_an_item_that_is_not_taken_holds_one_place_however_often_it_is_renewed()
     assert inbox.take(0.0) == [3 * MAX_WAITING - 1, -1]
 
 
+class HalfPut(dict):
+    """The news of an inbox in which another thread is replacing the item of ``slot``, and has only removed the old."""
+
+    slot = "a"
+
+    def pop(self, slot, *default):
+        if slot == self.slot:
+            super().pop(slot, None)
+            self.slot = None
+        return super().pop(slot, *default)
+
+
+def test_an_item_that_is_being_replaced_while_all_is_taken_comes_with_the_next_taking():
+    inbox = Inbox()
+    inbox._news = HalfPut()
+    inbox._news["a"] = 1
+    inbox.put("b", 2)
+    assert inbox.take(0.0) == [2]
+    inbox.put("a", 3)
+    assert inbox.take(0.0) == [3]
+
+
 def message(sequence):
     return BoundaryMessage(Header("r", "a", Incarnation(1, 1), 1, sequence, 0.0), 6, 0.95, 0.0, True)
 
