@@ -225,9 +225,10 @@ class AreaProtocol:
             if any(other.area not in heard for other in self._area.neighbours if other.area != n.area):
                 continue
             load = load_message_for(n.area, own, heard)
-            last = self._sent_load.get(n.area)
-            if last is None or abs(last.load.s - load.s) > NEWS_LOAD or last.header.scan != self._scan:
-                message = LoadMessage(self._header(last), n.bus, load.s.real, load.s.imag, load.variance**0.5)
+            sigma, last = load.variance**0.5, self._sent_load.get(n.area)
+            moved = last is None or max(abs(last.load.s - load.s), abs(last.sigma - sigma)) > NEWS_LOAD
+            if last is None or moved or last.header.scan != self._scan:
+                message = LoadMessage(self._header(last), n.bus, load.s.real, load.s.imag, sigma)
                 self._sent_load[n.area] = message
                 actions.append(Publish(message, n.area))
         return actions

@@ -17,6 +17,7 @@ from dsse_core.partition import Neighbour
 
 LARGEST_VM = 10.0  # p.u.; an iteration that goes there wanders for long before it comes back, if it does
 LARGEST_VA = 1e3  # rad; digits are lost beyond
+LARGEST_SPREAD = 6.0  # rad, of one area's angles, transformers' shifts included; a bus off by full turns is beyond
 
 
 @dataclass(frozen=True)
@@ -63,9 +64,11 @@ class Estimate:
     def is_reasonable(self) -> bool:
         """Whether a grid can be in this state, however far from any real one.
 
-        NaN is none, and nor is a negative magnitude, a mirror image at which an iteration that went astray can settle.
+        NaN is none, and nor is a negative magnitude or a bus that is full turns off, images of a state at which an
+        iteration that went astray can settle.
         """
         voltages = self.vm.min() > 0 and self.vm.max() < LARGEST_VM and abs(self.va).max() < LARGEST_VA
+        voltages = voltages and np.ptp(self.va) < LARGEST_SPREAD
         rest = np.concatenate([self.sigma_vm, self.sigma_va, [self.objective]])
         return bool(voltages and np.isfinite(rest).all())
 

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from simulated_bus import SimulatedBus, area_files_of
 
-from agents.messages import Header, Incarnation, TallyMessage, decode, encode
+from agents.messages import Header, Incarnation, LoadMessage, TallyMessage, decode, encode
 from agents.refusals import find_unreasonable
 from agents.strategies import bad_data_tree
+from agents.strategies.interface import Estimate
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 
@@ -45,7 +46,8 @@ def test_whatever_a_neighbour_says_states_stay_finite_and_recover_when_it_is_san
     rng = np.random.default_rng(random_seed)
     scenario = load_scenario("ieee33")
     telemetry = make_telemetry(scenario).by_area
-    bus = SimulatedBus(area_files_of(scenario, strategy=strategy), telemetry)
+    files = area_files_of(scenario, strategy=strategy)
+    bus = SimulatedBus(files, telemetry)
     lying = True
     honest = bus.deliver
 
@@ -66,7 +68,7 @@ def test_whatever_a_neighbour_says_states_stay_finite_and_recover_when_it_is_san
     bus.start("area2")
     bus.send_telemetry("area2")
     bus.run_until_settled()
-    fresh = SimulatedBus(area_files_of(scenario, strategy=strategy), telemetry)
+    fresh = SimulatedBus(files, telemetry)
     fresh.run_until_settled()
     for name, state in bus.states.items():
         np.testing.assert_allclose(state.vm, fresh.states[name].vm, atol=1e-7)
@@ -108,3 +110,34 @@ def test_more_names_than_a_message_can_pass_on_are_refused(names):
     assert find_unreasonable(tally) == ""
     assert find_unreasonable(replace(tally, decisions=names)) == "too many names"
     assert find_unreasonable(replace(tally, worst=names, normalized=(1.0,) * len(names))) == "too many names"
+
+
+def test_a_state_with_a_bus_that_is_full_turns_off_is_none_although_it_solves_the_equations():
+    ones, zeros = np.ones(3), np.zeros(3)
+    sound = Estimate(ones, zeros, ones, ones, True, 0.0, 1, (), ())
+    assert sound.is_reasonable
+    assert replace(sound, va=zeros + 6.5).is_reasonable, "the whole area may be turned against its reference"
+    assert not replace(sound, va=np.array([0.0, 0.01, 2 * np.pi])).is_reasonable
+
+
+def test_a_lie_about_the_uncertainty_of_a_load_is_corrected_on_the_far_side_too():
+    scenario = load_scenario("ieee33")
+    telemetry = make_telemetry(scenario).by_area
+    bus, fresh = (SimulatedBus(area_files_of(scenario, strategy="angle-offset"), telemetry) for _ in range(2))
+    honest = bus.deliver
+
+    def deliver(sender: str, receiver: str, payload: bytes) -> None:
+        message = decode(payload)
+        if isinstance(message, LoadMessage) and sender == "area2":
+            payload = encode(replace(message, sigma=10.0))
+        honest(sender, receiver, payload)
+
+    bus.deliver = deliver
+    bus.run_until_settled()
+    fresh.run_until_settled()
+    assert max(abs(np.subtract(bus.states["area3"].vm, fresh.states["area3"].vm))) > 1e-7
+    bus.deliver = honest
+    bus.kill("area2")
+    bus.start("area2")
+    bus.run_until_settled()
+    np.testing.assert_allclose(bus.states["area3"].vm, fresh.states["area3"].vm, atol=1e-9)
