@@ -24,7 +24,7 @@ from coordinator.split import write_area_files
 from scenarios.scenario import load_scenario
 
 RUN = "ieee33"
-LOCAL = "tls/127.0.0.1:7447"
+LOCAL = "tls/127.0.0.1:7448"
 AREA_ON = {"a": "area1", "b": "area2", "c": "area3"}  # area1 is the neighbour of both others
 PLANT_ON = "b"
 NETWORK_TO = {"a": "10.77.1", "c": "10.77.2"}  # of the link between b and that host; b is number 1

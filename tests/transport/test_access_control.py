@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -131,6 +132,21 @@ def test_a_certificate_that_expires_in_operation_ends_its_link(
         session.declare_presence(token)
         wait_until(lambda: (token, True) in changes)
         wait_until(lambda: (token, False) in changes)
+
+
+def test_broken_handshakes_at_one_port_of_a_router_do_not_keep_links_at_another_waiting(keys: Path):
+    own = load_credentials(keys, "a")
+    two = ["tls/127.0.0.1:0", "tls/127.0.0.1:0"]
+    with Router.listen(two, load_credentials(keys, "router"), CHAIN) as router:
+        flooded, private = router.endpoints
+        host, _, port = flooded.partition("/")[2].rpartition(":")
+        for _ in range(400):  # the router waits 0.1 s after each
+            with socket.create_connection((host, int(port))) as link:
+                link.sendall(b"rubbish")
+        with Session.connect([private], 20.0, own):
+            pass
+        with pytest.raises(TransportError):  # or the flood was none
+            Session.connect([flooded], 0.5, own)
 
 
 @pytest.mark.parametrize("endpoint", ["tcp/127.0.0.1:7447", "ws/127.0.0.1:7447"])
