@@ -192,7 +192,8 @@ class AreaProtocol:
         estimate, notes = self._strategy.solve(self._knowledge())
         _check_reasonable(estimate)
         if estimate is not None and not self._strategy.restless:
-            if estimate is not self._told:
+            told_scans = {message.header.scan for message in self._sent_boundary.values()}
+            if estimate is not self._told or told_scans != {self._scan}:  # the readings of a new scan may be the same
                 self._told = estimate
                 yield from self._tell_boundaries(estimate)
             estimate, contradictions = self._strategy.judge(self._knowledge(), estimate)

@@ -287,3 +287,14 @@ def test_readings_that_break_the_iteration_are_forgotten_with_the_next_scan(stra
     fresh.run_until_settled()
     for name, state in bus.states.items():
         np.testing.assert_allclose(state.vm, fresh.states[name].vm, atol=1e-7)
+
+
+@pytest.mark.parametrize("late", ["area1", "area2"])
+def test_a_new_scan_with_the_same_readings_is_told_on_although_a_neighbour_was_faster(late):
+    scenario = load_scenario("industrial13")
+    telemetry = make_telemetry(scenario).by_area
+    bus = SimulatedBus(area_files_of(scenario), telemetry)
+    bus.run_until_settled()
+    bus.next_scan(telemetry, late_s={late: 1.0})  # when the neighbour no longer uses words of the former scan
+    bus.run(5.0)
+    assert {(state.header.scan, state.quality) for state in bus.states.values()} == {(2, "good")}
