@@ -80,7 +80,7 @@ def run_agent(content: AreaFile, session: Session, inbox: Inbox) -> str:
     say_farewell = session.publisher(own_token)
     session.declare_presence(own_token)
     log.info("area %s of run %s, strategy %s, incarnation %s", name, run, content.strategy, incarnation)
-    presence, succession = Presence(), Succession(f"area {name} of run {run}", incarnation, now)
+    presence, succession = Presence(), Succession(f"area {name} of run {run}", incarnation, now, content.beat_s)
     events: list[Event] = []
     told: object = None
     while True:

@@ -12,7 +12,10 @@ from agents.presence import MAX_LIVES
 from agents.refusals import LONGEST_LEAD_S
 from dsse_core.errors import DsseError
 
-OVERLAP_S = 3.0  # longer than the bus takes to notice a death (its lease, 2 s)
+OVERLAP_S, OVERLAP_BEATS = (
+    3.0,
+    4.5,
+)  # the larger; longer than the bus takes to notice a death (its lease, 2 s or 3 beats)
 GIVES_WAY = "gives way to a newer life"  # farewell of the older one
 REPLACED_CODE = 3  # its exit code: started again, it would be the newer one, and the other one would have to go
 
@@ -24,7 +27,8 @@ class ReplacedError(DsseError):
 class Succession:
     """What process ``whom``, life ``own``, has seen of newer lives of its name; ``now``: monotonic time, s."""
 
-    def __init__(self, whom: str, own: Incarnation, now: float) -> None:
+    def __init__(self, whom: str, own: Incarnation, now: float, beat_s: float) -> None:
+        self._overlap_s = max(OVERLAP_S, OVERLAP_BEATS * beat_s)
         self._whom = whom
         self._own = own
         self._began = now
@@ -43,12 +47,12 @@ class Succession:
 
     def next_due(self) -> float:
         """When ``check`` may have something to say; infinity if nobody newer is there."""
-        return min(self._since.values(), default=float("inf")) + OVERLAP_S
+        return min(self._since.values(), default=float("inf")) + self._overlap_s
 
     def check(self, now: float) -> None:
         """Raise ReplacedError if a newer life has been there for so long that it must be alive."""
         for life, since in self._since.items():
-            if now - since >= OVERLAP_S:
+            if now - since >= self._overlap_s:
                 raise ReplacedError(
                     f"two processes run as {self._whom} at once: this one, life {self._own}, and a newer one, life "
                     f"{life}; this one ends. Stop the other one if it is not wanted, and start this one again"

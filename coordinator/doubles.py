@@ -9,7 +9,7 @@ from agents.messages import Incarnation
 from agents.presence import MAX_LIVES
 from agents.succession import GIVES_WAY
 
-SURE_S = 2.5  # after the bus must have noticed a death (its lease, 2 s), before the older one gives way
+SURE_S, SURE_BEATS = 2.5, 3.75  # the larger: when the bus must have noticed a death, and nobody has given way yet
 NOUNS = {"area": "agents of area {}", "plant": "plants"}
 
 
@@ -39,7 +39,8 @@ class Doubles:
     ``found``: all up to now.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, beat_s: float) -> None:
+        self._sure_s = max(SURE_S, SURE_BEATS * beat_s)
         self.found: list[Double] = []
         self._since: dict[tuple[str, str], dict[Incarnation, float]] = {}  # role and name -> life -> first seen, s
 
@@ -63,7 +64,7 @@ class Doubles:
         for whose, lives in self._since.items():
             if len(lives) > 1:
                 older, newer = sorted(lives)[-2:]
-                if now - max(lives[older], lives[newer]) >= SURE_S:
+                if now - max(lives[older], lives[newer]) >= self._sure_s:
                     told.append(self._note(whose, older, newer))
         return [double for double in told if double]
 

@@ -66,7 +66,7 @@ def run_plant(
             say_farewell = session.publisher(own_token)
             session.declare_presence(own_token)
             log.info("plant of run %s, seed %s, %s areas", run, scenario.seed, len(payloads))
-            succession = Succession(f"plant of run {run}", life, time.monotonic())
+            succession = Succession(f"plant of run {run}", life, time.monotonic(), scenario.run.beat_s)
             voice = _Voice(publishers, inbox, scenario.run.beat_s, succession)
             for number in (SILENT, SPEAK):
                 signal.signal(number, voice.be_silent)

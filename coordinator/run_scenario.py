@@ -72,7 +72,6 @@ class _Run:
     started: float
     news: News = field(default_factory=News)
     presence: Presence = field(default_factory=Presence)
-    doubles: Doubles = field(default_factory=Doubles)
     refused: Counter[str] = field(default_factory=Counter)  # by reason
     joined: float | None = None  # when all areas were on the bus for the first time
     timing_s: dict[str, float] = field(default_factory=dict)
@@ -80,6 +79,7 @@ class _Run:
     def __post_init__(self) -> None:
         self.schedule = FaultSchedule.of(self.scenario.faults.events)
         self.states = StateLog(self.events)
+        self.doubles = Doubles(self.scenario.run.beat_s)
         self.clock = RunClock(self.id, self.scenario.run.beat_s, begin_life())
 
     def note_time(self, moment: str) -> None:

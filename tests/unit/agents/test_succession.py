@@ -17,8 +17,8 @@ def token(later_s: float = 1.0, random: int = 7) -> str:
     return live_key("run", "area", "area1", Incarnation(START_MS + int(1000 * later_s), random))
 
 
-def succession() -> Succession:
-    return Succession("area area1 of run run", OWN, 100.0)
+def succession(beat_s: float = 0.2) -> Succession:
+    return Succession("area area1 of run run", OWN, 100.0, beat_s)
 
 
 def test_it_gives_way_to_a_newer_life_that_stays_and_says_whose_and_which():
@@ -28,6 +28,14 @@ def test_it_gives_way_to_a_newer_life_that_stays_and_says_whose_and_which():
     assert watched.next_due() == 101.0 + OVERLAP_S
     with pytest.raises(ReplacedError, match=f"run as area area1 of run run at once.*{OWN}.*{START_MS + 1000:x}-"):
         watched.check(101.0 + OVERLAP_S)
+
+
+def test_it_waits_longer_where_beats_are_long_and_with_them_the_lease():
+    watched = succession(beat_s=2.0)
+    watched.take(token(), True, 101.0)
+    watched.check(101.0 + 3 * 2.0)
+    with pytest.raises(ReplacedError):
+        watched.check(101.0 + 4.5 * 2.0)
 
 
 def test_a_token_that_vanishes_in_time_was_that_of_a_dead_life_and_is_no_reason_to_go():

@@ -19,7 +19,7 @@ def tokens(role: str, name: str) -> list[str]:
 @pytest.mark.parametrize(("role", "name"), [("area", "area1"), ("plant", "plant")])
 def test_two_that_are_there_for_long_are_told_once_with_both_lives(role: str, name: str):
     assert SURE_S < OVERLAP_S, "or the older one has gone before it is told"
-    doubles = Doubles()
+    doubles = Doubles(beat_s=0.2)
     for at, key in enumerate(tokens(role, name)):
         doubles.take(key, True, at)
     assert doubles.find_lasting(1.0 + 0.9 * SURE_S) == []
@@ -33,7 +33,7 @@ def test_two_that_are_there_for_long_are_told_once_with_both_lives(role: str, na
 @pytest.mark.parametrize("farewells", [(GIVES_WAY, ""), ("", GIVES_WAY)])
 def test_one_that_gives_way_is_told_at_once_and_only_once(farewells: tuple[str, str]):
     old, new = tokens("area", "area1")
-    doubles = Doubles()
+    doubles = Doubles(beat_s=0.2)
     doubles.take(old, True, 0.0)
     doubles.take(new, True, 0.0)
     for farewell in farewells:
@@ -44,7 +44,7 @@ def test_one_that_gives_way_is_told_at_once_and_only_once(farewells: tuple[str, 
 
 def test_a_process_that_was_killed_and_started_again_is_none_nor_one_that_leaves_in_order():
     old, new = tokens("area", "area1")
-    doubles = Doubles()
+    doubles = Doubles(beat_s=0.2)
     for farewell in ("", "SIGTERM"):
         doubles.take(old, True, 0.0)
         doubles.take(new, True, 0.5)
@@ -53,7 +53,15 @@ def test_a_process_that_was_killed_and_started_again_is_none_nor_one_that_leaves
 
 
 def test_watchers_may_be_many():
-    doubles = Doubles()
+    doubles = Doubles(beat_s=0.2)
     for key in tokens("coordinator", "coordinator"):
         doubles.take(key, True, 0.0)
     assert doubles.find_lasting(100.0) == []
+
+
+def test_where_beats_are_long_a_dead_ones_token_may_be_there_for_longer():
+    doubles = Doubles(beat_s=2.0)
+    for key in tokens("area", "area1"):
+        doubles.take(key, True, 0.0)
+    assert doubles.find_lasting(3 * 2.0) == []
+    assert len(doubles.find_lasting(4 * 2.0)) == 1

@@ -84,7 +84,7 @@ def test_a_run_id_is_made_of_what_a_key_may_contain():
 def test_a_plant_whose_scans_follow_at_once_publishes_each_and_can_be_stopped():
     published: list[bytes] = []
     inbox = Inbox()
-    succession = Succession("plant", Incarnation(1, 1), 0.0)
+    succession = Succession("plant", Incarnation(1, 1), 0.0, beat_s=0.2)
     voice = _Voice({"area1": published.append}, inbox, beat_s=0.2, succession=succession)
     assert not voice.serve({"area1": b"scan 1"}, {}, duration_s=1e-9)
     inbox.put("stop", None)
