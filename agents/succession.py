@@ -12,10 +12,7 @@ from agents.presence import MAX_LIVES
 from agents.refusals import LONGEST_LEAD_S
 from dsse_core.errors import DsseError
 
-OVERLAP_S, OVERLAP_BEATS = (
-    3.0,
-    4.5,
-)  # the larger; longer than the bus takes to notice a death (its lease, 2 s or 3 beats)
+OVERLAP_S, OVERLAP_BEATS = 3.0, 4.5  # the larger: longer than the bus takes to notice a death (2 s or 3 beats)
 GIVES_WAY = "gives way to a newer life"  # farewell of the older one
 REPLACED_CODE = 3  # its exit code: started again, it would be the newer one, and the other one would have to go
 
