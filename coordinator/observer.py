@@ -22,6 +22,7 @@ from dsse_core.partition import Partition
 
 QUIET_BEATS = 2
 MAX_NAMED = 12  # areas
+LEAST_DEAD_END_S = 5.0  # of waiting for telemetry: on a busy machine the plant may have to wait for its turn
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,7 +171,8 @@ class Observer:
     def find_dead_end(self, now: float) -> str | None:
         """Why waiting helps no more, if it does not: the areas agree, on estimates that have been stale for long."""
         ages = self._find_cut_off(now)
-        if not ages or min(ages.values()) < OVER_BEATS * self.beat_s or self._find_disunity(now):
+        long_s = max(OVER_BEATS * self.beat_s, LEAST_DEAD_END_S)
+        if not ages or min(ages.values()) < long_s or self._find_disunity(now):
             return None
         named = ", ".join(list(ages)[:MAX_NAMED]) + (f" and {len(ages) - MAX_NAMED} more" * (len(ages) > MAX_NAMED))
         return (
