@@ -100,12 +100,12 @@ class AugmentedFactor:
         self._pattern = pattern = pattern or AugmentedPattern(H)
         self._n_meas, self._n_state = H.shape
         self._variance = sigma**2
-        row_scale = _reciprocal(np.bincount(pattern.row, H.data**2, self._n_meas))
+        row_scale = reciprocal_root(np.bincount(pattern.row, H.data**2, self._n_meas))
         scaled_variance = self._variance * row_scale**2
         positive = scaled_variance[scaled_variance > 0]
         self._a = PIVOT_SCALE / float(np.median(positive)) if positive.size else 1.0
         data = H.data * row_scale[pattern.row]
-        column_scale = _reciprocal(np.bincount(H.indices, data**2, self._n_state) + damping / self._a)
+        column_scale = reciprocal_root(np.bincount(H.indices, data**2, self._n_state) + damping / self._a)
         self._scale = np.concatenate([row_scale, column_scale])
         self._above = self._a * scaled_variance
         self._below = damping / self._a * column_scale**2
@@ -114,10 +114,8 @@ class AugmentedFactor:
             try:
                 self._lu = pattern.factor(self._tableau)
                 break
-            except RuntimeError:  # exactly singular: a damping that rounding has swallowed must be larger
-                if not self._below.any() or self._below.max() > LARGEST_DAMPING:
-                    raise
-                self._below = self._below * 1e3
+            except RuntimeError:  # exactly singular
+                self._below = raise_damping(self._below)
 
     def _fill(self, H: sp.csr_array) -> sp.csc_array:
         row_scale, column_scale = self._scale[: self._n_meas], self._scale[self._n_meas :]
@@ -198,7 +196,7 @@ class AugmentedFactor:
 
 def reciprocal_row_lengths(H: sp.csr_array) -> np.ndarray:
     """1 / Euclidean length of each row; 1 for an empty one."""
-    return _reciprocal(np.bincount(_row_of_entries(H), H.data**2, H.shape[0]))
+    return reciprocal_root(np.bincount(_row_of_entries(H), H.data**2, H.shape[0]))
 
 
 def scale_rows(H: sp.csr_array, scale: np.ndarray) -> sp.csr_array:
@@ -210,6 +208,18 @@ def _row_of_entries(H: sp.csr_array) -> np.ndarray:
     return np.repeat(np.arange(H.shape[0]), np.diff(H.indptr))
 
 
-def _reciprocal(square: np.ndarray) -> np.ndarray:
+def reciprocal_root(square: np.ndarray) -> np.ndarray:
+    """1 / length for each squared length; 1 where that is 0."""
     length = np.sqrt(square)
-    return 1 / np.where(length > 0, length, 1.0)
+    return np.asarray(1 / np.where(length > 0, length, 1.0))
+
+
+def raise_damping(below: np.ndarray) -> np.ndarray:
+    """More of the scaled damping, where rounding has swallowed what there was.
+
+    Raises:
+        RuntimeError: there is none, or it is large enough already.
+    """
+    if not below.any() or below.max() > LARGEST_DAMPING:
+        raise RuntimeError("the tableau is exactly singular")
+    return below * 1e3

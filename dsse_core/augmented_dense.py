@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 from scipy.linalg import lapack
 
-from dsse_core.augmented import LARGEST_DAMPING, PIVOT_SCALE
+from dsse_core.augmented import PIVOT_SCALE, raise_damping, reciprocal_root
 
 
 class DenseFactor:
@@ -19,12 +21,12 @@ class DenseFactor:
         m, n = H.shape
         self._n_meas = m
         self._variance = sigma * sigma
-        row_scale = _reciprocal(np.einsum("ij,ij->i", H, H))
+        row_scale = reciprocal_root(np.einsum("ij,ij->i", H, H))
         scaled_variance = self._variance * row_scale * row_scale
         positive = np.sort(scaled_variance[scaled_variance > 0])
         self._a = PIVOT_SCALE / float(positive[len(positive) // 2]) if len(positive) else 1.0
         scaled = H * row_scale[:, None]
-        column_scale = _reciprocal(np.einsum("ij,ij->j", scaled, scaled) + damping / self._a)
+        column_scale = reciprocal_root(np.einsum("ij,ij->j", scaled, scaled) + damping / self._a)
         scaled *= column_scale
         self._scale = np.concatenate([row_scale, column_scale])
         below = damping / self._a * column_scale * column_scale
@@ -37,9 +39,7 @@ class DenseFactor:
             self._lu, self._pivots, zero_pivot = lapack.dgetrf(self._tableau)
             if not zero_pivot:
                 break
-            if not below.any() or below.max() > LARGEST_DAMPING:
-                raise RuntimeError("the tableau is exactly singular")
-            below = below * 1e3  # a damping that rounding has swallowed must be larger
+            below = raise_damping(below)
 
     def solve(self, above: np.ndarray, below: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(s, dx) of ``R s + H dx = above``, ``H's - damping dx = below``; columns."""
@@ -48,18 +48,21 @@ class DenseFactor:
 
     def state_variance(self) -> np.ndarray:
         """diag(G^-1), shape (n_state,)."""
-        return self._diagonal(self._n_meas, len(self._scale)) / -self._a
+        return self._inverse_diagonal[self._n_meas :] / -self._a
 
     def residual_variance(self) -> np.ndarray:
         """diag(Omega), shape (n_meas,)."""
-        variance: np.ndarray = self._a * self._variance**2 * self._diagonal(0, self._n_meas)
+        variance: np.ndarray = self._a * self._variance**2 * self._inverse_diagonal[: self._n_meas]
         return variance
 
-    def _diagonal(self, first: int, end: int) -> np.ndarray:
-        """Entries first ... end - 1 of the diagonal of the inverse."""
-        unit = np.zeros((len(self._scale), end - first), order="F")
-        unit[np.arange(first, end), np.arange(end - first)] = 1.0
-        return self._solve(unit)[np.arange(first, end), np.arange(end - first)]
+    @cached_property
+    def _inverse_diagonal(self) -> np.ndarray:
+        """Of the tableau's inverse X, refined once: X + X (1 - K X)."""
+        unit = np.eye(len(self._scale), order="F")
+        inverse = lapack.dgetrs(self._lu, self._pivots, unit)[0]
+        rest = unit - self._tableau @ inverse
+        diagonal = inverse.diagonal() + np.einsum("ij,ji->i", inverse, rest)
+        return np.asarray(self._scale * diagonal * self._scale)
 
     def _solve(self, b: np.ndarray) -> np.ndarray:
         scale = self._scale[:, None]
@@ -67,9 +70,3 @@ class DenseFactor:
         solution = lapack.dgetrs(self._lu, self._pivots, b)[0]
         solution += lapack.dgetrs(self._lu, self._pivots, b - self._tableau @ solution)[0]
         return np.asarray(scale * solution)
-
-
-def _reciprocal(square: np.ndarray) -> np.ndarray:
-    length = np.sqrt(square)
-    length[length == 0] = 1.0
-    return np.asarray(1 / length)
