@@ -23,6 +23,8 @@ from agents.succession import REPLACED_CODE, ReplacedError
 from agents.transport import Session
 from dsse_core.errors import DsseError, InvalidInputError
 
+SWITCH_S = 1e-4  # after which computing lets a thread of the bus in that has news; Python's own 5 ms is many steps
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one agent; 0 after an orderly end, 2 on wrong input or a bus that cannot be reached, 3 if replaced."""
@@ -71,6 +73,7 @@ def run_area(path: Path, endpoints: Sequence[str] = (), timeout_s: float = 10.0,
     if endpoints:
         content = replace(content, endpoints=tuple(endpoints))
     inbox = Inbox()
+    sys.setswitchinterval(SWITCH_S)
 
     def stop(number: int, frame: FrameType | None) -> None:
         inbox.put("stop", StopRequested(signal.Signals(number).name))

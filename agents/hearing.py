@@ -7,7 +7,7 @@ because it says so.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 from typing import TypeVar
 
 from agents.messages import (
@@ -22,6 +22,7 @@ from agents.messages import (
 )
 
 FRESH_BEATS = 3  # younger is fresh: everything is repeated at every beat, and two repeats in a row may be lost
+PATIENT_BEATS = 0.1  # after new readings neighbours should have theirs, too, and say what follows from them
 OVER_BEATS = 10  # after which a life that is not heard is over
 
 NeighbourNews = LoadMessage | BoundaryNews | TallyMessage
@@ -46,6 +47,7 @@ class Hearing:
         self.boundary: dict[str, BoundaryNews] = {}
         self.tallies: dict[str, TallyMessage] = {}
         self._fresh_s = FRESH_BEATS * beat_s
+        self._patient_s = PATIENT_BEATS * beat_s
         self._over_s = OVER_BEATS * beat_s
         self._spoke_at: dict[tuple[str, str], float] = {}  # when what is kept was last heard, by kind and sender
         self._heard_at: dict[str, float] = {}  # the newest boundary message of each neighbour
@@ -122,6 +124,17 @@ class Hearing:
             for name, m in self.boundary.items()
             if waits or m.header.scan == self.scan or (m.header.scan > self.scan and name in ahead)
         }
+
+    @property
+    def patient_until(self) -> float:
+        """How long neighbours are awaited that have not yet spoken of the current scan."""
+        return self._scan_since + self._patient_s
+
+    def awaited(self, present: Container[str], now: float) -> set[str]:
+        """The neighbours, of those ``present``, that are about to speak of a new scan for the first time."""
+        if now >= self.patient_until:
+            return set()
+        return {name for name, m in self.boundary.items() if name in present and m.header.scan < self.scan}
 
     def is_late(self, now: float) -> bool:
         """Whether telemetry has not been heard for too long."""

@@ -7,6 +7,7 @@ local power flow only start the iteration.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -28,7 +29,8 @@ from dsse_core.partition import Neighbour
 SETTLED_STEP = 1e-11  # p.u., rad: below it a further step changes nothing
 ON_THE_WAY = 1e-9  # p.u., rad: after a larger last step there is more to be done; below it may be rounding
 NO_FURTHER = 0.1  # rate of steps, below which the last one tells how large the next one would be
-STEPS_AT_ONCE = 3  # before news is looked for
+TOLD_EARLY = 1e-6  # p.u., rad: after a smaller step neighbours are told, further ones change nothing of it
+SAME_STATE = 1e-8  # p.u., rad: what it is told at; information about it changes by as little, relatively
 SETTLED_NEAR_START = 1e-6  # p.u., rad: while news is missing
 STEPS_PER_NEWS = 40
 TINY = 1e-30
@@ -42,6 +44,7 @@ class Information(Strategy):
 
     kind = InformationMessage.kind
     other_kinds = (TallyMessage.kind,)
+    passes_on = True
 
     def __init__(self, content: AreaFile) -> None:
         self._content = content
@@ -58,12 +61,15 @@ class Information(Strategy):
         self._heard: dict[str, BoundaryInformation] = {}
         self._referenced: set[str] = set()  # neighbours whose side knows the substation's angle
         self._complete: set[str] = set()  # neighbours whose side has been heard, all of it
+        self._has_new_readings = False  # or a decision which of them are in use
         self._steps_left = 0
         self._last_step = np.inf
+        self._told_at: dict[str, tuple[np.ndarray, list[BoundaryInformation], BoundaryInformation]] = {}
+        self._is_told = False  # a state that rests on the newest messages
         self._news = 0  # since all areas have been heard, of these measurements
         self._shown: Estimate | None = None
         self._shown_x = np.zeros(0)
-        self._sigma: np.ndarray | None = None  # of the shown state, once it has been asked for
+        self._variances: tuple[np.ndarray, np.ndarray] | None = None  # in the shown state, once asked for
 
     @property
     def restless(self) -> bool:
@@ -78,28 +84,28 @@ class Information(Strategy):
         newest = {name: message.header.order for name, message in known.boundary.items()}
         if {name: order[0] for name, order in newest.items()} != {n: order[0] for n, order in self._newest.items()}:
             self._news = 0  # another life of a neighbour starts from nothing
-        if newest != self._newest or self._shown is None:
-            self._newest = newest
+        if newest != self._newest or self._has_new_readings:
+            self._newest, self._has_new_readings = newest, False
             self._take_messages(known)
             self._news += self._is_informed
             self._last_step = np.inf
+            self._is_told = False
             self._steps_left = 0 if self._is_swinging else STEPS_PER_NEWS
         elif self._is_informed and self._steps_left == 0 and self._last_step > ON_THE_WAY and not self._is_swinging:
             self._steps_left = STEPS_PER_NEWS  # it was not enough, and there is time now
-        for _ in range(STEPS_AT_ONCE):
-            if self._steps_left > 0:
-                self._step()
+        if self._steps_left > 0:
+            self._step()
         return self._shown, self._notes()
 
     def judge(self, known: Knowledge, estimate: Estimate) -> tuple[Estimate, tuple[str, ...]]:
         assert self._model is not None  # there is an estimate
         tree = self._tree
         settled = self._is_informed and not self._is_swinging
-        tree.judge(self._model, self._measurements, self._x, self._find_residual_variance, settled, known)
+        tree.judge(self._model, self._measurements, self._x, lambda: self._find_variances()[1], settled, known)
         if (known.measurements, tree.decisions) != self._basis:
             self._steps_left = 1
         checked = tree.finished and settled
-        n, sigma = len(self._area.network.buses), self._find_sigma()
+        n, sigma = len(self._area.network.buses), np.sqrt(np.maximum(self._find_variances()[0], 0.0))
         estimate = replace(
             estimate, sigma_vm=sigma[n : 2 * n], sigma_va=sigma[:n], checked=checked, critical=tree.critical
         )
@@ -112,14 +118,28 @@ class Information(Strategy):
         assert self._model is not None  # there is an estimate
         others = {n.area for n in self._area.neighbours} - {neighbour.area}
         referenced = self._has_own_angle or bool(others & self._referenced)
-        told = compute_information(self._model, self._x, neighbour, self._heard)
+        told = self._information_for(neighbour)
         R, z = tuple(told.R[UPPER].tolist()), tuple(told.z.tolist())
         return InformationMessage(header, neighbour.bus, R, z, referenced, complete=others <= self._complete)
+
+    def _information_for(self, neighbour: Neighbour) -> BoundaryInformation:
+        """What was computed last, where neither the others' messages nor, but for rounding, the state has changed."""
+        assert self._model is not None
+        others = [told for name, told in self._heard.items() if name != neighbour.area]
+        if (last := self._told_at.get(neighbour.area)) is not None:
+            x, heard, told = last
+            if _are_same(heard, others) and abs(self._x - x).max() <= SAME_STATE:
+                return told
+        told = compute_information(self._model, self._x, neighbour, self._heard)
+        self._told_at[neighbour.area] = self._x, others, told
+        return told
 
     def is_news(self, neighbour: Neighbour, message: BoundaryNews, last: BoundaryNews) -> bool:
         assert isinstance(message, InformationMessage)
         assert isinstance(last, InformationMessage)
         assert self._model is not None
+        if replace(message, header=last.header) == last:
+            return False
         y = self._model.boundary_values(self._x, neighbour)
         moved = has_moved(y, _read(message), _read(last), self._heard.get(neighbour.area))
         return moved or (message.referenced, message.complete) != (last.referenced, last.complete)
@@ -154,6 +174,8 @@ class Information(Strategy):
         assert self._no_load is not None
         self._tree.take_measurements(self._no_load, held_back)
         self._shown = None
+        self._has_new_readings = True
+        self._told_at = {}
         self._news = 0
 
     def _build_models(self) -> None:
@@ -226,7 +248,9 @@ class Information(Strategy):
         if _find_rest(before, self._last_step) <= SETTLED_STEP:
             self._steps_left = 0
             self._start = self._x
-        if self._steps_left == 0 or self._shown is None:
+        early = not self._is_told and self._last_step <= TOLD_EARLY
+        if self._steps_left == 0 or early:
+            self._is_told = True
             self._shown = self._estimate(self._model, self._x)
 
     def _near_start(self, x: np.ndarray) -> np.ndarray:
@@ -247,7 +271,7 @@ class Information(Strategy):
         """The state ``x``; how well it is known, and what of it is sure, neighbours need not wait for (``judge``)."""
         n = len(self._area.network.buses)
         self._shown_x = x
-        self._sigma = None
+        self._variances = None
         return Estimate(
             vm=x[n : 2 * n],
             va=x[:n],
@@ -260,21 +284,16 @@ class Information(Strategy):
             checked=False,
         )
 
-    def _find_sigma(self) -> np.ndarray:
-        """Standard deviations of the variables of the shown state, p.u. and rad."""
-        if self._sigma is None:
+    def _find_variances(self) -> tuple[np.ndarray, np.ndarray]:
+        """diag(G^-1) and diag(Omega) in the shown state; of the latter nothing before all areas have been heard."""
+        if self._variances is None:
             assert self._model is not None
-            near_start = not self._is_informed
-            variance = state_variance(self._model, self._shown_x, self._heard, near_start=near_start)
-            self._sigma = np.sqrt(np.maximum(variance, 0.0))
-        return self._sigma
-
-    def _find_residual_variance(self) -> np.ndarray:
-        """diag(Omega) in the shown state, which is settled; its standard deviations come with it."""
-        assert self._model is not None
-        of_state, of_residuals = find_variances(self._model, self._x, self._heard)
-        self._sigma = np.sqrt(np.maximum(of_state, 0.0))
-        return of_residuals
+            if self._is_informed:
+                self._variances = find_variances(self._model, self._shown_x, self._heard)
+            else:
+                of_state = state_variance(self._model, self._shown_x, self._heard, near_start=True)
+                self._variances = of_state, np.zeros(0)
+        return self._variances
 
     def _find_contradictions(self, known: Knowledge) -> tuple[str, ...]:
         """Neighbours whose information is farther from that of this side than their covariances allow."""
@@ -322,3 +341,8 @@ def _read(message: InformationMessage) -> BoundaryInformation:
     R = np.zeros((4, 4))
     R[UPPER] = message.R
     return BoundaryInformation(R, np.array(message.z))
+
+
+def _are_same(some: Sequence[BoundaryInformation], others: Sequence[BoundaryInformation]) -> bool:
+    pairs = zip(some, others, strict=False)
+    return len(some) == len(others) and all((a.R == b.R).all() and (a.z == b.z).all() for a, b in pairs)

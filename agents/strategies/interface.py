@@ -78,6 +78,7 @@ class Strategy(ABC):
 
     kind: ClassVar[str]
     other_kinds: ClassVar[tuple[str, ...]] = ()  # of what else goes to neighbours: tallies, where there are any
+    passes_on: ClassVar[bool] = False  # whether a message to one neighbour rests on the newest of all the others
 
     @abstractmethod
     def __init__(self, content: AreaFile) -> None: ...

@@ -8,7 +8,7 @@ from simulated_bus import SimulatedBus, area_files_of, bus_of
 
 from agents.events import Finish, PresenceChanged, Publish, Received, Refused, StopRequested
 from agents.messages import BoundaryMessage, Header, Incarnation, InformationMessage, LoadMessage
-from agents.protocol import AreaProtocol
+from agents.protocol import ANSWER_S, AreaProtocol
 from agents.strategies import make_strategy
 from coordinator.twin import STARTED_AT
 from scenarios.scenario import load_scenario
@@ -133,7 +133,12 @@ def load_from_area2(sequence=1, **changes):
 
 
 def act(protocol, events, now):
-    return list(protocol.handle(events, now))
+    """What it does at time ``now``, and if nothing more is heard, when neighbours have had time to answer."""
+    actions = list(protocol.handle(events, now))
+    while (wait := protocol.wait_s(now)) <= ANSWER_S and not any(isinstance(a, Finish) for a in actions):
+        now += wait
+        actions += protocol.handle([], now)
+    return actions
 
 
 def last_state(actions):
@@ -146,10 +151,11 @@ def test_neighbours_are_told_before_the_state_is_judged(area1, monkeypatch):
     judge = protocol._strategy.judge
     monkeypatch.setattr(protocol._strategy, "judge", lambda *known: judged.append(known) or judge(*known))
     told = set()
-    for action in protocol.handle([telemetry], 0.0):
-        if action.message.kind == protocol._strategy.kind:
-            assert not judged
-            told.add(action.to)
+    for events in ([telemetry], []):  # once more after a look for news
+        for action in protocol.handle(events, 0.0):
+            if action.message.kind == protocol._strategy.kind:
+                assert not judged
+                told.add(action.to)
     assert told == {n.area for n in content.area.neighbours}
     assert judged
 
