@@ -11,7 +11,7 @@ from agents.events import Received, Refused
 from agents.inbox import Inbox
 from agents.keys import sender_of
 from agents.messages import MAX_BYTES, MAX_NEIGHBOUR_BYTES, decode
-from agents.wire_checks import MessageError
+from agents.wire_checks import MessageError, is_worth_writing
 
 log = logging.getLogger(__name__)
 
@@ -48,5 +48,5 @@ class Doorkeeper:
             self._refused[reason] += 1
             count = self._refused[reason]
         self._inbox.put(("refused", reason), Refused(reason, count))
-        if str(count).strip("0") == "1":  # 1, 10, 100, ...: a flood must not fill the disk
+        if is_worth_writing(count):
             log.warning("refused payload number %s for this reason, on %.200s: %s", count, ascii(key), why)

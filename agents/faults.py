@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from agents.messages import AdmmMessage, BoundaryMessage, InformationMessage, LoadMessage, Message
-from agents.strategies.bad_data_tree import UPPER
+from agents.triangle import read_triangle
 from dsse_core.link_faults import LinkFaults
 
 LOST, BURST, CUT = "lost", "lost in a burst", "lost in a cut"
@@ -104,9 +104,8 @@ def _tell_lie(message: Message, f: LinkFaults) -> Message:
         case BoundaryMessage():
             return replace(message, vm=f.lie_scale * message.vm + f.lie_vm, va=f.lie_scale * message.va + f.lie_va)
         case InformationMessage():  # z = R y
-            R = np.zeros((4, 4))
-            R[UPPER] = message.R
-            return replace(message, z=tuple((f.lie_scale * np.array(message.z) + R @ offset).tolist()))
+            z = f.lie_scale * np.array(message.z) + read_triangle(message.R) @ offset
+            return replace(message, z=tuple(z.tolist()))
         case AdmmMessage():
             told, before = ((f.lie_scale * np.array(r) + offset).tolist() for r in (message.r, message.r_before))
             return replace(message, r=tuple(told), r_before=tuple(before))

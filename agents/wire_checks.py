@@ -19,6 +19,11 @@ class MessageError(ValueError):
         super().__init__(f"{reason}: {detail}")
 
 
+def is_worth_writing(count: int) -> bool:
+    """Of refusals the 1st, 10th, 100th, ...: a flood must not fill the disk."""
+    return str(count).strip("0") == "1"
+
+
 def shown(value: object) -> str:
     """``value`` in at most 80 printable characters, however long or deep it is."""
     return ascii(reprlib.repr(value))[1:-1][:80]

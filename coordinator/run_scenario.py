@@ -16,7 +16,7 @@ from agents.keys import all_live, all_states, clock_key, live_key, name_of_live,
 from agents.messages import StateMessage, decode
 from agents.presence import Presence, begin_life, read_farewell
 from agents.transport import Session
-from agents.wire_checks import MessageError
+from agents.wire_checks import MessageError, is_worth_writing
 from coordinator.doubles import Double, Doubles
 from coordinator.events import EventLog
 from coordinator.fault_schedule import FaultSchedule
@@ -275,7 +275,7 @@ def _take(run: _Run, observer: Observer, item: object) -> str | None:
                     run.timing_s["areas_joined"] = round(at - run.started, 4)
         case MessageError():
             run.refused[item.reason] += 1
-            if str(run.refused[item.reason]).strip("0") == "1":  # 1, 10, 100, ...: a flood must not fill the disk
+            if is_worth_writing(run.refused[item.reason]):
                 run.events.write("refused", reason=str(item), count=run.refused[item.reason])
         case _ProcessNews(at, news):
             reason = _take_process_news(run, item)

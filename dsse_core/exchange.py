@@ -91,15 +91,10 @@ def state_variance(
     return sparse.state_variance(model, x, heard, damping)
 
 
-def residual_variance(model: AreaModel, x: np.ndarray, heard: Mapping[str, BoundaryInformation]) -> np.ndarray:
-    """diag(Omega) of the area's own measurements with all messages in, shape (n_meas,) (eq. 3.22)."""
-    return find_variances(model, x, heard)[1]
-
-
 def find_variances(
     model: AreaModel, x: np.ndarray, heard: Mapping[str, BoundaryInformation]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """``state_variance`` and ``residual_variance`` at once."""
+    """``state_variance`` and, shape (n_meas,), diag(Omega) of the area's own measurements (eq. 3.22)."""
     if model.tree and (found := model.tree.variances(x, heard, (NOT_YET, NOT_YET_OF_POWER))) is not None:
         return found
     return sparse.variances(model, x, heard)

@@ -46,7 +46,7 @@ def tally_area(
     variance: np.ndarray,
     spared: Collection[str],
 ) -> Tally:
-    """The area's own part. ``variance``: ``residual_variance`` at ``x``; ``spared``: critical meters."""
+    """The area's own part. ``variance``: diag(Omega) at ``x``; ``spared``: critical meters."""
     normalized = normalize_residuals(measurements, model.residual(x), variance)
     suspects = {
         model.meters[k].id: float(normalized[k])

@@ -40,10 +40,16 @@ class SigmaRule:
         """Standard deviations of ``meters``, p.u. or rad, shape (n_meas,); 0 of virtual ones.
 
         ``size``: of each the size of the true value, of a power that of the apparent power at its place.
+
+        Raises:
+            KeyError: there is no rule for a kind of meter.
         """
-        kinds = np.array([meter.kind for meter in meters], dtype="<U12")
+        ruled = self.relative.keys() | self.absolute.keys()
+        if unruled := {meter.kind for meter in meters if meter.source is not Source.VIRTUAL} - ruled:
+            raise KeyError(min(unruled))
+        kinds = np.array([meter.kind for meter in meters], dtype=str)
         sigma = np.zeros(len(meters))
-        for kind in self.relative.keys() | self.absolute.keys():
+        for kind in ruled:
             of_kind = kinds == kind
             if kind in self.absolute:
                 sigma[of_kind] = self.absolute[kind]

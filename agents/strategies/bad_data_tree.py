@@ -20,6 +20,7 @@ import numpy as np
 
 from agents.messages import BoundaryNews, Header, TallyMessage
 from agents.strategies.interface import Knowledge
+from agents.triangle import read_triangle, write_triangle
 from dsse_core.area_model import AreaModel
 from dsse_core.bad_data import CONFIDENCE, CRITICAL_REDUNDANCY, chi_square_limit
 from dsse_core.boundary_information import BoundaryInformation
@@ -27,7 +28,6 @@ from dsse_core.feeder_bad_data import NoLoadModel, Tally, add_tallies, tally_are
 from dsse_core.measurement import Measurement, MeasurementKind
 from dsse_core.partition import Area, Neighbour
 
-UPPER = np.triu_indices(4)
 _NoLoad = dict[str, tuple[float, ...]]  # neighbour -> ``TallyMessage.no_load``
 MAX_TIED = 20  # suspects of one side that are named; the first of them by name may be taken out
 MAX_DECISIONS = 1000  # of one scan, and
@@ -101,7 +101,7 @@ class BadDataTree:
     ) -> None:
         """Add up this side's figures where all of them are final; the substation's area decides, others hear from it.
 
-        ``find_variance``: the ``residual_variance`` at ``x``; asked for it if that is needed.
+        ``find_variance``: diag(Omega) at ``x``; asked for it if that is needed.
         """
         self._known = known
         self._tally, self.finished = None, False
@@ -219,7 +219,7 @@ class BadDataTree:
         last = self._told_no_load.get(neighbour.area)
         if last is None or last[0] != heard:
             information = self._no_load.information_for(neighbour, _read_no_load(heard))
-            last = self._told_no_load[neighbour.area] = (heard, tuple(information.R[UPPER].tolist()))
+            last = self._told_no_load[neighbour.area] = (heard, write_triangle(information.R))
         return last[1]
 
 
@@ -229,12 +229,7 @@ def has_too_many_names(names: Collection[str]) -> bool:
 
 
 def _read_no_load(told: _NoLoad) -> dict[str, BoundaryInformation]:
-    information = {}
-    for name, numbers in told.items():
-        R = np.zeros((4, 4))
-        R[UPPER] = numbers
-        information[name] = BoundaryInformation(R, np.zeros(4))
-    return information
+    return {name: BoundaryInformation(read_triangle(numbers), np.zeros(4)) for name, numbers in told.items()}
 
 
 def _order(message: BoundaryNews | None) -> tuple[int, ...]:

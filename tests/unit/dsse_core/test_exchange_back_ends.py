@@ -14,7 +14,7 @@ from dsse_core.area_model import AreaModel, Backend, build_area_model, uses_tree
 from dsse_core.boundary_information import BoundaryInformation
 from dsse_core.exchange import (
     compute_information,
-    residual_variance,
+    find_variances,
     solve_step,
     solve_step_near,
     state_variance,
@@ -77,7 +77,7 @@ def assert_same(case: Case) -> int:
     for near in (False, True):
         one, other = (state_variance(m, x, heard, near_start=near) for m in (sparse, fast))
         np.testing.assert_allclose(other, one, rtol=CLOSE, atol=1e-20)
-    one, other = (residual_variance(m, x, heard) / sparse.sigma**2 for m in (sparse, fast))
+    one, other = (find_variances(m, x, heard)[1] / sparse.sigma**2 for m in (sparse, fast))
     np.testing.assert_allclose(other, one, rtol=0, atol=CLOSE)
     for neighbour in sparse.area.neighbours:
         assert_same_information(case, neighbour)

@@ -1,0 +1,20 @@
+"""The upper triangle of a square root of information, R (4, 4), as the ten numbers of a message."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+_UPPER = np.triu_indices(4)
+
+
+def write_triangle(R: np.ndarray) -> tuple[float, ...]:
+    return tuple(R[_UPPER].tolist())
+
+
+def read_triangle(numbers: Sequence[float]) -> np.ndarray:
+    """R, shape (4, 4)."""
+    R = np.zeros((4, 4))
+    R[_UPPER] = numbers
+    return R
