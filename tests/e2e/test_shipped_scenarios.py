@@ -35,7 +35,7 @@ GOLDEN = Path(__file__).parents[1] / "golden"
 # Losses and load errors change neither telemetry nor the centralised estimate.
 BOUNDS = {"industrial13": (0.0105, 0.18), "ieee33": (0.0105, 0.095)}
 NETWORK_SCENARIOS = [f"{case}{fault}" for case in BOUNDS for fault in ("", "-load-error")]
-LOSSY = [(f"{case}-lossy", seed) for case in BOUNDS for seed in (1, 2, 3)]
+LOSSY = [(f"{case}-lossy", seed) for case in BOUNDS for seed in (1, 2, 5)]  # one of the first two messages is lost
 
 
 def run(name: str, folder: Path, seed: int | None = None) -> RunResult:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import socket
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -177,14 +178,15 @@ def test_a_run_says_which_agent_died_with_the_end_of_its_log(start_run, deaf_sce
 
 
 def test_a_run_says_which_agent_refused_its_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    write = coordinator.system.write_area_files
+    write = coordinator.system.write_one_by_one
 
-    def spoil(*arguments: object) -> dict[str, Path]:
-        files = write(*arguments)  # type: ignore[arg-type]
-        files["area2"].write_text("nonsense")
-        return files
+    def spoil(*arguments: object) -> Iterator[tuple[str, Path]]:
+        for name, path in write(*arguments):  # type: ignore[arg-type]
+            if name == "area2":
+                path.write_text("nonsense")
+            yield name, path
 
-    monkeypatch.setattr(coordinator.system, "write_area_files", spoil)
+    monkeypatch.setattr(coordinator.system, "write_one_by_one", spoil)
     result = coordinator.run("industrial13", out=tmp_path / "out", plots=False)
     assert not result.verdict.consensus
     assert result.verdict.reason is not None
