@@ -52,6 +52,7 @@ class Hearing:
         self._spoke_at: dict[tuple[str, str], float] = {}  # when what is kept was last heard, by kind and sender
         self._heard_at: dict[str, float] = {}  # the newest boundary message of each neighbour
         self._telemetry_at = self._scan_since = 0.0
+        self._former_scan = 0  # before the current one
 
     @property
     def scan(self) -> int:
@@ -78,7 +79,7 @@ class Hearing:
         if last is not None and message.header.order == last.header.order:
             return False
         if message.header.scan != self.scan:
-            self._scan_since = now
+            self._scan_since, self._former_scan = now, self.scan
         self.telemetry = message
         return True
 
@@ -131,10 +132,13 @@ class Hearing:
         return self._scan_since + self._patient_s
 
     def awaited(self, present: Container[str], now: float) -> set[str]:
-        """The neighbours, of those ``present``, that are about to speak of a new scan for the first time."""
+        """The neighbours, of those ``present``, that are about to speak of a new scan for the first time.
+
+        Who has said nothing of the former one is not waited for again.
+        """
         if now >= self.patient_until:
             return set()
-        return {name for name, m in self.boundary.items() if name in present and m.header.scan < self.scan}
+        return {name for name, m in self.boundary.items() if name in present and m.header.scan == self._former_scan}
 
     def is_late(self, now: float) -> bool:
         """Whether telemetry has not been heard for too long."""

@@ -7,7 +7,6 @@ slow beat, so that a lost last message does not matter. Messages are absolute: o
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -33,12 +32,11 @@ from agents.refusals import find_reading_refusal, find_refusal, find_unreasonabl
 from agents.reminders import Reminders
 from agents.shown_state import ShownState
 from agents.strategies.interface import Estimate, Knowledge, Strategy
+from agents.turn import Turn
 from dsse_core.boundary_load import NetLoad, load_message_for, measured_net_loads, own_net_load
 from dsse_core.measurement import Measurement, Source
 
 NEWS_LOAD = 1e-9  # p.u.
-ANSWER_S = 0.0025  # in which neighbours that have something to say to what they were told usually do
-LONGEST_TALK_S = 0.025  # after which an area shows what it has, however often it is answered
 
 
 class AreaProtocol:
@@ -70,10 +68,8 @@ class AreaProtocol:
         self._sent_boundary: dict[str, BoundaryNews] = {}
         self._sent_tally: dict[str, TallyMessage] = {}
         self._told: Estimate | None = None
-        self._awaited: set[str] = set()  # neighbours about to speak of a new scan
+        self._turn = Turn()
         self._to_tell: tuple[Estimate, tuple[str, ...]] | None = None  # once news has been looked for again
-        self._unshown_since = math.inf  # when neighbours were told first of what has not been shown yet
-        self._show_at = math.inf
         self._state = ShownState(content.area, self._hearing, self._header)
         self._present: set[str] = set()
         self._gone: dict[str, str] = {}  # neighbour -> its farewell
@@ -82,15 +78,16 @@ class AreaProtocol:
 
     def wait_s(self, now: float) -> float:
         """How long the protocol may be left alone, s."""
-        at = min(self._next_beat, self._reminders.next_due(), self._hearing.next_change(now), self._show_at)
-        if self._awaited:
+        at = min(self._next_beat, self._reminders.next_due(), self._hearing.next_change(now), self._turn.show_at)
+        if self._turn.awaited:
             at = min(at, self._hearing.patient_until)
         return 0.0 if self._is_busy else max(0.0, at - now)
 
     @property
     def _is_busy(self) -> bool:
         """Whether there is something to do even if nothing is heard."""
-        return self._strategy.restless or self._to_tell is not None or self._show_at <= self._now
+        goes_on = self._strategy.restless or self._to_tell is not None
+        return (goes_on and not self._turn.is_held_back) or self._turn.show_at <= self._now
 
     def handle(self, events: Sequence[Event], now: float) -> Iterator[Action]:
         """Take in ``events``, all that arrived since the last call, and say what to do.
@@ -129,8 +126,9 @@ class AreaProtocol:
         awaited = self._hearing.awaited(self._present, self._now) if self._strategy.passes_on else set()
         if self._hearing.telemetry is None:
             yield from self._show_state(None, ["no telemetry yet"])
-        elif news or self._is_busy or (used, awaited) != (self._used, self._awaited):
-            self._used, self._awaited = used, awaited
+        elif news or self._is_busy or (used, awaited) != (self._used, self._turn.awaited):
+            self._used = used
+            self._turn.wait_for(awaited)
             yield from self._work(news)
         elif self._state.message and self._state.message.quality != self._state.quality(set(self._gone), self._now):
             yield self._renew_state()
@@ -178,6 +176,7 @@ class AreaProtocol:
 
     def _work(self, news: bool) -> Iterator[Action]:
         """Tell what is new. Numbers beyond all reason, a neighbour's perhaps, leave no estimate and no crash."""
+        problem = ""
         for _ in range(2):  # with all that was heard; if that leads nowhere, from the own telemetry alone
             try:
                 yield from self._tell_loads()
@@ -196,7 +195,8 @@ class AreaProtocol:
         What the neighbours have been told on such a ground is replaced by the first estimate that follows.
         """
         self._strategy, self._told = type(self._strategy)(self._content), None
-        self._to_tell, self._unshown_since, self._show_at = None, math.inf, math.inf
+        self._to_tell = None
+        self._turn.end_talk()
         self._hearing.forget_neighbours()
         self._refused["led to no estimate"] += 1
 
@@ -205,11 +205,9 @@ class AreaProtocol:
 
         A state is shown at rest only: whoever has seen one knows that nothing but news will change it.
         """
-        if self._awaited:
-            self._show_at = math.inf  # that of the last scan
-        if len(self._awaited) > 1:
+        if self._turn.is_held_back:
             self._to_tell = None
-            return  # there is nobody to be told anything that would last
+            return
         if self._to_tell is None or news:
             estimate, notes = self._strategy.solve(self._knowledge())
             _check_reasonable(estimate)
@@ -221,12 +219,10 @@ class AreaProtocol:
         self._to_tell = None
         if estimate is not None and self._is_untold(estimate):
             self._told = estimate
-            for action in self._tell_boundaries(estimate):
-                self._leave_time_to_answer()
-                yield action
-        if self._strategy.restless or self._awaited or self._now < self._show_at < math.inf:
+            yield from self._tell_boundaries(estimate)
+        if self._strategy.restless or not self._turn.may_show(self._now):
             return
-        self._unshown_since = self._show_at = math.inf
+        self._turn.end_talk()
         if estimate is not None:
             estimate, contradictions = self._strategy.judge(self._knowledge(), estimate)
             _check_reasonable(estimate)
@@ -237,13 +233,8 @@ class AreaProtocol:
 
     def _is_untold(self, estimate: Estimate) -> bool:
         """To somebody: the readings of a new scan may be the same, and a neighbour's turn may come later."""
-        return estimate is not self._told or any(m.header.scan != self._scan for m in self._sent_boundary.values())
-
-    def _leave_time_to_answer(self) -> None:
-        """Judging and showing what the answer will change takes as long as the answer itself."""
-        if self._strategy.passes_on:
-            self._unshown_since = min(self._unshown_since, self._now)
-            self._show_at = min(self._now + ANSWER_S, self._unshown_since + LONGEST_TALK_S)
+        sent = [self._sent_boundary.get(n.area) for n in self._area.neighbours]
+        return estimate is not self._told or any(m is None or m.header.scan != self._scan for m in sent)
 
     def _knowledge(self) -> Knowledge:
         return Knowledge(
@@ -287,7 +278,7 @@ class AreaProtocol:
     def _tell_boundaries(self, estimate: Estimate) -> Iterator[Action]:
         """What rests on an awaited word is held back: it would be out of date before it arrives."""
         for n in self._area.neighbours:
-            if self._awaited - {n.area}:
+            if not self._turn.may_tell(n.area):
                 continue
             last = self._sent_boundary.get(n.area)
             message = self._strategy.message_for(n, estimate, self._header(last))
@@ -295,6 +286,8 @@ class AreaProtocol:
             if last is None or last.header.scan != self._scan or self._strategy.is_news(n, message, last):
                 self._sent_boundary[n.area] = message
                 self._reminders.start(n.area, self._now)
+                if self._strategy.passes_on:
+                    self._turn.await_answers(self._now)
                 yield Publish(message, n.area)
 
     def _tell_tallies(self) -> list[Action]:

@@ -7,17 +7,18 @@ local power flow only start the iteration.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from agents.area_file import AreaFile
 from agents.messages import BoundaryNews, Header, Incarnation, InformationMessage, TallyMessage
-from agents.strategies.bad_data_tree import UPPER, BadDataTree
+from agents.strategies.bad_data_tree import BadDataTree
 from agents.strategies.boundary_marginal import distance_between, has_moved
 from agents.strategies.interface import Estimate, Knowledge, Strategy
 from agents.strategies.start import start_state
+from agents.triangle import read_triangle, write_triangle
 from dsse_core.area_model import AreaModel, build_area_model
 from dsse_core.bad_data import DEAD_VM, chi_square_limit
 from dsse_core.boundary_information import BoundaryInformation
@@ -64,8 +65,9 @@ class Information(Strategy):
         self._has_new_readings = False  # or a decision which of them are in use
         self._steps_left = 0
         self._last_step = np.inf
-        self._told_at: dict[str, tuple[np.ndarray, list[BoundaryInformation], BoundaryInformation]] = {}
-        self._is_told = False  # a state that rests on the newest messages
+        # neighbour -> information last computed for it, after the state and the other messages that it rests on
+        self._computed: dict[str, tuple[np.ndarray, dict[str, BoundaryInformation], BoundaryInformation]] = {}
+        self._is_released = False  # a state that rests on the newest messages, for neighbours to be told
         self._news = 0  # since all areas have been heard, of these measurements
         self._shown: Estimate | None = None
         self._shown_x = np.zeros(0)
@@ -89,12 +91,15 @@ class Information(Strategy):
             self._take_messages(known)
             self._news += self._is_informed
             self._last_step = np.inf
-            self._is_told = False
+            self._is_released = False
             self._steps_left = 0 if self._is_swinging else STEPS_PER_NEWS
         elif self._is_informed and self._steps_left == 0 and self._last_step > ON_THE_WAY and not self._is_swinging:
             self._steps_left = STEPS_PER_NEWS  # it was not enough, and there is time now
         if self._steps_left > 0:
             self._step()
+        if self._shown is None and self._is_swinging:
+            assert self._model is not None
+            self._shown = self._estimate(self._model, self._x)  # no step of this scan was ever small
         return self._shown, self._notes()
 
     def judge(self, known: Knowledge, estimate: Estimate) -> tuple[Estimate, tuple[str, ...]]:
@@ -119,20 +124,20 @@ class Information(Strategy):
         others = {n.area for n in self._area.neighbours} - {neighbour.area}
         referenced = self._has_own_angle or bool(others & self._referenced)
         told = self._information_for(neighbour)
-        R, z = tuple(told.R[UPPER].tolist()), tuple(told.z.tolist())
+        R, z = write_triangle(told.R), tuple(told.z.tolist())
         return InformationMessage(header, neighbour.bus, R, z, referenced, complete=others <= self._complete)
 
     def _information_for(self, neighbour: Neighbour) -> BoundaryInformation:
         """What was computed last, where neither the others' messages nor, but for rounding, the state has changed."""
         assert self._model is not None
-        others = [told for name, told in self._heard.items() if name != neighbour.area]
-        if (last := self._told_at.get(neighbour.area)) is not None:
-            x, heard, told = last
+        others = {name: heard for name, heard in self._heard.items() if name != neighbour.area}
+        if (last := self._computed.get(neighbour.area)) is not None:
+            x, heard, information = last
             if _are_same(heard, others) and abs(self._x - x).max() <= SAME_STATE:
-                return told
-        told = compute_information(self._model, self._x, neighbour, self._heard)
-        self._told_at[neighbour.area] = self._x, others, told
-        return told
+                return information
+        information = compute_information(self._model, self._x, neighbour, self._heard)
+        self._computed[neighbour.area] = self._x, others, information
+        return information
 
     def is_news(self, neighbour: Neighbour, message: BoundaryNews, last: BoundaryNews) -> bool:
         assert isinstance(message, InformationMessage)
@@ -175,7 +180,7 @@ class Information(Strategy):
         self._tree.take_measurements(self._no_load, held_back)
         self._shown = None
         self._has_new_readings = True
-        self._told_at = {}
+        self._computed = {}
         self._news = 0
 
     def _build_models(self) -> None:
@@ -248,9 +253,9 @@ class Information(Strategy):
         if _find_rest(before, self._last_step) <= SETTLED_STEP:
             self._steps_left = 0
             self._start = self._x
-        early = not self._is_told and self._last_step <= TOLD_EARLY
+        early = not self._is_released and self._last_step <= TOLD_EARLY
         if self._steps_left == 0 or early:
-            self._is_told = True
+            self._is_released = True
             self._shown = self._estimate(self._model, self._x)
 
     def _near_start(self, x: np.ndarray) -> np.ndarray:
@@ -300,8 +305,9 @@ class Information(Strategy):
         assert self._model is not None
         notes = []
         for n in self._area.neighbours:
-            told, y = known.told[n.area], self._model.boundary_values(self._x, n)
-            assert isinstance(told, InformationMessage)
+            told, y = known.told.get(n.area), self._model.boundary_values(self._x, n)
+            if not isinstance(told, InformationMessage):
+                continue  # it has nothing yet that it could contradict
             distance, freedom = distance_between(y, _read(told), self._heard[n.area])
             limit = chi_square_limit(freedom, CONTRADICTION)
             if distance >= limit:
@@ -338,11 +344,10 @@ def _with_positive_magnitudes(x: np.ndarray, n: int) -> np.ndarray:
 
 
 def _read(message: InformationMessage) -> BoundaryInformation:
-    R = np.zeros((4, 4))
-    R[UPPER] = message.R
-    return BoundaryInformation(R, np.array(message.z))
+    return BoundaryInformation(read_triangle(message.R), np.array(message.z))
 
 
-def _are_same(some: Sequence[BoundaryInformation], others: Sequence[BoundaryInformation]) -> bool:
-    pairs = zip(some, others, strict=False)
-    return len(some) == len(others) and all((a.R == b.R).all() and (a.z == b.z).all() for a, b in pairs)
+def _are_same(some: Mapping[str, BoundaryInformation], others: Mapping[str, BoundaryInformation]) -> bool:
+    if some.keys() != others.keys():
+        return False
+    return all((heard.R == others[name].R).all() and (heard.z == others[name].z).all() for name, heard in some.items())

@@ -16,9 +16,9 @@ from test_angle_offset import tree_scenario
 from agents.events import Received
 from agents.hearing import PATIENT_BEATS
 from agents.messages import InformationMessage, TallyMessage, encode
-from agents.protocol import ANSWER_S, LONGEST_TALK_S
 from agents.strategies import information
 from agents.strategies.bad_data_tree import USE_CURRENTS, BadDataTree
+from agents.turn import ANSWER_S, LONGEST_TALK_S
 from dsse_core.bad_data import BadDataReport, chi_square_limit, process_bad_data
 from dsse_core.errors import EstimationDivergedError, NotObservableError
 from dsse_core.link_faults import LinkFaults

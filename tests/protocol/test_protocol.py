@@ -8,8 +8,9 @@ from simulated_bus import SimulatedBus, area_files_of, bus_of
 
 from agents.events import Finish, PresenceChanged, Publish, Received, Refused, StopRequested
 from agents.messages import BoundaryMessage, Header, Incarnation, InformationMessage, LoadMessage
-from agents.protocol import ANSWER_S, AreaProtocol
+from agents.protocol import AreaProtocol
 from agents.strategies import make_strategy
+from agents.turn import ANSWER_S
 from coordinator.twin import STARTED_AT
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry

@@ -1,0 +1,110 @@
+"""Whose word an area waits for in a new scan: it costs no processor time, starves nobody, and ends."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from simulated_bus import SimulatedBus, area_files_of
+
+from agents.events import Publish, Received
+from agents.messages import Header, Incarnation, InformationMessage, StateMessage
+from agents.turn import ANSWER_S, LONGEST_TALK_S, Turn
+from coordinator.telemetry_messages import make_message
+from scenarios.scenario import load_scenario
+from scenarios.telemetry import make_telemetry
+
+SCENARIO = load_scenario("ieee33")  # area1 stands between area2 and area3
+BEAT_S = 2.0
+
+
+@pytest.fixture
+def bus() -> SimulatedBus:
+    """Three areas at rest."""
+    files = area_files_of(SCENARIO, strategy="information", beat_s=BEAT_S)
+    bus = SimulatedBus(files, make_telemetry(SCENARIO).by_area)
+    bus.run_until_settled()
+    bus.run(1.0)
+    return bus
+
+
+def readings_of(bus: SimulatedBus, area: str, scan: int) -> Received:
+    header = Header(bus.files[area].run, "plant", Incarnation(0, 0), scan, scan, bus.states[area].header.time)
+    return Received(make_message(header, area, make_telemetry(SCENARIO, scan=scan).by_area[area]), "")
+
+
+def word_of(bus: SimulatedBus, sender: str, to: str) -> InformationMessage:
+    """The last one that was delivered."""
+    words = [m for _, s, r, m in bus.delivered if (s, r) == (sender, to) and isinstance(m, InformationMessage)]
+    return words[-1]
+
+
+def changed(word: InformationMessage, k: int, scan: int) -> Received:
+    header = replace(word.header, scan=scan, sequence=word.header.sequence + k)
+    return Received(replace(word, header=header, z=tuple(z * (1 + 0.01 * (k % 2)) for z in word.z)), word.header.sender)
+
+
+def test_answers_are_awaited_anew_after_each_word_and_not_for_ever():
+    turn = Turn()
+    turn.await_answers(1.0)
+    assert turn.show_at == 1.0 + ANSWER_S
+    turn.await_answers(1.002)
+    assert turn.show_at == 1.002 + ANSWER_S
+    turn.await_answers(1.0 + LONGEST_TALK_S)
+    assert turn.show_at == 1.0 + LONGEST_TALK_S
+
+
+def test_a_talk_ends_with_its_scan():
+    turn = Turn()
+    turn.await_answers(1.0)
+    turn.wait_for({"area2"})
+    assert not turn.may_show(2.0)
+    turn.wait_for(set())
+    turn.await_answers(3.0)
+    assert turn.show_at == 3.0 + ANSWER_S
+
+
+def test_only_the_one_awaited_is_told_anything():
+    turn = Turn()
+    turn.wait_for({"area2"})
+    assert (turn.may_tell("area2"), turn.may_tell("area3"), turn.is_held_back) == (True, False, False)
+    turn.wait_for({"area2", "area3"})
+    assert turn.is_held_back
+
+
+def test_an_area_that_is_held_back_in_the_middle_of_its_steps_sleeps(bus):
+    area1 = bus.protocols["area1"]
+    list(area1.handle([changed(word_of(bus, "area2", "area1"), 1, scan=1)], bus.now))
+    assert area1.wait_s(bus.now) == 0.0, "there are steps to go"
+    list(area1.handle([readings_of(bus, "area1", 2)], bus.now))
+    assert area1.wait_s(bus.now) > 0.0
+
+
+def test_a_neighbour_that_a_new_life_has_never_told_anything_is_told_once_the_wait_is_over(bus):
+    bus.kill("area1")
+    bus.run(0.5)
+    bus.next_scan(make_telemetry(SCENARIO, scan=2).by_area, late_s={"area1": 2.3, "area3": 60.0})
+    bus.start("area1")  # which hears area2 of scan 2 and area3 of scan 1 before its own readings
+    bus.run(2.2)
+    bus.delivered.clear()
+    bus.run(0.5)
+    assert word_of(bus, "area1", "area2").header.scan == 2
+
+
+def test_who_has_no_readings_is_not_waited_for_in_every_scan(bus):
+    for _ in range(3):
+        bus.next_scan(make_telemetry(SCENARIO, scan=bus.scan + 1).by_area, late_s={"area3": 1e6})
+        bus.run(BEAT_S / 20)
+    assert word_of(bus, "area1", "area2").header.scan == bus.scan
+
+
+def test_news_before_every_step_leaves_an_estimate_all_the_same(bus):
+    area2, word = bus.protocols["area2"], word_of(bus, "area1", "area2")
+    list(area2.handle([readings_of(bus, "area2", 2)], bus.now))
+    states = []
+    for k in range(1, 201):
+        actions = area2.handle([changed(word, k, scan=2)], bus.now + 0.001 * k)
+        states += [a.message for a in actions if isinstance(a, Publish) and isinstance(a.message, StateMessage)]
+    assert states
+    assert states[-1].buses
+    assert states[-1].quality == "degraded"
