@@ -23,6 +23,7 @@ from agents.messages import (
 
 FRESH_BEATS = 3  # younger is fresh: everything is repeated at every beat, and two repeats in a row may be lost
 PATIENT_BEATS = 0.1  # after new readings neighbours should have theirs, too, and say what follows from them
+PATIENT_SHARE = 0.25  # of the time between two scans: each is to be shown before the next one comes
 OVER_BEATS = 10  # after which a life that is not heard is over
 
 NeighbourNews = LoadMessage | BoundaryNews | TallyMessage
@@ -47,11 +48,12 @@ class Hearing:
         self.boundary: dict[str, BoundaryNews] = {}
         self.tallies: dict[str, TallyMessage] = {}
         self._fresh_s = FRESH_BEATS * beat_s
-        self._patient_s = PATIENT_BEATS * beat_s
+        self._most_patient_s = PATIENT_BEATS * beat_s
         self._over_s = OVER_BEATS * beat_s
         self._spoke_at: dict[tuple[str, str], float] = {}  # when what is kept was last heard, by kind and sender
         self._heard_at: dict[str, float] = {}  # the newest boundary message of each neighbour
         self._telemetry_at = self._scan_since = 0.0
+        self.patient_until = 0.0  # how long neighbours are awaited that have not yet spoken of the current scan
         self._former_scan = 0  # before the current one
 
     @property
@@ -79,6 +81,7 @@ class Hearing:
         if last is not None and message.header.order == last.header.order:
             return False
         if message.header.scan != self.scan:
+            self.patient_until = now + min(self._most_patient_s, PATIENT_SHARE * (now - self._scan_since))
             self._scan_since, self._former_scan = now, self.scan
         self.telemetry = message
         return True
@@ -125,11 +128,6 @@ class Hearing:
             for name, m in self.boundary.items()
             if waits or m.header.scan == self.scan or (m.header.scan > self.scan and name in ahead)
         }
-
-    @property
-    def patient_until(self) -> float:
-        """How long neighbours are awaited that have not yet spoken of the current scan."""
-        return self._scan_since + self._patient_s
 
     def awaited(self, present: Container[str], now: float) -> set[str]:
         """The neighbours, of those ``present``, that are about to speak of a new scan for the first time.

@@ -188,7 +188,7 @@ class Observer:
             if state is None or state.quality == NONE:
                 continue
             telemetry_at = watched.heard_at - state.telemetry_age
-            if state.quality == STALE or telemetry_at < self._disturbed_at:
+            if self.quality_of(name, now) == STALE or telemetry_at < self._disturbed_at:
                 found[name] = now - telemetry_at
         return found
 

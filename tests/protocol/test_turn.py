@@ -98,6 +98,15 @@ def test_who_has_no_readings_is_not_waited_for_in_every_scan(bus):
     assert word_of(bus, "area1", "area2").header.scan == bus.scan
 
 
+def test_each_scan_is_shown_although_a_neighbour_is_slower_than_scans_come(bus):
+    bus.pause("area3")
+    for _ in range(4):
+        bus.next_scan(make_telemetry(SCENARIO, scan=bus.scan + 1).by_area)
+        bus.run(BEAT_S / 20)
+        if bus.scan > 2:  # nothing is known before of how fast they come
+            assert (bus.states["area1"].header.scan, bus.states["area2"].header.scan) == (bus.scan, bus.scan)
+
+
 def test_news_before_every_step_leaves_an_estimate_all_the_same(bus):
     area2, word = bus.protocols["area2"], word_of(bus, "area1", "area2")
     list(area2.handle([readings_of(bus, "area2", 2)], bus.now))

@@ -262,6 +262,8 @@ def test_areas_that_agree_on_stale_estimates_are_no_consensus_and_after_long_a_d
     assert observer.find_dead_end(3 * BEAT) is None
     assert observer.find_dead_end((3 + OVER_BEATS) * BEAT) is None, "the plant may be slow"
     later = 5.0
+    for state in (a_state("area1"), a_state("area3")):
+        observer.take_state(state, later)
     reason = observer.find_dead_end(later)
     assert reason is not None
     assert "stale estimates: area2 heard the last telemetry, of scan 1, 5.4 s ago" in reason
