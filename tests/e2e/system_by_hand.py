@@ -6,13 +6,13 @@ import queue
 import signal
 import subprocess
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from dsse_command import COMMAND, ENVIRONMENT
+from dsse_command import COMMAND, ENVIRONMENT, free_endpoint
 from waiting import DEADLINE_S
 
 from agents.credentials import load_credentials
@@ -25,6 +25,18 @@ from coordinator.comparison import Gap, compare
 from coordinator.judging import estimate_centralised, make_observer
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
+
+
+def prepare_by_hand(dsse: Callable[..., subprocess.CompletedProcess[str]], secured: bool) -> tuple[str, list[str]]:
+    """The area files of industrial13 in ``areas``, its credentials in ``keys`` if ``secured``.
+
+    Returns where the router is to listen, and the options that name the credentials.
+    """
+    endpoint = free_endpoint("tls" if secured else "tcp")
+    if secured:
+        assert dsse("keys", "create", "industrial13", "--out", "keys").returncode == 0
+    assert dsse("split", "industrial13", "--out", "areas", "--connect", endpoint).returncode == 0
+    return endpoint, ["--keys", "keys"] if secured else []
 
 
 class SystemByHand:

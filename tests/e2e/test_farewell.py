@@ -7,19 +7,14 @@ import signal
 from pathlib import Path
 
 import pytest
-from dsse_command import free_endpoint
-from system_by_hand import SystemByHand, Watcher
+from system_by_hand import SystemByHand, Watcher, prepare_by_hand
 
 NOTES = {signal.SIGTERM: "neighbour area2 has left: SIGTERM", signal.SIGKILL: "neighbour area2 is gone"}
 
 
 @pytest.mark.parametrize("secured", [False, True], ids=["open", "secured"])
 def test_neighbours_and_watchers_tell_an_orderly_end_from_a_death(dsse, tmp_path: Path, secured: bool):
-    protocol, keys = ("tls", ["--keys", "keys"]) if secured else ("tcp", [])
-    endpoint = free_endpoint(protocol)
-    if secured:
-        assert dsse("keys", "create", "industrial13", "--out", "keys").returncode == 0
-    assert dsse("split", "industrial13", "--out", "areas", "--connect", endpoint).returncode == 0
+    endpoint, keys = prepare_by_hand(dsse, secured)
     with SystemByHand(tmp_path) as system:
         system.start("router", "router", "--listen", endpoint, *keys)
         system.start("plant", "plant", "industrial13", "--connect", endpoint, *keys)

@@ -7,8 +7,8 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from dsse_command import COMMAND, ENVIRONMENT, free_endpoint
-from system_by_hand import SystemByHand, Watcher
+from dsse_command import COMMAND, ENVIRONMENT
+from system_by_hand import SystemByHand, Watcher, prepare_by_hand
 from waiting import DEADLINE_S, wait_until
 
 from agents.succession import REPLACED_CODE
@@ -16,11 +16,7 @@ from agents.succession import REPLACED_CODE
 
 @pytest.mark.parametrize("secured", [False, True], ids=["open", "secured"])
 def test_the_older_agent_and_the_older_plant_give_way_and_the_estimate_stays(dsse, tmp_path: Path, secured: bool):
-    protocol, keys = ("tls", ["--keys", "keys"]) if secured else ("tcp", [])
-    endpoint = free_endpoint(protocol)
-    if secured:
-        assert dsse("keys", "create", "industrial13", "--out", "keys").returncode == 0
-    assert dsse("split", "industrial13", "--out", "areas", "--connect", endpoint).returncode == 0
+    endpoint, keys = prepare_by_hand(dsse, secured)
     with SystemByHand(tmp_path) as system:
         system.start("router", "router", "--listen", endpoint, *keys)
         for name in ("area1", "area2"):
