@@ -99,7 +99,7 @@ def _start(scenario: Scenario, launcher: Launcher, folder: Path) -> Iterator[Ses
     present: set[str] = set()
     with Session.connect([endpoint]) as session:
         session.watch_presence(all_lives(RUN, "area", "*"), lambda key, alive: present.add(key) if alive else None)
-        for area, path in write_area_files(scenario, RUN, [endpoint], folder / "areas", suffix=".json").items():
+        for area, path in write_area_files(scenario, RUN, [endpoint], folder / "areas", suffix=".json"):
             order = (str(path), str(folder / f"{area}.timing"))
             launcher.start(area, "benchmarks.timed_agent:run_timed_agent", *order, log=folder / f"{area}.log")
         _wait(lambda: len(present) == len(scenario.partition.areas))

@@ -210,7 +210,7 @@ def split(
     endpoints = choose_endpoints(endpoints, secure)
     direct = prepared.transport.kind == "neighbours"
     places = choose_places(prepared, "tls" if secure else "tcp") if direct else {}
-    for path in write_area_files(prepared, choose_run_id(prepared, run_id), endpoints, out, places).values():
+    for path in dict(write_area_files(prepared, choose_run_id(prepared, run_id), endpoints, out, places)).values():
         print(path)
 
 

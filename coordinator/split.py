@@ -74,20 +74,8 @@ def write_area_files(
     folder: Path,
     places: Mapping[str, str] | None = None,
     suffix: str = ".toml",
-) -> dict[str, Path]:
-    """Write ``<area>.toml`` (or ``suffix``) for every area into ``folder``; area -> file. See ``area_files``."""
-    return dict(write_one_by_one(scenario, run, endpoints, folder, places, suffix))
-
-
-def write_one_by_one(
-    scenario: Scenario,
-    run: str,
-    endpoints: Sequence[str],
-    folder: Path,
-    places: Mapping[str, str] | None = None,
-    suffix: str = ".toml",
 ) -> Iterator[tuple[str, Path]]:
-    """``write_area_files``, where an area need not wait for the files of the others."""
+    """Write ``<area>.toml`` (or ``suffix``) of every area into ``folder``, see ``area_files``; area, file."""
     if strange := [e for e in endpoints if not re.fullmatch(r"[a-z-]+/.+", e)]:
         problems = [f"{e!r} is no Zenoh endpoint; one looks like tcp/192.0.2.7:7447" for e in strange]
         raise InvalidInputError("endpoints", problems)

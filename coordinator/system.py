@@ -16,7 +16,7 @@ from agents.credentials import load_credentials
 from agents.transport import Session, TransportError
 from coordinator.places import choose_places
 from coordinator.processes import Launcher, check_open_files, read_end
-from coordinator.split import write_one_by_one
+from coordinator.split import write_area_files
 from coordinator.zygote import Ended, Started
 from scenarios.scenario import Scenario
 
@@ -102,7 +102,7 @@ class System:
     def start_others(self) -> None:
         """Write the area files, start plant and agents."""
         where = (self.endpoints, self.folder / "areas", self._places, ".json")
-        for name, path in write_one_by_one(self.scenario, self.id, *where):
+        for name, path in write_area_files(self.scenario, self.id, *where):
             self._order(name, "agents.__main__:main", [str(path.absolute()), *self._keys()])
         self._start_plant(scan=1)  # which in a large grid is long busy with its readings
 

@@ -97,7 +97,7 @@ class TwoRouters(SystemByHand):
         self.between, self.to_area3 = (TcpFaultProxy(port, seed) for seed, port in enumerate(ports))
 
     def start_all(self) -> None:
-        files = write_area_files(load_scenario(RUN), RUN, [self.here], self.folder / "areas")
+        files = dict(write_area_files(load_scenario(RUN), RUN, [self.here], self.folder / "areas"))
         self.start("here", "router", "--listen", self.here)
         self.start("there", "router", "--listen", self.there, "--connect", f"tcp/127.0.0.1:{self.between.port}")
         self.start("plant", "plant", RUN, "--connect", self.here)

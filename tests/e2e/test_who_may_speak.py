@@ -39,7 +39,7 @@ class Secured(SystemByHand):
         super().__init__(folder, environment)
         scenario = load_scenario(RUN)
         self.endpoint = free_endpoint("tls" if secured else "tcp")
-        self.files = write_area_files(scenario, RUN, [self.endpoint], folder / "areas")
+        self.files = dict(write_area_files(scenario, RUN, [self.endpoint], folder / "areas"))
         self.keys = folder / "keys" if secured else None
         if self.keys:
             create_keys(self.keys, access_of(scenario.partition, RUN), days=1)

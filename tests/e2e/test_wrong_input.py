@@ -178,7 +178,7 @@ def test_a_run_says_which_agent_died_with_the_end_of_its_log(start_run, deaf_sce
 
 
 def test_a_run_says_which_agent_refused_its_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    write = coordinator.system.write_one_by_one
+    write = coordinator.system.write_area_files
 
     def spoil(*arguments: object) -> Iterator[tuple[str, Path]]:
         for name, path in write(*arguments):  # type: ignore[arg-type]
@@ -186,7 +186,7 @@ def test_a_run_says_which_agent_refused_its_file(tmp_path: Path, monkeypatch: py
                 path.write_text("nonsense")
             yield name, path
 
-    monkeypatch.setattr(coordinator.system, "write_one_by_one", spoil)
+    monkeypatch.setattr(coordinator.system, "write_area_files", spoil)
     result = coordinator.run("industrial13", out=tmp_path / "out", plots=False)
     assert not result.verdict.consensus
     assert result.verdict.reason is not None

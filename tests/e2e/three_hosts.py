@@ -76,7 +76,7 @@ def host_variables(host: str) -> dict[str, str]:
 
 def start_all(system: SystemByHand, there: Mapping[str, list[str]]) -> None:
     scenario = load_scenario(RUN)
-    write_area_files(scenario, RUN, [LOCAL], system.folder / "areas")
+    dict(write_area_files(scenario, RUN, [LOCAL], system.folder / "areas"))
     hosts = [f"{network}.{number}" for network in NETWORK_TO.values() for number in (1, 2)]
     create_keys(system.folder / "keys", access_of(scenario.partition, RUN), days=1, hosts=hosts)
     for host, area in AREA_ON.items():

@@ -34,7 +34,7 @@ def test_the_same_seed_gives_the_same_telemetry_and_another_seed_another():
 
 def test_virtual_measurements_are_not_sent_because_area_files_hold_them(tmp_path: Path):
     scenario = load_scenario("industrial13")
-    files = write_area_files(scenario, "run", ["tcp/127.0.0.1:7447"], tmp_path)
+    files = dict(write_area_files(scenario, "run", ["tcp/127.0.0.1:7447"], tmp_path))
     payloads = make_payloads(scenario, "run", Incarnation(1, 0))
     for area, path in files.items():
         message = decode(payloads[area])
@@ -46,7 +46,7 @@ def test_virtual_measurements_are_not_sent_because_area_files_hold_them(tmp_path
 @pytest.mark.parametrize("suffix", [".toml", ".json"])
 def test_an_area_file_holds_the_area_and_nothing_of_the_others(tmp_path: Path, suffix: str):
     scenario = load_scenario("ieee33-lossy")
-    files = write_area_files(scenario, "run", ["tcp/127.0.0.1:7447"], tmp_path, suffix=suffix)
+    files = dict(write_area_files(scenario, "run", ["tcp/127.0.0.1:7447"], tmp_path, suffix=suffix))
     assert list(files) == ["area1", "area2", "area3"]
     for name, path in files.items():
         content = load_area_file(path)
@@ -64,14 +64,14 @@ def test_the_faults_of_a_directed_link_go_to_the_area_that_sends(tmp_path: Path)
     scenario = load_scenario("ieee33")
     links = scenario.faults.links | {("area1", "area2"): wild}
     scenario = replace(scenario, faults=replace(scenario.faults, links=links))
-    files = write_area_files(scenario, "run", ["tcp/127.0.0.1:7447"], tmp_path)
+    files = dict(write_area_files(scenario, "run", ["tcp/127.0.0.1:7447"], tmp_path))
     assert load_area_file(files["area1"]).links == {"area2": wild, "area3": LinkFaults()}
     assert load_area_file(files["area2"]).links == {"area1": LinkFaults()}
 
 
 def test_the_penalty_of_the_scenario_reaches_every_area(tmp_path: Path):
     scenario = replace(load_scenario("ieee33"), admm_penalty=2.5)
-    files = write_area_files(scenario, "run", ["tcp/127.0.0.1:7447"], tmp_path)
+    files = dict(write_area_files(scenario, "run", ["tcp/127.0.0.1:7447"], tmp_path))
     assert [load_area_file(path).penalty for path in files.values()] == [2.5] * 3
 
 
