@@ -10,8 +10,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from agents.access import Access
 from agents.area_reader import describe_schema_error
-from agents.bounded_file import LARGEST_TOML, read_bounded
 from agents.keys import NAME
+from dsse_core.bounded_file import LARGEST_TOML, read_text
 from dsse_core.errors import InvalidInputError
 
 ACCESS_FILE = "access.toml"
@@ -29,12 +29,10 @@ def load_access(path: Path) -> Access:
     Raises:
         InvalidInputError: naming the file and every unknown, missing or impossible key.
     """
-    what = f"access file {path}"
+    what = f"access file {path}, which `dsse keys create SCENARIO` writes"
     try:
-        table = _FileTable.model_validate(tomllib.loads(read_bounded(path, LARGEST_TOML).decode("utf-8")))
-    except OSError as error:
-        raise InvalidInputError(what, [f"{error.strerror}; `dsse keys create SCENARIO` writes one"]) from None
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        table = _FileTable.model_validate(tomllib.loads(read_text(path, largest=LARGEST_TOML, what=what)))
+    except tomllib.TOMLDecodeError as error:
         raise InvalidInputError(what, [f"is not TOML: {error}"]) from None
     except ValidationError as error:
         raise InvalidInputError(what, [describe_schema_error(e) for e in error.errors()]) from None

@@ -13,8 +13,8 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
 from agents.area_file import AreaFile
-from agents.bounded_file import LARGEST_JSON, LARGEST_TOML, read_bounded
 from agents.keys import NAME
+from dsse_core.bounded_file import LARGEST_JSON, LARGEST_TOML, read_text
 from dsse_core.errors import InvalidInputError
 from dsse_core.link_faults import LinkFaults
 from dsse_core.measurement import Meter, find_meter_problems
@@ -61,15 +61,12 @@ def load_area_file(path: Path) -> AreaFile:
 
 def _read_tables(what: str, path: Path) -> Any:
     """The file as ``_FileTable``: every key is known, there and of its type."""
+    is_json = path.suffix == ".json"
+    text = read_text(path, largest=LARGEST_JSON if is_json else LARGEST_TOML, what=what)
     try:
-        is_json = path.suffix == ".json"
-        text = read_bounded(path, LARGEST_JSON if is_json else LARGEST_TOML).decode("utf-8")
         table = json.loads(text) if is_json else tomllib.loads(text)
-    except (OSError, UnicodeDecodeError) as error:
-        raise InvalidInputError(what, [f"cannot be read: {getattr(error, 'strerror', None) or error}"]) from None
     except (ValueError, RecursionError) as error:  # of the two readers, or integers that Python cannot hold
-        language = "JSON" if path.suffix == ".json" else "TOML"
-        raise InvalidInputError(what, [f"is not {language}: {error}"]) from None
+        raise InvalidInputError(what, [f"is not {'JSON' if is_json else 'TOML'}: {error}"]) from None
     try:
         return _FileTable.model_validate(table)
     except ValidationError as error:

@@ -14,8 +14,8 @@ from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric.types import PrivateKeyTypes
 from cryptography.x509.oid import NameOID
 
-from agents.bounded_file import LARGEST_PEM, read_bounded
 from agents.credentials import Credentials
+from dsse_core.bounded_file import LARGEST_PEM, read_bounded
 
 PROBE_S = 2.0  # time for a handshake that only asks why there is no connection
 
@@ -60,9 +60,10 @@ def _read_certificates(path: Path, problems: list[str]) -> list[x509.Certificate
 
 def _read_key(path: Path, problems: list[str]) -> PrivateKeyTypes | None:
     try:
+        content = read_bounded(path, LARGEST_PEM)
         if path.stat().st_mode & 0o007:
             problems.append(f"{path}: anybody on this host may read or change this private key; chmod o-rwx {path}")
-        return serialization.load_pem_private_key(read_bounded(path, LARGEST_PEM), password=None)
+        return serialization.load_pem_private_key(content, password=None)
     except OSError as error:
         problems.append(_describe_unreadable(path, error))
     except TypeError:
@@ -75,7 +76,7 @@ def _read_key(path: Path, problems: list[str]) -> PrivateKeyTypes | None:
 def _describe_unreadable(path: Path, error: OSError) -> str:
     if isinstance(error, FileNotFoundError):
         return f"{path}: is missing; make it with `dsse keys create SCENARIO`, or copy it from where that was done"
-    return f"{path}: cannot be read: {error.strerror}; let the user of this process read it"
+    return f"{path}: cannot be read: {error.strerror}"
 
 
 def _find_date_problems(path: Path, certificate: x509.Certificate, now: datetime.datetime) -> list[str]:

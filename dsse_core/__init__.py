@@ -1,1 +1,1 @@
-"""The mathematics: networks, power flow, measurements, estimation, bad data, areas. No files, clocks or bus."""
+"""The mathematics: networks, power flow, measurements, estimation, bad data, areas. No clocks or bus."""

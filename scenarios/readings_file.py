@@ -13,10 +13,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from dsse_core.bounded_file import read_text
 from dsse_core.errors import InvalidInputError
 from dsse_core.measurement import Measurement, MeasurementKind, Meter, find_meter_problems
 from dsse_core.network import Network
-from scenarios.bounded_files import read_text
 from scenarios.strict_toml import suggest
 
 KIND = MeasurementKind

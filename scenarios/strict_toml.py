@@ -16,8 +16,8 @@ from typing import Any, TypeVar, get_args, get_origin
 from pydantic import BaseModel, ConfigDict, Tag, ValidationError
 from pydantic_core import ErrorDetails
 
+from dsse_core.bounded_file import LARGEST_JSON, LARGEST_TOML, read_text
 from dsse_core.errors import InvalidInputError
-from scenarios.bounded_files import LARGEST_JSON, LARGEST_TOML, read_text
 
 
 class Table(BaseModel):

@@ -6,8 +6,8 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+from dsse_core.bounded_file import read_text
 from dsse_core.errors import InvalidInputError
-from scenarios.bounded_files import read_text
 from scenarios.importers.imported import Imported
 
 __all__ = ["Imported", "import_grid"]

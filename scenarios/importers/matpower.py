@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+from dsse_core.bounded_file import read_text
 from dsse_core.errors import InvalidInputError
 from dsse_core.network import Branch, Bus, Control, Generator, Network
-from scenarios.bounded_files import read_text
 from scenarios.importers.fused_branches import fuse_zero_impedances
 from scenarios.importers.imported import Imported, Remark, leave_out_islands, listed, without_buses
 from scenarios.importers.matpower_program import BASE_KV, BR_R, BR_X, PD, QD, Case, Matrix, run_program

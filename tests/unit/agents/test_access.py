@@ -120,7 +120,7 @@ def test_the_access_file_brings_the_rules_back(tmp_path: Path):
         ('run = "r"\n[neighbours]\na = ["b"]\nb = []', "'b' does not name 'a' as its neighbour; add it there"),
         ('run = "r"\n[neighbours]\n"a/**" = []', "may only contain a-z"),
         ("run = ", "is not TOML"),
-        (None, "No such file or directory; `dsse keys create SCENARIO` writes one"),
+        (None, "`dsse keys create SCENARIO` writes: 1 problem\n  - cannot be read: No such file or directory"),
     ],
 )
 def test_a_wrong_access_file_is_refused_with_what_is_wrong(tmp_path: Path, text: str | None, expected: str):

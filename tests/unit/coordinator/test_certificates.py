@@ -111,7 +111,7 @@ def test_a_file_that_is_no_key_is_named(keys: Path):
 def test_a_key_that_cannot_be_read_is_named(keys: Path):
     credentials_in(keys, "area1").key.unlink()
     (keys / "area1.key").mkdir(mode=0o700)
-    assert "area1.key: cannot be read: Is a directory" in problems_of(keys)
+    assert "area1.key: cannot be read: is a folder" in problems_of(keys)
 
 
 def test_a_key_that_anybody_may_read_is_refused(keys: Path):

@@ -108,7 +108,7 @@ def test_it_is_an_error_if_no_strategy_can_run(tmp_path: Path, capsys: pytest.Ca
         (["ieee33", "--strategies", "information,information"], "'information' is given twice"),
         (["ieee33", "--strategies", ""], "unknown strategy ''"),
         (["ieee33", "--out", "."], "is not empty"),
-        (["nowhere.toml"], "cannot read the file"),
+        (["nowhere.toml"], "cannot be read"),
     ],
 )
 def test_a_users_mistake_ends_with_exit_code_2(

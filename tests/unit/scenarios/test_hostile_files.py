@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from dsse_core.bounded_file import LARGEST_TOML, read_text
 from dsse_core.errors import InvalidInputError
-from scenarios.bounded_files import LARGEST_TOML, read_text
 from scenarios.importers import import_grid
 from scenarios.network_file import load_case
 from scenarios.readings_file import load_readings
@@ -51,7 +51,7 @@ def test_a_file_over_the_limit_is_refused_with_the_limit(tmp_path: Path):
     path = tmp_path / "scenario.toml"
     with path.open("wb") as file:
         file.truncate(LARGEST_TOML + 1)
-    with pytest.raises(InvalidInputError, match="more than 16 MiB"):
+    with pytest.raises(InvalidInputError, match="the limit is 16,777,216"):
         load_scenario(path)
     assert len(read_text(path)) == LARGEST_TOML + 1  # others may be larger
 

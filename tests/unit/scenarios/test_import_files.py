@@ -110,5 +110,5 @@ def test_a_file_of_no_known_format_is_refused(tmp_path: Path, name: str, content
 
 
 def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
-    with pytest.raises(InvalidInputError, match=r"nowhere.m.*\n.*cannot read the file"):
+    with pytest.raises(InvalidInputError, match=r"nowhere.m.*\n.*cannot be read"):
         import_grid(tmp_path / "nowhere.m")

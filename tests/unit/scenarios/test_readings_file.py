@@ -206,7 +206,7 @@ def test_a_file_without_source_and_a_source_without_file_are_refused(tmp_path: P
 
 def test_problems_of_the_readings_are_those_of_the_scenario(tmp_path: Path) -> None:
     (tmp_path / "real.toml").write_text(SCENARIO, encoding="utf-8")
-    with pytest.raises(InvalidInputError, match=r"telemetry.file: .*readings.csv: cannot read the file"):
+    with pytest.raises(InvalidInputError, match=r"telemetry.file: .*readings.csv: cannot be read"):
         load_scenario(tmp_path / "real.toml", strategies=("information",))
 
 

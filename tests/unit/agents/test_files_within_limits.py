@@ -10,8 +10,8 @@ import pytest
 
 from agents.access_file import load_access
 from agents.area_reader import load_area_file
-from agents.bounded_file import LARGEST_PEM, LARGEST_TOML
 from agents.credentials import load_credentials
+from dsse_core.bounded_file import LARGEST_PEM, LARGEST_TOML
 from dsse_core.errors import InvalidInputError
 
 READERS: list[tuple[str, Callable[[Path], object], int]] = [
@@ -36,5 +36,5 @@ def test_a_file_over_its_limit_is_refused_with_name_size_and_limit(tmp_path: Pat
 @pytest.mark.parametrize(("name", "read", "largest"), READERS)
 def test_a_pipe_that_nobody_writes_into_is_refused_and_not_waited_for(tmp_path: Path, name: str, read, largest: int):
     os.mkfifo(tmp_path / name, mode=0o600)
-    with pytest.raises(InvalidInputError, match="is no regular file"):
+    with pytest.raises(InvalidInputError, match="cannot be read: is a pipe or a device; give a regular file"):
         read(tmp_path / name)
