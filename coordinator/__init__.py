@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from coordinator.observer import Progress
+    from coordinator.progress import Progress
     from coordinator.result import RunResult
     from scenarios.faults import LinkChanges
     from scenarios.scenario import Scenario

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
-from coordinator.observer import Progress
+from coordinator.progress import Progress
 from coordinator.watch import View
 
 

@@ -26,26 +26,15 @@ LEAST_DEAD_END_S = 5.0  # of waiting for telemetry: on a busy machine the plant 
 
 
 @dataclass(frozen=True, slots=True)
-class AreaProgress:
-    """One area as the live table shows it; gaps are those to its neighbours at its boundary buses, p.u. and rad."""
+class Standing:
+    """How a run stands.
 
-    name: str
-    state: str
-    scan: int
-    exchanges: int
-    gap_vm: float | None
-    gap_va: float | None
-    messages: int
-    lost: int
+    ``obstacles``: what is missing to consensus, in words that name areas and buses; empty at consensus.
+    ``dead_end``: why waiting helps no more, if it does not.
+    """
 
-
-@dataclass(frozen=True, slots=True)
-class Progress:
-    """A run at one moment. ``obstacles``: in words, what stands between it and consensus."""
-
-    elapsed_s: float
-    areas: tuple[AreaProgress, ...]
     obstacles: tuple[str, ...]
+    dead_end: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,17 +151,17 @@ class Observer:
         is_heard = watched.alive and now - watched.heard_at < FRESH_BEATS * self.beat_s
         return said if is_heard or said == NONE else STALE
 
-    def find_obstacles(self, now: float) -> tuple[str, ...]:
-        """What is missing to consensus at time ``now``, in words that name areas and buses; empty at consensus."""
+    def standing(self, now: float) -> Standing:
+        """What is missing to consensus at time ``now``, and whether it can still come."""
         if disunity := self._find_disunity(now):
-            return tuple(disunity)
-        return tuple(f"{name} has heard no telemetry for {age:.1f} s" for name, age in self._find_cut_off(now).items())
-
-    def find_dead_end(self, now: float) -> str | None:
-        """Why waiting helps no more, if it does not: the areas agree, on estimates that have been stale for long."""
+            return Standing(tuple(disunity))
         ages = self._find_cut_off(now)
-        long_s = max(OVER_BEATS * self.beat_s, LEAST_DEAD_END_S)
-        if not ages or min(ages.values()) < long_s or self._find_disunity(now):
+        obstacles = tuple(f"{name} has heard no telemetry for {age:.1f} s" for name, age in ages.items())
+        return Standing(obstacles, self._find_dead_end(ages))
+
+    def _find_dead_end(self, ages: Mapping[str, float]) -> str | None:
+        """Why waiting helps no more, if it does not: the areas agree, on estimates that have been stale for long."""
+        if not ages or min(ages.values()) < max(OVER_BEATS * self.beat_s, LEAST_DEAD_END_S):
             return None
         named = ", ".join(list(ages)[:MAX_NAMED]) + (f" and {len(ages) - MAX_NAMED} more" * (len(ages) > MAX_NAMED))
         return (
@@ -220,10 +209,6 @@ class Observer:
         """The areas that are not on the bus."""
         return tuple(name for name, watched in self._watched.items() if not watched.alive)
 
-    def progress(self, elapsed_s: float, now: float) -> Progress:
-        """The run as the live table shows it."""
-        return Progress(elapsed_s, tuple(map(self._area_progress, self._watched)), self.find_obstacles(now))
-
     def _note_change(self, now: float) -> None:
         self.changed_at = now
         self._changes += 1
@@ -254,14 +239,14 @@ class Observer:
     def _find_disagreements(self, bus: int, names: list[str]) -> list[str]:
         found = []
         for other in names[1:]:
-            vm, va = self._gap_at(bus, names[0], other)
+            vm, va = self.gap_at(bus, names[0], other)
             if va > self.tolerance_va:
                 found.append(f"{names[0]} and {other} differ by {math.degrees(va):.3g} deg at bus {bus}")
             if self.compare_magnitudes and vm > self.tolerance_vm:
                 found.append(f"{names[0]} and {other} differ by {vm:.3g} p.u. at bus {bus}")
         return found
 
-    def _gap_at(self, bus: int, one: str, other: str) -> tuple[float, float]:
+    def gap_at(self, bus: int, one: str, other: str) -> tuple[float, float]:
         """Differences of magnitude and (wrapped) angle that two areas publish for ``bus``, p.u. and rad."""
         vm, va = zip(*(_voltage(self.states[name], bus) for name in (one, other)), strict=True)
         return abs(vm[0] - vm[1]), abs(math.remainder(va[0] - va[1], 2 * math.pi))
@@ -283,39 +268,6 @@ class Observer:
                     elif got != said:
                         found.append(f"{n.area} has not heard the last {kind} message of {area.name}")
         return found
-
-    def _area_progress(self, name: str) -> AreaProgress:
-        watched = self._watched[name]
-        state = watched.state
-        if state is None:
-            return AreaProgress(name, "starting" if not watched.alive else "joined", 0, 0, None, None, 0, 0)
-        gaps = self._gaps_to_neighbours(name)
-        return AreaProgress(
-            name=name,
-            state=self._word_for(watched, state, gaps),
-            scan=state.header.scan,
-            exchanges=count_exchanges(state),
-            gap_vm=max((vm for vm, _ in gaps), default=None),
-            gap_va=max((va for _, va in gaps), default=None),
-            messages=state.messages,
-            lost=state.lost,
-        )
-
-    def _gaps_to_neighbours(self, name: str) -> list[tuple[float, float]]:
-        states = self.states
-        if not states[name].buses:
-            return []
-        neighbours = self.partition.area(name).neighbours
-        return [self._gap_at(n.bus, name, n.area) for n in neighbours if n.area in states and states[n.area].buses]
-
-    def _word_for(self, watched: _Watched, state: StateMessage, gaps: list[tuple[float, float]]) -> str:
-        if not watched.alive:
-            return "gone"
-        if not state.buses:
-            return "waits for telemetry" if state.header.scan == 0 else "no estimate"
-        if not state.referenced:
-            return "relative angles"
-        return "agrees" if all(va <= self.tolerance_va for _, va in gaps) else "adjusts"
 
 
 def count_exchanges(state: StateMessage) -> int:

@@ -21,9 +21,10 @@ from coordinator.doubles import Double, Doubles
 from coordinator.events import EventLog
 from coordinator.fault_schedule import FaultSchedule
 from coordinator.judging import choose_scenario, judge, make_observer, no_consensus_within
-from coordinator.observer import Observer, Progress
+from coordinator.observer import Observer
 from coordinator.process_faults import do_to_processes
 from coordinator.processes import Launcher, News, describe_end, read_end
+from coordinator.progress import Progress, describe_progress
 from coordinator.result import RunResult, write_files
 from coordinator.run_clock import RunClock
 from coordinator.run_folder import make_run_folder
@@ -232,14 +233,15 @@ def _watch(run: _Run, observer: Observer, on_update: Callable[[Progress], None] 
         if now < next_check:
             continue
         next_check = now + check_s
-        obstacles = (*run.schedule.describe_next(), *observer.find_obstacles(now))
+        standing = observer.standing(now)
+        obstacles = (*run.schedule.describe_next(), *standing.obstacles)
         if on_update and (now >= next_update or not obstacles):
             next_update = now + UPDATE_S
-            on_update(observer.progress(now - run.started, now))
+            on_update(describe_progress(observer, now - run.started, standing.obstacles))
         if not obstacles:
             return None
-        if not run.schedule.steps and (reason := observer.find_dead_end(now)):
-            return reason
+        if not run.schedule.steps and standing.dead_end:
+            return standing.dead_end
         if now >= deadline:
             return no_consensus_within(run.scenario, obstacles)
 

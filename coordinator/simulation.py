@@ -18,7 +18,7 @@ from coordinator.judging import (
     no_consensus_within,
     prepare_scenario,
 )
-from coordinator.observer import Progress
+from coordinator.progress import Progress, describe_progress
 from coordinator.result import RunOutcome, RunResult, write_files
 from coordinator.run_folder import make_run_folder
 from coordinator.split import area_files, default_run_id
@@ -103,11 +103,12 @@ class Simulation:
             for step in self._schedule.carry_out(now, self._faults.do):
                 self._write(now, "fault", kind=step.kind, names=step.names)
                 self._observer.take_fault(now)
-            obstacles = (*self._schedule.describe_next(), *self._observer.find_obstacles(now))
+            standing = self._observer.standing(now)
+            obstacles = (*self._schedule.describe_next(), *standing.obstacles)
             if now - self._observer.changed_at >= check_s and not obstacles:
                 return None
-            if not self._schedule.steps and (reason := self._observer.find_dead_end(now)):
-                return reason
+            if not self._schedule.steps and standing.dead_end:
+                return standing.dead_end
             if now >= settings.timeout_s:
                 return no_consensus_within(self._scenario, obstacles)
 
@@ -135,7 +136,7 @@ class Simulation:
         if self._observer.states.get(state.header.sender) is state:
             self._states.take(state, at, is_new)
         if self._on_update and time.monotonic() >= self._next_update:
-            self._on_update(self._observer.progress(at, at))
+            self._on_update(describe_progress(self._observer, at, self._observer.standing(at).obstacles))
             self._next_update = time.monotonic() + UPDATE_S
 
     def _take_presence(self, at: float, area: str, alive: bool) -> None:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import click
 
 if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts fast
-    from coordinator.observer import Progress
+    from coordinator.progress import Progress
     from coordinator.result import RunResult
 
 PROGRESS_LINE_S = 1.0

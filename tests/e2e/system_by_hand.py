@@ -115,7 +115,7 @@ class Watcher:
 
     def obstacles(self) -> tuple[str, ...]:
         """What is missing for consensus."""
-        return self._observer.find_obstacles(time.monotonic())
+        return self._observer.standing(time.monotonic()).obstacles
 
     def wait_until(self, holds: object, deadline_s: float = DEADLINE_S) -> None:
         """Take in what areas say until ``holds()``."""

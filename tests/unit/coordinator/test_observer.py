@@ -9,7 +9,8 @@ import pytest
 
 from agents.hearing import OVER_BEATS
 from agents.messages import Header, Incarnation, StateMessage
-from coordinator.observer import Observer
+from coordinator.observer import Observer, Standing
+from coordinator.progress import describe_progress
 from dsse_core.partition import Area
 from scenarios.scenario import load_scenario
 
@@ -73,7 +74,7 @@ def no_tallies_of(area: Area) -> dict[str, tuple[int, int, int]]:
 
 
 def obstacles(observer: Observer, beats: int = 3) -> str:
-    return "; ".join(observer.find_obstacles(beats * BEAT))
+    return "; ".join(observer.standing(beats * BEAT).obstacles)
 
 
 def shifted(state: StateMessage, vm: float = 0.0, va: float = 0.0) -> StateMessage:
@@ -81,7 +82,7 @@ def shifted(state: StateMessage, vm: float = 0.0, va: float = 0.0) -> StateMessa
 
 
 def test_areas_that_agree_and_have_heard_all_words_are_in_consensus_at_once():
-    assert watch(beats=0).find_obstacles(0.0) == ()
+    assert watch(beats=0).standing(0.0) == Standing(())
 
 
 def test_a_strategy_without_tallies_has_none_unheard():
@@ -234,18 +235,18 @@ def test_history_keeps_every_changed_estimate_with_its_time():
 
 
 def test_progress_shows_state_and_gap_of_every_area():
-    progress = watch(shifted(a_state("area2"), va=0.1)).progress(1.5, 3 * BEAT)
+    progress = describe_progress(watch(shifted(a_state("area2"), va=0.1)), 1.5, ("area2 adjusts",))
     assert [area.name for area in progress.areas] == list(AREAS)
     by_name = {area.name: area for area in progress.areas}
     assert by_name["area2"].state == "adjusts"
     assert by_name["area2"].gap_va == pytest.approx(0.1)
     assert by_name["area3"].state == "agrees"
-    assert progress.obstacles
+    assert progress.obstacles == ("area2 adjusts",)
 
 
 def test_after_a_fault_every_area_must_have_been_heard_again():
     observer = watch()
-    assert not observer.find_obstacles(5 * BEAT)
+    assert not observer.standing(5 * BEAT).obstacles
     observer.take_fault(5 * BEAT)
     for beat in (6, 7):
         for state in (a_state("area1"), a_state("area2")):  # area3 was killed, and nobody has told yet
@@ -259,16 +260,16 @@ def test_after_a_fault_every_area_must_have_been_heard_again():
 def test_areas_that_agree_on_stale_estimates_are_no_consensus_and_after_long_a_dead_end_that_names_the_scan():
     observer = watch(a_state("area2", quality="stale", telemetry_age=1.0))
     assert obstacles(observer) == "area2 has heard no telemetry for 1.0 s"
-    assert observer.find_dead_end(3 * BEAT) is None
-    assert observer.find_dead_end((3 + OVER_BEATS) * BEAT) is None, "the plant may be slow"
+    assert observer.standing(3 * BEAT).dead_end is None
+    assert observer.standing((3 + OVER_BEATS) * BEAT).dead_end is None, "the plant may be slow"
     later = 5.0
     for state in (a_state("area1"), a_state("area3")):
         observer.take_state(state, later)
-    reason = observer.find_dead_end(later)
+    reason = observer.standing(later).dead_end
     assert reason is not None
     assert "stale estimates: area2 heard the last telemetry, of scan 1, 5.4 s ago" in reason
     observer.take_state(shifted(a_state("area1", sequence=2), va=0.1), later)
-    assert observer.find_dead_end(later) is None, "areas that differ may still come to agree"
+    assert observer.standing(later).dead_end is None, "areas that differ may still come to agree"
 
 
 def test_after_a_fault_every_area_must_have_heard_its_telemetry_again_which_a_dead_plant_has_not_sent():
