@@ -16,7 +16,7 @@ from agents.messages import Header, Incarnation
 from agents.presence import MAX_LIVES, Presence
 from coordinator import processes, watch
 from coordinator.processes import News
-from coordinator.run_scenario import _listen
+from coordinator.run_news import listen
 from coordinator.state_log import StateLog
 from coordinator.watch import Watcher
 from scenarios.scenario import load_scenario
@@ -40,7 +40,7 @@ class Bus:
 def test_a_run_takes_in_the_tokens_of_its_own_processes_only():
     bus, clock = Bus(), SimpleNamespace(life=LIFE)
     run = SimpleNamespace(id="run", news=News(), scenario=load_scenario("ieee33"), clock=clock)
-    _listen(run, bus)  # type: ignore[arg-type]
+    listen(run, bus)  # type: ignore[arg-type]
     for role, name in (("area", "area99"), ("plant", "other"), ("stranger", "area1")):
         bus.token(live_key("run", role, name, LIFE), True)
         bus.farewell(live_key("run", role, name, LIFE), b"SIGTERM")
