@@ -6,10 +6,10 @@ import numpy as np
 
 from dsse_core.area_model import build_area_model
 from dsse_core.bad_data import chi_square_limit
+from dsse_core.division import build_partition
 from dsse_core.exchange import compute_information, find_variances, solve_step, solve_step_near, state_variance
 from dsse_core.measurement import Measurement, MeasurementKind, Meter
 from dsse_core.network import Branch, Bus, Control, Generator, Network
-from dsse_core.partition import build_partition
 
 SIGMA = 0.01
 

@@ -19,10 +19,11 @@ from agents.messages import StateMessage
 from agents.quality import GOOD
 from coordinator.twin import SimulatedBus
 from dsse_core.bad_data import BadDataReport, process_bad_data
+from dsse_core.division import build_partition
 from dsse_core.link_faults import LinkFaults, Window
 from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.network import Network
-from dsse_core.partition import Partition, build_partition
+from dsse_core.partition import Partition
 from dsse_core.power_flow import PowerFlowResult, solve_power_flow
 from scenarios.cutting import cut_into
 from scenarios.generator import generate_feeder

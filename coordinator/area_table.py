@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from coordinator.report import format_table
-from dsse_core.partition import Partition, build_partition
+from dsse_core.division import build_partition
+from dsse_core.partition import Partition
 from scenarios.scenario import Scenario
 
 MAX_NAMED = 5

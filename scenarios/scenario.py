@@ -9,10 +9,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+from dsse_core.division import build_partition
 from dsse_core.errors import InvalidInputError
 from dsse_core.measurement import Measurement, Meter, Source
 from dsse_core.network import Network
-from dsse_core.partition import Partition, build_partition
+from dsse_core.partition import Partition
 from scenarios.cutting import cut_at, cut_into
 from scenarios.fault_order import find_order_problems, find_time_problems
 from scenarios.faults import Faults, build_faults, find_link_problems, find_name_problems

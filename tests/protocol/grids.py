@@ -8,9 +8,9 @@ import numpy as np
 from feeders import Feeder, load_to, read_with_noise
 
 from dsse_core.blocks import find_blocks
+from dsse_core.division import build_partition
 from dsse_core.measurement import MeasurementKind, Meter, Source
 from dsse_core.network import Branch, Bus, Control, Generator, Network
-from dsse_core.partition import build_partition
 from dsse_core.power_flow import solve_power_flow
 from scenarios.cutting import cut_into
 

@@ -10,9 +10,9 @@ from test_angle_offset import tree_scenario, with_angle_meters
 
 from agents.events import Received
 from agents.messages import AdmmMessage, encode
+from dsse_core.division import build_partition
 from dsse_core.estimation import EstimationResult, estimate_state
 from dsse_core.link_faults import LinkFaults
-from dsse_core.partition import build_partition
 from scenarios.faults import Faults
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry

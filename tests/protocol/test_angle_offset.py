@@ -11,10 +11,10 @@ from agents.messages import LoadMessage
 from agents.strategies import angle_offset
 from dsse_core.bad_data import process_bad_data
 from dsse_core.boundary_load import boundary_loads
+from dsse_core.division import build_partition
 from dsse_core.link_faults import LinkFaults
 from dsse_core.measurement import MeasurementKind, Meter, Source
 from dsse_core.network import Control
-from dsse_core.partition import build_partition
 from dsse_core.power_flow import solve_power_flow
 from scenarios.faults import Faults, find_links
 from scenarios.scenario import load_scenario as load

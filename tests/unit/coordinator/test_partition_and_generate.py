@@ -9,7 +9,7 @@ import pytest
 
 from coordinator.area_table import format_area_tables
 from coordinator.cli import run_command
-from dsse_core.partition import build_partition
+from dsse_core.division import build_partition
 from scenarios.scenario import load_scenario
 
 PNG = b"\x89PNG"

@@ -5,10 +5,10 @@ import pytest
 
 from dsse_core.area_model import build_area_model
 from dsse_core.consensus_admm import POWER_METER_SIGMA, SPREAD, VOLTMETER_SIGMA, compute_weight, pull
+from dsse_core.division import build_partition
 from dsse_core.exchange import compute_information, solve_step
 from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.network import Branch, Bus, Control, Generator, Network
-from dsse_core.partition import build_partition
 
 KIND = MeasurementKind
 NETWORK = Network(

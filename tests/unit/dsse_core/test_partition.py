@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dsse_core.boundary_load import NetLoad, boundary_loads, own_net_load, scheduled_load_messages
+from dsse_core.division import build_partition
 from dsse_core.errors import InvalidInputError
 from dsse_core.measurement import MeasurementKind, Meter
 from dsse_core.network import Branch, Bus, Control, Generator, Network
-from dsse_core.partition import build_partition
 
 Kind = MeasurementKind
 

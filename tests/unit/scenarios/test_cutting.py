@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dsse_core.blocks import Block, find_blocks
+from dsse_core.division import build_partition
 from dsse_core.errors import InvalidInputError
 from dsse_core.network import Branch, Bus, Control, Generator, Network
-from dsse_core.partition import build_partition
 from scenarios.cutting import cut_at, cut_into
 
 
