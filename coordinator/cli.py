@@ -3,33 +3,23 @@
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from coordinator.cli_keys import keys_commands
 from coordinator.cli_networks import network_commands
+from coordinator.cli_processes import process_commands
 from coordinator.cli_studies import study_commands
 from coordinator.cli_watch import watch
 from coordinator.terminal import (
-    DEFAULT_ENDPOINT,
-    SECURE_ENDPOINT,
-    Number,
-    bus_timeout_option,
-    choose_endpoints,
-    connect_option,
     end_orderly_on_signals,
     finish_run,
-    keys_option,
     no_plots_option,
     progress,
     quiet_option,
     run_folder_option,
-    run_id_option,
     say,
     scenario_argument,
     seed_option,
@@ -37,13 +27,6 @@ from coordinator.terminal import (
     timeout_option,
 )
 from dsse_core.errors import DsseError
-
-if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts fast
-    from scenarios.scenario import Scenario
-
-
-SHORTEST_SCAN_S = 0.001
-SCAN_SECONDS = Number(min=SHORTEST_SCAN_S, max=86400)
 
 
 def run_command(arguments: Sequence[str]) -> int:
@@ -132,10 +115,10 @@ def check(scenario: str) -> None:
     \b
     Example:  dsse check my/scenario.toml
     """
-    prepared = _prepare(scenario, None)
+    from coordinator.judging import prepare_scenario
     from coordinator.report import format_check
 
-    print(format_check(prepared))
+    print(format_check(prepare_scenario(scenario)))
 
 
 @commands.command()
@@ -177,128 +160,16 @@ def estimate(scenario: str, seed: int | None) -> None:
     \b
     Example:  dsse estimate ieee33 --seed 7
     """
-    prepared = _prepare(scenario, seed)
+    from coordinator.judging import prepare_scenario
     from coordinator.report import format_estimate
     from dsse_core.bad_data import process_bad_data
     from scenarios.telemetry import make_telemetry
 
+    prepared = prepare_scenario(scenario, seed)
     telemetry = make_telemetry(prepared)
     report = process_bad_data(prepared.network, telemetry.union, tolerance=prepared.tolerances.estimator)
     print(format_estimate(report, telemetry.truth))
 
 
-@commands.command(short_help="Write one file per area.")
-@scenario_argument
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for the area files.")
-@run_id_option
-@connect_option("--secure")
-@click.option("--secure", is_flag=True, help="For agents with --keys: areas that link directly do so with TLS.")
-@seed_option
-def split(
-    scenario: str, out: Path, run_id: str | None, endpoints: tuple[str, ...], secure: bool, seed: int | None
-) -> None:
-    """Write one file per area of SCENARIO: all that `dsse agent` needs, here or on another host.
-
-    \b
-    Examples:  dsse split ieee33 --out areas --connect tcp/192.0.2.7:7447
-               dsse split ieee33 --out areas --secure
-    """
-    prepared = _prepare(scenario, seed)
-    from coordinator.places import choose_places
-    from coordinator.split import choose_run_id, write_area_files
-
-    endpoints = choose_endpoints(endpoints, secure)
-    direct = prepared.transport.kind == "neighbours"
-    places = choose_places(prepared, "tls" if secure else "tcp") if direct else {}
-    for path in dict(write_area_files(prepared, choose_run_id(prepared, run_id), endpoints, out, places)).values():
-        print(path)
-
-
-@commands.command(
-    short_help="Run the agent of one area.", context_settings={"ignore_unknown_options": True}, add_help_option=False
-)
-@click.argument("arguments", nargs=-1, type=click.UNPROCESSED)
-def agent(arguments: tuple[str, ...]) -> int:
-    """Run the agent of one area from its area file.
-
-    \b
-    Example:  dsse agent areas/area1.toml --connect tcp/192.0.2.7:7447
-    """
-    from agents.__main__ import main
-
-    return main(arguments)
-
-
-@commands.command(short_help="Run the router that all the others connect to.")
-@click.option(
-    "--listen",
-    "endpoints",
-    multiple=True,
-    help=f"Where; repeatable.  [default: {DEFAULT_ENDPOINT}; with --keys {SECURE_ENDPOINT}]",
-)
-@click.option("--connect", "others", multiple=True, help="Another router to link with, now or later; repeatable.")
-@keys_option
-@click.option("--run", "run_id", help="Apply the rules of access in DIR to this run.  [default: the run named there]")
-def router(endpoints: tuple[str, ...], others: tuple[str, ...], keys: Path | None, run_id: str | None) -> int:
-    """Run the Zenoh router that agents, plant and coordinator connect to, until Ctrl-C. Linked routers are one bus.
-
-    \b
-    Examples:  dsse router --listen tcp/0.0.0.0:7447
-               dsse router --listen tls/0.0.0.0:7447 --keys keys
-               dsse router --listen tcp/0.0.0.0:7448 --connect tcp/192.0.2.7:7447
-    """
-    from coordinator.router_process import main
-
-    arguments = [part for endpoint in endpoints for part in ("--listen", endpoint)]
-    arguments += [part for other in others for part in ("--connect", other)]
-    arguments += ["--keys", str(keys)] if keys else []
-    return main([*arguments, "--run", run_id] if run_id else arguments)
-
-
-@commands.command(short_help="Publish the meter readings of a scenario.")
-@scenario_argument
-@connect_option()
-@keys_option
-@run_id_option
-@bus_timeout_option
-@seed_option
-@click.option(
-    "--every", type=SCAN_SECONDS, metavar="S", help="Make a new scan every so many seconds.  [default: one only]"
-)
-def plant(
-    scenario: str,
-    endpoints: tuple[str, ...],
-    keys: Path | None,
-    run_id: str | None,
-    timeout: float,
-    seed: int | None,
-    every: float | None,
-) -> int:
-    """Publish the meter readings of SCENARIO on the bus until Ctrl-C; in the field a gateway does this.
-
-    \b
-    Example:  dsse plant ieee33 --connect tcp/192.0.2.7:7447
-    """
-    prepared = _prepare(scenario, seed)
-    from coordinator.plant import run_plant
-    from coordinator.split import choose_run_id
-
-    # a plant that is started anew has new readings: the clock is ahead of all numbers of its last life
-    scan = int(time.time() / SHORTEST_SCAN_S)
-    endpoints = choose_endpoints(endpoints, keys is not None)
-    direct = prepared.transport.kind == "neighbours"
-    return run_plant(prepared, choose_run_id(prepared, run_id), endpoints, timeout, scan, every, keys, direct)
-
-
-def _prepare(scenario: str, seed: int | None) -> Scenario:
-    from agents.strategies import STRATEGIES
-    from scenarios.check import check_scenario
-    from scenarios.scenario import load_scenario
-
-    loaded = load_scenario(scenario, strategies=tuple(STRATEGIES))
-    check_scenario(loaded)
-    return loaded if seed is None else replace(loaded, seed=seed)
-
-
-for command in (*network_commands, *study_commands, keys_commands, watch):
+for command in (*process_commands, *network_commands, *study_commands, keys_commands, watch):
     commands.add_command(command)

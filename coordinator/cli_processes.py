@@ -1,0 +1,132 @@
+"""Commands of a system that is started by hand, on one host or several: area files, agent, router, plant."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import click
+
+from coordinator.terminal import (
+    DEFAULT_ENDPOINT,
+    SECURE_ENDPOINT,
+    Number,
+    bus_timeout_option,
+    choose_endpoints,
+    connect_option,
+    keys_option,
+    run_id_option,
+    scenario_argument,
+    seed_option,
+)
+
+SHORTEST_SCAN_S = 0.001
+SCAN_SECONDS = Number(min=SHORTEST_SCAN_S, max=86400)
+
+
+@click.command(short_help="Write one file per area.")
+@scenario_argument
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for the area files.")
+@run_id_option
+@connect_option("--secure")
+@click.option("--secure", is_flag=True, help="For agents with --keys: areas that link directly do so with TLS.")
+@seed_option
+def split(
+    scenario: str, out: Path, run_id: str | None, endpoints: tuple[str, ...], secure: bool, seed: int | None
+) -> None:
+    """Write one file per area of SCENARIO: all that `dsse agent` needs, here or on another host.
+
+    \b
+    Examples:  dsse split ieee33 --out areas --connect tcp/192.0.2.7:7447
+               dsse split ieee33 --out areas --secure
+    """
+    from coordinator.judging import prepare_scenario
+    from coordinator.places import choose_places
+    from coordinator.split import choose_run_id, write_area_files
+
+    prepared = prepare_scenario(scenario, seed)
+    endpoints = choose_endpoints(endpoints, secure)
+    direct = prepared.transport.kind == "neighbours"
+    places = choose_places(prepared, "tls" if secure else "tcp") if direct else {}
+    for path in dict(write_area_files(prepared, choose_run_id(prepared, run_id), endpoints, out, places)).values():
+        print(path)
+
+
+@click.command(
+    short_help="Run the agent of one area.", context_settings={"ignore_unknown_options": True}, add_help_option=False
+)
+@click.argument("arguments", nargs=-1, type=click.UNPROCESSED)
+def agent(arguments: tuple[str, ...]) -> int:
+    """Run the agent of one area from its area file.
+
+    \b
+    Example:  dsse agent areas/area1.toml --connect tcp/192.0.2.7:7447
+    """
+    from agents.__main__ import main
+
+    return main(arguments)
+
+
+@click.command(short_help="Run the router that all the others connect to.")
+@click.option(
+    "--listen",
+    "endpoints",
+    multiple=True,
+    help=f"Where; repeatable.  [default: {DEFAULT_ENDPOINT}; with --keys {SECURE_ENDPOINT}]",
+)
+@click.option("--connect", "others", multiple=True, help="Another router to link with, now or later; repeatable.")
+@keys_option
+@click.option("--run", "run_id", help="Apply the rules of access in DIR to this run.  [default: the run named there]")
+def router(endpoints: tuple[str, ...], others: tuple[str, ...], keys: Path | None, run_id: str | None) -> int:
+    """Run the Zenoh router that agents, plant and coordinator connect to, until Ctrl-C. Linked routers are one bus.
+
+    \b
+    Examples:  dsse router --listen tcp/0.0.0.0:7447
+               dsse router --listen tls/0.0.0.0:7447 --keys keys
+               dsse router --listen tcp/0.0.0.0:7448 --connect tcp/192.0.2.7:7447
+    """
+    from coordinator.router_process import main
+
+    arguments = [part for endpoint in endpoints for part in ("--listen", endpoint)]
+    arguments += [part for other in others for part in ("--connect", other)]
+    arguments += ["--keys", str(keys)] if keys else []
+    return main([*arguments, "--run", run_id] if run_id else arguments)
+
+
+@click.command(short_help="Publish the meter readings of a scenario.")
+@scenario_argument
+@connect_option()
+@keys_option
+@run_id_option
+@bus_timeout_option
+@seed_option
+@click.option(
+    "--every", type=SCAN_SECONDS, metavar="S", help="Make a new scan every so many seconds.  [default: one only]"
+)
+def plant(
+    scenario: str,
+    endpoints: tuple[str, ...],
+    keys: Path | None,
+    run_id: str | None,
+    timeout: float,
+    seed: int | None,
+    every: float | None,
+) -> int:
+    """Publish the meter readings of SCENARIO on the bus until Ctrl-C; in the field a gateway does this.
+
+    \b
+    Example:  dsse plant ieee33 --connect tcp/192.0.2.7:7447
+    """
+    from coordinator.judging import prepare_scenario
+    from coordinator.plant import run_plant
+    from coordinator.split import choose_run_id
+
+    prepared = prepare_scenario(scenario, seed)
+    # a plant that is started anew has new readings: the clock is ahead of all numbers of its last life
+    scan = int(time.time() / SHORTEST_SCAN_S)
+    endpoints = choose_endpoints(endpoints, keys is not None)
+    direct = prepared.transport.kind == "neighbours"
+    return run_plant(prepared, choose_run_id(prepared, run_id), endpoints, timeout, scan, every, keys, direct)
+
+
+process_commands = (split, agent, router, plant)
