@@ -37,19 +37,11 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class _TokenSeen:
-    """The presence token of one life of a neighbour appeared, or it vanished, with or without a farewell before."""
+    """The token of a life, a neighbour's or of this very area, appeared, or it vanished, after a farewell perhaps."""
 
     key: str
     alive: bool
     farewell: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class _NamesakeSeen:
-    """The token of a life of this very area, our own perhaps, appeared or vanished."""
-
-    key: str
-    alive: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +89,7 @@ def run_agent(content: AreaFile, session: Session, inbox: Inbox) -> str:
         now = time.monotonic()
         news = inbox.take(min(protocol.wait_s(now), links.next_due() - now, succession.next_due() - now))
         links.release(time.monotonic())
-        events = list(_events_of(news, presence, succession, links))
+        events = list(_events_of(name, news, presence, succession, links))
         try:
             succession.check(time.monotonic())
         except ReplacedError:
@@ -116,12 +108,9 @@ def _listen(content: AreaFile, session: Session, kinds: Sequence[str], inbox: In
     if any(faults.has_windows for faults in content.links.values()):
         session.subscribe(clock_key(run), lambda key, payload: inbox.put(key, _ClockHeard(time.monotonic(), payload)))
     for neighbour in neighbours:
-        lives = all_lives(run, "area", neighbour)
-        session.subscribe(lives, lambda key, payload: _put_farewell(inbox, key, payload))
-        session.watch_presence(lives, lambda key, alive: _put_token(inbox, _TokenSeen(key, alive)))
-    session.watch_presence(
-        all_lives(run, "area", name), lambda key, alive: _put_token(inbox, _NamesakeSeen(key, alive))
-    )
+        session.subscribe(all_lives(run, "area", neighbour), lambda key, payload: _put_farewell(inbox, key, payload))
+    for area in (*neighbours, name):
+        session.watch_presence(all_lives(run, "area", area), lambda key, alive: _put_token(inbox, key, alive))
 
 
 def _log_change(state: StateMessage, told: object) -> object:
@@ -145,10 +134,10 @@ def _publishers(content: AreaFile, session: Session, kinds: Sequence[str]) -> Ca
     return lambda to, kind, payload: publishers[to, kind](payload)
 
 
-def _put_token(inbox: Inbox, seen: _TokenSeen | _NamesakeSeen) -> None:
+def _put_token(inbox: Inbox, key: str, alive: bool) -> None:
     """If it is a life's: a stranger's keys may be long, and each takes a slot."""
-    if life_of(seen.key):
-        inbox.put(seen.key, seen)
+    if life_of(key):
+        inbox.put(key, _TokenSeen(key, alive))
 
 
 def _put_farewell(inbox: Inbox, key: str, payload: bytes) -> None:
@@ -157,12 +146,15 @@ def _put_farewell(inbox: Inbox, key: str, payload: bytes) -> None:
         inbox.put(("farewell", key), _TokenSeen(key, False, farewell))
 
 
-def _events_of(news: Sequence[Any], presence: Presence, succession: Succession, links: FaultyLinks) -> Iterator[Event]:
+def _events_of(
+    area: str, news: Sequence[Any], presence: Presence, succession: Succession, links: FaultyLinks
+) -> Iterator[Event]:
+    """What of ``news`` is for the protocol of ``area``; the rest is taken in here."""
     for item in news:
         match item:
             case _ClockHeard(at, payload):
                 _take_clock(links, at, payload)
-            case _NamesakeSeen(key, alive):
+            case _TokenSeen(key, alive) if name_of_live(key)[1] == area:  # our own life, or a namesake's
                 succession.take(key, alive, time.monotonic())
             case _TokenSeen(key, alive, farewell):
                 if presence.take_farewell(key) if farewell else presence.take(key, alive):
