@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from feeders import make_feeder
 from simulated_bus import SimulatedBus, area_files_of, with_links
-from test_angle_offset import tree_scenario, with_angle_meters
+from tree_of_areas import tree_scenario, with_angle_meters
 
 from agents.events import Received
 from agents.messages import AdmmMessage, encode

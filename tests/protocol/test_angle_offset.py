@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from simulated_bus import SimulatedBus, area_files_of, bus_of
+from tree_of_areas import TREE, sound_links, tree_scenario, with_angle_meters
 
 from agents.messages import LoadMessage
 from agents.strategies import angle_offset
@@ -13,41 +14,15 @@ from dsse_core.bad_data import process_bad_data
 from dsse_core.boundary_load import boundary_loads
 from dsse_core.division import build_partition
 from dsse_core.link_faults import LinkFaults
-from dsse_core.measurement import MeasurementKind, Meter, Source
+from dsse_core.measurement import Source
 from dsse_core.network import Control
 from dsse_core.power_flow import solve_power_flow
-from scenarios.faults import Faults, find_links
 from scenarios.scenario import load_scenario as load
 from scenarios.telemetry import make_telemetry
-
-TREE = {  # four areas deep, three areas at bus 6, areas b and c without voltmeter and generator
-    "a": [1, 2, 19, 20, 21, 22],
-    "b": [2, 3, 23, 24, 25],
-    "c": [3, 4, 5, 6],
-    "d": [6, *range(7, 19)],
-    "e": [6, *range(26, 34)],
-}
 
 
 def load_scenario(name):
     return replace(load(name), strategy="angle-offset")
-
-
-def sound_links(partition):
-    return Faults({link: LinkFaults() for link in find_links(partition)})
-
-
-def tree_scenario(noise=True, seed=1):
-    scenario = load_scenario("ieee33")
-    partition = build_partition(scenario.network, TREE)
-    return replace(
-        scenario,
-        seed=seed,
-        partition=partition,
-        telemetry=replace(scenario.telemetry, noise=noise),
-        load_error={area.name: 0j for area in partition.areas},
-        faults=sound_links(partition),
-    )
 
 
 def settle(scenario, **changes):
@@ -137,12 +112,6 @@ def test_a_bad_meter_is_removed_by_the_area_that_owns_it():
     bus, _ = settle(scenario)
     assert bus.states["area3"].removed == ("p_flow@28:28-29",)
     assert "p_flow@28:28-29" not in bus.states["area1"].removed + bus.states["area2"].removed
-
-
-def with_angle_meters(scenario, buses):
-    kind = MeasurementKind.VA
-    rule = replace(scenario.sigma_rule, absolute={**scenario.sigma_rule.absolute, kind: math.radians(0.05)})
-    return replace(scenario, meters=(*scenario.meters, *(Meter(kind, bus) for bus in buses)), sigma_rule=rule)
 
 
 def with_sources(scenario, change):

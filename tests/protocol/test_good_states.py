@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 from simulated_bus import SimulatedBus, area_files_of
-from test_angle_offset import tree_scenario
+from tree_of_areas import tree_scenario
 
 from agents.messages import StateMessage, TallyMessage
 from agents.quality import GOOD

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from test_information import assert_equals_centralised, settle
+from exact_exchange import assert_equals_centralised, settle
 
 from scenarios.importers import import_grid
 from scenarios.importers.imported_files import write_imported

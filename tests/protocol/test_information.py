@@ -6,12 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from back_ends import BACK_ENDS, back_end
+from exact_exchange import assert_equals_centralised, settle, settle_bus
 from feeders import make_feeder, make_star
 from grids import MeterShares, make_grid, with_gross_errors
 from hypothesis import example, given, reject
 from hypothesis import strategies as st
-from simulated_bus import SimulatedBus, area_files_of, with_links
-from test_angle_offset import tree_scenario
+from simulated_bus import SimulatedBus, area_files_of
+from tree_of_areas import tree_scenario
 
 from agents.events import Received
 from agents.hearing import PATIENT_BEATS
@@ -21,15 +22,10 @@ from agents.strategies.bad_data_tree import USE_CURRENTS, BadDataTree
 from agents.turn import ANSWER_S, LONGEST_TALK_S
 from dsse_core.bad_data import BadDataReport, chi_square_limit, process_bad_data
 from dsse_core.errors import EstimationDivergedError, NotObservableError
-from dsse_core.link_faults import LinkFaults
 from dsse_core.measurement import Source
 from dsse_core.power_flow import solve_power_flow
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
-
-GAP = 1e-8  # p.u. and rad
-SIGMA = 1e-6  # relative
-EXACT = 1e-9  # rad: an angle that zero injections fix exactly has no sigma but rounding
 
 
 @pytest.fixture(scope="module", params=BACK_ENDS)
@@ -38,45 +34,10 @@ def each_back_end(request):
         yield
 
 
-def settle(scenario, loss=0.0, seed=0):
-    telemetry = make_telemetry(scenario)
-    files = area_files_of(scenario, strategy="information", seed=seed)
-    bus = SimulatedBus(with_links(files, LinkFaults(loss=loss)), telemetry.by_area)
-    settle_bus(bus)
-    return bus, process_bad_data(scenario.network, telemetry.union, tolerance=1e-12)
-
-
-def settle_bus(bus, limit_s=600.0):
-    """Until all areas have settled, bad data have been looked for, and everything has been repeated once more."""
-    while not (bus.settled and all(state.checked for state in bus.states.values())):
-        assert bus.now < limit_s, {name: (state.checked, state.notes) for name, state in bus.states.items()}
-        bus.run(0.05)
-    bus.run(3.0)
-    bus.run_until_settled(limit_s)
-
-
 def run_feeder(feeder, loss, seed, **faults):
     bus = SimulatedBus(feeder.area_files(loss, seed, **faults), feeder.telemetry())
     settle_bus(bus)
     return bus, process_bad_data(feeder.network, feeder.measurements, tolerance=1e-11)
-
-
-def assert_equals_centralised(bus: SimulatedBus, report: BadDataReport):
-    centralised = report.result
-    row = centralised.network.row
-    sigma_vm, sigma_va = centralised.state_sigma()
-    for state in bus.states.values():
-        rows = [row[b] for b in state.buses]
-        np.testing.assert_allclose(state.vm, centralised.vm[rows], atol=GAP)
-        turn = np.exp(1j * (np.array(state.va) - centralised.va[rows]))
-        np.testing.assert_allclose(np.angle(turn), 0.0, atol=GAP)
-        np.testing.assert_allclose(state.sigma_vm, sigma_vm[rows], rtol=SIGMA)
-        fixed = sigma_va[rows] < EXACT
-        np.testing.assert_allclose(np.array(state.sigma_va)[~fixed], sigma_va[rows][~fixed], rtol=SIGMA)
-        assert np.all(np.array(state.sigma_va)[fixed] < EXACT)
-        assert state.refused == {}
-    removed = {removed.measurement.meter.id for removed in report.removed}
-    assert {meter for state in bus.states.values() for meter in state.removed} == removed
 
 
 @pytest.mark.usefixtures("each_back_end")

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from simulated_bus import SimulatedBus, area_files_of, with_links
-from test_angle_offset import tree_scenario
+from tree_of_areas import tree_scenario
 
 from agents.hearing import FRESH_BEATS
 from coordinator.simulation import Simulation

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from simulated_bus import SimulatedBus, area_files_of, with_links
-from test_angle_offset import tree_scenario
+from tree_of_areas import tree_scenario
 
 from agents.messages import StateMessage
 from dsse_core.errors import InvalidInputError

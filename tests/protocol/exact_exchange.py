@@ -1,0 +1,52 @@
+"""The exact exchange until it has settled, beside the centralised estimate that it must equal."""
+
+from __future__ import annotations
+
+import numpy as np
+from simulated_bus import SimulatedBus, area_files_of, with_links
+
+from dsse_core.bad_data import BadDataReport, process_bad_data
+from dsse_core.link_faults import LinkFaults
+from scenarios.scenario import Scenario
+from scenarios.telemetry import make_telemetry
+
+GAP = 1e-8  # p.u. and rad
+SIGMA = 1e-6  # relative
+EXACT = 1e-9  # rad: an angle that zero injections fix exactly has no sigma but rounding
+
+
+def settle(scenario: Scenario, loss: float = 0.0, seed: int = 0) -> tuple[SimulatedBus, BadDataReport]:
+    """A bus on which the areas of ``scenario`` have settled, and the centralised estimate."""
+    telemetry = make_telemetry(scenario)
+    files = area_files_of(scenario, strategy="information", seed=seed)
+    bus = SimulatedBus(with_links(files, LinkFaults(loss=loss)), telemetry.by_area)
+    settle_bus(bus)
+    return bus, process_bad_data(scenario.network, telemetry.union, tolerance=1e-12)
+
+
+def settle_bus(bus: SimulatedBus, limit_s: float = 600.0) -> None:
+    """Until all areas have settled, bad data have been looked for, and everything has been repeated once more."""
+    while not (bus.settled and all(state.checked for state in bus.states.values())):
+        assert bus.now < limit_s, {name: (state.checked, state.notes) for name, state in bus.states.items()}
+        bus.run(0.05)
+    bus.run(3.0)
+    bus.run_until_settled(limit_s)
+
+
+def assert_equals_centralised(bus: SimulatedBus, report: BadDataReport) -> None:
+    """State, standard deviations and removed meters of every area are those of ``report``."""
+    centralised = report.result
+    row = centralised.network.row
+    sigma_vm, sigma_va = centralised.state_sigma()
+    for state in bus.states.values():
+        rows = [row[b] for b in state.buses]
+        np.testing.assert_allclose(state.vm, centralised.vm[rows], atol=GAP)
+        turn = np.exp(1j * (np.array(state.va) - centralised.va[rows]))
+        np.testing.assert_allclose(np.angle(turn), 0.0, atol=GAP)
+        np.testing.assert_allclose(state.sigma_vm, sigma_vm[rows], rtol=SIGMA)
+        fixed = sigma_va[rows] < EXACT
+        np.testing.assert_allclose(np.array(state.sigma_va)[~fixed], sigma_va[rows][~fixed], rtol=SIGMA)
+        assert np.all(np.array(state.sigma_va)[fixed] < EXACT)
+        assert state.refused == {}
+    removed = {removed.measurement.meter.id for removed in report.removed}
+    assert {meter for state in bus.states.values() for meter in state.removed} == removed
