@@ -98,10 +98,13 @@ def _find_switch_problems(network: Network, blocks: Sequence[Block], switches: S
 
 @dataclass(frozen=True, slots=True)
 class _Hanging:
-    """What hangs where. ``below``: of each block under which any do, for each such bus the blocks whose top it is."""
+    """What hangs where. ``below``: of each block under which any do, for each such bus the blocks whose top it is.
+
+    Along a trunk that is a single block at a single bus, nearly everywhere in a feeder: there it stands by itself.
+    """
 
     sizes: list[int]
-    below: dict[int, list[list[int]]]  # in the order of the blocks
+    below: list[tuple[int, int | list[list[int]]]]  # in the order of the blocks
     at_top: list[list[int]]  # those that hang below no block
 
 
@@ -152,10 +155,11 @@ def _balance(blocks: Sequence[Block], count: int) -> list[list[Block]]:
 
 def _find_hanging(blocks: Sequence[Block]) -> _Hanging:
     at: dict[int, list[int]] = {}  # bus -> the blocks that hang there
-    below = {}
+    below: list[tuple[int, int | list[list[int]]]] = []
     for i, block in enumerate(blocks):
         if groups := [at.pop(bus) for bus in block.buses if bus in at]:
-            below[i] = groups
+            is_single = len(groups) == len(groups[0]) == 1
+            below.append((i, groups[0][0] if is_single else groups))
         at.setdefault(block.top, []).append(i)
     return _Hanging([len(block.buses) for block in blocks], below, list(at.values()))
 
@@ -170,7 +174,12 @@ def _pack(hanging: _Hanging, bound: int) -> _Packing:
     """
     weight, leader = hanging.sizes.copy(), list(range(len(hanging.sizes)))
     joined = bytearray(len(weight))
-    for i, groups in hanging.below.items():
+    for i, groups in hanging.below:
+        if isinstance(groups, int):
+            if (heavier := weight[i] + weight[groups]) <= bound:
+                weight[i] = heavier
+                joined[groups] = True
+            continue
         lightest = [group[0] if len(group) == 1 else _bundle(group, bound, weight, leader) for group in groups]
         for k in sorted(lightest, key=weight.__getitem__) if len(lightest) > 1 else lightest:
             if weight[i] + weight[k] > bound:
