@@ -1,18 +1,21 @@
-"""Reads and checks an area file: TOML, or JSON with the same keys. Agents need it; who writes the files does not."""
+"""Reads and checks an area file, TOML or JSON. Agents need it; who writes the files does not."""
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 import tomllib
 import typing
 from collections.abc import Iterator
+from itertools import repeat
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model, model_validator
+from pydantic_core import PydanticCustomError
 
-from agents.area_file import AreaFile
+from agents.area_file import AreaFile, keys_of
 from agents.keys import NAME
 from dsse_core.bounded_file import LARGEST_JSON, LARGEST_TOML, read_text
 from dsse_core.errors import InvalidInputError
@@ -20,6 +23,9 @@ from dsse_core.link_faults import LinkFaults
 from dsse_core.measurement import Meter, find_meter_problems
 from dsse_core.network import Branch, Bus, Generator, Network
 from dsse_core.partition import Area, Neighbour
+
+T = TypeVar("T")
+OF_ONE_LENGTH = "of_one_length"  # our type of a schema's error
 
 
 def load_area_file(path: Path) -> AreaFile:
@@ -33,11 +39,11 @@ def load_area_file(path: Path) -> AreaFile:
     network = Network(
         name=t.area,
         base_mva=t.network.base_mva,
-        buses=tuple(Bus(**vars(row)) for row in t.network.bus),
-        branches=tuple(Branch(**vars(row)) for row in t.network.branch),
-        generators=tuple(Generator(**vars(row)) for row in t.network.generator),
+        buses=_items_of(Bus, t.network.bus),
+        branches=_items_of(Branch, t.network.branch),
+        generators=_items_of(Generator, t.network.generator),
     )
-    meters = tuple(Meter(**vars(row)) for row in t.meter)
+    meters = _items_of(Meter, t.meter)
     if problems := [*find_meter_problems(network, meters), *_find_place_problems(t, network)]:
         raise InvalidInputError(what, problems)
     reference = (t.reference.bus, t.reference.va) if t.reference else None
@@ -60,7 +66,7 @@ def load_area_file(path: Path) -> AreaFile:
 
 
 def _read_tables(what: str, path: Path) -> Any:
-    """The file as ``_FileTable``: every key is known, there and of its type."""
+    """The file as ``_file_like`` describes it: every key is known, there and of its type."""
     is_json = path.suffix == ".json"
     text = read_text(path, largest=LARGEST_JSON if is_json else LARGEST_TOML, what=what)
     try:
@@ -68,9 +74,19 @@ def _read_tables(what: str, path: Path) -> Any:
     except (ValueError, RecursionError) as error:  # of the two readers, or integers that Python cannot hold
         raise InvalidInputError(what, [f"is not {'JSON' if is_json else 'TOML'}: {error}"]) from None
     try:
-        return _FileTable.model_validate(table)
+        return _file_like(_columns_like if is_json else _rows_like).model_validate(table)
     except ValidationError as error:
         raise InvalidInputError(what, [describe_schema_error(e) for e in error.errors()]) from None
+
+
+def _items_of(cls: type[T], table: Any) -> tuple[T, ...]:
+    """The dataclasses of a table of ``_rows_like`` or of ``_columns_like``."""
+    if isinstance(table, list):
+        return tuple(cls(**vars(row)) for row in table)
+    columns = [getattr(table, key) for key, _ in keys_of(cls)]
+    defaults = [default for _, default in keys_of(cls)]
+    given = [repeat(default) if c is None else c for c, default in zip(columns, defaults, strict=True)]
+    return tuple(map(cls, *given))  # as long as the shortest, and without a default they must be given
 
 
 def _find_place_problems(t: Any, network: Network) -> Iterator[str]:
@@ -97,6 +113,8 @@ def describe_schema_error(error: Any) -> str:
         return f"{path}: unknown key"
     if error["type"] == "missing":
         return f"{path}: missing key"
+    if error["type"] == OF_ONE_LENGTH:
+        return f"{path}: {error['msg']}"
     return f"{path}: {error['msg']}, found {error['input']!r:.80}"
 
 
@@ -124,18 +142,36 @@ class _Admm(_Strict):
     penalty: float = Field(default=1.0, gt=0)
 
 
+class _Columns(_Strict):
+    @model_validator(mode="after")
+    def _are_of_one_length(self) -> Self:
+        lengths = {key: len(column) for key, column in vars(self).items() if column is not None}
+        if len(set(lengths.values())) > 1:
+            found = ", ".join(f"{key} has {length}" for key, length in lengths.items())
+            raise PydanticCustomError(OF_ONE_LENGTH, "the lists need as many values each; {found}", {"found": found})
+        return self
+
+
 def _table_like(cls: type[Any], **extra: Any) -> Any:
     """A strict table whose keys are the fields of dataclass ``cls``; ``extra`` replaces or adds some."""
     hints = typing.get_type_hints(cls)
-    keys = {
-        f.name: (hints[f.name], ... if f.default is dataclasses.MISSING else f.default) for f in dataclasses.fields(cls)
-    }
+    keys = {key: (hints[key], ... if default is dataclasses.MISSING else default) for key, default in keys_of(cls)}
     return create_model(cls.__name__, __base__=_Strict, **(keys | extra))
 
 
 def _rows_like(cls: type[Any], **extra: Any) -> Any:
     """A list of such tables."""
     return list[_table_like(cls, **extra)]  # type: ignore[misc]
+
+
+def _columns_like(cls: type[Any]) -> Any:
+    """One strict table with a list of values, all of one length, for each field of dataclass ``cls``."""
+    hints: Any = typing.get_type_hints(cls)
+    keys: Any = {}
+    for key, default in keys_of(cls):
+        column: Any = list[hints[key]]
+        keys[key] = (column, ...) if default is dataclasses.MISSING else (column | None, None)
+    return create_model(cls.__name__, __base__=_Columns, **keys)
 
 
 _Name = Annotated[str, Field(pattern=f"^{NAME.pattern}$")]
@@ -146,31 +182,39 @@ _FaultsTable: Any = _table_like(
     **{key: (float, Field(getattr(LinkFaults(), key), ge=0, le=1)) for key in _PROBABILITIES},
     **{key: (float, Field(0.0, ge=0, le=86400)) for key in _TIMES},
 )
-_NetworkTable: Any = create_model(
-    "_NetworkTable",
-    __base__=_Strict,
-    base_mva=(float, ...),
-    bus=(_rows_like(Bus), ...),
-    branch=(_rows_like(Branch), ...),
-    generator=(_rows_like(Generator), []),
-)
-_FileTable: Any = create_model(
-    "_FileTable",
-    __base__=_Strict,
-    format=(Literal[1], ...),
-    run=(_Name, ...),
-    area=(_Name, ...),
-    strategy=(str, ...),
-    endpoints=(list[str], ...),
-    listen=(list[str], []),
-    beat_s=(float, Field(0.2, gt=0, le=86400)),
-    tolerance=(float, Field(1e-6, gt=0)),
-    seed=(int, 0),
-    local_slack=(_Slack, ...),
-    reference=(_Reference | None, None),
-    load_messages=(_LoadMessages, _LoadMessages()),
-    admm=(_Admm, _Admm()),
-    neighbour=(_rows_like(Neighbour, area=(_Name, ...), faults=(_FaultsTable, _FaultsTable())), []),
-    network=(_NetworkTable, ...),
-    meter=(_rows_like(Meter), ...),
-)
+
+
+@functools.cache
+def _file_like(all_like: Any) -> Any:
+    """The schema of a whole file; ``all_like``: of the many buses, branches, generators and meters."""
+    network = create_model(
+        "_NetworkTable",
+        __base__=_Strict,
+        base_mva=(float, ...),
+        bus=(all_like(Bus), ...),
+        branch=(all_like(Branch), ...),
+        generator=(all_like(Generator), []),
+    )
+    return create_model(
+        "_FileTable",
+        __base__=_Strict,
+        format=(Literal[1], ...),
+        run=(_Name, ...),
+        area=(_Name, ...),
+        strategy=(str, ...),
+        endpoints=(list[str], ...),
+        listen=(list[str], []),
+        beat_s=(float, Field(0.2, gt=0, le=86400)),
+        tolerance=(float, Field(1e-6, gt=0)),
+        seed=(int, 0),
+        local_slack=(_Slack, ...),
+        reference=(_Reference | None, None),
+        load_messages=(_LoadMessages, _LoadMessages()),
+        admm=(_Admm, _Admm()),
+        neighbour=(_rows_like(Neighbour, area=(_Name, ...), faults=(_FaultsTable, _FaultsTable())), []),
+        network=(network, ...),
+        meter=(all_like(Meter), ...),
+    )
+
+
+_file_like(_columns_like)  # once, before agents are forked

@@ -152,19 +152,18 @@ def network_samples_as_json() -> tuple[bytes, ...]:
 
 
 def area_samples_as_json() -> tuple[bytes, ...]:
-    return tuple(json.dumps(tomllib.loads(sample.decode())).encode() for sample in area_samples())
+    return area_samples(".json")
 
 
 @functools.cache
-def area_samples() -> tuple[bytes, ...]:
-    return tuple(
-        _saved(save_area_file, file) for file in area_files(load_scenario("ieee33"), "run", ("tcp/127.0.0.1:7447",))
-    )
+def area_samples(suffix: str = ".toml") -> tuple[bytes, ...]:
+    files = area_files(load_scenario("ieee33"), "run", ("tcp/127.0.0.1:7447",))
+    return tuple(_saved(save_area_file, file, suffix=suffix) for file in files)
 
 
-def _saved(save: Callable[..., object], *content: Any) -> bytes:
+def _saved(save: Callable[..., object], *content: Any, suffix: str = ".toml") -> bytes:
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "sample.toml"
+        path = Path(folder) / f"sample{suffix}"
         save(path, *content)
         return path.read_bytes()
 

@@ -1,0 +1,63 @@
+"""An area file as JSON: a list of values for each key of buses, branches, generators and meters."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from agents.area_file import AreaFile, save_area_file
+from agents.area_reader import load_area_file
+from coordinator.split import area_files
+from dsse_core.errors import InvalidInputError
+from scenarios.scenario import load_scenario
+
+
+@pytest.fixture
+def content() -> AreaFile:
+    return area_files(load_scenario("industrial13"), "run", ["tcp/127.0.0.1:7447"])[0]
+
+
+def spoilt(path: Path, content: AreaFile, change: Any) -> tuple[str, ...]:
+    """What is said of ``content`` as a file that ``change`` was applied to."""
+    save_area_file(path, content)
+    table = json.loads(path.read_text())
+    change(table)
+    path.write_text(json.dumps(table))
+    with pytest.raises(InvalidInputError) as caught:
+        load_area_file(path)
+    return tuple(caught.value.problems)
+
+
+@pytest.mark.parametrize("suffix", [".toml", ".json"])
+def test_what_was_written_is_read_back(tmp_path: Path, content: AreaFile, suffix: str):
+    path = tmp_path / f"area{suffix}"
+    save_area_file(path, content)
+    assert load_area_file(path) == content
+
+
+def test_every_wrong_value_of_a_list_is_named_with_its_place(tmp_path: Path, content: AreaFile):
+    def change(table: dict[str, Any]) -> None:
+        table["network"]["branch"]["r"][2] = "much"
+        table["meter"]["kind"][0] = "temperature"
+        table["network"]["bus"]["colour"] = ["red"]
+
+    colour, r, kind = spoilt(tmp_path / "area.json", content, change)
+    assert r.startswith("network.branch.r[3]: ")
+    assert "'much'" in r
+    assert kind.startswith("meter.kind[1]: ")
+    assert colour == "network.bus.colour: unknown key"
+
+
+def test_lists_of_different_lengths_and_missing_ones_are_named(tmp_path: Path, content: AreaFile):
+    n = len(content.meters)
+
+    def change(table: dict[str, Any]) -> None:
+        table["meter"]["bus"].pop()
+        del table["network"]["branch"]["from_bus"]
+
+    missing, lengths = spoilt(tmp_path / "area.json", content, change)
+    assert missing == "network.branch.from_bus: missing key"
+    assert lengths.startswith(f"meter: the lists need as many values each; kind has {n}, bus has {n - 1}")
