@@ -46,6 +46,7 @@ def _parse_sets(_context: click.Context, _option: click.Parameter, text: str) ->
 @click.option("--reduced", is_flag=True, help="Smaller defaults: a few minutes.")
 @click.option("--runs", type=click.IntRange(1), help="Timed runs of a case, at most.  [default: 15; reduced: 3]")
 @click.option("--draws", type=click.IntRange(0), help="Random draws, 0 for none.  [default: 256; reduced: 8]")
+@click.option("--peers/--no-peers", default=True, help="Without peers: ours alone, which leaves it time for all draws.")
 @click.option("--limit-s", type=click.FloatRange(1), default=600.0, help="Seconds for a case with one method.")
 @click.option("--limit-gib", type=click.FloatRange(1), default=8.0, help="Memory for a case with one method.")
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), default=Path("runs/benchmarks"))
@@ -55,6 +56,7 @@ def main(
     reduced: bool,
     runs: int | None,
     draws: int | None,
+    peers: bool,
     limit_s: float,
     limit_gib: float,
     out: Path,
@@ -67,12 +69,13 @@ def main(
     runs = runs or (3 if reduced else 15)
     draws = (8 if reduced else 256) if draws is None else draws
     limits = Limits(runs, limit_s, limit_gib)
-    methods = (*OURS, *OURS_WITH_RESIDUALS, *PEERS)
+    others = PEERS if peers else ()
+    methods = (*OURS, *OURS_WITH_RESIDUALS, *others)
     machine = describe_machine(dict.fromkeys([*(method.package for method in methods), *ENVIRONMENT]))
     try:
         out.mkdir(parents=True, exist_ok=True)  # before the hours of work, not after
-        rows = compare(sizes, sets, OURS, (*OURS_WITH_RESIDUALS, *PEERS), limits, _tell)
-        solved = compare_draws(sizes, sets, (*OURS, *PEERS), draws, limits, _tell)
+        rows = compare(sizes, sets, OURS, (*OURS_WITH_RESIDUALS, *others), limits, _tell)
+        solved = compare_draws(sizes, sets, (*OURS, *others), draws, limits, _tell)
         command = shlex.join(["python", "-m", "benchmarks", *sys.argv[1:]])
         written = write_report(out, command, machine, rows, solved)
     except InvalidInputError as error:

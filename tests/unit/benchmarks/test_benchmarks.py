@@ -24,13 +24,11 @@ LINUX = pytest.mark.skipif(sys.platform != "linux", reason="only Linux keeps a p
 MODULE = {"power-grid-model": "power_grid_model", "consensus-dsse": "dsse_core"}
 
 
-@pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    """The reduced run of the command, on 33 buses."""
-    out = tmp_path_factory.mktemp("benchmarks")
+def run_reduced(out: Path, *options: str) -> list[dict]:
+    """The estimates of the reduced run of the command, on 33 buses."""
     command = [sys.executable, "-m", "benchmarks", "--reduced", "--sizes", "33", "--sets", "full", "--runs", "1"]
     finished = subprocess.run(
-        [*command, "--draws", "1", "--out", str(out)],
+        [*command, *options, "--out", str(out)],
         cwd=ROOT,
         capture_output=True,
         text=True,
@@ -38,6 +36,13 @@ def run(tmp_path_factory):
         check=False,
     )
     assert finished.returncode == 0, finished.stderr
+    return json.loads((out / "results.json").read_text())["estimates"]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    out = tmp_path_factory.mktemp("benchmarks")
+    run_reduced(out, "--draws", "1")
     return out
 
 
@@ -58,6 +63,11 @@ def test_every_method_has_a_row_and_a_missing_one_says_how_to_install_it(results
     assert [row["method"] for row in results["estimates"]] == [m.name for m in (*OURS, *OURS_WITH_RESIDUALS, *PEERS)]
     for row in results["estimates"]:
         assert row["outcome"] or "pip install" in row["remark"], row["remark"]
+
+
+def test_without_peers_ours_alone_are_timed(tmp_path):
+    rows = run_reduced(tmp_path, "--draws", "0", "--no-peers")
+    assert [row["method"] for row in rows] == [method.name for method in (*OURS, *OURS_WITH_RESIDUALS)]
 
 
 def test_a_peer_is_given_its_ratio_to_every_back_end_of_ours(results):
