@@ -229,12 +229,12 @@ class Session(_Closing):
         return publisher.put
 
     def subscribe(self, key_expression: str, callback: Callable[[str, bytes], None]) -> None:
-        """Call ``callback(key, payload)`` for every message, on a thread of Zenoh's; it must return at once."""
+        """Call ``callback(key, payload)`` for every message, on the thread that receives; it must return at once."""
 
         def on_sample(sample: zenoh.Sample) -> None:
             callback(str(sample.key_expr), sample.payload.to_bytes())
 
-        self._kept.append(self._session.declare_subscriber(key_expression, on_sample))
+        self._kept.append(self._session.declare_subscriber(key_expression, _directly(on_sample)))
 
     def declare_presence(self, key: str) -> None:
         """Show a liveliness token on ``key`` until the session closes or the process dies."""
@@ -246,7 +246,14 @@ class Session(_Closing):
         def on_sample(sample: zenoh.Sample) -> None:
             callback(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
 
-        self._kept.append(self._session.liveliness().declare_subscriber(key_expression, on_sample, history=True))
+        self._kept.append(
+            self._session.liveliness().declare_subscriber(key_expression, _directly(on_sample), history=True)
+        )
+
+
+def _directly(callback: Callable[[zenoh.Sample], None]) -> zenoh.handlers.Callback[zenoh.Sample]:
+    """Without a Python thread of its own for every subscriber, which costs memory and changes of threads."""
+    return zenoh.handlers.Callback(callback, indirect=False)
 
 
 class Router(_Closing):
