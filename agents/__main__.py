@@ -22,6 +22,7 @@ from agents.strategies import STRATEGIES
 from agents.succession import REPLACED_CODE, ReplacedError
 from agents.transport import Session
 from dsse_core.errors import DsseError, InvalidInputError
+from dsse_core.limits import LONGEST_S
 
 SWITCH_S = 1e-4  # after which computing lets a thread of the bus in that has news; Python's own 5 ms is many steps
 
@@ -53,7 +54,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _seconds(text: str) -> float:
     value = float(text)
-    if not 0 < value <= 86400:
+    if not 0 < value <= LONGEST_S:
         raise argparse.ArgumentTypeError(f"{text} s; a time must be positive and at most a day")
     return value
 

@@ -19,6 +19,7 @@ from agents.area_file import AreaFile, keys_of
 from agents.keys import NAME
 from dsse_core.bounded_file import LARGEST_JSON, LARGEST_TOML, read_text
 from dsse_core.errors import InvalidInputError
+from dsse_core.limits import LONGEST_S
 from dsse_core.link_faults import LinkFaults
 from dsse_core.measurement import Meter, find_meter_problems
 from dsse_core.network import Branch, Bus, Generator, Network
@@ -180,7 +181,7 @@ _TIMES = ("delay_s", "jitter_s")
 _FaultsTable: Any = _table_like(
     LinkFaults,
     **{key: (float, Field(getattr(LinkFaults(), key), ge=0, le=1)) for key in _PROBABILITIES},
-    **{key: (float, Field(0.0, ge=0, le=86400)) for key in _TIMES},
+    **{key: (float, Field(0.0, ge=0, le=LONGEST_S)) for key in _TIMES},
 )
 
 
@@ -204,7 +205,7 @@ def _file_like(all_like: Any) -> Any:
         strategy=(str, ...),
         endpoints=(list[str], ...),
         listen=(list[str], []),
-        beat_s=(float, Field(0.2, gt=0, le=86400)),
+        beat_s=(float, Field(0.2, gt=0, le=LONGEST_S)),
         tolerance=(float, Field(1e-6, gt=0)),
         seed=(int, 0),
         local_slack=(_Slack, ...),

@@ -20,10 +20,10 @@ from agents.access import Access, zenoh_access_control
 from agents.credentials import Credentials
 from agents.messages import MAX_BYTES
 from dsse_core.errors import DsseError
+from dsse_core.limits import LONGEST_S
 
 SHORTEST_LEASE_S = 2.0
 LEASE_BEATS = 3  # by then, what has come over the link is stale anyway
-LONGEST_WAIT_S = 86400.0
 RETRY = {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 2}
 
 
@@ -153,7 +153,7 @@ class Session(_Closing):
             TransportError: none answers, or takes our certificate, or one is not a Zenoh endpoint.
         """
         _check_protocol(endpoints, credentials)
-        if not 0 < timeout_s <= LONGEST_WAIT_S:
+        if not 0 < timeout_s <= LONGEST_S:
             raise TransportError(f"a wait of {timeout_s} s for the bus; it must be positive and at most a day")
         connect = {
             "endpoints": list(endpoints),

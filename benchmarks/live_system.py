@@ -27,6 +27,7 @@ from scenarios.telemetry import make_telemetry
 
 START_S = 60.0
 LOOK_S = 0.02
+GAP = 1e-8  # p.u. and rad; below it all areas are where the centralised estimate is
 
 States = Mapping[str, StateMessage]
 

@@ -21,13 +21,12 @@ import click
 
 from agents.access import ROUTER, SECOND_ROUTER
 from agents.quality import GOOD
-from benchmarks.live_system import LiveSystem, States
+from benchmarks.live_system import GAP, LiveSystem, States
 from benchmarks.machine import describe_machine
 from coordinator.judging import prepare_scenario
 from scenarios.scenario import Scenario, load_scenario
 
 AREAS = 12
-GAP = 1e-8
 DEAD_S = 0.5
 DEADLINE_S = 20.0
 

@@ -27,7 +27,7 @@ import psutil
 
 from agents.access import PLANT, ROUTER
 from agents.quality import GOOD
-from benchmarks.live_system import LiveSystem
+from benchmarks.live_system import GAP, LiveSystem
 from benchmarks.machine import describe_machine
 from coordinator.judging import prepare_scenario
 from scenarios.scenario import Scenario, load_scenario
@@ -44,7 +44,6 @@ MOST_DOWN = 3  # processes at a time
 SPARED = 2  # areas that are never killed or frozen, so that one life shows what happens to memory
 WARM_S = 20.0  # until memory counts
 MOST_GROWTH_MIB = 3.0
-GAP = 1e-8
 RECOVERY_S = 60.0
 TROUBLE = ("Traceback", "Exception", "Error", "panicked")
 

@@ -19,9 +19,10 @@ from coordinator.terminal import (
     scenario_argument,
     seed_option,
 )
+from dsse_core.limits import LONGEST_S
 
 SHORTEST_SCAN_S = 0.001
-SCAN_SECONDS = Number(min=SHORTEST_SCAN_S, max=86400)
+SCAN_SECONDS = Number(min=SHORTEST_SCAN_S, max=LONGEST_S)
 
 
 @click.command(short_help="Write one file per area.")

@@ -13,12 +13,12 @@ from coordinator.observer import Observer
 from coordinator.result import RunOutcome, make_area_results, make_verdict
 from dsse_core.bad_data import BadDataReport, process_bad_data
 from dsse_core.errors import DsseError, InvalidInputError
+from dsse_core.limits import LONGEST_S
 from scenarios.check import check_scenario
 from scenarios.faults import LinkChanges, change_links
 from scenarios.scenario import Scenario, load_scenario
 from scenarios.telemetry import Telemetry
 
-LONGEST_S = 86400.0
 NO_CHANGES: LinkChanges = {}
 MAX_NAMED = 20  # obstacles
 YARDSTICK = 1e-9  # p.u. and rad: the largest last step of an estimate that others are measured against

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from agents.messages import StateMessage
 from coordinator.observer import Observer, count_exchanges
 
+UPDATE_S = 0.1  # of wall time between two looks
+
 
 @dataclass(frozen=True, slots=True)
 class AreaProgress:

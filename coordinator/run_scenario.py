@@ -15,7 +15,7 @@ from coordinator.judging import choose_scenario, judge, make_observer, no_consen
 from coordinator.observer import Observer
 from coordinator.process_faults import do_to_processes
 from coordinator.processes import Launcher
-from coordinator.progress import Progress, describe_progress
+from coordinator.progress import UPDATE_S, Progress, describe_progress
 from coordinator.result import RunResult, write_files
 from coordinator.run_folder import make_run_folder
 from coordinator.run_news import (
@@ -34,7 +34,6 @@ from dsse_core.area_model import uses_tree
 from scenarios.check import check_scenario
 from scenarios.scenario import Scenario
 
-UPDATE_S = 0.1
 DAYS_OF_A_RUN = 1.0  # that the keys of one secured run are valid
 
 

@@ -18,7 +18,7 @@ from coordinator.judging import (
     no_consensus_within,
     prepare_scenario,
 )
-from coordinator.progress import Progress, describe_progress
+from coordinator.progress import UPDATE_S, Progress, describe_progress
 from coordinator.result import RunOutcome, RunResult, write_files
 from coordinator.run_folder import make_run_folder
 from coordinator.split import area_files, default_run_id
@@ -32,7 +32,6 @@ from scenarios.telemetry import find_lateness, make_telemetry
 NO_BUS = ("tcp/127.0.0.1:0",)  # what stands for it in the area files
 CHECKS_PER_BEAT = 10
 FIRST_SCAN = 1
-UPDATE_S = 0.1  # of wall time
 
 
 def simulate_scenario(

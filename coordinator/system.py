@@ -18,10 +18,11 @@ from coordinator.places import choose_places
 from coordinator.processes import Launcher, check_open_files, read_end
 from coordinator.split import write_area_files
 from coordinator.zygote import Ended, Started
+from dsse_core.limits import LONGEST_S
 from scenarios.scenario import Scenario
 
 ROUTER_START_S = 10.0
-HELD_S = 86400.0  # for which a held scan stays
+HELD_S = LONGEST_S  # for which a held scan stays
 
 
 @dataclass

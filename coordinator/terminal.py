@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
+from dsse_core.limits import LONGEST_S
+
 if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts fast
     from coordinator.progress import Progress
     from coordinator.result import RunResult
@@ -34,7 +36,7 @@ class Number(click.FloatRange):
         return number
 
 
-SECONDS = Number(min=0, min_open=True, max=86400)
+SECONDS = Number(min=0, min_open=True, max=LONGEST_S)
 
 scenario_argument = click.argument("scenario")
 strategy_option = click.option("--strategy", help="Use this strategy instead of the scenario's.")

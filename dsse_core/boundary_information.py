@@ -12,6 +12,7 @@ EXACT_SIGMA = 1e-9  # p.u.; of exact injections: with the boundary's voltage giv
 ROUNDING = 1e-14  # relative; what is left of a difference of equal numbers
 NOTHING_OF_VOLTAGE = 1e-10  # information about it, below which it is rounding
 BEYOND_REASON = 1e18  # numbers of a message
+VA = 3  # place of the angle in y
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,6 @@ from dsse_core.measurement import MeasurementKind
 from dsse_core.partition import Neighbour
 
 RELAXATION = 0.8  # 1/2: plain ADMM; 1: swings for ever where several children share a bus
-VA = 3  # place of the angle in y
 VOLTMETER_SIGMA = 0.002  # p.u.; taken where an area has no voltmeter
 POWER_METER_SIGMA = 0.01  # p.u.; taken where an area has no power meter
 SPREAD = 3.0  # a boundary's standard deviations are taken to lie within this factor of the area's meters'

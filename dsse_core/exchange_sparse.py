@@ -12,6 +12,7 @@ from dsse_core.augmented import AugmentedFactor
 from dsse_core.augmented_dense import DenseFactor
 from dsse_core.boundary_information import (
     NOTHING_OF_VOLTAGE,
+    VA,
     BoundaryInformation,
     factor_information,
     factor_inverse,
@@ -25,7 +26,6 @@ NO_LOAD_NOT_YET = 1e-18  # the same in the no-load model, relative to what the r
 DRAWS = 32  # of which the mean square is a fifth of its expectation with a probability of 1e-7
 NOTHING = 1e-30  # for variables that no row speaks of
 MOST_TURNS = 4  # of the axes of (p, q)
-VA = 3  # place of the angle in y
 DEGREES_OF_BOUNDARY = np.array([2.0, 2.0, 1.0, 0.0])  # the power k for which y grows as c^k, see AreaModel.degrees
 
 

@@ -6,12 +6,13 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from dsse_core.limits import LONGEST_S
 from scenarios.strict_toml import Table
 
 Positive = Annotated[float, Field(gt=0)]
-Seconds = Annotated[float, Field(gt=0, le=86400)]
-Moment = Annotated[float, Field(ge=0, le=86400)]
-Milliseconds = Annotated[float, Field(ge=0, le=86_400_000)]
+Seconds = Annotated[float, Field(gt=0, le=LONGEST_S)]
+Moment = Annotated[float, Field(ge=0, le=LONGEST_S)]
+Milliseconds = Annotated[float, Field(ge=0, le=1000 * LONGEST_S)]
 Probability = Annotated[float, Field(ge=0, le=1)]
 
 MOMENTARY = ("kill", "restart")

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from dsse_core.errors import InvalidInputError
+from dsse_core.limits import LONGEST_S
 from dsse_core.link_faults import LinkFaults
 from dsse_core.partition import Partition
 from scenarios.fault_tables import BurstTable, FaultsTable, LieTable, LinkTable, LoadFaultTable
@@ -18,7 +19,6 @@ LinkChanges = Mapping[str, float]
 """``delay_s``, ``jitter_s`` and ``duplicate`` that every link is to have instead of the scenario's."""
 ROUTERS = ("router", "router2")
 PROCESSES = ("plant", *ROUTERS)
-LONGEST_S = 86400.0
 EventKind = Literal["kill", "restart", "pause", "cut", "silent"]
 
 

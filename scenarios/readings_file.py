@@ -15,6 +15,7 @@ from pathlib import Path
 
 from dsse_core.bounded_file import read_text
 from dsse_core.errors import InvalidInputError
+from dsse_core.limits import LARGEST_SIGMA, SMALLEST_SIGMA
 from dsse_core.measurement import Measurement, MeasurementKind, Meter, find_meter_problems
 from dsse_core.network import Network
 from scenarios.strict_toml import suggest
@@ -32,7 +33,6 @@ UNITS: Mapping[str, frozenset[MeasurementKind]] = {
 WRITTEN_IN = {KIND.VM: "pu", KIND.VA: "deg", KIND.CURRENT: "a"} | {
     kind: "mw" if kind in UNITS["mw"] else "mvar" for kind in UNITS["mw"] | UNITS["mvar"]
 }
-SMALLEST_SIGMA, LARGEST_SIGMA = 1e-9, 1e6  # p.u. or rad, as in scenario files
 LONGEST_BUS = 18  # digits
 
 

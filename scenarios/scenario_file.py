@@ -6,10 +6,11 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Discriminator, Field, PlainValidator, StringConstraints, Tag, model_validator
 
+from dsse_core.limits import LARGEST_SIGMA, SMALLEST_SIGMA
 from scenarios.fault_tables import FaultsTable, Positive, Seconds
 from scenarios.strict_toml import Table
 
-Sigma = Annotated[float, Field(ge=1e-9, le=1e6)]
+Sigma = Annotated[float, Field(ge=SMALLEST_SIGMA, le=LARGEST_SIGMA)]
 AreaName = Annotated[str, StringConstraints(pattern=r"^[a-z0-9_-]+$")]
 
 SIGMA_PERCENT = "standard deviation in percent of the true value"

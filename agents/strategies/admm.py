@@ -17,8 +17,8 @@ from agents.strategies.admm_boundary import ANGLE, MOVED, BoundaryIteration
 from agents.strategies.interface import Estimate, Knowledge, Strategy
 from agents.strategies.start import start_state
 from dsse_core.area_model import AreaModel, build_area_model
-from dsse_core.boundary_information import BEYOND_REASON, EXACT_SIGMA
-from dsse_core.consensus_admm import VA, compute_weight, pull
+from dsse_core.boundary_information import BEYOND_REASON, EXACT_SIGMA, VA
+from dsse_core.consensus_admm import compute_weight, pull
 from dsse_core.exchange import solve_step, state_variance
 from dsse_core.measurement import Measurement, MeasurementKind
 from dsse_core.partition import Neighbour

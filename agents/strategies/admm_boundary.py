@@ -15,8 +15,8 @@ from __future__ import annotations
 import numpy as np
 
 from agents.messages import AdmmMessage
-from dsse_core.boundary_information import BoundaryInformation
-from dsse_core.consensus_admm import RELAXATION, VA, pull
+from dsse_core.boundary_information import VA, BoundaryInformation
+from dsse_core.consensus_admm import RELAXATION, pull
 from dsse_core.partition import Neighbour
 
 MOVED = 1e-10  # p.u., rad: what of z or r is worth another iteration
