@@ -8,6 +8,7 @@ because it says so.
 from __future__ import annotations
 
 from collections.abc import Container, Iterable
+from dataclasses import replace
 from typing import TypeVar
 
 from agents.messages import (
@@ -22,6 +23,7 @@ from agents.messages import (
 )
 
 FRESH_BEATS = 3  # younger is fresh: everything is repeated at every beat, and two repeats in a row may be lost
+PASSED_ON_BEATS = 3.5  # older is not passed on as fresh; the third repeat, which comes just after three beats, may be
 PATIENT_BEATS = 0.1  # after new readings neighbours should have theirs, too, and say what follows from them
 PATIENT_SHARE = 0.25  # of the time between two scans: each is to be shown before the next one comes
 OVER_BEATS = 10  # after which a life that is not heard is over
@@ -48,6 +50,7 @@ class Hearing:
         self.boundary: dict[str, BoundaryNews] = {}
         self.tallies: dict[str, TallyMessage] = {}
         self._fresh_s = FRESH_BEATS * beat_s
+        self._beat_s = beat_s
         self._most_patient_s = PATIENT_BEATS * beat_s
         self._over_s = OVER_BEATS * beat_s
         self._spoke_at: dict[tuple[str, str], float] = {}  # when what is kept was last heard, by kind and sender
@@ -69,6 +72,7 @@ class Hearing:
             case BoundaryMessage() | InformationMessage() | AdmmMessage():
                 if self._keep_newest(self.boundary, message, now):
                     self._heard_at[message.header.sender] = now
+                    self._renew(message)
             case TallyMessage():
                 self._keep_newest(self.tallies, message, now)
 
@@ -99,6 +103,13 @@ class Hearing:
             kept[sender] = message
         return True
 
+    def _renew(self, message: BoundaryNews) -> None:
+        """Under one number nothing changes but whether all is fresh: there the later of two repeats counts."""
+        last = self.boundary[message.header.sender]
+        if message.header.time > last.header.time:
+            header = replace(last.header, time=message.header.time)
+            self.boundary[message.header.sender] = replace(last, header=header, fresh=message.fresh)
+
     def forget_neighbours(self) -> None:
         """As if they had never spoken."""
         for heard in (self.loads, self.boundary, self.tallies, self._heard_at, self._spoke_at):
@@ -115,6 +126,10 @@ class Hearing:
     def scans(self) -> dict[str, int]:
         """Neighbour -> the scan of its newest boundary message."""
         return {name: message.header.scan for name, message in sorted(self.boundary.items())}
+
+    def old_sides(self) -> tuple[str, ...]:
+        """The neighbours that say that their word rests on something old."""
+        return tuple(sorted(name for name, message in self.boundary.items() if not message.fresh))
 
     def usable(self, now: float) -> dict[str, BoundaryNews]:
         """The boundary messages to be used: of another scan only for a while, until their senders should have ours.
@@ -138,20 +153,24 @@ class Hearing:
             return set()
         return {name for name, m in self.boundary.items() if name in present and m.header.scan == self._former_scan}
 
-    def is_late(self, now: float) -> bool:
-        """Whether telemetry has not been heard for too long."""
-        return self.telemetry_age(now) >= self._fresh_s
+    def is_late(self, now: float, beats: float = FRESH_BEATS) -> bool:
+        """Whether telemetry has not been heard for ``beats``."""
+        return self.telemetry is not None and now >= self._telemetry_at + beats * self._beat_s
 
-    def all_fresh(self, neighbours: Iterable[str], now: float) -> bool:
-        """Whether all of ``neighbours`` have been heard lately, about the current scan."""
-        return all(
-            name in self.boundary
-            and self.boundary[name].header.scan == self.scan
-            and now - self._heard_at[name] < self._fresh_s
+    def find_old(self, neighbours: Iterable[str], now: float, beats: float = FRESH_BEATS) -> set[str]:
+        """Those of ``neighbours`` whose word is not of this scan, not heard for ``beats``, or rests on what is old."""
+        limit = beats * self._beat_s
+        return {
+            name
             for name in neighbours
-        )
+            if (m := self.boundary.get(name)) is None
+            or not m.fresh
+            or m.header.scan != self.scan
+            or now >= self._heard_at[name] + limit
+        }
 
     def next_change(self, now: float) -> float:
         """When something that is fresh now will not be, if nothing is heard until then; infinity if nothing is."""
         moments = [*self._heard_at.values(), self._scan_since] + ([self._telemetry_at] if self.telemetry else [])
-        return min((at + self._fresh_s for at in moments if at + self._fresh_s > now), default=float("inf"))
+        changes = (at + limit for at in moments for limit in (self._fresh_s, PASSED_ON_BEATS * self._beat_s))
+        return min((at for at in changes if at > now), default=float("inf"))

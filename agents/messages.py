@@ -54,7 +54,7 @@ class Header:
     incarnation: Incarnation
     scan: int
     sequence: int
-    time: float  # s since 1970, for people and logs; decides only that news from the future is refused
+    time: float  # s since 1970; refused from the future, and of two messages of one order the later one counts
 
     @property
     def order(self) -> tuple[Incarnation, int]:
@@ -85,7 +85,9 @@ class LoadMessage:
 class BoundaryMessage:
     """The sender's corrected state at a boundary bus, p.u. and rad.
 
-    ``referenced``: its angle counts from the substation.
+    ``referenced``: its angle counts from the substation. ``fresh``, in every boundary message: all that the sender's
+    side rests on is of its scan and was heard lately (agents/freshness.py). Alone of the body it holds at
+    ``header.time``, and may differ between two messages of one sequence number.
     """
 
     kind: ClassVar[str] = "boundary"
@@ -94,6 +96,7 @@ class BoundaryMessage:
     vm: float
     va: float
     referenced: bool
+    fresh: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +114,7 @@ class InformationMessage:
     z: tuple[float, ...]
     referenced: bool
     complete: bool
+    fresh: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,6 +135,7 @@ class AdmmMessage:
     weight: tuple[float, ...]
     unsettled: bool
     referenced: bool
+    fresh: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,8 +200,9 @@ class StateMessage:
     what the links have done to them, by kind. ``refused``: received payloads by reason of refusal. ``notes``: in
     words, what is missing.
     ``quality``: what the state is worth (docs/quality.md). ``telemetry_age``: s since telemetry was last heard;
-    ``ages``, ``scans``: neighbour -> s since its boundary message was last heard, and the scan of the newest.
-    Quality and ages hold at ``header.time``; they may differ between two states of one sequence number.
+    ``ages``, ``scans``: neighbour -> s since its boundary message was last heard, and the scan of the newest;
+    ``old_sides``: neighbours that say that their side rests on something old. All these hold at ``header.time`` and
+    may differ between two states of one sequence number.
     """
 
     kind: ClassVar[str] = "state"
@@ -224,6 +230,7 @@ class StateMessage:
     telemetry_age: float
     ages: dict[str, float]
     scans: dict[str, int]
+    old_sides: tuple[str, ...]
 
 
 BoundaryNews = BoundaryMessage | InformationMessage | AdmmMessage

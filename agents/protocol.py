@@ -15,6 +15,7 @@ import numpy as np
 
 from agents.area_file import AreaFile
 from agents.events import Action, Event, Finish, PresenceChanged, Publish, Received, Refused, StopRequested
+from agents.freshness import find_fresh, renew
 from agents.hearing import Hearing
 from agents.messages import (
     AdmmMessage,
@@ -134,6 +135,8 @@ class AreaProtocol:
             yield self._renew_state()
         for name in self._reminders.take_due(self._now):
             yield Publish(self._sent_boundary[name], name)
+        if not (self._is_busy or self._turn.awaited):
+            yield from self._tell_freshness()
 
     # What comes in
 
@@ -277,11 +280,12 @@ class AreaProtocol:
 
     def _tell_boundaries(self, estimate: Estimate) -> Iterator[Action]:
         """What rests on an awaited word is held back: it would be out of date before it arrives."""
+        fresh = self._find_fresh()
         for n in self._area.neighbours:
             if not self._turn.may_tell(n.area):
                 continue
             last = self._sent_boundary.get(n.area)
-            message = self._strategy.message_for(n, estimate, self._header(last))
+            message = replace(self._strategy.message_for(n, estimate, self._header(last)), fresh=fresh[n.area])
             _check_sayable(message, self._strategy.find_refusal(message))
             if last is None or last.header.scan != self._scan or self._strategy.is_news(n, message, last):
                 self._sent_boundary[n.area] = message
@@ -289,6 +293,21 @@ class AreaProtocol:
                 if self._strategy.passes_on:
                     self._turn.await_answers(self._now)
                 yield Publish(message, n.area)
+
+    def _tell_freshness(self) -> Iterator[Publish]:
+        """Which words have come to rest on something old, or no longer do; those of a former scan will be replaced."""
+        fresh = self._find_fresh()
+        for name, message in self._sent_boundary.items():
+            if message.fresh != fresh[name] and message.header.scan == self._scan:
+                yield self._renew_boundary(name, fresh[name])
+
+    def _renew_boundary(self, name: str, fresh: bool) -> Publish:
+        message = renew(self._sent_boundary[name], fresh, self._now + self._clock_offset)
+        self._sent_boundary[name] = message
+        return Publish(message, name)
+
+    def _find_fresh(self) -> dict[str, bool]:
+        return find_fresh(self._hearing, list(self._by_name), set(self._gone), self._now)
 
     def _tell_tallies(self) -> list[Action]:
         actions: list[Action] = []
@@ -332,15 +351,18 @@ class AreaProtocol:
 
     def _repeat(self, just_done: Sequence[Action]) -> list[Publish]:
         """The last message to each neighbour and the last state, except those sent this very moment."""
-        fresh = {id(action.message) for action in just_done if isinstance(action, Publish)}
+        just_sent = {id(action.message) for action in just_done if isinstance(action, Publish)}
+        fresh = self._find_fresh()
         last_words: list[Publish] = []
-        for n in self._area.neighbours:
-            for message in (d.get(n.area) for d in (self._sent_load, self._sent_boundary, self._sent_tally)):
+        for name in self._by_name:
+            if name in self._sent_boundary and id(self._sent_boundary[name]) not in just_sent:
+                self._renew_boundary(name, fresh[name])
+            for message in (d.get(name) for d in (self._sent_load, self._sent_boundary, self._sent_tally)):
                 if message is not None:
-                    last_words.append(Publish(message, n.area))
-        if self._state.message is not None and id(self._state.message) not in fresh:
+                    last_words.append(Publish(message, name))
+        if self._state.message is not None and id(self._state.message) not in just_sent:
             last_words.append(self._renew_state())
-        return [publish for publish in last_words if id(publish.message) not in fresh]
+        return [publish for publish in last_words if id(publish.message) not in just_sent]
 
     @property
     def _scan(self) -> int:

@@ -25,4 +25,4 @@ def judge_quality(
     if not estimate.referenced:
         return RELATIVE_ANGLE
     sound = estimate.checked and estimate.settled and not doubts
-    return GOOD if sound and not gone and hearing.all_fresh(neighbours, now) else DEGRADED
+    return GOOD if sound and not gone and not hearing.find_old(neighbours, now) else DEGRADED

@@ -74,6 +74,7 @@ class ShownState:
             telemetry_age=self._hearing.telemetry_age(now),
             ages=self._hearing.ages(now),
             scans=self._hearing.scans(),
+            old_sides=self._hearing.old_sides(),
             refused=dict(refused),
         )
         return self.message
@@ -111,6 +112,7 @@ def _compose(buses: tuple[int, ...], header: Header, estimate: Estimate | None) 
         telemetry_age=0.0,
         ages={},
         scans={},
+        old_sides=(),
     )
     if estimate is None:
         return state
@@ -137,4 +139,4 @@ def _sequences(name: str, loads: Sent, boundary: Sent, tallies: Sent) -> tuple[i
 
 def _without_ages(state: StateMessage) -> StateMessage:
     """Ages and counts are renewed at every beat; they are no news."""
-    return replace(state, telemetry_age=0.0, ages={}, scans={}, refused={})
+    return replace(state, telemetry_age=0.0, ages={}, scans={}, old_sides=(), refused={})

@@ -165,7 +165,7 @@ class Watcher:
             lost=state.lost,
             removed=state.removed,
             refused=state.refused,
-            notes=state.notes,
+            notes=(*state.notes, *(f"behind {name} something is missing or old" for name in state.old_sides)),
         )
 
     def _gap(self, state: StateMessage, other: str) -> tuple[float, float] | None:

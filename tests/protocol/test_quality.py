@@ -10,6 +10,7 @@ from simulated_bus import SimulatedBus, area_files_of, with_links
 from tree_of_areas import tree_scenario
 
 from agents.hearing import FRESH_BEATS
+from agents.messages import InformationMessage
 from coordinator.simulation import Simulation
 from dsse_core.bad_data import process_bad_data
 from dsse_core.link_faults import LinkFaults
@@ -27,6 +28,14 @@ def bus() -> SimulatedBus:
     bus = SimulatedBus(area_files_of(scenario), make_telemetry(scenario).by_area)
     bus.run_until_settled()
     bus.run(1.0)
+    return bus
+
+
+def five_areas_at_rest(strategy: str) -> SimulatedBus:
+    scenario = tree_scenario()
+    bus = SimulatedBus(area_files_of(scenario, strategy=strategy), make_telemetry(scenario).by_area)
+    bus.run_until_settled()
+    bus.run(2.0)
     return bus
 
 
@@ -58,10 +67,11 @@ def test_before_telemetry_there_is_no_estimate_to_judge(bus: SimulatedBus):
     assert (bus.states["area3"].buses, bus.states["area3"].quality) == ((), "none")
 
 
-def test_an_area_whose_neighbour_has_gone_is_degraded_at_once_and_good_again_after_its_return(bus: SimulatedBus):
+def test_when_an_area_has_gone_all_are_degraded_at_once_and_good_again_after_its_return(bus: SimulatedBus):
     bus.kill("area2")
     bus.run(0.01)
-    assert qualities(bus) == {"area1": "degraded", "area3": "good"}
+    assert qualities(bus) == {"area1": "degraded", "area3": "degraded"}
+    assert bus.states["area3"].old_sides == ("area1",)
     bus.run(2.0)
     assert bus.states["area1"].ages["area2"] > 1.9
     bus.start("area2")
@@ -70,14 +80,51 @@ def test_an_area_whose_neighbour_has_gone_is_degraded_at_once_and_good_again_aft
     assert set(qualities(bus).values()) == {"good"}
 
 
-def test_a_cut_link_degrades_both_sides_after_three_beats(bus: SimulatedBus):
-    bus.cut("area1", "area2")
+@pytest.mark.parametrize("strategy", ["information", "angle-offset", "admm"])
+def test_a_cut_link_degrades_the_whole_feeder_after_three_beats(strategy: str):
+    bus = five_areas_at_rest(strategy)
+    bus.cut("a", "b")
     bus.run((FRESH_BEATS - 1) * BEAT)
     assert set(qualities(bus).values()) == {"good"}
     bus.run(2 * BEAT)
-    assert qualities(bus) == {"area1": "degraded", "area2": "degraded", "area3": "good"}
-    bus.heal("area1", "area2")
+    assert set(qualities(bus).values()) == {"degraded"}
+    bus.heal("a", "b")
+    bus.run(BEAT + 0.02)
+    assert set(qualities(bus).values()) == {"good"}
+
+
+def test_an_area_without_telemetry_is_missed_in_the_whole_feeder(bus: SimulatedBus):
+    send = bus.send_telemetry
+    bus.send_telemetry = lambda name: None if name == "area2" else send(name)
+    bus.run(SOON)
+    assert qualities(bus) == {"area1": "degraded", "area2": "stale", "area3": "degraded"}
+    assert (bus.states["area3"].telemetry_age < BEAT, max(bus.states["area3"].ages.values()) < BEAT) == (True, True)
+
+
+def test_what_is_old_far_away_moves_no_estimate_and_changes_no_number():
+    bus = five_areas_at_rest("information")
+    before = dict(bus.states)
+    bus.cut("a", "b")
+    bus.run(2.0)
+    for name, state in bus.states.items():
+        assert (state.header.sequence, state.vm, state.va) == (
+            before[name].header.sequence,
+            before[name].vm,
+            before[name].va,
+        )
+        assert (state.sent, state.checked) == (before[name].sent, True)
+
+
+def test_two_lost_repeats_in_a_row_are_no_matter_for_others():
+    bus = five_areas_at_rest("information")
+    bus.delivered.clear()
+    while not [m for _, sender, _, m in bus.delivered if sender == "a" and isinstance(m, InformationMessage)]:
+        bus.run(0.01)
+    bus.cut("a", "b")
+    bus.run(2.5 * BEAT)
+    bus.heal("a", "b")
     bus.run(BEAT)
+    assert all(m.fresh for _, _, _, m in bus.delivered if isinstance(m, InformationMessage))
     assert set(qualities(bus).values()) == {"good"}
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from agents.freshness import find_fresh
 from agents.hearing import OVER_BEATS, Hearing
 from agents.messages import BoundaryMessage, Header, Incarnation, LoadMessage, TelemetryMessage
 
@@ -63,3 +64,29 @@ def test_information_of_a_later_scan_is_used_only_as_long_as_it_is_heard():
     hearing.take(ahead, 1.0)
     assert hearing.usable(1.5) == {"area2": ahead}
     assert hearing.usable(1.7) == {}  # its scan was that of a plant that is no more, and so is its sender
+
+
+def boundary(time: float, fresh: bool, vm: float = 1.0) -> BoundaryMessage:
+    return BoundaryMessage(replace(header(FIRST), time=time), 6, vm, 0.0, True, fresh)
+
+
+def test_of_two_repeats_the_later_one_says_whether_all_is_fresh_and_nothing_else_changes():
+    hearing = Hearing(BEAT_S)
+    hearing.take(boundary(1.0, True), 1.0)
+    hearing.take(boundary(3.0, True), 3.1)
+    hearing.take(boundary(2.0, False, vm=2.0), 3.2)  # overtaken
+    assert hearing.boundary["area2"] == boundary(3.0, True)
+    hearing.take(boundary(4.0, False, vm=2.0), 4.1)
+    assert hearing.boundary["area2"] == boundary(4.0, False)
+
+
+def test_what_is_passed_on_may_be_half_a_beat_older():
+    hearing = Hearing(BEAT_S)
+    own = TelemetryMessage(replace(header(FIRST), sender="plant"), "area1", (), (), ())
+    hearing.take_telemetry(own, 0.0)
+    hearing.take(boundary(0.0, True), 0.0)
+    now = 3.2 * BEAT_S
+    assert (hearing.find_old(["area2"], now), hearing.is_late(now)) == ({"area2"}, True)
+    assert find_fresh(hearing, ["area2", "area3"], set(), now) == {"area2": False, "area3": True}
+    assert find_fresh(hearing, ["area2"], set(), now) == {"area2": True}
+    assert find_fresh(hearing, ["area2"], set(), 3.6 * BEAT_S) == {"area2": False}

@@ -115,7 +115,7 @@ def test_a_state_carries_the_totals_of_the_link_and_is_never_lost():
     link.send(message(1), "b", 0.0)
     empty = ((),) * 5
     state = StateMessage(
-        message(1).header, *empty, False, 0.0, 0, (), (), True, {}, {}, 0, 0, 0, {}, (), {}, "good", 0.0, {}, {}
+        message(1).header, *empty, False, 0.0, 0, (), (), True, {}, {}, 0, 0, 0, {}, (), {}, "good", 0.0, {}, {}, ()
     )
     link.send(state, None, 0.0)
     ((to, seen),) = shown

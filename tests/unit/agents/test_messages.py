@@ -50,6 +50,7 @@ STATE = StateMessage(
     telemetry_age=0.25,
     ages={"area2": 1.5},
     scans={"area2": 6},
+    old_sides=("area3",),
 )
 MESSAGES = [
     LoadMessage(HEADER, 6, 0.25, -0.1, 0.01),

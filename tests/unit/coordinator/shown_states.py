@@ -13,7 +13,7 @@ def a_state(**changes: object) -> StateMessage:
         **{"buses": (1,), "vm": (1.0,), "va": (0.0,), "sigma_vm": (0.001,), "sigma_va": (0.001,), "referenced": True},
         **{"objective": 1.0, "degrees_of_freedom": 1, "removed": (), "critical": (), "checked": True},
         **{"sent": {}, "heard": {}, "messages": 5, "bytes": 500, "lost": 0, "refused": {}, "notes": (), "faults": {}},
-        **{"quality": "good", "telemetry_age": 0.1, "ages": {"area2": 0.2}, "scans": {}},
+        **{"quality": "good", "telemetry_age": 0.1, "ages": {"area2": 0.2}, "scans": {}, "old_sides": ()},
     }
     return StateMessage(Header("run", "area1", Incarnation(1, 1), 1, 1, 0.0), **(body | changes))  # type: ignore[arg-type]
 

@@ -49,6 +49,7 @@ def a_state(area: str, sequence: int = 1, **changes: object) -> StateMessage:
         telemetry_age=0.0,
         ages={},
         scans={},
+        old_sides=(),
     )
     return replace(state, **changes)  # type: ignore[arg-type]
 

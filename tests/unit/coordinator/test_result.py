@@ -57,6 +57,7 @@ def a_state_of(area, central, va_shift: float = 0.0) -> StateMessage:
         telemetry_age=0.0,
         ages={},
         scans={},
+        old_sides=(),
     )
 
 
