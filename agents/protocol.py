@@ -79,7 +79,7 @@ class AreaProtocol:
 
     def wait_s(self, now: float) -> float:
         """How long the protocol may be left alone, s."""
-        at = min(self._next_beat, self._reminders.next_due(), self._hearing.next_change(now), self._turn.show_at)
+        at = min(self._next_beat, self._reminders.next_due(), self._hearing.next_change(now), self._turn.next_due(now))
         if self._turn.awaited:
             at = min(at, self._hearing.patient_until)
         return 0.0 if self._is_busy else max(0.0, at - now)
@@ -88,7 +88,7 @@ class AreaProtocol:
     def _is_busy(self) -> bool:
         """Whether there is something to do even if nothing is heard."""
         goes_on = self._strategy.restless or self._to_tell is not None
-        return (goes_on and not self._turn.is_held_back) or self._turn.show_at <= self._now
+        return (goes_on and not self._turn.is_held_back(self._now)) or self._turn.next_due(self._now) <= self._now
 
     def handle(self, events: Sequence[Event], now: float) -> Iterator[Action]:
         """Take in ``events``, all that arrived since the last call, and say what to do.
@@ -129,7 +129,7 @@ class AreaProtocol:
             yield from self._show_state(None, ["no telemetry yet"])
         elif news or self._is_busy or (used, awaited) != (self._used, self._turn.awaited):
             self._used = used
-            self._turn.wait_for(awaited)
+            self._turn.wait_for(awaited, self._now)
             yield from self._work(news)
         elif self._state.message and self._state.message.quality != self._state.quality(set(self._gone), self._now):
             yield self._renew_state()
@@ -208,7 +208,7 @@ class AreaProtocol:
 
         A state is shown at rest only: whoever has seen one knows that nothing but news will change it.
         """
-        if self._turn.is_held_back:
+        if self._turn.is_held_back(self._now):
             self._to_tell = None
             return
         if self._to_tell is None or news:
@@ -257,9 +257,10 @@ class AreaProtocol:
         """Tell a neighbour the net load on this side once all the other neighbours have told theirs."""
         own = self._own_load()
         heard = self._heard_loads()
+        missing = self._by_name.keys() - heard.keys()
         actions: list[Action] = []
         for n in self._area.neighbours:
-            if any(other.area not in heard for other in self._area.neighbours if other.area != n.area):
+            if missing - {n.area}:
                 continue
             load = load_message_for(n.area, own, heard)
             sigma, last = load.variance**0.5, self._sent_load.get(n.area)
@@ -281,6 +282,7 @@ class AreaProtocol:
     def _tell_boundaries(self, estimate: Estimate) -> Iterator[Action]:
         """What rests on an awaited word is held back: it would be out of date before it arrives."""
         fresh = self._find_fresh()
+        told = 0
         for n in self._area.neighbours:
             if not self._turn.may_tell(n.area):
                 continue
@@ -291,8 +293,10 @@ class AreaProtocol:
                 self._sent_boundary[n.area] = message
                 self._reminders.start(n.area, self._now)
                 if self._strategy.passes_on:
+                    told += 1
                     self._turn.await_answers(self._now)
                 yield Publish(message, n.area)
+        self._turn.collect(self._now, told)
 
     def _tell_freshness(self) -> Iterator[Publish]:
         """Which words have come to rest on something old, or no longer do; those of a former scan will be replaced."""

@@ -2,7 +2,8 @@
 
 Both save what would be out of date at once. In a new scan a neighbour is told nothing while others are about to speak,
 so that news climbs from the leaves of the tree of areas and comes down again. And judging and showing a state that an
-answer will change takes as long as the answer itself.
+answer will change takes as long as the answer itself. An area with very many neighbours would else tell all of them
+what each of them says, in hundreds of moments one by one.
 """
 
 from __future__ import annotations
@@ -11,26 +12,39 @@ import math
 
 ANSWER_S = 0.0025  # in which neighbours that have something to say to what they were told usually do
 LONGEST_TALK_S = 0.025  # after which an area at rest shows what it has, however often it is answered
+FEW = 8  # neighbours that may be told at any time
+COLLECT_S = 0.00025  # for each one more that has been told: what they answer is taken in at once
 
 
 class Turn:
-    """``awaited``: neighbours about to speak of a new scan. ``show_at``: when answers are no longer waited for."""
+    """``awaited``: neighbours about to speak of a new scan. ``show_at``: when answers are no longer waited for.
+
+    ``speak_at``: when an area that has told many has collected what they answer.
+    """
 
     def __init__(self) -> None:
         self.awaited: set[str] = set()
-        self.show_at = math.inf
+        self.show_at = self.speak_at = math.inf
         self._talk_since = math.inf  # when neighbours were told first of what has not been shown yet
 
-    def wait_for(self, awaited: set[str]) -> None:
+    def wait_for(self, awaited: set[str], now: float) -> None:
         """If there are any, what was to be shown is of the last scan."""
         self.awaited = awaited
+        if now >= self.speak_at:
+            self.speak_at = math.inf
         if awaited:
             self.end_talk()
 
-    @property
-    def is_held_back(self) -> bool:
+    def next_due(self, now: float) -> float:
+        """When there will be something to do, if nothing is heard until then."""
+        return self.speak_at if self._collects(now) else min(self.speak_at, self.show_at)
+
+    def is_held_back(self, now: float) -> bool:
         """Whether nobody at all may be told anything."""
-        return len(self.awaited) > 1
+        return len(self.awaited) > 1 or self._collects(now)
+
+    def _collects(self, now: float) -> bool:
+        return now < self.speak_at < math.inf
 
     def may_tell(self, name: str) -> bool:
         return not self.awaited - {name}
@@ -42,6 +56,10 @@ class Turn:
         """A neighbour has been told something new."""
         self._talk_since = min(self._talk_since, now)
         self.show_at = min(now + ANSWER_S, self._talk_since + LONGEST_TALK_S)
+
+    def collect(self, now: float, told: int) -> None:
+        """So many neighbours have been told something new."""
+        self.speak_at = now + COLLECT_S * (told - FEW) if told > FEW else math.inf
 
     def end_talk(self) -> None:
         self.show_at = self._talk_since = math.inf

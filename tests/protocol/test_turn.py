@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import pytest
+from feeders import make_star
 from simulated_bus import SimulatedBus, area_files_of
 
 from agents.events import Publish, Received
 from agents.messages import Header, Incarnation, InformationMessage, StateMessage
-from agents.turn import ANSWER_S, LONGEST_TALK_S, Turn
+from agents.turn import ANSWER_S, COLLECT_S, FEW, LONGEST_TALK_S, Turn
 from coordinator.telemetry_messages import make_message
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
@@ -57,19 +59,48 @@ def test_answers_are_awaited_anew_after_each_word_and_not_for_ever():
 def test_a_talk_ends_with_its_scan():
     turn = Turn()
     turn.await_answers(1.0)
-    turn.wait_for({"area2"})
+    turn.wait_for({"area2"}, 2.0)
     assert not turn.may_show(2.0)
-    turn.wait_for(set())
+    turn.wait_for(set(), 2.0)
     turn.await_answers(3.0)
     assert turn.show_at == 3.0 + ANSWER_S
 
 
 def test_only_the_one_awaited_is_told_anything():
     turn = Turn()
-    turn.wait_for({"area2"})
-    assert (turn.may_tell("area2"), turn.may_tell("area3"), turn.is_held_back) == (True, False, False)
-    turn.wait_for({"area2", "area3"})
-    assert turn.is_held_back
+    turn.wait_for({"area2"}, 2.0)
+    assert (turn.may_tell("area2"), turn.may_tell("area3"), turn.is_held_back(2.0)) == (True, False, False)
+    turn.wait_for({"area2", "area3"}, 2.0)
+    assert turn.is_held_back(2.0)
+
+
+def test_answers_of_many_are_collected_and_then_taken_in_together():
+    turn = Turn()
+    turn.await_answers(1.0)
+    turn.collect(1.0, FEW + 40)
+    over = 1.0 + 40 * COLLECT_S
+    assert turn.show_at < over
+    assert (turn.is_held_back(over - 1e-9), turn.next_due(over - 1e-9)) == (True, over)
+    turn.wait_for(set(), over)
+    assert (turn.is_held_back(over), turn.next_due(over)) == (False, turn.show_at)
+
+
+def test_an_area_with_many_neighbours_lets_them_answer_before_it_tells_them_more():
+    feeder = make_star(1, 60, busbar=True)
+    bus = SimulatedBus(feeder.area_files(0.0, 0), feeder.telemetry())
+    busbar = next(a for a in feeder.partition.areas if len(a.neighbours) > FEW)
+    bus.run(0.2)
+    told: dict[float, set[str]] = {}
+    seen: set[tuple[str, int]] = set()
+    for at, sender, to, message in bus.delivered:
+        word = (to, message.header.sequence)
+        if sender == busbar.name and isinstance(message, InformationMessage) and word not in seen:
+            seen.add(word)
+            told.setdefault(at, set()).add(to)
+    moments = sorted(told)
+    assert len(moments) > 1
+    for one, following in pairwise(moments):
+        assert following - one >= COLLECT_S * (len(told[one]) - FEW)
 
 
 def test_an_area_that_is_held_back_in_the_middle_of_its_steps_sleeps(bus):
