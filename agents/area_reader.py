@@ -74,6 +74,8 @@ def _read_tables(what: str, path: Path) -> Any:
         table = json.loads(text) if is_json else tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # of the two readers, or integers that Python cannot hold
         raise InvalidInputError(what, [f"is not {'JSON' if is_json else 'TOML'}: {error}"]) from None
+    if isinstance(table, dict) and not {"area", "local_slack"} & table.keys():
+        raise InvalidInputError(what, ["is no area file; `dsse split SCENARIO --out DIR` writes one for each area"])
     try:
         return _file_like(_columns_like if is_json else _rows_like).model_validate(table)
     except ValidationError as error:

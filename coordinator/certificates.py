@@ -17,6 +17,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from agents.access import Access
 from agents.access_file import ACCESS_FILE, load_access, save_access
 from agents.credentials import AUTHORITY, check_credentials, credentials_in
+from coordinator.run_folder import folder_error
 from dsse_core.errors import InvalidInputError
 from dsse_core.partition import Partition
 
@@ -76,7 +77,7 @@ def create_keys(folder: Path, access: Access, days: float, hosts: Sequence[str] 
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         occupied = any(folder.iterdir())
     except OSError as error:
-        raise InvalidInputError(f"keys {folder}", [f"cannot be made: {error.strerror}"]) from None
+        raise folder_error(f"keys {folder}", error) from None
     if occupied:
         raise InvalidInputError(f"keys {folder}", ["is not empty; keys are never overwritten: choose a new folder"])
     authority = credentials_in(folder, AUTHORITY)

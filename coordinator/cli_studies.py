@@ -179,6 +179,7 @@ def sweep(
     \b
     Examples:  dsse sweep ieee33 --vary faults.loss=0:0.9:10 --seeds 20 --out sweep
                dsse sweep ieee33 --vary measurements.voltage.sigma_percent=0.1,0.2,0.5 --strategies information
+               dsse sweep ieee33 --vary 'areas={count=2},{count=4}'
     """
     from coordinator.strategy_comparison import choose_strategies
     from coordinator.sweep_plan import make_plan

@@ -25,10 +25,17 @@ def make_run_folder(out: str | Path | None, name: str, inside: Sequence[str] = (
             for part in inside:
                 (folder / part).mkdir()
     except OSError as error:
-        raise InvalidInputError(f"run folder {folder}", [f"cannot be made: {error.strerror}"]) from None
+        raise folder_error(f"run folder {folder}", error) from None
     if occupied:
         raise InvalidInputError(f"run folder {folder}", ["is not empty; choose a new one, or remove what it holds"])
     return folder
+
+
+def folder_error(what: str, error: OSError) -> InvalidInputError:
+    """That the folder ``what`` cannot be made or looked into, and why."""
+    in_the_way = isinstance(error, FileExistsError | NotADirectoryError)
+    reason = "a file is in its way" if in_the_way else error.strerror
+    return InvalidInputError(what, [f"cannot be made: {reason}; choose another place"])
 
 
 def _find_free(parent: Path, name: str) -> Path:

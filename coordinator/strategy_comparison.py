@@ -15,7 +15,7 @@ from coordinator.run_folder import make_run_folder
 from coordinator.study_row import COLUMNS, NOT_POSSIBLE, StudyRow, make_impossible_row, make_row, to_cells
 from dsse_core.errors import InvalidInputError
 from scenarios.check import check_scenario
-from scenarios.scenario import Scenario
+from scenarios.scenario import Scenario, describe_unknown_strategy
 
 HEADER = (
     *("strategy", "outcome", "gap p.u.", "gap deg", "exchanges", "messages", "bytes", "lost"),
@@ -32,10 +32,9 @@ def choose_strategies(names: str | None) -> tuple[str, ...]:
     if names is None:
         return tuple(STRATEGIES)
     listed = [name.strip() for name in names.split(",")]
-    allowed = ", ".join(STRATEGIES)
     unknown = [name for name in listed if name not in STRATEGIES]
     twice = [name for name in dict.fromkeys(listed) if listed.count(name) > 1]
-    problems = [f"unknown strategy {name!r}; allowed: {allowed}" for name in unknown]
+    problems = [describe_unknown_strategy(name, STRATEGIES) for name in unknown]
     problems += [f"{name!r} is given twice; keep one" for name in twice]
     if problems:
         raise InvalidInputError("strategies", problems)

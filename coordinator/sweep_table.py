@@ -13,6 +13,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from coordinator.run_folder import folder_error
 from coordinator.study_row import COLUMNS, StudyRow, from_cells, to_cells
 from coordinator.sweep_plan import Task
 from dsse_core.errors import InvalidInputError
@@ -39,7 +40,7 @@ class SweepTable:
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise InvalidInputError(f"sweep folder {folder}", [f"cannot be made: {error.strerror}"]) from None
+            raise folder_error(f"sweep folder {folder}", error) from None
         _check_settings(folder, settings)
         self._file = self.path.open("a+", newline="", encoding="utf-8")
         try:

@@ -121,8 +121,7 @@ def load_scenario(
     file = load_strict(path, ScenarioFile, changes)
     problems = []
     if strategies is not None and file.strategy not in strategies:
-        allowed = ", ".join(sorted(strategies))
-        problems.append(f"strategy: unknown strategy {file.strategy!r}; allowed: {allowed}")
+        problems.append(f"strategy: {describe_unknown_strategy(file.strategy, sorted(strategies))}")
     network, network_problems = _load_network_of(file, path)
     problems += network_problems
     area_buses, area_problems = _find_area_buses(file, network)
@@ -158,14 +157,20 @@ def _find_file(name_or_path: str | Path) -> Path:
         return Path(name_or_path)
     shipped = find_shipped("shipped")
     if text not in shipped:
+        there = f"; the file or folder {text!r} is not looked at" if Path(text).exists() else ""
         raise InvalidInputError(
             f"scenario {text!r}",
             [
-                f"no shipped scenario has this name; shipped: {', '.join(shipped)}{suggest(text, shipped)} "
-                "(a scenario file of your own is given by its path, which ends in .toml)"
+                f"no shipped scenario has this name; shipped: {', '.join(shipped)}{suggest(text.lower(), shipped)} "
+                f"(a scenario file of your own is given by its path, which ends in .toml{there})"
             ],
         )
     return shipped[text]
+
+
+def describe_unknown_strategy(name: str, known: Iterable[str]) -> str:
+    """That ``name`` is none of the strategies ``known``, and which it may have been."""
+    return f"unknown strategy {name!r}; allowed: {', '.join(known)}{suggest(name, known)}"
 
 
 def _load_network_of(file: ScenarioFile, path: Path) -> tuple[Network | None, list[str]]:

@@ -19,6 +19,13 @@ from pydantic_core import ErrorDetails
 from dsse_core.bounded_file import LARGEST_JSON, LARGEST_TOML, read_text
 from dsse_core.errors import InvalidInputError
 
+KINDS_OF_FILES = {
+    frozenset({"bus", "branch"}): 'a network file; give a scenario file, which names it by network = "{name}"',
+    frozenset({"areas", "version"}): "a scenario file; give a network file",
+    frozenset({"endpoints", "local_slack"}): "an area file, which `dsse agent` takes; give a scenario file",
+}
+"""Keys that tell one kind of file from the others -> what it is, and what to give instead."""
+
 
 class Table(BaseModel):
     """A TOML table: unknown keys, wrong types, inf and nan are errors."""
@@ -48,7 +55,19 @@ def load_strict(path: Path, model: type[Model], changes: Mapping[str, object] | 
     try:
         return model.model_validate(content)
     except ValidationError as error:
-        raise InvalidInputError(str(path), [_describe(model, e) for e in error.errors()]) from None
+        other = _recognize_other_file(path, content, model)
+        raise InvalidInputError(
+            str(path), [other] if other else [_describe(model, e) for e in error.errors()]
+        ) from None
+
+
+def _recognize_other_file(path: Path, content: Any, model: type[Table]) -> str:
+    """What ``content`` is, if by its keys it is a file of another kind than ``model``; else empty."""
+    if not isinstance(content, dict):
+        return ""
+    keys = content.keys() - _keys(model).keys()
+    kinds = (kind for told_by, kind in KINDS_OF_FILES.items() if keys >= told_by)
+    return next((f"is {kind.format(name=path.name)}" for kind in kinds), "")
 
 
 def _change(content: Any, key: str, value: object) -> str | None:
@@ -85,6 +104,8 @@ def _describe(model: type[Table], error: ErrorDetails) -> str:
     if error["type"] == "extra_forbidden":
         allowed = _allowed_keys(model, location[:-1])
         return f"{key}: unknown key; allowed here: {', '.join(allowed)}{suggest(str(location[-1]), allowed)}"
+    while location and _is_tag(location[-1]):
+        location.pop()
     meaning = _meaning(model, location)
     if error["type"] == "missing":
         return f"{key}: missing" + (f"; {meaning}" if meaning else "")
@@ -93,6 +114,7 @@ def _describe(model: type[Table], error: ErrorDetails) -> str:
         return f"{key}: {text}" if key else text
     found = "a table" if isinstance(error["input"], dict) else f"{error['input']!r:.200}"
     text = error["msg"].replace("Input should", "must", 1).replace("String should", "must", 1)
+    text = re.sub(r"a valid dictionary( or instance of \w+)?", "a table", text)
     return f"{key or 'the file'}: {text}, found {found}" + (f" ({meaning})" if meaning else "")
 
 

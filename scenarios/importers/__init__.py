@@ -32,7 +32,8 @@ def _read(path: Path, frequency_hz: float) -> Imported:
 
         return read_matpower(path)
     if path.suffix != ".json":
-        raise InvalidInputError(str(path), [f"the ending {path.suffix!r} is not known; .m and .json are"])
+        hint = "; a network in TOML needs no import, a scenario file names it" if path.suffix == ".toml" else ""
+        raise InvalidInputError(str(path), [f"the ending {path.suffix!r} is not known; .m and .json are{hint}"])
     text = read_text(path)
     try:
         content = json.loads(text)

@@ -61,3 +61,10 @@ def test_lists_of_different_lengths_and_missing_ones_are_named(tmp_path: Path, c
     missing, lengths = spoilt(tmp_path / "area.json", content, change)
     assert missing == "network.branch.from_bus: missing key"
     assert lengths.startswith(f"meter: the lists need as many values each; kind has {n}, bus has {n - 1}")
+
+
+@pytest.mark.parametrize("text", ['version = 1\nnetwork = "ieee33"\n', 'name = "x"\n[[bus]]\nid = 1\n', ""])
+def test_who_gives_another_kind_of_file_is_told_what_writes_area_files(tmp_path: Path, text: str):
+    (tmp_path / "other.toml").write_text(text)
+    with pytest.raises(InvalidInputError, match=r"other.toml: 1 problem\n  - is no area file; `dsse split SCENARIO"):
+        load_area_file(tmp_path / "other.toml")

@@ -149,7 +149,7 @@ def test_dsse_keys_create_says_what_it_made_and_refuses_to_do_it_again(tmp_path:
         (["--host", "192.0.2.777"], "is neither a name nor an address"),
         (["--host", ""], "is neither a name nor an address"),
         (["--host", "a" * 64 + ".example"], "is neither a name nor an address"),
-        (["--out", "/dev/null/keys"], "cannot be made: Not a directory"),
+        (["--out", "/dev/null/keys"], "cannot be made: a file is in its way"),
     ],
 )
 def test_dsse_keys_create_refuses_what_cannot_be(tmp_path: Path, capsys, options: list[str], expected: str):

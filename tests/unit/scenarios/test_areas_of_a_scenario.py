@@ -96,7 +96,7 @@ def test_wrong_switches_are_told_with_their_key(tmp_path: Path) -> None:
         ("[areas]\ncount = 2\n[areas.area1]\nbuses = [1]", ["areas.area1: unknown key; allowed here: count"]),
         ("areas = { switches = [] }", ["areas.switches: List should have at least 1 item"]),
         ("areas = { switches = [67] }", ["areas.switches[0]: must be a valid string, found 67"]),
-        ("areas = 3", ["areas: must be a valid dictionary, found 3"]),
+        ("areas = 3", ["areas: must be a table, found 3 (one [areas.NAME] with its buses for each area, or { count"]),
     ],
 )
 def test_every_wrong_key_of_areas_is_told(tmp_path: Path, areas: str, expected: list[str]) -> None:

@@ -1,0 +1,61 @@
+"""What is easily mistaken on the command line is answered with what was given and what is wanted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from coordinator.cli import run_command
+from scenarios.shipped_files import find_shipped
+
+NETWORK, SCENARIO = find_shipped("cases")["ieee33"], find_shipped("shipped")["ieee33"]
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder that commands run in: a file of each kind, and a folder."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "network.toml").write_text(NETWORK.read_text())
+    (tmp_path / "scenario.toml").write_text(SCENARIO.read_text())
+    twisted = SCENARIO.read_text().replace('network = "ieee33"', 'network = "scenario.toml"')
+    (tmp_path / "twisted.toml").write_text(twisted)
+    (tmp_path / "a-file").write_text("")
+    (tmp_path / "a-folder").mkdir()
+    assert run_command(["split", "ieee33", "--out", "areas"]) == 0
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (
+            "estimate network.toml",
+            'is a network file; give a scenario file, which names it by network = "network.toml"',
+        ),
+        ("run areas/area1.toml", "is an area file, which `dsse agent` takes; give a scenario file"),
+        ("check twisted.toml", "network: scenario.toml: is a scenario file; give a network file"),
+        ("import network.toml --out new", "a network in TOML needs no import"),
+        ("check IEEE33", "did you mean 'ieee33'?"),
+        ("check a-folder", "the file or folder 'a-folder' is not looked at"),
+        ("run ieee33 --strategy infomation", "did you mean 'information'?"),
+        ("compare ieee33 --strategies admn", "did you mean 'admm'?"),
+        ("sweep ieee33 --vary areas=3", "areas: must be a table, found 3 (one [areas.NAME] with its buses for each"),
+        ("simulate ieee33 --out a-file", "run folder a-file: 1 problem\n  - cannot be made: a file is in its way"),
+        ("simulate ieee33 --out a-file/new", "cannot be made: a file is in its way; choose another place"),
+        ("keys create ieee33 --out a-file", "keys a-file: 1 problem\n  - cannot be made: a file is in its way"),
+    ],
+)
+def test_a_likely_mistake_is_answered_with_what_to_do(
+    folder: Path, capsys: pytest.CaptureFixture[str], arguments: str, expected: str
+):
+    assert run_command(arguments.split()) == 2
+    said = capsys.readouterr().err
+    assert expected in said
+    assert len(said.splitlines()) == 2
+
+
+def test_a_time_that_is_no_number_is_quoted(folder: Path, capsys: pytest.CaptureFixture[str]):
+    with pytest.raises(SystemExit):
+        run_command(["agent", "areas/area1.toml", "--timeout", "soon"])
+    assert "--timeout: 'soon' is no number of seconds" in capsys.readouterr().err
