@@ -62,7 +62,8 @@ class LiveSystem:
         try:
             self._launcher.preload("coordinator.router_process", "agents.__main__", "coordinator.plant")
             self.system.start_bus(lambda: self.take(LOOK_S) or None)
-            self.system.start_others()
+            self.system.start_agents()
+            self.system.start_plant()
             self._session = self.system.join(COORDINATOR)
             self._clock.publish = self._session.publisher(clock_key("live"))
             self._session.subscribe(

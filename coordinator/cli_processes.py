@@ -120,6 +120,7 @@ def plant(
     """
     from coordinator.judging import prepare_scenario
     from coordinator.plant import run_plant
+    from coordinator.scans import OwnScans
     from coordinator.split import choose_run_id
 
     prepared = prepare_scenario(scenario, seed)
@@ -127,7 +128,16 @@ def plant(
     scan = int(time.time() / SHORTEST_SCAN_S)
     endpoints = choose_endpoints(endpoints, keys is not None)
     direct = prepared.transport.kind == "neighbours"
-    return run_plant(prepared, choose_run_id(prepared, run_id), endpoints, timeout, scan, every, keys, direct)
+    return run_plant(
+        OwnScans(prepared, many=bool(every)),
+        choose_run_id(prepared, run_id),
+        endpoints,
+        timeout,
+        scan,
+        every,
+        keys,
+        direct,
+    )
 
 
 process_commands = (split, agent, router, plant)

@@ -18,17 +18,15 @@ from agents.keys import all_lives, live_key, name_of_live, telemetry_key
 from agents.presence import begin_life
 from agents.succession import GIVES_WAY, REPLACED_CODE, ReplacedError, Succession
 from agents.transport import Session
-from coordinator.telemetry_messages import DRAW, make_payloads
+from coordinator.scans import Scans
 from dsse_core.errors import DsseError
-from scenarios.scenario import Scenario
-from scenarios.telemetry import find_lateness
 
 log = logging.getLogger(__name__)
 SILENT, SPEAK = signal.SIGUSR1, signal.SIGUSR2
 
 
 def run_plant(
-    scenario: Scenario,
+    scans: Scans,
     run: str,
     endpoints: Sequence[str],
     timeout_s: float = 10.0,
@@ -37,7 +35,7 @@ def run_plant(
     keys: Path | None = None,
     direct: bool = False,
 ) -> int:
-    """Publish the telemetry of ``scenario`` for ``run`` until SIGTERM or Ctrl-C; 0, or 2 after a user's mistake.
+    """Publish ``scans`` for ``run`` until SIGTERM or Ctrl-C; 0, or 2 after a user's mistake.
 
     3 if another plant of the run began later.
 
@@ -51,7 +49,7 @@ def run_plant(
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # Zenoh's connecting would defer Python's handler to its end
     try:
         life = begin_life()
-        payloads = make_payloads(scenario, run, life, scan, draw=scan if every_s else DRAW)
+        payloads = scans.payloads(run, life, scan)
         credentials = load_credentials(keys, PLANT)
         with Session.join(endpoints, timeout_s, credentials, direct=direct) as session:
             for number in (signal.SIGTERM, signal.SIGINT):
@@ -65,16 +63,16 @@ def run_plant(
             own_token = live_key(run, "plant", PLANT, life)
             say_farewell = session.publisher(own_token)
             session.declare_presence(own_token)
-            log.info("plant of run %s, seed %s, %s areas", run, scenario.seed, len(payloads))
-            succession = Succession(f"plant of run {run}", life, time.monotonic(), scenario.run.beat_s)
-            voice = _Voice(publishers, inbox, scenario.run.beat_s, succession)
+            log.info("plant of run %s, seed %s, %s areas", run, scans.seed, len(payloads))
+            succession = Succession(f"plant of run {run}", life, time.monotonic(), scans.beat_s)
+            voice = _Voice(publishers, inbox, scans.beat_s, succession)
             for number in (SILENT, SPEAK):
                 signal.signal(number, voice.be_silent)
             signal.pthread_sigmask(signal.SIG_UNBLOCK, (SILENT, SPEAK))  # a run's plant may have been told already
             try:
-                while not voice.serve(payloads, find_lateness(scenario, scan), every_s or math.inf):
+                while not voice.serve(payloads, scans.late_s(scan), every_s or math.inf):
                     scan += 1
-                    payloads = make_payloads(scenario, run, life, scan, draw=scan)
+                    payloads = scans.payloads(run, life, scan)
             except ReplacedError:
                 say_farewell(GIVES_WAY.encode())
                 raise

@@ -33,6 +33,7 @@ from coordinator.yardstick import start_yardstick
 from dsse_core.area_model import uses_tree
 from scenarios.check import check_scenario
 from scenarios.scenario import Scenario
+from scenarios.telemetry import make_telemetry
 
 DAYS_OF_A_RUN = 1.0  # that the keys of one secured run are valid
 
@@ -99,12 +100,14 @@ def _wait_for_router(run: RunUnderWay) -> str | None:
 
 def _run_with_router(run: RunUnderWay, on_update: Callable[[Progress], None] | None) -> RunResult:
     scenario = run.scenario
-    run.system.start_others()
+    run.system.start_agents()
     run.note_time("agents_started")
     observer = make_observer(scenario)
     with run.system.join(COORDINATOR) as session:
         listen(run, session)
-        yardstick = start_yardstick(scenario, lambda: run.note_time("centralised_estimated"))
+        telemetry = make_telemetry(scenario)  # while the agents join
+        run.system.start_plant(telemetry)
+        yardstick = start_yardstick(scenario, telemetry, lambda: run.note_time("centralised_estimated"))
         interrupted = False
         try:
             reason = _watch(run, observer, on_update)
@@ -115,13 +118,12 @@ def _run_with_router(run: RunUnderWay, on_update: Callable[[Progress], None] | N
     run.note_time("verdict")
     run.events.write("consensus" if reason is None else "no consensus", reason=reason)
     run.system.launcher.stop()  # the processes end while the files are written
-    telemetry, centralised = yardstick.result()
     outcome = judge(
         scenario,
         run.id,
         observer,
         telemetry,
-        centralised,
+        yardstick.result(),
         reason,
         started=run.started,
         wall_s=wall_s,

@@ -16,10 +16,12 @@ from agents.credentials import load_credentials
 from agents.transport import Session, TransportError
 from coordinator.places import choose_places
 from coordinator.processes import Launcher, check_open_files, read_end
+from coordinator.scans import MadeScan, OwnScans
 from coordinator.split import write_area_files
 from coordinator.zygote import Ended, Started
 from dsse_core.limits import LONGEST_S
 from scenarios.scenario import Scenario
+from scenarios.telemetry import Telemetry
 
 ROUTER_START_S = 10.0
 HELD_S = LONGEST_S  # for which a held scan stays
@@ -100,12 +102,15 @@ class System:
         self._orders[name] = (target, [*again, *always])
         return endpoints
 
-    def start_others(self) -> None:
-        """Write the area files, start plant and agents."""
+    def start_agents(self) -> None:
+        """Write the area files, start the agents."""
         where = (self.endpoints, self.folder / "areas", self._places, ".json")
         for name, path in write_area_files(self.scenario, self.id, *where):
             self._order(name, "agents.__main__:main", [str(path.absolute()), *self._keys()])
-        self._start_plant(scan=1)  # which in a large grid is long busy with its readings
+
+    def start_plant(self, telemetry: Telemetry | None = None) -> None:
+        """Start the plant with its first scan; of ``telemetry``, if that is its only one and has been made already."""
+        self._start_plant(1, None if telemetry is None else MadeScan.of(self.scenario, telemetry))
 
     def kill(self, name: str) -> None:
         """End a process, if it runs, without a chance to say anything."""
@@ -152,9 +157,10 @@ class System:
         """A number above those of all scans that the plants up to now can have made."""
         return self._first_scan + 2 + int((time.monotonic() - self._first_scan_at) / every_s)
 
-    def _start_plant(self, scan: int) -> None:
+    def _start_plant(self, scan: int, made: MadeScan | None = None) -> None:
         self._first_scan, self._first_scan_at = scan, time.monotonic()
-        where = (self.scenario, self.id, self.endpoints, ROUTER_START_S)
+        scans = made or OwnScans(self.scenario, many=bool(self.scan_every_s))
+        where = (scans, self.id, self.endpoints, ROUTER_START_S)
         self._order(PLANT, "coordinator.plant:run_plant", *where, scan, self.scan_every_s, self.keys, self.direct)
 
     def _order(self, name: str, target: str, *arguments: Any) -> None:

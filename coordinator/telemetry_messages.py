@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 from agents.access import PLANT
 from agents.messages import Header, Incarnation, TelemetryMessage, encode
@@ -14,29 +15,41 @@ from scenarios.telemetry import make_telemetry
 DRAW = 1  # of the noise: the same readings for the same seed
 
 
-def make_payloads(scenario: Scenario, run: str, life: Incarnation, scan: int = 1, draw: int = DRAW) -> dict[str, bytes]:
-    """Area -> its encoded readings with noise ``draw``. Virtual measurements are no readings: agents know them."""
-    header = Header(
-        run=run,
-        sender=PLANT,
-        incarnation=life,
-        scan=scan,
-        sequence=scan,
-        time=time.time(),
-    )
-    return {
-        area: encode(make_message(header, area, measurements))
-        for area, measurements in make_telemetry(scenario, draw).by_area.items()
-    }
+@dataclass(frozen=True, slots=True)
+class Readings:
+    """What the meters of one area have read, p.u. and rad."""
+
+    meters: tuple[str, ...]
+    values: tuple[float, ...]
+    sigmas: tuple[float, ...]
 
 
-def make_message(header: Header, area: str, measurements: Sequence[Measurement]) -> TelemetryMessage:
-    """One scan of ``area``'s meters as a message."""
+def read(measurements: Sequence[Measurement]) -> Readings:
+    """Virtual measurements are no readings: agents know them."""
     readings = [m for m in measurements if m.meter.source is not Source.VIRTUAL]
-    return TelemetryMessage(
-        header,
-        area,
+    return Readings(
         tuple(m.meter.id for m in readings),
         tuple(float(m.value) for m in readings),
         tuple(float(m.sigma) for m in readings),
     )
+
+
+def make_payloads(scenario: Scenario, run: str, life: Incarnation, scan: int = 1, draw: int = DRAW) -> dict[str, bytes]:
+    """Area -> its encoded readings with noise ``draw``."""
+    by_area = make_telemetry(scenario, draw).by_area
+    return encode_readings({area: read(measurements) for area, measurements in by_area.items()}, run, life, scan)
+
+
+def encode_readings(readings: Mapping[str, Readings], run: str, life: Incarnation, scan: int) -> dict[str, bytes]:
+    """Area -> its ``readings`` as a life of the plant publishes them."""
+    header = Header(run=run, sender=PLANT, incarnation=life, scan=scan, sequence=scan, time=time.time())
+    return {area: encode(_message(header, area, part)) for area, part in readings.items()}
+
+
+def make_message(header: Header, area: str, measurements: Sequence[Measurement]) -> TelemetryMessage:
+    """One scan of ``area``'s meters as a message."""
+    return _message(header, area, read(measurements))
+
+
+def _message(header: Header, area: str, readings: Readings) -> TelemetryMessage:
+    return TelemetryMessage(header, area, readings.meters, readings.values, readings.sigmas)

@@ -8,17 +8,16 @@ from concurrent.futures import Future
 
 from coordinator.judging import Centralised, estimate_centralised
 from scenarios.scenario import Scenario
-from scenarios.telemetry import Telemetry, make_telemetry
+from scenarios.telemetry import Telemetry
 
 
-def start_yardstick(scenario: Scenario, when_done: Callable[[], None]) -> Future[tuple[Telemetry, Centralised]]:
-    """Make telemetry and centralised estimate on a thread, which does not hold up the end of the program."""
-    future: Future[tuple[Telemetry, Centralised]] = Future()
+def start_yardstick(scenario: Scenario, telemetry: Telemetry, when_done: Callable[[], None]) -> Future[Centralised]:
+    """Make the centralised estimate on a thread, which does not hold up the end of the program."""
+    future: Future[Centralised] = Future()
 
     def make() -> None:
         try:
-            telemetry = make_telemetry(scenario)
-            result = telemetry, estimate_centralised(scenario, telemetry)
+            result = estimate_centralised(scenario, telemetry)
         except BaseException as error:
             future.set_exception(error)
         else:

@@ -12,12 +12,14 @@ from agents.inbox import Inbox
 from agents.messages import Incarnation, TelemetryMessage, decode
 from agents.succession import Succession
 from coordinator.plant import _Voice
+from coordinator.scans import MadeScan, OwnScans
 from coordinator.split import choose_run_id, default_run_id, write_area_files
 from coordinator.telemetry_messages import make_payloads
 from dsse_core.errors import InvalidInputError
 from dsse_core.link_faults import LinkFaults
 from dsse_core.measurement import Source
 from scenarios.scenario import load_scenario
+from scenarios.telemetry import find_lateness, make_telemetry
 
 
 def readings(seed: int) -> dict[str, tuple[object, ...]]:
@@ -90,3 +92,16 @@ def test_a_plant_whose_scans_follow_at_once_publishes_each_and_can_be_stopped():
     inbox.put("stop", None)
     assert voice.serve({"area1": b"scan 2"}, {}, duration_s=1e-9)
     assert published == [b"scan 1", b"scan 2"]
+
+
+def test_a_scan_that_was_made_elsewhere_is_published_as_the_plant_would_make_it():
+    scenario, life = load_scenario("industrial13"), Incarnation(1, 0)
+    own, made = OwnScans(scenario, many=False), MadeScan.of(scenario, make_telemetry(scenario))
+    for scans in (own, made):
+        assert scans.beat_s == scenario.run.beat_s
+        assert scans.late_s(1) == find_lateness(scenario, 1)
+    contents = [
+        {area: replace(decode(payload), header=None) for area, payload in scans.payloads("run", life, 1).items()}  # type: ignore[arg-type, type-var]
+        for scans in (own, made)
+    ]
+    assert contents[0] == contents[1]
