@@ -23,7 +23,7 @@ from dsse_core.errors import DsseError
 from dsse_core.limits import LONGEST_S
 
 SHORTEST_LEASE_S = 2.0
-LEASE_BEATS = 3  # by then, what has come over the link is stale anyway
+LEASE_BEATS = 3  # by then, what has come over the link is stale anyway; where there are many, beats are long
 RETRY = {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 2}
 
 
@@ -210,12 +210,13 @@ class Session(_Closing):
         timeout_s: float = 10.0,
         credentials: Credentials | None = None,
         *,
+        beat_s: float = 0.0,
         direct: bool = False,
     ) -> Session:
         """``connect`` to one of the routers at ``endpoints``, or, ``direct``, ``meet`` all areas there."""
         if direct:
-            return cls.meet(endpoints, credentials=credentials)
-        return cls.connect(endpoints, timeout_s, credentials)
+            return cls.meet(endpoints, credentials=credentials, beat_s=beat_s)
+        return cls.connect(endpoints, timeout_s, credentials, beat_s=beat_s)
 
     def publisher(self, key: str) -> Callable[[bytes], None]:
         """A function that puts a payload on ``key``."""
@@ -268,12 +269,15 @@ class Router(_Closing):
         credentials: Credentials | None = None,
         access: Access | None = None,
         others: Sequence[str] = (),
+        *,
+        beat_s: float = 0.0,
     ) -> Router:
         """Open a router on ``endpoints``; port 0 takes a free one, ``Router.endpoints`` says which.
 
         ``others``: routers to link with, as soon and as often as they are there; linked routers are one bus.
-        ``access``: who may speak; without it everybody may who gets a link. What is refused is logged on standard
-        output by Zenoh: links at level ``warn``, messages at ``RUST_LOG=zenoh::net::routing::interceptor=trace``.
+        ``beat_s``: of those who will link with it. ``access``: who may speak; without it everybody may who gets a link.
+        What is refused is logged on standard output by Zenoh: links at level ``warn``, messages at
+        ``RUST_LOG=zenoh::net::routing::interceptor=trace``.
 
         Raises:
             TransportError: an endpoint is occupied or cannot be opened.
@@ -285,6 +289,7 @@ class Router(_Closing):
                 _config(
                     "router",
                     credentials,
+                    beat_s,
                     listen={"endpoints": list(endpoints), "exit_on_failure": True},
                     connect=_in_the_background(others),
                     adminspace={"enabled": True},

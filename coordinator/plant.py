@@ -51,7 +51,7 @@ def run_plant(
         life = begin_life()
         payloads = scans.payloads(run, life, scan)
         credentials = load_credentials(keys, PLANT)
-        with Session.join(endpoints, timeout_s, credentials, direct=direct) as session:
+        with Session.join(endpoints, timeout_s, credentials, beat_s=scans.beat_s, direct=direct) as session:
             for number in (signal.SIGTERM, signal.SIGINT):
                 signal.signal(number, lambda *_: inbox.put("stop", None))
             publishers = {area: session.publisher(telemetry_key(run, area)) for area in payloads}

@@ -37,6 +37,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--keys", type=Path, metavar="DIR", help="take TLS links only; rules of access and keys in DIR")
     parser.add_argument("--run", metavar="NAME", help="apply the rules of access to this run instead of the file's")
+    parser.add_argument(
+        "--beat",
+        type=float,
+        default=0.0,
+        metavar="S",
+        help="beat of the areas: where it is long, silence may last, too",
+    )
     arguments = parser.parse_args(argv)
     inbox = Inbox()
     for number in (signal.SIGTERM, signal.SIGINT):
@@ -44,7 +51,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         credentials, access = load_credentials(arguments.keys, ROUTER), _load_access(arguments.keys, arguments.run)
         default = "tls/127.0.0.1:7447" if credentials else "tcp/127.0.0.1:7447"
-        with Router.listen(arguments.listen or [default], credentials, access, arguments.connect or ()) as router:
+        listen, others = arguments.listen or [default], arguments.connect or ()
+        with Router.listen(listen, credentials, access, others, beat_s=arguments.beat) as router:
             print("listening on", ", ".join(router.endpoints), flush=True)
             if arguments.endpoints_file:
                 _write_whole(arguments.endpoints_file, "\n".join(router.endpoints))

@@ -80,12 +80,14 @@ class System:
 
     def join(self, name: str) -> Session:
         """A session of ours on the bus, with the credentials of process ``name`` if it is secured."""
-        return Session.join(self.endpoints, credentials=load_credentials(self.keys, name), direct=self.direct)
+        credentials, beat_s = load_credentials(self.keys, name), self.scenario.run.beat_s
+        return Session.join(self.endpoints, credentials=credentials, beat_s=beat_s, direct=self.direct)
 
     def _start_router(self, name: str, listen: str, wait: Callable[[], str | None]) -> tuple[str, ...]:
         """Start a router that links with those before it; its endpoints."""
         said = self.folder.absolute() / "logs" / f"{name}.endpoints"
         always = [part for endpoint in self.endpoints for part in ("--connect", endpoint)] + self._keys() + self._run()
+        always += ["--beat", str(self.scenario.run.beat_s)]
         target = "coordinator.router_process:main"
         self._order(name, target, ["--listen", listen, "--endpoints-file", str(said), *always])
         deadline = math.inf
