@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from coordinator.cli import run_command
 from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
 from scenarios.network_file import load_case
 from scenarios.readings_file import save_readings
@@ -35,17 +34,6 @@ mpc.branch = [
 ];
 """
 PNG = b"\x89PNG"
-
-
-@pytest.fixture
-def dsse(capsys: pytest.CaptureFixture[str]):
-    """Run ``dsse``; exit code, standard output, standard error."""
-
-    def run(*arguments: object) -> tuple[int, str, str]:
-        code = run_command([str(argument) for argument in arguments])
-        return code, *capsys.readouterr()
-
-    return run
 
 
 @pytest.fixture

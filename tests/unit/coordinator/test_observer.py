@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 
 import pytest
+from shown_states import said_by
 
 from agents.hearing import OVER_BEATS
 from agents.messages import Header, Incarnation, StateMessage
@@ -24,34 +25,13 @@ def a_state(area: str, sequence: int = 1, **changes: object) -> StateMessage:
     here = PARTITION.area(area)
     n = len(here.network.buses)
     said = {neighbour.area: (1, 2, 3) for neighbour in here.neighbours}
-    state = StateMessage(
-        header=Header("run", area, Incarnation(1, 1), 1, sequence, 0.0),
-        buses=tuple(bus.id for bus in here.network.buses),
-        vm=(1.0,) * n,
-        va=(0.0,) * n,
-        sigma_vm=(0.001,) * n,
-        sigma_va=(0.001,) * n,
-        referenced=True,
-        objective=1.0,
-        degrees_of_freedom=1,
-        removed=(),
-        critical=(),
-        checked=True,
-        sent=said,
-        heard=said,
-        messages=5,
-        bytes=500,
-        lost=1,
-        refused={},
-        notes=(),
-        faults={},
-        quality="good",
-        telemetry_age=0.0,
-        ages={},
-        scans={},
-        old_sides=(),
-    )
-    return replace(state, **changes)  # type: ignore[arg-type]
+    shown = {
+        **{"buses": tuple(bus.id for bus in here.network.buses), "vm": (1.0,) * n, "va": (0.0,) * n},
+        **{"sigma_vm": (0.001,) * n, "sigma_va": (0.001,) * n, "sent": said, "heard": said, "lost": 1},
+        **{"telemetry_age": 0.0, "ages": {}},
+    }
+    state = said_by(area, Incarnation(1, 1), **(shown | changes))
+    return replace(state, header=replace(state.header, sequence=sequence))
 
 
 def with_scan(state: StateMessage, scan: int) -> StateMessage:

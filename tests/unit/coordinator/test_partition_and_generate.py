@@ -8,22 +8,10 @@ from pathlib import Path
 import pytest
 
 from coordinator.area_table import format_area_tables
-from coordinator.cli import run_command
 from dsse_core.division import build_partition
 from scenarios.scenario import load_scenario
 
 PNG = b"\x89PNG"
-
-
-@pytest.fixture
-def dsse(capsys: pytest.CaptureFixture[str]):
-    """Run ``dsse``; exit code, standard output, standard error."""
-
-    def run(*arguments: object) -> tuple[int, str, str]:
-        code = run_command([str(argument) for argument in arguments])
-        return code, *capsys.readouterr()
-
-    return run
 
 
 def test_the_areas_of_a_scenario_are_printed_with_a_summary(dsse) -> None:

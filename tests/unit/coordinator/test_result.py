@@ -12,8 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
+from shown_states import said_by
 
-from agents.messages import Header, Incarnation, StateMessage
+from agents.messages import Incarnation, StateMessage
 from coordinator.comparison import Voltages, compare, largest_gap
 from coordinator.observer import Observer
 from coordinator.plots import draw_plots
@@ -32,32 +33,23 @@ def a_state_of(area, central, va_shift: float = 0.0) -> StateMessage:
     rows = [central.network.row[bus.id] for bus in area.network.buses]
     n = len(rows)
     said = {neighbour.area: (1, 2, 0) for neighbour in area.neighbours}
-    return StateMessage(
-        header=Header("run", area.name, Incarnation(1, 1), 1, 1, 0.0),
+    return said_by(
+        area.name,
+        Incarnation(1, 1),
         buses=tuple(bus.id for bus in area.network.buses),
         vm=tuple(central.vm[rows].tolist()),
         va=tuple((central.va[rows] + va_shift).tolist()),
         sigma_vm=(0.001,) * n,
         sigma_va=(0.001,) * n,
-        referenced=True,
-        objective=1.0,
         degrees_of_freedom=2,
         removed=("vm@6",),
         critical=("vm@1",),
-        checked=True,
         sent=said,
         heard=said,
-        messages=5,
-        bytes=500,
         lost=1,
-        refused={},
         notes=("neighbour area3 is gone",) if area.name == "area1" else (),
-        faults={},
-        quality="good",
         telemetry_age=0.0,
         ages={},
-        scans={},
-        old_sides=(),
     )
 
 
