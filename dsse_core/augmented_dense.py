@@ -41,9 +41,9 @@ class DenseFactor:
                 break
             below = raise_damping(below)
 
-    def solve(self, above: np.ndarray, below: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def solve(self, above: np.ndarray, below: np.ndarray, *, refined: bool = True) -> tuple[np.ndarray, np.ndarray]:
         """(s, dx) of ``R s + H dx = above``, ``H's - damping dx = below``; columns."""
-        solution = self._solve(np.concatenate([above, below / self._a]))
+        solution = self._solve(np.concatenate([above, below / self._a]), refined)
         return self._a * solution[: self._n_meas], solution[self._n_meas :]
 
     def state_variance(self) -> np.ndarray:
@@ -58,15 +58,15 @@ class DenseFactor:
     @cached_property
     def _inverse_diagonal(self) -> np.ndarray:
         """Of the tableau's inverse X, refined once: X + X (1 - K X)."""
-        unit = np.eye(len(self._scale), order="F")
-        inverse = lapack.dgetrs(self._lu, self._pivots, unit)[0]
-        rest = unit - self._tableau @ inverse
+        inverse = lapack.dgetri(self._lu, self._pivots)[0]
+        rest = np.eye(len(self._scale)) - self._tableau @ inverse
         diagonal = inverse.diagonal() + np.einsum("ij,ji->i", inverse, rest)
         return np.asarray(self._scale * diagonal * self._scale)
 
-    def _solve(self, b: np.ndarray) -> np.ndarray:
+    def _solve(self, b: np.ndarray, refined: bool) -> np.ndarray:
         scale = self._scale[:, None]
         b = scale * b
         solution = lapack.dgetrs(self._lu, self._pivots, b)[0]
-        solution += lapack.dgetrs(self._lu, self._pivots, b - self._tableau @ solution)[0]
+        if refined:
+            solution += lapack.dgetrs(self._lu, self._pivots, b - self._tableau @ solution)[0]
         return np.asarray(scale * solution)

@@ -20,6 +20,7 @@ from dsse_core import exchange_sparse as sparse
 from dsse_core.area_model import AreaModel
 from dsse_core.boundary_information import BoundaryInformation
 from dsse_core.exchange_sparse import NOT_YET, NOT_YET_OF_POWER, least_information
+from dsse_core.kept_factor import KeptFactor, solve_steps_anew, solve_steps_on
 from dsse_core.partition import Neighbour
 
 DAMPING = 0.3  # tau, p.u. and rad: undamped steps diverge while transit power is seen through losses only
@@ -48,6 +49,29 @@ def solve_step(
     most = np.full(len(model.free), DAMPING**-2.0) if powers_too else _damping(model)
     damping = np.maximum(most * less, least_information(model, model.free))
     return _shorten(model, sparse.solve_damped(model, x, heard, damping, np.zeros(len(damping))))
+
+
+def solve_steps(
+    model: AreaModel,
+    x: np.ndarray,
+    heard: Mapping[str, BoundaryInformation],
+    last_step: float,
+    enough: float,
+    kept: KeptFactor | None,
+) -> tuple[np.ndarray, list[float], KeptFactor | None]:
+    """``solve_step`` and what follows on its factor, or all of it on the one ``kept`` before, where that serves.
+
+    Their sum dx, max |dx| of each, and the factor. ``enough``: no further step where it is expected to be smaller. On
+    the tree a factor costs no more than a step.
+    """
+    if model.tree:
+        dx = solve_step(model, x, heard, last_step)
+        return dx, [float(abs(dx).max(initial=0.0))], None
+    if kept is not None and (solved := solve_steps_on(kept, model, x, heard, enough)) is not None:
+        return solved
+    damping = np.maximum(_damping(model) * min(1.0, last_step / SMALL_STEP), least_information(model, model.free))
+    dx, sizes, kept = solve_steps_anew(model, x, heard, damping, enough)
+    return _shorten(model, dx), sizes, kept
 
 
 def solve_step_near(

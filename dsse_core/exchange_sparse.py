@@ -33,9 +33,9 @@ def solve_damped(
     model: AreaModel, x: np.ndarray, heard: Mapping[str, BoundaryInformation], damping: np.ndarray, pull: np.ndarray
 ) -> np.ndarray:
     """The step dx, shape (size,), of ``(G + D) dx = b - pull``; ``damping``, diag(D), and ``pull`` (free,)."""
-    H, r, sigma = _stack(model, x, heard)
+    H, r, sigma = stack_rows(model, x, heard)
     dx = np.zeros(model.size)
-    dx[model.free] = _factor(H[:, model.free], sigma, damping).solve(r[:, None], pull[:, None])[1].ravel()
+    dx[model.free] = factor_rows(H[:, model.free], sigma, damping).solve(r[:, None], pull[:, None])[1].ravel()
     return dx
 
 
@@ -43,9 +43,9 @@ def state_variance(
     model: AreaModel, x: np.ndarray, heard: Mapping[str, BoundaryInformation], damping: np.ndarray
 ) -> np.ndarray:
     """diag of ``(G + D)^-1``, shape (size,); ``damping`` (free,): the diagonal of D."""
-    H, _, sigma = _stack(model, x, heard)
+    H, _, sigma = stack_rows(model, x, heard)
     variance = np.zeros(model.size)
-    variance[model.free] = _factor(H[:, model.free], sigma, damping).state_variance()
+    variance[model.free] = factor_rows(H[:, model.free], sigma, damping).state_variance()
     return variance
 
 
@@ -53,7 +53,7 @@ def variances(
     model: AreaModel, x: np.ndarray, heard: Mapping[str, BoundaryInformation]
 ) -> tuple[np.ndarray, np.ndarray]:
     """diag(G^-1), shape (size,), and diag(Omega) of the area's own measurements, shape (n_meas,) (eq. 3.22)."""
-    H, _, sigma = _stack(model, x, heard)
+    H, _, sigma = stack_rows(model, x, heard)
     factor = _factor_undamped(model, H, sigma, model.free)
     of_state = np.zeros(model.size)
     of_state[model.free] = factor.state_variance()
@@ -68,7 +68,7 @@ def sample_redundancy(
     With S = Omega / (sigma sigma') a projection, readings of variance 1 leave residuals of variance S_ii: as the mean
     square of DRAWS of them it is found to a factor of two or so, and 0 to the square of round-off.
     """
-    H, _, sigma = _stack(model, x, heard)
+    H, _, sigma = stack_rows(model, x, heard)
     factor = _factor_undamped(model, H, sigma, model.free)
     readings = sigma[:, None] * rng.standard_normal((len(sigma), DRAWS))
     s = factor.solve(readings, np.zeros((len(model.free), DRAWS)))[0][: len(model.z)]
@@ -80,7 +80,7 @@ def least_information(model: AreaModel, columns: np.ndarray) -> np.ndarray:
     return np.where(columns < 2 * len(model.area.network.buses), NOT_YET, NOT_YET_OF_POWER)
 
 
-def _factor(H: Matrix, sigma: np.ndarray, damping: np.ndarray) -> AugmentedFactor | DenseFactor:
+def factor_rows(H: Matrix, sigma: np.ndarray, damping: np.ndarray) -> AugmentedFactor | DenseFactor:
     if isinstance(H, np.ndarray):
         return DenseFactor(H, sigma, damping)
     return AugmentedFactor(sp.csr_array(H), sigma, damping)
@@ -92,9 +92,9 @@ def _factor_undamped(
     """The factor of some columns of H, damped only where nothing determines a variable yet."""
     H = H[:, columns]
     if not model.no_load:
-        return _factor(H, sigma, least_information(model, columns))
+        return factor_rows(H, sigma, least_information(model, columns))
     told = np.asarray((H * H).T @ sigma**-2.0)
-    return _factor(H, sigma, np.where(told > 0, NO_LOAD_NOT_YET * np.minimum(told, 1.0), NOTHING))
+    return factor_rows(H, sigma, np.where(told > 0, NO_LOAD_NOT_YET * np.minimum(told, 1.0), NOTHING))
 
 
 def compute_information(
@@ -110,7 +110,7 @@ def compute_information(
     (``_responses_to_shift``).
     """
     heard = {name: message for name, message in heard.items() if name != neighbour.area}
-    H, r, sigma = _stack(model, x, heard)
+    H, r, sigma = stack_rows(model, x, heard)
     B, dp = _responses_to_shift(model, x, neighbour, heard, H)
     y, T = model.boundary(x, neighbour)
     vm_b, va_b = model.voltage_columns(neighbour)
@@ -151,7 +151,7 @@ def _find_power(
 def _responses_to_shift(
     model: AreaModel, x: np.ndarray, neighbour: Neighbour, heard: Mapping[str, BoundaryInformation], H: Matrix
 ) -> tuple[np.ndarray, np.ndarray]:
-    """How all rows H of ``_stack``, shape (rows, 2), and (p, q) at the boundary, shape (2, 2), answer to dv.
+    """How all rows H of ``stack_rows``, shape (rows, 2), and (p, q) at the boundary, shape (2, 2), answer to dv.
 
     dvm scales all voltages of the area alike, dva turns all its angles (but a reference): then powers answer with
     2 s / vm_b and 0 exactly. Moving bus b alone would change flows by dv / z and leave M, a difference of such
@@ -178,7 +178,7 @@ def _responses_to_shift(
     return B, dp
 
 
-def _stack(
+def stack_rows(
     model: AreaModel, x: np.ndarray, heard: Mapping[str, BoundaryInformation]
 ) -> tuple[Matrix, np.ndarray, np.ndarray]:
     """H, residual and sigma of the area's own measurements and of the messages ``heard``, up to four rows each."""
