@@ -158,6 +158,8 @@ class AreaProtocol:
             self._read_telemetry(message)
         elif isinstance(message, LoadMessage | BoundaryMessage | InformationMessage | AdmmMessage | TallyMessage):
             self._hearing.take(message, self._now)
+            if self._hearing.boundary.get(key_sender) is message and message.header.scan == self._scan:
+                self._turn.take_answer(key_sender)
         return True
 
     def _read_telemetry(self, message: TelemetryMessage) -> None:
@@ -182,8 +184,11 @@ class AreaProtocol:
         problem = ""
         for _ in range(2):  # with all that was heard; if that leads nowhere, from the own telemetry alone
             try:
-                yield from self._tell_loads()
+                if not self._tells_loads_last:
+                    yield from self._tell_loads()
                 yield from self._estimate(news)
+                if self._tells_loads_last and self._to_tell is None and not self._turn.is_held_back(self._now):
+                    yield from self._tell_loads()
                 break
             except (ArithmeticError, np.linalg.LinAlgError, RuntimeError, ValueError) as error:
                 problem = f"no estimate: {type(error).__name__}: {error}"
@@ -191,6 +196,11 @@ class AreaProtocol:
         else:
             yield from self._show_state(None, (problem,))
         self._stop_answered_reminders()
+
+    @property
+    def _tells_loads_last(self) -> bool:
+        """Where they only start the iteration, and it is under way; for whoever has to start anew."""
+        return self._strategy.passes_on and self._told is not None
 
     def _start_anew(self) -> None:
         """Forget what cannot be computed with, as a restart would: where the iteration is, and all that was heard.
@@ -294,7 +304,8 @@ class AreaProtocol:
                 self._reminders.start(n.area, self._now)
                 if self._strategy.passes_on:
                     told += 1
-                    self._turn.await_answers(self._now)
+                if self._strategy.expects_answer(n):
+                    self._turn.await_answer(n.area, self._now)
                 yield Publish(message, n.area)
         self._turn.collect(self._now, told)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-ANSWER_S = 0.0025  # in which neighbours that have something to say to what they were told usually do
+ANSWER_S = 0.005  # in which neighbours that have something to say to what they were told usually do
 LONGEST_TALK_S = 0.025  # after which an area at rest shows what it has, however often it is answered
 FEW = 8  # neighbours that may be told at any time
 COLLECT_S = 0.00025  # for each one more that has been told: what they answer is taken in at once
@@ -26,6 +26,7 @@ class Turn:
         self.awaited: set[str] = set()
         self.show_at = self.speak_at = math.inf
         self._talk_since = math.inf  # when neighbours were told first of what has not been shown yet
+        self._asked: set[str] = set()  # neighbours that have not answered yet
 
     def wait_for(self, awaited: set[str], now: float) -> None:
         """If there are any, what was to be shown is of the last scan."""
@@ -52,8 +53,9 @@ class Turn:
     def may_show(self, now: float) -> bool:
         return not self.awaited and not now < self.show_at < math.inf
 
-    def await_answers(self, now: float) -> None:
-        """A neighbour has been told something new."""
+    def await_answer(self, name: str, now: float) -> None:
+        """Neighbour ``name`` has been told what it may have an answer to."""
+        self._asked.add(name)
         self._talk_since = min(self._talk_since, now)
         self.show_at = min(now + ANSWER_S, self._talk_since + LONGEST_TALK_S)
 
@@ -61,5 +63,13 @@ class Turn:
         """So many neighbours have been told something new."""
         self.speak_at = now + COLLECT_S * (told - FEW) if told > FEW else math.inf
 
+    def take_answer(self, name: str) -> None:
+        """Neighbour ``name`` has said something new; after the last answer there is nothing to wait for."""
+        if name in self._asked:
+            self._asked.remove(name)
+            if not self._asked:
+                self.show_at = -math.inf
+
     def end_talk(self) -> None:
         self.show_at = self._talk_since = math.inf
+        self._asked.clear()

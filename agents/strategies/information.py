@@ -22,16 +22,26 @@ from agents.triangle import read_triangle, write_triangle
 from dsse_core.area_model import AreaModel, build_area_model
 from dsse_core.bad_data import DEAD_VM, chi_square_limit
 from dsse_core.boundary_information import BoundaryInformation
-from dsse_core.exchange import compute_information, find_variances, solve_step, solve_step_near, state_variance
+from dsse_core.exchange import (
+    compute_information,
+    find_variances,
+    solve_step,
+    solve_step_near,
+    solve_steps,
+    state_variance,
+)
 from dsse_core.feeder_bad_data import NoLoadModel, build_no_load_model, count_freedom, find_objective
+from dsse_core.kept_factor import ON_THE_WAY, KeptFactor, find_rest
 from dsse_core.measurement import Measurement, MeasurementKind
 from dsse_core.partition import Neighbour
 
 SETTLED_STEP = 1e-11  # p.u., rad: below it a further step changes nothing
-ON_THE_WAY = 1e-9  # p.u., rad: after a larger last step there is more to be done; below it may be rounding
-NO_FURTHER = 0.1  # rate of steps, below which the last one tells how large the next one would be
 TOLD_EARLY = 1e-6  # p.u., rad: after a smaller step neighbours are told, further ones change nothing of it
 SAME_STATE = 1e-8  # p.u., rad: what it is told at; information about it changes by as little, relatively
+SAME_MESSAGE = 1e-7  # the same, where the state moves ever less: the next time by less than
+SAME_NEXT = 1e-10  # p.u., rad
+SURELY_NEWS = 1e-4  # p.u., rad; what is told after moving by more, and takes longer to compare than to tell
+ANSWERED = 1e-6  # p.u., rad: what a neighbour is told after moving less changes its answer by its square, or next to it
 SETTLED_NEAR_START = 1e-6  # p.u., rad: while news is missing
 STEPS_PER_NEWS = 40
 TINY = 1e-30
@@ -65,8 +75,11 @@ class Information(Strategy):
         self._has_new_readings = False  # or a decision which of them are in use
         self._steps_left = 0
         self._last_step = np.inf
-        # neighbour -> information last computed for it, after the state and the other messages that it rests on
-        self._computed: dict[str, tuple[np.ndarray, dict[str, BoundaryInformation], BoundaryInformation]] = {}
+        self._factor: KeptFactor | None = None
+        # neighbour -> information last computed for it, after the messages of others that it rests on
+        self._computed: dict[str, tuple[dict[str, BoundaryInformation], BoundaryInformation]] = {}
+        # neighbour -> the state at which that was, and before it by how much it had moved since the time before
+        self._moved: dict[str, tuple[float, np.ndarray]] = {}
         self._is_released = False  # a state that rests on the newest messages, for neighbours to be told
         self._news = 0  # since all areas have been heard, of these measurements
         self._shown: Estimate | None = None
@@ -131,12 +144,15 @@ class Information(Strategy):
         """What was computed last, where neither the others' messages nor, but for rounding, the state has changed."""
         assert self._model is not None
         others = {name: heard for name, heard in self._heard.items() if name != neighbour.area}
+        before, told_at = self._moved.get(neighbour.area, (np.inf, np.zeros(0)))
+        moved = float(abs(self._x - told_at).max()) if told_at.shape == self._x.shape else np.inf
         if (last := self._computed.get(neighbour.area)) is not None:
-            x, heard, information = last
-            if _are_same(heard, others) and abs(self._x - x).max() <= SAME_STATE:
-                return information
+            ends = moved <= SAME_MESSAGE and moved * moved <= SAME_NEXT * before < np.inf
+            if (moved <= SAME_STATE or ends) and _are_same(last[0], others):
+                return last[1]
+        self._moved[neighbour.area] = moved, self._x
         information = compute_information(self._model, self._x, neighbour, self._heard)
-        self._computed[neighbour.area] = self._x, others, information
+        self._computed[neighbour.area] = others, information
         return information
 
     def is_news(self, neighbour: Neighbour, message: BoundaryNews, last: BoundaryNews) -> bool:
@@ -145,9 +161,14 @@ class Information(Strategy):
         assert self._model is not None
         if replace(message, header=last.header) == last:
             return False
+        if self._moved[neighbour.area][0] > SURELY_NEWS:
+            return True
         y = self._model.boundary_values(self._x, neighbour)
         moved = has_moved(y, _read(message), _read(last), self._heard.get(neighbour.area))
         return moved or (message.referenced, message.complete) != (last.referenced, last.complete)
+
+    def expects_answer(self, neighbour: Neighbour) -> bool:
+        return self._moved[neighbour.area][0] > ANSWERED
 
     def find_refusal(self, message: BoundaryNews) -> str:
         assert isinstance(message, InformationMessage)
@@ -245,18 +266,27 @@ class Information(Strategy):
             self._shown = self._estimate(self._model, self._settled_near_start())
             return
         self._steps_left -= 1
-        dx = solve_step(self._model, self._x, self._heard, self._last_step)
-        if self._steps_left < STEPS_PER_NEWS - FULL_STEPS:
-            dx = dx / 2
+        dx, sizes = self._solve_steps(self._model)
         self._x = _with_positive_magnitudes(self._x + dx, len(self._area.network.buses))
-        before, self._last_step = self._last_step, float(abs(dx).max(initial=0.0))
-        if _find_rest(before, self._last_step) <= SETTLED_STEP:
+        rest = find_rest([self._last_step, *sizes])
+        self._last_step = sizes[-1]
+        if rest <= SETTLED_STEP:
             self._steps_left = 0
             self._start = self._x
         early = not self._is_released and self._last_step <= TOLD_EARLY
         if self._steps_left == 0 or early:
             self._is_released = True
             self._shown = self._estimate(self._model, self._x)
+
+    def _solve_steps(self, model: AreaModel) -> tuple[np.ndarray, list[float]]:
+        """All that one factor serves for, or half a step after too many."""
+        if self._steps_left >= STEPS_PER_NEWS - FULL_STEPS:
+            dx, sizes, self._factor = solve_steps(
+                model, self._x, self._heard, self._last_step, SETTLED_STEP, self._factor
+            )
+            return dx, sizes
+        dx = solve_step(model, self._x, self._heard, self._last_step) / 2
+        return dx, [float(abs(dx).max(initial=0.0))]
 
     def _near_start(self, x: np.ndarray) -> np.ndarray:
         assert self._model is not None
@@ -327,12 +357,6 @@ class Information(Strategy):
                 "or decision; a false message can do this, or currents metered far better than flows and injections"
             )
         return tuple(notes)
-
-
-def _find_rest(before: float, last: float) -> float:
-    """The size of the next step, as far as that of the last two tells it; else that of the last one."""
-    shrinks = last <= ON_THE_WAY and last <= NO_FURTHER * before < np.inf
-    return last * last / before if shrinks else last
 
 
 def _with_positive_magnitudes(x: np.ndarray, n: int) -> np.ndarray:

@@ -96,6 +96,10 @@ class Strategy(ABC):
         """Whether nothing more can be done at this boundary until ``neighbour`` has answered the last message."""
         return False
 
+    def expects_answer(self, neighbour: Neighbour) -> bool:
+        """Whether ``neighbour`` will have something to say to what ``message_for`` has last said to it."""
+        return False
+
     def find_refusal(self, message: BoundaryNews) -> str:
         """Why a neighbour's message cannot be used, in short; empty if it can."""
         return ""

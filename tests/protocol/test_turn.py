@@ -48,21 +48,33 @@ def changed(word: InformationMessage, k: int, scan: int) -> Received:
 
 def test_answers_are_awaited_anew_after_each_word_and_not_for_ever():
     turn = Turn()
-    turn.await_answers(1.0)
+    turn.await_answer("area2", 1.0)
     assert turn.show_at == 1.0 + ANSWER_S
-    turn.await_answers(1.002)
+    turn.await_answer("area2", 1.002)
     assert turn.show_at == 1.002 + ANSWER_S
-    turn.await_answers(1.0 + LONGEST_TALK_S)
+    turn.await_answer("area2", 1.0 + LONGEST_TALK_S)
     assert turn.show_at == 1.0 + LONGEST_TALK_S
+
+
+def test_after_the_last_answer_nothing_is_waited_for():
+    turn = Turn()
+    turn.await_answer("area2", 1.0)
+    turn.await_answer("area3", 1.0)
+    turn.take_answer("area3")
+    assert not turn.may_show(1.0)
+    turn.take_answer("area1")
+    assert not turn.may_show(1.0), "nobody has asked it"
+    turn.take_answer("area2")
+    assert turn.may_show(1.0)
 
 
 def test_a_talk_ends_with_its_scan():
     turn = Turn()
-    turn.await_answers(1.0)
+    turn.await_answer("area2", 1.0)
     turn.wait_for({"area2"}, 2.0)
     assert not turn.may_show(2.0)
     turn.wait_for(set(), 2.0)
-    turn.await_answers(3.0)
+    turn.await_answer("area2", 3.0)
     assert turn.show_at == 3.0 + ANSWER_S
 
 
@@ -76,9 +88,9 @@ def test_only_the_one_awaited_is_told_anything():
 
 def test_answers_of_many_are_collected_and_then_taken_in_together():
     turn = Turn()
-    turn.await_answers(1.0)
-    turn.collect(1.0, FEW + 40)
-    over = 1.0 + 40 * COLLECT_S
+    turn.await_answer("area2", 1.0)
+    turn.collect(1.0, FEW + 60)
+    over = 1.0 + 60 * COLLECT_S
     assert turn.show_at < over
     assert (turn.is_held_back(over - 1e-9), turn.next_due(over - 1e-9)) == (True, over)
     turn.wait_for(set(), over)
