@@ -78,13 +78,13 @@ class Launcher:
         """Have the parent import modules ("module"), or call functions ("module:function"), now."""
         self._send(Preload(targets))
 
-    def start(self, name: str, target: str, *arguments: Any, log: Path, stop_last: bool = False) -> None:
+    def start(self, name: str, target: str, *arguments: Any, log: Path, stop_last: bool = False, nice: int = 0) -> None:
         """Start process ``name``, which calls ``target`` ("module:function") and writes its output to ``log``.
 
-        ``stop_last``: on leaving, stop it after the others.
+        ``stop_last``: on leaving, stop it after the others. ``nice``: by how much it gives way to the others.
         """
         self._any_started = True
-        self._send(Start(name, target, pickle.dumps(arguments), log, stop_last))
+        self._send(Start(name, target, pickle.dumps(arguments), log, stop_last, nice))
 
     def signal(self, name: str, number: int) -> None:
         """Send a signal to process ``name``; nothing happens where it has ended."""

@@ -24,6 +24,7 @@ from scenarios.scenario import Scenario
 from scenarios.telemetry import Telemetry
 
 ROUTER_START_S = 10.0
+NICE_OF_AREAS = 10  # hundreds that compute leave router and plant, and whoever starts the rest, what little these need
 HELD_S = LONGEST_S  # for which a held scan stays
 
 
@@ -168,7 +169,9 @@ class System:
     def _order(self, name: str, target: str, *arguments: Any) -> None:
         self._orders[name] = (target, *arguments)
         self._running.add(name)
-        self.launcher.start(name, target, *arguments, log=self.log_of(name), stop_last=name in ROUTERS)
+        is_router, is_area = name in ROUTERS, name not in (*ROUTERS, PLANT)
+        nice = NICE_OF_AREAS if is_area else 0
+        self.launcher.start(name, target, *arguments, log=self.log_of(name), stop_last=is_router, nice=nice)
 
     def _keys(self) -> list[str]:
         return ["--keys", str(self.keys)] if self.keys else []

@@ -39,7 +39,7 @@ class Start:
     """Fork process ``name``: it calls ``target`` ("module:function") and exits with what that returns.
 
     ``arguments``: pickled, so that only the process itself spends time on them. ``stop_last``: it is stopped when
-    the others have ended.
+    the others have ended. ``nice``: by how much it gives way to this parent and to who is less nice.
     """
 
     name: str
@@ -47,6 +47,7 @@ class Start:
     arguments: bytes
     log: Path
     stop_last: bool = False
+    nice: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,6 +147,7 @@ class Zygote:
         """In the child: leave everything of the parent behind, call the target, exit."""
         code = 1
         try:
+            os.nice(order.nice)
             signal.set_wakeup_fd(-1)
             for number in (signal.SIGCHLD, signal.SIGTERM):
                 signal.signal(number, signal.SIG_DFL)

@@ -71,6 +71,15 @@ def test_the_exit_code_of_a_process_is_told(tmp_path: Path):
     assert codes == {"one": 7, "two": 5}
 
 
+def test_a_nice_process_gives_way_to_the_others(tmp_path: Path):
+    news = News()
+    with Launcher(news.put) as launcher:
+        launcher.start("usual", "os:nice", 0, log=tmp_path / "usual.log")
+        launcher.start("nice", "os:nice", 0, log=tmp_path / "nice.log", nice=3)
+        niceness = {name: ended.code for name, ended in take_all(news, Ended, "usual", "nice").items()}
+    assert niceness == {"usual": os.nice(0), "nice": min(os.nice(0) + 3, 19)}
+
+
 def test_a_killed_process_is_told_with_its_signal(tmp_path: Path):
     news = News()
     with Launcher(news.put) as launcher:
