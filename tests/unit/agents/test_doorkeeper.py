@@ -1,6 +1,7 @@
 """The doorkeeper lets in what belongs here, counts the rest, and does not grow."""
 
 import logging
+from dataclasses import replace
 
 import pytest
 
@@ -21,6 +22,18 @@ def door():
 
 def test_a_message_on_a_known_key_is_let_in_with_the_owner_of_the_key(door):
     doorkeeper, inbox = door
+    doorkeeper.take(KEY, encode(LOAD))
+    assert inbox.take(0.0) == [Received(LOAD, "area2")]
+
+
+def test_repeats_are_let_in_and_what_is_new_or_damaged_is_not_taken_for_one(door):
+    doorkeeper, inbox = door
+    newer = replace(LOAD, header=replace(LOAD.header, sequence=2))
+    for message in (LOAD, LOAD, newer, LOAD, LOAD):
+        doorkeeper.take(KEY, encode(message))
+        assert inbox.take(0.0) == [Received(message, "area2")]
+    doorkeeper.take(KEY, encode(LOAD)[:-1] + b"?")
+    assert inbox.take(0.0) == [Refused("damaged", 1)]
     doorkeeper.take(KEY, encode(LOAD))
     assert inbox.take(0.0) == [Received(LOAD, "area2")]
 
