@@ -71,7 +71,9 @@ def run_agent(content: AreaFile, session: Session, inbox: Inbox) -> str:
     own_token = live_key(run, "area", name, incarnation)
     say_farewell = session.publisher(own_token)
     session.declare_presence(own_token)
-    log.info("area %s of run %s, strategy %s, incarnation %s", name, run, content.strategy, incarnation)
+    backend = protocol.describe_backend()
+    how = f"{content.strategy}, back end {backend}" if backend else content.strategy
+    log.info("area %s of run %s, strategy %s, incarnation %s", name, run, how, incarnation)
     presence, succession = Presence(), Succession(f"area {name} of run {run}", incarnation, now, content.beat_s)
     events: list[Event] = []
     told: object = None
@@ -85,6 +87,8 @@ def run_agent(content: AreaFile, session: Session, inbox: Inbox) -> str:
                         told = _log_change(message, told)
                 case Finish(reason):
                     say_farewell(reason.encode())
+                    if (at_the_end := protocol.describe_backend()) != backend:
+                        log.info("back end %s", at_the_end)
                     return reason
         now = time.monotonic()
         news = inbox.take(min(protocol.wait_s(now), links.next_due() - now, succession.next_due() - now))

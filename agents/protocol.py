@@ -77,6 +77,10 @@ class AreaProtocol:
         self._refused: Counter[str] = Counter()
         self._not_let_in: dict[str, int] = {}
 
+    def describe_backend(self) -> str:
+        """See ``Strategy.describe_backend``."""
+        return self._strategy.describe_backend()
+
     def wait_s(self, now: float) -> float:
         """How long the protocol may be left alone, s."""
         at = min(self._next_beat, self._reminders.next_due(), self._hearing.next_change(now), self._turn.next_due(now))

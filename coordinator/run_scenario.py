@@ -30,7 +30,7 @@ from coordinator.run_news import (
 from coordinator.split import default_run_id
 from coordinator.system import System
 from coordinator.yardstick import start_yardstick
-from dsse_core.area_model import uses_tree
+from dsse_core.area_model import choose_backend
 from scenarios.check import check_scenario
 from scenarios.scenario import Scenario
 from scenarios.telemetry import make_telemetry
@@ -52,7 +52,7 @@ def run_scenario(
 ) -> RunResult:
     """Run ``scenario`` with the processes of ``launcher``; see ``coordinator.run``. ``started``: monotonic time."""
     scenario = choose_scenario(scenario, seed, strategy, timeout_s)
-    if any(map(uses_tree, scenario.partition.areas)):
+    if any(choose_backend(area) == "tree" for area in scenario.partition.areas):
         launcher.preload("agents.warm_up:warm_up")  # beside the check, which in a large grid takes as long
     check_scenario(scenario)
     folder = make_run_folder(out, default_run_id(scenario), ("areas", "logs"))

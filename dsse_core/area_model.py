@@ -63,15 +63,15 @@ class AreaModel:
     @cached_property
     def tree(self) -> AreaTree | None:
         """Its measurements on the tree of its buses, if that is the back end; without it the exchange is sparse."""
-        if self.no_load or not uses_tree(self.area, self.backend):
+        if self.no_load or choose_backend(self.area, self.backend) != "tree":
             return None
         return AreaTree(self.area, self.meters, self.z, self.sigma, self.reference)
 
     @cached_property
     def dense(self) -> DenseRows | None:
         """Its rows in dense arrays, if that is the back end."""
-        small = self.backend == "auto" and len(self.area.network.buses) < DENSE_BELOW
-        return DenseRows(self.model, self.into_children, self.into_area) if small or self.backend == "dense" else None
+        is_dense = choose_backend(self.area, self.backend) == "dense"
+        return DenseRows(self.model, self.into_children, self.into_area) if is_dense else None
 
     def with_readings(self, measurements: Sequence[Measurement]) -> AreaModel:
         """The same meters, read anew: what rests on topology and meters is kept."""
@@ -176,10 +176,14 @@ class AreaModel:
         return sp.csr_array((np.ones(len(columns)), np.array(columns), np.arange(len(columns) + 1)), shape=shape)
 
 
-def uses_tree(area: Area, backend: Backend = "auto") -> bool:
-    """Whether the exchange of ``area`` is computed on the tree, for which numba is loaded."""
-    large = backend == "tree" or (backend == "auto" and len(area.network.buses) >= TREE_FROM)
-    return large and not find_no_tree(area.network)
+def choose_backend(area: Area, backend: Backend = "auto") -> Literal["tree", "sparse", "dense"]:
+    """What computes the exchange of ``area`` if ``backend`` is asked for; the tree, for which numba is loaded, where
+    it can serve.
+    """
+    n_bus = len(area.network.buses)
+    if backend == "tree" or (backend == "auto" and n_bus >= TREE_FROM):
+        return "sparse" if find_no_tree(area.network) else "tree"
+    return "dense" if backend == "dense" or (backend == "auto" and n_bus < DENSE_BELOW) else "sparse"
 
 
 def build_area_model(

@@ -19,7 +19,7 @@ from agents.strategies.boundary_marginal import distance_between, has_moved
 from agents.strategies.interface import Estimate, Knowledge, Strategy
 from agents.strategies.start import start_state
 from agents.triangle import read_triangle, write_triangle
-from dsse_core.area_model import AreaModel, build_area_model
+from dsse_core.area_model import AreaModel, build_area_model, choose_backend
 from dsse_core.bad_data import DEAD_VM, chi_square_limit
 from dsse_core.boundary_information import BoundaryInformation
 from dsse_core.exchange import (
@@ -89,6 +89,12 @@ class Information(Strategy):
     @property
     def restless(self) -> bool:
         return self._steps_left > 0
+
+    def describe_backend(self) -> str:
+        chosen = choose_backend(self._area)
+        tree = self._model.tree if self._model else None
+        left = [f"{count} for {why}" for why, count in tree.declined.most_common()] if tree else []
+        return f"{chosen}, calls left to sparse matrices: {', '.join(left)}" if left else chosen
 
     def solve(self, known: Knowledge) -> tuple[Estimate | None, tuple[str, ...]]:
         self._tree.adopt(known)

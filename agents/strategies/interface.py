@@ -100,6 +100,10 @@ class Strategy(ABC):
         """Whether ``neighbour`` will have something to say to what ``message_for`` has last said to it."""
         return False
 
+    def describe_backend(self) -> str:
+        """For the log: what computes the exchange, and how often something else had to; empty without such a choice."""
+        return ""
+
     def find_refusal(self, message: BoundaryNews) -> str:
         """Why a neighbour's message cannot be used, in short; empty if it can."""
         return ""

@@ -45,7 +45,9 @@ def test_ctrl_c_does_not_reach_the_agents_who_are_stopped_in_order(start_run, de
     run.end()
     ends = {e["name"]: e["code"] for e in run.events() if e["event"] == "process ended"}
     assert ends == {"area1": 0, "area2": 0, "plant": 0, "router": 0}
-    assert "SIGTERM" in (run.folder / "logs" / "area1.log").read_text()
+    log = (run.folder / "logs" / "area1.log").read_text()
+    assert "strategy information, back end dense, incarnation" in log
+    assert "SIGTERM" in log
 
 
 def test_a_killed_coordinator_stops_nothing_and_one_signal_to_the_parent_stops_all(start_run, assert_nothing_left):

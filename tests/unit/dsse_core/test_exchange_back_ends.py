@@ -10,7 +10,7 @@ from feeders import Feeder, make_feeder, make_star
 from grids import MeterShares, make_grid
 
 from agents.strategies.boundary_marginal import marginal_of
-from dsse_core.area_model import AreaModel, Backend, build_area_model, uses_tree
+from dsse_core.area_model import AreaModel, Backend, build_area_model, choose_backend
 from dsse_core.boundary_information import BoundaryInformation
 from dsse_core.exchange import (
     compute_information,
@@ -147,13 +147,11 @@ def test_an_unmetered_bus_is_left_to_the_sparse_path_where_digits_would_be_lost_
 def test_the_back_end_is_the_tree_for_large_radial_areas_only():
     small = make_feeder(1, n_bus=20, n_area=1).partition.areas[0]
     large = make_feeder(1, n_bus=80, n_area=1).partition.areas[0]
-    assert not uses_tree(small)
-    assert uses_tree(small, "tree")
-    assert uses_tree(large)
-    assert not uses_tree(large, "sparse")
+    assert [choose_backend(small), choose_backend(small, "tree")] == ["dense", "tree"]
+    assert [choose_backend(large), choose_backend(large, "sparse")] == ["tree", "sparse"]
     meshed = make_grid(2, 30, 1, 0.3, 0.0, 3, 0.0, None, True, MeterShares()).partition.areas[0]
     assert len(meshed.network.active_branches) >= len(meshed.network.buses)
-    assert not uses_tree(meshed, "tree")
+    assert choose_backend(meshed, "tree") == "sparse"
 
 
 def test_small_areas_are_dense_unless_asked_otherwise():
