@@ -7,8 +7,6 @@ start the iteration.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from agents.area_file import AreaFile
@@ -48,7 +46,7 @@ class Admm(Strategy):
         changed = known.measurements != self._measurements or self._model is None
         if changed:
             self._take_measurements(known)
-        changed |= self._hear(known.boundary)
+        changed |= self._hear(known)
         boundaries = list(self._boundaries.values())
         # Stepping at other boundaries meanwhile takes more messages and no less time. Who is gone is not waited for.
         waits = any(b.is_owed for b in boundaries if b.neighbour.area in known.present)
@@ -99,20 +97,28 @@ class Admm(Strategy):
         return self._area.reference is not None or angle_meters
 
     def _take_measurements(self, known: Knowledge) -> None:
-        """A new scan: state and iterations so far are the start for it."""
+        """A new scan: state and iterations so far are its start, unless they are farther from it than none at all."""
         reference = self._area.reference[0] if self._area.reference else None
         model = self._model = build_area_model(self._area, known.measurements, reference)
         self._measurements = known.measurements
         if all(b.z is None for b in self._boundaries.values()):
             self._x = start_state(self._content, known.loads)
+        elif _distance(model, self._x) > _distance(model, flat := start_state(self._content, {})):
+            self._x = flat
+            self._boundaries = {n.area: BoundaryIteration(n) for n in self._area.neighbours}
         self._sigma = self._own_sigma(model)
         for b in self._boundaries.values():
             b.weight = compute_weight(model, self._x, b.neighbour)
 
-    def _hear(self, messages: Mapping[str, BoundaryNews]) -> bool:
-        """Take in the newest messages; whether what they say beside r changes how the area is pulled."""
+    def _hear(self, known: Knowledge) -> bool:
+        """Take in the newest messages; whether what they say beside r changes how the area is pulled.
+
+        A boundary's first word is one of the scan: an iteration that went astray may have ended with the one before.
+        """
         before = [b.terms for b in self._boundaries.values()]
-        heard = {name: m for name, m in messages.items() if isinstance(m, AdmmMessage)}
+        messages = {name: m for name, m in known.boundary.items() if isinstance(m, AdmmMessage)}
+        started = {name for name, b in self._boundaries.items() if b.z is not None}
+        heard = {name: m for name, m in messages.items() if name in started or m.header.scan == known.scan}
         for name, b in self._boundaries.items():
             b.heard = heard.get(name)
             b.angle_known = self._has_own_angle or any(m.referenced for other, m in heard.items() if other != name)
@@ -161,3 +167,9 @@ class Admm(Strategy):
 
     def _notes(self) -> tuple[str, ...]:
         return tuple(f"no word from {name} yet" for name, b in self._boundaries.items() if b.heard is None)
+
+
+def _distance(model: AreaModel, x: np.ndarray) -> float:
+    """From the readings, which is J without the virtual measurements; infinity for an ``x`` beyond all numbers."""
+    weighted = (model.residual(x) / model.sigma)[~model.virtual]
+    return float(np.nan_to_num(weighted @ weighted, nan=np.inf))

@@ -280,17 +280,29 @@ def test_telemetry_that_cannot_be_is_refused_and_counted(area1, change, reason):
     assert state.refused == {reason: 1}
 
 
-@pytest.mark.parametrize("strategy", ["angle-offset", "information"])
-def test_readings_that_break_the_iteration_are_forgotten_with_the_next_scan(strategy):
+ALL_THREE = ("area1", "area2", "area3")
+
+
+@pytest.mark.parametrize(
+    ("strategy", "value", "misread"),
+    [
+        ("angle-offset", 1e12, ALL_THREE),
+        ("information", 1e12, ALL_THREE),
+        ("admm", 1e3, ALL_THREE),
+        ("admm", 1e3, ("area2",)),
+    ],
+)
+def test_readings_that_break_the_iteration_are_forgotten_with_the_next_scan(strategy, value, misread):
     sane = make_telemetry(load_scenario("ieee33")).by_area
     bus = SimulatedBus(area_files_of(load_scenario("ieee33"), strategy=strategy), sane)
-    absurd = {area: [replace(m, value=1e12 if m.sigma else 0.0) for m in readings] for area, readings in sane.items()}
-    bus.next_scan(absurd)
-    bus.run(0.02)
+    bus.run(1.0)
+    absurd = {area: [replace(m, value=value if m.sigma else 0.0) for m in sane[area]] for area in misread}
+    bus.next_scan(sane | absurd)
+    bus.run(0.1)
     for state in bus.states.values():
         assert np.isfinite([*state.vm, *state.va, *state.sigma_vm, *state.sigma_va]).all()
     bus.next_scan(sane)
-    bus.run_until_settled()
+    bus.run(1.0)
     fresh = SimulatedBus(area_files_of(load_scenario("ieee33"), strategy=strategy), sane)
     fresh.run_until_settled()
     for name, state in bus.states.items():
