@@ -122,7 +122,13 @@ def _find_residuals(
             continue
         R, z = message.rows
         first, end = end, end + len(z)
-        y, T = model.boundary(x, n)
+        weight = R.T @ s[first:end]
+        if n.is_parent and model.into_area is not None:
+            y, T = model.boundary(x, n)
+            g += T.T @ weight
+        else:
+            columns = model.boundary_columns(n)
+            y = x[columns]
+            g[columns] += weight
         r.append(z - R @ y)
-        g = g + T.T @ (R.T @ s[first:end])
     return np.concatenate(r), g

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -60,7 +61,7 @@ class Estimate:
     checked: bool = True
     settled: bool = True
 
-    @property
+    @cached_property
     def is_reasonable(self) -> bool:
         """Whether a grid can be in this state, however far from any real one.
 
