@@ -86,7 +86,7 @@ class BoundaryMessage:
     """The sender's corrected state at a boundary bus, p.u. and rad.
 
     ``referenced``: its angle counts from the substation. ``fresh``, in every boundary message: all that the sender's
-    side rests on is of its scan and was heard lately (agents/freshness.py). Alone of the body it holds at
+    side rests on is of its scan and was heard lately (agents/freshness.py). Alone of the body it holds since
     ``header.time``, and may differ between two messages of one sequence number.
     """
 

@@ -318,12 +318,9 @@ class AreaProtocol:
         fresh = self._find_fresh()
         for name, message in self._sent_boundary.items():
             if message.fresh != fresh[name] and message.header.scan == self._scan:
-                yield self._renew_boundary(name, fresh[name])
-
-    def _renew_boundary(self, name: str, fresh: bool) -> Publish:
-        message = renew(self._sent_boundary[name], fresh, self._now + self._clock_offset)
-        self._sent_boundary[name] = message
-        return Publish(message, name)
+                renewed = renew(message, fresh[name], self._now + self._clock_offset)
+                self._sent_boundary[name] = renewed
+                yield Publish(renewed, name)
 
     def _find_fresh(self) -> dict[str, bool]:
         return find_fresh(self._hearing, list(self._by_name), set(self._gone), self._now)
@@ -371,11 +368,9 @@ class AreaProtocol:
     def _repeat(self, just_done: Sequence[Action]) -> list[Publish]:
         """The last message to each neighbour and the last state, except those sent this very moment."""
         just_sent = {id(action.message) for action in just_done if isinstance(action, Publish)}
-        fresh = self._find_fresh()
+        list(self._tell_freshness())  # with the repeats
         last_words: list[Publish] = []
         for name in self._by_name:
-            if name in self._sent_boundary and id(self._sent_boundary[name]) not in just_sent:
-                self._renew_boundary(name, fresh[name])
             for message in (d.get(name) for d in (self._sent_load, self._sent_boundary, self._sent_tally)):
                 if message is not None:
                     last_words.append(Publish(message, name))
