@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from dsse_core.augmented import AugmentedFactor
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation_plan import Backend, BackendChoice, EstimationPlan, build_estimation_plan
-from dsse_core.measurement import Measurement, Source, check_measurements
+from dsse_core.measurement import Measurement, Source, check_measurements, check_readings
 from dsse_core.network import Network
 from dsse_core.sparse_estimation import estimate_sparse
 from dsse_core.tree_estimation import estimate_on_tree, find_variances_on_tree
@@ -164,26 +164,21 @@ def estimate_with_plan(
         InvalidInputError: readings that cannot be.
         EstimationDivergedError: names the measurement with the largest weighted residual.
     """
-    values, sigmas = _check_readings(plan, np.array(values, dtype=float), np.asarray(sigmas, dtype=float))
-    scan = values, sigmas, start, tolerance, max_iterations
-    found = estimate_sparse(plan.sparse, *scan) if isinstance(plan.tree, str) else estimate_on_tree(plan.tree, *scan)
-    vm, va, residual, iterations = found
-    weighted = residual / np.where(sigmas > 0, sigmas, np.inf)
-    return EstimationResult(plan, values, sigmas, vm, va, residual, float(weighted @ weighted), iterations)
+    values, sigmas = np.array(values, dtype=float), np.array(sigmas, dtype=float)
+    if not values.shape == sigmas.shape == (len(plan.meters),):
+        problem = f"the plan has {len(plan.meters)} meters; given are values {values.shape} and sigmas {sigmas.shape}"
+        raise InvalidInputError(f"readings of network {plan.network.name!r}", [problem])
+    options = start, tolerance, max_iterations
+    if isinstance(plan.tree, str):
+        sigmas[plan.virtual] = 0.0
+        if not _are_usable(values, sigmas, plan.virtual):
+            check_readings(plan.network, plan.meters, values, sigmas)
+        found = estimate_sparse(plan.sparse, values, sigmas, *options)
+    else:
+        found = estimate_on_tree(plan.tree, plan.virtual, values, sigmas, *options)
+    return EstimationResult(plan, values, sigmas, *found)
 
 
 def _are_usable(values: np.ndarray, sigmas: np.ndarray, virtual: np.ndarray) -> bool:
     of_meter = np.isfinite(sigmas) & (sigmas > 0)
     return bool(np.isfinite(values).all() and np.where(virtual, values == 0.0, of_meter).all())
-
-
-def _check_readings(plan: EstimationPlan, values: np.ndarray, sigmas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The readings, with sigma 0 where they hold exactly."""
-    if not values.shape == sigmas.shape == (len(plan.meters),):
-        problem = f"the plan has {len(plan.meters)} meters; given are values {values.shape} and sigmas {sigmas.shape}"
-        raise InvalidInputError(f"readings of network {plan.network.name!r}", [problem])
-    sigmas = np.where(plan.virtual, 0.0, sigmas)
-    if not _are_usable(values, sigmas, plan.virtual):
-        readings = zip(plan.meters, values.tolist(), sigmas.tolist(), strict=True)
-        check_measurements(plan.network, [Measurement(meter, value, sigma) for meter, value, sigma in readings])
-    return values, sigmas

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 # Gauss-Newton needs 3 to 6 steps; what takes longer swings around the answer, as current magnitudes make it
@@ -18,11 +16,5 @@ MAX_DVA = 1.0  # rad
 # sigma. It is the squared norm of the gradient in the metric of the state's covariance, without scale and unit.
 GRADIENT = 1e-6
 
-
-class Solution(NamedTuple):
-    """The state in network order, the residuals z - h(x), (n_meas,), and how many steps it took."""
-
-    vm: np.ndarray
-    va: np.ndarray
-    residual: np.ndarray
-    iterations: int
+# vm and va in network order, the residuals z - h(x), (n_meas,), J(x), and how many steps it took.
+Solution = tuple[np.ndarray, np.ndarray, np.ndarray, float, int]

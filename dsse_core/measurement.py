@@ -7,6 +7,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
+import numpy as np
+
 from dsse_core.errors import InvalidInputError
 from dsse_core.network import Network
 
@@ -87,6 +89,12 @@ def check_measurements(network: Network, measurements: Sequence[Measurement]) ->
             )
     if problems:
         raise InvalidInputError(f"measurements of network {network.name!r}", problems)
+
+
+def check_readings(network: Network, meters: Sequence[Meter], values: np.ndarray, sigmas: np.ndarray) -> None:
+    """As ``check_measurements``, of readings (n_meas,) in arrays."""
+    readings = zip(meters, values.tolist(), sigmas.tolist(), strict=True)
+    check_measurements(network, [Measurement(meter, value, sigma) for meter, value, sigma in readings])
 
 
 def find_meter_problems(network: Network, meters: Iterable[Meter]) -> Iterable[str]:

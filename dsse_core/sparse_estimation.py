@@ -91,7 +91,8 @@ def estimate_sparse(
         x[plan.free] += dx * (share if small or iteration <= FULL_STEPS else min(share, 0.5))
         if small and flows_known and gain <= GRADIENT * max(1, len(values) - len(plan.free)):
             va, vm = np.split(x, 2)
-            return Solution(vm, va, plan.model.subtract(values, plan.model.predict(x)), iteration)
+            r = plan.model.subtract(values, plan.model.predict(x))
+            return vm, va, r, steps.objective(r), iteration
         flows_known = flows_known or step < FLOWS_KNOWN
     raise _diverged(plan, sigmas, r, max_iterations, step)
 
@@ -122,8 +123,12 @@ class _Steps:
             self._factor, self._with_currents = AugmentedFactor(H, self._sigmas, pattern=self._pattern), with_currents
             found = self._factor.solve(r, np.zeros(H.shape[1]), refined=False)  # the next step corrects it
         self._multipliers, dx = found
-        weighted = (H @ dx) * self._weight
-        return dx, float(weighted @ weighted)
+        return dx, self.objective(H @ dx)
+
+    def objective(self, r: np.ndarray) -> float:
+        """J of residuals r, (n_meas,); what holds exactly does not count."""
+        weighted = r * self._weight
+        return float(weighted @ weighted)
 
 
 def _share_of(dx: np.ndarray, n_angles: int) -> float:

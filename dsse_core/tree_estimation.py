@@ -2,60 +2,57 @@
 
 from __future__ import annotations
 
+from functools import cache
+from types import ModuleType
+
 import numpy as np
 
 from dsse_core.errors import EstimationDivergedError
 from dsse_core.gauss_newton import GRADIENT, Solution
+from dsse_core.measurement import check_readings
 from dsse_core.tree_plan import N_SLOT, TreePlan
 
 
 def estimate_on_tree(
     plan: TreePlan,
+    exact: np.ndarray,
     values: np.ndarray,
     sigmas: np.ndarray,
     start: tuple[np.ndarray, np.ndarray] | None,
     tolerance: float,
     max_iterations: int,
 ) -> Solution:
-    """The iteration of ``estimate_sparse``, step by step; ``sigmas`` (n_meas,) are 0 where a reading holds exactly.
+    """The iteration of ``estimate_sparse``, step by step. ``sigmas`` (n_meas,) become 0 where a reading is ``exact``.
 
     Raises:
+        InvalidInputError: readings that cannot be.
         EstimationDivergedError: names the measurement with the largest weighted residual.
     """
-    from dsse_core import tree_iteration, tree_kernel
-
-    n = len(plan.order)
-    z, w = np.zeros((n, N_SLOT)), tree_kernel.absent(n)
-    tree_iteration.store(plan.slot, values, sigmas, z, w)
-    if start is None:
-        v, va = plan.start.copy(), plan.start_va.copy()
-    else:
+    compiled, n = _load_compiled(), len(plan.order)
+    v, va = plan.start, plan.start_va
+    if start is not None:
         va = np.array(start[1], dtype=float)[plan.order]
         v = np.asarray(start[0])[plan.order] * np.exp(1j * va)
-    end, iterations, step, _ = tree_iteration.iterate(
-        plan.parent,
-        plan.admittance,
-        z,
-        w,
-        v,
-        va,
-        start is not None,
-        plan.has_currents,
-        float(tolerance),
-        max_iterations,
-        GRADIENT * max(1, len(values) - (2 * n - 1)),
-        *tree_kernel.Work.of(n),
-    )
-    h = np.empty((n, N_SLOT))
-    tree_iteration.predict(plan.parent, plan.admittance, v, va, h)
-    residual = tree_iteration.subtract(plan.slot, values, h)
-    if end != tree_iteration.CONVERGED:
+    state, residual = np.empty((2, n)), np.empty(len(values))
+    end, iterations, step, objective = compiled.estimate(
+        plan.parent, plan.admittance, plan.order, plan.slot, exact, v, va, start is not None, plan.has_currents,
+        float(tolerance), max_iterations, GRADIENT * max(1, len(values) - (2 * n - 1)), values, sigmas, state, residual,
+    )  # fmt: skip
+    if end == compiled.UNUSABLE:
+        check_readings(plan.network, plan.meters, values, sigmas)
+    if end != compiled.CONVERGED:
         weighted = residual / np.where(sigmas > 0, sigmas, np.inf)
         worst = plan.meters[int(np.argmax(abs(weighted)))] if len(plan.meters) else "no meter"
         raise EstimationDivergedError(iterations, step, str(worst))
-    vm_out, va_out = np.empty(n), np.empty(n)
-    vm_out[plan.order], va_out[plan.order] = abs(v), va
-    return Solution(vm_out, va_out, residual, iterations)
+    return state[0], state[1], residual, objective, iterations
+
+
+@cache
+def _load_compiled() -> ModuleType:
+    """What needs numba; an import statement takes longer, every time, than to look it up here."""
+    from dsse_core import tree_iteration
+
+    return tree_iteration
 
 
 def find_variances_on_tree(

@@ -8,9 +8,78 @@ import numpy as np
 
 from dsse_core.gauss_newton import FLOWS_KNOWN, FULL_STEPS, LARGEST_STEP, MAX_DVA, MAX_DVM
 from dsse_core.measurement_model import CURRENT_FLOOR
-from dsse_core.tree_kernel import SMALL_ANGLE, STEP, compiled, eliminate, substitute, wrap
+from dsse_core.tree_kernel import (
+    N_FACTOR,
+    N_INVERSE,
+    N_MORE,
+    SMALL_ANGLE,
+    STEP,
+    compiled,
+    eliminate,
+    modulus,
+    substitute,
+    wrap,
+)
 
-CONVERGED, TOO_MANY, LEFT = 0, 1, 2
+CONVERGED, TOO_MANY, LEFT, UNUSABLE = 0, 1, 2, 3
+
+
+@compiled
+def estimate(
+    parent, Y, order, slot, exact, start, start_va, flows_known, has_currents,
+    tolerance, max_iterations, gradient, values, sigmas, state, residual,
+):  # fmt: skip
+    """The whole estimate in one call: for small networks, calls and arrays made in Python take longer than solving.
+
+    Fills ``state`` (2, n_bus), vm and va in network order, and ``residual`` (n_meas,), makes ``sigmas`` 0 where a
+    reading is ``exact``, and returns how it ended, iterations, last step and J. UNUSABLE: readings that cannot be.
+
+    The end: max |dx| < ``tolerance``, and the step, taken in full, lowers J by less than ``gradient``, which is the
+    square of the norm of the gradient of J in the metric of the state's covariance, by which scale and units drop out.
+    """
+    if not _are_usable(exact, values, sigmas):
+        return UNUSABLE, 0, np.inf, np.inf
+    n = len(parent)
+    z, w, v, va = np.zeros((n, 10)), np.zeros((n, 10)), start.copy(), start_va.copy()
+    w[:, 2:4] = -1.0  # see ``absent``
+    store(slot, values, sigmas, z, w)
+    above, factor, more = np.zeros((n, 16)), np.empty((n, N_FACTOR)), np.empty((n, N_MORE))
+    block, step = np.empty((4, N_INVERSE)), np.empty((n, 4))
+    end, iteration, largest, gain = TOO_MANY, 0, np.inf, np.inf
+    while end == TOO_MANY and iteration < max_iterations:
+        iteration += 1
+        eliminate(parent, Y, z, w, v, va, flows_known, STEP, above, factor, more, block, step)
+        substitute(parent, factor, step)
+        dva, dvm, finite = _largest(v, step)
+        largest = max(dva, dvm) if finite else np.inf
+        if not largest <= LARGEST_STEP:
+            end = LEFT
+            break
+        small = largest < tolerance and dva <= MAX_DVA and dvm <= MAX_DVM
+        if small:
+            gain = expected_gain(parent, Y, w, v, flows_known, step)
+        halved = iteration > FULL_STEPS and not small
+        _move(v, va, step, 1.0 / max(max(2.0 if halved else 1.0, dva / MAX_DVA), dvm / MAX_DVM))
+        if small and gain <= gradient and (flows_known or not has_currents):
+            end = CONVERGED
+        flows_known = flows_known or largest < FLOWS_KNOWN
+    predict(parent, Y, v, va, z)
+    for i in range(n):
+        state[0, order[i]], state[1, order[i]] = modulus(v[i]), va[i]
+    return end, iteration, largest, _subtract(slot, values, sigmas, z, residual)
+
+
+@compiled
+def _are_usable(exact, values, sigmas):
+    """Whether readings can be; makes sigma 0 where they hold exactly."""
+    usable = True
+    for k in range(len(values)):
+        if exact[k]:
+            sigmas[k] = 0.0
+            usable = usable and values[k] == 0.0
+        else:
+            usable = usable and math.isfinite(values[k]) and math.isfinite(sigmas[k]) and sigmas[k] > 0.0
+    return usable
 
 
 @compiled
@@ -24,57 +93,16 @@ def store(slot, values, sigmas, z, w):
 
 
 @compiled
-def subtract(slot, values, h):
-    """z - h(x) of every meter; differences of angles are wrapped to (-pi, pi]."""
-    residual = np.empty(len(slot))
+def _subtract(slot, values, sigmas, h, residual):
+    """z - h(x) of every meter into ``residual``, differences of angles wrapped to (-pi, pi]. Returns J."""
+    J = 0.0
     for k in range(len(slot)):
         column = slot[k] % 10
-        difference = values[k] - h[slot[k] // 10, column]
-        residual[k] = wrap(difference) if column == 0 else difference
-    return residual
-
-
-@compiled
-def iterate(
-    parent,
-    Y,
-    z,
-    w,
-    v,
-    va,
-    flows_known,
-    has_currents,
-    tolerance,
-    max_iterations,
-    gradient,
-    above,
-    factor,
-    more,
-    block,
-    step,
-):
-    """Improve ``v`` (complex) and ``va`` in place; how it ended, iterations, last step, and what it could still gain.
-
-    The end: max |dx| < ``tolerance``, and the step, taken in full, lowers J by less than ``gradient``, which is the
-    square of the norm of the gradient of J in the metric of the state's covariance, by which scale and units drop out.
-    """
-    largest, gain = np.inf, np.inf
-    for iteration in range(1, max_iterations + 1):
-        eliminate(parent, Y, z, w, v, va, flows_known, STEP, above, factor, more, block, step)
-        substitute(parent, factor, step)
-        dva, dvm, finite = _largest(v, step)
-        largest = max(dva, dvm)
-        if not (finite and largest <= LARGEST_STEP):
-            return LEFT, iteration, largest if finite else np.inf, gain
-        small = largest < tolerance and dva <= MAX_DVA and dvm <= MAX_DVM
-        if small:
-            gain = expected_gain(parent, Y, w, v, flows_known, step)
-        halved = iteration > FULL_STEPS and not small
-        _move(v, va, step, 1.0 / max(max(2.0 if halved else 1.0, dva / MAX_DVA), dvm / MAX_DVM))
-        if small and gain <= gradient and (flows_known or not has_currents):
-            return CONVERGED, iteration, largest, gain
-        flows_known = flows_known or largest < FLOWS_KNOWN
-    return TOO_MANY, max_iterations, largest, gain
+        r = values[k] - h[slot[k] // 10, column]
+        residual[k] = wrap(r) if column == 0 else r
+        if sigmas[k] > 0.0:
+            J += (residual[k] / sigmas[k]) ** 2
+    return J
 
 
 @compiled
@@ -95,8 +123,8 @@ def _move(v, va, step, length):
         va[i] += d
         if abs(d) < SMALL_ANGLE:
             d2 = d * d
-            c = 1.0 - d2 / 2 * (1.0 - d2 / 12 * (1.0 - d2 / 30))
-            s = d * (1.0 - d2 / 6 * (1.0 - d2 / 20 * (1.0 - d2 / 42)))
+            c = 1.0 + d2 * (-1 / 2 + d2 * (1 / 24 - d2 * (1 / 720)))
+            s = d + d * d2 * (-1 / 6 + d2 * (1 / 120 - d2 * (1 / 5040)))
         else:
             c, s = math.cos(d), math.sin(d)
         v[i] *= (1.0 + length * step[i, 3]) * complex(c, s)
@@ -116,8 +144,8 @@ def predict(parent, Y, v, va, h):
         h[i, 3] += own.imag
         h[p, 2] += at_parent.real
         h[p, 3] += at_parent.imag
-        h[i, 4], h[i, 5], h[i, 6] = at_parent.real, at_parent.imag, abs(at_parent) / h[p, 1]
-        h[i, 7], h[i, 8], h[i, 9] = own.real, own.imag, abs(own) / h[i, 1]
+        h[i, 4], h[i, 5], h[i, 6] = at_parent.real, at_parent.imag, modulus(at_parent) / h[p, 1]
+        h[i, 7], h[i, 8], h[i, 9] = own.real, own.imag, modulus(own) / h[i, 1]
 
 
 @compiled
@@ -151,9 +179,9 @@ def expected_gain(parent, Y, w, v, currents, step):
             gain += w[i, 4] * at_its_end.real**2 + w[i, 5] * at_its_end.imag**2
             gain += w[i, 7] * at_own_end.real**2 + w[i, 8] * at_own_end.imag**2
             if currents and w[i, 6] > 0.0:
-                gain += w[i, 6] * _current_change(at_parent, at_its_end, xp.real, abs(v[p])) ** 2
+                gain += w[i, 6] * _current_change(at_parent, at_its_end, xp.real, modulus(v[p])) ** 2
             if currents and w[i, 9] > 0.0:
-                gain += w[i, 9] * _current_change(own, at_own_end, x.real, abs(v[i])) ** 2
+                gain += w[i, 9] * _current_change(own, at_own_end, x.real, modulus(v[i])) ** 2
         if w[i, 2] > 0.0:
             gain += d.real**2 / w[i, 2]
         if w[i, 3] > 0.0:
@@ -164,6 +192,7 @@ def expected_gain(parent, Y, w, v, currents, step):
 @compiled
 def _current_change(s, ds, dln, vm):
     """d|i| of ``|i| = |s| / vm``."""
-    if abs(s) <= CURRENT_FLOOR * vm:
+    size = modulus(s)
+    if size <= CURRENT_FLOOR * vm:
         return 0.0
-    return (s.conjugate() * ds).real / (abs(s) * vm) - abs(s) / vm * dln
+    return (s.conjugate() * ds).real / (size * vm) - size / vm * dln

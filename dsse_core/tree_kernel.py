@@ -43,9 +43,9 @@ STEP, INVERT, CHECK, UPWARD = 0, 1, 2, 3
 def compiled(function: Callable[..., Any]) -> Any:
     """``function`` compiled once for all processes; for each anew where no folder can be written to keep it in."""
     try:
-        return njit(cache=True, error_model="numpy")(function)
+        return njit(cache=True, error_model="numpy", fastmath={"contract"})(function)
     except RuntimeError:  # as under a unit of systemd that sees neither a home nor anything to write in
-        return njit(error_model="numpy")(function)
+        return njit(error_model="numpy", fastmath={"contract"})(function)
 
 
 class Work(NamedTuple):
@@ -114,6 +114,12 @@ def solve_block(A, width, check):
 @compiled
 def wrap(angle):
     return math.pi - (math.pi - angle) % (2 * math.pi)
+
+
+@compiled
+def modulus(s):
+    """|s| of voltages and powers in p.u., which are far from where squares overflow."""
+    return math.sqrt(s.real * s.real + s.imag * s.imag)
 
 
 @compiled
@@ -312,7 +318,7 @@ def eliminate(parent, Y, z, w, v, va, currents, mode, above, factor, more, block
 def row_of_branch(k, z, i, own, at_parent, vm, p2, factor, more):
     """A flow at the child's end or a current, slots 6 to 9: derivatives by f (2) and dvm_p / vm_p, and z - h."""
     if k == 6:
-        s, vp = abs(at_parent), math.sqrt(p2)
+        s, vp = modulus(at_parent), math.sqrt(p2)
         if s <= CURRENT_FLOOR * vp:
             return 0.0, 0.0, 0.0, z[i, 6] - s / vp
         return at_parent.real / (s * vp), at_parent.imag / (s * vp), -s / vp, z[i, 6] - s / vp
@@ -322,7 +328,7 @@ def row_of_branch(k, z, i, own, at_parent, vm, p2, factor, more):
         return a00, a01, b0, z[i, 7] - own.real
     if k == 8:
         return a10, a11, b1, z[i, 8] - own.imag
-    s = abs(own)
+    s = modulus(own)
     magnitude = s / vm
     if magnitude <= CURRENT_FLOOR:
         return 0.0, 0.0, 0.0, z[i, 9] - magnitude
