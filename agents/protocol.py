@@ -29,7 +29,7 @@ from agents.messages import (
     TallyMessage,
     TelemetryMessage,
 )
-from agents.refusals import find_reading_refusal, find_refusal, find_unreasonable
+from agents.refusals import FUTURE, find_lead, find_reading_refusal, find_refusal, find_unreasonable
 from agents.reminders import Reminders
 from agents.shown_state import ShownState
 from agents.strategies.interface import Estimate, Knowledge, Strategy
@@ -76,6 +76,9 @@ class AreaProtocol:
         self._gone: dict[str, str] = {}  # neighbour -> its farewell
         self._refused: Counter[str] = Counter()
         self._not_let_in: dict[str, int] = {}
+        self._ahead: dict[
+            str, float
+        ] = {}  # neighbour, or "" for the plant, refused as from the future -> by how much, s
 
     def describe_backend(self) -> str:
         """See ``Strategy.describe_backend``."""
@@ -147,7 +150,7 @@ class AreaProtocol:
     def _take(self, message: Message, key_sender: str) -> bool:
         """Keep ``message`` if it is the newest of its sender, else drop it; count what should not have come.
 
-        False for what should not, and for readings that are there already.
+        False for what should not, and for readings that are there already. That clocks disagree is news once.
         """
         reason = find_refusal(message, key_sender, self._content, self._now + self._clock_offset)
         if not reason and isinstance(message, BoundaryNews):
@@ -155,7 +158,11 @@ class AreaProtocol:
             reason = self._strategy.find_refusal(message) if known else "other strategy"
         if reason:
             self._refused[reason] += 1
-            return False
+            if reason != FUTURE or key_sender in self._ahead:
+                return False
+            self._ahead[key_sender] = find_lead(message.header, self._now + self._clock_offset)
+            return True
+        self._ahead.pop(key_sender, None)
         if isinstance(message, TelemetryMessage):
             if not self._hearing.take_telemetry(message, self._now):
                 return False
@@ -361,6 +368,11 @@ class AreaProtocol:
         headers = [m.header for kept in (self._hearing.loads, self._hearing.boundary) for m in kept.values()]
         stale = {header.sender for header in headers if header.scan != self._scan}
         notes += [f"news from {name} is of another scan" for name in sorted(stale)]
+        for name, lead in sorted(self._ahead.items()):
+            notes.append(
+                f"{name or 'telemetry'} is refused, from {lead:.0f} s in the future: the clock of this area is behind, "
+                "or that of the sender ahead; set it, then start its process again"
+            )
         if self._hearing.telemetry is not None and self._silent:
             notes.append(f"no reading from {len(self._silent)} meters, the first is {self._silent[0]}")
         return notes

@@ -9,6 +9,7 @@ from agents.messages import (
     BoundaryMessage,
     BoundaryNews,
     ClockMessage,
+    Header,
     LoadMessage,
     Message,
     StateMessage,
@@ -19,6 +20,7 @@ from agents.strategies.bad_data_tree import has_too_many_names
 from dsse_core.boundary_information import BEYOND_REASON
 
 LONGEST_LEAD_S = 600.0  # by which the sender's clock may be ahead of ours
+FUTURE = "time in the future"  # a reason of refusal
 
 
 def find_refusal(message: Message, key_sender: str, content: AreaFile, now: float) -> str:
@@ -30,8 +32,8 @@ def find_refusal(message: Message, key_sender: str, content: AreaFile, now: floa
     header = message.header
     if header.run != content.run:
         return "other run"
-    if max(header.time, header.incarnation.start_ms / 1000) > now + LONGEST_LEAD_S:
-        return "time in the future"
+    if find_lead(header, now) > LONGEST_LEAD_S:
+        return FUTURE
     if isinstance(message, TelemetryMessage):
         return _find_telemetry_refusal(message, content)
     bus = {n.area: n.bus for n in content.area.neighbours}.get(header.sender)
@@ -42,6 +44,11 @@ def find_refusal(message: Message, key_sender: str, content: AreaFile, now: floa
     if message.bus != bus:
         return "other boundary bus"
     return find_unreasonable(message)
+
+
+def find_lead(header: Header, now: float) -> float:
+    """By how much the clock of the sender, or the beginning of its life, is ahead of ``now``, s since 1970; in s."""
+    return max(header.time, header.incarnation.start_ms / 1000) - now
 
 
 def find_unreasonable(message: LoadMessage | BoundaryNews | TallyMessage) -> str:

@@ -205,10 +205,32 @@ def test_a_repeat_is_the_same_message_with_the_same_sequence(area1):
 def test_what_should_not_have_come_is_refused_and_counted(area1, message, key_sender, reason):
     protocol, telemetry, content = area1
     act(protocol, [telemetry], 0.0)
-    assert act(protocol, [Received(message, key_sender)], 0.01) == []
+    said = act(protocol, [Received(message, key_sender)], 0.01)
+    assert [a.message.kind for a in said] == (["state"] if reason == "time in the future" else [])
     state = last_state(act(protocol, [], content.beat_s))
     assert state.refused == {reason: 1}
     assert state.heard["area2"] == (0, 0, 0)
+
+
+def test_a_clock_that_is_behind_is_named_once_as_the_cause_until_the_sender_is_heard(area1):
+    protocol, telemetry, _ = area1
+    act(protocol, [telemetry], 0.0)
+    ahead = Received(load_from_area2(time=STARTED_AT + 1e4), "area2")
+    state = last_state(act(protocol, [ahead], 0.0))
+    assert [
+        n for n in state.notes if n.startswith("area2 is refused, from 10000 s in the future: the clock of this area")
+    ]
+    assert act(protocol, [ahead] * 3, 0.01) == [], "a flood of them is no news"
+    state = last_state(act(protocol, [Received(load_from_area2(time=STARTED_AT), "area2")], 0.02))
+    assert not [n for n in state.notes if "refused" in n]
+
+
+def test_an_agent_whose_clock_is_behind_says_so_in_place_of_an_estimate(area1):
+    protocol, telemetry, _ = area1
+    header = replace(telemetry.message.header, time=STARTED_AT + 700.0)
+    state = last_state(act(protocol, [Received(replace(telemetry.message, header=header), "")], 0.0))
+    assert state.notes[0] == "no telemetry yet"
+    assert state.notes[1].startswith("telemetry is refused, from 700 s in the future")
 
 
 def test_payloads_that_cannot_be_decoded_are_counted_by_reason(area1):
