@@ -9,10 +9,13 @@ import pytest
 from feeders import make_star
 from simulated_bus import SimulatedBus, area_files_of
 
-from agents.events import Publish, Received
+from agents.events import Event, PresenceChanged, Publish, Received
 from agents.messages import Header, Incarnation, InformationMessage, StateMessage
+from agents.protocol import AreaProtocol
+from agents.strategies import make_strategy
 from agents.turn import ANSWER_S, COLLECT_S, FEW, LONGEST_TALK_S, Turn
 from coordinator.telemetry_messages import make_message
+from coordinator.twin import STARTED_AT
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 
@@ -44,6 +47,12 @@ def word_of(bus: SimulatedBus, sender: str, to: str) -> InformationMessage:
 def changed(word: InformationMessage, k: int, scan: int) -> Received:
     header = replace(word.header, scan=scan, sequence=word.header.sequence + k)
     return Received(replace(word, header=header, z=tuple(z * (1 + 0.01 * (k % 2)) for z in word.z)), word.header.sender)
+
+
+def told_by(protocol: AreaProtocol, events: list[Event], now: float) -> set[str]:
+    """Who is told something of the boundary."""
+    actions = [a for a in protocol.handle(events, now) if isinstance(a, Publish)]
+    return {a.to for a in actions if isinstance(a.message, InformationMessage) and a.to}
 
 
 def test_answers_are_awaited_anew_after_each_word_and_not_for_ever():
@@ -124,14 +133,24 @@ def test_an_area_that_is_held_back_in_the_middle_of_its_steps_sleeps(bus):
 
 
 def test_a_neighbour_that_a_new_life_has_never_told_anything_is_told_once_the_wait_is_over(bus):
-    bus.kill("area1")
-    bus.run(0.5)
-    bus.next_scan(make_telemetry(SCENARIO, scan=2).by_area, late_s={"area1": 2.3, "area3": 60.0})
-    bus.start("area1")  # which hears area2 of scan 2 and area3 of scan 1 before its own readings
-    bus.run(2.2)
-    bus.delivered.clear()
-    bus.run(0.5)
-    assert word_of(bus, "area1", "area2").header.scan == 2
+    """It had not yet spoken when a scan began in which the other neighbour was awaited: nothing has changed since."""
+    content, start = bus.files["area1"], bus.now
+    life = AreaProtocol(
+        content, make_strategy(content), Incarnation(2**41, 1), now=start, started_at=STARTED_AT + start
+    )
+    words = [changed(word_of(bus, name, "area1"), 2, scan) for name, scan in (("area2", 2), ("area3", 1))]
+    there = [PresenceChanged(name, alive=True) for name in ("area2", "area3")]
+    assert told_by(life, [*there, *words, readings_of(bus, "area1", 1)], start) == set()
+    now = start + 0.01
+    told = told_by(life, [readings_of(bus, "area1", 2)], now)
+    while life.wait_s(now) == 0.0:
+        told |= told_by(life, [], now)
+    assert told == {"area3"}, "whose own word is awaited"
+    now += life.wait_s(now)
+    told = told_by(life, [], now)
+    while life.wait_s(now) == 0.0:
+        told |= told_by(life, [], now)
+    assert "area2" in told
 
 
 def test_who_has_no_readings_is_not_waited_for_in_every_scan(bus):
