@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.sparse as sp
@@ -24,6 +24,7 @@ SMALL_STEP = 0.02  # p.u. and rad; after a smaller one the last factor may serve
 class SparsePlan:
     """``free``: the state variables but the reference angle. ``entries``: which entries of the model's H are theirs,
     ``indices`` and ``indptr`` where they stand. ``start``: x = [va; vm] of the flat start with the reference's angle.
+    ``at_start``: the factor there for the last sigmas, which most meters keep from scan to scan.
     """
 
     meters: tuple[Meter, ...]
@@ -34,6 +35,7 @@ class SparsePlan:
     indptr: np.ndarray
     pattern: AugmentedPattern
     start: np.ndarray
+    at_start: dict[bytes, AugmentedFactor] = field(default_factory=dict, compare=False, repr=False)
 
     def linearize(self, x: np.ndarray) -> tuple[np.ndarray, sp.csr_array]:
         """h(x), (n_meas,), and the columns ``free`` of H(x)."""
@@ -79,7 +81,7 @@ def estimate_sparse(
         h, H = plan.linearize(x)
         r = plan.model.subtract(values, h)
         try:
-            dx, gain = steps.solve(H, r, flows_known, nearby=step < SMALL_STEP)
+            dx, gain = steps.solve(H, r, flows_known, nearby=step < SMALL_STEP, at_start=x is plan.start)
         except RuntimeError:  # SuperLU: singular away from the no-load state, where the rank was full
             raise _diverged(plan, sigmas, r, iteration, np.inf) from None
         step = float(abs(dx).max(initial=0.0))
@@ -102,7 +104,7 @@ class _Steps:
 
     def __init__(self, plan: SparsePlan, sigmas: np.ndarray) -> None:
         self.currents = np.flatnonzero(plan.model.kinds == MeasurementKind.CURRENT)
-        self._pattern = plan.pattern
+        self._plan = plan
         self._sigmas = sigmas
         self._weight = np.where(sigmas > 0, 1 / np.where(sigmas > 0, sigmas, 1.0), 0.0)
         self._of_currents = np.flatnonzero(np.isin(plan.pattern.row, self.currents))
@@ -110,7 +112,9 @@ class _Steps:
         self._multipliers = np.zeros(len(sigmas))
         self._with_currents = False
 
-    def solve(self, H: sp.csr_array, r: np.ndarray, with_currents: bool, *, nearby: bool) -> tuple[np.ndarray, float]:
+    def solve(
+        self, H: sp.csr_array, r: np.ndarray, with_currents: bool, *, nearby: bool, at_start: bool
+    ) -> tuple[np.ndarray, float]:
         """The step dx, (n_free,), and its expected gain |H dx|^2 in units of sigma; without currents: rows of 0."""
         if not with_currents:
             H.data[self._of_currents] = 0.0
@@ -120,10 +124,20 @@ class _Steps:
         if self._factor and nearby and with_currents == self._with_currents:
             found = self._factor.solve_nearby(H, r, self._multipliers)
         if found is None:
-            self._factor, self._with_currents = AugmentedFactor(H, self._sigmas, pattern=self._pattern), with_currents
+            self._factor, self._with_currents = self._find_factor(H, at_start), with_currents
             found = self._factor.solve(r, np.zeros(H.shape[1]), refined=False)  # the next step corrects it
         self._multipliers, dx = found
         return dx, self.objective(H @ dx)
+
+    def _find_factor(self, H: sp.csr_array, at_start: bool) -> AugmentedFactor:
+        kept, sigmas = self._plan.at_start, self._sigmas.tobytes()
+        if at_start and sigmas in kept:
+            return kept[sigmas]
+        factor = AugmentedFactor(H, self._sigmas, pattern=self._plan.pattern)
+        if at_start:
+            kept.clear()
+            kept[sigmas] = factor
+        return factor
 
     def objective(self, r: np.ndarray) -> float:
         """J of residuals r, (n_meas,); what holds exactly does not count."""

@@ -52,6 +52,17 @@ def test_the_last_scan_is_a_start(case, scan, backend):
     np.testing.assert_allclose(following.vm, estimate_with_plan(plan, *arrays(scan(2)), tolerance=1e-8).vm, atol=1e-9)
 
 
+def test_what_is_kept_of_earlier_scans_changes_nothing(case, scan, backend):
+    meters = [m.meter for m in scan(0)]
+    plan = build_estimation_plan(case("ieee33"), meters, backend=backend)
+    for seed, sigma in ((1, 0.01), (2, 0.01), (3, 0.02), (1, 0.01)):
+        readings = arrays(scan(seed, sigma))
+        kept = estimate_with_plan(plan, *readings)
+        alone = estimate_with_plan(build_estimation_plan(case("ieee33"), meters, backend=backend), *readings)
+        np.testing.assert_array_equal(kept.vm, alone.vm)
+        np.testing.assert_array_equal(kept.va, alone.va)
+
+
 def test_no_success_without_a_vanishing_gradient(case, scan, backend):
     """A step of 0.01 p.u. is small for the tolerance given, and far from the minimum for sigmas of 1e-6 p.u."""
     sharp = scan(4, sigma=1e-6)
