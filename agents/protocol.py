@@ -268,7 +268,7 @@ class AreaProtocol:
             present=frozenset(self._present),
             scan=self._scan,
             tallies={name: m for name, m in self._hearing.tallies.items() if m.header.scan == self._scan},
-            told=dict(self._sent_boundary),
+            sent=dict(self._sent_boundary),
         )
 
     def _heard_loads(self) -> dict[str, NetLoad]:

@@ -143,7 +143,7 @@ class BadDataTree:
         self._tally = None
 
     def message_for(self, neighbour: Neighbour, header: Header) -> TallyMessage:
-        told, heard = self._known.told.get(neighbour.area), self._known.boundary.get(neighbour.area)
+        sent, heard = self._known.sent.get(neighbour.area), self._known.boundary.get(neighbour.area)
         up = self._tally if neighbour.is_parent else None
         finished = self.finished and not neighbour.is_parent
         holds = up is not None or finished
@@ -154,7 +154,7 @@ class BadDataTree:
             decisions=self.decisions,
             finished=finished,
             settled=up is not None,
-            sent=_order(told) if holds else (),
+            sent=_order(sent) if holds else (),
             heard=_order(heard) if holds else (),
             objective=up.objective if up else 0.0,
             degrees_of_freedom=up.degrees_of_freedom if up else 0,
@@ -169,7 +169,7 @@ class BadDataTree:
         return (
             tally.decisions == self.decisions
             and tally.sent == _order(self._known.boundary.get(neighbour.area))
-            and tally.heard == _order(self._known.told.get(neighbour.area))
+            and tally.heard == _order(self._known.sent.get(neighbour.area))
         )
 
     def read(self, message: TallyMessage) -> Tally:

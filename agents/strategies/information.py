@@ -7,51 +7,36 @@ local power flow only start the iteration.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from agents.area_file import AreaFile
 from agents.messages import BoundaryNews, Header, Incarnation, InformationMessage, TallyMessage
+from agents.strategies.angle_turns import agree_on_full_turns, find_turn_to_angle_meter, find_turn_to_neighbour
 from agents.strategies.bad_data_tree import BadDataTree
 from agents.strategies.boundary_marginal import distance_between, has_moved
+from agents.strategies.information_to_tell import InformationToTell
 from agents.strategies.interface import Estimate, Knowledge, Strategy
+from agents.strategies.local_iteration import LocalIteration
 from agents.strategies.start import start_state
 from agents.triangle import read_triangle, write_triangle
 from dsse_core.area_model import AreaModel, build_area_model, choose_backend
 from dsse_core.bad_data import DEAD_VM, chi_square_limit
 from dsse_core.boundary_information import BoundaryInformation
-from dsse_core.exchange import (
-    compute_information,
-    find_variances,
-    solve_step,
-    solve_step_near,
-    solve_steps,
-    state_variance,
-)
+from dsse_core.exchange import find_variances, state_variance
 from dsse_core.feeder_bad_data import NoLoadModel, build_no_load_model, count_freedom, find_objective
-from dsse_core.kept_factor import ON_THE_WAY, KeptFactor, find_rest
 from dsse_core.measurement import Measurement, MeasurementKind
 from dsse_core.partition import Neighbour
 
-SETTLED_STEP = 1e-11  # p.u., rad: below it a further step changes nothing
-TOLD_EARLY = 1e-6  # p.u., rad: after a smaller step neighbours are told, further ones change nothing of it
-SAME_STATE = 1e-8  # p.u., rad: what it is told at; information about it changes by as little, relatively
-SAME_MESSAGE = 1e-7  # the same, where the state moves ever less: the next time by less than
-SAME_NEXT = 1e-10  # p.u., rad
 SURELY_NEWS = 1e-4  # p.u., rad; what is told after moving by more, and takes longer to compare than to tell
 ANSWERED = 1e-6  # p.u., rad: what a neighbour is told after moving less changes its answer by its square, or next to it
-SETTLED_NEAR_START = 1e-6  # p.u., rad: while news is missing
-STEPS_PER_NEWS = 40
-TINY = 1e-30
-FULL_STEPS = 10  # at once; what takes longer swings around the answer, and half steps settle it
 NEWS_PER_NEIGHBOUR = 100  # of one set of measurements, all areas heard; with more, areas swing against each other
 CONTRADICTION = 0.9999  # confidence of the test of a neighbour's information against the rest
 
 
 class Information(Strategy):
-    """One area's state x between messages, and what it last used."""
+    """One area's side: the model of its readings, what it has heard, and the estimate that it shows."""
 
     kind = InformationMessage.kind
     other_kinds = (TallyMessage.kind,)
@@ -67,20 +52,13 @@ class Information(Strategy):
         self._has_own_angle = content.area.reference is not None
         self._model: AreaModel | None = None
         self._no_load: NoLoadModel | None = None
-        self._x = self._start = np.zeros(0)
+        self._iteration = LocalIteration()
         self._newest: dict[str, tuple[Incarnation, int]] = {}
         self._heard: dict[str, BoundaryInformation] = {}
         self._referenced: set[str] = set()  # neighbours whose side knows the substation's angle
         self._complete: set[str] = set()  # neighbours whose side has been heard, all of it
         self._has_new_readings = False  # or a decision which of them are in use
-        self._steps_left = 0
-        self._last_step = np.inf
-        self._factor: KeptFactor | None = None
-        # neighbour -> information last computed for it, after the messages of others that it rests on
-        self._computed: dict[str, tuple[dict[str, BoundaryInformation], BoundaryInformation]] = {}
-        # neighbour -> the state at which that was, and before it by how much it had moved since the time before
-        self._moved: dict[str, tuple[float, np.ndarray]] = {}
-        self._is_released = False  # a state that rests on the newest messages, for neighbours to be told
+        self._to_tell = InformationToTell()
         self._news = 0  # since all areas have been heard, of these measurements
         self._shown: Estimate | None = None
         self._shown_x = np.zeros(0)
@@ -88,7 +66,7 @@ class Information(Strategy):
 
     @property
     def restless(self) -> bool:
-        return self._steps_left > 0
+        return self._iteration.steps_left > 0
 
     def describe_backend(self) -> str:
         chosen = choose_backend(self._area)
@@ -109,25 +87,27 @@ class Information(Strategy):
             self._newest, self._has_new_readings = newest, False
             self._take_messages(known)
             self._news += self._is_informed
-            self._last_step = np.inf
-            self._is_released = False
-            self._steps_left = 0 if self._is_swinging else STEPS_PER_NEWS
-        elif self._is_informed and self._steps_left == 0 and self._last_step > ON_THE_WAY and not self._is_swinging:
-            self._steps_left = STEPS_PER_NEWS  # it was not enough, and there is time now
-        if self._steps_left > 0:
+            self._iteration.take_news()
+        elif self._is_informed:
+            self._iteration.go_on()
+        if self._is_swinging:
+            self._iteration.stop()
+        if self.restless:
             self._step()
         if self._shown is None and self._is_swinging:
             assert self._model is not None
-            self._shown = self._estimate(self._model, self._x)  # no step of this scan was ever small
+            self._shown = self._estimate(self._model, self._iteration.x)  # no step of this scan was ever small
         return self._shown, self._notes()
 
     def judge(self, known: Knowledge, estimate: Estimate) -> tuple[Estimate, tuple[str, ...]]:
         assert self._model is not None  # there is an estimate
         tree = self._tree
         settled = self._is_informed and not self._is_swinging
-        tree.judge(self._model, self._measurements, self._x, lambda: self._find_variances()[1], settled, known)
+        tree.judge(
+            self._model, self._measurements, self._iteration.x, lambda: self._find_variances()[1], settled, known
+        )
         if (known.measurements, tree.decisions) != self._basis:
-            self._steps_left = 1
+            self._iteration.steps_left = 1  # solve is to be called again
         checked = tree.finished and settled
         n, sigma = len(self._area.network.buses), np.sqrt(np.maximum(self._find_variances()[0], 0.0))
         estimate = replace(
@@ -142,24 +122,9 @@ class Information(Strategy):
         assert self._model is not None  # there is an estimate
         others = {n.area for n in self._area.neighbours} - {neighbour.area}
         referenced = self._has_own_angle or bool(others & self._referenced)
-        told = self._information_for(neighbour)
-        R, z = write_triangle(told.R), tuple(told.z.tolist())
+        information = self._to_tell.find(self._model, self._iteration.x, neighbour, self._heard)
+        R, z = write_triangle(information.R), tuple(information.z.tolist())
         return InformationMessage(header, neighbour.bus, R, z, referenced, complete=others <= self._complete)
-
-    def _information_for(self, neighbour: Neighbour) -> BoundaryInformation:
-        """What was computed last, where neither the others' messages nor, but for rounding, the state has changed."""
-        assert self._model is not None
-        others = {name: heard for name, heard in self._heard.items() if name != neighbour.area}
-        before, told_at = self._moved.get(neighbour.area, (np.inf, np.zeros(0)))
-        moved = float(abs(self._x - told_at).max()) if told_at.shape == self._x.shape else np.inf
-        if (last := self._computed.get(neighbour.area)) is not None:
-            ends = moved <= SAME_MESSAGE and moved * moved <= SAME_NEXT * before < np.inf
-            if (moved <= SAME_STATE or ends) and _are_same(last[0], others):
-                return last[1]
-        self._moved[neighbour.area] = moved, self._x
-        information = compute_information(self._model, self._x, neighbour, self._heard)
-        self._computed[neighbour.area] = others, information
-        return information
 
     def is_news(self, neighbour: Neighbour, message: BoundaryNews, last: BoundaryNews) -> bool:
         assert isinstance(message, InformationMessage)
@@ -167,14 +132,14 @@ class Information(Strategy):
         assert self._model is not None
         if replace(message, header=last.header) == last:
             return False
-        if self._moved[neighbour.area][0] > SURELY_NEWS:
+        if self._to_tell.moved[neighbour.area] > SURELY_NEWS:
             return True
-        y = self._model.boundary_values(self._x, neighbour)
+        y = self._model.boundary_values(self._iteration.x, neighbour)
         moved = has_moved(y, _read(message), _read(last), self._heard.get(neighbour.area))
         return moved or (message.referenced, message.complete) != (last.referenced, last.complete)
 
     def expects_answer(self, neighbour: Neighbour) -> bool:
-        return self._moved[neighbour.area][0] > ANSWERED
+        return self._to_tell.moved[neighbour.area] > ANSWERED
 
     def find_refusal(self, message: BoundaryNews) -> str:
         assert isinstance(message, InformationMessage)
@@ -207,7 +172,7 @@ class Information(Strategy):
         self._tree.take_measurements(self._no_load, held_back)
         self._shown = None
         self._has_new_readings = True
-        self._computed = {}
+        self._to_tell.forget()
         self._news = 0
 
     def _build_models(self) -> None:
@@ -222,91 +187,27 @@ class Information(Strategy):
     def _take_messages(self, known: Knowledge) -> None:
         assert self._model is not None
         if not self._heard:
-            self._x = self._start = start_state(self._content, known.loads)
-            self._turn_to_angle_meter()
+            self._iteration.begin_at(start_state(self._content, known.loads))
+            self._iteration.turn(self._model, find_turn_to_angle_meter(self._model, self._iteration.x))
         messages = {name: m for name, m in known.boundary.items() if isinstance(m, InformationMessage)}
         self._heard = {name: _read(m) for name, m in messages.items()}
         self._complete = {name for name, m in messages.items() if m.complete}
         was_referenced = self._is_referenced
         self._referenced = {name for name, m in messages.items() if m.referenced}
         if self._referenced and not was_referenced:
-            self._turn(self._angle_from(min(self._referenced)))
-        self._agree_on_full_turns()
-
-    def _agree_on_full_turns(self) -> None:
-        """Angles mean the same with 2 pi added: as the parent counts them, and children are read as we count."""
-        for n in sorted(self._area.neighbours, key=lambda n: not n.is_parent):
-            if n.area in self._referenced and (turns := round(self._angle_from(n.area) / (2 * np.pi))):
-                if n.is_parent:
-                    self._turn(2 * np.pi * turns)
-                else:
-                    told = self._heard[n.area]
-                    self._heard[n.area] = replace(told, z=told.z - 2 * np.pi * turns * told.R[:, 3])
-
-    def _angle_from(self, name: str) -> float:
-        """By how much neighbour ``name`` would have us turn all angles, power and magnitude as they are."""
-        assert self._model is not None
-        neighbour = next(n for n in self._area.neighbours if n.area == name)
-        y = self._model.boundary_values(self._x, neighbour)
-        told = self._heard[name]
-        of_angle = told.R[:, 3]
-        return float(of_angle @ (told.z - told.R @ y) / max(of_angle @ of_angle, TINY))
-
-    def _turn_to_angle_meter(self) -> None:
-        """An angle meter too says where the substation's zero is, where the area does not see it."""
-        assert self._model is not None
-        angles = np.flatnonzero(self._model.kinds == MeasurementKind.VA)
-        if angles.size and self._area.reference is None:
-            most_exact = angles[np.argmin(self._model.sigma[angles])]
-            self._turn(float(self._model.residual(self._x)[most_exact]))
-
-    def _turn(self, angle: float) -> None:
-        all_angles = np.arange(len(self._x)) < len(self._area.network.buses)
-        self._x, self._start = (x + angle * all_angles for x in (self._x, self._start))
+            first = next(n for n in self._area.neighbours if n.area == min(self._referenced))
+            angle = find_turn_to_neighbour(self._model, self._iteration.x, first, self._heard[first.area])
+            self._iteration.turn(self._model, angle)
+        angle, self._heard = agree_on_full_turns(self._model, self._iteration.x, self._heard, self._referenced)
+        self._iteration.turn(self._model, angle)
 
     def _step(self) -> None:
         assert self._model is not None
         if not self._is_informed:
-            self._steps_left = 0
-            self._x = self._near_start(self._x)
-            self._shown = self._estimate(self._model, self._settled_near_start())
-            return
-        self._steps_left -= 1
-        dx, sizes = self._solve_steps(self._model)
-        self._x = _with_positive_magnitudes(self._x + dx, len(self._area.network.buses))
-        rest = find_rest([self._last_step, *sizes])
-        self._last_step = sizes[-1]
-        if rest <= SETTLED_STEP:
-            self._steps_left = 0
-            self._start = self._x
-        early = not self._is_released and self._last_step <= TOLD_EARLY
-        if self._steps_left == 0 or early:
-            self._is_released = True
-            self._shown = self._estimate(self._model, self._x)
-
-    def _solve_steps(self, model: AreaModel) -> tuple[np.ndarray, list[float]]:
-        """All that one factor serves for, or half a step after too many."""
-        if self._steps_left >= STEPS_PER_NEWS - FULL_STEPS:
-            dx, sizes, self._factor = solve_steps(
-                model, self._x, self._heard, self._last_step, SETTLED_STEP, self._factor
-            )
-            return dx, sizes
-        dx = solve_step(model, self._x, self._heard, self._last_step) / 2
-        return dx, [float(abs(dx).max(initial=0.0))]
-
-    def _near_start(self, x: np.ndarray) -> np.ndarray:
-        assert self._model is not None
-        step = solve_step_near(self._model, x, self._heard, self._start)
-        return _with_positive_magnitudes(x + step, len(self._area.network.buses))
-
-    def _settled_near_start(self) -> np.ndarray:
-        """What the area can say before all have been heard. Messages do not rest on it: half of the news misleads."""
-        x = self._x
-        for _ in range(FULL_STEPS):
-            before, x = x, self._near_start(x)
-            if abs(x - before).max(initial=0.0) <= SETTLED_NEAR_START:
-                break
-        return x
+            x = self._iteration.step_near_start(self._model, self._heard)
+            self._shown = self._estimate(self._model, x)
+        elif self._iteration.step(self._model, self._heard):
+            self._shown = self._estimate(self._model, self._iteration.x)
 
     def _estimate(self, model: AreaModel, x: np.ndarray) -> Estimate:
         """The state ``x``; how well it is known, and what of it is sure, neighbours need not wait for (``judge``)."""
@@ -341,10 +242,10 @@ class Information(Strategy):
         assert self._model is not None
         notes = []
         for n in self._area.neighbours:
-            told, y = known.told.get(n.area), self._model.boundary_values(self._x, n)
-            if not isinstance(told, InformationMessage):
+            sent, y = known.sent.get(n.area), self._model.boundary_values(self._iteration.x, n)
+            if not isinstance(sent, InformationMessage):
                 continue  # it has nothing yet that it could contradict
-            distance, freedom = distance_between(y, _read(told), self._heard[n.area])
+            distance, freedom = distance_between(y, _read(sent), self._heard[n.area])
             limit = chi_square_limit(freedom, CONTRADICTION)
             if distance >= limit:
                 notes.append(
@@ -365,19 +266,5 @@ class Information(Strategy):
         return tuple(notes)
 
 
-def _with_positive_magnitudes(x: np.ndarray, n: int) -> np.ndarray:
-    """The same phasors: a step may have led through zero."""
-    through_zero = np.flatnonzero(x[n : 2 * n] < 0)
-    x[n + through_zero] *= -1
-    x[through_zero] += np.pi
-    return x
-
-
 def _read(message: InformationMessage) -> BoundaryInformation:
     return BoundaryInformation(read_triangle(message.R), np.array(message.z))
-
-
-def _are_same(some: Mapping[str, BoundaryInformation], others: Mapping[str, BoundaryInformation]) -> bool:
-    if some.keys() != others.keys():
-        return False
-    return all((heard.R == others[name].R).all() and (heard.z == others[name].z).all() for name, heard in some.items())

@@ -27,7 +27,7 @@ class Knowledge:
 
     ``measurements``: its telemetry of the current scan, virtual measurements included. ``loads``: neighbour ->
     load message; ``boundary``: neighbour -> its newest boundary message; silent neighbours are absent from both.
-    ``present``: the neighbours that are on the bus. ``tallies``: neighbour -> its newest one; ``told``: neighbour ->
+    ``present``: the neighbours that are on the bus. ``tallies``: neighbour -> its newest one; ``sent``: neighbour ->
     the last boundary message to it.
     """
 
@@ -37,7 +37,7 @@ class Knowledge:
     present: frozenset[str] = frozenset()
     scan: int = 0
     tallies: Mapping[str, TallyMessage] = field(default_factory=dict)
-    told: Mapping[str, BoundaryNews] = field(default_factory=dict)
+    sent: Mapping[str, BoundaryNews] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,108 @@
+"""An area's own steps between two messages: damped Gauss-Newton with its neighbours' information in.
+
+It ends where a further step would change nothing. Neighbours are told earlier: once the state is as good as there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from agents.strategies.angle_turns import turn
+from dsse_core.area_model import AreaModel
+from dsse_core.boundary_information import BoundaryInformation
+from dsse_core.exchange import solve_step, solve_step_near, solve_steps
+from dsse_core.kept_factor import ON_THE_WAY, KeptFactor, find_rest
+
+SETTLED_STEP = 1e-11  # p.u., rad: below it a further step changes nothing
+TOLD_EARLY = 1e-6  # p.u., rad: after a smaller step neighbours are told, further ones change nothing of it
+SETTLED_NEAR_START = 1e-6  # p.u., rad: while news is missing
+STEPS_PER_NEWS = 40
+FULL_STEPS = 10  # at once; what takes longer swings around the answer, and half steps settle it
+
+Heard = Mapping[str, BoundaryInformation]
+
+
+class LocalIteration:
+    """``x``: the state, shape (size,), p.u. and rad. ``steps_left``: until news is needed to go on."""
+
+    def __init__(self) -> None:
+        self.x = np.zeros(0)
+        self.steps_left = 0
+        self._start = self.x  # where the last one has ended, or the power flow before the first
+        self._last_step = np.inf
+        self._factor: KeptFactor | None = None
+        self._is_released = False  # a state that rests on the newest messages, for neighbours to be told
+
+    def begin_at(self, x: np.ndarray) -> None:
+        """Start from state ``x``."""
+        self.x = self._start = x
+
+    def turn(self, model: AreaModel, angle: float) -> None:
+        """Add ``angle`` (rad) to all angles."""
+        if angle:
+            self.x, self._start = turn(model, self.x, angle), turn(model, self._start, angle)
+
+    def take_news(self) -> None:
+        """From here to where readings and messages, some of which are new, lead."""
+        self._last_step = np.inf
+        self._is_released = False
+        self.steps_left = STEPS_PER_NEWS
+
+    def go_on(self) -> None:
+        """If the steps for the last news were not enough, there is time for more now."""
+        if self.steps_left == 0 and self._last_step > ON_THE_WAY:
+            self.steps_left = STEPS_PER_NEWS
+
+    def stop(self) -> None:
+        """Take no step until there is news."""
+        self.steps_left = 0
+
+    def step(self, model: AreaModel, heard: Heard) -> bool:
+        """One step or all that one factor serves for; whether neighbours should be told the state now."""
+        self.steps_left -= 1
+        dx, sizes = self._solve(model, heard)
+        self.x = _with_positive_magnitudes(self.x + dx, len(model.area.network.buses))
+        rest = find_rest([self._last_step, *sizes])
+        self._last_step = sizes[-1]
+        if rest <= SETTLED_STEP:
+            self.steps_left = 0
+            self._start = self.x
+        if self.steps_left > 0 and (self._is_released or self._last_step > TOLD_EARLY):
+            return False
+        self._is_released = True
+        return True
+
+    def _solve(self, model: AreaModel, heard: Heard) -> tuple[np.ndarray, list[float]]:
+        """All that one factor serves for, or half a step after too many."""
+        if self.steps_left >= STEPS_PER_NEWS - FULL_STEPS:
+            dx, sizes, self._factor = solve_steps(model, self.x, heard, self._last_step, SETTLED_STEP, self._factor)
+            return dx, sizes
+        dx = solve_step(model, self.x, heard, self._last_step) / 2
+        return dx, [float(abs(dx).max(initial=0.0))]
+
+    def step_near_start(self, model: AreaModel, heard: Heard) -> np.ndarray:
+        """One step that the start guides while news is missing; what the area can say before all have been heard.
+
+        Messages do not rest on that: half of the news misleads.
+        """
+        self.steps_left = 0
+        x = self.x = self._near_start(model, self.x, heard)
+        for _ in range(FULL_STEPS):
+            before, x = x, self._near_start(model, x, heard)
+            if abs(x - before).max(initial=0.0) <= SETTLED_NEAR_START:
+                break
+        return x
+
+    def _near_start(self, model: AreaModel, x: np.ndarray, heard: Heard) -> np.ndarray:
+        step = solve_step_near(model, x, heard, self._start)
+        return _with_positive_magnitudes(x + step, len(model.area.network.buses))
+
+
+def _with_positive_magnitudes(x: np.ndarray, n: int) -> np.ndarray:
+    """The same phasors: a step may have led through zero."""
+    through_zero = np.flatnonzero(x[n : 2 * n] < 0)
+    x[n + through_zero] *= -1
+    x[through_zero] += np.pi
+    return x
