@@ -166,9 +166,9 @@ def read_end(log: Path, lines: int = 24, width: int = 160) -> str:
 class News(queue.SimpleQueue[Any]):
     """What arrives from bus and processes, in order, for the one loop of the coordinator."""
 
-    def offer(self, item: Any) -> None:
-        """Leave what will be said again; it is dropped where too much waits."""
-        if self.qsize() < MAX_WAITING:
+    def offer(self, item: Any, *, said_once: bool = False) -> None:
+        """Leave it, or drop it where too much waits: of what is said again at every beat sooner than of the rest."""
+        if self.qsize() < MAX_WAITING * (2 if said_once else 1):
             self.put(item)
 
     def take(self, timeout_s: float) -> list[Any]:

@@ -97,7 +97,7 @@ def listen(run: RunUnderWay, session: Session) -> None:
 
     def on_presence(key: str, alive: bool, farewell: str = "") -> None:
         if name_of_live(key) in known:
-            run.news.put(_PresenceSeen(time.monotonic(), key, alive, farewell))
+            run.news.offer(_PresenceSeen(time.monotonic(), key, alive, farewell), said_once=True)
 
     def on_farewell(key: str, payload: bytes) -> None:
         if farewell := read_farewell(payload):

@@ -48,8 +48,8 @@ def attach(
         run = run or _find_run(session, timeout_s)
         watcher, news = Watcher(run), News()
         session.subscribe(all_states(run), lambda key, payload: news.offer(_decoded(key, payload)))
-        session.subscribe(all_live(run), lambda key, payload: news.put((key, read_farewell(payload))))
-        session.watch_presence(all_live(run), lambda key, alive: news.put((key, alive)))
+        session.subscribe(all_live(run), lambda key, payload: news.offer((key, read_farewell(payload)), said_once=True))
+        session.watch_presence(all_live(run), lambda key, alive: news.offer((key, alive), said_once=True))
 
         def look(duration_s: float) -> Watcher:
             for item in news.take(duration_s):
@@ -76,7 +76,7 @@ def wait_until_whole(look: Look, timeout_s: float) -> Watcher:
 def _find_run(session: Session, timeout_s: float) -> str:
     """The only run of which an area or a plant is there."""
     news = News()
-    session.watch_presence(all_live(ANY), lambda key, alive: news.put((key, alive)))
+    session.watch_presence(all_live(ANY), lambda key, alive: news.offer((key, alive), said_once=True))
     runs: set[str] = set()
     deadline, settled = time.monotonic() + timeout_s, float("inf")
     while (now := time.monotonic()) < min(deadline, settled):

@@ -50,13 +50,15 @@ def test_a_run_takes_in_the_tokens_of_its_own_processes_only():
     assert len(run.news.take(0.0)) == 3
 
 
-def test_states_that_nobody_takes_in_do_not_pile_up(monkeypatch: pytest.MonkeyPatch):
+def test_states_and_tokens_that_nobody_takes_in_do_not_pile_up(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(processes, "MAX_WAITING", 10)
     news = News()
     for k in range(100):
         news.offer(k)
+    for k in range(100):
+        news.offer(-k, said_once=True)
     news.put("the end of a process")
-    assert news.take(0.0) == [*range(10), "the end of a process"]
+    assert news.take(0.0) == [*range(10), *range(0, -10, -1), "the end of a process"]
 
 
 def test_of_one_name_no_more_lives_are_kept_than_anybody_needs_and_no_more_names(monkeypatch: pytest.MonkeyPatch):
