@@ -15,8 +15,9 @@ import numpy as np
 
 from agents.area_file import AreaFile
 from agents.events import Action, Event, Finish, PresenceChanged, Publish, Received, Refused, StopRequested
-from agents.freshness import find_fresh, renew
+from agents.freshness import find_fresh
 from agents.hearing import Hearing
+from agents.last_words import LastWords
 from agents.messages import (
     AdmmMessage,
     BoundaryMessage,
@@ -29,15 +30,13 @@ from agents.messages import (
     TallyMessage,
     TelemetryMessage,
 )
-from agents.refusals import FUTURE, find_lead, find_reading_refusal, find_refusal, find_unreasonable
+from agents.readings import Readings
+from agents.refusals import FUTURE, find_lead, find_refusal, find_unreasonable
 from agents.reminders import Reminders
 from agents.shown_state import ShownState
 from agents.strategies.interface import Estimate, Knowledge, Strategy
 from agents.turn import Turn
-from dsse_core.boundary_load import NetLoad, load_message_for, measured_net_loads, own_net_load
-from dsse_core.measurement import Measurement, Source
-
-NEWS_LOAD = 1e-9  # p.u.
+from dsse_core.boundary_load import NetLoad
 
 
 class AreaProtocol:
@@ -59,18 +58,13 @@ class AreaProtocol:
         self._next_beat = now + content.beat_s
         self._reminders = Reminders(content.beat_s)
         self._by_name = {n.area: n for n in self._area.neighbours}
-        self._meters = {meter.id: meter for meter in content.meters}
         self._hearing = Hearing(content.beat_s)
         self._used: set[str] = set()  # neighbours whose boundary message is in use
-        self._measurements: tuple[Measurement, ...] = ()
-        self._silent: list[str] = []  # meters without a reading
-        self._sent_load: dict[str, LoadMessage] = {}
-        self._load_of: tuple[object, NetLoad] | None = None  # measurements, and the net load of the area's own buses
-        self._sent_boundary: dict[str, BoundaryNews] = {}
-        self._sent_tally: dict[str, TallyMessage] = {}
-        self._told: Estimate | None = None
+        self._readings = Readings(content)
+        self._words = LastWords(content.area.neighbours, self._hearing, self._header)
+        self._estimate_told: Estimate | None = None  # to neighbours, the last
         self._turn = Turn()
-        self._to_tell: tuple[Estimate, tuple[str, ...]] | None = None  # once news has been looked for again
+        self._estimate_to_tell: tuple[Estimate, tuple[str, ...]] | None = None  # once news has been looked for again
         self._state = ShownState(content.area, self._hearing, self._header)
         self._present: set[str] = set()
         self._gone: dict[str, str] = {}  # neighbour -> its farewell
@@ -94,7 +88,7 @@ class AreaProtocol:
     @property
     def _is_busy(self) -> bool:
         """Whether there is something to do even if nothing is heard."""
-        goes_on = self._strategy.restless or self._to_tell is not None
+        goes_on = self._strategy.restless or self._estimate_to_tell is not None
         return (goes_on and not self._turn.is_held_back(self._now)) or self._turn.next_due(self._now) <= self._now
 
     def handle(self, events: Sequence[Event], now: float) -> Iterator[Action]:
@@ -141,9 +135,9 @@ class AreaProtocol:
         elif self._state.message and self._state.message.quality != self._state.quality(set(self._gone), self._now):
             yield self._renew_state()
         for name in self._reminders.take_due(self._now):
-            yield Publish(self._sent_boundary[name], name)
+            yield Publish(self._words.boundary[name], name)
         if not (self._is_busy or self._turn.awaited):
-            yield from self._tell_freshness()
+            yield from self._words.tell_freshness(self._find_fresh())
 
     # What comes in
 
@@ -166,27 +160,12 @@ class AreaProtocol:
         if isinstance(message, TelemetryMessage):
             if not self._hearing.take_telemetry(message, self._now):
                 return False
-            self._read_telemetry(message)
+            self._refused.update(self._readings.take(message))
         elif isinstance(message, LoadMessage | BoundaryMessage | InformationMessage | AdmmMessage | TallyMessage):
             self._hearing.take(message, self._now)
             if self._hearing.boundary.get(key_sender) is message and message.header.scan == self._scan:
                 self._turn.take_answer(key_sender)
         return True
-
-    def _read_telemetry(self, message: TelemetryMessage) -> None:
-        readings = []
-        for meter_id, value, sigma in zip(message.meters, message.values, message.sigmas, strict=True):
-            meter = self._meters.get(meter_id)
-            if meter is None or meter.source is Source.VIRTUAL:
-                self._refused["unknown meter"] += 1
-            elif reason := find_reading_refusal(value, sigma):
-                self._refused[reason] += 1
-            else:
-                readings.append(Measurement(meter, value, sigma))
-        virtual = [Measurement(m, 0.0, 0.0) for m in self._content.meters if m.source is Source.VIRTUAL]
-        self._measurements = (*readings, *virtual)
-        read = {m.meter.id for m in self._measurements}
-        self._silent = [meter.id for meter in self._content.meters if meter.id not in read]
 
     # What goes out
 
@@ -196,10 +175,10 @@ class AreaProtocol:
         for _ in range(2):  # with all that was heard; if that leads nowhere, from the own telemetry alone
             try:
                 if not self._tells_loads_last:
-                    yield from self._tell_loads()
+                    yield from self._words.tell_loads(self._readings.net_load, self._heard_loads())
                 yield from self._estimate(news)
-                if self._tells_loads_last and self._to_tell is None and not self._turn.is_held_back(self._now):
-                    yield from self._tell_loads()
+                if self._tells_loads_last and self._estimate_to_tell is None and not self._turn.is_held_back(self._now):
+                    yield from self._words.tell_loads(self._readings.net_load, self._heard_loads())
                 break
             except (ArithmeticError, np.linalg.LinAlgError, RuntimeError, ValueError) as error:
                 problem = f"no estimate: {type(error).__name__}: {error}"
@@ -211,15 +190,15 @@ class AreaProtocol:
     @property
     def _tells_loads_last(self) -> bool:
         """Where they only start the iteration, and it is under way; for whoever has to start anew."""
-        return self._strategy.passes_on and self._told is not None
+        return self._strategy.passes_on and self._estimate_told is not None
 
     def _start_anew(self) -> None:
         """Forget what cannot be computed with, as a restart would: where the iteration is, and all that was heard.
 
         What the neighbours have been told on such a ground is replaced by the first estimate that follows.
         """
-        self._strategy, self._told = type(self._strategy)(self._content), None
-        self._to_tell = None
+        self._strategy, self._estimate_told = type(self._strategy)(self._content), None
+        self._estimate_to_tell = None
         self._turn.end_talk()
         self._hearing.forget_neighbours()
         self._refused["led to no estimate"] += 1
@@ -230,19 +209,19 @@ class AreaProtocol:
         A state is shown at rest only: whoever has seen one knows that nothing but news will change it.
         """
         if self._turn.is_held_back(self._now):
-            self._to_tell = None
+            self._estimate_to_tell = None
             return
-        if self._to_tell is None or news:
+        if self._estimate_to_tell is None or news:
             estimate, notes = self._strategy.solve(self._knowledge())
             _check_reasonable(estimate)
-            if self._to_tell is None and estimate is not None and self._is_untold(estimate):
-                self._to_tell = estimate, notes
+            if self._estimate_to_tell is None and estimate is not None and self._is_to_be_told(estimate):
+                self._estimate_to_tell = estimate, notes
                 return  # what has come in meanwhile may change what to say, and saying it takes longest
         else:
-            estimate, notes = self._to_tell
-        self._to_tell = None
-        if estimate is not None and self._is_untold(estimate):
-            self._told = estimate
+            estimate, notes = self._estimate_to_tell
+        self._estimate_to_tell = None
+        if estimate is not None and self._is_to_be_told(estimate):
+            self._estimate_told = estimate
             yield from self._tell_boundaries(estimate)
         if self._strategy.restless or not self._turn.may_show(self._now):
             return
@@ -255,95 +234,56 @@ class AreaProtocol:
         if not self._strategy.restless:
             yield from self._show_state(estimate, notes, doubts=bool(notes))
 
-    def _is_untold(self, estimate: Estimate) -> bool:
+    def _is_to_be_told(self, estimate: Estimate) -> bool:
         """To somebody: the readings of a new scan may be the same, and a neighbour's turn may come later."""
-        sent = [self._sent_boundary.get(n.area) for n in self._area.neighbours]
-        return estimate is not self._told or any(m is None or m.header.scan != self._scan for m in sent)
+        sent = [self._words.boundary.get(n.area) for n in self._area.neighbours]
+        return estimate is not self._estimate_told or any(map(self._words.is_outdated, sent))
 
     def _knowledge(self) -> Knowledge:
         return Knowledge(
-            measurements=self._measurements,
+            measurements=self._readings.measurements,
             loads=self._heard_loads(),
             boundary={name: m for name, m in self._hearing.boundary.items() if name in self._used},
             present=frozenset(self._present),
             scan=self._scan,
             tallies={name: m for name, m in self._hearing.tallies.items() if m.header.scan == self._scan},
-            sent=dict(self._sent_boundary),
+            sent=dict(self._words.boundary),
         )
 
     def _heard_loads(self) -> dict[str, NetLoad]:
         return {name: message.load for name, message in sorted(self._hearing.loads.items())}
 
-    def _tell_loads(self) -> list[Action]:
-        """Tell a neighbour the net load on this side once all the other neighbours have told theirs."""
-        own = self._own_load()
-        heard = self._heard_loads()
-        missing = self._by_name.keys() - heard.keys()
-        actions: list[Action] = []
-        for n in self._area.neighbours:
-            if missing - {n.area}:
-                continue
-            load = load_message_for(n.area, own, heard)
-            sigma, last = load.variance**0.5, self._sent_load.get(n.area)
-            moved = last is None or max(abs(last.load.s - load.s), abs(last.sigma - sigma)) > NEWS_LOAD
-            if last is None or moved or last.header.scan != self._scan:
-                message = LoadMessage(self._header(last), n.bus, load.s.real, load.s.imag, sigma)
-                self._sent_load[n.area] = message
-                actions.append(Publish(message, n.area))
-        return actions
-
-    def _own_load(self) -> NetLoad:
-        """The net load of the area's own buses, found anew for new measurements only."""
-        if self._load_of is None or self._load_of[0] is not self._measurements:
-            telemetered = self._content.generation == "telemetered"
-            measured = measured_net_loads(self._area, self._measurements) if telemetered else {}
-            self._load_of = (self._measurements, own_net_load(self._area, measured))
-        return self._load_of[1]
-
     def _tell_boundaries(self, estimate: Estimate) -> Iterator[Action]:
         """What rests on an awaited word is held back: it would be out of date before it arrives."""
         fresh = self._find_fresh()
-        told = 0
+        n_told = 0
         for n in self._area.neighbours:
             if not self._turn.may_tell(n.area):
                 continue
-            last = self._sent_boundary.get(n.area)
+            last = self._words.boundary.get(n.area)
             message = replace(self._strategy.message_for(n, estimate, self._header(last)), fresh=fresh[n.area])
             _check_sayable(message, self._strategy.find_refusal(message))
-            if last is None or last.header.scan != self._scan or self._strategy.is_news(n, message, last):
-                self._sent_boundary[n.area] = message
+            if last is None or self._words.is_outdated(last) or self._strategy.is_news(n, message, last):
+                publish = self._words.tell_boundary(message, n.area)
                 self._reminders.start(n.area, self._now)
                 if self._strategy.passes_on:
-                    told += 1
+                    n_told += 1
                 if self._strategy.expects_answer(n):
                     self._turn.await_answer(n.area, self._now)
-                yield Publish(message, n.area)
-        self._turn.collect(self._now, told)
-
-    def _tell_freshness(self) -> Iterator[Publish]:
-        """Which words have come to rest on something old, or no longer do; those of a former scan will be replaced."""
-        fresh = self._find_fresh()
-        for name, message in self._sent_boundary.items():
-            if message.fresh != fresh[name] and message.header.scan == self._scan:
-                renewed = renew(message, fresh[name], self._now + self._clock_offset)
-                self._sent_boundary[name] = renewed
-                yield Publish(renewed, name)
+                yield publish
+        self._turn.collect(self._now, n_told)
 
     def _find_fresh(self) -> dict[str, bool]:
         return find_fresh(self._hearing, list(self._by_name), set(self._gone), self._now)
 
-    def _tell_tallies(self) -> list[Action]:
-        actions: list[Action] = []
+    def _tell_tallies(self) -> list[Publish]:
+        told: list[Publish] = []
         for n in self._area.neighbours:
-            last = self._sent_tally.get(n.area)
-            message = self._strategy.tally_for(n, self._header(last))
-            if message is None:
-                continue
-            _check_sayable(message)
-            if last is None or last.header.scan != self._scan or replace(message, header=last.header) != last:
-                self._sent_tally[n.area] = message
-                actions.append(Publish(message, n.area))
-        return actions
+            message = self._strategy.tally_for(n, self._header(self._words.tallies.get(n.area)))
+            if message is not None:
+                _check_sayable(message)
+                told += self._words.tell_tally(message, n.area)
+        return told
 
     def _stop_answered_reminders(self) -> None:
         for n in self._area.neighbours:
@@ -351,7 +291,7 @@ class AreaProtocol:
                 self._reminders.stop(n.area)
 
     def _show_state(self, estimate: Estimate | None, notes: Sequence[str], doubts: bool = False) -> list[Action]:
-        sent = (self._sent_load, self._sent_boundary, self._sent_tally)
+        sent = (self._words.loads, self._words.boundary, self._words.tallies)
         notes = (*notes, *self._what_is_missing())
         changed = self._state.change(estimate, notes, doubts, sent, set(self._gone), self._now)
         return [self._renew_state()] if changed else []
@@ -373,19 +313,15 @@ class AreaProtocol:
                 f"{name or 'telemetry'} is refused, from {lead:.0f} s in the future: the clock of this area is behind, "
                 "or that of the sender ahead; set it, then start its process again"
             )
-        if self._hearing.telemetry is not None and self._silent:
-            notes.append(f"no reading from {len(self._silent)} meters, the first is {self._silent[0]}")
+        if self._hearing.telemetry is not None and (silent := self._readings.silent):
+            notes.append(f"no reading from {len(silent)} meters, the first is {silent[0]}")
         return notes
 
     def _repeat(self, just_done: Sequence[Action]) -> list[Publish]:
         """The last message to each neighbour and the last state, except those sent this very moment."""
         just_sent = {id(action.message) for action in just_done if isinstance(action, Publish)}
-        list(self._tell_freshness())  # with the repeats
-        last_words: list[Publish] = []
-        for name in self._by_name:
-            for message in (d.get(name) for d in (self._sent_load, self._sent_boundary, self._sent_tally)):
-                if message is not None:
-                    last_words.append(Publish(message, name))
+        list(self._words.tell_freshness(self._find_fresh()))  # with the repeats
+        last_words = list(self._words.repeat())
         if self._state.message is not None and id(self._state.message) not in just_sent:
             last_words.append(self._renew_state())
         return [publish for publish in last_words if id(publish.message) not in just_sent]

@@ -1,0 +1,48 @@
+"""The readings of an area's meters in its current scan, and the net load that follows from them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from agents.area_file import AreaFile
+from agents.messages import TelemetryMessage
+from agents.refusals import find_reading_refusal
+from dsse_core.boundary_load import NetLoad, measured_net_loads, own_net_load
+from dsse_core.measurement import Measurement, Source
+
+
+class Readings:
+    """``measurements``: those of the scan, virtual ones included. ``silent``: ids of the meters without a reading."""
+
+    def __init__(self, content: AreaFile) -> None:
+        self.measurements: tuple[Measurement, ...] = ()
+        self.silent: list[str] = []
+        self._content = content
+        self._meters = {meter.id: meter for meter in content.meters}
+        self._virtual = [Measurement(m, 0.0, 0.0) for m in content.meters if m.source is Source.VIRTUAL]
+        self._net_load: NetLoad | None = None  # of these measurements, once asked for
+
+    def take(self, message: TelemetryMessage) -> Iterator[str]:
+        """Take over a scan; for each reading that is refused, the reason."""
+        readings = []
+        for meter_id, value, sigma in zip(message.meters, message.values, message.sigmas, strict=True):
+            meter = self._meters.get(meter_id)
+            if meter is None or meter.source is Source.VIRTUAL:
+                yield "unknown meter"
+            elif reason := find_reading_refusal(value, sigma):
+                yield reason
+            else:
+                readings.append(Measurement(meter, value, sigma))
+        self.measurements = (*readings, *self._virtual)
+        read = {m.meter.id for m in self.measurements}
+        self.silent = [meter.id for meter in self._content.meters if meter.id not in read]
+        self._net_load = None
+
+    @property
+    def net_load(self) -> NetLoad:
+        """Of the area's own buses, generation as the area file says: by these readings or as scheduled."""
+        if self._net_load is None:
+            telemetered = self._content.generation == "telemetered"
+            measured = measured_net_loads(self._content.area, self.measurements) if telemetered else {}
+            self._net_load = own_net_load(self._content.area, measured)
+        return self._net_load
