@@ -109,11 +109,11 @@ def build_scenario(seed: int, duration_s: float) -> Scenario:
     links = list(load_scenario("ieee33", changes=plain).faults.links)
     cuts = [
         {
-            "at_s": draws.uniform(0, duration_s - max(CUT_FOR_S)),
+            "at_s": CUT_EVERY_S * k + draws.uniform(0, CUT_EVERY_S - max(CUT_FOR_S)),  # none falls into another
             "cut": list(draws.choice(links)),
             "for_s": draws.uniform(*CUT_FOR_S),
         }
-        for _ in range(round(duration_s / CUT_EVERY_S))
+        for k in range(round(duration_s / CUT_EVERY_S))
     ]
     losses = [{"from": one, "to": other, "loss": draws.uniform(0, MOST_LOSS)} for one, other in links]
     faults = {"until_s": duration_s, "events": cuts, "link": losses, **OF_ALL_LINKS}
