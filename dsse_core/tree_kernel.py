@@ -41,11 +41,15 @@ STEP, INVERT, CHECK, UPWARD = 0, 1, 2, 3
 
 
 def compiled(function: Callable[..., Any]) -> Any:
-    """``function`` compiled once for all processes; for each anew where no folder can be written to keep it in."""
+    """``function`` compiled once for all processes; for each anew where no folder can be written to keep it in.
+
+    Other threads go on while it runs: where nobody takes in what the bus receives, a link counts as lost.
+    """
+    options: Any = {"error_model": "numpy", "fastmath": {"contract"}, "nogil": True}
     try:
-        return njit(cache=True, error_model="numpy", fastmath={"contract"})(function)
+        return njit(cache=True, **options)(function)
     except RuntimeError:  # as under a unit of systemd that sees neither a home nor anything to write in
-        return njit(error_model="numpy", fastmath={"contract"})(function)
+        return njit(**options)(function)
 
 
 class Work(NamedTuple):

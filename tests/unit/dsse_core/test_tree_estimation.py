@@ -4,6 +4,8 @@ import math
 import os
 import subprocess
 import sys
+import threading
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +13,7 @@ import pytest
 from grids import MeterShares, make_grid
 
 from dsse_core.errors import EstimationDivergedError
-from dsse_core.estimation import EstimationResult, estimate_state
+from dsse_core.estimation import EstimationResult, estimate_state, estimate_with_plan
 from dsse_core.estimation_plan import build_estimation_plan
 from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.network import Branch, Bus, Control, Generator, Network
@@ -105,6 +107,32 @@ def test_the_tree_agrees_with_the_sparse_estimate_on_generated_feeders(n_bus):
     rows = [0, 1, 1500, 3000, 3001, 4500, 5999]
     variance = np.concatenate([sigma**2 for sigma in tree.state_sigma()[::-1]])[rows]
     np.testing.assert_allclose(variance, np.diag(sparse.state_covariance(rows)), rtol=1e-7, atol=1e-20)
+
+
+def test_other_threads_go_on_while_the_tree_computes():
+    """Such as those of the bus: a link whose messages nobody takes in is lost."""
+    rng = np.random.default_rng(1)
+    network, _ = generate_feeder(150, rng)  # numpy lets others go on where arrays have 500 numbers
+    meters = [Meter(Kind.VM, 1), *(Meter(kind, bus.id) for bus in network.buses for kind in POWERS[:2])]
+    measurements = noisy(network, meters, rng)
+    plan = build_estimation_plan(network, meters, backend="tree")
+    values, sigmas = np.array([m.value for m in measurements]), np.array([m.sigma for m in measurements])
+    begin, went_on = threading.Event(), threading.Event()
+    other = threading.Thread(target=lambda: begin.wait() and went_on.set())
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1000.0)  # only who lets others go on does so
+    try:
+        other.start()
+        estimate_with_plan(plan, values, sigmas)  # compiled
+        begin.set()
+        deadline = time.monotonic() + 10.0
+        while not went_on.is_set() and time.monotonic() < deadline:
+            estimate_with_plan(plan, values, sigmas)
+        assert went_on.is_set()
+    finally:
+        sys.setswitchinterval(interval)
+        begin.set()
+        other.join()
 
 
 @pytest.mark.random_cases(few=40, many=1000)
