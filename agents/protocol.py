@@ -162,8 +162,10 @@ class AreaProtocol:
                 return False
             self._refused.update(self._readings.take(message))
         elif isinstance(message, LoadMessage | BoundaryMessage | InformationMessage | AdmmMessage | TallyMessage):
+            last = self._hearing.boundary.get(key_sender)
             self._hearing.take(message, self._now)
-            if self._hearing.boundary.get(key_sender) is message and message.header.scan == self._scan:
+            is_newest = self._hearing.boundary.get(key_sender) is message
+            if is_newest and message is not last and message.header.scan == self._scan:
                 self._turn.take_answer(key_sender)
         return True
 

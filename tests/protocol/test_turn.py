@@ -132,6 +132,23 @@ def test_an_area_that_is_held_back_in_the_middle_of_its_steps_sleeps(bus):
     assert area1.wait_s(bus.now) > 0.0
 
 
+def test_a_repeat_is_no_answer(bus):
+    """The doorkeeper hands on a payload that repeats the last one as the very message that it was."""
+    protocol, now = bus.protocols["area1"], bus.now
+    news: list[Event] = [changed(word_of(bus, name, "area1"), 1, scan=1) for name in ("area2", "area3")]
+    told = told_by(protocol, news, now)
+    while protocol.wait_s(now) == 0.0:
+        told |= told_by(protocol, [], now)
+    assert told == {"area2", "area3"}
+
+    def shows(events: list[Event], at: float) -> bool:
+        actions = [a for a in protocol.handle(events, at) if isinstance(a, Publish)]
+        return any(isinstance(a.message, StateMessage) for a in actions)
+
+    assert not shows(news, now + ANSWER_S / 2)
+    assert shows([], now + 2 * ANSWER_S)
+
+
 def test_a_neighbour_that_a_new_life_has_never_told_anything_is_told_once_the_wait_is_over(bus):
     """It had not yet spoken when a scan began in which the other neighbour was awaited: nothing has changed since."""
     content, start = bus.files["area1"], bus.now
