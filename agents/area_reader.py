@@ -7,6 +7,7 @@ import functools
 import json
 import tomllib
 import typing
+from collections import Counter
 from collections.abc import Iterator
 from itertools import repeat
 from pathlib import Path
@@ -37,13 +38,7 @@ def load_area_file(path: Path) -> AreaFile:
     """
     what = f"area file {path}"
     t = _read_tables(what, path)
-    network = Network(
-        name=t.area,
-        base_mva=t.network.base_mva,
-        buses=_items_of(Bus, t.network.bus),
-        branches=_items_of(Branch, t.network.branch),
-        generators=_items_of(Generator, t.network.generator),
-    )
+    network = _network_of(what, t)
     meters = _items_of(Meter, t.meter)
     if problems := [*find_meter_problems(network, meters), *_find_place_problems(t, network)]:
         raise InvalidInputError(what, problems)
@@ -71,7 +66,7 @@ def _read_tables(what: str, path: Path) -> Any:
     is_json = path.suffix == ".json"
     text = read_text(path, largest=LARGEST_JSON if is_json else LARGEST_TOML, what=what)
     try:
-        table = json.loads(text) if is_json else tomllib.loads(text)
+        table = json.loads(text, object_pairs_hook=_take_each_once) if is_json else tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # of the two readers, or integers that Python cannot hold
         raise InvalidInputError(what, [f"is not {'JSON' if is_json else 'TOML'}: {error}"]) from None
     if isinstance(table, dict) and not {"area", "local_slack"} & table.keys():
@@ -80,6 +75,28 @@ def _read_tables(what: str, path: Path) -> Any:
         return _file_like(_columns_like if is_json else _rows_like).model_validate(table)
     except ValidationError as error:
         raise InvalidInputError(what, [describe_schema_error(e) for e in error.errors()]) from None
+
+
+def _network_of(what: str, t: Any) -> Network:
+    try:
+        return Network(
+            name=t.area,
+            base_mva=t.network.base_mva,
+            buses=_items_of(Bus, t.network.bus),
+            branches=_items_of(Branch, t.network.branch),
+            generators=_items_of(Generator, t.network.generator),
+        )
+    except InvalidInputError as error:
+        raise InvalidInputError(what, [f"network: {problem}" for problem in error.problems]) from None
+
+
+def _take_each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """A table of JSON, whose reader would take the last of two values."""
+    table = dict(pairs)
+    if len(table) < len(pairs):
+        twice = next(key for key, count in Counter(key for key, _ in pairs).items() if count > 1)
+        raise ValueError(f"key {twice!r} is given twice; keep one of them")
+    return table
 
 
 def _items_of(cls: type[T], table: Any) -> tuple[T, ...]:
@@ -99,6 +116,9 @@ def _find_place_problems(t: Any, network: Network) -> Iterator[str]:
             yield f"neighbour {n.area}: bus {n.bus} is not in the network"
         if n.area == t.area:
             yield f"neighbour {n.area}: is the area itself"
+    for name, count in Counter(n.area for n in t.neighbour).items():
+        if count > 1:
+            yield f"neighbour {name}: is given twice; keep one of them"
     if t.local_slack.bus not in network.row:
         yield f"local_slack.bus: bus {t.local_slack.bus} is not in the network"
     if t.reference and t.reference.bus not in network.row:

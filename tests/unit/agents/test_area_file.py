@@ -68,3 +68,28 @@ def test_who_gives_another_kind_of_file_is_told_what_writes_area_files(tmp_path:
     (tmp_path / "other.toml").write_text(text)
     with pytest.raises(InvalidInputError, match=r"other.toml: 1 problem\n  - is no area file; `dsse split SCENARIO"):
         load_area_file(tmp_path / "other.toml")
+
+
+def test_a_neighbour_that_is_given_twice_would_be_believed_twice(tmp_path: Path, content: AreaFile):
+    problems = spoilt(tmp_path / "area.json", content, lambda t: t["neighbour"].append(t["neighbour"][0]))
+    assert f"neighbour {content.area.neighbours[0].area}: is given twice; keep one of them" in problems
+
+
+def test_what_is_wrong_with_the_network_names_the_file(tmp_path: Path, content: AreaFile):
+    path = tmp_path / "area.json"
+    first = content.area.network.buses[0].id
+
+    def change(table: Any) -> None:
+        table["network"]["bus"]["id"][1] = first
+
+    assert f"network: bus {first} is defined more than once; give each bus its own id" in spoilt(path, content, change)
+    with pytest.raises(InvalidInputError, match=r"area\.json"):
+        load_area_file(path)
+
+
+def test_a_key_that_is_given_twice_in_json_is_refused_as_in_toml(tmp_path: Path, content: AreaFile):
+    path = tmp_path / "area.json"
+    save_area_file(path, content)
+    path.write_text(path.read_text().replace('"run": ', '"run": "other", "run": ', 1))
+    with pytest.raises(InvalidInputError, match="is not JSON: key 'run' is given twice; keep one of them"):
+        load_area_file(path)
