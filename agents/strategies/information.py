@@ -130,7 +130,7 @@ class Information(Strategy):
         assert isinstance(message, InformationMessage)
         assert isinstance(last, InformationMessage)
         assert self._model is not None
-        if replace(message, header=last.header) == last:
+        if replace(message, header=last.header, fresh=last.fresh) == last:
             return False
         if self._to_tell.moved[neighbour.area] > SURELY_NEWS:
             return True

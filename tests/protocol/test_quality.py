@@ -10,7 +10,9 @@ from simulated_bus import SimulatedBus, area_files_of, with_links
 from tree_of_areas import tree_scenario
 
 from agents.hearing import FRESH_BEATS
-from agents.messages import InformationMessage
+from agents.messages import Header, Incarnation, InformationMessage
+from agents.strategies import make_strategy
+from agents.strategies.interface import Knowledge
 from coordinator.simulation import Simulation
 from dsse_core.bad_data import process_bad_data
 from dsse_core.link_faults import LinkFaults
@@ -113,6 +115,18 @@ def test_what_is_old_far_away_moves_no_estimate_and_changes_no_number():
             before[name].va,
         )
         assert (state.sent, state.checked) == (before[name].sent, True)
+
+
+def test_that_all_is_fresh_again_is_no_news_of_the_numbers():
+    """Not even of a word that was told, without any comparison, because the state had moved far."""
+    content = area_files_of(load_scenario("ieee33"), strategy="information")[1]
+    strategy, parent = make_strategy(content), content.area.neighbours[0]
+    measurements = tuple(make_telemetry(load_scenario("ieee33")).by_area[content.area.name])
+    estimate, _ = strategy.solve(Knowledge(measurements, scan=1))
+    assert estimate
+    header = Header(content.run, content.area.name, Incarnation(1, 1), 1, 1, 0.0)
+    told, same = (strategy.message_for(parent, estimate, header) for _ in range(2))
+    assert not strategy.is_news(parent, replace(same, fresh=not told.fresh), told)
 
 
 def test_two_lost_repeats_in_a_row_are_no_matter_for_others():
