@@ -12,7 +12,7 @@ import numpy as np
 from agents.strategies.angle_turns import turn
 from dsse_core.area_model import AreaModel
 from dsse_core.boundary_information import BoundaryInformation
-from dsse_core.exchange import solve_step, solve_step_near, solve_steps
+from dsse_core.exchange import DAMPING, solve_step, solve_step_near, solve_steps
 from dsse_core.kept_factor import ON_THE_WAY, KeptFactor, find_rest
 
 SETTLED_STEP = 1e-11  # p.u., rad: below it a further step changes nothing
@@ -85,10 +85,13 @@ class LocalIteration:
     def step_near_start(self, model: AreaModel, heard: Heard) -> np.ndarray:
         """One step that the start guides while news is missing; what the area can say before all have been heard.
 
-        Messages do not rest on that: half of the news misleads.
+        Messages do not rest on that: half of the news misleads. What leads farther from the start than that is
+        uncertain, misleads, too: all linearised there would end at voltages of next to nothing, and stay.
         """
         self.steps_left = 0
-        x = self.x = self._near_start(model, self.x, heard)
+        x = self._near_start(model, self.x, heard)
+        voltages = slice(2 * len(model.area.network.buses))
+        self.x = x = x if abs(x - self._start)[voltages].max() <= DAMPING else self._start
         for _ in range(FULL_STEPS):
             before, x = x, self._near_start(model, x, heard)
             if abs(x - before).max(initial=0.0) <= SETTLED_NEAR_START:
