@@ -131,8 +131,8 @@ class _Steps:
 
     def _find_factor(self, H: sp.csr_array, at_start: bool) -> AugmentedFactor:
         kept, sigmas = self._plan.at_start, self._sigmas.tobytes()
-        if at_start and sigmas in kept:
-            return kept[sigmas]
+        if at_start and (found := kept.get(sigmas)):
+            return found
         factor = AugmentedFactor(H, self._sigmas, pattern=self._plan.pattern)
         if at_start:
             kept.clear()
