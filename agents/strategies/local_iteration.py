@@ -91,7 +91,9 @@ class LocalIteration:
         self.steps_left = 0
         x = self._near_start(model, self.x, heard)
         voltages = slice(2 * len(model.area.network.buses))
-        self.x = x = x if abs(x - self._start)[voltages].max() <= DAMPING else self._start
+        if not abs(x - self._start)[voltages].max() <= DAMPING:  # nor where it is no number
+            x = self._start
+        self.x = x
         for _ in range(FULL_STEPS):
             before, x = x, self._near_start(model, x, heard)
             if abs(x - before).max(initial=0.0) <= SETTLED_NEAR_START:

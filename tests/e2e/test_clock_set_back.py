@@ -24,38 +24,38 @@ def behind(tmp_path: Path):
     return lambda seconds: ["env", f"PYTHONPATH={tmp_path / 'moved'}", f"BEHIND_S={seconds}"]
 
 
-def start(system: SystemByHand, endpoint: str) -> None:
-    system.start("router", "router", "--listen", endpoint)
-    for name in ("area1", "area2"):
-        system.start(name, "agent", f"areas/{name}.toml")
-    system.start("plant", "plant", "industrial13", "--connect", endpoint)
-
-
-def test_five_minutes_behind_its_former_life_it_is_heard_again(dsse, tmp_path: Path, behind):
+@pytest.fixture
+def system(dsse, tmp_path: Path):
+    """industrial13, whose areas agree, and its watcher; area2 has just been killed."""
     endpoint, _ = prepare_by_hand(dsse, secured=False)
     with SystemByHand(tmp_path) as system:
-        start(system, endpoint)
-        with Watcher("industrial13", [endpoint]) as watcher:
-            watcher.wait_for_consensus()
-            former = watcher.states["area2"].header.incarnation
-            system.end("area2", signal.SIGKILL)
-            system.start("area2", "agent", "areas/area2.toml", prefix=behind(300))
-            watcher.wait_until(lambda: watcher.states["area2"].header.incarnation < former)
-            gap = watcher.wait_for_consensus()
-            assert gap.vm_pu is not None
-            assert gap.vm_pu <= 1e-8
-
-
-def test_an_hour_behind_it_says_that_its_clock_may_be_and_the_others_go_on(dsse, tmp_path: Path, behind):
-    endpoint, _ = prepare_by_hand(dsse, secured=False)
-    with SystemByHand(tmp_path) as system:
-        start(system, endpoint)
+        system.start("router", "router", "--listen", endpoint)
+        for name in ("area1", "area2"):
+            system.start(name, "agent", f"areas/{name}.toml")
+        system.start("plant", "plant", "industrial13", "--connect", endpoint)
         with Watcher("industrial13", [endpoint]) as watcher:
             watcher.wait_for_consensus()
             system.end("area2", signal.SIGKILL)
-            system.start("area2", "agent", "areas/area2.toml", prefix=behind(3600))
-            watcher.wait_until(lambda: any("clock" in note for note in watcher.states["area2"].notes))
-            assert watcher.states["area2"].quality != "good"
-            watcher.wait_until(lambda: watcher.states["area1"].quality == "degraded")
-            assert watcher.states["area1"].buses
-            assert system.processes["area1"].poll() is None
+            yield system, watcher
+
+
+def test_five_minutes_behind_its_former_life_it_is_heard_again(system: tuple[SystemByHand, Watcher], behind):
+    processes, watcher = system
+    former = watcher.states["area2"].header.incarnation
+    processes.start("area2", "agent", "areas/area2.toml", prefix=behind(300))
+    watcher.wait_until(lambda: watcher.states["area2"].header.incarnation < former)
+    gap = watcher.wait_for_consensus()
+    assert gap.vm_pu is not None
+    assert gap.vm_pu <= 1e-8
+
+
+def test_an_hour_behind_it_says_that_its_clock_may_be_and_the_others_go_on(
+    system: tuple[SystemByHand, Watcher], behind
+):
+    processes, watcher = system
+    processes.start("area2", "agent", "areas/area2.toml", prefix=behind(3600))
+    watcher.wait_until(lambda: any("clock" in note for note in watcher.states["area2"].notes))
+    assert watcher.states["area2"].quality != "good"
+    watcher.wait_until(lambda: watcher.states["area1"].quality == "degraded")
+    assert watcher.states["area1"].buses
+    assert processes.processes["area1"].poll() is None

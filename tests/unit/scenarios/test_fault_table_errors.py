@@ -1,0 +1,146 @@
+"""Every mistake in the faults of a scenario is refused, naming key, what was found and what is allowed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from scenario_mistakes import GOOD, link, problems_of, the_only
+
+from coordinator.fault_schedule import FaultSchedule
+from dsse_core.link_faults import LinkFaults
+from scenarios.scenario import load_scenario
+
+
+@pytest.mark.parametrize("loss", ["-0.1", "1.5"])
+def test_a_loss_that_is_no_probability_is_refused(tmp_path: Path, loss: str) -> None:
+    problem = the_only(problems_of(tmp_path, GOOD + f"\n[faults]\nloss = {loss}\n"))
+    assert problem.startswith("faults.loss: must be ")
+    assert f"found {loss}" in problem
+
+
+def test_a_load_error_of_an_unknown_area_is_refused(tmp_path: Path) -> None:
+    text = GOOD + "\n[faults.load_error.area9]\np_mw = 0.3\nq_mvar = 0.3\n"
+    assert the_only(problems_of(tmp_path, text)) == (
+        "faults.load_error.area9: there is no area 'area9'; areas: area1, area2, area3"
+    )
+
+
+def test_a_load_error_without_its_reactive_part_is_refused(tmp_path: Path) -> None:
+    problem = the_only(problems_of(tmp_path, GOOD + "\n[faults.load_error.area1]\np_mw = 0.3\n"))
+    assert problem.startswith("faults.load_error.area1.q_mvar: missing;")
+
+
+def test_a_link_of_an_unknown_area_is_refused(tmp_path: Path) -> None:
+    problem = the_only(problems_of(tmp_path, GOOD + link("area1", "area9")))
+    assert problem == "faults.link[0].to: there is no area 'area9'; areas: area1, area2, area3"
+
+
+def test_a_link_between_areas_that_are_not_neighbours_is_refused_with_the_links(tmp_path: Path) -> None:
+    problem = the_only(problems_of(tmp_path, GOOD + link("area2", "area3")))
+    assert problem.startswith("faults.link[0]: area2 and area3 are not neighbours; links: area2 to area1,")
+
+
+def test_a_link_that_is_given_twice_is_refused(tmp_path: Path) -> None:
+    problem = the_only(problems_of(tmp_path, GOOD + 2 * link("area1", "area2")))
+    assert problem == "faults.link[1]: the link from area1 to area2 is given twice; keep one"
+
+
+def events(*lines: str) -> str:
+    return "\n[faults]\nevents = [" + ", ".join(f"{{ {line} }}" for line in lines) + "]\n"
+
+
+def test_every_event_that_cannot_happen_is_refused_with_its_number(tmp_path: Path) -> None:
+    text = GOOD + events(
+        'at_s = 1, kill = "area9"',
+        'at_s = 1, cut = ["area2", "area3"], for_s = 1',
+        'at_s = 1, cut = ["area2", "plant"], for_s = 1',
+        'at_s = 29, pause = "router", for_s = 1',
+    )
+    problems = problems_of(tmp_path, text)
+    assert problems == (
+        "faults.events[0].kill: there is no 'area9'; allowed: area1, area2, area3, plant, router",
+        "faults.events[2].cut: there is no 'plant'; allowed: area1, area2, area3",
+        "faults.events[3]: is over 30 s after the start, but run.timeout_s is 30; raise timeout_s or let it happen "
+        "earlier",
+        "faults.events[1].cut: area2 and area3 are not neighbours; links: area2 to area1, area3 to area1, "
+        "area1 to area2, area1 to area3",
+    )
+
+
+def test_events_that_meet_what_is_dead_frozen_silent_or_cut_already_are_refused(tmp_path: Path) -> None:
+    text = GOOD + events(
+        'at_s = 9, kill = "area1"',  # lines need not be in the order of time
+        'at_s = 1, kill = "area1"',
+        'at_s = 2, pause = "area1", for_s = 1',
+        'at_s = 3.5, restart = "area1"',
+        'at_s = 1, pause = "plant", for_s = 3',
+        'at_s = 2, silent = "plant", for_s = 5',
+        'at_s = 1, cut = ["area1", "area2"], for_s = 2',
+        'at_s = 2, cut = ["area2", "area1"], for_s = 2',
+    )
+    assert problems_of(tmp_path, text) == (
+        "faults.events[2].pause: area1 is dead by then, killed by faults.events[1]; restart it before, or remove one "
+        "of the two",
+        "faults.events[5].silent: falls into faults.events[4], pause plant until 4 s; let it happen earlier or later",
+        "faults.events[7].cut: falls into faults.events[6], cut area1 and area2 until 3 s; let it happen earlier or "
+        "later",
+    )
+
+
+def test_an_event_may_begin_when_the_one_before_it_ends(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(GOOD + events('at_s = 1, pause = "area1", for_s = 1', 'at_s = 2, pause = "area1", for_s = 1'))
+    steps = FaultSchedule.of(load_scenario(path).faults.events).steps
+    assert [(step.at_s, step.kind) for step in steps] == [(1, "pause"), (2, "resume"), (2, "pause"), (3, "resume")]
+
+
+def test_the_second_router_can_be_named_where_there_is_one(tmp_path: Path) -> None:
+    happens = events('at_s = 1, kill = "router2"', 'at_s = 2, restart = "router2"')
+    assert the_only(problems_of(tmp_path, GOOD + events('at_s = 1, kill = "router2"'))) == (
+        "faults.events[0].kill: there is no 'router2' with transport.routers = 1; allowed: area1, area2, area3, plant, "
+        "router"
+    )
+    path = tmp_path / "mine.toml"
+    path.write_text(GOOD + "[transport]\nrouters = 2\n" + happens)
+    assert [event.names for event in load_scenario(path).faults.events] == [("router2",), ("router2",)]
+
+
+def test_there_is_no_router_to_kill_where_neighbours_link_directly(tmp_path: Path) -> None:
+    text = GOOD + '[transport]\nkind = "neighbours"\n' + events('at_s = 1, restart = "router"')
+    assert the_only(problems_of(tmp_path, text)) == (
+        "faults.events[0].restart: there is no 'router' with transport.kind = \"neighbours\"; allowed: area1, area2, "
+        "area3, plant"
+    )
+
+
+@pytest.mark.parametrize(
+    ("event", "expected"),
+    [
+        ("at_s = 1", "give exactly one of kill, restart, pause, cut and silent, found none"),
+        ('at_s = 1, kill = "area1", pause = "area2"', "found kill and pause"),
+        ('at_s = 1, pause = "area1"', "pause lasts; say how long with for_s"),
+        ('at_s = 1, restart = "area1", for_s = 2', "restart happens in a moment; remove for_s"),
+        ('at_s = 1, cut = ["area1"], for_s = 2', "cut must name two neighbouring areas"),
+    ],
+)
+def test_an_event_is_exactly_one_thing_that_lasts_or_does_not(tmp_path: Path, event: str, expected: str) -> None:
+    problem = the_only(problems_of(tmp_path, GOOD + events(event)))
+    assert problem.startswith("faults.events[0]: ")
+    assert expected in problem
+
+
+def test_a_link_takes_what_it_does_not_say_from_all_links_and_cuts_from_events(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    own = '[[faults.link]]\nfrom = "area1"\nto = "area2"\nloss = 0.0\nlie = { va_deg = 1.0 }\n'
+    cut = '[[faults.events]]\nat_s = 3\ncut = ["area2", "area1"]\nfor_s = 2\n'
+    path.write_text(GOOD + "[faults]\nloss = 0.5\nburst = { enter = 0.1, leave = 0.5 }\ndelay_ms = 20\n" + own + cut)
+    faults = load_scenario(path).faults
+    everywhere = LinkFaults(loss=0.5, burst_enter=0.1, burst_leave=0.5, delay_s=0.02)
+    cuts = ((3.0, 5.0),)
+    assert faults.links["area1", "area2"] == replace(everywhere, loss=0.0, lie_va=math.radians(1.0), cuts=cuts)
+    assert faults.links["area2", "area1"] == replace(everywhere, cuts=cuts)
+    assert faults.links["area1", "area3"] == everywhere
+    assert faults.over_s == 5.0
