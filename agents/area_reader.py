@@ -138,7 +138,8 @@ def describe_schema_error(error: Any) -> str:
         return f"{path}: missing key"
     if error["type"] == OF_ONE_LENGTH:
         return f"{path}: {error['msg']}"
-    return f"{path}: {error['msg']}, found {error['input']!r:.80}"
+    message = "must be one table, of keys and their values" if error["type"] == "model_type" else error["msg"]
+    return f"{path}: {message}, found {error['input']!r:.80}"
 
 
 class _Strict(BaseModel):

@@ -63,6 +63,12 @@ def test_lists_of_different_lengths_and_missing_ones_are_named(tmp_path: Path, c
     assert lengths.startswith(f"meter: the lists need as many values each; kind has {n}, bus has {n - 1}")
 
 
+def test_a_list_where_one_table_belongs_is_refused(tmp_path: Path, content: AreaFile):
+    rows = [{"kind": "vm", "bus": 1}]
+    (problem,) = spoilt(tmp_path / "area.json", content, lambda t: t.update(meter=rows))
+    assert problem == f"meter: must be one table, of keys and their values, found {rows}"
+
+
 @pytest.mark.parametrize("text", ['version = 1\nnetwork = "ieee33"\n', 'name = "x"\n[[bus]]\nid = 1\n', ""])
 def test_who_gives_another_kind_of_file_is_told_what_writes_area_files(tmp_path: Path, text: str):
     (tmp_path / "other.toml").write_text(text)
