@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, Self
 
-from pydantic import Discriminator, Field, PlainValidator, StringConstraints, Tag, model_validator
+from pydantic import BeforeValidator, Discriminator, Field, PlainValidator, StringConstraints, Tag, model_validator
 
 from dsse_core.limits import LARGEST_SIGMA, SMALLEST_SIGMA
 from scenarios.fault_tables import FaultsTable, Positive, Seconds
@@ -87,11 +87,23 @@ def _kind_of_areas(value: object) -> str:
     return "[lists]"
 
 
+def _refuse_both(value: object) -> object:
+    """Lists of buses beside another way to say what the areas are."""
+    if isinstance(value, dict):
+        lists = [name for name, item in value.items() if isinstance(item, dict)]
+        how = [name for name in ("count", "switches") if name in value.keys() - lists]
+        if lists and how:
+            found = f"{how[0]} and the areas {', '.join(lists)}"
+            raise ValueError(f"give {how[0]} or the buses of each area, found {found}")
+    return value
+
+
 Areas = Annotated[
     Annotated[dict[AreaName, AreaTable], Tag("[lists]")]
     | Annotated[CountTable, Tag("[count]")]
     | Annotated[SwitchesTable, Tag("[switches]")],
     Discriminator(_kind_of_areas),
+    BeforeValidator(_refuse_both),
 ]
 
 

@@ -93,7 +93,10 @@ def test_wrong_switches_are_told_with_their_key(tmp_path: Path) -> None:
         ('areas = { count = "3" }', ["areas.count: must be a valid integer, found '3'"]),
         ("areas = { cuont = 3 }", ["areas.count: missing", "areas.cuont: unknown key; allowed here: count; did you"]),
         ('areas = { count = 3, switches = ["6-7"] }', ["areas.count: unknown key; allowed here: switches"]),
-        ("[areas]\ncount = 2\n[areas.area1]\nbuses = [1]", ["areas.area1: unknown key; allowed here: count"]),
+        (
+            "[areas]\ncount = 2\n[areas.area1]\nbuses = [1]",
+            ["areas: give count or the buses of each area, found count and the areas area1"],
+        ),
         ("areas = { switches = [] }", ["areas.switches: List should have at least 1 item"]),
         ("areas = { switches = [67] }", ["areas.switches[0]: must be a valid string, found 67"]),
         ("areas = 3", ["areas: must be a table, found 3 (one [areas.NAME] with its buses for each area, or { count"]),
