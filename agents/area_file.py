@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from enum import StrEnum
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
 import tomli_w
+from pydantic_core import to_json
 
 from dsse_core.link_faults import LinkFaults
 from dsse_core.measurement import Meter
@@ -94,7 +95,7 @@ def save_area_file(path: Path, content: AreaFile) -> None:
         "meter": all_of(Meter, content.meters),
     }
     if is_json:
-        path.write_text(json.dumps(table), encoding="utf-8")
+        path.write_bytes(to_json(table))
         return
     comment = f"# Area {area.name}: all that its agent reads. Per unit on base_mva, and radians.\n"
     path.write_text(comment + tomli_w.dumps(table), encoding="utf-8")
@@ -102,12 +103,18 @@ def save_area_file(path: Path, content: AreaFile) -> None:
 
 def _columns_of(cls: Any, items: Sequence[Any]) -> dict[str, Any]:
     """Dataclasses as one table with a list for each key; a key of defaults only is left out."""
-    columns = ((key, list(map(attrgetter(key), items)), default) for key, default in keys_of(cls))
+    columns = ((key, _column_of(key, items), default) for key, default in keys_of(cls))
     return {
         key: column
         for key, column, default in columns
         if default is dataclasses.MISSING or any(value != default for value in column)
     }
+
+
+def _column_of(key: str, items: Sequence[Any]) -> list[Any]:
+    column = list(map(attrgetter(key), items))
+    is_enumeration = bool(column) and isinstance(column[0], StrEnum)
+    return list(map(str, column)) if is_enumeration else column  # plain text is written in a fraction of the time
 
 
 def _all_rows_of(_: Any, items: Sequence[Any]) -> list[dict[str, Any]]:

@@ -65,6 +65,8 @@ def find_blocks(network: Network) -> list[Block]:
 def _pop_block(trail: list[Branch], entry: Branch, top: int) -> Block:
     """Everything on ``trail`` from ``entry`` on."""
     branches = [trail.pop()]
+    if branches[0] is entry:  # in no loop, as nearly everywhere in a feeder
+        return Block(top, (entry.other_end(top),), (entry,))
     while branches[-1] is not entry:
         branches.append(trail.pop())
     branches.reverse()

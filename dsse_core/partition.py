@@ -76,11 +76,9 @@ class Partition:
     @cached_property
     def owner_of_bus(self) -> dict[int, str]:
         """Bus id -> the area that owns it: its only area, or the one towards the substation."""
+        not_owned = {area.name: area.parent.bus for area in self.areas if area.parent}
         return {
-            bus.id: area.name
-            for area in self.areas
-            for bus in area.network.buses
-            if area.parent is None or bus.id != area.parent.bus
+            bus.id: area.name for area in self.areas for bus in area.network.buses if bus.id != not_owned.get(area.name)
         }
 
     def area_of_meter(self, meter: Meter) -> str:
@@ -90,8 +88,9 @@ class Partition:
     def meters_by_area(self, meters: Iterable[Meter]) -> dict[str, list[Meter]]:
         """Area -> its meters among ``meters``, in their order; every area is there."""
         found: dict[str, list[Meter]] = {area.name: [] for area in self.areas}
+        of_branch, of_bus = self._area_of_branch, self.owner_of_bus
         for meter in meters:
-            found[self.area_of_meter(meter)].append(meter)
+            found[of_branch[meter.branch] if meter.branch else of_bus[meter.bus]].append(meter)
         return found
 
     @cached_property

@@ -10,7 +10,7 @@ The size of an area is the number of buses below its blocks: those that it owns,
 from __future__ import annotations
 
 import heapq
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -66,7 +66,7 @@ def cut_at(network: Network, switches: Sequence[str]) -> dict[str, list[int]]:
             areas.append(area)
         area.append(block)
         area_above |= dict.fromkeys(block.buses, area)
-    areas = [area for area in areas if area]
+    areas = [area[::-1] for area in areas if area]
     if len(areas) == 1:
         problem = (
             f"branch {switches[0]} is the only branch at the substation, so that a cut there leaves one area; "
@@ -106,6 +106,7 @@ class _Hanging:
     sizes: list[int]
     below: list[tuple[int, int | list[list[int]]]]  # in the order of the blocks
     at_top: list[list[int]]  # those that hang below no block
+    joined: bytes  # those that have been joined to the block above beforehand
 
 
 @dataclass(slots=True)
@@ -128,16 +129,13 @@ class _Packing:
 def _balance(blocks: Sequence[Block], count: int) -> list[list[Block]]:
     """Exactly ``count`` areas of ``blocks``, which are connected, each before the one above it."""
     hanging = _find_hanging(blocks)
-
-    def fits(bound: int) -> bool:
-        return _pack(hanging, bound).n_area <= count
-
     low, high = 0, -(-sum(hanging.sizes) // count)
-    while not fits(high):
+    while _pack(hanging, high).n_area > count:
         low, high = high, 2 * high
+    merged = _merge_small(hanging, low)
     while high - low > 1:
         middle = (low + high) // 2
-        low, high = (low, middle) if fits(middle) else (middle, high)
+        low, high = (low, middle) if _pack(merged, middle).n_area <= count else (middle, high)
     areas = _read_off(blocks, _pack(hanging, high))
     largest = [(-sum(len(block.buses) for block in area), i) for i, area in enumerate(areas)]
     heapq.heapify(largest)
@@ -161,7 +159,23 @@ def _find_hanging(blocks: Sequence[Block]) -> _Hanging:
             is_single = len(groups) == len(groups[0]) == 1
             below.append((i, groups[0][0] if is_single else groups))
         at.setdefault(block.top, []).append(i)
-    return _Hanging([len(block.buses) for block in blocks], below, list(at.values()))
+    return _Hanging([len(block.buses) for block in blocks], below, list(at.values()), bytes(len(blocks)))
+
+
+def _merge_small(hanging: _Hanging, bound: int) -> _Hanging:
+    """A block with all below it in one, where that is not above ``bound``: any larger bound joins the same."""
+    sizes, joined, below = hanging.sizes.copy(), bytearray(hanging.joined), []
+    whole = hanging.sizes.copy()
+    for i, groups in hanging.below:
+        hung = [groups] if isinstance(groups, int) else [k for group in groups for k in group]
+        whole[i] += sum(whole[k] for k in hung)
+        if whole[i] <= bound:
+            sizes[i] = whole[i]
+            for k in hung:
+                joined[k] = True
+        else:
+            below.append((i, groups))
+    return _Hanging(sizes, below, hanging.at_top, bytes(joined))
 
 
 def _pack(hanging: _Hanging, bound: int) -> _Packing:
@@ -173,7 +187,7 @@ def _pack(hanging: _Hanging, bound: int) -> _Packing:
     from this follows by their exchange argument that twice the smallest possible bound needs no more areas.
     """
     weight, leader = hanging.sizes.copy(), list(range(len(hanging.sizes)))
-    joined = bytearray(len(weight))
+    joined = bytearray(hanging.joined)
     for i, groups in hanging.below:
         if isinstance(groups, int):
             if (heavier := weight[i] + weight[groups]) <= bound:
@@ -224,15 +238,23 @@ def _read_off(blocks: Sequence[Block], packing: _Packing) -> list[list[Block]]:
 
 
 def _name_areas(network: Network, areas: Sequence[Sequence[Block]]) -> dict[str, list[int]]:
+    """``areas``: the blocks of each, every block before the one above it."""
     assert network.slack is not None  # find_blocks
-    area_of = {branch.id: i for i, area in enumerate(areas) for block in area for branch in block.branches}
-    members: dict[int, set[int]] = {}  # in the order of the walk
-    seen, queue = {network.slack.bus}, deque([network.slack.bus])
-    while queue:
-        bus = queue.popleft()
-        for branch in network.branches_at[bus]:
-            members.setdefault(area_of[branch.id], set()).update((branch.from_bus, branch.to_bus))
+    at_top: dict[int, dict[str, int]] = {}  # the bus where a walk enters areas -> their branches -> area
+    for i, area in enumerate(areas):
+        top = area[-1].top
+        entries = (branch.id for block in area if block.top == top for branch in block.branches)
+        at_top.setdefault(top, {}).update(dict.fromkeys(entries, i))
+    order: dict[int, None] = {}
+    walk = [network.slack.bus]
+    seen = set(walk)
+    for bus in walk:  # which grows: breadth first
+        branches = network.branches_at[bus]
+        if bus in at_top:
+            order |= dict.fromkeys(at_top[bus][branch.id] for branch in branches if branch.id in at_top[bus])
+        for branch in branches:
             if (there := branch.other_end(bus)) not in seen:
                 seen.add(there)
-                queue.append(there)
-    return {f"area{k}": sorted(buses, key=network.row.__getitem__) for k, buses in enumerate(members.values(), 1)}
+                walk.append(there)
+    buses_of = ({areas[i][-1].top}.union(*(block.buses for block in areas[i])) for i in order)
+    return {f"area{k}": sorted(buses, key=network.row.__getitem__) for k, buses in enumerate(buses_of, 1)}

@@ -92,14 +92,16 @@ def build_meters(table: MeasurementsTable, network: Network) -> tuple[Meter, ...
         meters += [Meter(KIND.VA, bus) for bus in _known(table.angle.buses, all_buses)]
     if table.flow:
         branches = [network.branch(b) for b in _known(table.flow.branches, all_branches)]
-        meters += [Meter(kind, b.from_bus, b.id) for b in branches for kind in (KIND.P_FLOW, KIND.Q_FLOW)]
+        flows = (KIND.P_FLOW, KIND.Q_FLOW)
+        meters += [Meter(kind, b.from_bus, b.id) for b in branches for kind in flows]
     if table.current:
         branches = [network.branch(b) for b in _known(table.current.branches, all_branches)]
         meters += [Meter(KIND.CURRENT, b.from_bus, b.id) for b in branches]
     virtual = find_virtual_buses(table, network)
     measured = _known(table.injection.buses, all_buses) if table.injection else ()
-    meters += [m for bus in measured if bus not in virtual for m in _injection_meters(bus, Source.TELEMETERED)]
-    meters += [m for bus in virtual for m in _injection_meters(bus, Source.VIRTUAL)]
+    injections = (KIND.P_INJECTION, KIND.Q_INJECTION)
+    meters += [Meter(kind, bus) for bus in measured if bus not in virtual for kind in injections]
+    meters += [Meter(kind, bus, source=Source.VIRTUAL) for bus in virtual for kind in injections]
     return tuple(meters)
 
 
@@ -160,7 +162,3 @@ def _find_zero_injections(network: Network) -> dict[int, None]:
     """Buses without load and source; a shunt is part of the network, not an injection."""
     fed = {generator.bus for generator in network.generators}
     return {b.id: None for b in network.buses if b.p_load == 0 and b.q_load == 0 and b.id not in fed}
-
-
-def _injection_meters(bus: int, source: Source) -> list[Meter]:
-    return [Meter(kind, bus, source=source) for kind in (KIND.P_INJECTION, KIND.Q_INJECTION)]

@@ -6,6 +6,7 @@ import json
 import math
 import re
 from collections.abc import Collection, Iterable, Mapping
+from itertools import count
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -19,6 +20,7 @@ from scenarios.zero_impedances import find_zero_impedance_problems
 
 Positive = Annotated[float, Field(gt=0)]
 BRANCH_ID = re.compile(r"[a-z0-9_-]+")
+NOTHING = (None,) * 4
 
 
 class BusTable(Table):
@@ -61,7 +63,7 @@ class BranchTable(Table):
     def _has_one_complete_impedance(self) -> Self:
         ohm = (self.r_ohm, self.x_ohm, self.b_us, self.g_us)
         pu = (self.r_pu, self.x_pu, self.b_pu, self.g_pu)
-        if any(v is not None for v in ohm) and any(v is not None for v in pu):
+        if ohm != NOTHING and pu != NOTHING:
             raise ValueError(
                 "mixes ohm and microsiemens with r_pu/x_pu/b_pu/g_pu; give all of them in one of the two units"
             )
@@ -140,8 +142,10 @@ def _base_kv_by_bus(file: NetworkFile) -> dict[int, float]:
 def _find_unit_problems(file: NetworkFile) -> Iterable[str]:
     base_kv = _base_kv_by_bus(file)
     for i, branch in enumerate(file.branch):
+        if not branch.is_in_ohm:
+            continue
         from_kv, to_kv = base_kv.get(branch.from_), base_kv.get(branch.to)
-        if branch.is_in_ohm and None not in (from_kv, to_kv) and from_kv != to_kv:
+        if None not in (from_kv, to_kv) and from_kv != to_kv:
             yield (
                 f"branch[{i}].r_ohm: the branch joins bus {branch.from_} of {from_kv} kV and bus {branch.to} of "
                 f"{to_kv} kV, so an impedance in ohm is ambiguous; give r_pu and x_pu"
@@ -182,17 +186,22 @@ def _build_branches(file: NetworkFile) -> Iterable[Branch]:
     for branch in file.branch:
         branch_id = branch.id or default_branch_id(branch.from_, branch.to, taken)
         taken.add(branch_id)
-        # An ohm is 1 / z_base p.u.; the base of an unknown bus does not matter, Network reports the bus.
-        kv = base_kv.get(branch.from_, 1.0)
-        z_base = kv * kv / file.base_mva
+        if branch.is_in_ohm:
+            # An ohm is 1 / z_base p.u.; the base of an unknown bus does not matter, Network reports the bus.
+            kv = base_kv.get(branch.from_, 1.0)
+            z_base = kv * kv / file.base_mva
+            r, x = (branch.r_ohm or 0.0) / z_base, (branch.x_ohm or 0.0) / z_base
+            b, g = (branch.b_us or 0.0) * 1e-6 * z_base, (branch.g_us or 0.0) * 1e-6 * z_base
+        else:
+            r, x, b, g = branch.r_pu or 0.0, branch.x_pu or 0.0, branch.b_pu or 0.0, branch.g_pu or 0.0
         yield Branch(
             id=branch_id,
             from_bus=branch.from_,
             to_bus=branch.to,
-            r=branch.r_pu if branch.r_pu is not None else (branch.r_ohm or 0.0) / z_base,
-            x=branch.x_pu if branch.x_pu is not None else (branch.x_ohm or 0.0) / z_base,
-            b=branch.b_pu if branch.b_pu is not None else (branch.b_us or 0.0) * 1e-6 * z_base,
-            g=branch.g_pu if branch.g_pu is not None else (branch.g_us or 0.0) * 1e-6 * z_base,
+            r=r,
+            x=x,
+            b=b,
+            g=g,
             tap=branch.tap_ratio,
             shift=math.radians(branch.shift_deg),
             in_service=branch.in_service,
@@ -202,10 +211,9 @@ def _build_branches(file: NetworkFile) -> Iterable[Branch]:
 def default_branch_id(from_bus: int, to_bus: int, taken: Collection[str | None]) -> str:
     """``from-to``; parallel branches get ``#2``, ``#3``, ... behind it. ``taken``: the ids of others."""
     plain = f"{from_bus}-{to_bus}"
-    number = 1
-    while (branch_id := plain if number == 1 else f"{plain}#{number}") in taken:
-        number += 1
-    return branch_id
+    if plain not in taken:
+        return plain
+    return next(branch_id for number in count(2) if (branch_id := f"{plain}#{number}") not in taken)
 
 
 def save_network(path: Path, network: Network, data_source: str) -> None:

@@ -5,7 +5,6 @@ A file whose name ends in ``.json`` holds the same tables as JSON, which is read
 
 from __future__ import annotations
 
-import json
 import re
 import tomllib
 from collections.abc import Iterable, Mapping
@@ -14,7 +13,7 @@ from pathlib import Path
 from typing import Any, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Tag, ValidationError
-from pydantic_core import ErrorDetails
+from pydantic_core import ErrorDetails, from_json
 
 from dsse_core.bounded_file import LARGEST_JSON, LARGEST_TOML, read_text
 from dsse_core.errors import InvalidInputError
@@ -45,7 +44,7 @@ def load_strict(path: Path, model: type[Model], changes: Mapping[str, object] | 
     """
     text = read_text(path, largest=LARGEST_JSON if path.suffix == ".json" else LARGEST_TOML)
     try:
-        content = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
+        content = from_json(text) if path.suffix == ".json" else tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # of the two readers, or dates and integers that Python cannot hold
         language = "JSON" if path.suffix == ".json" else "TOML"
         deep = "it nests too deeply" if isinstance(error, RecursionError) else error

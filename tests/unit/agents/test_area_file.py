@@ -96,6 +96,6 @@ def test_what_is_wrong_with_the_network_names_the_file(tmp_path: Path, content: 
 def test_a_key_that_is_given_twice_in_json_is_refused_as_in_toml(tmp_path: Path, content: AreaFile):
     path = tmp_path / "area.json"
     save_area_file(path, content)
-    path.write_text(path.read_text().replace('"run": ', '"run": "other", "run": ', 1))
+    path.write_text(path.read_text().replace('"run":', '"run":"other","run":', 1))
     with pytest.raises(InvalidInputError, match="is not JSON: key 'run' is given twice; keep one of them"):
         load_area_file(path)
