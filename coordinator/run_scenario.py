@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import secrets
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -36,6 +36,7 @@ from scenarios.scenario import Scenario
 from scenarios.telemetry import make_telemetry
 
 DAYS_OF_A_RUN = 1.0  # that the keys of one secured run are valid
+MANY_AREAS = 50  # from which on the agents that start have the cores, and readings are made when all are there
 
 
 def run_scenario(
@@ -105,12 +106,16 @@ def _run_with_router(run: RunUnderWay, on_update: Callable[[Progress], None] | N
     observer = make_observer(scenario)
     with run.system.join(COORDINATOR) as session:
         listen(run, session)
-        telemetry = make_telemetry(scenario)  # while the agents join
-        run.system.start_plant(telemetry)
+        reason = None
+        if len(scenario.partition.areas) >= MANY_AREAS:
+            reason = _watch(run, observer, on_update, until=lambda _: run.joined is not None)
+        telemetry = make_telemetry(scenario)  # of fewer areas while they join
+        if reason is None:
+            run.system.start_plant(telemetry)
         yardstick = start_yardstick(scenario, telemetry, lambda: run.note_time("centralised_estimated"))
         interrupted = False
         try:
-            reason = _watch(run, observer, on_update)
+            reason = reason or _watch(run, observer, on_update, until=lambda obstacles: not obstacles)
         except KeyboardInterrupt:
             reason, interrupted = "interrupted", True
         wall_s = time.monotonic() - run.started
@@ -138,8 +143,13 @@ def _run_with_router(run: RunUnderWay, on_update: Callable[[Progress], None] | N
     return result
 
 
-def _watch(run: RunUnderWay, observer: Observer, on_update: Callable[[Progress], None] | None) -> str | None:
-    """Take in news until consensus (None), the end of a process or the time limit (the reason)."""
+def _watch(
+    run: RunUnderWay,
+    observer: Observer,
+    on_update: Callable[[Progress], None] | None,
+    until: Callable[[Sequence[str]], bool],
+) -> str | None:
+    """Take in news ``until`` the obstacles to consensus allow it (None), or a process ends or the time (the reason)."""
     deadline = run.started + run.scenario.run.timeout_s
     check_s = min(run.scenario.run.beat_s / 10, UPDATE_S)
     next_check = next_update = 0.0
@@ -156,10 +166,11 @@ def _watch(run: RunUnderWay, observer: Observer, on_update: Callable[[Progress],
         next_check = now + check_s
         standing = observer.standing(now)
         obstacles = (*run.schedule.describe_next(), *standing.obstacles)
-        if on_update and (now >= next_update or not obstacles):
+        is_over = until(obstacles)
+        if on_update and (now >= next_update or is_over):
             next_update = now + UPDATE_S
             on_update(describe_progress(observer, now - run.started, standing.obstacles))
-        if not obstacles:
+        if is_over:
             return None
         if not run.schedule.steps and standing.dead_end:
             return standing.dead_end

@@ -1,0 +1,21 @@
+"""How a run of many areas starts: the agents first, then the readings and the plant."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+import coordinator
+
+
+def test_where_areas_are_many_the_plant_starts_when_all_are_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("coordinator.run_scenario.MANY_AREAS", 2)
+    result = coordinator.run("industrial13", out=tmp_path / "out", plots=False)
+    assert result.verdict.consensus, result.verdict.reason
+    events = [json.loads(line) for line in (tmp_path / "out" / "events.jsonl").read_text().splitlines()]
+    seen = [(event["event"], event.get("name")) for event in events]
+    plant = seen.index(("process started", "plant"))
+    areas = [area.name for area in result.scenario.partition.areas]
+    assert all(("appeared", area) in seen[:plant] for area in areas)
