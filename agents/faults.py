@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from agents.messages import AdmmMessage, BoundaryMessage, InformationMessage, LoadMessage, Message
-from agents.triangle import read_triangle
 from dsse_core.link_faults import LinkFaults
 
 LOST, BURST, CUT = "lost", "lost in a burst", "lost in a cut"
@@ -104,7 +103,7 @@ def _tell_lie(message: Message, f: LinkFaults) -> Message:
         case BoundaryMessage():
             return replace(message, vm=f.lie_scale * message.vm + f.lie_vm, va=f.lie_scale * message.va + f.lie_va)
         case InformationMessage():  # z = R y
-            z = f.lie_scale * np.array(message.z) + read_triangle(message.R) @ offset
+            z = f.lie_scale * message.information.z + message.information.R @ offset
             return replace(message, z=tuple(z.tolist()))
         case AdmmMessage():
             told, before = ((f.lie_scale * np.array(r) + offset).tolist() for r in (message.r, message.r_before))

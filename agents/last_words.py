@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
 
 from agents.events import Publish
 from agents.freshness import renew
 from agents.hearing import Hearing
-from agents.messages import BoundaryNews, Header, LoadMessage, Message, TallyMessage
+from agents.messages import BoundaryNews, Header, LoadMessage, Message, TallyMessage, content_of
 from dsse_core.boundary_load import NetLoad, load_message_for
 from dsse_core.partition import Neighbour
 
@@ -60,7 +59,7 @@ class LastWords:
     def tell_tally(self, message: TallyMessage, name: str) -> list[Publish]:
         """Tell neighbour ``name`` how bad data look from here, if that is new."""
         last = self.tallies.get(name)
-        if last is not None and not self.is_outdated(last) and replace(message, header=last.header) == last:
+        if last is not None and not self.is_outdated(last) and content_of(message) == content_of(last):
             return []
         self.tallies[name] = message
         return [Publish(message, name)]

@@ -57,7 +57,7 @@ class FaultyLinks:
             self.put(None, message.kind, encode(self.with_counts(message)))
             return
         faults = self.faults.get(to, SOUND)
-        fate = self._fates.setdefault(to, LinkFate(faults, self.seed, self.sender, to))
+        fate = self._fates.get(to) or self._fates.setdefault(to, LinkFate(faults, self.seed, self.sender, to))
         fate.next()
         elapsed = now - self._began if self._began is not None else -math.inf
         over = faults.until_s is not None and elapsed >= faults.until_s
@@ -70,14 +70,20 @@ class FaultyLinks:
         elif not over and (reason := fate.find_loss()):
             self.met[reason] += 1
         else:
-            self.met.update([falsified] if falsified else [])
+            self._count(falsified)
             copies = [(0.0, payload, False)] if over else fate.copies(payload)
-            self.met.update([DUPLICATED] * (len(copies) - 1))
+            self._count(DUPLICATED if len(copies) > 1 else "")
             for delay, content, damaged in copies:
-                self.met.update(kind for kind, met in ((CORRUPTED, damaged), (DELAYED, delay > 0)) if met)
+                self._count(CORRUPTED if damaged else "")
+                self._count(DELAYED if delay > 0 else "")
                 entry = (now + delay, next(self._order), to, message.kind, fate.number, content)
                 heapq.heappush(self._waiting, entry)
             self.release(now)
+
+    def _count(self, kind: str) -> None:
+        """That a fault of ``kind`` has happened; none if that is empty."""
+        if kind:
+            self.met[kind] += 1
 
     def with_counts(self, message: Message) -> Message:
         """``message``, a state with what the links have counted."""

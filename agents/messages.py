@@ -8,12 +8,16 @@ from __future__ import annotations
 
 import dataclasses
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
+from operator import attrgetter
 from typing import Any, ClassVar
 
 import msgpack
+import numpy as np
 
+from agents.triangle import read_triangle
 from agents.wire_checks import (
     CHECKS,
     LONGEST_TEXT,
@@ -24,6 +28,7 @@ from agents.wire_checks import (
     shown,
     tuple_of,
 )
+from dsse_core.boundary_information import BEYOND_REASON, BoundaryInformation
 from dsse_core.boundary_load import NetLoad
 
 WIRE_VERSION = 1
@@ -31,6 +36,7 @@ MAX_BYTES = 8 * 1024 * 1024
 MAX_NEIGHBOUR_BYTES = 256 * 1024  # of what neighbours say; only telemetry and states grow with the area
 MOST_MAPS = 16  # in one message; a state has three
 Integer = int  # may be negative; an int in a message is a count
+UNNUMBERED = {"header", "fresh", "quality", "telemetry_age", "ages", "scans", "old_sides", "refused"}  # see content_of
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -99,7 +105,7 @@ class BoundaryMessage:
     fresh: bool = False
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class InformationMessage:
     """The sender's cost-to-go at a boundary bus, ``1/2 |R y - z|^2`` of ``y = (p, q, vm, va)``: 14 numbers.
 
@@ -115,6 +121,16 @@ class InformationMessage:
     referenced: bool
     complete: bool
     fresh: bool = False
+
+    @cached_property
+    def information(self) -> BoundaryInformation:
+        """R as a matrix, and z."""
+        return BoundaryInformation(read_triangle(self.R), np.array(self.z))
+
+    @property
+    def is_within_reason(self) -> bool:
+        """Of its numbers; nan is not."""
+        return all(abs(number) < BEYOND_REASON for number in (*self.R, *self.z))
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,11 +267,28 @@ MESSAGE_TYPES: Mapping[str, type[Any]] = {
 }
 
 
+def content_of(message: LoadMessage | BoundaryNews | TallyMessage | StateMessage) -> tuple[Any, ...]:
+    """What a sequence number stands for: all but the header and what may differ between two messages of one number."""
+    content: tuple[Any, ...] = _CONTENT[message.kind](message)
+    return content
+
+
+_CONTENT: Mapping[str, Callable[[Any], Any]] = {
+    kind: attrgetter(*(field.name for field in dataclasses.fields(cls) if field.name not in UNNUMBERED))
+    for kind, cls in MESSAGE_TYPES.items()
+}
+_PLACES: Mapping[str, tuple[tuple[str, Callable[[str, object], Any]], ...]] = {  # behind the header: name and check
+    kind: tuple((field.name, CHECKS[str(field.type)]) for field in dataclasses.fields(cls)[1:])
+    for kind, cls in MESSAGE_TYPES.items()
+}
+_check_incarnation = tuple_of(check_count, 2)
+
+
 def encode(message: Message) -> bytes:
     """The payload of ``message``: MessagePack, then its CRC-32; a boundary message takes well under 200 bytes."""
     h = message.header
     head = [WIRE_VERSION, message.kind, h.run, h.sender, [h.incarnation.start_ms, h.incarnation.random]]
-    body = [getattr(message, field.name) for field in dataclasses.fields(message)[1:]]
+    body = [getattr(message, name) for name, _ in _PLACES[message.kind]]
     return seal(msgpack.packb([*head, h.scan, h.sequence, h.time, *body]))
 
 
@@ -281,17 +314,15 @@ def decode(payload: bytes, largest: int = MAX_BYTES) -> Message:
     header = Header(
         run=check_text("run", fields[2]),
         sender=check_text("sender", fields[3]),
-        incarnation=Incarnation(*tuple_of(check_count, 2)("incarnation", fields[4])),
+        incarnation=Incarnation(*_check_incarnation("incarnation", fields[4])),
         scan=check_count("scan", fields[5]),
         sequence=check_count("sequence", fields[6]),
         time=check_number("time", fields[7]),
     )
-    places = dataclasses.fields(message_type)[1:]
+    places = _PLACES[message_type.kind]
     if len(fields) != 8 + len(places):
         raise MessageError("malformed", f"{message_type.kind} has {len(fields)} fields, not {8 + len(places)}")
-    body = {
-        place.name: CHECKS[str(place.type)](place.name, value) for place, value in zip(places, fields[8:], strict=True)
-    }
+    body = {name: check(name, value) for (name, check), value in zip(places, fields[8:], strict=True)}
     _check_lengths(message_type, body)
     message: Message = message_type(header=header, **body)
     return message

@@ -19,12 +19,14 @@ class Readings:
         self.silent: list[str] = []
         self._content = content
         self._meters = {meter.id: meter for meter in content.meters}
-        self._virtual = [Measurement(m, 0.0, 0.0) for m in content.meters if m.source is Source.VIRTUAL]
+        self._virtual = {
+            meter_id: Measurement(m, 0.0, 0.0) for meter_id, m in self._meters.items() if m.source is Source.VIRTUAL
+        }
         self._net_load: NetLoad | None = None  # of these measurements, once asked for
 
     def take(self, message: TelemetryMessage) -> Iterator[str]:
         """Take over a scan; for each reading that is refused, the reason."""
-        readings = []
+        readings: dict[str, Measurement] = {}
         for meter_id, value, sigma in zip(message.meters, message.values, message.sigmas, strict=True):
             meter = self._meters.get(meter_id)
             if meter is None or meter.source is Source.VIRTUAL:
@@ -32,10 +34,10 @@ class Readings:
             elif reason := find_reading_refusal(value, sigma):
                 yield reason
             else:
-                readings.append(Measurement(meter, value, sigma))
-        self.measurements = (*readings, *self._virtual)
-        read = {m.meter.id for m in self.measurements}
-        self.silent = [meter.id for meter in self._content.meters if meter.id not in read]
+                readings[meter_id] = Measurement(meter, value, sigma)
+        read = readings | self._virtual
+        self.measurements = tuple(read.values())
+        self.silent = [meter_id for meter_id in self._meters if meter_id not in read]
         self._net_load = None
 
     @property

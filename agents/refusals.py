@@ -36,7 +36,7 @@ def find_refusal(message: Message, key_sender: str, content: AreaFile, now: floa
         return FUTURE
     if isinstance(message, TelemetryMessage):
         return _find_telemetry_refusal(message, content)
-    bus = {n.area: n.bus for n in content.area.neighbours}.get(header.sender)
+    bus = next((n.bus for n in content.area.neighbours if n.area == header.sender), None)
     if isinstance(message, StateMessage | ClockMessage) or bus is None:
         return "unknown sender"
     if header.sender != key_sender:

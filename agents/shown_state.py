@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 from agents.hearing import Hearing
-from agents.messages import Header, Message, StateMessage
+from agents.messages import Header, Message, StateMessage, content_of
 from agents.quality import judge_quality
 from agents.strategies.interface import Estimate
 from dsse_core.partition import Area
@@ -45,24 +46,39 @@ class ShownState:
         ``sent``: the last load, boundary and tally message to each neighbour. Under the number of the last state
         only its quality, ages and counts may change.
         """
-        hearing, last = self._hearing, self.message
-        self._estimate, self._doubts, self._scan = estimate, doubts, hearing.scan
-        state = _compose(self._buses, self._header_for(last), estimate)
-        names = self._neighbours
-        state = replace(
-            state,
-            sent={name: _sequences(name, *sent) for name in names},
-            heard={name: _sequences(name, hearing.loads, hearing.boundary, hearing.tallies) for name in names},
-            notes=tuple(notes),
-            quality=self.quality(gone, now),
-        )
-        if last is not None and _without_ages(last) == replace(state, header=last.header, quality=last.quality):
-            if (last.quality, last.header.scan) == (state.quality, hearing.scan):
+        last, scan = self.message, self._hearing.scan
+        self._estimate, self._doubts, self._scan = estimate, doubts, scan
+        state = self._compose(estimate, notes, sent, self.quality(gone, now))
+        if last is not None and content_of(last) == content_of(state):
+            if (last.quality, last.header.scan) == (state.quality, scan):
                 return False
-            if last.header.scan == hearing.scan:
+            if last.header.scan == scan:
                 state = replace(state, header=last.header)
         self.message = state
         return True
+
+    def _compose(
+        self, estimate: Estimate | None, notes: Sequence[str], sent: tuple[Sent, Sent, Sent], quality: str
+    ) -> StateMessage:
+        """The state but for ages and counts, which ``renew`` and the links fill in."""
+        heard = (self._hearing.loads, self._hearing.boundary, self._hearing.tallies)
+        return StateMessage(
+            header=self._header_for(self.message),
+            **_describe(estimate, self._buses),
+            sent={name: _sequences(name, *sent) for name in self._neighbours},
+            heard={name: _sequences(name, *heard) for name in self._neighbours},
+            messages=0,
+            bytes=0,
+            lost=0,
+            refused={},
+            notes=tuple(notes),
+            faults={},
+            quality=quality,
+            telemetry_age=0.0,
+            ages={},
+            scans={},
+            old_sides=(),
+        )
 
     def renew(self, gone: set[str], refused: Mapping[str, int], now: float) -> StateMessage:
         """The state with the quality, the ages and the counts of time ``now``."""
@@ -85,58 +101,26 @@ class ShownState:
         return judge_quality(self._estimate, doubts, self._hearing, self._neighbours, gone, now)
 
 
-def _compose(buses: tuple[int, ...], header: Header, estimate: Estimate | None) -> StateMessage:
-    """What there is to say of ``estimate``; everything else is empty."""
-    state = StateMessage(
-        header=header,
-        buses=(),
-        vm=(),
-        va=(),
-        sigma_vm=(),
-        sigma_va=(),
-        referenced=False,
-        objective=0.0,
-        degrees_of_freedom=0,
-        removed=(),
-        critical=(),
-        checked=False,
-        sent={},
-        heard={},
-        messages=0,
-        bytes=0,
-        lost=0,
-        refused={},
-        notes=(),
-        faults={},
-        quality="",
-        telemetry_age=0.0,
-        ages={},
-        scans={},
-        old_sides=(),
-    )
+def _describe(estimate: Estimate | None, buses: tuple[int, ...]) -> dict[str, Any]:
+    """The fields of a state that ``estimate`` fills; without one all are empty."""
     if estimate is None:
-        return state
-    return replace(
-        state,
-        buses=buses,
-        vm=tuple(estimate.vm.tolist()),
-        va=tuple(estimate.va.tolist()),
-        sigma_vm=tuple(estimate.sigma_vm.tolist()),
-        sigma_va=tuple(estimate.sigma_va.tolist()),
-        referenced=estimate.referenced,
-        objective=estimate.objective,
-        degrees_of_freedom=estimate.degrees_of_freedom,
-        removed=estimate.removed,
-        critical=estimate.critical,
-        checked=estimate.checked,
-    )
+        empty: dict[str, Any] = dict.fromkeys(("buses", "vm", "va", "sigma_vm", "sigma_va", "removed", "critical"), ())
+        return empty | {"referenced": False, "objective": 0.0, "degrees_of_freedom": 0, "checked": False}
+    return {
+        "buses": buses,
+        "vm": tuple(estimate.vm.tolist()),
+        "va": tuple(estimate.va.tolist()),
+        "sigma_vm": tuple(estimate.sigma_vm.tolist()),
+        "sigma_va": tuple(estimate.sigma_va.tolist()),
+        "referenced": estimate.referenced,
+        "objective": estimate.objective,
+        "degrees_of_freedom": estimate.degrees_of_freedom,
+        "removed": estimate.removed,
+        "critical": estimate.critical,
+        "checked": estimate.checked,
+    }
 
 
 def _sequences(name: str, loads: Sent, boundary: Sent, tallies: Sent) -> tuple[int, int, int]:
     load, state, tally = (kept[name].header.sequence if name in kept else 0 for kept in (loads, boundary, tallies))
     return load, state, tally
-
-
-def _without_ages(state: StateMessage) -> StateMessage:
-    """Ages and counts are renewed at every beat; they are no news."""
-    return replace(state, telemetry_age=0.0, ages={}, scans={}, old_sides=(), refused={})

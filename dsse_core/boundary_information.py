@@ -31,10 +31,6 @@ class BoundaryInformation:
         told = self.R.any(axis=1)
         return self.R[told], self.z[told]
 
-    @property
-    def is_reasonable(self) -> bool:
-        return bool(max(abs(self.R).max(), abs(self.z).max()) < BEYOND_REASON)
-
 
 def put_together(
     y: np.ndarray, power: np.ndarray, response: np.ndarray, shift: np.ndarray, voltage: tuple[np.ndarray, np.ndarray]
@@ -45,7 +41,8 @@ def put_together(
     """
     N, told_v = voltage
     a, b = float(power[0, 0]), float(power[1, 0])
-    turn = np.array([[a, b], [-b, a]]) / math.hypot(a, b) if a or b else np.eye(2)
+    length = math.hypot(a, b)
+    turn = np.array([[a, b], [-b, a]]) / length if length else np.eye(2)
     R = np.zeros((4, 4))
     R[:2, :2], R[:2, 2:], R[2:, 2:] = turn @ power, turn @ response, N
     R[1, 0] = 0.0
@@ -54,16 +51,17 @@ def put_together(
 
 def factor_information(M: np.ndarray, g: np.ndarray, nothing: float) -> tuple[np.ndarray, np.ndarray]:
     """N upper triangular and n with ``N'N = M``, ``N'n = g``; what of the (2, 2) information M is ``nothing`` is 0."""
-    N, n = np.zeros((2, 2)), np.zeros(2)
-    M = np.where(np.diag(M) > nothing, M, 0.0)
-    if M[0, 0] > nothing:
-        N[0] = M[0] / np.sqrt(M[0, 0])
-        n[0] = g[0] / N[0, 0]
-    rest = M[1, 1] - N[0, 1] ** 2
-    if rest > max(nothing, ROUNDING * M[1, 1]):
-        N[1, 1] = np.sqrt(rest)
-        n[1] = (g[1] - N[0, 1] * n[0]) / N[1, 1]
-    return N, n
+    m00, m01, m11 = float(M[0, 0]), float(M[0, 1]), float(M[1, 1])
+    n00 = n01 = n11 = n0 = n1 = 0.0
+    if m00 > nothing:
+        n00 = math.sqrt(m00)
+        n01 = m01 / n00 if m11 > nothing else 0.0
+        n0 = float(g[0]) / n00
+    rest = m11 - n01 * n01
+    if rest > max(nothing, ROUNDING * m11):
+        n11 = math.sqrt(rest)
+        n1 = (float(g[1]) - n01 * n0) / n11
+    return np.array([[n00, n01], [0.0, n11]]), np.array([n0, n1])
 
 
 def factor_inverse(S: np.ndarray) -> np.ndarray:
@@ -73,13 +71,14 @@ def factor_inverse(S: np.ndarray) -> np.ndarray:
     losses that it causes. A variance below zero is rounding of a number too large to be known: a row of 0.
     """
     least = EXACT_SIGMA**2
-    first, other = (0, 1) if abs(S[0, 0]) >= abs(S[1, 1]) else (1, 0)
-    P = np.zeros((2, 2))
-    slope = 0.0
-    if (unknown := S[first, first]) > 0:
+    s00, s01, s11 = float(S[0, 0]), float(S[0, 1]), float(S[1, 1])
+    p_first = abs(s00) >= abs(s11)
+    unknown, known = (s00, s11) if p_first else (s11, s00)
+    root = slope = 0.0
+    if unknown > 0:
         variance = max(unknown, least)
-        slope = S[0, 1] / variance
-        P[0, first] = 1 / np.sqrt(variance)
-    rest = max(S[other, other] - slope * S[0, 1], least, ROUNDING * S[other, other])
-    P[1, other], P[1, first] = np.array([1.0, -slope]) / np.sqrt(rest)
-    return P
+        slope, root = s01 / variance, 1 / math.sqrt(variance)
+    other = 1 / math.sqrt(max(known - slope * s01, least, ROUNDING * known))
+    if p_first:
+        return np.array([[root, 0.0], [-slope * other, other]])
+    return np.array([[0.0, root], [other, -slope * other]])

@@ -78,7 +78,8 @@ class BadDataTree:
     def select(self, telemetry: Sequence[Measurement]) -> list[Measurement]:
         """The measurements that the decisions so far leave in use."""
         held_back = () if USE_CURRENTS in self.decisions else (MeasurementKind.CURRENT,)
-        return [m for m in telemetry if m.meter.id not in self.decisions and m.meter.kind not in held_back]
+        removed = set(self.decisions)
+        return [m for m in telemetry if m.meter.kind not in held_back and not (removed and m.meter.id in removed)]
 
     def take_measurements(self, no_load: NoLoadModel, held_back: int) -> None:
         """The measurements have changed, by a new scan or a decision; ``held_back``: how many are not yet in use."""

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from agents.area_file import AreaFile
-from agents.messages import BoundaryNews, Header, Incarnation, InformationMessage, TallyMessage
+from agents.messages import BoundaryNews, Header, Incarnation, InformationMessage, TallyMessage, content_of
 from agents.strategies.angle_turns import agree_on_full_turns, find_turn_to_angle_meter, find_turn_to_neighbour
 from agents.strategies.bad_data_tree import BadDataTree
 from agents.strategies.boundary_marginal import distance_between, has_moved
@@ -20,7 +20,7 @@ from agents.strategies.information_to_tell import InformationToTell
 from agents.strategies.interface import Estimate, Knowledge, Strategy
 from agents.strategies.local_iteration import LocalIteration
 from agents.strategies.start import start_state
-from agents.triangle import read_triangle, write_triangle
+from agents.triangle import write_triangle
 from dsse_core.area_model import AreaModel, build_area_model, choose_backend
 from dsse_core.bad_data import DEAD_VM, chi_square_limit
 from dsse_core.boundary_information import BoundaryInformation
@@ -130,12 +130,12 @@ class Information(Strategy):
         assert isinstance(message, InformationMessage)
         assert isinstance(last, InformationMessage)
         assert self._model is not None
-        if replace(message, header=last.header, fresh=last.fresh) == last:
+        if content_of(message) == content_of(last):
             return False
         if self._to_tell.moved[neighbour.area] > SURELY_NEWS:
             return True
         y = self._model.boundary_values(self._iteration.x, neighbour)
-        moved = has_moved(y, _read(message), _read(last), self._heard.get(neighbour.area))
+        moved = has_moved(y, message.information, last.information, self._heard.get(neighbour.area))
         return moved or (message.referenced, message.complete) != (last.referenced, last.complete)
 
     def expects_answer(self, neighbour: Neighbour) -> bool:
@@ -143,7 +143,7 @@ class Information(Strategy):
 
     def find_refusal(self, message: BoundaryNews) -> str:
         assert isinstance(message, InformationMessage)
-        return "" if _read(message).is_reasonable else "information beyond reason"
+        return "" if message.is_within_reason else "information beyond reason"
 
     @property
     def _is_referenced(self) -> bool:
@@ -160,7 +160,7 @@ class Information(Strategy):
     def _take_measurements(self, telemetry: tuple[Measurement, ...]) -> None:
         """A new scan, or a decision on it: the state so far is the start."""
         dead = [m.meter.id for m in telemetry if m.meter.kind is MeasurementKind.VM and m.value < DEAD_VM]
-        own = {m.meter.id for m in telemetry}
+        own = {m.meter.id for m in telemetry} if self._tree.decisions else set()
         self._removed = (*dead, *(meter for meter in self._tree.decisions if meter in own and meter not in dead))
         selected = self._tree.select(telemetry)
         self._measurements = tuple(m for m in selected if m.meter.id not in dead)
@@ -190,7 +190,7 @@ class Information(Strategy):
             self._iteration.begin_at(start_state(self._content, known.loads))
             self._iteration.turn(self._model, find_turn_to_angle_meter(self._model, self._iteration.x))
         messages = {name: m for name, m in known.boundary.items() if isinstance(m, InformationMessage)}
-        self._heard = {name: _read(m) for name, m in messages.items()}
+        self._heard = {name: m.information for name, m in messages.items()}
         self._complete = {name for name, m in messages.items() if m.complete}
         was_referenced = self._is_referenced
         self._referenced = {name for name, m in messages.items() if m.referenced}
@@ -245,7 +245,7 @@ class Information(Strategy):
             sent, y = known.sent.get(n.area), self._model.boundary_values(self._iteration.x, n)
             if not isinstance(sent, InformationMessage):
                 continue  # it has nothing yet that it could contradict
-            distance, freedom = distance_between(y, _read(sent), self._heard[n.area])
+            distance, freedom = distance_between(y, sent.information, self._heard[n.area])
             limit = chi_square_limit(freedom, CONTRADICTION)
             if distance >= limit:
                 notes.append(
@@ -264,7 +264,3 @@ class Information(Strategy):
                 "or decision; a false message can do this, or currents metered far better than flows and injections"
             )
         return tuple(notes)
-
-
-def _read(message: InformationMessage) -> BoundaryInformation:
-    return BoundaryInformation(read_triangle(message.R), np.array(message.z))

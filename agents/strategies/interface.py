@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -68,10 +69,10 @@ class Estimate:
         NaN is none, and nor is a negative magnitude or a bus that is full turns off, images of a state at which an
         iteration that went astray can settle.
         """
-        voltages = self.vm.min() > 0 and self.vm.max() < LARGEST_VM and abs(self.va).max() < LARGEST_VA
-        voltages = voltages and np.ptp(self.va) < LARGEST_SPREAD
-        rest = np.concatenate([self.sigma_vm, self.sigma_va, [self.objective]])
-        return bool(voltages and np.isfinite(rest).all())
+        least, most = self.va.min(), self.va.max()
+        voltages = self.vm.min() > 0 and self.vm.max() < LARGEST_VM
+        voltages = voltages and least > -LARGEST_VA and most < LARGEST_VA and most - least < LARGEST_SPREAD
+        return bool(voltages and math.isfinite(self.sigma_vm.sum() + self.sigma_va.sum() + self.objective))
 
 
 class Strategy(ABC):
