@@ -70,8 +70,20 @@ class AreaModel:
     @cached_property
     def dense(self) -> DenseRows | None:
         """Its rows in dense arrays, if that is the back end."""
-        is_dense = choose_backend(self.area, self.backend) == "dense"
-        return DenseRows(self.model, self.into_children, self.into_area) if is_dense else None
+        if choose_backend(self.area, self.backend) != "dense":
+            return None
+        columns = [column for n in self._boundaries for column in self.boundary_columns(n)]
+        return DenseRows(self.model, self.into_children, self.into_area, columns)
+
+    @cached_property
+    def _boundaries(self) -> list[Neighbour]:
+        """As dense rows have them, the parent's first."""
+        return sorted(self.area.neighbours, key=lambda n: not n.is_parent)
+
+    @cached_property
+    def _place(self) -> dict[str, int]:
+        """Of each neighbour among the boundaries."""
+        return {n.area: k for k, n in enumerate(self._boundaries)}
 
     def with_readings(self, measurements: Sequence[Measurement]) -> AreaModel:
         """The same meters, read anew: what rests on topology and meters is kept."""
@@ -119,22 +131,23 @@ class AreaModel:
 
     def boundary(self, x: np.ndarray, neighbour: Neighbour) -> tuple[np.ndarray, Matrix]:
         """y, shape (4,), and T = dy/dx, shape (4, size), at the boundary to ``neighbour``."""
-        voltage = self.voltage_columns(neighbour)
-        if self.into_area is None or not neighbour.is_parent:
-            columns = self.boundary_columns(neighbour)
-            return x[columns], self._select(columns)
         if self.dense:
-            flows, along = self.dense.linearize_into_area(x)
-            return np.concatenate([flows, x[voltage]]), np.concatenate([along, self._select(voltage)])
+            return self.dense.linearize_boundary(x, self._place[neighbour.area])
+        columns = self.boundary_columns(neighbour)
+        if not neighbour.is_parent:
+            return x[columns], self._select(columns)
+        assert self.into_area is not None  # there is a parent
         flows = self.into_area.predict(x[: 2 * self._n])
         C = sp.csr_array(self.into_area.jacobian(x[: 2 * self._n]))
         C = sp.csr_array((C.data, C.indices, C.indptr), shape=(2, self.size))
-        T = sp.vstack([C, self._select(voltage)], format="csr")
-        return np.concatenate([flows, x[voltage]]), sp.csr_array(T)
+        T = sp.vstack([C, self._select(columns)], format="csr")
+        return np.concatenate([flows, x[columns]]), sp.csr_array(T)
 
     def boundary_values(self, x: np.ndarray, neighbour: Neighbour) -> np.ndarray:
         """y of ``boundary`` alone."""
-        if self.into_area is None or not neighbour.is_parent:
+        if self.dense:
+            return self.dense.linearize_boundary(x, self._place[neighbour.area])[0]
+        if not neighbour.is_parent:
             return np.asarray(x[self.boundary_columns(neighbour)])
         bus, there, own, mutual = self._branches_at_parent
         va, vm = x[there], x[self._n + there]
@@ -157,22 +170,20 @@ class AreaModel:
         row = self.area.network.row[neighbour.bus]
         return [self._n + row, row]
 
-    def boundary_columns(self, child: Neighbour) -> list[int]:
-        """Where x has y of the boundary to a child."""
-        first = self._first_power[child.area]
-        return [first, first + 1, *self.voltage_columns(child)]
+    def boundary_columns(self, neighbour: Neighbour) -> list[int]:
+        """Where x has y of the boundary to a child; to the parent its voltage alone, as the power is none of x."""
+        if neighbour.is_parent:
+            return self.voltage_columns(neighbour)
+        first = self._first_power[neighbour.area]
+        return [first, first + 1, *self.voltage_columns(neighbour)]
 
     @cached_property
     def _first_power(self) -> dict[str, int]:
         children = [n.area for n in self.area.neighbours if not n.is_parent]
         return {area: 2 * (self._n + k) for k, area in enumerate(children)}
 
-    def _select(self, columns: Sequence[int]) -> Matrix:
+    def _select(self, columns: Sequence[int]) -> sp.csr_array:
         shape = (len(columns), self.size)
-        if self.dense:
-            chosen = np.zeros(shape)
-            chosen[np.arange(len(columns)), columns] = 1.0
-            return chosen
         return sp.csr_array((np.ones(len(columns)), np.array(columns), np.arange(len(columns) + 1)), shape=shape)
 
 

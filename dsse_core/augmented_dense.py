@@ -42,7 +42,7 @@ class DenseFactor:
             below = raise_damping(below)
 
     def solve(self, above: np.ndarray, below: np.ndarray, *, refined: bool = True) -> tuple[np.ndarray, np.ndarray]:
-        """(s, dx) of ``R s + H dx = above``, ``H's - damping dx = below``; columns."""
+        """(s, dx) of ``R s + H dx = above``, ``H's - damping dx = below``; vectors or columns."""
         solution = self._solve(np.concatenate([above, below / self._a]), refined)
         return self._a * solution[: self._n_meas], solution[self._n_meas :]
 
@@ -64,7 +64,7 @@ class DenseFactor:
         return np.asarray(self._scale * diagonal * self._scale)
 
     def _solve(self, b: np.ndarray, refined: bool) -> np.ndarray:
-        scale = self._scale[:, None]
+        scale = self._scale if b.ndim == 1 else self._scale[:, None]
         b = scale * b
         solution = lapack.dgetrs(self._lu, self._pivots, b)[0]
         if refined:

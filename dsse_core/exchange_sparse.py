@@ -35,7 +35,7 @@ def solve_damped(
     """The step dx, shape (size,), of ``(G + D) dx = b - pull``; ``damping``, diag(D), and ``pull`` (free,)."""
     H, r, sigma = stack_rows(model, x, heard)
     dx = np.zeros(model.size)
-    dx[model.free] = factor_rows(H[:, model.free], sigma, damping).solve(r[:, None], pull[:, None])[1].ravel()
+    dx[model.free] = factor_rows(H[:, model.free], sigma, damping).solve(r, pull)[1]
     return dx
 
 
@@ -117,9 +117,9 @@ def compute_information(
     u = model.free[(model.free != vm_b) & (model.free != va_b)]
     C = T[:2, u]
     factor = _factor_undamped(model, H, sigma, u)
-    s, du = factor.solve(
-        np.hstack([B, r[:, None], np.zeros((len(r), 2))]), np.hstack([np.zeros((len(u), 3)), _full(C).T])
-    )
+    above, below = np.zeros((len(r), 5)), np.zeros((len(u), 5))
+    above[:, :2], above[:, 2], below[:, 3:] = B, r, _full(C).T
+    s, du = factor.solve(above, below)
     information = B.T @ s[:, :3]
     nothing = 0.0 if model.no_load else NOTHING_OF_VOLTAGE
     N, told_v = factor_information(information[:, :2], information[:, 2], nothing)
@@ -157,8 +157,8 @@ def _responses_to_shift(
     2 s / vm_b and 0 exactly. Moving bus b alone would change flows by dv / z and leave M, a difference of such
     changes, to rounding.
     """
-    voltage, fixed, m = model.voltage_columns(neighbour), model.fixed, len(model.z)
-    vm_b = float(x[voltage[0]])
+    (vm_column, va_column), fixed, m = model.voltage_columns(neighbour), model.fixed, len(model.z)
+    vm_b = float(x[vm_column])
     B = np.zeros((H.shape[0], 2))
     B[:m, 0], B[model.angles, 1] = model.degrees * model.predict(x) / vm_b, 1.0
     dy, dp = np.zeros((4, 2)), np.zeros((2, 2))
@@ -173,8 +173,8 @@ def _responses_to_shift(
             B[first:end] = message.rows[0] @ dy
     if fixed.size:
         B[:, 1] -= H[:, fixed].sum(axis=1)
-    if voltage[1] in fixed:  # the reference itself: it does not move
-        B[:, 1] = dp[:, 1] = 0.0
+        if va_column in fixed:  # the reference itself: it does not move
+            B[:, 1] = dp[:, 1] = 0.0
     return B, dp
 
 
@@ -201,7 +201,7 @@ def _stack_messages(
         if (message := heard.get(n.area)) is None:
             continue
         R, z = message.rows
-        if model.dense or (n.is_parent and model.into_area is not None):
+        if n.is_parent or model.dense:
             y, T = model.boundary(x, n)
             rows.append((np.asarray(R @ T), np.arange(model.size)))
         else:

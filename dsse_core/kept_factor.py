@@ -39,10 +39,10 @@ class KeptFactor:
         """Whether steps from ``x`` with ``heard`` will shrink fast, for all that can be seen beforehand."""
         return (
             model.model is self.model.model
-            and np.array_equal(model.sigma, self.model.sigma)
+            and (model.sigma is self.model.sigma or np.array_equal(model.sigma, self.model.sigma))
             and float(abs(x - self.x).max()) <= NEARBY
             and heard.keys() == self.heard.keys()
-            and all(_are_alike(heard[name].R, then.R) for name, then in self.heard.items())
+            and all(heard[name] is then or _are_alike(heard[name].R, then.R) for name, then in self.heard.items())
         )
 
 
@@ -66,10 +66,10 @@ def solve_steps_anew(
     """
     H, r, sigma = stack_rows(model, x, heard)
     factor = factor_rows(H[:, model.free], sigma, damping)
-    s, d = factor.solve(r[:, None], np.zeros((len(model.free), 1)), refined=False)
+    s, d = factor.solve(r, np.zeros(len(model.free)), refined=False)
     dx = np.zeros(model.size)
-    dx[model.free] = d[:, 0]
-    kept = KeptFactor(model, x, heard, factor, s[:, 0])
+    dx[model.free] = d
+    kept = KeptFactor(model, x, heard, factor, s)
     sizes = [float(abs(dx).max(initial=0.0))]
     if sizes[0] > NEARBY:
         return dx, sizes, kept
@@ -100,12 +100,12 @@ def _follow(
     variance[: len(model.z)] = model.sigma**2
     while find_rest(sizes) > enough and len(sizes) < MOST_STEPS:
         r, g = _find_residuals(model, x + dx, heard, s)
-        ds, d = kept.factor.solve((r - variance * s)[:, None], -g[model.free, None], refined=False)
+        ds, d = kept.factor.solve(r - variance * s, -g[model.free], refined=False)
         size = float(abs(d).max(initial=0.0))
         if size > (SHRINKS * sizes[-1] if sizes else NEARBY):
             break
-        s = s + ds[:, 0]
-        dx[model.free] += d[:, 0]
+        s = s + ds
+        dx[model.free] += d
         sizes.append(size)
     return dx, sizes, KeptFactor(kept.model, kept.x, kept.heard, kept.factor, s)
 
@@ -123,7 +123,7 @@ def _find_residuals(
         R, z = message.rows
         first, end = end, end + len(z)
         weight = R.T @ s[first:end]
-        if n.is_parent and model.into_area is not None:
+        if n.is_parent or model.dense:
             y, T = model.boundary(x, n)
             g += T.T @ weight
         else:

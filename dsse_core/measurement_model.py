@@ -44,7 +44,8 @@ class MeasurementModel:
         """z - h, shape (n_meas,); differences of angles are wrapped to (-pi, pi]."""
         r = np.asarray(z - h)
         angles = self._rows[-1]
-        r[angles] = np.pi - (np.pi - r[angles]) % (2 * np.pi)
+        if angles.size:
+            r[angles] = np.pi - (np.pi - r[angles]) % (2 * np.pi)
         return r
 
     def jacobian(self, x: np.ndarray) -> sp.csr_array:
@@ -68,26 +69,29 @@ class MeasurementModel:
 
     def read(self, u: np.ndarray, i: np.ndarray) -> np.ndarray:
         """h of ``u`` and ``i``, shape (n_meas,) each."""
-        p, q, current, magnitude, angle = self._rows
+        current, magnitude, angle = self._rows
         s = u * i.conj()
-        h = np.empty(len(self.kinds))
-        h[p], h[q] = s.real[p], s.imag[q]
-        h[current], h[magnitude], h[angle] = abs(i[current]), abs(u[magnitude]), np.angle(u[angle])
+        h: np.ndarray = np.where(self._is_reactive, s.imag, s.real)
+        if current.size:
+            h[current] = abs(i[current])
+        if magnitude.size:
+            h[magnitude] = abs(u[magnitude])
+        if angle.size:
+            h[angle] = np.angle(u[angle])
         return h
 
     def weigh(self, u: np.ndarray, i: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """``of_u`` and ``of_i`` of every meter, shape (n_meas,), complex; see ``linearize``."""
-        _, q, current, magnitude, angle = self._rows
-        of_u, of_i = i.conj(), u.conj()
-        of_u[q] *= -1j
-        of_i[q] *= 1j
+        current, magnitude, angle = self._rows
+        of_u, of_i = i.conj() * self._turn, u.conj() * self._turn_back
         if current.size:
             size = abs(i[current])
             of_i[current] = np.where(size > CURRENT_FLOOR, of_u[current] / np.maximum(size, CURRENT_FLOOR), 0.0)
             of_u[current] = 0.0
         for rows in (magnitude, angle):
-            of_u[rows] = u[rows].conj() / np.maximum(abs(u[rows]), VOLTAGE_FLOOR)
-            of_i[rows] = 0.0
+            if rows.size:
+                of_u[rows] = u[rows].conj() / np.maximum(abs(u[rows]), VOLTAGE_FLOOR)
+                of_i[rows] = 0.0
         if angle.size:
             of_u[angle] *= -1j / np.maximum(abs(u[angle]), VOLTAGE_FLOOR)
         return of_u, of_i
@@ -108,17 +112,24 @@ class MeasurementModel:
 
     @cached_property
     def _rows(self) -> list[np.ndarray]:
-        """Which formula serves which meters: rows of P, Q, |i|, |u| and arg u."""
-        return [np.flatnonzero(np.isin(self.kinds, kinds)) for kinds in _FORMULAS]
+        """Which meters read no power: rows of |i|, |u| and arg u."""
+        return [np.flatnonzero(self.kinds == kind) for kind in _NO_POWER]
+
+    @cached_property
+    def _is_reactive(self) -> np.ndarray:
+        return np.isin(self.kinds, (MeasurementKind.Q_INJECTION, MeasurementKind.Q_FLOW))
+
+    @cached_property
+    def _turn(self) -> np.ndarray:
+        """``Im s = Re(-j s)``: -j in the rows of Q, else 1."""
+        return np.where(self._is_reactive, -1j, 1.0)
+
+    @cached_property
+    def _turn_back(self) -> np.ndarray:
+        return self._turn.conj()
 
 
-_FORMULAS = (
-    (MeasurementKind.P_INJECTION, MeasurementKind.P_FLOW),
-    (MeasurementKind.Q_INJECTION, MeasurementKind.Q_FLOW),
-    (MeasurementKind.CURRENT,),
-    (MeasurementKind.VM,),
-    (MeasurementKind.VA,),
-)
+_NO_POWER = (MeasurementKind.CURRENT, MeasurementKind.VM, MeasurementKind.VA)
 
 
 def stack_models(above: MeasurementModel, below: MeasurementModel) -> MeasurementModel:
