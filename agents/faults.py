@@ -56,10 +56,12 @@ class LinkFate:
 
     def falsify(self, message: Message) -> tuple[Message, str]:
         """What the link makes the message say, and the kind of fault; empty if it leaves it as it is."""
+        f = self.faults
         if isinstance(message, LoadMessage):
+            if not f.changes_loads:
+                return message, ""
             changed = self._change_load(message)
             return changed, LOAD_CHANGED if changed != message else ""
-        f = self.faults
         if (f.lie_vm, f.lie_va, f.lie_scale) == (0.0, 0.0, 1.0):
             return message, ""
         lie = _tell_lie(message, f)

@@ -69,9 +69,9 @@ class LastWords:
 
         ``fresh``: neighbour -> whether all that a word to it rests on is fresh now.
         """
-        time = self._header_for(None).time
         for name, message in self.boundary.items():
             if message.fresh != fresh[name] and not self.is_outdated(message):
+                time = self._header_for(None).time
                 yield self.tell_boundary(renew(message, fresh[name], time), name)
 
     def repeat(self) -> Iterator[Publish]:

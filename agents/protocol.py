@@ -160,7 +160,8 @@ class AreaProtocol:
         if isinstance(message, TelemetryMessage):
             if not self._hearing.take_telemetry(message, self._now):
                 return False
-            self._refused.update(self._readings.take(message))
+            for reason in self._readings.take(message):
+                self._refused[reason] += 1
         elif isinstance(message, LoadMessage | BoundaryMessage | InformationMessage | AdmmMessage | TallyMessage):
             last = self._hearing.boundary.get(key_sender)
             self._hearing.take(message, self._now)
@@ -299,7 +300,7 @@ class AreaProtocol:
         return [self._renew_state()] if changed else []
 
     def _renew_state(self) -> Publish:
-        refused = self._refused + Counter(self._not_let_in)
+        refused = self._refused + Counter(self._not_let_in) if self._not_let_in else self._refused
         return Publish(self._state.renew(set(self._gone), refused, self._now), None)
 
     def _what_is_missing(self) -> list[str]:

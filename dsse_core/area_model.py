@@ -88,7 +88,8 @@ class AreaModel:
     def with_readings(self, measurements: Sequence[Measurement]) -> AreaModel:
         """The same meters, read anew: what rests on topology and meters is kept."""
         other = copy.copy(self)  # with all that is cached
-        other.__dict__.update(z=_values_of(measurements), sigma=_sigmas_of(measurements))
+        sigma = _sigmas_of(measurements)
+        other.__dict__.update(z=_values_of(measurements), sigma=self.sigma if (sigma == self.sigma).all() else sigma)
         if (tree := self.__dict__.get("tree")) is not None:
             other.__dict__.update(tree=tree.with_readings(other.z, other.sigma))
         return other
@@ -107,6 +108,11 @@ class AreaModel:
         """The power k for which h grows as c^k when all voltages grow by c, shape (n_meas,)."""
         once = np.isin(self.kinds, (MeasurementKind.VM, MeasurementKind.CURRENT))
         return np.where(once, 1.0, np.where(self.kinds == MeasurementKind.VA, 0.0, 2.0))
+
+    @cached_property
+    def eliminated(self) -> dict[str, np.ndarray]:
+        """Neighbour -> the ``free`` variables but the voltage at the boundary to it."""
+        return {n.area: self.free[~np.isin(self.free, self.voltage_columns(n))] for n in self.area.neighbours}
 
     @cached_property
     def fixed(self) -> np.ndarray:

@@ -85,6 +85,7 @@ class AugmentedFactor:
 
     ``damping``, a number or one per state variable, is added to the diagonal of the information about the state:
     the lower right block becomes ``-diag(damping)``. ``pattern``: that of H, where it is there already.
+    ``variance`` (n_meas,): sigma squared.
 
     Raises:
         RuntimeError: the matrix is exactly singular, and no damping mends that.
@@ -99,9 +100,9 @@ class AugmentedFactor:
     ) -> None:
         self._pattern = pattern = pattern or AugmentedPattern(H)
         self._n_meas, self._n_state = H.shape
-        self._variance = sigma**2
+        self.variance = sigma**2
         row_scale = reciprocal_root(np.bincount(pattern.row, H.data**2, self._n_meas))
-        scaled_variance = self._variance * row_scale**2
+        scaled_variance = self.variance * row_scale**2
         positive = scaled_variance[scaled_variance > 0]
         self._a = PIVOT_SCALE / float(np.median(positive)) if positive.size else 1.0
         data = H.data * row_scale[pattern.row]
@@ -161,7 +162,7 @@ class AugmentedFactor:
 
     def residual_variance(self) -> np.ndarray:
         """diag(Omega), ``Omega = R - H G^-1 H'`` (eq. 3.22), shape (n_meas,); found without that cancellation."""
-        variance: np.ndarray = self._a * self._variance**2 * self._diagonal(0, self._n_meas)
+        variance: np.ndarray = self._a * self.variance**2 * self._diagonal(0, self._n_meas)
         return variance
 
     @cached_property

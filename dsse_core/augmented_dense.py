@@ -13,6 +13,8 @@ from dsse_core.augmented import PIVOT_SCALE, raise_damping, reciprocal_root
 class DenseFactor:
     """The factorised system for a dense ``H`` (n_meas, n_state); see ``AugmentedFactor`` for it and its answers.
 
+    ``variance`` (n_meas,): sigma squared.
+
     Raises:
         RuntimeError: the matrix is exactly singular, and no damping mends that.
     """
@@ -20,16 +22,17 @@ class DenseFactor:
     def __init__(self, H: np.ndarray, sigma: np.ndarray, damping: np.ndarray) -> None:
         m, n = H.shape
         self._n_meas = m
-        self._variance = sigma * sigma
+        self.variance = sigma * sigma
         row_scale = reciprocal_root(np.einsum("ij,ij->i", H, H))
-        scaled_variance = self._variance * row_scale * row_scale
+        scaled_variance = self.variance * row_scale * row_scale
         positive = np.sort(scaled_variance[scaled_variance > 0])
         self._a = PIVOT_SCALE / float(positive[len(positive) // 2]) if len(positive) else 1.0
         scaled = H * row_scale[:, None]
-        column_scale = reciprocal_root(np.einsum("ij,ij->j", scaled, scaled) + damping / self._a)
+        below = damping / self._a
+        column_scale = reciprocal_root(np.einsum("ij,ij->j", scaled, scaled) + below)
         scaled *= column_scale
         self._scale = np.concatenate([row_scale, column_scale])
-        below = damping / self._a * column_scale * column_scale
+        below = below * column_scale * column_scale
         self._tableau = np.zeros((m + n, m + n), order="F")
         self._tableau[:m, m:], self._tableau[m:, :m] = scaled, scaled.T
         diagonal = self._tableau.reshape(-1, order="F")[:: m + n + 1]
@@ -52,7 +55,7 @@ class DenseFactor:
 
     def residual_variance(self) -> np.ndarray:
         """diag(Omega), shape (n_meas,)."""
-        variance: np.ndarray = self._a * self._variance**2 * self._inverse_diagonal[: self._n_meas]
+        variance: np.ndarray = self._a * self.variance**2 * self._inverse_diagonal[: self._n_meas]
         return variance
 
     @cached_property

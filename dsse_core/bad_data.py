@@ -10,7 +10,7 @@ import numpy as np
 from dsse_core.errors import EstimationDivergedError, InvalidInputError, NotObservableError
 from dsse_core.estimation import EstimationResult, estimate_with_plan, plan_scan
 from dsse_core.estimation_plan import BackendChoice, EstimationPlan
-from dsse_core.measurement import Measurement, MeasurementKind, Source
+from dsse_core.measurement import Measurement, MeasurementKind
 from dsse_core.network import Network
 
 # Omega_ii / R_ii below which a residual says nothing about its measurement: what meters 1e6 times coarser leave.
@@ -67,17 +67,11 @@ def find_critical(result: EstimationResult) -> tuple[str, ...]:
 
 def normalized_residuals(result: EstimationResult) -> np.ndarray:
     """|r_i| / sqrt(Omega_ii) (eq. 3.23), shape (n_meas,); 0 for virtual measurements and where Omega_ii is 0."""
-    return _normalize(result.residual, result.residual_variance, result.sigmas, ~result.plan.virtual)
+    return normalize_residuals(result.residual, result.residual_variance, result.sigmas, ~result.plan.virtual)
 
 
-def normalize_residuals(measurements: Sequence[Measurement], residual: np.ndarray, variance: np.ndarray) -> np.ndarray:
-    """The same of ``residual`` z - h(x) with ``variance`` diag(Omega), each of shape (n_meas,)."""
-    sigmas = np.array([m.sigma for m in measurements], dtype=float)
-    real = np.array([m.meter.source is not Source.VIRTUAL for m in measurements], dtype=bool)
-    return _normalize(residual, variance, sigmas, real)
-
-
-def _normalize(residual: np.ndarray, variance: np.ndarray, sigmas: np.ndarray, real: np.ndarray) -> np.ndarray:
+def normalize_residuals(residual: np.ndarray, variance: np.ndarray, sigmas: np.ndarray, real: np.ndarray) -> np.ndarray:
+    """The same of ``residual`` z - h(x) with ``variance`` diag(Omega); ``real``: not virtual; (n_meas,) each."""
     telling = real & (variance > CRITICAL_REDUNDANCY * sigmas**2)
     return np.where(telling, abs(residual) / np.sqrt(np.where(telling, variance, 1.0)), 0.0)
 

@@ -31,9 +31,11 @@ def add_loads(loads: Iterable[NetLoad]) -> NetLoad:
 
 def measured_net_loads(area: Area, measurements: Sequence[Measurement]) -> dict[int, NetLoad]:
     """Bus -> net load, for the area's buses with a source whose P and Q injections are both telemetered."""
-    read = {(m.meter.kind, m.meter.bus): m for m in measurements if m.meter.source is Source.TELEMETERED}
+    buses = {generator.bus for generator in area.network.generators}
+    at_sources = [m for m in measurements if m.meter.bus in buses and m.meter.source is Source.TELEMETERED]
+    read = {(m.meter.kind, m.meter.bus): m for m in at_sources}
     loads = {}
-    for bus in {generator.bus for generator in area.network.generators}:
+    for bus in buses:
         p, q = (read.get((kind, bus)) for kind in (MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION))
         if p is not None and q is not None:
             loads[bus] = NetLoad(-complex(p.value, q.value), max(p.sigma, q.sigma) ** 2)
@@ -45,16 +47,9 @@ def own_net_load(area: Area, measured: Mapping[int, NetLoad] | None = None) -> N
 
     Shunts, which no injection meter sees, and the charging of the area's branches are added.
     """
-    not_owned = area.parent.bus if area.parent else None
-    scheduled = {bus.id: NetLoad(-area.network.scheduled_injection(bus.id)) for bus in area.network.buses}
-    owned = [load for bus, load in (scheduled | dict(measured or {})).items() if bus != not_owned]
-    return add_loads([*owned, NetLoad(_shunt_load(area))])
-
-
-def _shunt_load(area: Area) -> complex:
-    """What bus shunts and line charging consume at 1 p.u.; a bus that is not owned is bare in ``area.network``."""
-    shunts = sum((complex(bus.g_shunt, -bus.b_shunt) for bus in area.network.buses), complex(0.0))
-    return shunts + sum(complex(branch.g, -branch.b) for branch in area.network.active_branches)
+    read = {bus: load for bus, load in (measured or {}).items() if bus in area.scheduled_loads}
+    scheduled = (s for bus, s in area.scheduled_loads.items() if bus not in read)
+    return add_loads([*read.values(), NetLoad(sum(scheduled, area.shunt_load))])
 
 
 def load_message_for(neighbour: str, own: NetLoad, heard: Mapping[str, NetLoad]) -> NetLoad:

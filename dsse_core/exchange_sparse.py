@@ -113,8 +113,7 @@ def compute_information(
     H, r, sigma = stack_rows(model, x, heard)
     B, dp = _responses_to_shift(model, x, neighbour, heard, H)
     y, T = model.boundary(x, neighbour)
-    vm_b, va_b = model.voltage_columns(neighbour)
-    u = model.free[(model.free != vm_b) & (model.free != va_b)]
+    u = model.eliminated[neighbour.area]
     C = T[:2, u]
     factor = _factor_undamped(model, H, sigma, u)
     above, below = np.zeros((len(r), 5)), np.zeros((len(u), 5))

@@ -39,15 +39,9 @@ class Tally:
     held_back: int = 0
 
 
-def tally_area(
-    model: AreaModel,
-    measurements: Sequence[Measurement],
-    x: np.ndarray,
-    variance: np.ndarray,
-    spared: Collection[str],
-) -> Tally:
+def tally_area(model: AreaModel, x: np.ndarray, variance: np.ndarray, spared: Collection[str]) -> Tally:
     """The area's own part. ``variance``: diag(Omega) at ``x``; ``spared``: critical meters."""
-    normalized = normalize_residuals(measurements, model.residual(x), variance)
+    normalized = normalize_residuals(model.residual(x), variance, model.sigma, ~model.virtual)
     suspects = {
         model.meters[k].id: float(normalized[k])
         for k in np.flatnonzero(normalized > THRESHOLD)

@@ -96,8 +96,7 @@ def _follow(
     sizes: list[float],
 ) -> tuple[np.ndarray, list[float], KeptFactor]:
     """Further steps from ``x + dx``, until the next one would be small ``enough`` or they no longer shrink."""
-    s, variance = kept.s, np.ones(len(kept.s))
-    variance[: len(model.z)] = model.sigma**2
+    s, variance = kept.s, kept.factor.variance
     while find_rest(sizes) > enough and len(sizes) < MOST_STEPS:
         r, g = _find_residuals(model, x + dx, heard, s)
         ds, d = kept.factor.solve(r - variance * s, -g[model.free], refined=False)

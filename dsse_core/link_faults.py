@@ -48,3 +48,8 @@ class LinkFaults:
     def has_windows(self) -> bool:
         """Whether they depend on how long the run has lasted."""
         return self.until_s is not None or bool(self.cuts)
+
+    @property
+    def changes_loads(self) -> bool:
+        """Whether a load message may say something else."""
+        return self.load_frozen or (self.load_p, self.load_q, self.load_scale) != (0.0, 0.0, 1.0)

@@ -54,6 +54,18 @@ class Area:
     def boundary_buses(self) -> tuple[int, ...]:
         return tuple(dict.fromkeys(n.bus for n in self.neighbours))
 
+    @cached_property
+    def scheduled_loads(self) -> dict[int, complex]:
+        """Bus that the area owns -> its loads minus generation by the schedule, p.u.; shunts do not count."""
+        not_owned = self.parent.bus if self.parent else None
+        return {bus.id: -self.network.scheduled_injection(bus.id) for bus in self.network.buses if bus.id != not_owned}
+
+    @cached_property
+    def shunt_load(self) -> complex:
+        """What bus shunts and line charging consume at 1 p.u.; a bus that is not owned is bare in ``network``."""
+        shunts = sum((complex(bus.g_shunt, -bus.b_shunt) for bus in self.network.buses), complex(0.0))
+        return shunts + sum(complex(branch.g, -branch.b) for branch in self.network.active_branches)
+
 
 @dataclass(frozen=True)
 class Partition:

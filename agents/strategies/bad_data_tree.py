@@ -94,7 +94,6 @@ class BadDataTree:
     def judge(
         self,
         model: AreaModel,
-        measurements: Sequence[Measurement],
         x: np.ndarray,
         find_variance: Callable[[], np.ndarray],
         settled: bool,
@@ -110,7 +109,7 @@ class BadDataTree:
         children = [known.tallies.get(n.area) for n in self._children]
         if not settled or len(no_load) < len(self._area.neighbours):
             return
-        own = self._tally_own(model, measurements, x, find_variance, no_load)
+        own = self._tally_own(model, x, find_variance, no_load)
         final = [
             t for t, n in zip(children, self._children, strict=True) if t and t.settled and self._is_last_word(t, n)
         ]
@@ -182,7 +181,6 @@ class BadDataTree:
     def _tally_own(
         self,
         model: AreaModel,
-        measurements: Sequence[Measurement],
         x: np.ndarray,
         find_variance: Callable[[], np.ndarray],
         no_load: _NoLoad,
@@ -195,7 +193,7 @@ class BadDataTree:
             real = {model.meters[k].id for k in np.flatnonzero(~model.virtual)} if indispensable else set()
             critical = {model.meters[k].id for k in np.flatnonzero(without_check)} | (indispensable & real)
             self.critical = tuple(m.id for m in model.meters if m.id in critical) if critical else ()
-            self._own = (x, indispensable, tally_area(model, measurements, x, variance, critical))
+            self._own = (x, indispensable, tally_area(model, x, variance, critical))
         return self._own[2]
 
     def _find_indispensable(self, no_load: _NoLoad) -> set[str]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.linalg.lapack import dgeqp3, dormqr, dtrtri, dtrtrs
 
@@ -11,6 +13,7 @@ MEAN_MOVES = 1e-10  # p.u., rad: what of a boundary's marginal is worth a messag
 MEAN_MOVES_SIGMA = 1e-7  # or, if that is more, this part of its standard deviation
 SIGMA_MOVES = 1e-7  # of its standard deviations
 SINGULAR = 1e-14  # scaled pivots below it leave a direction of y open
+UPPER = np.triu(np.ones((4, 4)))
 
 
 def marginal_of(y: np.ndarray, *sides: BoundaryInformation) -> tuple[np.ndarray, np.ndarray | None]:
@@ -19,49 +22,52 @@ def marginal_of(y: np.ndarray, *sides: BoundaryInformation) -> tuple[np.ndarray,
     None for the latter where the sides together leave some of y open. A quantity that nobody speaks of (the angle
     of a reference at the boundary bus) stays, with a standard deviation of 1.
     """
-    R = np.concatenate([side.R for side in sides])
-    r = np.concatenate([side.z - side.R @ y for side in sides])
-    length = np.sqrt((R**2).sum(axis=0))
-    spoken = np.flatnonzero(length)
-    heavy_first = np.argsort(-abs(R).max(axis=1), kind="stable")
-    upper, turned, order = _factor(R[heavy_first][:, spoken] / length[spoken], r[heavy_first])
-    order = spoken[order]
-    k = int((abs(np.diag(upper)) > SINGULAR).sum())
-    mean = y.copy()
-    if k > 0:
-        mean[order[:k]] += dtrtrs(upper[:k, :k], turned[:k])[0] / length[order[:k]]
-    if k < len(order):
+    t = _triangulate(y, *sides)
+    mean, known = y.copy(), t.order[: t.rank]
+    if t.rank > 0:
+        mean[known] += dtrtrs(t.upper, t.turned[: t.rank])[0] / t.length[known]
+    if t.rank < np.count_nonzero(t.length):
         return mean, None
     sigma = np.ones(4)
-    if k > 0:
-        sigma[order] = np.sqrt((np.triu(dtrtri(upper)[0]) ** 2).sum(axis=1)) / length[order]
+    if t.rank > 0:
+        inverse = dtrtri(t.upper)[0] * UPPER[: t.rank, : t.rank]
+        sigma[known] = np.sqrt(np.einsum("ij,ij->i", inverse, inverse)) / t.length[known]
     return mean, sigma
-
-
-def _factor(A: np.ndarray, r: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The triangle of ``A[:, order] = Q [upper; 0]``, ``Q'r`` and ``order``, pivoted.
-
-    By LAPACK's own calls: an area asks before every message, and around so small a matrix ``scipy.linalg.qr`` takes
-    several times as long as the work itself.
-    """
-    n_row, n_column = A.shape
-    if n_column == 0:
-        return np.zeros((0, 0)), r, np.zeros(0, dtype=int)
-    reflectors, order, tau, _, _ = dgeqp3(A)
-    turned = dormqr("L", "T", reflectors, tau, r[:, None], max(1, n_row))[0][:, 0]
-    return np.triu(reflectors[: min(n_row, n_column)]), turned, order - 1
 
 
 def distance_between(y: np.ndarray, one: BoundaryInformation, other: BoundaryInformation) -> tuple[float, int]:
     """What the two sides' cost-to-go cannot both reach, chi-square distributed with the degrees of freedom given."""
-    R = np.concatenate([one.R, other.R])
-    told = abs(R).max(axis=1) > 0
-    R, r = R[told], np.concatenate([one.z - one.R @ y, other.z - other.R @ y])[told]
-    length = np.sqrt((R**2).sum(axis=0))
-    spoken = length > 0
-    A = R[:, spoken] / length[spoken]
-    step, _, rank, _ = np.linalg.lstsq(A, r, rcond=SINGULAR)
-    return float(((r - A @ step) ** 2).sum()), len(r) - int(rank)
+    t = _triangulate(y, one, other)
+    left = t.turned[t.rank :]
+    return float(left @ left), t.n_told - t.rank
+
+
+class _Triangle(NamedTuple):
+    """``A[:, order] = Q [upper *; 0 0]``, ``turned = Q'r``: the rows of the sides, their columns divided by ``length``.
+
+    What ``upper`` (rank, rank) has below its diagonal means nothing. ``n_told``: rows that tell something.
+    """
+
+    upper: np.ndarray
+    turned: np.ndarray
+    order: np.ndarray
+    rank: int
+    length: np.ndarray
+    n_told: int
+
+
+def _triangulate(y: np.ndarray, *sides: BoundaryInformation) -> _Triangle:
+    """By LAPACK's own calls: an area asks before every message, and ``scipy.linalg.qr`` takes several times as long."""
+    R = np.concatenate([side.R for side in sides])
+    weight = abs(R).max(axis=1)
+    r = np.where(weight > 0, np.concatenate([side.z for side in sides]) - R @ y, 0.0)
+    length = np.sqrt(np.einsum("ij,ij->j", R, R))
+    heavy_first = np.argsort(-weight, kind="stable")
+    A = (R / np.where(length > 0, length, 1.0))[heavy_first]
+    reflectors, order, tau, _, _ = dgeqp3(A)
+    turned = dormqr("L", "T", reflectors, tau, r[heavy_first, None], len(R))[0][:, 0]
+    rank = int(np.count_nonzero(abs(reflectors.diagonal()) > SINGULAR))
+    return _Triangle(reflectors[:rank, :rank], turned, order - 1, rank, length, int(np.count_nonzero(weight)))
 
 
 def has_moved(

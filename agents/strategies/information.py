@@ -103,9 +103,7 @@ class Information(Strategy):
         assert self._model is not None  # there is an estimate
         tree = self._tree
         settled = self._is_informed and not self._is_swinging
-        tree.judge(
-            self._model, self._measurements, self._iteration.x, lambda: self._find_variances()[1], settled, known
-        )
+        tree.judge(self._model, self._iteration.x, lambda: self._find_variances()[1], settled, known)
         if (known.measurements, tree.decisions) != self._basis:
             self._iteration.steps_left = 1  # solve is to be called again
         checked = tree.finished and settled
@@ -159,11 +157,11 @@ class Information(Strategy):
 
     def _take_measurements(self, telemetry: tuple[Measurement, ...]) -> None:
         """A new scan, or a decision on it: the state so far is the start."""
-        dead = [m.meter.id for m in telemetry if m.meter.kind is MeasurementKind.VM and m.value < DEAD_VM]
+        dead = [m.meter.id for m in telemetry if m.value < DEAD_VM and m.meter.kind is MeasurementKind.VM]
         own = {m.meter.id for m in telemetry} if self._tree.decisions else set()
         self._removed = (*dead, *(meter for meter in self._tree.decisions if meter in own and meter not in dead))
         selected = self._tree.select(telemetry)
-        self._measurements = tuple(m for m in selected if m.meter.id not in dead)
+        self._measurements = tuple(m for m in selected if not (dead and m.meter.id in dead))
         has_angle_meter = any(m.meter.kind is MeasurementKind.VA for m in self._measurements)
         self._has_own_angle = has_angle_meter or self._area.reference is not None
         held_back = len(telemetry) - len(self._measurements) - len(self._removed)
