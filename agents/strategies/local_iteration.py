@@ -89,16 +89,17 @@ class LocalIteration:
         uncertain, misleads, too: all linearised there would end at voltages of next to nothing, and stay.
         """
         self.steps_left = 0
-        x = self._near_start(model, self.x, heard)
-        voltages = slice(2 * len(model.area.network.buses))
-        if not abs(x - self._start)[voltages].max() <= DAMPING:  # nor where it is no number
-            x = self._start
-        self.x = x
+        self.x = x = self._unless_far(model, self._near_start(model, self.x, heard))
         for _ in range(FULL_STEPS):
             before, x = x, self._near_start(model, x, heard)
             if abs(x - before).max(initial=0.0) <= SETTLED_NEAR_START:
                 break
-        return x
+        return self._unless_far(model, x)
+
+    def _unless_far(self, model: AreaModel, x: np.ndarray) -> np.ndarray:
+        """``x``, or the start where that is farther away than it is uncertain, or ``x`` no numbers."""
+        voltages = slice(2 * len(model.area.network.buses))
+        return x if abs(x - self._start)[voltages].max() <= DAMPING else self._start
 
     def _near_start(self, model: AreaModel, x: np.ndarray, heard: Heard) -> np.ndarray:
         step = solve_step_near(model, x, heard, self._start)
