@@ -16,6 +16,7 @@ from dsse_core.measurement import MeasurementKind
 from dsse_core.partition import Neighbour
 
 TINY = 1e-30
+LEAST_OF_ANGLE = np.pi**-2.0  # 1/rad^2: who knows an angle worse than half a turn knows nothing of it
 FULL_TURN = 2 * np.pi
 
 
@@ -23,6 +24,12 @@ def turn(model: AreaModel, x: np.ndarray, angle: float) -> np.ndarray:
     """The state ``x`` with ``angle`` (rad) added to all its angles."""
     is_angle = np.arange(len(x)) < len(model.area.network.buses)
     return np.asarray(x + angle * is_angle)
+
+
+def knows_angle(heard: BoundaryInformation) -> bool:
+    """Whether what a neighbour says of the boundary's angle means anything; before it has heard all, it may not."""
+    of_angle = heard.R[:, VA]
+    return bool(of_angle @ of_angle >= LEAST_OF_ANGLE)
 
 
 def find_turn_to_neighbour(model: AreaModel, x: np.ndarray, neighbour: Neighbour, heard: BoundaryInformation) -> float:

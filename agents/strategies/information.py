@@ -13,7 +13,12 @@ import numpy as np
 
 from agents.area_file import AreaFile
 from agents.messages import BoundaryNews, Header, Incarnation, InformationMessage, TallyMessage, content_of
-from agents.strategies.angle_turns import agree_on_full_turns, find_turn_to_angle_meter, find_turn_to_neighbour
+from agents.strategies.angle_turns import (
+    agree_on_full_turns,
+    find_turn_to_angle_meter,
+    find_turn_to_neighbour,
+    knows_angle,
+)
 from agents.strategies.bad_data_tree import BadDataTree
 from agents.strategies.boundary_marginal import distance_between, has_moved
 from agents.strategies.information_to_tell import InformationToTell
@@ -191,7 +196,7 @@ class Information(Strategy):
         self._heard = {name: m.information for name, m in messages.items()}
         self._complete = {name for name, m in messages.items() if m.complete}
         was_referenced = self._is_referenced
-        self._referenced = {name for name, m in messages.items() if m.referenced}
+        self._referenced = {name for name, m in messages.items() if m.referenced and knows_angle(self._heard[name])}
         if self._referenced and not was_referenced:
             first = next(n for n in self._area.neighbours if n.area == min(self._referenced))
             angle = find_turn_to_neighbour(self._model, self._iteration.x, first, self._heard[first.area])

@@ -59,6 +59,10 @@ def test_a_tree_of_areas_without_voltmeters_in_some_reaches_it_too(loss):
 @pytest.mark.usefixtures("each_back_end")
 @pytest.mark.random_cases(few=16, many=200)
 def test_random_feeders_reach_it_whatever_the_bus_does(random_seed):
+    check_random_feeder(random_seed)
+
+
+def check_random_feeder(random_seed):
     rng = np.random.default_rng(random_seed)
     size = {"n_bus": int(rng.integers(3, 60)), "n_area": int(rng.integers(2, 13))}
     feeder = make_feeder(
@@ -70,6 +74,11 @@ def test_random_feeders_reach_it_whatever_the_bus_does(random_seed):
     )
     faults = {"jitter_s": rng.choice([0.0, 0.01, 0.3]), "duplicate": rng.choice([0.0, 0.3])}
     assert_equals_centralised(*run_feeder(feeder, rng.choice([0, 0.3, 0.6, 0.9]), random_seed, **faults))
+
+
+def test_what_early_words_make_of_voltages_is_not_shown_where_it_is_far_from_the_start():
+    with back_end("sparse"):
+        check_random_feeder(105)  # in its first moments a8 hears of -5 p.u. at the boundary, known to 0.1 p.u.
 
 
 @pytest.mark.usefixtures("each_back_end")
@@ -102,6 +111,10 @@ def test_areas_without_meters_of_their_own_reach_it():
 @pytest.mark.usefixtures("each_back_end")
 @pytest.mark.random_cases(few=24, many=200)
 def test_gross_errors_are_removed_as_by_the_centralised_procedure(random_seed):
+    check_gross_errors(random_seed)
+
+
+def check_gross_errors(random_seed):
     rng = np.random.default_rng([7, random_seed])
     size = {"n_bus": int(rng.integers(5, 60)), "n_area": int(rng.integers(2, 10))}
     feeder = make_feeder(
@@ -115,6 +128,10 @@ def test_gross_errors_are_removed_as_by_the_centralised_procedure(random_seed):
     bus, report = run_feeder(feeder, float(rng.choice([0.0, 0.3, 0.6])), random_seed)
     assert_equals_centralised(bus, report)
     assert_same_decisions(bus, report)
+
+
+def test_an_angle_that_is_known_worse_than_to_half_a_turn_is_no_reference():
+    check_gross_errors(62)  # in its first moments a4 hears of -1353 rad at the boundary, known to 76 rad
 
 
 def assert_same_decisions(bus: SimulatedBus, report: BadDataReport):
