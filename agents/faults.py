@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -39,6 +40,11 @@ class LinkFate:
     number: int = -1
     bad: bool = False
     _first_load: LoadMessage | None = field(default=None, repr=False)
+
+    @cached_property
+    def is_sound(self) -> bool:
+        """Whether nothing ever befalls a message."""
+        return self.faults == LinkFaults()
 
     def next(self) -> None:
         """Go on to the next message."""

@@ -172,5 +172,5 @@ class Hearing:
     def next_change(self, now: float) -> float:
         """When something that is fresh now will not be, if nothing is heard until then; infinity if nothing is."""
         moments = [*self._heard_at.values(), self._scan_since] + ([self._telemetry_at] if self.telemetry else [])
-        changes = (at + limit for at in moments for limit in (self._fresh_s, PASSED_ON_BEATS * self._beat_s))
-        return min((at for at in changes if at > now), default=float("inf"))
+        limits = (self._fresh_s, PASSED_ON_BEATS * self._beat_s)
+        return min([at + limit for at in moments for limit in limits if at + limit > now], default=float("inf"))

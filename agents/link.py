@@ -58,6 +58,9 @@ class FaultyLinks:
             return
         faults = self.faults.get(to, SOUND)
         fate = self._fates.get(to) or self._fates.setdefault(to, LinkFate(faults, self.seed, self.sender, to))
+        if fate.is_sound:
+            self._put_at_once(message, to)
+            return
         fate.next()
         elapsed = now - self._began if self._began is not None else -math.inf
         over = faults.until_s is not None and elapsed >= faults.until_s
@@ -79,6 +82,12 @@ class FaultyLinks:
                 entry = (now + delay, next(self._order), to, message.kind, fate.number, content)
                 heapq.heappush(self._waiting, entry)
             self.release(now)
+
+    def _put_at_once(self, message: Message, to: str) -> None:
+        payload = encode(message)
+        self.messages += 1
+        self.bytes += len(payload)
+        self.put(to, message.kind, payload)
 
     def _count(self, kind: str) -> None:
         """That a fault of ``kind`` has happened; none if that is empty."""

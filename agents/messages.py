@@ -28,7 +28,7 @@ from agents.wire_checks import (
     shown,
     tuple_of,
 )
-from dsse_core.boundary_information import BEYOND_REASON, BoundaryInformation
+from dsse_core.boundary_information import BoundaryInformation, are_within_reason
 from dsse_core.boundary_load import NetLoad
 
 WIRE_VERSION = 1
@@ -129,8 +129,8 @@ class InformationMessage:
 
     @property
     def is_within_reason(self) -> bool:
-        """Of its numbers; nan is not."""
-        return all(abs(number) < BEYOND_REASON for number in (*self.R, *self.z))
+        """Whether all its numbers are."""
+        return are_within_reason((*self.R, *self.z))
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ slow beat, so that a lost last message does not matter. Messages are absolute: o
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -296,12 +296,16 @@ class AreaProtocol:
     def _show_state(self, estimate: Estimate | None, notes: Sequence[str], doubts: bool = False) -> list[Action]:
         sent = (self._words.loads, self._words.boundary, self._words.tallies)
         notes = (*notes, *self._what_is_missing())
-        changed = self._state.change(estimate, notes, doubts, sent, set(self._gone), self._now)
-        return [self._renew_state()] if changed else []
+        state = self._state.change(estimate, notes, doubts, sent, set(self._gone), self._all_refused, self._now)
+        return [Publish(state, None)] if state else []
 
     def _renew_state(self) -> Publish:
-        refused = self._refused + Counter(self._not_let_in) if self._not_let_in else self._refused
-        return Publish(self._state.renew(set(self._gone), refused, self._now), None)
+        return Publish(self._state.renew(set(self._gone), self._all_refused, self._now), None)
+
+    @property
+    def _all_refused(self) -> Mapping[str, int]:
+        """By the protocol and at the door."""
+        return self._refused + Counter(self._not_let_in) if self._not_let_in else self._refused
 
     def _what_is_missing(self) -> list[str]:
         notes = [

@@ -15,7 +15,7 @@ from agents.messages import (
     TelemetryMessage,
 )
 from agents.strategies.bad_data_tree import has_too_many_names
-from dsse_core.boundary_information import BEYOND_REASON
+from dsse_core.boundary_information import BEYOND_REASON, are_within_reason
 
 LONGEST_LEAD_S = 600.0  # by which the sender's clock may be ahead of ours
 FUTURE = "time in the future"  # a reason of refusal
@@ -53,15 +53,15 @@ def find_unreasonable(message: LoadMessage | BoundaryNews | TallyMessage) -> str
     """That no estimate can have the numbers of ``message``; empty if one can. Strategies know more of their own."""
     match message:
         case LoadMessage():
-            possible = _are_within_reason(message.p, message.q, message.sigma) and message.sigma >= 0
+            possible = are_within_reason((message.p, message.q, message.sigma)) and message.sigma >= 0
         case BoundaryMessage():
-            possible = _are_within_reason(message.vm, message.va) and message.vm > 0
+            possible = are_within_reason((message.vm, message.va)) and message.vm > 0
         case TallyMessage() if has_too_many_names(message.decisions) or has_too_many_names(message.worst):
             return "too many names"
         case TallyMessage():
             counts = message.degrees_of_freedom, message.held_back
             figures = message.objective, *message.normalized
-            possible = _are_within_reason(*counts, *figures, *message.no_load) and min(figures) >= 0
+            possible = are_within_reason((*counts, *figures, *message.no_load)) and min(figures) >= 0
         case _:
             possible = True
     return "" if possible else "numbers beyond reason"
@@ -81,7 +81,3 @@ def find_reading_refusal(value: float, sigma: float) -> str:
     most = BEYOND_REASON  # written out, as there are thousands of readings; nan is below nothing
     within = abs(value) < most and sigma < most and weight < most and abs(value * weight) < most
     return "" if within else "reading beyond reason"
-
-
-def _are_within_reason(*numbers: float) -> bool:
-    return all(abs(number) < BEYOND_REASON for number in numbers)  # nan is not

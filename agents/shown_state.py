@@ -39,28 +39,35 @@ class ShownState:
         doubts: bool,
         sent: tuple[Sent, Sent, Sent],
         gone: set[str],
+        refused: Mapping[str, int],
         now: float,
-    ) -> bool:
-        """Show ``estimate``; whether that says something new.
+    ) -> StateMessage | None:
+        """Show ``estimate`` as things are at time ``now``; the state to be published, None if it says nothing new.
 
         ``sent``: the last load, boundary and tally message to each neighbour. Under the number of the last state
         only its quality, ages and counts may change.
         """
         last, scan = self.message, self._hearing.scan
         self._estimate, self._doubts, self._scan = estimate, doubts, scan
-        state = self._compose(estimate, notes, sent, self.quality(gone, now))
+        state = self._compose(estimate, notes, sent, gone, refused, now)
         if last is not None and content_of(last) == content_of(state):
             if (last.quality, last.header.scan) == (state.quality, scan):
-                return False
+                return None
             if last.header.scan == scan:
-                state = replace(state, header=last.header)
+                state = replace(state, header=replace(last.header, time=state.header.time))
         self.message = state
-        return True
+        return state
 
     def _compose(
-        self, estimate: Estimate | None, notes: Sequence[str], sent: tuple[Sent, Sent, Sent], quality: str
+        self,
+        estimate: Estimate | None,
+        notes: Sequence[str],
+        sent: tuple[Sent, Sent, Sent],
+        gone: set[str],
+        refused: Mapping[str, int],
+        now: float,
     ) -> StateMessage:
-        """The state but for ages and counts, which ``renew`` and the links fill in."""
+        """The state but for what the links have counted, which they fill in."""
         heard = (self._hearing.loads, self._hearing.boundary, self._hearing.tallies)
         return StateMessage(
             header=self._header_for(self.message),
@@ -70,30 +77,28 @@ class ShownState:
             messages=0,
             bytes=0,
             lost=0,
-            refused={},
             notes=tuple(notes),
             faults={},
-            quality=quality,
-            telemetry_age=0.0,
-            ages={},
-            scans={},
-            old_sides=(),
+            **self._passing(gone, refused, now),
         )
 
     def renew(self, gone: set[str], refused: Mapping[str, int], now: float) -> StateMessage:
         """The state with the quality, the ages and the counts of time ``now``."""
         assert self.message is not None
-        self.message = replace(
-            self.message,
-            header=replace(self.message.header, time=self._header_for(None).time),
-            quality=self.quality(gone, now),
-            telemetry_age=self._hearing.telemetry_age(now),
-            ages=self._hearing.ages(now),
-            scans=self._hearing.scans(),
-            old_sides=self._hearing.old_sides(),
-            refused=dict(refused),
-        )
+        header = replace(self.message.header, time=self._header_for(None).time)
+        self.message = replace(self.message, header=header, **self._passing(gone, refused, now))
         return self.message
+
+    def _passing(self, gone: set[str], refused: Mapping[str, int], now: float) -> dict[str, Any]:
+        """The fields that are renewed at every beat."""
+        return {
+            "quality": self.quality(gone, now),
+            "telemetry_age": self._hearing.telemetry_age(now),
+            "ages": self._hearing.ages(now),
+            "scans": self._hearing.scans(),
+            "old_sides": self._hearing.old_sides(),
+            "refused": dict(refused),
+        }
 
     def quality(self, gone: set[str], now: float) -> str:
         """Of the state as last shown; new readings leave it behind until they have been worked in."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -13,6 +14,11 @@ ROUNDING = 1e-14  # relative; what is left of a difference of equal numbers
 NOTHING_OF_VOLTAGE = 1e-10  # information about it, below which it is rounding
 BEYOND_REASON = 1e18  # numbers of a message
 VA = 3  # place of the angle in y
+
+
+def are_within_reason(numbers: Sequence[float]) -> bool:
+    """Whether the ``numbers`` of a message, one at least, are below BEYOND_REASON in size; nan is not."""
+    return math.isfinite(sum(numbers)) and min(numbers) > -BEYOND_REASON and max(numbers) < BEYOND_REASON
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,9 @@ class Tally:
     held_back: int = 0
 
 
-def tally_area(model: AreaModel, x: np.ndarray, variance: np.ndarray, spared: Collection[str]) -> Tally:
+def tally_area(
+    model: AreaModel, x: np.ndarray, variance: np.ndarray, spared: Collection[str], held_back: int = 0
+) -> Tally:
     """The area's own part. ``variance``: diag(Omega) at ``x``; ``spared``: critical meters."""
     normalized = normalize_residuals(model.residual(x), variance, model.sigma, ~model.virtual)
     suspects = {
@@ -51,6 +53,7 @@ def tally_area(model: AreaModel, x: np.ndarray, variance: np.ndarray, spared: Co
         objective=find_objective(model, x),
         degrees_of_freedom=count_freedom(model),
         worst=_keep_tied(suspects),
+        held_back=held_back,
     )
 
 

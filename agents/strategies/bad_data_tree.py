@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -116,7 +115,7 @@ class BadDataTree:
         if len(final) < len(self._children):
             return
         below = [self.read(t) for t in final]
-        self._tally = add_tallies([replace(own, held_back=self._held_back), *below])
+        self._tally = add_tallies([own, *below])
         parent = self._area.parent
         if parent is None:
             self._decide(self._tally)
@@ -193,7 +192,7 @@ class BadDataTree:
             real = {model.meters[k].id for k in np.flatnonzero(~model.virtual)} if indispensable else set()
             critical = {model.meters[k].id for k in np.flatnonzero(without_check)} | (indispensable & real)
             self.critical = tuple(m.id for m in model.meters if m.id in critical) if critical else ()
-            self._own = (x, indispensable, tally_area(model, x, variance, critical))
+            self._own = (x, indispensable, tally_area(model, x, variance, critical, self._held_back))
         return self._own[2]
 
     def _find_indispensable(self, no_load: _NoLoad) -> set[str]:
