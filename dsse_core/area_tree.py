@@ -147,7 +147,7 @@ class AreaTree:
         self, x: np.ndarray, neighbour: Neighbour, heard: Mapping[str, BoundaryInformation]
     ) -> BoundaryInformation | None:
         """What ``neighbour`` is to hear, see ``exchange.compute_information``."""
-        from dsse_core import tree_boundary as tree
+        from dsse_core import tree_root
 
         others_there = sum(n.bus == neighbour.bus for n in self._area.neighbours) > 1
         if neighbour.is_parent and others_there:
@@ -160,8 +160,8 @@ class AreaTree:
         t = self._pass(neighbour.bus, x, heard, (0.0, LEAST_OF_POWER), x, LEAST_OF_FLOW, addressee=neighbour.area)
         if t is None:
             return None
-        K = np.empty(tree.N_KNOWN)
-        tree.describe_root(
+        K = np.empty(tree_root.N_KNOWN)
+        tree_root.describe_root(
             t.admittance[0], t.z[0], t.w[0], t.v[0], t.va[0], t.work.above[0], angle_given,
             not neighbour.is_parent, K,
         )  # fmt: skip

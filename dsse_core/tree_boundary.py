@@ -11,15 +11,14 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
+from dsse_core.tree_block import compiled
 from dsse_core.tree_inverse import find_variances
 from dsse_core.tree_iteration import branch_powers
-from dsse_core.tree_kernel import UPWARD, compiled, eliminate, solve_block, substitute, wrap
+from dsse_core.tree_kernel import UPWARD, eliminate, substitute
+from dsse_core.tree_root import solve_root
 
 SILENT, HEARD, ADDRESSEE = 0, 1, 2  # what a neighbour is in a pass
 N_TOLD = 9  # of a neighbour's message: V (3), A (4), mean (2)
-N_KNOWN = 16  # of an addressee: see describe_root
 LARGEST_LOSS = 1e-4  # of a variance that is a difference, relative to what it is taken of: 1e-9 of it is kept
 
 
@@ -125,61 +124,10 @@ def _add_message(M, T, R, z, p, q, vm, va, sign, d, pull0, pull1):
 
 
 @compiled
-def describe_root(Y, z, w, v, va, M, angle_given, power_too, K):
-    """What is known of the root: ``K`` (16,) as ``above``, but with its own meters and, with ``power_too``, balance."""
-    u2 = v.real**2 + v.imag**2
-    vm = math.sqrt(u2)
-    K[:] = M
-    if power_too:
-        ysh = Y[7] * u2
-        K[0] -= w[2]
-        K[2] -= w[3]
-        K[4] += 2.0 * ysh.real
-        K[6] += 2.0 * ysh.imag
-        K[10] += z[2] - (ysh.real + M[14])
-        K[11] += z[3] - (ysh.imag + M[15])
-    if w[0] > 0.0:
-        K[7] += w[0]
-        K[12] += w[0] * wrap(z[0] - va)
-    if w[1] > 0.0:
-        K[9] += w[1] * u2
-        K[13] += w[1] * vm * (z[1] - vm)
-    if angle_given:
-        K[3] = K[5] = K[7] = K[8] = K[12] = 0.0
-
-
-@compiled
-def _solve_root(Y, z, w, v, va, M, angle_given, block, root):
-    """Its step in column 8 of ``block``, and in ``root`` (4, 4) its block of the inverse."""
-    K = np.empty(N_KNOWN)
-    describe_root(Y, z, w, v, va, M, angle_given, True, K)
-    has_p, has_q = w[2] >= 0.0, w[3] >= 0.0
-    if not has_p:
-        K[0], K[1], K[3], K[4], K[10] = -1.0, 0.0, 0.0, 0.0, 0.0
-    if not has_q:
-        K[2], K[1], K[5], K[6], K[11] = -1.0, 0.0, 0.0, 0.0, 0.0
-    if angle_given:
-        K[7] = 1.0
-    A = block
-    A[:] = 0.0
-    A[0, 0], A[0, 1], A[0, 2], A[0, 3], A[0, 8] = K[0], K[1], K[3], K[4], K[10]
-    A[1, 0], A[1, 1], A[1, 2], A[1, 3], A[1, 8] = K[1], K[2], K[5], K[6], K[11]
-    A[2, 0], A[2, 1], A[2, 2], A[2, 3], A[2, 8] = K[3], K[5], K[7], K[8], K[12]
-    A[3, 0], A[3, 1], A[3, 2], A[3, 3], A[3, 8] = K[4], K[6], K[8], K[9], K[13]
-    for k in range(4):
-        A[k, 4 + k] = 1.0
-    solve_block(A, 9, False)
-    root[:] = A[:, 4:8]
-    if angle_given:
-        root[2, 2] = 0.0
-
-
-@compiled
 def step_downward(order, parent, Y, z, w, at, column, v, va, told, above, factor, block, step, angle_given, dx):
     """Root to leaves: the step ``dx`` of all voltages and of the powers into children; whether it is finite."""
     n = len(order)
-    root = np.empty((4, 4))
-    _solve_root(Y[0], z[0], w[0], v[0], va[0], above[0], angle_given, block, root)
+    solve_root(Y[0], z[0], w[0], v[0], va[0], above[0], angle_given, False, block)
     for k in range(4):
         step[0, k] = block[k, 8]
     substitute(parent, factor, step)
@@ -200,19 +148,13 @@ def variances_downward(
 ):  # fmt: skip
     """Root to leaves: ``variance`` of all variables; diag(Omega) of every slot, (n, 10), and whether digits remain."""
     n = len(order)
-    root = np.empty((4, 4))
-    _solve_root(Y[0], z[0], w[0], v[0], va[0], above[0], angle_given, block, root)
-    if w[0, 2] < 0.0:
-        root[0, :] = root[:, 0] = 0.0
-    if w[0, 3] < 0.0:
-        root[1, :] = root[:, 1] = 0.0
-    state, omega, S = find_variances(parent, Y, z, w, v, factor, more, root)
+    solve_root(Y[0], z[0], w[0], v[0], va[0], above[0], angle_given, False, block)
+    state, omega, S = find_variances(parent, Y, w, v, factor, more, block, angle_given)
     enough = True
     for i in range(n):
         variance[order[i]], variance[n + order[i]] = state[i, 0], state[i, 1]
         if i > 0:  # the voltage's own variance is a difference of that of the power through the branch, times |q|^2
-            F = factor[i]
-            given = (F[22] ** 2 + F[23] ** 2) * (F[8] + F[13])
+            given = (factor[i, 22] ** 2 + factor[i, 23] ** 2) * (factor[i, 8] + factor[i, 13])
             enough = enough and given * LARGEST_LOSS < min(state[i, 0], state[i, 1])
     for k in range(len(at)):
         if column[k] >= 0:

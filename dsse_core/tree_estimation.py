@@ -62,14 +62,12 @@ def find_variances_on_tree(
     from dsse_core import tree_inverse, tree_iteration, tree_kernel
 
     n = len(vm)
-    va = va[plan.order]
-    v = vm[plan.order] * np.exp(1j * va)
-    z, w = np.zeros((n, N_SLOT)), tree_kernel.absent(n)
-    tree_iteration.store(plan.slot, np.zeros(len(sigmas)), sigmas, z, w)
+    z, w, v, va_of_tree = np.zeros((n, N_SLOT)), tree_kernel.absent(n), np.empty(n, dtype=complex), np.empty(n)
+    tree_inverse.turn_to_tree(plan.order, vm, va, v, va_of_tree)
+    tree_iteration.store(plan.slot, sigmas, sigmas, z, w)  # whatever was read
     work = tree_kernel.Work.of(n)
-    tree_kernel.eliminate(plan.parent, plan.admittance, z, w, v, va, True, tree_kernel.INVERT, *work)
-    root = tree_inverse.root_of_reference(work.block)
-    in_tree_order, omega, _ = tree_inverse.find_variances(plan.parent, plan.admittance, z, w, v, *work[1:3], root)
+    tree_kernel.eliminate(plan.parent, plan.admittance, z, w, v, va_of_tree, True, tree_kernel.INVERT, *work)
+    of_tree, omega, _ = tree_inverse.find_variances(plan.parent, plan.admittance, w, v, *work[1:4], True)
     state = np.empty((2, n))
-    state[:, plan.order] = in_tree_order.T
+    state[:, plan.order] = of_tree.T
     return state.ravel(), omega.ravel()[plan.slot]

@@ -8,18 +8,8 @@ import numpy as np
 
 from dsse_core.gauss_newton import FLOWS_KNOWN, FULL_STEPS, LARGEST_STEP, MAX_DVA, MAX_DVM
 from dsse_core.measurement_model import CURRENT_FLOOR
-from dsse_core.tree_kernel import (
-    N_FACTOR,
-    N_INVERSE,
-    N_MORE,
-    SMALL_ANGLE,
-    STEP,
-    compiled,
-    eliminate,
-    modulus,
-    substitute,
-    wrap,
-)
+from dsse_core.tree_block import N_INVERSE, compiled, modulus, scaled, wrap
+from dsse_core.tree_kernel import N_FACTOR, N_MORE, SMALL_ANGLE, STEP, eliminate, substitute
 
 CONVERGED, TOO_MANY, LEFT, UNUSABLE = 0, 1, 2, 3
 
@@ -59,11 +49,11 @@ def estimate(
         if small:
             gain = expected_gain(parent, Y, w, v, flows_known, step)
         halved = iteration > FULL_STEPS and not small
-        _move(v, va, step, 1.0 / max(max(2.0 if halved else 1.0, dva / MAX_DVA), dvm / MAX_DVM))
+        _move(v, va, step, 1.0 / max(max(2.0 if halved else 1.0, dva / MAX_DVA), dvm / MAX_DVM), dva)
         if small and gain <= gradient and (flows_known or not has_currents):
             end = CONVERGED
         flows_known = flows_known or largest < FLOWS_KNOWN
-    predict(parent, Y, v, va, z)
+    predict(parent, Y, v, va, has_currents, z)
     for i in range(n):
         state[0, order[i]], state[1, order[i]] = modulus(v[i]), va[i]
     return end, iteration, largest, _subtract(slot, values, sigmas, z, residual)
@@ -78,15 +68,22 @@ def _are_usable(exact, values, sigmas):
             sigmas[k] = 0.0
             usable = usable and values[k] == 0.0
         else:
-            usable = usable and math.isfinite(values[k]) and math.isfinite(sigmas[k]) and sigmas[k] > 0.0
+            usable = usable and abs(values[k]) < np.inf and 0.0 < sigmas[k] < np.inf
     return usable
+
+
+@compiled
+def _place(slot):
+    """Bus and column; without a sign, which costs as much as the rest of a loop over the meters."""
+    unsigned = np.uint64(slot)
+    return unsigned // np.uint64(10), unsigned % np.uint64(10)
 
 
 @compiled
 def store(slot, values, sigmas, z, w):
     """Readings into ``z`` and weights into ``w``, both (n, 10): 1 / sigma^2, of injections sigma^2."""
     for k in range(len(slot)):
-        i, column = slot[k] // 10, slot[k] % 10
+        i, column = _place(slot[k])
         z[i, column] = values[k]
         variance = sigmas[k] * sigmas[k]
         w[i, column] = variance if column == 2 or column == 3 else 1.0 / variance
@@ -97,8 +94,8 @@ def _subtract(slot, values, sigmas, h, residual):
     """z - h(x) of every meter into ``residual``, differences of angles wrapped to (-pi, pi]. Returns J."""
     J = 0.0
     for k in range(len(slot)):
-        column = slot[k] % 10
-        r = values[k] - h[slot[k] // 10, column]
+        i, column = _place(slot[k])
+        r = values[k] - h[i, column]
         residual[k] = wrap(r) if column == 0 else r
         if sigmas[k] > 0.0:
             J += (residual[k] / sigmas[k]) ** 2
@@ -117,22 +114,24 @@ def _largest(v, step):
 
 
 @compiled
-def _move(v, va, step, length):
+def _move(v, va, step, length, largest_angle):
+    """Turn and lengthen all voltages. No branch inside the loop: else sines are computed although nobody needs them."""
+    small = length * largest_angle < SMALL_ANGLE
     for i in range(len(v)):
-        d = length * step[i, 2]
+        d, growth = length * step[i, 2], 1.0 + length * step[i, 3]
         va[i] += d
-        if abs(d) < SMALL_ANGLE:
+        if small:
             d2 = d * d
             c = 1.0 + d2 * (-1 / 2 + d2 * (1 / 24 - d2 * (1 / 720)))
             s = d + d * d2 * (-1 / 6 + d2 * (1 / 120 - d2 * (1 / 5040)))
         else:
             c, s = math.cos(d), math.sin(d)
-        v[i] *= (1.0 + length * step[i, 3]) * complex(c, s)
+        v[i] = scaled(v[i] * complex(c, s), growth)
 
 
 @compiled
-def predict(parent, Y, v, va, h):
-    """h(x) of every slot, shape (n, 10)."""
+def predict(parent, Y, v, va, has_currents, h):
+    """h(x) of every slot, shape (n, 10); of currents only if there are any."""
     for i in range(len(parent)):
         square = v[i].real ** 2 + v[i].imag ** 2
         h[i, 0], h[i, 1] = va[i], math.sqrt(square)
@@ -144,16 +143,17 @@ def predict(parent, Y, v, va, h):
         h[i, 3] += own.imag
         h[p, 2] += at_parent.real
         h[p, 3] += at_parent.imag
-        h[i, 4], h[i, 5], h[i, 6] = at_parent.real, at_parent.imag, modulus(at_parent) / h[p, 1]
-        h[i, 7], h[i, 8], h[i, 9] = own.real, own.imag, modulus(own) / h[i, 1]
+        h[i, 4], h[i, 5], h[i, 7], h[i, 8] = at_parent.real, at_parent.imag, own.real, own.imag
+        if has_currents:
+            h[i, 6], h[i, 9] = modulus(at_parent) / h[p, 1], modulus(own) / h[i, 1]
 
 
 @compiled
 def branch_powers(i, p, Y, v):
     """Power into the branch above bus ``i``, at its own end and at its parent's ``p``."""
     m = v[i] * v[p].conjugate()
-    own = Y[i, 0] * (v[i].real ** 2 + v[i].imag ** 2) + Y[i, 1] * m
-    return own, Y[i, 2] * (v[p].real ** 2 + v[p].imag ** 2) + Y[i, 3] * m.conjugate()
+    own = scaled(Y[i, 0], v[i].real ** 2 + v[i].imag ** 2) + Y[i, 1] * m
+    return own, scaled(Y[i, 2], v[p].real ** 2 + v[p].imag ** 2) + Y[i, 3] * m.conjugate()
 
 
 @compiled
@@ -166,14 +166,14 @@ def expected_gain(parent, Y, w, v, currents, step):
         square = v[i].real ** 2 + v[i].imag ** 2
         x = complex(step[i, 3], step[i, 2])
         gain += w[i, 0] * x.imag**2 + w[i, 1] * square * x.real**2
-        d = injected[i] + 2 * Y[i, 7] * square * x.real
+        d = injected[i] + scaled(Y[i, 7], 2.0 * square * x.real)
         if i > 0:
             p = parent[i]
             xp = complex(step[p, 3], step[p, 2])
             own, at_parent = branch_powers(i, p, Y, v)
-            ycc, ypp = Y[i, 0] * square, Y[i, 2] * (v[p].real ** 2 + v[p].imag ** 2)
-            at_own_end = 2 * ycc * x.real + (own - ycc) * (x + xp.conjugate())
-            at_its_end = 2 * ypp * xp.real + (at_parent - ypp) * (xp + x.conjugate())
+            ycc, ypp = scaled(Y[i, 0], square), scaled(Y[i, 2], v[p].real ** 2 + v[p].imag ** 2)
+            at_own_end = scaled(ycc, 2.0 * x.real) + (own - ycc) * (x + xp.conjugate())
+            at_its_end = scaled(ypp, 2.0 * xp.real) + (at_parent - ypp) * (xp + x.conjugate())
             injected[p] += at_its_end
             d += at_own_end
             gain += w[i, 4] * at_its_end.real**2 + w[i, 5] * at_its_end.imag**2

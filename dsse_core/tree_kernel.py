@@ -19,37 +19,22 @@ Eliminating ``(lam, f)`` of a bus, a 4 x 4 block D solved with pivoting, leaves 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from dsse_core.measurement_model import CURRENT_FLOOR
+from dsse_core.tree_block import N_INVERSE, compiled, modulus, scaled, solve_block, wrap
+from dsse_core.tree_root import solve_root
 
 SMALL_ANGLE = 0.01  # rad; below it three terms give sine and cosine to the last digit
-LEAST_SCALE = 1e-8  # of the rows of lam, in units of 1 / variance: round-off in place of information sets no scale
 SURELY_DEFINITE = 1e-4  # determinant over product of the diagonal from which on 2 x 2 blocks need no pivoting
-NO_INFORMATION = 1e-20  # with all sigmas 1: a pivot that only round-off can have made
 N_FACTOR = 24  # of a bus: X (16), y (4), t (2), q (2)
-N_MORE = 9  # alpha (4) and beta (2) where row_of_branch needs them, (D^-1)_lamlam (3)
-N_INVERSE = 11  # columns of a block with right-hand sides: D (4), U (4), r (1), and two of the unit matrix
+N_MORE = 9  # alpha (4) and beta (2) for row_of_branch, where there is such a row; (D^-1)_lamlam (3)
 
 # Modes: a step; also (D^-1)_lamlam; only whether every block can be solved; all but the root, what is known of it in
 # above[0], and (D^-1)_lamlam, always with pivoting, so that of what nobody measures nothing seems to be known.
 STEP, INVERT, CHECK, UPWARD = 0, 1, 2, 3
-
-
-def compiled(function: Callable[..., Any]) -> Any:
-    """``function`` compiled once for all processes; for each anew where no folder can be written to keep it in.
-
-    Other threads go on while it runs: where nobody takes in what the bus receives, a link counts as lost.
-    """
-    options: Any = {"error_model": "numpy", "fastmath": {"contract"}, "nogil": True}
-    try:
-        return njit(cache=True, **options)(function)
-    except RuntimeError:  # as under a unit of systemd that sees neither a home nor anything to write in
-        return njit(**options)(function)
 
 
 class Work(NamedTuple):
@@ -75,58 +60,6 @@ def absent(n: int) -> np.ndarray:
 
 
 @compiled
-def solve_block(A, width, check):
-    """A[:, 4:width] = A[:, :4]^-1 A[:, 4:width] with row pivoting; with ``check`` the least pivot ratio, else 1."""
-    for k in range(2):  # rows of lam in the units of those of f: only then a comparison means something
-        variance = abs(A[k, k])
-        scale = max(abs(A[2 + k, 2 + k]), LEAST_SCALE / variance if variance > 0.0 else 0.0)
-        if scale == 0.0:
-            scale = 1.0
-        for c in range(width):
-            A[k, c] *= scale
-    ratio = 1.0
-    largest = np.empty(4) if check else A[0]
-    if check:
-        for c in range(4):
-            largest[c] = max(max(abs(A[0, c]), abs(A[1, c])), max(abs(A[2, c]), abs(A[3, c])))
-    for k in range(4):
-        best, at = abs(A[k, k]), k
-        for r in range(k + 1, 4):
-            if abs(A[r, k]) > best:
-                best, at = abs(A[r, k]), r
-        if check:
-            ratio = min(ratio, best / largest[k]) if best > NO_INFORMATION else 0.0
-        if at != k:
-            for c in range(k, width):
-                A[k, c], A[at, c] = A[at, c], A[k, c]
-        inverse = 1.0 / A[k, k]
-        for c in range(k + 1, width):
-            A[k, c] *= inverse
-        for r in range(k + 1, 4):
-            m = A[r, k]
-            if m != 0.0:
-                for c in range(k + 1, width):
-                    A[r, c] -= m * A[k, c]
-    for k in range(3, 0, -1):
-        for r in range(k):
-            m = A[r, k]
-            for c in range(4, width):
-                A[r, c] -= m * A[k, c]
-    return ratio
-
-
-@compiled
-def wrap(angle):
-    return math.pi - (math.pi - angle) % (2 * math.pi)
-
-
-@compiled
-def modulus(s):
-    """|s| of voltages and powers in p.u., which are far from where squares overflow."""
-    return math.sqrt(s.real * s.real + s.imag * s.imag)
-
-
-@compiled
 def eliminate(parent, Y, z, w, v, va, currents, mode, above, factor, more, block, step, least_of_flow=0.0):
     """Leaves to root, then the root's step. Returns, with mode CHECK, the least pivot ratio and the bus it is at.
 
@@ -138,36 +71,31 @@ def eliminate(parent, Y, z, w, v, va, currents, mode, above, factor, more, block
     invert = mode == INVERT or upward
     width = N_INVERSE if invert else 9
     least, at = 1.0, 0
-    for i in range(n - 1, 0 if upward else -1, -1):
-        vr, vi = v[i].real, v[i].imag
-        u2 = vr * vr + vi * vi
-        ysh = Y[i, 7] * u2
+    for i in range(n - 1, 0, -1):
+        u2 = v[i].real ** 2 + v[i].imag ** 2
+        ysh = scaled(Y[i, 7], u2)
         has_p, has_q = w[i, 2] >= 0.0, w[i, 3] >= 0.0
         # the branch to the parent
         p = parent[i]
-        own, at_parent = 0j, 0j
-        qr = qi = t0 = t1 = a00 = a01 = a10 = a11 = b0 = b1 = 0.0
-        if i > 0:
-            p2 = v[p].real ** 2 + v[p].imag ** 2
-            m = v[i] * v[p].conjugate()
-            ycc = Y[i, 0] * u2
-            own = ycc + Y[i, 1] * m
-            at_parent = Y[i, 2] * p2 + Y[i, 3] * m.conjugate()
-            over = 1.0 / (u2 * p2)
-            q = Y[i, 5] * m * over
-            kappa = Y[i, 4] * m * (p2 * over)
-            qr, qi = q.real, q.imag
-            t0, t1 = 2.0 * kappa.imag, -(1.0 + 2.0 * kappa.real)
-            gamma = Y[i, 6]
-            alpha0 = gamma + 2.0 * qr * ycc
-            a00, a10 = alpha0.real, alpha0.imag
-            a01, a11 = gamma.imag - 2.0 * qi * ycc.real, -gamma.real - 2.0 * qi * ycc.imag
-            beta = 2.0 * (ycc * t1 - Y[i, 1] * Y[i, 4].conjugate() * p2)
-            b0, b1 = beta.real, beta.imag
-            factor[i, 20], factor[i, 21], factor[i, 22], factor[i, 23] = t0, t1, qr, qi
-            if w[i, 7] > 0.0 or w[i, 8] > 0.0 or w[i, 9] > 0.0:
-                more[i, 0], more[i, 1], more[i, 2], more[i, 3] = a00, a01, a10, a11
-                more[i, 4], more[i, 5] = b0, b1
+        p2 = v[p].real ** 2 + v[p].imag ** 2
+        m = v[i] * v[p].conjugate()
+        ycc = scaled(Y[i, 0], u2)
+        own = ycc + Y[i, 1] * m
+        at_parent = scaled(Y[i, 2], p2) + Y[i, 3] * m.conjugate()
+        over = 1.0 / (u2 * p2)
+        q = scaled(Y[i, 5] * m, over)
+        kappa = scaled(Y[i, 4] * m, p2 * over)
+        qr, qi = q.real, q.imag
+        t0, t1 = 2.0 * kappa.imag, -(1.0 + 2.0 * kappa.real)
+        gamma = Y[i, 6]
+        a00, a10 = gamma.real + 2.0 * qr * ycc.real, gamma.imag + 2.0 * qr * ycc.imag
+        a01, a11 = gamma.imag - 2.0 * qi * ycc.real, -gamma.real - 2.0 * qi * ycc.imag
+        beta = Y[i, 1] * Y[i, 4].conjugate()
+        b0, b1 = 2.0 * (ycc.real * t1 - beta.real * p2), 2.0 * (ycc.imag * t1 - beta.imag * p2)
+        factor[i, 20], factor[i, 21], factor[i, 22], factor[i, 23] = t0, t1, qr, qi
+        if w[i, 7] > 0.0 or w[i, 8] > 0.0 or w[i, 9] > 0.0:
+            more[i, 0], more[i, 1], more[i, 2], more[i, 3] = a00, a01, a10, a11
+            more[i, 4], more[i, 5] = b0, b1
         # the rows of lam: injections
         L00, L01, L11 = above[i, 0] - w[i, 2], above[i, 1], above[i, 2] - w[i, 3]
         X00, X01 = above[i, 3], above[i, 4] + 2.0 * ysh.real
@@ -191,22 +119,6 @@ def eliminate(parent, Y, z, w, v, va, currents, mode, above, factor, more, block
             s1 += w[i, 1] * vm * (z[i, 1] - vm)
         for k in range(16):
             above[i, k] = 0.0
-        if i == 0:
-            block[:] = 0.0
-            block[0, 0], block[0, 1], block[0, 2], block[0, 8] = L00, L01, X01, r0
-            block[1, 0], block[1, 1], block[1, 2], block[1, 8] = L01, L11, X11, r1
-            block[2, 0], block[2, 1], block[2, 2], block[2, 8] = X01, X11, N11, s1
-            block[3, 3] = N11 if N11 > 0.0 else 1.0  # of the reference's angle there is nothing to find
-            if check and N11 < NO_INFORMATION:
-                return 0.0, 0
-            block[0, 4] = block[1, 5] = block[2, 6] = 1.0
-            ratio = solve_block(block, width, check)
-            if check and not ratio >= least:
-                least, at = ratio, 0
-            for k in range(3):
-                step[0, k] = block[k, 8]
-            step[0, 3], step[0, 2] = block[2, 8], 0.0
-            break
         # x = T x_p + Z f
         Z00, Z01 = N01 * qr - N00 * qi, -N00 * qr - N01 * qi
         Z10, Z11 = N11 * qr - N01 * qi, -N01 * qr - N11 * qi
@@ -227,7 +139,8 @@ def eliminate(parent, Y, z, w, v, va, currents, mode, above, factor, more, block
             g1 += w[i, 5] * (z[i, 5] - at_parent.imag)
         for k in range(6, 10):
             if w[i, k] > 0.0 and (currents or (k != 6 and k != 9)):
-                k0, k1, kx, r = row_of_branch(k, z, i, own, at_parent, vm, p2, factor, more)
+                k0, k1, kx, h = row_of_branch(k, own, at_parent, vm, p2, (a00, a01, a10, a11, b0, b1, t1, qr, qi))
+                r = z[i, k] - h
                 G00 += w[i, k] * k0 * k0
                 G01 += w[i, k] * k0 * k1
                 G11 += w[i, k] * k1 * k1
@@ -241,7 +154,6 @@ def eliminate(parent, Y, z, w, v, va, currents, mode, above, factor, more, block
         E10, E11 = X10, X10 * t0 + X11 * t1 + c1 * b1
         C00, C01 = X01 * qr - X00 * qi + c0 * a00, -X00 * qr - X01 * qi + c0 * a01
         C10, C11 = X11 * qr - X10 * qi + c1 * a10, -X10 * qr - X11 * qi + c1 * a11
-        F = factor[i]
         det = L00 * L11 - L01 * L01
         definite = not (check or upward) and L00 < 0.0 and L11 < 0.0 and det > SURELY_DEFINITE * L00 * L11
         if definite:
@@ -263,86 +175,95 @@ def eliminate(parent, Y, z, w, v, va, currents, mode, above, factor, more, block
             A01, A11 = V00 * k0 + V01 * k1, V01 * k0 + V11 * k1
             k0, k1 = g0 + Q00 * r0 + Q10 * r1, g1 + Q01 * r0 + Q11 * r1
             A02, A12 = V00 * k0 + V01 * k1, V01 * k0 + V11 * k1
-            F[0], F[1] = Q00 * V00 + Q01 * V01, Q00 * V01 + Q01 * V11
-            F[4], F[5] = Q10 * V00 + Q11 * V01, Q10 * V01 + Q11 * V11
+            U00, U01 = Q00 * V00 + Q01 * V01, Q00 * V01 + Q01 * V11
+            U10, U11 = Q10 * V00 + Q11 * V01, Q10 * V01 + Q11 * V11
+            factor[i, 0], factor[i, 1], factor[i, 4], factor[i, 5] = U00, U01, U10, U11
             if invert:
-                more[i, 6], more[i, 7] = F[0] * Q00 + F[1] * Q01 - M00, F[0] * Q10 + F[1] * Q11 - M01
-                more[i, 8] = F[4] * Q10 + F[5] * Q11 - M11
+                more[i, 6], more[i, 7] = U00 * Q00 + U01 * Q01 - M00, U00 * Q10 + U01 * Q11 - M01
+                more[i, 8] = U10 * Q10 + U11 * Q11 - M11
             B00, B01 = Q00 * A00 + Q01 * A10 - M00 * E00 - M01 * E10, Q00 * A01 + Q01 * A11 - M00 * E01 - M01 * E11
             B10, B11 = Q10 * A00 + Q11 * A10 - M01 * E00 - M11 * E10, Q10 * A01 + Q11 * A11 - M01 * E01 - M11 * E11
             B02, B12 = Q00 * A02 + Q01 * A12 - M00 * r0 - M01 * r1, Q10 * A02 + Q11 * A12 - M01 * r0 - M11 * r1
         else:
-            A = block
-            A[0, 0], A[0, 1], A[0, 2], A[0, 3] = L00, L01, C00, C01
-            A[1, 0], A[1, 1], A[1, 2], A[1, 3] = L01, L11, C10, C11
-            A[2, 0], A[2, 1], A[2, 2], A[2, 3] = C00, C10, G00, G01
-            A[3, 0], A[3, 1], A[3, 2], A[3, 3] = C01, C11, G01, G11
-            A[0, 4], A[0, 5], A[0, 6], A[0, 7], A[0, 8] = 0.0, 0.0, E00, E01, r0
-            A[1, 4], A[1, 5], A[1, 6], A[1, 7], A[1, 8] = 0.0, 0.0, E10, E11, r1
-            A[2, 4], A[2, 5], A[2, 6], A[2, 7], A[2, 8] = 1.0, 0.0, F00, F01, g0
-            A[3, 4], A[3, 5], A[3, 6], A[3, 7], A[3, 8] = 0.0, 1.0, F10, F11, g1
+            block[0, 0], block[0, 1], block[0, 2], block[0, 3] = L00, L01, C00, C01
+            block[1, 0], block[1, 1], block[1, 2], block[1, 3] = L01, L11, C10, C11
+            block[2, 0], block[2, 1], block[2, 2], block[2, 3] = C00, C10, G00, G01
+            block[3, 0], block[3, 1], block[3, 2], block[3, 3] = C01, C11, G01, G11
+            block[0, 4], block[0, 5], block[0, 6], block[0, 7], block[0, 8] = 0.0, 0.0, E00, E01, r0
+            block[1, 4], block[1, 5], block[1, 6], block[1, 7], block[1, 8] = 0.0, 0.0, E10, E11, r1
+            block[2, 4], block[2, 5], block[2, 6], block[2, 7], block[2, 8] = 1.0, 0.0, F00, F01, g0
+            block[3, 4], block[3, 5], block[3, 6], block[3, 7], block[3, 8] = 0.0, 1.0, F10, F11, g1
             if invert:
-                A[0, 9], A[1, 9], A[2, 9], A[3, 9] = 1.0, 0.0, 0.0, 0.0
-                A[0, 10], A[1, 10], A[2, 10], A[3, 10] = 0.0, 1.0, 0.0, 0.0
-            ratio = solve_block(A, width, check)
+                block[0, 9], block[1, 9], block[2, 9], block[3, 9] = 1.0, 0.0, 0.0, 0.0
+                block[0, 10], block[1, 10], block[2, 10], block[3, 10] = 0.0, 1.0, 0.0, 0.0
+            ratio = solve_block(block, width, check)
             if check and not ratio >= least:
                 least, at = ratio, i
             if invert:
-                more[i, 6], more[i, 7], more[i, 8] = A[0, 9], A[0, 10], A[1, 10]
-            F[0], F[1], F[4], F[5] = A[0, 4], A[0, 5], A[1, 4], A[1, 5]
-            B00, B01, B02, B10, B11, B12 = A[0, 6], A[0, 7], A[0, 8], A[1, 6], A[1, 7], A[1, 8]
-            V00, V01, V11 = A[2, 4], A[2, 5], A[3, 5]
-            A00, A01, A02, A10, A11, A12 = A[2, 6], A[2, 7], A[2, 8], A[3, 6], A[3, 7], A[3, 8]
-        F[2], F[3], F[6], F[7] = B00, B01, B10, B11
-        F[8], F[9], F[10], F[11] = V00, V01, A00, A01
-        F[12], F[13], F[14], F[15] = V01, V11, A10, A11
-        F[16], F[17], F[18], F[19] = B02, B12, A02, A12
+                more[i, 6], more[i, 7], more[i, 8] = block[0, 9], block[0, 10], block[1, 10]
+            factor[i, 0], factor[i, 1], factor[i, 4], factor[i, 5] = block[0, 4], block[0, 5], block[1, 4], block[1, 5]
+            B00, B01, B02, B10, B11, B12 = block[0, 6], block[0, 7], block[0, 8], block[1, 6], block[1, 7], block[1, 8]
+            V00, V01, V11 = block[2, 4], block[2, 5], block[3, 5]
+            A00, A01, A02, A10, A11, A12 = block[2, 6], block[2, 7], block[2, 8], block[3, 6], block[3, 7], block[3, 8]
+        factor[i, 2], factor[i, 3], factor[i, 6], factor[i, 7] = B00, B01, B10, B11
+        factor[i, 8], factor[i, 9], factor[i, 10], factor[i, 11] = V00, V01, A00, A01
+        factor[i, 12], factor[i, 13], factor[i, 14], factor[i, 15] = V01, V11, A10, A11
+        factor[i, 16], factor[i, 17], factor[i, 18], factor[i, 19] = B02, B12, A02, A12
         # the message
-        M = above[p]
-        M[0] -= V00
-        M[1] -= V01
-        M[2] -= V11
-        M[3] -= A00
-        M[4] -= A01
-        M[5] -= A10
-        M[6] -= A11
-        M[7] += P00 - (E00 * B00 + E10 * B10 + F00 * A00 + F10 * A10)
-        M[8] += P01 - (E00 * B01 + E10 * B11 + F00 * A01 + F10 * A11)
-        M[9] += P11 - (E01 * B01 + E11 * B11 + F01 * A01 + F11 * A11)
-        M[10] -= A02
-        M[11] -= A12
-        M[12] += s0 - (E00 * B02 + E10 * B12 + F00 * A02 + F10 * A12)
-        M[13] += s1 - (E01 * B02 + E11 * B12 + F01 * A02 + F11 * A12)
-        M[14] += at_parent.real
-        M[15] += at_parent.imag
+        above[p, 0] -= V00
+        above[p, 1] -= V01
+        above[p, 2] -= V11
+        above[p, 3] -= A00
+        above[p, 4] -= A01
+        above[p, 5] -= A10
+        above[p, 6] -= A11
+        above[p, 7] += P00 - (E00 * B00 + E10 * B10 + F00 * A00 + F10 * A10)
+        above[p, 8] += P01 - (E00 * B01 + E10 * B11 + F00 * A01 + F10 * A11)
+        above[p, 9] += P11 - (E01 * B01 + E11 * B11 + F01 * A01 + F11 * A11)
+        above[p, 10] -= A02
+        above[p, 11] -= A12
+        above[p, 12] += s0 - (E00 * B02 + E10 * B12 + F00 * A02 + F10 * A12)
+        above[p, 13] += s1 - (E01 * B02 + E11 * B12 + F01 * A02 + F11 * A12)
+        above[p, 14] += at_parent.real
+        above[p, 15] += at_parent.imag
+    if upward:
+        return least, at
+    ratio = solve_root(Y[0], z[0], w[0], v[0], va[0], above[0], True, check, block)
+    if check and not ratio >= least:
+        least, at = ratio, 0
+    for k in range(4):
+        step[0, k] = block[k, 8]
+    above[0, :] = 0.0
     return least, at
 
 
 @compiled
-def row_of_branch(k, z, i, own, at_parent, vm, p2, factor, more):
-    """A flow at the child's end or a current, slots 6 to 9: derivatives by f (2) and dvm_p / vm_p, and z - h."""
+def row_of_branch(k, own, at_parent, vm, p2, coefficients):
+    """A flow at the child's end or a current, slots 6 to 9: derivatives by f (2) and dvm_p / vm_p, and h."""
     if k == 6:
         s, vp = modulus(at_parent), math.sqrt(p2)
         if s <= CURRENT_FLOOR * vp:
-            return 0.0, 0.0, 0.0, z[i, 6] - s / vp
-        return at_parent.real / (s * vp), at_parent.imag / (s * vp), -s / vp, z[i, 6] - s / vp
-    a00, a01, a10, a11 = more[i, 0], more[i, 1], more[i, 2], more[i, 3]
-    b0, b1 = more[i, 4], more[i, 5]
+            return 0.0, 0.0, 0.0, s / vp
+        return at_parent.real / (s * vp), at_parent.imag / (s * vp), -s / vp, s / vp
+    a00, a01, a10, a11, b0, b1, t1, qr, qi = coefficients
     if k == 7:
-        return a00, a01, b0, z[i, 7] - own.real
+        return a00, a01, b0, own.real
     if k == 8:
-        return a10, a11, b1, z[i, 8] - own.imag
+        return a10, a11, b1, own.imag
     s = modulus(own)
     magnitude = s / vm
     if magnitude <= CURRENT_FLOOR:
-        return 0.0, 0.0, 0.0, z[i, 9] - magnitude
+        return 0.0, 0.0, 0.0, magnitude
     e0, e1 = own.real / (s * vm), own.imag / (s * vm)
-    return (
-        e0 * a00 + e1 * a10 - magnitude * factor[i, 22],
-        e0 * a01 + e1 * a11 + magnitude * factor[i, 23],
-        e0 * b0 + e1 * b1 - magnitude * factor[i, 21],
-        z[i, 9] - magnitude,
-    )
+    k0, k1 = e0 * a00 + e1 * a10 - magnitude * qr, e0 * a01 + e1 * a11 + magnitude * qi
+    return k0, k1, e0 * b0 + e1 * b1 - magnitude * t1, magnitude
+
+
+@compiled
+def coefficients_of(i, factor, more):
+    """What ``row_of_branch`` needs of a bus that ``eliminate`` has passed."""
+    alpha_and_beta = more[i, 0], more[i, 1], more[i, 2], more[i, 3], more[i, 4], more[i, 5]
+    return *alpha_and_beta, factor[i, 21], factor[i, 22], factor[i, 23]
 
 
 @compiled
@@ -351,10 +272,9 @@ def substitute(parent, factor, step):
     for i in range(1, len(parent)):
         p = parent[i]
         l0, l1, x0, x1 = step[p, 0], step[p, 1], step[p, 2], step[p, 3]
-        F = factor[i]
-        f0 = F[18] - (F[8] * l0 + F[9] * l1 + F[10] * x0 + F[11] * x1)
-        f1 = F[19] - (F[12] * l0 + F[13] * l1 + F[14] * x0 + F[15] * x1)
-        step[i, 0] = F[16] - (F[0] * l0 + F[1] * l1 + F[2] * x0 + F[3] * x1)
-        step[i, 1] = F[17] - (F[4] * l0 + F[5] * l1 + F[6] * x0 + F[7] * x1)
-        step[i, 2] = x0 + F[20] * x1 - F[23] * f0 - F[22] * f1
-        step[i, 3] = F[21] * x1 + F[22] * f0 - F[23] * f1
+        f0 = factor[i, 18] - (factor[i, 8] * l0 + factor[i, 9] * l1 + factor[i, 10] * x0 + factor[i, 11] * x1)
+        f1 = factor[i, 19] - (factor[i, 12] * l0 + factor[i, 13] * l1 + factor[i, 14] * x0 + factor[i, 15] * x1)
+        step[i, 0] = factor[i, 16] - (factor[i, 0] * l0 + factor[i, 1] * l1 + factor[i, 2] * x0 + factor[i, 3] * x1)
+        step[i, 1] = factor[i, 17] - (factor[i, 4] * l0 + factor[i, 5] * l1 + factor[i, 6] * x0 + factor[i, 7] * x1)
+        step[i, 2] = x0 + factor[i, 20] * x1 - factor[i, 23] * f0 - factor[i, 22] * f1
+        step[i, 3] = factor[i, 21] * x1 + factor[i, 22] * f0 - factor[i, 23] * f1

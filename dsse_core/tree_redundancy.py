@@ -6,8 +6,9 @@ import numpy as np
 
 from dsse_core import tree_kernel
 from dsse_core.observability import NO_RESIDUAL, WIDTH
+from dsse_core.tree_block import compiled
 from dsse_core.tree_iteration import branch_powers, predict
-from dsse_core.tree_kernel import compiled, row_of_branch
+from dsse_core.tree_kernel import coefficients_of, row_of_branch
 from dsse_core.tree_plan import N_SLOT, TreePlan
 
 
@@ -16,7 +17,7 @@ def find_indispensable_on_tree(plan: TreePlan) -> np.ndarray:
     n, Y = len(plan.order), plan.no_load_admittance
     length = _row_lengths(plan.parent, Y)
     exact = np.empty((n, N_SLOT))
-    predict(plan.parent, Y, plan.start, plan.start_va, exact)
+    predict(plan.parent, Y, plan.start, plan.start_va, True, exact)
     w = tree_kernel.absent(n)
     w.ravel()[plan.slot] = (1 / length**2).ravel()[plan.slot]
     w[:, 2:4] = np.where(w[:, 2:4] > 0, length[:, 2:4] ** 2, w[:, 2:4])
@@ -64,12 +65,11 @@ def _fit_residuals(parent, Y, z, w, v, va, factor, more, step):
             own, at_parent = branch_powers(i, p, Y, v)
             p2 = v[p].real ** 2 + v[p].imag ** 2
             l0, l1, x0, x1 = step[p, 0], step[p, 1], step[p, 2], step[p, 3]
-            F = factor[i]
-            f0 = F[18] - (F[8] * l0 + F[9] * l1 + F[10] * x0 + F[11] * x1)
-            f1 = F[19] - (F[12] * l0 + F[13] * l1 + F[14] * x0 + F[15] * x1)
+            f0 = factor[i, 18] - (factor[i, 8] * l0 + factor[i, 9] * l1 + factor[i, 10] * x0 + factor[i, 11] * x1)
+            f1 = factor[i, 19] - (factor[i, 12] * l0 + factor[i, 13] * l1 + factor[i, 14] * x0 + factor[i, 15] * x1)
             residual[i, 4], residual[i, 5] = z[i, 4] - at_parent.real - f0, z[i, 5] - at_parent.imag - f1
             for k in range(7, 9):
                 if w[i, k] > 0.0:
-                    k0, k1, kx, r = row_of_branch(k, z, i, own, at_parent, vm, p2, factor, more)
-                    residual[i, k] = r - (k0 * f0 + k1 * f1 + kx * x1)
+                    k0, k1, kx, h = row_of_branch(k, own, at_parent, vm, p2, coefficients_of(i, factor, more))
+                    residual[i, k] = z[i, k] - h - (k0 * f0 + k1 * f1 + kx * x1)
     return residual

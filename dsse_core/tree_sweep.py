@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dsse_core.network import Network
-from dsse_core.tree_kernel import compiled
+from dsse_core.tree_block import compiled
 from dsse_core.tree_plan import TreeLayout, orient_branches, read_branches, read_shunts
 
 SMALLEST_CHANGE = 1e-13  # p.u., of any voltage; sweeps gain a digit or more each

@@ -1,0 +1,86 @@
+"""What the compiled passes over a tree share: how they are compiled, the 4 x 4 block of a bus, small formulas."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+LEAST_SCALE = 1e-8  # of the rows of lam, in units of 1 / variance: round-off in place of information sets no scale
+NO_INFORMATION = 1e-20  # with all sigmas 1: a pivot that only round-off can have made
+N_INVERSE = 11  # columns of a block with right-hand sides: D (4), U (4), r (1), and two of the unit matrix
+
+
+def compiled(function: Callable[..., Any]) -> Any:
+    """``function`` compiled once for all processes; for each anew where no folder can be written to keep it in.
+
+    Other threads go on while it runs: where nobody takes in what the bus receives, a link counts as lost. For each
+    view of an array, and each array given to a function, references are counted: inside the loops over all buses there
+    are neither, or these counts take as long as the work.
+    """
+    options: Any = {"error_model": "numpy", "fastmath": {"contract"}, "nogil": True}
+    try:
+        return njit(cache=True, **options)(function)
+    except RuntimeError:  # as under a unit of systemd that sees neither a home nor anything to write in
+        return njit(**options)(function)
+
+
+@compiled
+def wrap(angle):
+    return math.pi - (math.pi - angle) % (2 * math.pi)
+
+
+@compiled
+def modulus(s):
+    """|s| of voltages and powers in p.u., which are far from where squares overflow."""
+    return math.sqrt(s.real * s.real + s.imag * s.imag)
+
+
+@compiled
+def scaled(c, a):
+    """``a c`` of a complex ``c`` and a real ``a``: a product of two complex numbers would be twice the work."""
+    return complex(a * c.real, a * c.imag)
+
+
+@compiled
+def solve_block(A, width, check):
+    """A[:, 4:width] = A[:, :4]^-1 A[:, 4:width] with row pivoting; with ``check`` the least pivot ratio, else 1."""
+    for k in range(2):  # rows of lam in the units of those of f: only then a comparison means something
+        variance = abs(A[k, k])
+        scale = max(abs(A[2 + k, 2 + k]), LEAST_SCALE / variance if variance > 0.0 else 0.0)
+        if scale == 0.0:
+            scale = 1.0
+        for c in range(width):
+            A[k, c] *= scale
+    ratio = 1.0
+    largest = np.empty(4) if check else A[0]
+    if check:
+        for c in range(4):
+            largest[c] = max(max(abs(A[0, c]), abs(A[1, c])), max(abs(A[2, c]), abs(A[3, c])))
+    for k in range(4):
+        best, at = abs(A[k, k]), k
+        for r in range(k + 1, 4):
+            if abs(A[r, k]) > best:
+                best, at = abs(A[r, k]), r
+        if check:
+            ratio = min(ratio, best / largest[k]) if best > NO_INFORMATION else 0.0
+        if at != k:
+            for c in range(k, width):
+                A[k, c], A[at, c] = A[at, c], A[k, c]
+        inverse = 1.0 / A[k, k]
+        for c in range(k + 1, width):
+            A[k, c] *= inverse
+        for r in range(k + 1, 4):
+            m = A[r, k]
+            if m != 0.0:
+                for c in range(k + 1, width):
+                    A[r, c] -= m * A[k, c]
+    for k in range(3, 0, -1):
+        for r in range(k):
+            m = A[r, k]
+            for c in range(4, width):
+                A[r, c] -= m * A[k, c]
+    return ratio
