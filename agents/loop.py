@@ -11,6 +11,7 @@ from typing import Any
 from agents.area_file import AreaFile
 from agents.doorkeeper import Doorkeeper
 from agents.events import Event, Finish, PresenceChanged, Publish
+from agents.heap import give_back
 from agents.inbox import Inbox
 from agents.keys import (
     all_from_neighbours,
@@ -33,6 +34,7 @@ from agents.transport import Session
 from agents.wire_checks import MessageError
 
 log = logging.getLogger(__name__)
+TIDY_S = 1.0  # between two times that free memory is given back; hundreds of areas may share one machine's
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +79,7 @@ def run_agent(content: AreaFile, session: Session, inbox: Inbox) -> str:
     presence, succession = Presence(), Succession(f"area {name} of run {run}", incarnation, now, content.beat_s)
     events: list[Event] = []
     told: object = None
+    next_tidying = now
     while True:
         now = time.monotonic()
         for action in protocol.handle(events, now):
@@ -91,6 +94,9 @@ def run_agent(content: AreaFile, session: Session, inbox: Inbox) -> str:
                         log.info("back end %s", at_the_end)
                     return reason
         now = time.monotonic()
+        if now >= next_tidying:
+            next_tidying = now + TIDY_S
+            give_back()
         news = inbox.take(min(protocol.wait_s(now), links.next_due() - now, succession.next_due() - now))
         links.release(time.monotonic())
         events = list(_events_of(name, news, presence, succession, links))

@@ -67,12 +67,13 @@ def _report(result: dict[str, Any], wall_s: float, processor_s: float, most: dic
 
 
 def _watch_memory(process: subprocess.Popen[str], out: Path) -> dict[str, float]:
-    """Until the process ends, the most that its command and the processes of the run took, MiB."""
+    """Until the process ends, the most that its command, the processes of the run and all together took, MiB."""
     most: dict[str, float] = {}
     while process.poll() is None:
         parent = _find_parent(out)
         group = _processes_of(parent) if parent else []
         found = {"the command": _pss(process.pid), "all other processes": sum(map(_pss, group))}
+        found["all at one time"] = sum(found.values())
         most = {name: max(value, most.get(name, 0.0)) for name, value in found.items()}
         time.sleep(LOOK_S)
     return most

@@ -21,8 +21,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         from agents.__main__ import main as agent
 
         return agent(arguments[1:])
+    from agents.heap import keep_small
     from coordinator.cli import run_command
 
+    keep_small()
     return run_command(arguments)
 
 

@@ -109,7 +109,7 @@ class System:
         """Write the area files, start the agents."""
         where = (self.endpoints, self.folder / "areas", self._places, ".json")
         for name, path in write_area_files(self.scenario, self.id, *where):
-            self._order(name, "agents.__main__:main", [str(path.absolute()), *self._keys()])
+            self._order(name, "agents.__main__:run_process", path.absolute(), self.keys)
 
     def start_plant(self, telemetry: Telemetry | None = None) -> None:
         """Start the plant with its first scan; of ``telemetry``, if that is its only one and has been made already."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from agents.access import PLANT
@@ -37,13 +37,15 @@ def read(measurements: Sequence[Measurement]) -> Readings:
 def make_payloads(scenario: Scenario, run: str, life: Incarnation, scan: int = 1, draw: int = DRAW) -> dict[str, bytes]:
     """Area -> its encoded readings with noise ``draw``."""
     by_area = make_telemetry(scenario, draw).by_area
-    return encode_readings({area: read(measurements) for area, measurements in by_area.items()}, run, life, scan)
+    return encode_readings(((area, read(measurements)) for area, measurements in by_area.items()), run, life, scan)
 
 
-def encode_readings(readings: Mapping[str, Readings], run: str, life: Incarnation, scan: int) -> dict[str, bytes]:
+def encode_readings(
+    readings: Iterable[tuple[str, Readings]], run: str, life: Incarnation, scan: int
+) -> dict[str, bytes]:
     """Area -> its ``readings`` as a life of the plant publishes them."""
     header = Header(run=run, sender=PLANT, incarnation=life, scan=scan, sequence=scan, time=time.time())
-    return {area: encode(_message(header, area, part)) for area, part in readings.items()}
+    return {area: encode(_message(header, area, part)) for area, part in readings}
 
 
 def make_message(header: Header, area: str, measurements: Sequence[Measurement]) -> TelemetryMessage:
