@@ -23,6 +23,9 @@ from dsse_core.partition import Area, Neighbour
 # Below it an indispensable meter. Rounding and NO_LOAD_NOT_YET leave one 1e-15; a meter that another one replaces only
 # through an impedance of 3e-7 p.u. has 3e-10, a voltmeter that only the sum of 5,000 injections in a row checks 2e-11.
 NO_LOAD_REDUNDANCY = 1e-12
+# Below it what a neighbour is told of a power, in units of the own ones, is NO_LOAD_NOT_YET alone, 1e-9; to a neighbour
+# whose impedances are a thousand times smaller it would look like something.
+NOTHING_AT_NO_LOAD = 1e-8
 
 
 @dataclass(frozen=True)
@@ -96,9 +99,17 @@ class NoLoadModel:
     model: AreaModel
     x: np.ndarray
     ids: tuple[str, ...]
+    typical: float  # the median admittance
 
     def information_for(self, neighbour: Neighbour, heard: Mapping[str, BoundaryInformation]) -> BoundaryInformation:
-        return compute_information(self.model, self.x, neighbour, heard)
+        told = compute_information(self.model, self.x, neighbour, heard)
+        U, size, _ = np.linalg.svd(told.R[:2, :2])
+        is_something = size * self.typical >= NOTHING_AT_NO_LOAD
+        if is_something.all():
+            return told
+        turn = np.eye(4)
+        turn[:2, :2] = is_something[:, None] * U.T
+        return BoundaryInformation(np.triu(turn @ told.R), turn @ told.z)
 
     def find_indispensable(self, heard: Mapping[str, BoundaryInformation]) -> set[str]:
         """Ids of the meters, virtual ones included, without any one of which the state is not observable."""
@@ -119,4 +130,4 @@ def build_no_load_model(area: Area, measurements: Sequence[Measurement], referen
     of_power = ~np.isin(model.kinds, (MeasurementKind.VM, MeasurementKind.VA))
     typical = np.median([1 / abs(complex(b.r, b.x)) for b in area.network.active_branches])
     model = replace(model, z=model.predict(x), sigma=np.where(of_power, typical, 1.0), no_load=True)
-    return NoLoadModel(model, x, tuple(m.meter.id for m in unit))
+    return NoLoadModel(model, x, tuple(m.meter.id for m in unit), float(typical))
