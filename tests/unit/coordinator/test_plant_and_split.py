@@ -11,11 +11,12 @@ from agents.area_reader import load_area_file
 from agents.inbox import Inbox
 from agents.messages import Incarnation, TelemetryMessage, decode
 from agents.succession import Succession
-from coordinator.plant import _Voice
+from coordinator.plant import BURST, _Voice
 from coordinator.scans import MadeScan, OwnScans
 from coordinator.split import choose_run_id, default_run_id, write_area_files
 from coordinator.telemetry_messages import make_payloads
 from dsse_core.errors import InvalidInputError
+from dsse_core.limits import LONGEST_S
 from dsse_core.link_faults import LinkFaults
 from dsse_core.measurement import Source
 from scenarios.scenario import load_scenario
@@ -92,6 +93,17 @@ def test_a_plant_whose_scans_follow_at_once_publishes_each_and_can_be_stopped():
     inbox.put("stop", None)
     assert voice.serve({"area1": b"scan 2"}, {}, duration_s=1e-9)
     assert published == [b"scan 1", b"scan 2"]
+
+
+def test_a_plant_says_much_in_pieces_and_who_waits_when_a_scan_ends_is_first_in_the_next():
+    said: list[str] = []
+    areas = [f"area{k}" for k in range(1, 4)]
+    publishers = {area: lambda payload, area=area: said.append(f"{area} {payload[:1].decode()}") for area in areas}
+    succession = Succession("plant", Incarnation(1, 1), 0.0, beat_s=LONGEST_S)
+    voice = _Voice(publishers, Inbox(), beat_s=LONGEST_S, succession=succession)
+    for scan in (b"1", b"2", b"3"):
+        assert not voice.serve({area: scan * BURST for area in areas}, {}, duration_s=1e-9)
+    assert said == ["area1 1", "area2 2", "area3 3"]
 
 
 def test_a_scan_that_was_made_elsewhere_is_published_as_the_plant_would_make_it():
