@@ -12,11 +12,8 @@ from dataclasses import replace
 from typing import TypeVar
 
 from agents.messages import (
-    AdmmMessage,
-    BoundaryMessage,
     BoundaryNews,
     Header,
-    InformationMessage,
     LoadMessage,
     TallyMessage,
     TelemetryMessage,
@@ -64,17 +61,19 @@ class Hearing:
         """The scan that the area works on; 0 before telemetry."""
         return self.telemetry.header.scan if self.telemetry else 0
 
-    def take(self, message: NeighbourNews, now: float) -> None:
-        """Keep ``message`` if it is the newest of its sender and kind."""
+    def take(self, message: NeighbourNews, now: float) -> bool:
+        """Keep ``message`` if it is the newest of its sender and kind; whether it is, and no repeat."""
         match message:
             case LoadMessage():
-                self._keep_newest(self.loads, message, now)
-            case BoundaryMessage() | InformationMessage() | AdmmMessage():
-                if self._keep_newest(self.boundary, message, now):
-                    self._heard_at[message.header.sender] = now
-                    self._renew(message)
+                return self._keep_newest(self.loads, message, now)
             case TallyMessage():
-                self._keep_newest(self.tallies, message, now)
+                return self._keep_newest(self.tallies, message, now)
+        is_new = self._keep_newest(self.boundary, message, now)
+        sender = message.header.sender
+        if message.header.order == self.boundary[sender].header.order:
+            self._heard_at[sender] = now
+            self._renew(message)
+        return is_new
 
     def take_telemetry(self, message: TelemetryMessage, now: float) -> bool:
         """Keep ``message`` if it is newer than what there is; whether it is."""
@@ -91,7 +90,7 @@ class Hearing:
         return True
 
     def _keep_newest(self, kept: dict[str, M], message: M, now: float) -> bool:
-        """Whether ``message`` is as new as what was kept of its sender; then it is kept."""
+        """Whether ``message`` is newer than what was kept of its sender; then it is kept."""
         sender = message.header.sender
         last = kept.get(sender)
         if last is not None and is_old(
@@ -99,9 +98,10 @@ class Hearing:
         ):
             return False
         self._spoke_at[message.kind, sender] = now
-        if last is None or message.header.order != last.header.order:
+        is_new = last is None or message.header.order != last.header.order
+        if is_new:
             kept[sender] = message
-        return True
+        return is_new
 
     def _renew(self, message: BoundaryNews) -> None:
         """Under one number nothing changes but whether all is fresh: there the later of two repeats counts."""

@@ -97,7 +97,7 @@ class AreaProtocol:
         To be carried out one by one as they come: neighbours need not wait for what only watchers see.
         """
         self._now = now
-        news = False
+        news = now >= self._next_beat  # an iteration that ran out of steps goes on
         for event in events:
             match event:
                 case StopRequested(reason):
@@ -132,7 +132,7 @@ class AreaProtocol:
             self._used = used
             self._turn.wait_for(awaited, self._now)
             yield from self._work(news)
-        elif self._state.message and self._state.message.quality != self._state.quality(set(self._gone), self._now):
+        elif self._turn.may_show(self._now) and self._state.has_aged(set(self._gone), self._now):
             yield self._renew_state()
         for name in self._reminders.take_due(self._now):
             yield Publish(self._words.boundary[name], name)
@@ -144,7 +144,8 @@ class AreaProtocol:
     def _take(self, message: Message, key_sender: str) -> bool:
         """Keep ``message`` if it is the newest of its sender, else drop it; count what should not have come.
 
-        False for what should not, and for readings that are there already. That clocks disagree is news once.
+        False for what should not, for an older message and for a repeat. That clocks disagree is news once, and so is
+        that they agree again.
         """
         reason = find_refusal(message, key_sender, self._content, self._now + self._clock_offset)
         if not reason and isinstance(message, BoundaryNews):
@@ -156,17 +157,16 @@ class AreaProtocol:
                 return False
             self._ahead[key_sender] = find_lead(message.header, self._now + self._clock_offset)
             return True
-        self._ahead.pop(key_sender, None)
+        agrees_again = self._ahead.pop(key_sender, None) is not None
         if isinstance(message, TelemetryMessage):
             if not self._hearing.take_telemetry(message, self._now):
-                return False
+                return agrees_again
             for reason in self._readings.take(message):
                 self._refused[reason] += 1
         elif isinstance(message, LoadMessage | BoundaryMessage | InformationMessage | AdmmMessage | TallyMessage):
-            last = self._hearing.boundary.get(key_sender)
-            self._hearing.take(message, self._now)
-            is_newest = self._hearing.boundary.get(key_sender) is message
-            if is_newest and message is not last and message.header.scan == self._scan:
+            if not self._hearing.take(message, self._now):
+                return agrees_again
+            if isinstance(message, BoundaryNews) and message.header.scan == self._scan:
                 self._turn.take_answer(key_sender)
         return True
 

@@ -100,6 +100,10 @@ class ShownState:
             "refused": dict(refused),
         }
 
+    def has_aged(self, gone: set[str], now: float) -> bool:
+        """Whether the quality of the state is no longer what it was when it was shown."""
+        return self.message is not None and self.message.quality != self.quality(gone, now)
+
     def quality(self, gone: set[str], now: float) -> str:
         """Of the state as last shown; new readings leave it behind until they have been worked in."""
         doubts = self._doubts or self._scan != self._hearing.scan

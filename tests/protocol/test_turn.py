@@ -55,6 +55,45 @@ def told_by(protocol: AreaProtocol, events: list[Event], now: float) -> set[str]
     return {a.to for a in actions if isinstance(a.message, InformationMessage) and a.to}
 
 
+def test_a_repeat_makes_nobody_solve(bus, monkeypatch):
+    protocol = bus.protocols["area1"]
+    solved = []
+    solve = protocol._strategy.solve
+    monkeypatch.setattr(protocol._strategy, "solve", lambda known: solved.append(known) or solve(known))
+    last = {(s, type(m)): m for _, s, r, m in bus.delivered if r == "area1"}
+    assert len(last) == 6  # load, information and tally from both neighbours
+    assert list(protocol.handle([Received(m, s) for (s, _), m in last.items()], bus.now)) == []
+    older = replace(word_of(bus, "area2", "area1"), fresh=False)
+    assert list(protocol.handle([Received(older, "area2")], bus.now)) == [], "at the same time it says nothing new"
+    assert not solved
+    list(protocol.handle([changed(word_of(bus, "area2", "area1"), 1, bus.scan)], bus.now))
+    assert solved
+
+
+def test_a_repeat_that_is_no_longer_fresh_shows_at_once_and_makes_nobody_solve(bus, monkeypatch):
+    protocol = bus.protocols["area1"]
+    assert bus.states["area1"].quality == "good"
+    monkeypatch.setattr(protocol._strategy, "solve", lambda known: pytest.fail("it solves"))
+    word = word_of(bus, "area2", "area1")
+    repeat = replace(word, header=replace(word.header, time=word.header.time + 1.0), fresh=False)
+    actions = list(protocol.handle([Received(repeat, "area2")], bus.now))
+    (state,) = [a.message for a in actions if isinstance(a, Publish) and isinstance(a.message, StateMessage)]
+    assert (state.quality, state.old_sides) == ("degraded", ("area2",))
+    assert state.header.sequence == bus.states["area1"].header.sequence
+    assert [a.to for a in actions if isinstance(a, Publish) and isinstance(a.message, InformationMessage)] == ["area3"]
+
+
+def test_an_iteration_that_ran_out_of_steps_goes_on_at_the_areas_own_beat(bus, monkeypatch):
+    protocol = bus.protocols["area1"]
+    solved = []
+    solve = protocol._strategy.solve
+    monkeypatch.setattr(protocol._strategy, "solve", lambda known: solved.append(known) or solve(known))
+    list(protocol.handle([], bus.now))
+    assert not solved
+    list(protocol.handle([], bus.now + protocol.wait_s(bus.now)))
+    assert solved
+
+
 def test_answers_are_awaited_anew_after_each_word_and_not_for_ever():
     turn = Turn()
     turn.await_answer("area2", 1.0)

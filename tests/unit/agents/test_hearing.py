@@ -21,6 +21,14 @@ def load(life: Incarnation, p: float, sequence: int = 1) -> LoadMessage:
     return LoadMessage(header(life, sequence), 6, p, 0.0, 0.1)
 
 
+def test_neither_a_repeat_nor_an_older_word_is_new():
+    hearing = Hearing(BEAT_S)
+    assert hearing.take(load(FIRST, 1.0, sequence=2), 0.0)
+    assert not hearing.take(load(FIRST, 1.0, sequence=2), 0.1)
+    assert not hearing.take(load(FIRST, 3.0, sequence=1), 0.1)
+    assert hearing.take(load(FIRST, 3.0, sequence=3), 0.1)
+
+
 def test_a_former_life_is_not_heard_while_the_newest_speaks():
     hearing = Hearing(BEAT_S)
     hearing.take(load(FIRST, 1.0), 0.0)
