@@ -181,18 +181,22 @@ def stack_rows(
     model: AreaModel, x: np.ndarray, heard: Mapping[str, BoundaryInformation]
 ) -> tuple[Matrix, np.ndarray, np.ndarray]:
     """H, residual and sigma of the area's own measurements and of the messages ``heard``, up to four rows each."""
-    rows, r = _stack_messages(model, x, heard)
-    H = model.jacobian(x)
-    r = np.concatenate([model.residual(x), r])
-    sigma = np.concatenate([model.sigma, np.ones(len(r) - len(model.z))])
-    if isinstance(H, np.ndarray):
-        return np.concatenate([H, rows]), r, sigma
-    return sp.csr_array(sp.vstack([H, rows], format="csr")), r, sigma
+    if model.dense:
+        told = [(*heard[n.area].rows, *model.boundary(x, n)) for n in model.area.neighbours if n.area in heard]
+        H: Matrix = np.concatenate([model.jacobian(x), *(R @ T for R, _, _, T in told)])
+        r = np.concatenate([model.residual(x), *(z - R @ y for R, z, y, _ in told)])
+    else:
+        rows, of_messages = _stack_messages(model, x, heard)
+        H = sp.csr_array(sp.vstack([model.jacobian(x), rows], format="csr"))
+        r = np.concatenate([model.residual(x), of_messages])
+    sigma = np.ones(len(r))
+    sigma[: len(model.z)] = model.sigma
+    return H, r, sigma
 
 
 def _stack_messages(
     model: AreaModel, x: np.ndarray, heard: Mapping[str, BoundaryInformation]
-) -> tuple[Matrix, np.ndarray]:
+) -> tuple[sp.csr_array, np.ndarray]:
     """Rows and residual of the messages ``heard`` alone; all sparse rows at once, as an area may have many children."""
     rows: list[tuple[np.ndarray, np.ndarray]] = []  # numbers, and the columns that they belong to
     r = [np.zeros(0)]
@@ -200,7 +204,7 @@ def _stack_messages(
         if (message := heard.get(n.area)) is None:
             continue
         R, z = message.rows
-        if n.is_parent or model.dense:
+        if n.is_parent:
             y, T = model.boundary(x, n)
             rows.append((np.asarray(R @ T), np.arange(model.size)))
         else:
@@ -208,8 +212,6 @@ def _stack_messages(
             y = x[columns]
             rows.append((R, columns))
         r.append(z - R @ y)
-    if model.dense:
-        return np.concatenate([np.zeros((0, model.size)), *(part for part, _ in rows)]), np.concatenate(r)
     if not rows:
         return sp.csr_array((0, model.size)), r[0]
     told = [part != 0 for part, _ in rows]
