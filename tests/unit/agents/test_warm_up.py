@@ -10,7 +10,7 @@ from dsse_core.area_tree import AreaTree
 
 def test_warming_up_goes_through_every_pass_of_the_tree(monkeypatch: pytest.MonkeyPatch):
     pytest.importorskip("numba")
-    from dsse_core import tree_boundary
+    from dsse_core import tree_boundary, tree_root
 
     declined: list[str] = []
     monkeypatch.setattr(AreaTree, "_decline", lambda self, reason: declined.append(reason))
@@ -18,7 +18,7 @@ def test_warming_up_goes_through_every_pass_of_the_tree(monkeypatch: pytest.Monk
     assert not declined
     for kernel in (
         tree_boundary.pass_upward,
-        tree_boundary.describe_root,
+        tree_root.describe_root,
         tree_boundary.step_downward,
         tree_boundary.variances_downward,
     ):
