@@ -9,6 +9,9 @@ from scipy.linalg import lapack
 
 from dsse_core.augmented import PIVOT_SCALE, raise_damping, reciprocal_root
 
+REFINED = 1e-6  # of 1 - K X, whose square is what one more refinement leaves
+MOST_REFINED = 3
+
 
 class DenseFactor:
     """The factorised system for a dense ``H`` (n_meas, n_state); see ``AugmentedFactor`` for it and its answers.
@@ -60,9 +63,15 @@ class DenseFactor:
 
     @cached_property
     def _inverse_diagonal(self) -> np.ndarray:
-        """Of the tableau's inverse X, refined once: X + X (1 - K X)."""
+        """Of the tableau's inverse X, refined: X + X (1 - K X), again where that is still more than rounding."""
         inverse = lapack.dgetri(self._lu, self._pivots)[0]
-        rest = np.eye(len(self._scale)) - self._tableau @ inverse
+        unit = np.eye(len(self._scale))
+        rest = unit - self._tableau @ inverse
+        for _ in range(MOST_REFINED):
+            if abs(rest).max() <= REFINED:
+                break
+            inverse = inverse + inverse @ rest
+            rest = unit - self._tableau @ inverse
         diagonal = inverse.diagonal() + np.einsum("ij,ji->i", inverse, rest)
         return np.asarray(self._scale * diagonal * self._scale)
 
