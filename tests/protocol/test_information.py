@@ -175,9 +175,25 @@ GRIDS = st.fixed_dictionaries(
 )
 
 
+def has_same_objective(bus, report):
+    return sum(s.objective for s in bus.states.values()) == pytest.approx(report.objective, rel=1e-6)
+
+
+def took_another_of_a_tie(bus, report):
+    """Whether rounding has decided otherwise between meters that ``report`` names as indistinguishable; J is as low."""
+    taken = {meter for state in bus.states.values() for meter in state.removed}
+    if taken == {removed.measurement.meter.id for removed in report.removed}:
+        return False
+    for removed in report.removed:
+        assert taken & {removed.measurement.meter.id, *removed.indistinguishable_from}
+    assert has_same_objective(bus, report)
+    event("another of a tie")
+    return True
+
+
 def at_their_minimum(bus, report, feeder):
     """``report``, or the centralised estimate from where the areas are: gross errors and currents may leave several."""
-    if sum(s.objective for s in bus.states.values()) == pytest.approx(report.objective, rel=1e-6):
+    if has_same_objective(bus, report):
         return report
     event("another minimum")
     v = {b: v for s in bus.states.values() for b, v in zip(s.buses, zip(s.vm, s.va, strict=True), strict=True)}
@@ -222,6 +238,8 @@ def test_any_grid_with_any_meters_reaches_it(grid, loss, gross_errors):
     except (NotObservableError, EstimationDivergedError):
         reject()
     bus, report = run_feeder(feeder, loss, 0)
+    if took_another_of_a_tie(bus, report):
+        return
     if gross_errors is not None and grid["shares"].current:
         report = at_their_minimum(bus, report, feeder)
     assert_equals_centralised(bus, report)
