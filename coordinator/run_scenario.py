@@ -36,7 +36,9 @@ from scenarios.scenario import Scenario
 from scenarios.telemetry import make_telemetry
 
 DAYS_OF_A_RUN = 1.0  # that the keys of one secured run are valid
-MANY_AREAS = 50  # from which on the agents that start have the cores, and readings are made when all are there
+MANY_AREAS = 50  # from which on the agents that start have the cores, and readings are made when all are there,
+JOIN_SHARE = 0.25  # or after this part of the time limit
+INTERRUPTED = "interrupted"
 
 
 def run_scenario(
@@ -108,16 +110,12 @@ def _run_with_router(run: RunUnderWay, on_update: Callable[[Progress], None] | N
         listen(run, session)
         reason = None
         if len(scenario.partition.areas) >= MANY_AREAS:
-            reason = _watch(run, observer, on_update, until=lambda _: run.joined is not None)
+            reason = _watch_or_stop(run, observer, on_update, until=lambda _: _is_time_to_begin(run))
         telemetry = make_telemetry(scenario)  # of fewer areas while they join
         if reason is None:
             run.system.start_plant(telemetry)
         yardstick = start_yardstick(scenario, telemetry, lambda: run.note_time("centralised_estimated"))
-        interrupted = False
-        try:
-            reason = reason or _watch(run, observer, on_update, until=lambda obstacles: not obstacles)
-        except KeyboardInterrupt:
-            reason, interrupted = "interrupted", True
+        reason = reason or _watch_or_stop(run, observer, on_update, until=lambda obstacles: not obstacles)
         wall_s = time.monotonic() - run.started
     run.timing_s["last_change"] = round(max(0.0, observer.changed_at - run.started), 4)
     run.note_time("verdict")
@@ -138,9 +136,27 @@ def _run_with_router(run: RunUnderWay, on_update: Callable[[Progress], None] | N
         doubles=run.doubles.found,
     )
     result = write_files(outcome.in_folder(run.folder), run.events.failure)
-    if interrupted:
+    if reason == INTERRUPTED:
         raise KeyboardInterrupt
     return result
+
+
+def _is_time_to_begin(run: RunUnderWay) -> bool:
+    waited_s = time.monotonic() - run.started
+    return run.joined is not None or waited_s >= JOIN_SHARE * run.scenario.run.timeout_s
+
+
+def _watch_or_stop(
+    run: RunUnderWay,
+    observer: Observer,
+    on_update: Callable[[Progress], None] | None,
+    until: Callable[[Sequence[str]], bool],
+) -> str | None:
+    """``_watch``, for which whoever interrupts it is a reason, too."""
+    try:
+        return _watch(run, observer, on_update, until)
+    except KeyboardInterrupt:
+        return INTERRUPTED
 
 
 def _watch(

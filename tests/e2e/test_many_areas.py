@@ -19,3 +19,21 @@ def test_where_areas_are_many_the_plant_starts_when_all_are_there(tmp_path: Path
     plant = seen.index(("process started", "plant"))
     areas = [area.name for area in result.scenario.partition.areas]
     assert all(("appeared", area) in seen[:plant] for area in areas)
+
+
+def test_who_is_there_begins_when_others_have_not_joined_in_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("coordinator.run_scenario.MANY_AREAS", 2)
+    monkeypatch.setattr("coordinator.run_scenario.JOIN_SHARE", 0.0)
+    result = coordinator.run("industrial13", out=tmp_path / "out", plots=False)
+    assert result.verdict.consensus, result.verdict.reason
+
+
+def test_an_interrupt_before_all_have_joined_leaves_a_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def interrupt(_: object) -> bool:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("coordinator.run_scenario.MANY_AREAS", 2)
+    monkeypatch.setattr("coordinator.run_scenario._is_time_to_begin", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        coordinator.run("industrial13", out=tmp_path / "out", plots=False)
+    assert json.loads((tmp_path / "out" / "result.json").read_text())["verdict"]["reason"] == "interrupted"
