@@ -110,12 +110,12 @@ def _run_with_router(run: RunUnderWay, on_update: Callable[[Progress], None] | N
         listen(run, session)
         reason = None
         if len(scenario.partition.areas) >= MANY_AREAS:
-            reason = _watch_or_stop(run, observer, on_update, until=lambda _: _is_time_to_begin(run))
+            reason = _watch(run, observer, on_update, until=lambda _: _is_time_to_begin(run))
         telemetry = make_telemetry(scenario)  # of fewer areas while they join
         if reason is None:
             run.system.start_plant(telemetry)
         yardstick = start_yardstick(scenario, telemetry, lambda: run.note_time("centralised_estimated"))
-        reason = reason or _watch_or_stop(run, observer, on_update, until=lambda obstacles: not obstacles)
+        reason = reason or _watch(run, observer, on_update, until=lambda obstacles: not obstacles)
         wall_s = time.monotonic() - run.started
     run.timing_s["last_change"] = round(max(0.0, observer.changed_at - run.started), 4)
     run.note_time("verdict")
@@ -146,52 +146,42 @@ def _is_time_to_begin(run: RunUnderWay) -> bool:
     return run.joined is not None or waited_s >= JOIN_SHARE * run.scenario.run.timeout_s
 
 
-def _watch_or_stop(
-    run: RunUnderWay,
-    observer: Observer,
-    on_update: Callable[[Progress], None] | None,
-    until: Callable[[Sequence[str]], bool],
-) -> str | None:
-    """``_watch``, for which whoever interrupts it is a reason, too."""
-    try:
-        return _watch(run, observer, on_update, until)
-    except KeyboardInterrupt:
-        return INTERRUPTED
-
-
 def _watch(
     run: RunUnderWay,
     observer: Observer,
     on_update: Callable[[Progress], None] | None,
     until: Callable[[Sequence[str]], bool],
 ) -> str | None:
-    """Take in news ``until`` the obstacles to consensus allow it (None), or a process ends or the time (the reason)."""
+    """Take in news ``until`` the obstacles to consensus allow it (None); or the reason why that is not awaited."""
     deadline = run.started + run.scenario.run.timeout_s
     check_s = min(run.scenario.run.beat_s / 10, UPDATE_S)
     next_check = next_update = 0.0
-    while True:
-        for item in run.news.take(check_s):
-            reason = take_news(run, observer, item)
-            if reason:
-                return reason
-        now = time.monotonic()
-        note_doubles(run, run.doubles.find_lasting(now), now)
-        _carry_out_faults(run, observer, now)
-        if now < next_check:
-            continue
-        next_check = now + check_s
-        standing = observer.standing(now)
-        obstacles = (*run.schedule.describe_next(), *standing.obstacles)
-        is_over = until(obstacles)
-        if on_update and (now >= next_update or is_over):
-            next_update = now + UPDATE_S
-            on_update(describe_progress(observer, now - run.started, standing.obstacles))
-        if is_over:
-            return None
-        if not run.schedule.steps and standing.dead_end:
-            return standing.dead_end
-        if now >= deadline:
-            return no_consensus_within(run.scenario, obstacles)
+    try:
+        while True:
+            for item in run.news.take(check_s):
+                reason = take_news(run, observer, item)
+                if reason:
+                    return reason
+            now = time.monotonic()
+            note_doubles(run, run.doubles.find_lasting(now), now)
+            _carry_out_faults(run, observer, now)
+            if now < next_check:
+                continue
+            next_check = now + check_s
+            standing = observer.standing(now)
+            obstacles = (*run.schedule.describe_next(), *standing.obstacles)
+            is_over = until(obstacles)
+            if on_update and (now >= next_update or is_over):
+                next_update = now + UPDATE_S
+                on_update(describe_progress(observer, now - run.started, standing.obstacles))
+            if is_over:
+                return None
+            if not run.schedule.steps and standing.dead_end:
+                return standing.dead_end
+            if now >= deadline:
+                return no_consensus_within(run.scenario, obstacles)
+    except KeyboardInterrupt:
+        return INTERRUPTED
 
 
 def _carry_out_faults(run: RunUnderWay, observer: Observer, now: float) -> None:
