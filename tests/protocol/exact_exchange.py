@@ -12,9 +12,8 @@ from scenarios.telemetry import make_telemetry
 
 GAP = 1e-8  # p.u. and rad
 SIGMA = 1e-6  # relative
-EXACT = (
-    1e-8  # rad: an angle that zero injections fix has a sigma of rounding, or of EXACT_SIGMA, which counts for areas
-)
+# rad; an angle that zero injections fix has a sigma of rounding, or of EXACT_SIGMA, which counts for areas
+EXACT = 1e-8
 
 
 def settle(scenario: Scenario, loss: float = 0.0, seed: int = 0) -> tuple[SimulatedBus, BadDataReport]:
