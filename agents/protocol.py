@@ -80,7 +80,7 @@ class AreaProtocol:
 
     def wait_s(self, now: float) -> float:
         """How long the protocol may be left alone, s."""
-        at = min(self._next_beat, self._reminders.next_due(), self._hearing.next_change(now), self._turn.next_due(now))
+        at = min(self._next_beat, self._reminders.next_due(), self._hearing.next_change(now), self._turn.next_due())
         if self._turn.awaited:
             at = min(at, self._hearing.patient_until)
         return 0.0 if self._is_busy else max(0.0, at - now)
@@ -89,7 +89,7 @@ class AreaProtocol:
     def _is_busy(self) -> bool:
         """Whether there is something to do even if nothing is heard."""
         goes_on = self._strategy.restless or self._estimate_to_tell is not None
-        return (goes_on and not self._turn.is_held_back(self._now)) or self._turn.next_due(self._now) <= self._now
+        return (goes_on and not self._turn.is_held_back) or self._turn.next_due() <= self._now
 
     def handle(self, events: Sequence[Event], now: float) -> Iterator[Action]:
         """Take in ``events``, all that arrived since the last call, and say what to do.
@@ -180,7 +180,7 @@ class AreaProtocol:
                 if not self._tells_loads_last:
                     yield from self._words.tell_loads(self._readings.net_load, self._heard_loads())
                 yield from self._estimate(news)
-                if self._tells_loads_last and self._estimate_to_tell is None and not self._turn.is_held_back(self._now):
+                if self._tells_loads_last and self._estimate_to_tell is None and not self._turn.is_held_back:
                     yield from self._words.tell_loads(self._readings.net_load, self._heard_loads())
                 break
             except (ArithmeticError, np.linalg.LinAlgError, RuntimeError, ValueError) as error:
@@ -211,7 +211,7 @@ class AreaProtocol:
 
         A state is shown at rest only: whoever has seen one knows that nothing but news will change it.
         """
-        if self._turn.is_held_back(self._now):
+        if self._turn.is_held_back:
             self._estimate_to_tell = None
             return
         if self._estimate_to_tell is None or news:
@@ -228,7 +228,7 @@ class AreaProtocol:
             yield from self._tell_boundaries(estimate)
         if self._strategy.restless or not self._turn.may_show(self._now):
             return
-        self._turn.end_talk()
+        self._turn.show()
         if estimate is not None:
             estimate, contradictions = self._strategy.judge(self._knowledge(), estimate)
             _check_reasonable(estimate)
@@ -240,7 +240,8 @@ class AreaProtocol:
     def _is_to_be_told(self, estimate: Estimate) -> bool:
         """To somebody: the readings of a new scan may be the same, and a neighbour's turn may come later."""
         sent = [self._words.boundary.get(n.area) for n in self._area.neighbours]
-        return estimate is not self._estimate_told or any(map(self._words.is_outdated, sent))
+        has_changed = estimate is not self._estimate_told or any(map(self._words.is_outdated, sent))
+        return has_changed or self._turn.has_more
 
     def _knowledge(self) -> Knowledge:
         return Knowledge(
@@ -259,9 +260,9 @@ class AreaProtocol:
     def _tell_boundaries(self, estimate: Estimate) -> Iterator[Action]:
         """What rests on an awaited word is held back: it would be out of date before it arrives."""
         fresh = self._find_fresh()
-        n_told = 0
+        self._turn.begin_telling()
         for n in self._area.neighbours:
-            if not self._turn.may_tell(n.area):
+            if not self._turn.may_tell(n.area, self._now):
                 continue
             last = self._words.boundary.get(n.area)
             message = replace(self._strategy.message_for(n, estimate, self._header(last)), fresh=fresh[n.area])
@@ -269,12 +270,9 @@ class AreaProtocol:
             if last is None or self._words.is_outdated(last) or self._strategy.is_news(n, message, last):
                 publish = self._words.tell_boundary(message, n.area)
                 self._reminders.start(n.area, self._now)
-                if self._strategy.passes_on:
-                    n_told += 1
                 if self._strategy.expects_answer(n):
                     self._turn.await_answer(n.area, self._now)
                 yield publish
-        self._turn.collect(self._now, n_told)
 
     def _find_fresh(self) -> dict[str, bool]:
         return find_fresh(self._hearing, list(self._by_name), set(self._gone), self._now)

@@ -36,7 +36,7 @@ from dsse_core.partition import Neighbour
 
 SURELY_NEWS = 1e-4  # p.u., rad; what is told after moving by more, and takes longer to compare than to tell
 ANSWERED = 1e-6  # p.u., rad: what a neighbour is told after moving less changes its answer by its square, or next to it
-NEWS_PER_NEIGHBOUR = 100  # of one set of measurements, all areas heard; with more, areas swing against each other
+NEWS_PER_NEIGHBOUR = 500  # of one set of measurements, all areas heard; with more, areas swing against each other
 CONTRADICTION = 0.9999  # confidence of the test of a neighbour's information against the rest
 
 

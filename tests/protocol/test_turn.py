@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 
 import pytest
-from feeders import make_star
+from feeders import make_feeder
 from simulated_bus import SimulatedBus, area_files_of
 
 from agents.events import Event, PresenceChanged, Publish, Received
 from agents.messages import Header, Incarnation, InformationMessage, StateMessage
 from agents.protocol import AreaProtocol
 from agents.strategies import make_strategy
-from agents.turn import ANSWER_S, COLLECT_S, FEW, LONGEST_TALK_S, Turn
+from agents.turn import ANSWER_S, LONGEST_TALK_S, Turn
 from coordinator.telemetry_messages import make_message
 from coordinator.twin import STARTED_AT
 from scenarios.scenario import load_scenario
@@ -129,38 +128,50 @@ def test_a_talk_ends_with_its_scan():
 def test_only_the_one_awaited_is_told_anything():
     turn = Turn()
     turn.wait_for({"area2"}, 2.0)
-    assert (turn.may_tell("area2"), turn.may_tell("area3"), turn.is_held_back(2.0)) == (True, False, False)
+    assert (turn.may_tell("area2", 2.0), turn.may_tell("area3", 2.0), turn.is_held_back) == (True, False, False)
     turn.wait_for({"area2", "area3"}, 2.0)
-    assert turn.is_held_back(2.0)
+    assert turn.is_held_back
 
 
-def test_answers_of_many_are_collected_and_then_taken_in_together():
+def test_who_has_not_answered_is_told_more_after_the_answer_or_when_it_is_no_longer_waited_for():
     turn = Turn()
     turn.await_answer("area2", 1.0)
-    turn.collect(1.0, FEW + 60)
-    over = 1.0 + 60 * COLLECT_S
-    assert turn.show_at < over
-    assert (turn.is_held_back(over - 1e-9), turn.next_due(over - 1e-9)) == (True, over)
-    turn.wait_for(set(), over)
-    assert (turn.is_held_back(over), turn.next_due(over)) == (False, turn.show_at)
+    turn.await_answer("area3", 1.001)
+    assert [turn.may_tell(name, 1.002) for name in ("area2", "area3", "area4")] == [False, False, True]
+    assert turn.next_due() == 1.0 + ANSWER_S
+    turn.take_answer("area3")
+    assert turn.next_due() < 1.002, "it can be told at once"
+    turn.wait_for(set(), 1.002)
+    assert turn.has_more
+    turn.begin_telling()
+    assert [turn.may_tell(name, 1.002) for name in ("area2", "area3")] == [False, True]
+    turn.wait_for(set(), 1.0 + ANSWER_S)
+    assert turn.has_more
+    assert turn.may_tell("area2", 1.0 + ANSWER_S)
 
 
-def test_an_area_with_many_neighbours_lets_them_answer_before_it_tells_them_more():
-    feeder = make_star(1, 60, busbar=True)
-    bus = SimulatedBus(feeder.area_files(0.0, 0), feeder.telemetry())
-    busbar = next(a for a in feeder.partition.areas if len(a.neighbours) > FEW)
-    bus.run(0.2)
-    told: dict[float, set[str]] = {}
-    seen: set[tuple[str, int]] = set()
-    for at, sender, to, message in bus.delivered:
-        word = (to, message.header.sequence)
-        if sender == busbar.name and isinstance(message, InformationMessage) and word not in seen:
-            seen.add(word)
-            told.setdefault(at, set()).add(to)
-    moments = sorted(told)
-    assert len(moments) > 1
-    for one, following in pairwise(moments):
-        assert following - one >= COLLECT_S * (len(told[one]) - FEW)
+def test_a_state_that_is_shown_ends_no_wait_of_somebody_who_is_to_be_told_more():
+    turn = Turn()
+    turn.await_answer("area2", 1.0)
+    assert not turn.may_tell("area2", 1.001)
+    turn.show()
+    assert turn.next_due() == 1.0 + ANSWER_S
+    turn.begin_telling()
+    turn.show()
+    assert turn.may_tell("area2", 1.001), "nobody is to be told anything: the talk is over"
+
+
+def test_areas_say_little_more_where_messages_take_their_own_time():
+    """Each word of a neighbour would else be passed on to all others, and come back by as many ways."""
+    feeder = make_feeder(4, 60, 20, shape=0.8)
+    most = []
+    for jitter_s in (0.0, 0.002):
+        bus = SimulatedBus(feeder.area_files(0.0, 0, jitter_s=jitter_s), feeder.telemetry())
+        bus.run(0.2)
+        assert bus.settled
+        words = [message.header.sequence for *_, message in bus.delivered if isinstance(message, InformationMessage)]
+        most.append(max(words))
+    assert most[0] < most[1] < 2 * most[0]
 
 
 def test_an_area_that_is_held_back_in_the_middle_of_its_steps_sleeps(bus):
