@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+from feeders import Feeder
 from simulated_bus import SimulatedBus, area_files_of, with_links
 
-from dsse_core.bad_data import BadDataReport, process_bad_data
+from agents.messages import TallyMessage
+from agents.strategies.bad_data_tree import USE_CURRENTS
+from dsse_core.bad_data import CRITICAL_REDUNDANCY, BadDataReport, process_bad_data
 from dsse_core.link_faults import LinkFaults
 from scenarios.scenario import Scenario
 from scenarios.telemetry import make_telemetry
@@ -23,6 +26,13 @@ def settle(scenario: Scenario, loss: float = 0.0, seed: int = 0) -> tuple[Simula
     bus = SimulatedBus(with_links(files, LinkFaults(loss=loss)), telemetry.by_area)
     settle_bus(bus)
     return bus, process_bad_data(scenario.network, telemetry.union, tolerance=1e-12)
+
+
+def run_feeder(feeder: Feeder, loss: float, seed: int, **faults: float) -> tuple[SimulatedBus, BadDataReport]:
+    """The same of a random feeder or grid."""
+    bus = SimulatedBus(feeder.area_files(loss, seed, **faults), feeder.telemetry())
+    settle_bus(bus)
+    return bus, process_bad_data(feeder.network, feeder.measurements, tolerance=1e-11)
 
 
 def settle_bus(bus: SimulatedBus, limit_s: float = 600.0) -> None:
@@ -51,3 +61,16 @@ def assert_equals_centralised(bus: SimulatedBus, report: BadDataReport) -> None:
         assert state.refused == {}
     removed = {removed.measurement.meter.id for removed in report.removed}
     assert {meter for state in bus.states.values() for meter in state.removed} == removed
+
+
+def assert_same_decisions(bus: SimulatedBus, report: BadDataReport) -> None:
+    """The areas have decided what ``report`` has, in its order; critical meters are the same but at the limit."""
+    told = [message.decisions for _, _, _, message in bus.delivered if isinstance(message, TallyMessage)]
+    decisions = [decision for decision in max(told, key=len) if decision != USE_CURRENTS]
+    assert decisions == [removed.measurement.meter.id for removed in report.removed]
+    result = report.result
+    redundancy = result.residual_variance / np.where(result.sigmas > 0, result.sigmas, np.inf) ** 2
+    on_edge = (redundancy > CRITICAL_REDUNDANCY / 10) & (redundancy < CRITICAL_REDUNDANCY * 10)
+    either = {meter.id for meter, is_on_edge in zip(result.plan.meters, on_edge, strict=True) if is_on_edge}
+    critical = (meter for state in bus.states.values() for meter in state.critical)
+    assert sorted(m for m in critical if m not in either) == sorted(m for m in report.critical if m not in either)

@@ -5,40 +5,22 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from back_ends import BACK_ENDS, back_end
-from exact_exchange import assert_equals_centralised, settle, settle_bus
+from back_ends import back_end
+from exact_exchange import assert_equals_centralised, assert_same_decisions, run_feeder, settle, settle_bus
 from feeders import make_feeder, make_star
-from grids import MeterShares, make_grid, with_gross_errors
-from hypothesis import event, example, given, reject
-from hypothesis import strategies as st
+from grids import with_gross_errors
 from simulated_bus import SimulatedBus, area_files_of
 from tree_of_areas import tree_scenario
 
 from agents.events import Received
-from agents.hearing import PATIENT_BEATS
 from agents.messages import InformationMessage, TallyMessage, encode
 from agents.strategies import information
-from agents.strategies.bad_data_tree import USE_CURRENTS, BadDataTree
-from agents.turn import ANSWER_S, LONGEST_TALK_S
-from dsse_core.bad_data import CRITICAL_REDUNDANCY, BadDataReport, chi_square_limit, process_bad_data
-from dsse_core.errors import EstimationDivergedError, NotObservableError
-from dsse_core.estimation import estimate_state
+from agents.strategies.bad_data_tree import BadDataTree
+from dsse_core.bad_data import chi_square_limit
 from dsse_core.measurement import Source
 from dsse_core.power_flow import solve_power_flow
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
-
-
-@pytest.fixture(scope="module", params=BACK_ENDS)
-def each_back_end(request):
-    with back_end(request.param):
-        yield
-
-
-def run_feeder(feeder, loss, seed, **faults):
-    bus = SimulatedBus(feeder.area_files(loss, seed, **faults), feeder.telemetry())
-    settle_bus(bus)
-    return bus, process_bad_data(feeder.network, feeder.measurements, tolerance=1e-11)
 
 
 @pytest.mark.usefixtures("each_back_end")
@@ -138,114 +120,6 @@ def check_gross_errors(random_seed):
 
 def test_an_angle_that_is_known_worse_than_to_half_a_turn_is_no_reference():
     check_gross_errors(62)  # in its first moments a4 hears of -1353 rad at the boundary, known to 76 rad
-
-
-def assert_same_decisions(bus: SimulatedBus, report: BadDataReport):
-    told = [message.decisions for _, _, _, message in bus.delivered if isinstance(message, TallyMessage)]
-    decisions = [decision for decision in max(told, key=len) if decision != USE_CURRENTS]
-    assert decisions == [removed.measurement.meter.id for removed in report.removed]
-    result = report.result
-    redundancy = result.residual_variance / np.where(result.sigmas > 0, result.sigmas, np.inf) ** 2
-    on_edge = (redundancy > CRITICAL_REDUNDANCY / 10) & (redundancy < CRITICAL_REDUNDANCY * 10)
-    either = {meter.id for meter, is_on_edge in zip(result.plan.meters, on_edge, strict=True) if is_on_edge}
-    critical = (meter for state in bus.states.values() for meter in state.critical)
-    assert sorted(m for m in critical if m not in either) == sorted(m for m in report.critical if m not in either)
-
-
-GRIDS = st.fixed_dictionaries(
-    dict(
-        seed=st.integers(0, 10**6),
-        n_bus=st.integers(3, 40),
-        n_area=st.integers(2, 9),
-        chain=st.sampled_from([0.3, 0.6, 0.9]),
-        decades=st.sampled_from([0.0, 1.0, 2.0]),
-        loops=st.integers(0, 3),
-        transformers=st.sampled_from([0.0, 0.15]),
-        short=st.sampled_from([None, 1e-4, 1e-6]),
-        slack_at_root=st.booleans(),
-        shares=st.builds(
-            MeterShares,
-            voltage=st.sampled_from([0.0, 0.1, 0.3]),
-            angle=st.sampled_from([0.0, 0.1, 0.3]),
-            flow=st.sampled_from([0.3, 0.6, 1.0]),
-            current=st.sampled_from([0.0, 0.2, 0.5]),
-            injection=st.sampled_from([0.7, 0.9, 1.0]),
-            boundary_injection=st.sampled_from([0.0, 0.5, 1.0]),
-        ),
-    )
-)
-
-
-def has_same_objective(bus, report):
-    return sum(s.objective for s in bus.states.values()) == pytest.approx(report.objective, rel=1e-6)
-
-
-def took_another_of_a_tie(bus, report):
-    """Whether rounding has decided otherwise between meters that ``report`` names as indistinguishable; J is as low."""
-    taken = {meter for state in bus.states.values() for meter in state.removed}
-    if taken == {removed.measurement.meter.id for removed in report.removed}:
-        return False
-    for removed in report.removed:
-        assert taken & {removed.measurement.meter.id, *removed.indistinguishable_from}
-    assert has_same_objective(bus, report)
-    event("another of a tie")
-    return True
-
-
-def at_their_minimum(bus, report, feeder):
-    """``report``, or the centralised estimate from where the areas are: gross errors and currents may leave several."""
-    if has_same_objective(bus, report):
-        return report
-    event("another minimum")
-    v = {b: v for s in bus.states.values() for b, v in zip(s.buses, zip(s.vm, s.va, strict=True), strict=True)}
-    vm, va = np.array([v[b.id] for b in feeder.network.buses]).T
-    removed = {removed.measurement.meter.id for removed in report.removed}
-    left = [m for m in feeder.measurements if m.meter.id not in removed]
-    return replace(report, result=estimate_state(feeder.network, left, start=(vm, va), tolerance=1e-11))
-
-
-WEAK = MeterShares(flow=0.3, current=0.5)
-THREE_BUSES = {"seed": 467362, "n_bus": 3, "n_area": 3, "chain": 0.9, "decades": 1.0, "loops": 2, "transformers": 0.15}
-
-MANY_CURRENTS = MeterShares(voltage=0.3, angle=0.1, flow=0.3, current=0.5, injection=0.7, boundary_injection=1.0)
-TWO_MINIMA = {"seed": 279, "n_bus": 25, "n_area": 3, "chain": 0.6, "decades": 2.0, "loops": 0, "transformers": 0.0}
-TWO_MINIMA |= {"short": None, "slack_at_root": True, "shares": MANY_CURRENTS}
-FEW_METERS = MeterShares(voltage=0.0, angle=0.0, flow=0.6, current=0.0, injection=0.9, boundary_injection=0.5)
-UNLIKE_IMPEDANCES = {
-    "seed": 1438,
-    "n_bus": 3,
-    "n_area": 5,
-    "chain": 0.3,
-    "decades": 2.0,
-    "loops": 0,
-    "transformers": 0.15,
-}
-UNLIKE_IMPEDANCES |= {"short": 1e-6, "slack_at_root": True, "shares": FEW_METERS}
-
-
-@pytest.mark.usefixtures("each_back_end")
-@example({**THREE_BUSES, "short": None, "slack_at_root": False, "shares": WEAK}, 0.3, 81)  # critical after a removal
-@example(TWO_MINIMA, 0.3, 380)
-@example(UNLIKE_IMPEDANCES, 0.0, 40)  # critical where one area's are five thousand times those of the other
-@given(GRIDS, st.sampled_from([0.0, 0.3, 0.6]), st.one_of(st.none(), st.integers(0, 1000)))
-def test_any_grid_with_any_meters_reaches_it(grid, loss, gross_errors):
-    feeder = make_grid(**grid)
-    if not any(b.p_load for b in feeder.network.buses if b.id != feeder.network.slack.bus):
-        reject()  # where nothing flows, a gross error leaves several minima
-    if gross_errors is not None:
-        feeder = with_gross_errors(np.random.default_rng(gross_errors), feeder)
-    try:
-        process_bad_data(feeder.network, feeder.measurements, tolerance=1e-11)
-    except (NotObservableError, EstimationDivergedError):
-        reject()
-    bus, report = run_feeder(feeder, loss, 0)
-    if took_another_of_a_tie(bus, report):
-        return
-    if gross_errors is not None and grid["shares"].current:
-        report = at_their_minimum(bus, report, feeder)
-    assert_equals_centralised(bus, report)
-    if len(feeder.partition.areas) > 1:
-        assert_same_decisions(bus, report)
 
 
 def test_equal_residuals_are_told_apart_by_the_id_of_the_meter():
@@ -377,60 +251,3 @@ def test_information_that_is_beyond_reason_is_refused_and_counted():
     bus.post("area2", Received(lie, "area1"))
     bus.run(0.5)
     assert bus.states["area2"].refused == {"information beyond reason": 1}
-
-
-def new_scan(**changes):
-    """ieee33 at rest when a new scan begins, and what is delivered and shown from then on."""
-    scenario = load_scenario("ieee33")
-    shown = []
-    files = area_files_of(scenario, strategy="information", beat_s=1.0)
-    bus = SimulatedBus(files, make_telemetry(scenario).by_area, on_state=lambda at, state: shown.append((at, state)))
-    settle_bus(bus)
-    bus.delivered.clear()
-    shown.clear()
-    start = bus.now
-    bus.next_scan(make_telemetry(scenario, scan=2).by_area, **changes)
-    return bus, shown, start
-
-
-def information_of(bus, sender):
-    return [(at, m) for at, s, _, m in bus.delivered if s == sender and isinstance(m, InformationMessage)]
-
-
-def test_news_of_a_scan_climbs_the_tree_and_comes_down_again():
-    """What the substation's area would say before it has heard both others would be out of date at once."""
-    bus, shown, _ = new_scan()
-    bus.run(0.1)
-    heard = [at for name in ("area2", "area3") for at, m in information_of(bus, name) if m.header.scan == 2]
-    told = [at for at, m in information_of(bus, "area1") if m.header.scan == 2]
-    assert min(told) > sorted(heard)[0]
-    assert len(told) + len(heard) <= 10
-    assert {state.header.sender for at, state in shown if state.header.scan == 2} == {"area1", "area2", "area3"}
-    last = {state.header.sender: state.vm for _, state in shown}
-    for _, state in shown:
-        np.testing.assert_allclose(state.vm, last[state.header.sender], atol=1e-8)  # no answer has changed it
-
-
-def test_who_gets_its_readings_late_is_not_waited_for():
-    bus, shown, start = new_scan(late_s={"area3": 0.5})
-    bus.run(0.3)
-    told = [at for at, m in information_of(bus, "area1") if m.header.scan == 2]
-    assert PATIENT_BEATS <= max(told) - start < PATIENT_BEATS + 0.05
-    assert [state.header.scan for _, state in shown if state.header.sender == "area1"][-1] == 2
-
-
-def test_answers_without_end_do_not_keep_a_state_back():
-    bus, shown, _ = new_scan()
-    bus.run(0.5)
-    last = information_of(bus, "area1")[-1][1]
-    bus.cut("area1", "area2")
-    bus.delivered.clear()
-    shown.clear()
-    for k in range(1, 41):
-        header = replace(last.header, sequence=last.header.sequence + k)
-        word = replace(last, header=header, z=tuple(z * (1 + 1e-4 * k) for z in last.z))
-        bus.post("area2", Received(word, "area1"), delay_s=ANSWER_S / 2 * k)
-    begin = bus.now
-    bus.run(0.1)
-    first, *_ = [at for at, state in shown if state.header.sender == "area2"]
-    assert ANSWER_S < first - begin < LONGEST_TALK_S + 2 * ANSWER_S
