@@ -35,6 +35,7 @@ from agents.refusals import FUTURE, find_lead, find_refusal, find_unreasonable
 from agents.reminders import Reminders
 from agents.shown_state import ShownState
 from agents.strategies.interface import Estimate, Knowledge, Strategy
+from agents.strategies.start import find_no_load
 from agents.turn import Turn
 from dsse_core.boundary_load import NetLoad
 
@@ -58,6 +59,7 @@ class AreaProtocol:
         self._next_beat = now + content.beat_s
         self._reminders = Reminders(content.beat_s)
         self._by_name = {n.area: n for n in self._area.neighbours}
+        _, self._no_load_va = find_no_load(content.area)
         self._hearing = Hearing(content.beat_s)
         self._used: set[str] = set()  # neighbours whose boundary message is in use
         self._readings = Readings(content)
@@ -216,7 +218,7 @@ class AreaProtocol:
             return
         if self._estimate_to_tell is None or news:
             estimate, notes = self._strategy.solve(self._knowledge())
-            _check_reasonable(estimate)
+            self._check_reasonable(estimate)
             if self._estimate_to_tell is None and estimate is not None and self._is_to_be_told(estimate):
                 self._estimate_to_tell = estimate, notes
                 return  # what has come in meanwhile may change what to say, and saying it takes longest
@@ -231,11 +233,16 @@ class AreaProtocol:
         self._turn.show()
         if estimate is not None:
             estimate, contradictions = self._strategy.judge(self._knowledge(), estimate)
-            _check_reasonable(estimate)
+            self._check_reasonable(estimate)
             notes += contradictions
             yield from self._tell_tallies()
         if not self._strategy.restless:
             yield from self._show_state(estimate, notes, doubts=bool(notes))
+
+    def _check_reasonable(self, estimate: Estimate | None) -> None:
+        """Raise ``ArithmeticError`` if no grid can be in this state."""
+        if estimate is not None and not estimate.is_reasonable(self._no_load_va):
+            raise ArithmeticError("it is beyond reason")
 
     def _is_to_be_told(self, estimate: Estimate) -> bool:
         """To somebody: the readings of a new scan may be the same, and a neighbour's turn may come later."""
@@ -344,12 +351,6 @@ class AreaProtocol:
             sequence=last.header.sequence + 1 if last else 1,
             time=self._now + self._clock_offset,
         )
-
-
-def _check_reasonable(estimate: Estimate | None) -> None:
-    """Raise ``ArithmeticError`` if no grid can be in this state."""
-    if estimate is not None and not estimate.is_reasonable:
-        raise ArithmeticError("it is beyond reason")
 
 
 def _check_sayable(message: BoundaryNews | TallyMessage, refusal: str = "") -> None:

@@ -6,7 +6,6 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -19,7 +18,7 @@ from dsse_core.partition import Neighbour
 
 LARGEST_VM = 10.0  # p.u.; an iteration that goes there wanders for long before it comes back, if it does
 LARGEST_VA = 1e3  # rad; digits are lost beyond
-LARGEST_SPREAD = 6.0  # rad, of one area's angles, transformers' shifts included; a bus off by full turns is beyond
+LARGEST_SPREAD = 6.0  # rad, of one area's angles beyond what its transformers turn; a bus off by full turns is beyond
 
 
 @dataclass(frozen=True)
@@ -62,16 +61,15 @@ class Estimate:
     checked: bool = True
     settled: bool = True
 
-    @cached_property
-    def is_reasonable(self) -> bool:
-        """Whether a grid can be in this state, however far from any real one.
+    def is_reasonable(self, no_load_va: np.ndarray) -> bool:
+        """Whether a grid can be in this state, however far from any real one. ``no_load_va``: of its unloaded buses.
 
         NaN is none, and nor is a negative magnitude or a bus that is full turns off, images of a state at which an
-        iteration that went astray can settle.
+        iteration that went astray can settle. Transformers may turn a bus by more than that, or angles be counted anew.
         """
-        least, most = self.va.min(), self.va.max()
+        least, most, load = self.va.min(), self.va.max(), self.va - no_load_va
         voltages = self.vm.min() > 0 and self.vm.max() < LARGEST_VM
-        voltages = voltages and least > -LARGEST_VA and most < LARGEST_VA and most - least < LARGEST_SPREAD
+        voltages = voltages and least > -LARGEST_VA and most < LARGEST_VA and load.max() - load.min() < LARGEST_SPREAD
         return bool(voltages and math.isfinite(self.sigma_vm.sum() + self.sigma_va.sum() + self.objective))
 
 

@@ -10,14 +10,19 @@ from agents.area_file import AreaFile
 from dsse_core.admittance import flat_start
 from dsse_core.boundary_load import NetLoad, boundary_loads
 from dsse_core.errors import DsseError
+from dsse_core.partition import Area
 from dsse_core.power_flow import solve_power_flow
+
+
+def find_no_load(area: Area) -> tuple[np.ndarray, np.ndarray]:
+    """The voltages (vm, va) of the unloaded area, its angles counted from the bus that all its iterations start at."""
+    return flat_start(area.network, area.reference[0] if area.reference else area.slack_bus)
 
 
 def start_state(content: AreaFile, heard: Mapping[str, NetLoad]) -> np.ndarray:
     """``x`` of ``dsse_core.exchange.AreaModel``: the local power flow once load messages allow one, else flat."""
     area, network = content.area, content.area.network
-    bus = area.reference[0] if area.reference else area.slack_bus
-    vm, va = flat_start(network, bus)
+    vm, va = find_no_load(area)
     loads = boundary_loads(area, heard, content.load_error)
     if len(loads) == len(area.boundary_buses) and area.slack_vm is not None:
         try:
@@ -27,7 +32,8 @@ def start_state(content: AreaFile, heard: Mapping[str, NetLoad]) -> np.ndarray:
         except DsseError:
             pass  # a start, no more: a wrong load message must not stop the estimate
     if area.reference:
-        va = va + area.reference[1] - va[network.row[bus]]
+        bus, angle = area.reference
+        va = va + angle - va[network.row[bus]]
     children = [heard.get(n.area) for n in area.neighbours if not n.is_parent]
     powers = [part for load in children for part in ((load.s.real, load.s.imag) if load else (0.0, 0.0))]
     return np.concatenate([va, vm, powers])

@@ -115,9 +115,12 @@ def test_more_names_than_a_message_can_pass_on_are_refused(names):
 def test_a_state_with_a_bus_that_is_full_turns_off_is_none_although_it_solves_the_equations():
     ones, zeros = np.ones(3), np.zeros(3)
     sound = Estimate(ones, zeros, ones, ones, True, 0.0, 1, (), ())
-    assert sound.is_reasonable
-    assert replace(sound, va=zeros + 6.5).is_reasonable, "the whole area may be turned against its reference"
-    assert not replace(sound, va=np.array([0.0, 0.01, 2 * np.pi])).is_reasonable
+    assert sound.is_reasonable(zeros)
+    assert replace(sound, va=zeros + 6.5).is_reasonable(zeros), "the whole area may be turned against its reference"
+    assert not replace(sound, va=np.array([0.0, 0.01, 2 * np.pi])).is_reasonable(zeros)
+    turned = np.array([0.0, np.radians(179), np.radians(-179)])  # by transformers, counted up to half a turn
+    assert replace(sound, va=turned - 0.1).is_reasonable(turned)
+    assert not replace(sound, va=turned - np.array([0.0, 0.0, 2 * np.pi])).is_reasonable(turned)
 
 
 def test_a_lie_about_the_uncertainty_of_a_load_is_corrected_on_the_far_side_too():
