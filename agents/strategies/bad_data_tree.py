@@ -1,7 +1,8 @@
 """Bad data of the whole feeder, decided along the tree of areas as a control centre would decide.
 
 Sums and the largest normalised residual climb from the leaves to the substation's area, which sends down the list
-of its decisions: to use current magnitudes, which mislead before the flows are known, then which meters to remove.
+of its decisions: which meters to remove, and last to use current magnitudes, which mislead before the flows are known
+and are held back anew after each removal: a bad meter may have turned the flow that they tell the size of.
 That list is the epoch: only figures of the same list are combined, and only of neighbours that have heard each
 other's last boundary message and have nothing more to say. That there will be no more decisions is said on the way
 down under the same conditions, and is taken back as soon as they fail: it holds for no other information than that
@@ -31,7 +32,7 @@ _NoLoad = dict[str, tuple[float, ...]]  # neighbour -> ``TallyMessage.no_load``
 MAX_TIED = 20  # suspects of one side that are named; the first of them by name may be taken out
 MAX_DECISIONS = 1000  # of one scan, and
 MOST_NAMED = 25_000  # characters of names in a list: what all say about them must fit into a message
-USE_CURRENTS = "use current magnitudes"  # a decision; the others are the id of the meter to be removed
+USE_CURRENTS = "use current magnitudes"  # the last decision, for now; the others are the id of the meter to be removed
 
 
 class BadDataTree:
@@ -134,7 +135,7 @@ class BadDataTree:
         else:
             self.finished = True
             return
-        decisions = (*self.decisions, decision)
+        decisions = (*(d for d in self.decisions if d != USE_CURRENTS), decision)
         if has_too_many_names(decisions):  # somebody makes up meters, and would do so for ever
             self.finished = True
             return
