@@ -23,8 +23,8 @@ from dsse_core.partition import Area, Neighbour
 # Below it an indispensable meter. Rounding and NO_LOAD_NOT_YET leave one 1e-15; a meter that another one replaces only
 # through an impedance of 3e-7 p.u. has 3e-10, a voltmeter that only the sum of 5,000 injections in a row checks 2e-11.
 NO_LOAD_REDUNDANCY = 1e-12
-# Below it what a neighbour is told of a power, in units of the own ones, is NO_LOAD_NOT_YET alone, 1e-9; to a neighbour
-# whose impedances are a thousand times smaller it would look like something.
+# Below it what a neighbour is told of a power, in units of the own ones, or of a voltage is NO_LOAD_NOT_YET alone,
+# 1e-9; to a neighbour whose impedances are a thousand times smaller it would look like something.
 NOTHING_AT_NO_LOAD = 1e-8
 
 
@@ -103,12 +103,12 @@ class NoLoadModel:
 
     def information_for(self, neighbour: Neighbour, heard: Mapping[str, BoundaryInformation]) -> BoundaryInformation:
         told = compute_information(self.model, self.x, neighbour, heard)
-        U, size, _ = np.linalg.svd(told.R[:2, :2])
-        is_something = size * self.typical >= NOTHING_AT_NO_LOAD
-        if is_something.all():
-            return told
         turn = np.eye(4)
-        turn[:2, :2] = is_something[:, None] * U.T
+        for rows, unit in ((slice(2), self.typical), (slice(2, 4), 1.0)):  # of powers given the voltage, of the voltage
+            U, size, _ = np.linalg.svd(told.R[rows, rows])
+            is_something = size * unit >= NOTHING_AT_NO_LOAD
+            if not is_something.all():
+                turn[rows, rows] = is_something[:, None] * U.T
         return BoundaryInformation(np.triu(turn @ told.R), turn @ told.z)
 
     def find_indispensable(self, heard: Mapping[str, BoundaryInformation]) -> set[str]:
