@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from exact_exchange import assert_equals_centralised, assert_same_decisions, run_feeder
+from exact_exchange import GAP, assert_equals_centralised, assert_same_decisions, run_feeder
 from grids import MeterShares, make_grid, with_gross_errors
 from hypothesis import event, example, given, reject, seed
 from hypothesis import strategies as st
@@ -46,18 +46,24 @@ def got_stuck(report):
     return report.detected and not left <= set(report.critical)
 
 
-def has_same_objective(bus, report):
-    return sum(s.objective for s in bus.states.values()) == pytest.approx(report.objective, rel=1e-6)
-
-
 def taken_out(bus):
     return {meter for state in bus.states.values() for meter in state.removed}
 
 
+def state_of(bus, network):
+    """(vm, va) of the areas in the order of the network's buses."""
+    v = {b: v for s in bus.states.values() for b, v in zip(s.buses, zip(s.vm, s.va, strict=True), strict=True)}
+    vm, va = np.array([v[b.id] for b in network.buses]).T
+    return vm, va
+
+
 def took_another_of_a_tie(bus, report):
-    """Whether rounding has decided otherwise between meters that ``report`` names as indistinguishable; J is as low."""
-    ties = ({removed.measurement.meter.id, *removed.indistinguishable_from} for removed in report.removed)
-    return has_same_objective(bus, report) and all(taken_out(bus) & tie for tie in ties)
+    """Whether J is as low without as many other meters: of a critical set any one may be taken out.
+
+    Rounding decides which, or what redundancies next to nothing leave of the areas' damping of powers.
+    """
+    objective = sum(state.objective for state in bus.states.values())
+    return len(taken_out(bus)) == len(report.removed) and objective == pytest.approx(report.objective, rel=1e-6)
 
 
 def has_several_minima(feeder, report):
@@ -73,24 +79,28 @@ def has_several_minima(feeder, report):
         anew = estimate(left)
         on = estimate([m for m in left if m.meter.kind is not MeasurementKind.CURRENT], start=(last.vm, last.va))
         on = estimate(left, start=(on.vm, on.va))
-        if on.objective != pytest.approx(anew.objective, rel=1e-6):
+        if abs(on.vm - anew.vm).max() > GAP:
             return True
         last = anew
     return False
 
 
 def at_their_minimum(bus, feeder, report):
-    """``report`` of the centralised estimate from where the areas are, without the meters that they have taken out."""
-    v = {b: v for s in bus.states.values() for b, v in zip(s.buses, zip(s.vm, s.va, strict=True), strict=True)}
-    vm, va = np.array([v[b.id] for b in feeder.network.buses]).T
+    """``report`` of the centralised estimate from where the areas are, without the meters that they have taken out.
+
+    Where that stays there, J has a minimum there: of current magnitudes steps may lead to one or the other.
+    """
     out = taken_out(bus)
     left = [m for m in feeder.measurements if m.meter.id not in out]
     removed = tuple(RemovedMeasurement(m, 0.0, ()) for m in feeder.measurements if m.meter.id in out)
-    result = estimate_state(feeder.network, left, start=(vm, va), tolerance=1e-11)
+    result = estimate_state(feeder.network, left, start=state_of(bus, feeder.network), tolerance=1e-11)
     return replace(report, result=result, removed=removed, objective=result.objective)
 
 
 PLAIN = {"chain": 0.6, "decades": 2.0, "loops": 0, "transformers": 0.0, "short": None, "slack_at_root": True}
+
+NO_VOLTAGES = MeterShares(voltage=0.0, flow=0.3, injection=0.7, boundary_injection=0.5)
+NOTHING_TOLD = {"seed": 218074, "n_bus": 3, "n_area": 2, "decades": 1.0, "short": 1e-6, "shares": NO_VOLTAGES}
 
 WEAK = MeterShares(flow=0.3, current=0.5)
 THREE_BUSES = {"seed": 467362, "n_bus": 3, "n_area": 3, "chain": 0.9, "decades": 1.0, "loops": 2, "transformers": 0.15}
@@ -107,6 +117,10 @@ NO_BOUNDARIES = MeterShares(voltage=0.3, angle=0.3, flow=0.3, current=0.2, injec
 SHORT_BRANCHES = {"seed": 24, "n_bus": 24, "n_area": 4, "transformers": 0.15, "short": 1e-4, "shares": NO_BOUNDARIES}
 LOSSES_TELL = {"seed": 105, "n_bus": 3, "n_area": 2, "decades": 1.0, "shares": replace(NO_BOUNDARIES, current=0.5)}
 
+ALL_KINDS = MeterShares(voltage=0.3, angle=0.3, flow=0.3, current=0.5, injection=0.7)
+BENT = {"seed": 4647, "n_bus": 37, "n_area": 3, "chain": 0.9, "decades": 0.0, "loops": 3, "transformers": 0.15}
+BENT = PLAIN | BENT | {"shares": ALL_KINDS}
+
 MANY_FLOWS = MeterShares(voltage=0.1, angle=0.1)
 FULL_TURN = {"seed": 1002, "n_bus": 37, "n_area": 2, "loops": 1, "transformers": 0.15, "short": 1e-4}
 FULL_TURN = PLAIN | FULL_TURN | {"slack_at_root": False, "shares": MANY_FLOWS}
@@ -117,7 +131,9 @@ FULL_TURN = PLAIN | FULL_TURN | {"slack_at_root": False, "shares": MANY_FLOWS}
 @example(THREE_BUSES, 0.3, 81)  # critical after a removal
 @example(TURNED_FLOW, 0.3, 380)  # a bad injection turns a flow, and a current magnitude would keep it so
 @example(UNLIKE_IMPEDANCES, 0.0, 40)  # critical where one area's are five thousand times those of the other
+@example(PLAIN | NOTHING_TOLD, 0.3, None)  # the same, where a voltage is not known at no load
 @example(PLAIN | SHORT_BRANCHES, 0.0, 24)  # over them information changes with a state that has hardly moved
+@example(BENT, 0.6, None)  # current magnitudes make it converge by shares only
 @example(PLAIN | LOSSES_TELL, 0.6, 2)  # of a flow and its opposite, as current magnitudes do
 @example(FULL_TURN, 0.3, None)  # transformers turn one bus past half a turn, another not
 @given(GRIDS, st.sampled_from([0.0, 0.3, 0.6]), st.one_of(st.none(), st.integers(0, 1000)))
@@ -135,9 +151,11 @@ def test_any_grid_with_any_meters_reaches_it(grid, loss, gross_errors):
         event("the centralised estimate got stuck")
         reject()
     bus, report = run_feeder(feeder, loss, 0)
-    if taken_out(bus) != {r.measurement.meter.id for r in report.removed} or not has_same_objective(bus, report):
-        is_tie = took_another_of_a_tie(bus, report)
-        assert is_tie or has_several_minima(feeder, report)
+    has_removed = taken_out(bus) == {removed.measurement.meter.id for removed in report.removed}
+    if not has_removed or abs(state_of(bus, feeder.network)[0] - report.result.vm).max() > GAP:
+        by_currents = has_removed and grid["shares"].current > 0
+        is_tie = not has_removed and took_another_of_a_tie(bus, report)
+        assert by_currents or is_tie or has_several_minima(feeder, report)
         event("another of a tie" if is_tie else "another minimum")
         assert_equals_centralised(bus, at_their_minimum(bus, feeder, report))
         return
