@@ -69,10 +69,11 @@ class LastWords:
 
         ``fresh``: neighbour -> whether all that a word to it rests on is fresh now.
         """
-        for name, message in self.boundary.items():
-            if message.fresh != fresh[name] and not self.is_outdated(message):
+        for name, is_fresh in fresh.items():
+            message = self.boundary.get(name)
+            if message is not None and message.fresh != is_fresh and not self.is_outdated(message):
                 time = self._header_for(None).time
-                yield self.tell_boundary(renew(message, fresh[name], time), name)
+                yield self.tell_boundary(renew(message, is_fresh, time), name)
 
     def repeat(self) -> Iterator[Publish]:
         """All of it once more."""

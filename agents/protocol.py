@@ -132,14 +132,14 @@ class AreaProtocol:
             yield from self._show_state(None, ["no telemetry yet"])
         elif news or self._is_busy or (used, awaited) != (self._used, self._turn.awaited):
             self._used = used
-            self._turn.wait_for(awaited, self._now)
+            self._turn.awaited = awaited
             yield from self._work(news)
         elif self._turn.may_show(self._now) and self._state.has_aged(set(self._gone), self._now):
             yield self._renew_state()
         for name in self._reminders.take_due(self._now):
             yield Publish(self._words.boundary[name], name)
         if not (self._is_busy or self._turn.awaited):
-            yield from self._words.tell_freshness(self._find_fresh())
+            yield from self._tell_freshness()
 
     # What comes in
 
@@ -161,8 +161,11 @@ class AreaProtocol:
             return True
         agrees_again = self._ahead.pop(key_sender, None) is not None
         if isinstance(message, TelemetryMessage):
+            last_scan = self._scan
             if not self._hearing.take_telemetry(message, self._now):
                 return agrees_again
+            if self._scan != last_scan:
+                self._turn.forget()
             for reason in self._readings.take(message):
                 self._refused[reason] += 1
         elif isinstance(message, LoadMessage | BoundaryMessage | InformationMessage | AdmmMessage | TallyMessage):
@@ -204,7 +207,7 @@ class AreaProtocol:
         """
         self._strategy, self._estimate_told = type(self._strategy)(self._content), None
         self._estimate_to_tell = None
-        self._turn.end_talk()
+        self._turn.forget()
         self._hearing.forget_neighbours()
         self._refused["led to no estimate"] += 1
 
@@ -219,6 +222,8 @@ class AreaProtocol:
         if self._estimate_to_tell is None or news:
             estimate, notes = self._strategy.solve(self._knowledge())
             self._check_reasonable(estimate)
+            if not self._strategy.restless:
+                self._turn.end_long_talk(self._now)
             if self._estimate_to_tell is None and estimate is not None and self._is_to_be_told(estimate):
                 self._estimate_to_tell = estimate, notes
                 return  # what has come in meanwhile may change what to say, and saying it takes longest
@@ -248,7 +253,7 @@ class AreaProtocol:
         """To somebody: the readings of a new scan may be the same, and a neighbour's turn may come later."""
         sent = [self._words.boundary.get(n.area) for n in self._area.neighbours]
         has_changed = estimate is not self._estimate_told or any(map(self._words.is_outdated, sent))
-        return has_changed or self._turn.has_more
+        return has_changed or self._turn.has_more(self._now)
 
     def _knowledge(self) -> Knowledge:
         return Knowledge(
@@ -267,7 +272,6 @@ class AreaProtocol:
     def _tell_boundaries(self, estimate: Estimate) -> Iterator[Action]:
         """What rests on an awaited word is held back: it would be out of date before it arrives."""
         fresh = self._find_fresh()
-        self._turn.begin_telling()
         for n in self._area.neighbours:
             if not self._turn.may_tell(n.area, self._now):
                 continue
@@ -280,6 +284,12 @@ class AreaProtocol:
                 if self._strategy.expects_answer(n):
                     self._turn.await_answer(n.area, self._now)
                 yield publish
+
+    def _tell_freshness(self) -> Iterator[Publish]:
+        """Nobody's last word is called fresh where another, which rests on more, is about to follow."""
+        outdated = set(self._by_name) if self._is_busy or self._turn.awaited else self._turn.held
+        fresh = {name: is_fresh for name, is_fresh in self._find_fresh().items() if not (is_fresh and name in outdated)}
+        return self._words.tell_freshness(fresh)
 
     def _find_fresh(self) -> dict[str, bool]:
         return find_fresh(self._hearing, list(self._by_name), set(self._gone), self._now)
@@ -332,7 +342,7 @@ class AreaProtocol:
     def _repeat(self, just_done: Sequence[Action]) -> list[Publish]:
         """The last message to each neighbour and the last state, except those sent this very moment."""
         just_sent = {id(action.message) for action in just_done if isinstance(action, Publish)}
-        list(self._words.tell_freshness(self._find_fresh()))  # with the repeats
+        list(self._tell_freshness())  # with the repeats
         last_words = list(self._words.repeat())
         if self._state.message is not None and id(self._state.message) not in just_sent:
             last_words.append(self._renew_state())

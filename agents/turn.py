@@ -4,7 +4,7 @@ All of it saves what would be out of date at once. In a new scan a neighbour is 
 speak, so that news climbs from the leaves of the tree of areas and comes down again. A neighbour that has something to
 say to what it was told says it before it is told more: else each area would pass on every word of every other, and
 the more areas there are, the more ways lead from one to the other. And judging and showing a state that an answer will
-change takes as long as the answer itself.
+change takes as long as the answer itself. Whoever had to wait is told all before a state is shown.
 """
 
 from __future__ import annotations
@@ -16,74 +16,70 @@ LONGEST_TALK_S = 0.025  # after which an area at rest shows what it has, however
 
 
 class Turn:
-    """``awaited``: neighbours about to speak of a new scan. ``show_at``: when answers are no longer waited for.
-
-    ``held_until``: when somebody can be told what an answer is awaited before. ``has_more``: it can be told now.
-    """
+    """``awaited``: neighbours about to speak of a new scan. ``held``: neighbours that are to be told more later."""
 
     def __init__(self) -> None:
         self.awaited: set[str] = set()
-        self.show_at = self.held_until = math.inf
-        self.has_more = False
-        self._talk_since = math.inf  # when neighbours were told first of what has not been shown yet
+        self.held: set[str] = set()
         self._asked: dict[str, float] = {}  # neighbours that have not answered yet -> until when that is waited for
+        self._talk_until = math.inf  # when what neighbours have been told is shown, however often they answer
 
-    def wait_for(self, awaited: set[str], now: float) -> None:
-        """If there are any, what was to be shown is of the last scan."""
-        self.awaited = awaited
-        if now >= self.held_until:
-            self.held_until, self.has_more = math.inf, True
-        if awaited:
-            self.end_talk()
+    @property
+    def show_at(self) -> float:
+        """When answers are no longer waited for before the state is shown; infinity if nobody has been asked."""
+        if self._talk_until == math.inf:
+            return math.inf
+        return min(max(self._asked.values(), default=-math.inf), self._talk_until)
 
     def next_due(self) -> float:
         """When there will be something to do, if nothing is heard until then."""
-        return min(self.show_at, self.held_until)
+        held_until = min(map(self._free_at, self.held), default=math.inf)
+        return held_until if self.awaited else min(held_until, self.show_at)
 
     @property
     def is_held_back(self) -> bool:
         """Whether nobody at all may be told anything."""
         return len(self.awaited) > 1
 
-    def begin_telling(self) -> None:
-        """Everybody who may be told, is told now."""
-        self.held_until, self.has_more = math.inf, False
+    def has_more(self, now: float) -> bool:
+        """Whether somebody who had to wait may be told more now."""
+        return any(self._free_at(name) <= now for name in self.held)
 
     def may_tell(self, name: str, now: float) -> bool:
-        """Whether ``name`` may be told something; if only its answer is missing, it will be its turn later."""
-        if self.awaited - {name}:
-            return False
-        answer_until = self._asked.get(name, -math.inf)
-        if now < answer_until:
-            self.held_until = min(self.held_until, answer_until)
-        return now >= answer_until
+        """Whether ``name`` may be told something; if not, it will be its turn later."""
+        may = self._free_at(name) <= now
+        (self.held.discard if may else self.held.add)(name)
+        return may
+
+    def _free_at(self, name: str) -> float:
+        """When ``name`` may be told something, if nothing is heard until then."""
+        return math.inf if self.awaited - {name} else self._asked.get(name, -math.inf)
 
     def may_show(self, now: float) -> bool:
-        return not self.awaited and not now < self.show_at < math.inf
+        """Whether everybody has been told everything, and has had time to answer."""
+        return not (self.awaited or self.held or now < self.show_at < math.inf)
 
     def await_answer(self, name: str, now: float) -> None:
         """Neighbour ``name`` has been told what it may have an answer to."""
         self._asked[name] = now + ANSWER_S
-        self._talk_since = min(self._talk_since, now)
-        self.show_at = min(now + ANSWER_S, self._talk_since + LONGEST_TALK_S)
+        if not self.awaited:  # until they have spoken nothing is shown anyway
+            self._talk_until = min(self._talk_until, now + LONGEST_TALK_S)
 
     def take_answer(self, name: str) -> None:
-        """Neighbour ``name`` has said something new; after the last answer there is nothing to wait for."""
-        if name in self._asked:
-            del self._asked[name]
-            if self.held_until < math.inf:
-                self.held_until = -math.inf
-            if not self._asked:
-                self.show_at = -math.inf
+        """Neighbour ``name`` has said something new."""
+        self._asked.pop(name, None)
 
-    def show(self) -> None:
-        """The state is shown; only who is still to be told something goes on waiting."""
-        self.show_at = self._talk_since = math.inf
-        if self.held_until == math.inf:
+    def end_long_talk(self, now: float) -> None:
+        """For an area at rest: when answers have come for too long, none is waited for, and all who wait are told."""
+        if now >= self._talk_until:
             self._asked.clear()
 
-    def end_talk(self) -> None:
-        """What has been told is out of date."""
-        self.show_at = self.held_until = self._talk_since = math.inf
-        self.has_more = False
+    def show(self) -> None:
+        """The state is shown: the next word begins another talk."""
+        self._talk_until = math.inf
+
+    def forget(self) -> None:
+        """What neighbours have been told is out of date: no answer to it is waited for."""
+        self._talk_until = math.inf
         self._asked.clear()
+        self.held.clear()

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
 from feeders import make_feeder
 from simulated_bus import SimulatedBus, area_files_of
 
-from agents.events import Event, PresenceChanged, Publish, Received
+from agents.events import Action, Event, PresenceChanged, Publish, Received
 from agents.messages import Header, Incarnation, InformationMessage, StateMessage
 from agents.protocol import AreaProtocol
 from agents.strategies import make_strategy
@@ -48,10 +50,27 @@ def changed(word: InformationMessage, k: int, scan: int) -> Received:
     return Received(replace(word, header=header, z=tuple(z * (1 + 0.01 * (k % 2)) for z in word.z)), word.header.sender)
 
 
+def words_by(protocol: AreaProtocol, events: list[Event], now: float) -> list[tuple[str, InformationMessage]]:
+    """Who is told what of the boundary."""
+    actions = [a for a in protocol.handle(events, now) if isinstance(a, Publish)]
+    return [(a.to, a.message) for a in actions if isinstance(a.message, InformationMessage) and a.to]
+
+
+def words_until_idle(protocol: AreaProtocol, events: list[Event], now: float) -> list[tuple[str, InformationMessage]]:
+    """All that ``protocol`` says at time ``now``."""
+    words = words_by(protocol, events, now)
+    while protocol.wait_s(now) == 0.0:
+        words += words_by(protocol, [], now)
+    return words
+
+
 def told_by(protocol: AreaProtocol, events: list[Event], now: float) -> set[str]:
     """Who is told something of the boundary."""
-    actions = [a for a in protocol.handle(events, now) if isinstance(a, Publish)]
-    return {a.to for a in actions if isinstance(a.message, InformationMessage) and a.to}
+    return {to for to, _ in words_by(protocol, events, now)}
+
+
+def told_until_idle(protocol: AreaProtocol, events: list[Event], now: float) -> set[str]:
+    return {to for to, _ in words_until_idle(protocol, events, now)}
 
 
 def test_a_repeat_makes_nobody_solve(bus, monkeypatch):
@@ -115,22 +134,33 @@ def test_after_the_last_answer_nothing_is_waited_for():
     assert turn.may_show(1.0)
 
 
-def test_a_talk_ends_with_its_scan():
+def test_the_latest_answer_that_is_missing_is_waited_for():
     turn = Turn()
     turn.await_answer("area2", 1.0)
-    turn.wait_for({"area2"}, 2.0)
+    turn.await_answer("area3", 1.004)
+    turn.take_answer("area3")
+    assert turn.show_at == 1.0 + ANSWER_S
+
+
+def test_nothing_is_shown_while_somebody_is_awaited_and_then_answers_are_not():
+    turn = Turn()
+    turn.awaited = {"area2"}
+    turn.await_answer("area2", 2.0)
     assert not turn.may_show(2.0)
-    turn.wait_for(set(), 2.0)
-    turn.await_answer("area2", 3.0)
-    assert turn.show_at == 3.0 + ANSWER_S
+    assert turn.next_due() == math.inf
+    turn.awaited = set()
+    assert turn.may_show(2.0)
 
 
 def test_only_the_one_awaited_is_told_anything():
     turn = Turn()
-    turn.wait_for({"area2"}, 2.0)
+    turn.awaited = {"area2"}
     assert (turn.may_tell("area2", 2.0), turn.may_tell("area3", 2.0), turn.is_held_back) == (True, False, False)
-    turn.wait_for({"area2", "area3"}, 2.0)
+    assert not turn.has_more(2.0)
+    turn.awaited = {"area2", "area3"}
     assert turn.is_held_back
+    turn.awaited = set()
+    assert turn.has_more(2.0), "area3 is still to be told"
 
 
 def test_who_has_not_answered_is_told_more_after_the_answer_or_when_it_is_no_longer_waited_for():
@@ -138,27 +168,39 @@ def test_who_has_not_answered_is_told_more_after_the_answer_or_when_it_is_no_lon
     turn.await_answer("area2", 1.0)
     turn.await_answer("area3", 1.001)
     assert [turn.may_tell(name, 1.002) for name in ("area2", "area3", "area4")] == [False, False, True]
-    assert turn.next_due() == 1.0 + ANSWER_S
+    assert (turn.next_due(), turn.has_more(1.002)) == (1.0 + ANSWER_S, False)
     turn.take_answer("area3")
     assert turn.next_due() < 1.002, "it can be told at once"
-    turn.wait_for(set(), 1.002)
-    assert turn.has_more
-    turn.begin_telling()
+    assert turn.has_more(1.002)
     assert [turn.may_tell(name, 1.002) for name in ("area2", "area3")] == [False, True]
-    turn.wait_for(set(), 1.0 + ANSWER_S)
-    assert turn.has_more
+    assert not turn.has_more(1.002)
+    assert turn.has_more(1.0 + ANSWER_S)
     assert turn.may_tell("area2", 1.0 + ANSWER_S)
+    assert not turn.held
 
 
-def test_a_state_that_is_shown_ends_no_wait_of_somebody_who_is_to_be_told_more():
+def test_nothing_is_shown_before_everybody_has_been_told_everything():
     turn = Turn()
     turn.await_answer("area2", 1.0)
-    assert not turn.may_tell("area2", 1.001)
     turn.show()
+    assert turn.may_show(1.001)
+    assert not turn.may_tell("area2", 1.001), "it is still answering what it was told before that"
+    assert not turn.may_show(1.001)
     assert turn.next_due() == 1.0 + ANSWER_S
-    turn.begin_telling()
-    turn.show()
-    assert turn.may_tell("area2", 1.001), "nobody is to be told anything: the talk is over"
+
+
+def test_after_the_longest_talk_who_was_held_is_told_all_once_the_area_rests():
+    turn = Turn()
+    turn.await_answer("area2", 1.0)
+    over = 1.0 + LONGEST_TALK_S
+    turn.await_answer("area2", over - 0.001)
+    assert not turn.may_tell("area2", over), "the area goes on by itself"
+    turn.end_long_talk(over - 1e-9)
+    assert not turn.may_tell("area2", over)
+    turn.end_long_talk(over)
+    assert turn.may_tell("area2", over)
+    turn.await_answer("area2", over)
+    assert turn.may_show(over)
 
 
 def test_areas_say_little_more_where_messages_take_their_own_time():
@@ -174,6 +216,33 @@ def test_areas_say_little_more_where_messages_take_their_own_time():
     assert most[0] < most[1] < 2 * most[0]
 
 
+def test_a_state_that_is_shown_is_at_rest(monkeypatch):
+    """Who has seen it knows that its area says nothing more until it hears something."""
+    at_rest: set[str] = set()
+    told: dict[tuple[str, str | None], tuple[Incarnation, int]] = {}
+    handle = AreaProtocol.handle
+
+    def watched(protocol: AreaProtocol, events: list[Event], now: float) -> Iterator[Action]:
+        if events:
+            at_rest.discard(protocol._area.name)
+        for action in handle(protocol, events, now):
+            if isinstance(action, Publish) and isinstance(action.message, StateMessage | InformationMessage):
+                header, name = action.message.header, protocol._area.name
+                is_new = told.get((name, action.to)) != header.order
+                told[name, action.to] = header.order
+                if action.to is None:
+                    at_rest.add(name)
+                elif is_new:
+                    assert name not in at_rest, f"at {now:.4f} s it tells {action.to} more"
+            yield action
+
+    monkeypatch.setattr(AreaProtocol, "handle", watched)
+    feeder = make_feeder(4, 60, 20, shape=0.8)
+    bus = SimulatedBus(feeder.area_files(0.0, 0, jitter_s=0.01), feeder.telemetry())
+    bus.run(0.5)
+    assert bus.settled
+
+
 def test_an_area_that_is_held_back_in_the_middle_of_its_steps_sleeps(bus):
     area1 = bus.protocols["area1"]
     list(area1.handle([changed(word_of(bus, "area2", "area1"), 1, scan=1)], bus.now))
@@ -186,10 +255,7 @@ def test_a_repeat_is_no_answer(bus):
     """The doorkeeper hands on a payload that repeats the last one as the very message that it was."""
     protocol, now = bus.protocols["area1"], bus.now
     news: list[Event] = [changed(word_of(bus, name, "area1"), 1, scan=1) for name in ("area2", "area3")]
-    told = told_by(protocol, news, now)
-    while protocol.wait_s(now) == 0.0:
-        told |= told_by(protocol, [], now)
-    assert told == {"area2", "area3"}
+    assert told_until_idle(protocol, news, now) == {"area2", "area3"}
 
     def shows(events: list[Event], at: float) -> bool:
         actions = [a for a in protocol.handle(events, at) if isinstance(a, Publish)]
@@ -197,6 +263,50 @@ def test_a_repeat_is_no_answer(bus):
 
     assert not shows(news, now + ANSWER_S / 2)
     assert shows([], now + 2 * ANSWER_S)
+
+
+def test_what_is_held_back_while_a_neighbour_is_awaited_is_told_once_the_wait_is_over(bus):
+    """A new life of area3 still has the readings of the former scan."""
+    area1, now = bus.protocols["area1"], bus.now
+    words = {name: word_of(bus, name, "area1") for name in ("area2", "area3")}
+    news: list[Event] = [changed(word, 1, scan=2) for word in words.values()]
+    told = dict(words_until_idle(area1, [readings_of(bus, "area1", 2), *news], now))
+    assert told.keys() == {"area2", "area3"}
+    former = words["area3"].header
+    header = replace(former, incarnation=replace(former.incarnation, start_ms=former.incarnation.start_ms + 1))
+    late = changed(replace(words["area3"], header=header), 2, scan=1)
+    now += 2 * ANSWER_S
+    assert told_until_idle(area1, [late], now) == {"area3"}
+    later = {}
+    while area1._turn.awaited:
+        now += area1.wait_s(now)
+        later |= dict(words_until_idle(area1, [], now))
+    assert later["area2"].header.sequence == told["area2"].header.sequence + 1
+
+
+def test_a_word_is_not_called_fresh_while_another_that_rests_on_more_is_held_back(bus):
+    area1, now = bus.protocols["area1"], bus.now
+    words = {name: word_of(bus, name, "area1") for name in ("area2", "area3")}
+    told_until_idle(area1, [readings_of(bus, "area1", 2), changed(words["area2"], 1, scan=2)], now)
+    while not (told := words_until_idle(area1, [], now)):
+        now += area1.wait_s(now)
+    last = next(word for to, word in told if to == "area2")
+    assert not last.fresh, "area3 is silent about the scan"
+    told = words_until_idle(area1, [changed(words["area3"], 1, scan=2)], now + 0.001)
+    assert not [word for to, word in told if to == "area2"], "it has not answered yet"
+    told = words_until_idle(area1, [], now + ANSWER_S)
+    (word,) = [word for to, word in told if to == "area2"]
+    assert word.fresh
+    assert word.header.sequence == last.header.sequence + 1
+
+
+def test_a_new_scan_waits_for_no_answer_to_the_last_one(bus):
+    area1, now = bus.protocols["area1"], bus.now
+    words = {name: word_of(bus, name, "area1") for name in ("area2", "area3")}
+    news: list[Event] = [changed(word, 1, scan=1) for word in words.values()]
+    assert told_until_idle(area1, news, now) == {"area2", "area3"}
+    told_until_idle(area1, [changed(word, 2, scan=2) for word in words.values()], now + 0.001)
+    assert told_until_idle(area1, [readings_of(bus, "area1", 2)], now + 0.001) == {"area2", "area3"}
 
 
 def test_a_neighbour_that_a_new_life_has_never_told_anything_is_told_once_the_wait_is_over(bus):
@@ -209,15 +319,10 @@ def test_a_neighbour_that_a_new_life_has_never_told_anything_is_told_once_the_wa
     there = [PresenceChanged(name, alive=True) for name in ("area2", "area3")]
     assert told_by(life, [*there, *words, readings_of(bus, "area1", 1)], start) == set()
     now = start + 0.01
-    told = told_by(life, [readings_of(bus, "area1", 2)], now)
-    while life.wait_s(now) == 0.0:
-        told |= told_by(life, [], now)
+    told = told_until_idle(life, [readings_of(bus, "area1", 2)], now)
     assert told == {"area3"}, "whose own word is awaited"
     now += life.wait_s(now)
-    told = told_by(life, [], now)
-    while life.wait_s(now) == 0.0:
-        told |= told_by(life, [], now)
-    assert "area2" in told
+    assert "area2" in told_until_idle(life, [], now)
 
 
 def test_who_has_no_readings_is_not_waited_for_in_every_scan(bus):
