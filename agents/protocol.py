@@ -222,8 +222,6 @@ class AreaProtocol:
         if self._estimate_to_tell is None or news:
             estimate, notes = self._strategy.solve(self._knowledge())
             self._check_reasonable(estimate)
-            if not self._strategy.restless:
-                self._turn.end_long_talk(self._now)
             if self._estimate_to_tell is None and estimate is not None and self._is_to_be_told(estimate):
                 self._estimate_to_tell = estimate, notes
                 return  # what has come in meanwhile may change what to say, and saying it takes longest
@@ -263,7 +261,7 @@ class AreaProtocol:
             present=frozenset(self._present),
             scan=self._scan,
             tallies={name: m for name, m in self._hearing.tallies.items() if m.header.scan == self._scan},
-            sent=dict(self._words.boundary),
+            sent={name: m for name, m in self._words.boundary.items() if name not in self._turn.held},
         )
 
     def _heard_loads(self) -> dict[str, NetLoad]:

@@ -4,7 +4,7 @@ All of it saves what would be out of date at once. In a new scan a neighbour is 
 speak, so that news climbs from the leaves of the tree of areas and comes down again. A neighbour that has something to
 say to what it was told says it before it is told more: else each area would pass on every word of every other, and
 the more areas there are, the more ways lead from one to the other. And judging and showing a state that an answer will
-change takes as long as the answer itself. Whoever had to wait is told all before a state is shown.
+change takes as long as the answer itself. What is shown before whoever had to wait is told all, is not final.
 """
 
 from __future__ import annotations
@@ -56,8 +56,10 @@ class Turn:
         return math.inf if self.awaited - {name} else self._asked.get(name, -math.inf)
 
     def may_show(self, now: float) -> bool:
-        """Whether everybody has been told everything, and has had time to answer."""
-        return not (self.awaited or self.held or now < self.show_at < math.inf)
+        """Whether everybody has been told everything and has had time to answer, or the talk has lasted too long."""
+        if self.awaited or now < self.show_at < math.inf:
+            return False
+        return not self.held or now >= self._talk_until
 
     def await_answer(self, name: str, now: float) -> None:
         """Neighbour ``name`` has been told what it may have an answer to."""
@@ -68,11 +70,6 @@ class Turn:
     def take_answer(self, name: str) -> None:
         """Neighbour ``name`` has said something new."""
         self._asked.pop(name, None)
-
-    def end_long_talk(self, now: float) -> None:
-        """For an area at rest: when answers have come for too long, none is waited for, and all who wait are told."""
-        if now >= self._talk_until:
-            self._asked.clear()
 
     def show(self) -> None:
         """The state is shown: the next word begins another talk."""

@@ -28,7 +28,7 @@ class Knowledge:
     ``measurements``: its telemetry of the current scan, virtual measurements included. ``loads``: neighbour ->
     load message; ``boundary``: neighbour -> its newest boundary message; silent neighbours are absent from both.
     ``present``: the neighbours that are on the bus. ``tallies``: neighbour -> its newest one; ``sent``: neighbour ->
-    the last boundary message to it.
+    the last boundary message to it, none where another is about to follow.
     """
 
     measurements: tuple[Measurement, ...]

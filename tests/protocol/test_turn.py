@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
 from feeders import make_feeder
 from simulated_bus import SimulatedBus, area_files_of
 
-from agents.events import Action, Event, PresenceChanged, Publish, Received
+from agents.events import Event, PresenceChanged, Publish, Received
 from agents.messages import Header, Incarnation, InformationMessage, StateMessage
 from agents.protocol import AreaProtocol
 from agents.strategies import make_strategy
+from agents.strategies.interface import Estimate, Knowledge
 from agents.turn import ANSWER_S, LONGEST_TALK_S, Turn
 from coordinator.telemetry_messages import make_message
 from coordinator.twin import STARTED_AT
@@ -189,18 +189,17 @@ def test_nothing_is_shown_before_everybody_has_been_told_everything():
     assert turn.next_due() == 1.0 + ANSWER_S
 
 
-def test_after_the_longest_talk_who_was_held_is_told_all_once_the_area_rests():
+def test_after_the_longest_talk_a_state_is_shown_and_who_was_held_goes_on_waiting():
     turn = Turn()
     turn.await_answer("area2", 1.0)
     over = 1.0 + LONGEST_TALK_S
     turn.await_answer("area2", over - 0.001)
-    assert not turn.may_tell("area2", over), "the area goes on by itself"
-    turn.end_long_talk(over - 1e-9)
     assert not turn.may_tell("area2", over)
-    turn.end_long_talk(over)
-    assert turn.may_tell("area2", over)
-    turn.await_answer("area2", over)
+    assert not turn.may_show(over - 1e-9)
     assert turn.may_show(over)
+    turn.show()
+    assert (turn.held, turn.may_show(over)) == ({"area2"}, False)
+    assert turn.next_due() == over - 0.001 + ANSWER_S
 
 
 def test_areas_say_little_more_where_messages_take_their_own_time():
@@ -216,31 +215,21 @@ def test_areas_say_little_more_where_messages_take_their_own_time():
     assert most[0] < most[1] < 2 * most[0]
 
 
-def test_a_state_that_is_shown_is_at_rest(monkeypatch):
-    """Who has seen it knows that its area says nothing more until it hears something."""
-    at_rest: set[str] = set()
-    told: dict[tuple[str, str | None], tuple[Incarnation, int]] = {}
-    handle = AreaProtocol.handle
+def test_nothing_final_is_judged_with_a_neighbour_whose_next_word_is_held_back(bus, monkeypatch):
+    """Two words of each in turn: the second one is passed on after the answer to the first, beyond the longest talk."""
+    area1, start = bus.protocols["area1"], bus.now
+    judge, missing = area1._strategy.judge, []
 
-    def watched(protocol: AreaProtocol, events: list[Event], now: float) -> Iterator[Action]:
-        if events:
-            at_rest.discard(protocol._area.name)
-        for action in handle(protocol, events, now):
-            if isinstance(action, Publish) and isinstance(action.message, StateMessage | InformationMessage):
-                header, name = action.message.header, protocol._area.name
-                is_new = told.get((name, action.to)) != header.order
-                told[name, action.to] = header.order
-                if action.to is None:
-                    at_rest.add(name)
-                elif is_new:
-                    assert name not in at_rest, f"at {now:.4f} s it tells {action.to} more"
-            yield action
+    def watched(known: Knowledge, estimate: Estimate) -> tuple[Estimate, tuple[str, ...]]:
+        missing.append({"area2", "area3"} - known.sent.keys())
+        return judge(known, estimate)
 
-    monkeypatch.setattr(AreaProtocol, "handle", watched)
-    feeder = make_feeder(4, 60, 20, shape=0.8)
-    bus = SimulatedBus(feeder.area_files(0.0, 0, jitter_s=0.01), feeder.telemetry())
-    bus.run(0.5)
-    assert bus.settled
+    monkeypatch.setattr(area1._strategy, "judge", watched)
+    for k in range(1, 28):
+        name = ("area2", "area2", "area3", "area3")[k % 4]
+        words_until_idle(area1, [changed(word_of(bus, name, "area1"), k, bus.scan)], start + 0.001 * k)
+        assert not missing or missing == [{"area2", "area3"} - {name}]
+    assert missing
 
 
 def test_an_area_that_is_held_back_in_the_middle_of_its_steps_sleeps(bus):
