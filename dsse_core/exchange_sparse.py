@@ -12,6 +12,7 @@ from dsse_core.augmented import AugmentedFactor
 from dsse_core.augmented_dense import DenseFactor
 from dsse_core.boundary_information import (
     NOTHING_OF_VOLTAGE,
+    ROUNDING,
     VA,
     BoundaryInformation,
     factor_information,
@@ -93,8 +94,25 @@ def _factor_undamped(
     H = H[:, columns]
     if not model.no_load:
         return factor_rows(H, sigma, least_information(model, columns))
+    H = _without_rounding(H)
     told = np.asarray((H * H).T @ sigma**-2.0)
     return factor_rows(H, sigma, np.where(told > 0, NO_LOAD_NOT_YET * np.minimum(told, 1.0), NOTHING))
+
+
+def _without_rounding(H: Matrix) -> Matrix:
+    """H with entries of 0 where rounding has left something of a derivative that is nothing.
+
+    An angle meter must not seem to tell a magnitude: undetermined variables would be damped by 1e22 times less than
+    others, and beside such an uncertainty whatever else is known of (p, q) drowns.
+    """
+    if isinstance(H, np.ndarray):
+        size = abs(H)
+        return np.where(size > ROUNDING * size.max(axis=1, keepdims=True, initial=0.0), H, 0.0)
+    row = np.repeat(np.arange(H.shape[0]), np.diff(H.indptr))
+    size = abs(H.data)
+    largest = np.zeros(H.shape[0])
+    np.maximum.at(largest, row, size)
+    return sp.csr_array((np.where(size > ROUNDING * largest[row], H.data, 0.0), H.indices, H.indptr), shape=H.shape)
 
 
 def compute_information(

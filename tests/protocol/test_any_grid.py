@@ -125,6 +125,10 @@ MANY_FLOWS = MeterShares(voltage=0.1, angle=0.1)
 FULL_TURN = {"seed": 1002, "n_bus": 37, "n_area": 2, "loops": 1, "transformers": 0.15, "short": 1e-4}
 FULL_TURN = PLAIN | FULL_TURN | {"slack_at_root": False, "shares": MANY_FLOWS}
 
+LONE_ANGLE = MeterShares(voltage=0.1, angle=0.1, flow=0.3, current=0.2, injection=0.7, boundary_injection=1.0)
+LONE_ANGLE = {"seed": 110, "n_bus": 3, "n_area": 6, "chain": 0.3, "decades": 1.0, "short": 1e-6, "shares": LONE_ANGLE}
+LONE_ANGLE = PLAIN | LONE_ANGLE | {"transformers": 0.15}
+
 
 @pytest.mark.usefixtures("each_back_end")
 @seed(1)  # the same grids whatever the words of this test
@@ -136,6 +140,7 @@ FULL_TURN = PLAIN | FULL_TURN | {"slack_at_root": False, "shares": MANY_FLOWS}
 @example(BENT, 0.6, None)  # current magnitudes make it converge by shares only
 @example(PLAIN | LOSSES_TELL, 0.6, 2)  # of a flow and its opposite, as current magnitudes do
 @example(FULL_TURN, 0.3, None)  # transformers turn one bus past half a turn, another not
+@example(LONE_ANGLE, 0.3, 107)  # behind a phase-shifting transformer, all that is known of an area's power
 @given(GRIDS, st.sampled_from([0.0, 0.3, 0.6]), st.one_of(st.none(), st.integers(0, 1000)))
 def test_any_grid_with_any_meters_reaches_it(grid, loss, gross_errors):
     feeder = make_grid(**grid)
