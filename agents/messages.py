@@ -163,8 +163,8 @@ class TallyMessage:
     ``heard``: (start_ms, random, sequence) of the last information message to the receiver and of the newest from it,
     on which that and the figures rest. ``settled``: they are final, all areas of this side included; only then
     ``objective`` (J), ``degrees_of_freedom``, ``worst`` with its ``normalized`` residuals and ``held_back``, the number
-    of current magnitudes not yet in use, count. ``no_load``: as ``InformationMessage.R``, of the no-load model, empty
-    until known.
+    of current magnitudes not yet in use, count. ``no_load``: as ``InformationMessage.R``, of the no-load model and of
+    (p, q) / vm_b^2, dvm / vm_b and dva, vm_b being the sender's no-load voltage; empty until known.
     """
 
     kind: ClassVar[str] = "tally"

@@ -93,7 +93,8 @@ class NoLoadModel:
     """The area's meters but currents, at no load, powers against its median admittance: which cannot be spared.
 
     ``find_indispensable`` of ``observability`` decides by the same rows for the whole grid. Areas tell each other
-    its cost-to-go, one way up and one way down the tree.
+    its cost-to-go, one way up and one way down the tree, of (p, q) / vm_b^2, dvm / vm_b and dva: behind a transformer
+    each area has another no-load voltage, and of such relative numbers the rows are the same at all of them.
     """
 
     model: AreaModel
@@ -102,19 +103,32 @@ class NoLoadModel:
     typical: float  # the median admittance
 
     def information_for(self, neighbour: Neighbour, heard: Mapping[str, BoundaryInformation]) -> BoundaryInformation:
-        told = compute_information(self.model, self.x, neighbour, heard)
+        told = compute_information(self.model, self.x, neighbour, self._at_own_voltage(heard))
         turn = np.eye(4)
         for rows, unit in ((slice(2), self.typical), (slice(2, 4), 1.0)):  # of powers given the voltage, of the voltage
             U, size, _ = np.linalg.svd(told.R[rows, rows])
             is_something = size * unit >= NOTHING_AT_NO_LOAD
             if not is_something.all():
                 turn[rows, rows] = is_something[:, None] * U.T
-        return BoundaryInformation(np.triu(turn @ told.R), turn @ told.z)
+        return BoundaryInformation(np.triu(turn @ told.R) * self._voltage_of(neighbour), turn @ told.z)
 
     def find_indispensable(self, heard: Mapping[str, BoundaryInformation]) -> set[str]:
         """Ids of the meters, virtual ones included, without any one of which the state is not observable."""
-        redundancy = sample_redundancy(self.model, self.x, heard, np.random.default_rng(0))
+        redundancy = sample_redundancy(self.model, self.x, self._at_own_voltage(heard), np.random.default_rng(0))
         return {self.ids[k] for k in np.flatnonzero(redundancy < NO_LOAD_REDUNDANCY)}
+
+    def _at_own_voltage(self, heard: Mapping[str, BoundaryInformation]) -> dict[str, BoundaryInformation]:
+        """What neighbours have told of relative numbers as information about y."""
+        return {
+            n.area: replace(heard[n.area], R=heard[n.area].R / self._voltage_of(n))
+            for n in self.model.area.neighbours
+            if n.area in heard
+        }
+
+    def _voltage_of(self, neighbour: Neighbour) -> np.ndarray:
+        """What relative numbers are multiplied by to be y, shape (4,)."""
+        vm = float(self.x[self.model.voltage_columns(neighbour)[0]])
+        return np.array([vm * vm, vm * vm, vm, 1.0])
 
 
 def build_no_load_model(area: Area, measurements: Sequence[Measurement], reference: int | None) -> NoLoadModel:

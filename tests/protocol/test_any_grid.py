@@ -129,6 +129,10 @@ LONE_ANGLE = MeterShares(voltage=0.1, angle=0.1, flow=0.3, current=0.2, injectio
 LONE_ANGLE = {"seed": 110, "n_bus": 3, "n_area": 6, "chain": 0.3, "decades": 1.0, "short": 1e-6, "shares": LONE_ANGLE}
 LONE_ANGLE = PLAIN | LONE_ANGLE | {"transformers": 0.15}
 
+TWO_ANGLES = MeterShares(voltage=0.3, angle=0.3, current=0.2, injection=0.7, boundary_injection=0.5)
+TWO_ANGLES = {"seed": 9, "n_bus": 12, "n_area": 9, "chain": 0.9, "short": 1e-6, "shares": TWO_ANGLES}
+TWO_ANGLES = PLAIN | TWO_ANGLES | {"transformers": 0.15, "slack_at_root": False}
+
 
 @pytest.mark.usefixtures("each_back_end")
 @seed(1)  # the same grids whatever the words of this test
@@ -141,6 +145,7 @@ LONE_ANGLE = PLAIN | LONE_ANGLE | {"transformers": 0.15}
 @example(PLAIN | LOSSES_TELL, 0.6, 2)  # of a flow and its opposite, as current magnitudes do
 @example(FULL_TURN, 0.3, None)  # transformers turn one bus past half a turn, another not
 @example(LONE_ANGLE, 0.3, 107)  # behind a phase-shifting transformer, all that is known of an area's power
+@example(TWO_ANGLES, 0.6, 0)  # magnitudes and angles tell each other's, across a transformer's tap, too
 @given(GRIDS, st.sampled_from([0.0, 0.3, 0.6]), st.one_of(st.none(), st.integers(0, 1000)))
 def test_any_grid_with_any_meters_reaches_it(grid, loss, gross_errors):
     feeder = make_grid(**grid)
