@@ -92,7 +92,7 @@ class Information(Strategy):
             self._newest, self._has_new_readings = newest, False
             self._take_messages(known)
             self._news += self._is_informed
-            self._iteration.take_news()
+            self._iteration.take_news(by_halves=self._seems_to_swing)
         elif self._is_informed:
             self._iteration.go_on()
         if self._is_swinging:
@@ -159,6 +159,12 @@ class Information(Strategy):
     @property
     def _is_swinging(self) -> bool:
         return self._news > NEWS_PER_NEIGHBOUR * max(1, len(self._area.neighbours))
+
+    @property
+    def _seems_to_swing(self) -> bool:
+        """Halfway there with current magnitudes, whose residuals bend what areas tell: half steps settle that."""
+        halfway = self._news > NEWS_PER_NEIGHBOUR * max(1, len(self._area.neighbours)) / 2
+        return halfway and self._model is not None and MeasurementKind.CURRENT in self._model.kinds
 
     def _take_measurements(self, telemetry: tuple[Measurement, ...]) -> None:
         """A new scan, or a decision on it: the state so far is the start."""

@@ -34,6 +34,7 @@ class LocalIteration:
         self._last_step = np.inf
         self._factor: KeptFactor | None = None
         self._is_released = False  # a state that rests on the newest messages, for neighbours to be told
+        self._by_halves = False
 
     def begin_at(self, x: np.ndarray) -> None:
         """Start from state ``x``."""
@@ -44,16 +45,21 @@ class LocalIteration:
         if angle:
             self.x, self._start = turn(model, self.x, angle), turn(model, self._start, angle)
 
-    def take_news(self) -> None:
-        """From here to where readings and messages, some of which are new, lead."""
-        self._last_step = np.inf
+    def take_news(self, *, by_halves: bool = False) -> None:
+        """From here to where readings and messages, some of which are new, lead.
+
+        ``by_halves``: half a step, as where to all areas lead each other would swing.
+        """
+        self._by_halves = by_halves
         self._is_released = False
-        self.steps_left = STEPS_PER_NEWS
+        if not by_halves:
+            self._last_step = np.inf
+        self.steps_left = 1 if by_halves else STEPS_PER_NEWS
 
     def go_on(self) -> None:
         """If the steps for the last news were not enough, there is time for more now."""
         if self.steps_left == 0 and self._last_step > ON_THE_WAY:
-            self.steps_left = STEPS_PER_NEWS
+            self.steps_left = 1 if self._by_halves else STEPS_PER_NEWS
 
     def stop(self) -> None:
         """Take no step until there is news."""
@@ -76,7 +82,7 @@ class LocalIteration:
 
     def _solve(self, model: AreaModel, heard: Heard) -> tuple[np.ndarray, list[float]]:
         """All that one factor serves for, or half a step after too many."""
-        if self.steps_left >= STEPS_PER_NEWS - FULL_STEPS:
+        if not self._by_halves and self.steps_left >= STEPS_PER_NEWS - FULL_STEPS:
             dx, sizes, self._factor = solve_steps(model, self.x, heard, self._last_step, SETTLED_STEP, self._factor)
             return dx, sizes
         dx = solve_step(model, self.x, heard, self._last_step) / 2

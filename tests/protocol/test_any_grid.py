@@ -10,6 +10,7 @@ from grids import MeterShares, make_grid, with_gross_errors
 from hypothesis import event, example, given, reject, seed
 from hypothesis import strategies as st
 
+from agents.strategies import information
 from dsse_core.bad_data import THRESHOLD, RemovedMeasurement, normalized_residuals, process_bad_data
 from dsse_core.errors import EstimationDivergedError, NotObservableError
 from dsse_core.estimation import estimate_state
@@ -133,6 +134,9 @@ TWO_ANGLES = MeterShares(voltage=0.3, angle=0.3, current=0.2, injection=0.7, bou
 TWO_ANGLES = {"seed": 9, "n_bus": 12, "n_area": 9, "chain": 0.9, "short": 1e-6, "shares": TWO_ANGLES}
 TWO_ANGLES = PLAIN | TWO_ANGLES | {"transformers": 0.15, "slack_at_root": False}
 
+SWINGING = MeterShares(voltage=0.1, angle=0.1, flow=0.3, current=0.5, injection=0.9, boundary_injection=0.5)
+SWINGING = {"seed": 70, "n_bus": 8, "n_area": 2, "chain": 0.9, "loops": 3, "shares": SWINGING}
+
 
 @pytest.mark.usefixtures("each_back_end")
 @seed(1)  # the same grids whatever the words of this test
@@ -172,3 +176,11 @@ def test_any_grid_with_any_meters_reaches_it(grid, loss, gross_errors):
     assert_equals_centralised(bus, report)
     if len(feeder.partition.areas) > 1:
         assert_same_decisions(bus, report)
+
+
+def test_areas_that_currents_make_swing_beside_a_bad_injection_settle_by_half_steps(monkeypatch):
+    monkeypatch.setattr(information, "NEWS_PER_NEIGHBOUR", 200)
+    feeder = with_gross_errors(np.random.default_rng(8), make_grid(**PLAIN | SWINGING))
+    bus, report = run_feeder(feeder, 0.0, 0)
+    assert_equals_centralised(bus, report)
+    assert taken_out(bus) == {"p_injection@4"}
