@@ -14,11 +14,14 @@ from dsse_core.area_model import AreaModel
 from dsse_core.boundary_information import BoundaryInformation
 from dsse_core.exchange import DAMPING, solve_step, solve_step_near, solve_steps
 from dsse_core.kept_factor import ON_THE_WAY, KeptFactor, find_rest
+from dsse_core.measurement import MeasurementKind
 
 SETTLED_STEP = 1e-11  # p.u., rad: below it a further step changes nothing
 TOLD_EARLY = 1e-6  # p.u., rad: after a smaller step neighbours are told, further ones change nothing of it
 SETTLED_NEAR_START = 1e-6  # p.u., rad: while news is missing
 STEPS_PER_NEWS = 40
+UPHILL = 10.0  # times what the meters say against a state, and their number: a step that ends higher is halved
+LEAST_SHARE = 1 / 64  # of a step
 FULL_STEPS = 10  # at once; what takes longer swings around the answer, and half steps settle it
 
 Heard = Mapping[str, BoundaryInformation]
@@ -81,10 +84,11 @@ class LocalIteration:
         return True
 
     def _solve(self, model: AreaModel, heard: Heard) -> tuple[np.ndarray, list[float]]:
-        """All that one factor serves for, or half a step after too many."""
+        """All that one factor serves for, as far as it does not lead uphill; or half a step after too many."""
         if not self._by_halves and self.steps_left >= STEPS_PER_NEWS - FULL_STEPS:
             dx, sizes, self._factor = solve_steps(model, self.x, heard, self._last_step, SETTLED_STEP, self._factor)
-            return dx, sizes
+            share = _find_share(model, self.x, dx, heard)
+            return (dx, sizes) if share == 1 else (share * dx, [share * float(abs(dx).max())])
         dx = solve_step(model, self.x, heard, self._last_step) / 2
         return dx, [float(abs(dx).max(initial=0.0))]
 
@@ -110,6 +114,28 @@ class LocalIteration:
     def _near_start(self, model: AreaModel, x: np.ndarray, heard: Heard) -> np.ndarray:
         step = solve_step_near(model, x, heard, self._start)
         return _with_positive_magnitudes(x + step, len(model.area.network.buses))
+
+
+def _find_share(model: AreaModel, x: np.ndarray, dx: np.ndarray, heard: Heard) -> float:
+    """How much of ``dx`` to go, in halves: with current magnitudes a step may lead far up from next to the minimum.
+
+    Virtual measurements are not looked at: they are known so well that any step of a nonlinear grid offends them.
+    """
+    if MeasurementKind.CURRENT not in model.kinds:
+        return 1.0
+    limit, share = UPHILL * (_find_cost(model, x, heard) + len(model.z)), 1.0
+    while share > LEAST_SHARE and not _find_cost(model, x + share * dx, heard) <= limit:
+        share /= 2
+    return share
+
+
+def _find_cost(model: AreaModel, x: np.ndarray, heard: Heard) -> float:
+    """What real meters and neighbours' information say against ``x``, chi-squared."""
+    cost = float((((model.residual(x) / model.sigma)[~model.virtual]) ** 2).sum())
+    for n in model.area.neighbours:
+        if (message := heard.get(n.area)) is not None:
+            cost += float(((message.R @ model.boundary_values(x, n) - message.z) ** 2).sum())
+    return cost
 
 
 def _with_positive_magnitudes(x: np.ndarray, n: int) -> np.ndarray:

@@ -134,6 +134,9 @@ TWO_ANGLES = MeterShares(voltage=0.3, angle=0.3, current=0.2, injection=0.7, bou
 TWO_ANGLES = {"seed": 9, "n_bus": 12, "n_area": 9, "chain": 0.9, "short": 1e-6, "shares": TWO_ANGLES}
 TWO_ANGLES = PLAIN | TWO_ANGLES | {"transformers": 0.15, "slack_at_root": False}
 
+SHORT_CURRENT = {"seed": 56642, "n_bus": 38, "n_area": 8, "chain": 0.3, "loops": 2, "transformers": 0.15, "short": 1e-6}
+SHORT_CURRENT = PLAIN | SHORT_CURRENT | {"shares": MeterShares(voltage=0.3, angle=0.3, flow=1.0, current=0.2)}
+
 SWINGING = MeterShares(voltage=0.1, angle=0.1, flow=0.3, current=0.5, injection=0.9, boundary_injection=0.5)
 SWINGING = {"seed": 70, "n_bus": 8, "n_area": 2, "chain": 0.9, "loops": 3, "shares": SWINGING}
 
@@ -150,6 +153,7 @@ SWINGING = {"seed": 70, "n_bus": 8, "n_area": 2, "chain": 0.9, "loops": 3, "shar
 @example(FULL_TURN, 0.3, None)  # transformers turn one bus past half a turn, another not
 @example(LONE_ANGLE, 0.3, 107)  # behind a phase-shifting transformer, all that is known of an area's power
 @example(TWO_ANGLES, 0.6, 0)  # magnitudes and angles tell each other's, across a transformer's tap, too
+@example(SHORT_CURRENT, 0.3, None)  # a step from next to the minimum leads to another, at J of 4e7
 @given(GRIDS, st.sampled_from([0.0, 0.3, 0.6]), st.one_of(st.none(), st.integers(0, 1000)))
 def test_any_grid_with_any_meters_reaches_it(grid, loss, gross_errors):
     feeder = make_grid(**grid)
