@@ -10,6 +10,7 @@ import numpy as np
 from dsse_core.errors import EstimationDivergedError, InvalidInputError, NotObservableError
 from dsse_core.estimation import EstimationResult, estimate_with_plan, plan_scan
 from dsse_core.estimation_plan import BackendChoice, EstimationPlan
+from dsse_core.gauss_newton import LAST_STEP
 from dsse_core.measurement import Measurement, MeasurementKind
 from dsse_core.network import Network
 
@@ -82,7 +83,7 @@ def process_bad_data(
     *,
     reference: int | None = None,
     start: tuple[np.ndarray, np.ndarray] | None = None,
-    tolerance: float = 1e-6,
+    tolerance: float = LAST_STEP,
     confidence: float = CONFIDENCE,
     threshold: float = THRESHOLD,
     backend: BackendChoice = "auto",
@@ -103,7 +104,7 @@ def process_bad_data_with_plan(
     sigmas: np.ndarray,
     *,
     start: tuple[np.ndarray, np.ndarray] | None = None,
-    tolerance: float = 1e-6,
+    tolerance: float = LAST_STEP,
     confidence: float = CONFIDENCE,
     threshold: float = THRESHOLD,
 ) -> BadDataReport:

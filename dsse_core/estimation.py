@@ -12,6 +12,7 @@ import scipy.sparse as sp
 from dsse_core.augmented import AugmentedFactor
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation_plan import Backend, BackendChoice, EstimationPlan, build_estimation_plan
+from dsse_core.gauss_newton import LAST_STEP, MOST_STEPS
 from dsse_core.measurement import Measurement, Source, check_measurements, check_readings
 from dsse_core.network import Network
 from dsse_core.sparse_estimation import estimate_sparse
@@ -112,8 +113,8 @@ def estimate_state(
     *,
     reference: int | None = None,
     start: tuple[np.ndarray, np.ndarray] | None = None,
-    tolerance: float = 1e-6,
-    max_iterations: int = 50,
+    tolerance: float = LAST_STEP,
+    max_iterations: int = MOST_STEPS,
     backend: BackendChoice = "auto",
 ) -> EstimationResult:
     """The estimate of one scan: ``build_estimation_plan``, which says what ``reference`` and ``backend`` are, and
@@ -146,19 +147,20 @@ def estimate_with_plan(
     sigmas: np.ndarray,
     *,
     start: tuple[np.ndarray, np.ndarray] | None = None,
-    tolerance: float = 1e-6,
-    max_iterations: int = 50,
+    tolerance: float = LAST_STEP,
+    max_iterations: int = MOST_STEPS,
 ) -> EstimationResult:
     """Find the state that minimises J(x) = (z - h(x))' W (z - h(x)), W = diag(1 / sigma^2) (eqs. 3.8-3.14).
 
     ``values``, ``sigmas`` (n_meas,): the readings of the plan's meters. Virtual ones hold exactly; their sigma does
-    not count. Gauss-Newton until max |dx| < ``tolerance`` and the whole step, taken in full, lowers J by next to
-    nothing (GRADIENT); no step moves a voltage by more than MAX_DVM and MAX_DVA. From the flat start current
-    magnitudes enter once the others have told where flows go: before, they have several minima.
+    not count. Gauss-Newton until the steps taken say that the next one is the last (``gauss_newton.is_last``); no step
+    moves a voltage by more than MAX_DVM and MAX_DVA. From the flat start current magnitudes enter once the others have
+    told where flows go: before, they have several minima.
 
     Args:
         start: (vm, va) in network order, such as the last scan's; its angle of the reference is kept. By default the
             flat start, and there the set-point of the slack bus, 0 elsewhere.
+        tolerance: what the last step may move, p.u. and rad, where steps shrink no faster than by one rate.
 
     Raises:
         InvalidInputError: readings that cannot be.

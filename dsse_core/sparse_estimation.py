@@ -11,7 +11,16 @@ import scipy.sparse as sp
 from dsse_core.admittance import build_admittance, flat_start
 from dsse_core.augmented import AugmentedFactor, AugmentedPattern
 from dsse_core.errors import EstimationDivergedError
-from dsse_core.gauss_newton import FLOWS_KNOWN, FULL_STEPS, GRADIENT, LARGEST_STEP, MAX_DVA, MAX_DVM, Solution
+from dsse_core.gauss_newton import (
+    FLOWS_KNOWN,
+    FULL_STEPS,
+    LARGEST_STEP,
+    MAX_DVA,
+    MAX_DVM,
+    NOT_YET,
+    Solution,
+    is_last,
+)
 from dsse_core.measurement import MeasurementKind, Meter
 from dsse_core.measurement_model import MeasurementModel, build_measurement_model
 from dsse_core.network import Network
@@ -76,26 +85,29 @@ def estimate_sparse(
     """
     steps = _Steps(plan, sigmas)
     x = plan.start if start is None else np.concatenate([start[1], start[0]])
-    flows_known, step = start is not None or not len(steps.currents), np.inf
+    flows_known = start is not None or not len(steps.currents)
+    step, before, share = NOT_YET
     for iteration in range(1, max_iterations + 1):
+        last = flows_known and is_last(step, before, len(steps.currents) > 0, tolerance)
         h, H = plan.linearize(x)
         r = plan.model.subtract(values, h)
         try:
-            dx, gain = steps.solve(H, r, flows_known, nearby=step < SMALL_STEP, at_start=x is plan.start)
+            dx = steps.solve(H, r, flows_known, nearby=step < SMALL_STEP, at_start=x is plan.start, last=last)
         except RuntimeError:  # SuperLU: singular away from the no-load state, where the rank was full
             raise _diverged(plan, sigmas, r, iteration, np.inf) from None
-        step = float(abs(dx).max(initial=0.0))
+        taken, share_before = step, share
+        step, share = _measure(dx, len(x) // 2 - 1, 1.0 if iteration <= FULL_STEPS else 0.5)
+        before = taken if share == share_before else 0.0
         if not step <= LARGEST_STEP:
             raise _diverged(plan, sigmas, r, iteration, step)
-        share = _share_of(dx, len(x) // 2 - 1)
-        small = step < tolerance and share == 1.0
         x = x.copy()
-        x[plan.free] += dx * (share if small or iteration <= FULL_STEPS else min(share, 0.5))
-        if small and flows_known and gain <= GRADIENT * max(1, len(values) - len(plan.free)):
+        x[plan.free] += share * dx
+        if last:
             va, vm = np.split(x, 2)
             r = plan.model.subtract(values, plan.model.predict(x))
             return vm, va, r, steps.objective(r), iteration
-        flows_known = flows_known or step < FLOWS_KNOWN
+        if not flows_known and step < FLOWS_KNOWN:
+            flows_known, (step, before, share) = True, NOT_YET
     raise _diverged(plan, sigmas, r, max_iterations, step)
 
 
@@ -113,9 +125,9 @@ class _Steps:
         self._with_currents = False
 
     def solve(
-        self, H: sp.csr_array, r: np.ndarray, with_currents: bool, *, nearby: bool, at_start: bool
-    ) -> tuple[np.ndarray, float]:
-        """The step dx, (n_free,), and its expected gain |H dx|^2 in units of sigma; without currents: rows of 0."""
+        self, H: sp.csr_array, r: np.ndarray, with_currents: bool, *, nearby: bool, at_start: bool, last: bool
+    ) -> np.ndarray:
+        """The step dx, (n_free,); without currents: rows of 0. What is not the ``last`` one the next one corrects."""
         if not with_currents:
             H.data[self._of_currents] = 0.0
             r = r.copy()
@@ -125,9 +137,9 @@ class _Steps:
             found = self._factor.solve_nearby(H, r, self._multipliers)
         if found is None:
             self._factor, self._with_currents = self._find_factor(H, at_start), with_currents
-            found = self._factor.solve(r, np.zeros(H.shape[1]), refined=False)  # the next step corrects it
+            found = self._factor.solve(r, np.zeros(H.shape[1]), refined=last)
         self._multipliers, dx = found
-        return dx, self.objective(H @ dx)
+        return dx
 
     def _find_factor(self, H: sp.csr_array, at_start: bool) -> AugmentedFactor:
         kept, sigmas = self._plan.at_start, self._sigmas.tobytes()
@@ -145,10 +157,10 @@ class _Steps:
         return float(weighted @ weighted)
 
 
-def _share_of(dx: np.ndarray, n_angles: int) -> float:
-    """The part of the step [dva; dvm] that MAX_DVA and MAX_DVM allow."""
+def _measure(dx: np.ndarray, n_angles: int, largest_share: float) -> tuple[float, float]:
+    """The largest entry of the step [dva; dvm], and the part of it that MAX_DVA and MAX_DVM allow."""
     dva, dvm = (float(abs(part).max(initial=0.0)) for part in (dx[:n_angles], dx[n_angles:]))
-    return 1.0 / max(1.0, dva / MAX_DVA, dvm / MAX_DVM)
+    return max(dva, dvm), 1.0 / max(1.0 / largest_share, dva / MAX_DVA, dvm / MAX_DVM)
 
 
 def _diverged(

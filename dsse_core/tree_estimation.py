@@ -8,7 +8,7 @@ from types import ModuleType
 import numpy as np
 
 from dsse_core.errors import EstimationDivergedError
-from dsse_core.gauss_newton import GRADIENT, Solution
+from dsse_core.gauss_newton import Solution
 from dsse_core.measurement import check_readings
 from dsse_core.tree_plan import N_SLOT, TreePlan
 
@@ -36,7 +36,7 @@ def estimate_on_tree(
     state, residual = np.empty((2, n)), np.empty(len(values))
     end, iterations, step, objective = compiled.estimate(
         plan.parent, plan.admittance, plan.order, plan.slot, exact, v, va, start is not None, plan.has_currents,
-        float(tolerance), max_iterations, GRADIENT * max(1, len(values) - (2 * n - 1)), values, sigmas, state, residual,
+        float(tolerance), max_iterations, values, sigmas, state, residual,
     )  # fmt: skip
     if end == compiled.UNUSABLE:
         check_readings(plan.network, plan.meters, values, sigmas)

@@ -6,26 +6,24 @@ import math
 
 import numpy as np
 
-from dsse_core.gauss_newton import FLOWS_KNOWN, FULL_STEPS, LARGEST_STEP, MAX_DVA, MAX_DVM
-from dsse_core.measurement_model import CURRENT_FLOOR
+from dsse_core import gauss_newton
+from dsse_core.gauss_newton import FLOWS_KNOWN, FULL_STEPS, LARGEST_STEP, MAX_DVA, MAX_DVM, NOT_YET
 from dsse_core.tree_block import N_INVERSE, compiled, modulus, scaled, wrap
 from dsse_core.tree_kernel import N_FACTOR, N_MORE, SMALL_ANGLE, STEP, eliminate, substitute
 
 CONVERGED, TOO_MANY, LEFT, UNUSABLE = 0, 1, 2, 3
+is_last = compiled(gauss_newton.is_last)
 
 
 @compiled
 def estimate(
     parent, Y, order, slot, exact, start, start_va, flows_known, has_currents,
-    tolerance, max_iterations, gradient, values, sigmas, state, residual,
+    tolerance, max_iterations, values, sigmas, state, residual,
 ):  # fmt: skip
     """The whole estimate in one call: for small networks, calls and arrays made in Python take longer than solving.
 
     Fills ``state`` (2, n_bus), vm and va in network order, and ``residual`` (n_meas,), makes ``sigmas`` 0 where a
     reading is ``exact``, and returns how it ended, iterations, last step and J. UNUSABLE: readings that cannot be.
-
-    The end: max |dx| < ``tolerance``, and the step, taken in full, lowers J by less than ``gradient``, which is the
-    square of the norm of the gradient of J in the metric of the state's covariance, by which scale and units drop out.
     """
     if not _are_usable(exact, values, sigmas):
         return UNUSABLE, 0, np.inf, np.inf
@@ -35,24 +33,26 @@ def estimate(
     store(slot, values, sigmas, z, w)
     above, factor, more = np.zeros((n, 16)), np.empty((n, N_FACTOR)), np.empty((n, N_MORE))
     block, step = np.empty((4, N_INVERSE)), np.empty((n, 4))
-    end, iteration, largest, gain = TOO_MANY, 0, np.inf, np.inf
+    flows_known = flows_known or not has_currents
+    end, iteration, (largest, before, share) = TOO_MANY, 0, NOT_YET
     while end == TOO_MANY and iteration < max_iterations:
         iteration += 1
+        last = flows_known and is_last(largest, before, has_currents, tolerance)
         eliminate(parent, Y, z, w, v, va, flows_known, STEP, above, factor, more, block, step)
         substitute(parent, factor, step)
         dva, dvm, finite = _largest(v, step)
+        taken, share_before = largest, share
         largest = max(dva, dvm) if finite else np.inf
+        share = 1.0 / max(max(2.0 if iteration > FULL_STEPS else 1.0, dva / MAX_DVA), dvm / MAX_DVM)
+        before = taken if share == share_before else 0.0
         if not largest <= LARGEST_STEP:
             end = LEFT
             break
-        small = largest < tolerance and dva <= MAX_DVA and dvm <= MAX_DVM
-        if small:
-            gain = expected_gain(parent, Y, w, v, flows_known, step)
-        halved = iteration > FULL_STEPS and not small
-        _move(v, va, step, 1.0 / max(max(2.0 if halved else 1.0, dva / MAX_DVA), dvm / MAX_DVM), dva)
-        if small and gain <= gradient and (flows_known or not has_currents):
+        _move(v, va, step, share, dva)
+        if last:
             end = CONVERGED
-        flows_known = flows_known or largest < FLOWS_KNOWN
+        if not flows_known and largest < FLOWS_KNOWN:
+            flows_known, (largest, before, share) = True, NOT_YET
     predict(parent, Y, v, va, has_currents, z)
     for i in range(n):
         state[0, order[i]], state[1, order[i]] = modulus(v[i]), va[i]
@@ -154,45 +154,3 @@ def branch_powers(i, p, Y, v):
     m = v[i] * v[p].conjugate()
     own = scaled(Y[i, 0], v[i].real ** 2 + v[i].imag ** 2) + Y[i, 1] * m
     return own, scaled(Y[i, 2], v[p].real ** 2 + v[p].imag ** 2) + Y[i, 3] * m.conjugate()
-
-
-@compiled
-def expected_gain(parent, Y, w, v, currents, step):
-    """By how much the linear model expects the whole step to lower J: the sum of (H dx)^2 / sigma^2."""
-    n = len(parent)
-    gain = 0.0
-    injected = np.zeros(n, dtype=np.complex128)
-    for i in range(n - 1, -1, -1):
-        square = v[i].real ** 2 + v[i].imag ** 2
-        x = complex(step[i, 3], step[i, 2])
-        gain += w[i, 0] * x.imag**2 + w[i, 1] * square * x.real**2
-        d = injected[i] + scaled(Y[i, 7], 2.0 * square * x.real)
-        if i > 0:
-            p = parent[i]
-            xp = complex(step[p, 3], step[p, 2])
-            own, at_parent = branch_powers(i, p, Y, v)
-            ycc, ypp = scaled(Y[i, 0], square), scaled(Y[i, 2], v[p].real ** 2 + v[p].imag ** 2)
-            at_own_end = scaled(ycc, 2.0 * x.real) + (own - ycc) * (x + xp.conjugate())
-            at_its_end = scaled(ypp, 2.0 * xp.real) + (at_parent - ypp) * (xp + x.conjugate())
-            injected[p] += at_its_end
-            d += at_own_end
-            gain += w[i, 4] * at_its_end.real**2 + w[i, 5] * at_its_end.imag**2
-            gain += w[i, 7] * at_own_end.real**2 + w[i, 8] * at_own_end.imag**2
-            if currents and w[i, 6] > 0.0:
-                gain += w[i, 6] * _current_change(at_parent, at_its_end, xp.real, modulus(v[p])) ** 2
-            if currents and w[i, 9] > 0.0:
-                gain += w[i, 9] * _current_change(own, at_own_end, x.real, modulus(v[i])) ** 2
-        if w[i, 2] > 0.0:
-            gain += d.real**2 / w[i, 2]
-        if w[i, 3] > 0.0:
-            gain += d.imag**2 / w[i, 3]
-    return gain
-
-
-@compiled
-def _current_change(s, ds, dln, vm):
-    """d|i| of ``|i| = |s| / vm``."""
-    size = modulus(s)
-    if size <= CURRENT_FLOOR * vm:
-        return 0.0
-    return (s.conjugate() * ds).real / (size * vm) - size / vm * dln
