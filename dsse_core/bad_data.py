@@ -110,13 +110,15 @@ def process_bad_data_with_plan(
 ) -> BadDataReport:
     """Estimate; while J exceeds the chi-square limit, remove the largest normalised residual and repeat.
 
-    Voltmeters that read less than DEAD_VM are judged first, by the estimate without them.
+    Voltmeters that read less than DEAD_VM are judged first, by the estimate without them; where that does not exist
+    because nothing else determines the state, the scan is not observable, unless they confirm each other.
     Stops when the test passes or when no normalised residual exceeds ``threshold``. Equal residuals are
     broken by meter id; the others of the tie are reported as indistinguishable. A measurement without which
     the state is not observable is critical: it stays, and the next largest residual is looked at. If without
     a measurement the estimation diverges, the last good estimate stands, and ``detected`` with it.
 
     Raises:
+        NotObservableError: without voltmeters that read less than DEAD_VM, which it names.
         As ``estimate_with_plan``, about all readings.
     """
 
@@ -126,8 +128,12 @@ def process_bad_data_with_plan(
     def estimate_without(rows: Sequence[int], plan: EstimationPlan, *scan: np.ndarray) -> EstimationResult:
         return estimate(plan.without(rows), *(np.delete(readings, rows) for readings in scan))
 
-    dead, removed = _find_dead_voltmeters(plan, values, sigmas, estimate_without, threshold)
-    result = estimate_without(dead, plan, values, sigmas) if dead else estimate(plan, values, sigmas)
+    low = _find_low_voltmeters(plan, values)
+    try:
+        dead, removed = _find_dead_voltmeters(low, plan, values, sigmas, estimate_without, threshold)
+        result = estimate_without(dead, plan, values, sigmas) if dead else estimate(plan, values, sigmas)
+    except NotObservableError as gap:
+        result, removed = _confirm_low_voltages(low, plan, values, sigmas, estimate, confidence, gap), []
     kept: set[str] = set()  # critical, found out by trying
     while _exceeds_limit(result, confidence) and (found := _find_worst(result, threshold, kept)):
         row, worst = found
@@ -150,30 +156,37 @@ def process_bad_data_with_plan(
     )
 
 
+def _find_low_voltmeters(plan: EstimationPlan, values: np.ndarray) -> list[int]:
+    """Positions of the voltmeters that read less than DEAD_VM."""
+    low = np.flatnonzero(np.asarray(values) < DEAD_VM).tolist()
+    return [k for k in low if plan.meters[k].kind is MeasurementKind.VM]
+
+
 def _find_dead_voltmeters(
+    low: Sequence[int],
     plan: EstimationPlan,
     values: np.ndarray,
     sigmas: np.ndarray,
     estimate_without: Callable[[Sequence[int], EstimationPlan, np.ndarray, np.ndarray], EstimationResult],
     threshold: float,
 ) -> tuple[list[int], list[RemovedMeasurement]]:
-    """Voltmeters below DEAD_VM that the estimate without them contradicts, with their positions; none where there is
-    no such estimate.
+    """Voltmeters ``low`` that the estimate without them contradicts, with their positions; none where it diverges.
 
     (z - vm) / sqrt(sigma^2 + sigma_vm^2) is the normalised residual of the meter in the linear model, but taken
     at a state that the reading has not moved.
+
+    Raises:
+        NotObservableError: the other meters do not determine the state.
     """
-    low = np.flatnonzero(np.asarray(values) < DEAD_VM).tolist()
-    suspects = [k for k in low if plan.meters[k].kind is MeasurementKind.VM]
-    if not suspects:
+    if not low:
         return [], []
     try:
-        result = estimate_without(suspects, plan, values, sigmas)
-    except (InvalidInputError, NotObservableError, EstimationDivergedError):
+        result = estimate_without(low, plan, values, sigmas)
+    except (InvalidInputError, EstimationDivergedError):
         return [], []  # the estimate with all of them says what is wrong
     sigma_vm, _ = result.state_sigma()
     rows, dead = [], []
-    for k in suspects:
+    for k in low:
         m = Measurement(plan.meters[k], float(values[k]), float(sigmas[k]))
         row = plan.network.row[m.meter.bus]
         normalized = float(abs(m.value - result.vm[row]) / np.hypot(m.sigma, sigma_vm[row]))
@@ -181,6 +194,35 @@ def _find_dead_voltmeters(
             rows.append(k)
             dead.append(RemovedMeasurement(m, normalized, ()))
     return rows, dead
+
+
+def _confirm_low_voltages(
+    low: Sequence[int],
+    plan: EstimationPlan,
+    values: np.ndarray,
+    sigmas: np.ndarray,
+    estimate: Callable[[EstimationPlan, np.ndarray, np.ndarray], EstimationResult],
+    confidence: float,
+    gap: NotObservableError,
+) -> EstimationResult:
+    """The estimate with voltmeters ``low``, without which there is a ``gap``, where they confirm each other.
+
+    Each must be one that the others could replace, and all readings together must pass the chi-square test: else
+    the state would follow a dead meter, and good meters would be removed until nothing contradicts it.
+
+    Raises:
+        NotObservableError: they do not.
+    """
+    if not plan.indispensable[list(low)].any():
+        try:
+            result = estimate(plan, values, sigmas)
+        except EstimationDivergedError:
+            pass
+        else:
+            if not _exceeds_limit(result, confidence):
+                return result
+    left_out = [f"{plan.meters[k]} reads {float(values[k]):.3g} p.u., below {DEAD_VM:g}" for k in low]
+    raise NotObservableError(gap.buses, gap.cures, left_out) from None
 
 
 def _exceeds_limit(result: EstimationResult, confidence: float) -> bool:

@@ -31,18 +31,24 @@ class PowerFlowDivergedError(DsseError):
 
 
 class NotObservableError(DsseError):
-    """The measurements do not determine the state; names the buses and a meter that would cure it."""
+    """The measurements do not determine the state; names the buses and a meter that would cure it.
 
-    def __init__(self, buses: Sequence[int], cures: Sequence[str]) -> None:
+    ``left_out``: meters that are not believed, each with its reading, as text.
+    """
+
+    def __init__(self, buses: Sequence[int], cures: Sequence[str], left_out: Sequence[str] = ()) -> None:
         self.buses = tuple(buses)
         self.cures = tuple(cures)
+        self.left_out = tuple(left_out)
         names = ", ".join(str(b) for b in self.buses)
         remedy = (
             "any one of these added meters would cure it: " + "; ".join(self.cures)
             if self.cures
             else "no single added meter would cure it; add meters among these buses"
         )
-        super().__init__(f"the measurements do not determine the state of bus {names}; {remedy}")
+        them = "it" if len(self.left_out) == 1 else "them"
+        without = f"{'; '.join(self.left_out)}: left out as dead; without {them} " if self.left_out else ""
+        super().__init__(f"{without}the measurements do not determine the state of bus {names}; {remedy}")
 
 
 class EstimationDivergedError(DsseError):

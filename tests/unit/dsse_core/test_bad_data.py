@@ -7,9 +7,9 @@ import pytest
 import scipy.stats
 
 from dsse_core.bad_data import chi_square_limit, find_critical, normalized_residuals
-from dsse_core.errors import EstimationDivergedError
+from dsse_core.errors import EstimationDivergedError, NotObservableError
 from dsse_core.estimation import estimate_with_plan
-from dsse_core.measurement import MeasurementKind, Meter, Source
+from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.network import Control, Generator
 from dsse_core.power_flow import solve_power_flow
 from scenarios.scenario import load_scenario
@@ -210,6 +210,30 @@ def test_a_dead_voltmeter_is_identified(name, dead, reading, process):
     assert report.removed[0].normalized_residual > 100
     assert not report.detected
     np.testing.assert_allclose(report.result.vm, telemetry.truth.vm, atol=0.01)
+
+
+@pytest.mark.parametrize("reading", [0.0, 0.05, 0.3, 0.45])
+def test_a_dead_only_voltmeter_is_not_believed_and_takes_no_good_meter_with_it(reading, process):
+    scenario = load_scenario("ieee33")
+    union = [m for m in make_telemetry(scenario).union if m.meter.kind is not Kind.VM or m.meter.id == "vm@1"]
+    readings = [replace(m, value=reading) if m.meter.id == "vm@1" else m for m in union]
+    with pytest.raises(NotObservableError) as caught:
+        process(scenario.network, readings)
+    assert caught.value.left_out == (f"vm@1 (vm of bus 1) reads {reading:g} p.u., below 0.5",)
+    assert set(caught.value.buses) == {bus.id for bus in scenario.network.buses}
+    assert str(caught.value).startswith("vm@1 (vm of bus 1) reads")
+
+
+def test_two_dead_voltmeters_do_not_confirm_each_other(process):
+    scenario = load_scenario("ieee33")
+    chosen = {"vm@1", "vm@18"}
+    union = make_telemetry(scenario).union
+    sigma = next(m.sigma for m in union if m.meter.id == "vm@1")
+    readings = [m for m in union if m.meter.kind is not Kind.VM]
+    readings += [Measurement(Meter(Kind.VM, bus), 0.3, sigma) for bus in (1, 18)]
+    with pytest.raises(NotObservableError) as caught:
+        process(scenario.network, readings)
+    assert {text.split()[0] for text in caught.value.left_out} == chosen
 
 
 def test_a_low_voltage_that_the_other_meters_confirm_is_no_dead_voltmeter(chain, meters_of, read, process):
