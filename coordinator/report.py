@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from coordinator.result import AreaResult, RunResult, Verdict
-from dsse_core.bad_data import BadDataReport
+from dsse_core.bad_data import BadDataReport, SuspectKept
 from dsse_core.power_flow import PowerFlowResult
 from scenarios.scenario import Scenario
 
@@ -144,12 +144,23 @@ def _format_bad_data(report: BadDataReport) -> list[str]:
             + (f"; the data cannot tell it from {', '.join(others)}" if others else "")
         )
     if report.detected:
-        lines.append("bad data is still detected, but no normalised residual stands out")
+        lines.append(f"bad data is still detected{_format_suspect(report.suspect)}")
     elif not report.removed:
         lines.append("no bad data detected")
     if report.critical:
         lines.append(f"critical, their errors cannot be seen: {', '.join(report.critical)}")
     return lines
+
+
+def _format_suspect(suspect: SuspectKept | None) -> str:
+    """Why bad data that are still detected were not removed."""
+    if suspect is None:
+        return ", but no normalised residual stands out"
+    reason = {
+        "critical": "without it the state is not determined",
+        "diverges": "without it the estimate does not converge",
+    }[suspect.reason]
+    return f": {suspect.meter} has the largest normalised residual, {suspect.normalized_residual:.3g}, but {reason}"
 
 
 def format_check(scenario: Scenario) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from dsse_core.errors import EstimationDivergedError, InvalidInputError, NotObse
 from dsse_core.estimation import EstimationResult, estimate_with_plan, plan_scan
 from dsse_core.estimation_plan import BackendChoice, EstimationPlan
 from dsse_core.gauss_newton import LAST_STEP
-from dsse_core.measurement import Measurement, MeasurementKind
+from dsse_core.measurement import Measurement, MeasurementKind, Meter
 from dsse_core.network import Network
 
 # Omega_ii / R_ii below which a residual says nothing about its measurement: what meters 1e6 times coarser leave.
@@ -32,11 +33,20 @@ class RemovedMeasurement:
 
 
 @dataclass(frozen=True)
+class SuspectKept:
+    """A meter above the threshold that stays, and why: it is critical, or without it the estimation diverges."""
+
+    meter: Meter
+    normalized_residual: float
+    reason: Literal["critical", "diverges"]
+
+
+@dataclass(frozen=True)
 class BadDataReport:
     """The clean estimate and how it was reached.
 
     ``critical``: ids of the meters that cannot be spared, whatever they read. ``detected``: the chi-square limit
-    is still exceeded.
+    is still exceeded; then ``suspect`` has the largest normalised residual, if that exceeds the threshold.
     """
 
     result: EstimationResult
@@ -46,6 +56,7 @@ class BadDataReport:
     objective: float
     chi_square_limit: float
     degrees_of_freedom: int
+    suspect: SuspectKept | None
 
 
 def chi_square_limit(degrees_of_freedom: int, confidence: float) -> float:
@@ -145,14 +156,16 @@ def process_bad_data_with_plan(
         except EstimationDivergedError:
             break
     critical = kept.union(find_critical(result))
+    detected = _exceeds_limit(result, confidence)
     return BadDataReport(
         result=result,
         removed=tuple(removed),
         critical=tuple(meter.id for meter in result.plan.meters if meter.id in critical),
-        detected=_exceeds_limit(result, confidence),
+        detected=detected,
         objective=result.objective,
         chi_square_limit=chi_square_limit(result.degrees_of_freedom, confidence),
         degrees_of_freedom=result.degrees_of_freedom,
+        suspect=_find_suspect(result, threshold, critical) if detected else None,
     )
 
 
@@ -246,3 +259,13 @@ def _find_worst(
         normalized_residual=float(normalized[first]),
         indistinguishable_from=tuple(sorted(meters[k].id for k in equal if k != first)),
     )
+
+
+def _find_suspect(result: EstimationResult, threshold: float, critical: Collection[str]) -> SuspectKept | None:
+    """The largest normalised residual where removal has ended, with what keeps its meter."""
+    normalized = normalized_residuals(result)
+    worst = int(np.argmax(normalized))
+    if normalized[worst] <= threshold:
+        return None
+    meter = result.plan.meters[worst]
+    return SuspectKept(meter, float(normalized[worst]), "critical" if meter.id in critical else "diverges")

@@ -2,6 +2,8 @@
 
 from collections.abc import Sequence
 
+BELIEVABLE = 5.0  # sigma; one reading in two million is farther off by noise alone
+
 
 class DsseError(Exception):
     """Base of every error that a caller may want to catch; its text is meant for the user."""
@@ -52,13 +54,23 @@ class NotObservableError(DsseError):
 
 
 class EstimationDivergedError(DsseError):
-    """Gauss-Newton did not reach the tolerance; names the measurement with the largest weighted residual."""
+    """Gauss-Newton did not end; names the measurement with the largest weighted residual.
 
-    def __init__(self, iterations: int, step: float, worst: str) -> None:
+    ``weighted_residual``: its size in units of sigma. Only where it is large can that reading be the cause.
+    """
+
+    def __init__(self, iterations: int, step: float, worst: str, weighted_residual: float) -> None:
         self.iterations = iterations
         self.step = step
         self.worst = worst
+        self.weighted_residual = weighted_residual
+        advice = (
+            "no reading contradicts the others: look for branches of next to no impedance, sigmas many decades apart, "
+            "and current magnitudes where no flow is measured"
+            if weighted_residual < BELIEVABLE
+            else "check that meter's value, sign and unit"
+        )
         super().__init__(
             f"state estimation did not converge in {iterations} iterations (last step {step:.3g}); the largest "
-            f"weighted residual is that of {worst}; check that meter's value, sign and unit"
+            f"weighted residual is that of {worst}, {weighted_residual:.3g} sigma; {advice}"
         )

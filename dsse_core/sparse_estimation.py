@@ -167,4 +167,5 @@ def _diverged(
     plan: SparsePlan, sigmas: np.ndarray, r: np.ndarray, iterations: int, step: float
 ) -> EstimationDivergedError:
     weighted = abs(r) / np.where(sigmas > 0, sigmas, np.inf)
-    return EstimationDivergedError(iterations, step, str(plan.meters[int(np.argmax(weighted))]))
+    worst = int(np.argmax(weighted))
+    return EstimationDivergedError(iterations, step, str(plan.meters[worst]), float(weighted[worst]))

@@ -41,9 +41,9 @@ def estimate_on_tree(
     if end == compiled.UNUSABLE:
         check_readings(plan.network, plan.meters, values, sigmas)
     if end != compiled.CONVERGED:
-        weighted = residual / np.where(sigmas > 0, sigmas, np.inf)
-        worst = plan.meters[int(np.argmax(abs(weighted)))] if len(plan.meters) else "no meter"
-        raise EstimationDivergedError(iterations, step, str(worst))
+        weighted = abs(residual) / np.where(sigmas > 0, sigmas, np.inf)
+        worst = int(np.argmax(weighted))
+        raise EstimationDivergedError(iterations, step, str(plan.meters[worst]), float(weighted[worst]))
     return state[0], state[1], residual, objective, iterations
 
 

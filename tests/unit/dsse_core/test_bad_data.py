@@ -185,7 +185,7 @@ def test_where_a_removal_makes_the_estimation_diverge_the_last_good_estimate_sta
 
     def diverge_after_a_removal(plan, values, sigmas, **options):
         if len(values) < len(wrong):
-            raise EstimationDivergedError(50, 1.0, "vm@2")
+            raise EstimationDivergedError(50, 1.0, "vm@2", 30.0)
         return estimate_with_plan(plan, values, sigmas, **options)
 
     monkeypatch.setattr("dsse_core.bad_data.estimate_with_plan", diverge_after_a_removal)
@@ -193,6 +193,8 @@ def test_where_a_removal_makes_the_estimation_diverge_the_last_good_estimate_sta
     assert report.detected
     assert report.removed == ()
     assert report.objective == complete.objective
+    assert report.suspect.reason == "diverges"
+    assert report.suspect.normalized_residual == normalized_residuals(complete).max() > 3
     assert [m.meter.id for m in report.result.measurements] == [m.meter.id for m in wrong]
 
 
@@ -285,6 +287,7 @@ def test_many_small_deviations_are_detected_but_nothing_is_removed(noisy33, proc
     moved = [replace(m, value=truth.read(m.meter) + 1.5 * m.sigma * rng.choice([-1, 1])) for m in noisy]
     report = process(network, moved, threshold=3.5)
     assert report.detected
+    assert report.suspect is None
     assert report.removed == ()
     assert report.objective >= report.chi_square_limit
 

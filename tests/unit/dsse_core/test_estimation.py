@@ -277,6 +277,20 @@ def test_a_state_that_explains_nothing_is_refused_with_the_worst_meter(chain, me
     assert caught.value.iterations <= MOST_STEPS
 
 
+def test_a_reading_that_fits_is_not_blamed_for_an_estimate_that_does_not_end(rich, meters_of, read, estimate):
+    perfect = read(solve_power_flow(rich), meters_of(rich, Kind.VM, *FLOWS))
+    with pytest.raises(EstimationDivergedError, match="no reading contradicts the others") as caught:
+        estimate(rich, perfect, max_iterations=2)
+    assert caught.value.weighted_residual < 5
+    assert "sign and unit" not in str(caught.value)
+    wrong = [replace(m, value=-m.value) if m.meter.id == "p_flow@3:3-4" else m for m in perfect]
+    with pytest.raises(
+        EstimationDivergedError, match=r"p_flow@3:3-4 .* check that meter's value, sign and unit"
+    ) as caught:
+        estimate(rich, [replace(m, sigma=1e-3) for m in wrong], max_iterations=2)
+    assert caught.value.weighted_residual > 5
+
+
 def test_wrong_measurements_are_all_reported_at_once(rich, estimate):
     wrong = [
         Measurement(Meter(Kind.VM, 10), 1.0, 0.0),

@@ -1,0 +1,30 @@
+"""What `dsse estimate` says of bad data that it cannot remove."""
+
+from dataclasses import replace
+
+import pytest
+
+from coordinator.report import format_estimate
+from dsse_core.bad_data import SuspectKept, process_bad_data
+from dsse_core.measurement import MeasurementKind, Meter
+from scenarios.scenario import load_scenario
+from scenarios.telemetry import make_telemetry
+
+
+@pytest.fixture(scope="module")
+def detected():
+    scenario = load_scenario("industrial13")
+    return replace(process_bad_data(scenario.network, make_telemetry(scenario).union), detected=True, suspect=None)
+
+
+def test_a_residual_that_stands_out_is_not_said_not_to(detected):
+    for reason, text in (("critical", "is not determined"), ("diverges", "does not converge")):
+        suspect = SuspectKept(Meter(MeasurementKind.VM, 4), 21.9, reason)
+        report = format_estimate(replace(detected, suspect=suspect), None)
+        assert "still detected: vm@4 (vm of bus 4) has the largest normalised residual, 21.9, but without it" in report
+        assert text in report
+        assert "stands out" not in report
+
+
+def test_where_none_does_it_is_said(detected):
+    assert "still detected, but no normalised residual stands out" in format_estimate(detected, None)
