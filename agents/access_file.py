@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 
 import tomli_w
@@ -12,6 +11,7 @@ from agents.access import Access
 from agents.area_reader import describe_schema_error
 from agents.keys import NAME
 from dsse_core.bounded_file import LARGEST_TOML, read_text
+from dsse_core.bounded_parsing import parse_toml
 from dsse_core.errors import InvalidInputError
 
 ACCESS_FILE = "access.toml"
@@ -31,11 +31,11 @@ def load_access(path: Path) -> Access:
     """
     what = f"access file {path}, which `dsse keys create SCENARIO` writes"
     try:
-        table = _FileTable.model_validate(tomllib.loads(read_text(path, largest=LARGEST_TOML, what=what)))
-    except tomllib.TOMLDecodeError as error:
-        raise InvalidInputError(what, [f"is not TOML: {error}"]) from None
+        table = _FileTable.model_validate(parse_toml(read_text(path, largest=LARGEST_TOML, what=what)))
     except ValidationError as error:
         raise InvalidInputError(what, [describe_schema_error(e) for e in error.errors()]) from None
+    except ValueError as error:
+        raise InvalidInputError(what, [f"is not TOML: {error}"]) from None
     problems = []
     for area, neighbours in table.neighbours.items():
         if not NAME.fullmatch(area):

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import json
-import tomllib
 import typing
 from collections import Counter
 from collections.abc import Iterator
@@ -19,6 +17,7 @@ from pydantic_core import PydanticCustomError
 from agents.area_file import AreaFile, keys_of
 from agents.keys import NAME
 from dsse_core.bounded_file import LARGEST_JSON, LARGEST_TOML, read_text
+from dsse_core.bounded_parsing import parse_json, parse_toml
 from dsse_core.errors import InvalidInputError
 from dsse_core.limits import LONGEST_S
 from dsse_core.link_faults import LinkFaults
@@ -66,8 +65,8 @@ def _read_tables(what: str, path: Path) -> Any:
     is_json = path.suffix == ".json"
     text = read_text(path, largest=LARGEST_JSON if is_json else LARGEST_TOML, what=what)
     try:
-        table = json.loads(text, object_pairs_hook=_take_each_once) if is_json else tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # of the two readers, or integers that Python cannot hold
+        table = parse_json(text) if is_json else parse_toml(text)
+    except ValueError as error:
         raise InvalidInputError(what, [f"is not {'JSON' if is_json else 'TOML'}: {error}"]) from None
     if isinstance(table, dict) and not {"area", "local_slack"} & table.keys():
         raise InvalidInputError(what, ["is no area file; `dsse split SCENARIO --out DIR` writes one for each area"])
@@ -88,15 +87,6 @@ def _network_of(what: str, t: Any) -> Network:
         )
     except InvalidInputError as error:
         raise InvalidInputError(what, [f"network: {problem}" for problem in error.problems]) from None
-
-
-def _take_each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """A table of JSON, whose reader would take the last of two values."""
-    table = dict(pairs)
-    if len(table) < len(pairs):
-        twice = next(key for key, count in Counter(key for key, _ in pairs).items() if count > 1)
-        raise ValueError(f"key {twice!r} is given twice; keep one of them")
-    return table
 
 
 def _items_of(cls: type[T], table: Any) -> tuple[T, ...]:

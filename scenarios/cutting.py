@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from dsse_core.blocks import Block, find_blocks
 from dsse_core.errors import InvalidInputError
 from dsse_core.network import Network
-from scenarios.strict_toml import suggest
+from scenarios.wording import Suggestions
 
 MAX_NAMED = 8  # branches of a loop that a message lists
 
@@ -78,12 +78,13 @@ def cut_at(network: Network, switches: Sequence[str]) -> dict[str, list[int]]:
 
 def _find_switch_problems(network: Network, blocks: Sequence[Block], switches: Sequence[str]) -> list[str]:
     block_of = {branch.id: block for block in blocks for branch in block.branches}
+    suggestions = Suggestions(block_of)
     problems = []
     for name, count in Counter(switches).items():
         if count > 1:
             problems.append(f"branch {name} is named {count} times; name it once")
         if name not in network.branch_by_id:
-            problems.append(f"there is no branch {name!r}{suggest(name, block_of)}")
+            problems.append(f"there is no branch {name!r}{suggestions.find(name)}")
         elif name not in block_of:
             problems.append(f"branch {name} is out of service, so that it joins nothing; leave it out")
         elif len(loop := block_of[name].branches) > 1:

@@ -12,6 +12,7 @@ from dsse_core.limits import LONGEST_S
 from dsse_core.link_faults import LinkFaults
 from dsse_core.partition import Partition
 from scenarios.fault_tables import BurstTable, FaultsTable, LieTable, LinkTable, LoadFaultTable
+from scenarios.wording import listed
 
 Link = tuple[str, str]
 """(sending area, receiving area)."""
@@ -145,7 +146,7 @@ def find_name_problems(table: FaultsTable, areas: Collection[str] | None, router
     """Names of no area or process; nothing as long as no areas are known (None). ``routers``: how many there are."""
     if areas is None:
         return
-    known = ", ".join(areas)
+    known = listed(areas)
     for name in table.load_error:
         if name not in areas:
             yield f"faults.load_error.{name}: there is no area {name!r}; areas: {known}"
@@ -157,7 +158,7 @@ def find_name_problems(table: FaultsTable, areas: Collection[str] | None, router
         processes = () if event.kind == "cut" else PROCESSES[: 1 + routers]
         for name in event.names:
             if name not in areas and name not in processes:
-                allowed = ", ".join([*areas, *processes])
+                allowed = listed([*areas, *processes])
                 why = ' with transport.kind = "neighbours"' if not routers and name in ROUTERS else ""
                 why = " with transport.routers = 1" if routers == 1 and name in ROUTERS else why
                 yield f"faults.events[{i}].{event.kind}: there is no {name!r}{why}; allowed: {allowed}"
@@ -167,13 +168,14 @@ def find_link_problems(table: FaultsTable, partition: Partition) -> Iterable[str
     """Links between areas that are no neighbours, or that are given twice."""
     links = find_links(partition)
     areas = {area.name for area in partition.areas}
-    pairs = ", ".join(f"{a} to {b}" for a, b in links) or "none"
-    named = [(link.from_, link.to) for link in table.link]
-    for i, link in enumerate(named):
+    pairs = listed([f"{a} to {b}" for a, b in links]) or "none"
+    given: set[tuple[str, str]] = set()
+    for i, link in enumerate((link.from_, link.to) for link in table.link):
         if set(link) <= areas and link not in links:
             yield f"faults.link[{i}]: {link[0]} and {link[1]} are not neighbours; links: {pairs}"
-        if link in named[:i]:
+        if link in given:
             yield f"faults.link[{i}]: the link from {link[0]} to {link[1]} is given twice; keep one"
+        given.add(link)
     for i, event in enumerate(table.events):
         if event.kind == "cut" and set(event.names) <= areas and event.names not in links:
             yield f"faults.events[{i}].cut: {' and '.join(event.names)} are not neighbours; links: {pairs}"

@@ -15,7 +15,8 @@ from pydantic import Field, model_validator
 from dsse_core.errors import InvalidInputError
 from dsse_core.network import Branch, Bus, Control, Generator, Network
 from scenarios.shipped_files import find_shipped
-from scenarios.strict_toml import Table, load_strict, suggest
+from scenarios.strict_toml import Table, load_strict
+from scenarios.wording import suggest
 from scenarios.zero_impedances import find_zero_impedance_problems
 
 Positive = Annotated[float, Field(gt=0)]

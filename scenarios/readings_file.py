@@ -18,7 +18,7 @@ from dsse_core.errors import InvalidInputError
 from dsse_core.limits import LARGEST_SIGMA, SMALLEST_SIGMA
 from dsse_core.measurement import Measurement, MeasurementKind, Meter, find_meter_problems
 from dsse_core.network import Network
-from scenarios.strict_toml import suggest
+from scenarios.wording import suggest
 
 KIND = MeasurementKind
 UNITS: Mapping[str, frozenset[MeasurementKind]] = {

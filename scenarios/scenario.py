@@ -22,7 +22,8 @@ from scenarios.network_file import load_case, load_network
 from scenarios.readings_file import load_readings
 from scenarios.scenario_file import CountTable, ScenarioFile, SwitchesTable
 from scenarios.shipped_files import find_shipped
-from scenarios.strict_toml import load_strict, suggest
+from scenarios.strict_toml import load_strict
+from scenarios.wording import Suggestions, suggest
 
 AreaBuses = Mapping[str, Sequence[int]]
 RESERVED = {"all", "coordinator", "plant", "router", "router2"}
@@ -255,16 +256,18 @@ def _find_gross_error_problems(file: ScenarioFile, meters: Collection[Meter]) ->
         return  # the ids of all meters of a large grid take their time
     ids = {meter.id for meter in meters if meter.source is not Source.VIRTUAL}
     virtual = {meter.id for meter in meters if meter.source is Source.VIRTUAL}
-    named = [error.meter for error in file.telemetry.gross_error]
-    for i, meter in enumerate(named):
+    example, suggestions = min(ids, default="vm@1"), Suggestions(ids)
+    given: set[str] = set()
+    for i, meter in enumerate(error.meter for error in file.telemetry.gross_error):
         key = f"telemetry.gross_error[{i}].meter"
         if meter in virtual:
             yield f"{key}: {meter} is an exact zero injection, no meter reads it; choose another meter"
         elif meter not in ids:
-            example = min(ids, default="vm@1")
-            yield f"{key}: {meter!r} is no meter of this scenario; an id looks like {example}{suggest(meter, ids)}"
-        if meter in named[:i]:
+            hint = suggestions.find(meter)
+            yield f"{key}: {meter!r} is no meter of this scenario; an id looks like {example}{hint}"
+        if meter in given:
             yield f"{key}: {meter} is given twice; keep one"
+        given.add(meter)
 
 
 def _build_scenario(

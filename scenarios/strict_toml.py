@@ -6,17 +6,17 @@ A file whose name ends in ``.json`` holds the same tables as JSON, which is read
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Iterable, Mapping
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Tag, ValidationError
-from pydantic_core import ErrorDetails, from_json
+from pydantic_core import ErrorDetails
 
 from dsse_core.bounded_file import LARGEST_JSON, LARGEST_TOML, read_text
+from dsse_core.bounded_parsing import parse_json, parse_toml
 from dsse_core.errors import InvalidInputError
+from scenarios.wording import suggest
 
 KINDS_OF_FILES = {
     frozenset({"bus", "branch"}): 'a network file; give a scenario file, which names it by network = "{name}"',
@@ -42,13 +42,12 @@ def load_strict(path: Path, model: type[Model], changes: Mapping[str, object] | 
         InvalidInputError: the file cannot be read, is not TOML (with line and column), or does not fit the
             model: every problem with its key path (list items count from 0) and, for unknown keys, what is allowed.
     """
-    text = read_text(path, largest=LARGEST_JSON if path.suffix == ".json" else LARGEST_TOML)
+    is_json = path.suffix == ".json"
+    text = read_text(path, largest=LARGEST_JSON if is_json else LARGEST_TOML)
     try:
-        content = from_json(text) if path.suffix == ".json" else tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # of the two readers, or dates and integers that Python cannot hold
-        language = "JSON" if path.suffix == ".json" else "TOML"
-        deep = "it nests too deeply" if isinstance(error, RecursionError) else error
-        raise InvalidInputError(str(path), [f"not valid {language}: {deep}"]) from None
+        content = parse_json(text) if is_json else parse_toml(text)
+    except ValueError as error:
+        raise InvalidInputError(str(path), [f"not valid {'JSON' if is_json else 'TOML'}: {error}"]) from None
     if problems := [problem for key, value in (changes or {}).items() if (problem := _change(content, key, value))]:
         raise InvalidInputError(str(path), problems)
     try:
@@ -89,12 +88,6 @@ def _change(content: Any, key: str, value: object) -> str | None:
         else:
             content = content[step]
     return None
-
-
-def suggest(word: str, allowed: Iterable[str]) -> str:
-    """``"; did you mean 'x'?"`` when one of ``allowed`` is close to ``word``, else nothing."""
-    close = get_close_matches(word, list(allowed), n=1)
-    return f"; did you mean {close[0]!r}?" if close else ""
 
 
 def _describe(model: type[Table], error: ErrorDetails) -> str:

@@ -13,8 +13,7 @@ from dsse_core.admittance import build_admittance
 from dsse_core.errors import InvalidInputError
 from dsse_core.measurement import Measurement, Meter
 from dsse_core.network import Branch, Bus, Control, Network
-
-LONGEST_LIST = 12
+from scenarios.wording import listed
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,10 +158,3 @@ def fused_remarks(representative: Mapping[int, int], by: str) -> list[Remark]:
         if bus != root:
             groups.setdefault(root, []).append(bus)
     return [Remark("fused", f"bus {listed(group)} into bus {root}, joined by {by}") for root, group in groups.items()]
-
-
-def listed(items: Collection[object]) -> str:
-    """``1, 2, 3``, the end of a long list only counted."""
-    shown = [str(item) for item in list(items)[:LONGEST_LIST]]
-    more = len(items) - len(shown)
-    return ", ".join(shown) + (f" and {more} more" if more else "")

@@ -9,9 +9,10 @@ from dsse_core.bounded_file import read_text
 from dsse_core.errors import InvalidInputError
 from dsse_core.network import Branch, Bus, Control, Generator, Network
 from scenarios.importers.fused_branches import fuse_zero_impedances
-from scenarios.importers.imported import Imported, Remark, leave_out_islands, listed, without_buses
+from scenarios.importers.imported import Imported, Remark, leave_out_islands, without_buses
 from scenarios.importers.matpower_program import BASE_KV, BR_R, BR_X, PD, QD, Case, Matrix, run_program
 from scenarios.network_file import default_branch_id
+from scenarios.wording import listed
 
 BUS_I, BUS_TYPE, GS, BS, VA_BUS = 0, 1, 4, 5, 8
 F_BUS, T_BUS, BR_B, TAP, SHIFT, BR_STATUS = 0, 1, 4, 8, 9, 10

@@ -20,7 +20,6 @@ from scenarios.importers.imported import (
     Remark,
     add_shunts,
     fused_remarks,
-    listed,
     load_extra,
     open_end_shunt,
 )
@@ -29,6 +28,7 @@ from scenarios.importers.matpower_program import BASE_KV, BR_R, BR_X, PD, QD
 from scenarios.importers.pandapower_checks import find_broken, find_unsupported
 from scenarios.importers.pandapower_objects import find_foreign_objects
 from scenarios.network_file import default_branch_id
+from scenarios.wording import listed
 from scenarios.zero_impedances import refuse_zero_impedances
 
 BRANCHES = ("line", "trafo", "impedance", "switch")

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from scenarios.importers.imported import listed
+from scenarios.wording import listed
 
 PLACE, POSITIVE, NUMBER, FLAG = "the index of a bus", "a positive number", "a number", "true or false"
 ANYTHING = "anything"

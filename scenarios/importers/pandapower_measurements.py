@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.measurement import Measurement, MeasurementKind, Meter
-from scenarios.importers.imported import Remark, combine_readings, listed, sum_readings
+from scenarios.importers.imported import Remark, combine_readings, sum_readings
+from scenarios.wording import listed
 
 if TYPE_CHECKING:
     from scenarios.importers.pandapower import Conversion

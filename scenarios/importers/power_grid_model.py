@@ -21,12 +21,12 @@ from scenarios.importers.imported import (
     fuse,
     fused_remarks,
     leave_out_islands,
-    listed,
     load_extra,
     open_end_shunt,
 )
 from scenarios.importers.power_grid_model_branches import BUILDERS
 from scenarios.network_file import default_branch_id
+from scenarios.wording import listed
 from scenarios.zero_impedances import refuse_zero_impedances
 
 BASE_VA = 1e6

@@ -13,9 +13,10 @@ import pytest
 from dsse_core.bounded_file import LARGEST_TOML, read_text
 from dsse_core.errors import InvalidInputError
 from scenarios.importers import import_grid
-from scenarios.network_file import load_case
+from scenarios.network_file import load_case, load_network
 from scenarios.readings_file import load_readings
 from scenarios.scenario import load_scenario
+from scenarios.wording import MOST_COMPARISONS
 
 READERS = [
     ("scenario.toml", load_scenario),
@@ -140,3 +141,37 @@ def test_the_module_would_be_imported_by_pandapower_itself(evil: Path):
         pandapower.from_json_string(json.dumps(net))
     assert evil.exists()
     sys.modules.pop("evil_module", None)
+
+
+def test_a_network_file_of_json_with_a_key_twice_is_refused(tmp_path: Path):
+    path = tmp_path / "network.json"
+    path.write_text('{"name": "a", "base_mva": 1, "base_mva": 100}')
+    with pytest.raises(InvalidInputError, match="not valid JSON: key 'base_mva' is given twice; keep one of them"):
+        load_network(path)
+
+
+def test_twenty_thousand_unknown_ids_are_not_all_compared_with_all_ids(monkeypatch: pytest.MonkeyPatch):
+    compared = []
+
+    def count(word: str, words, n: int) -> list[str]:
+        compared.append(len(words))
+        return []
+
+    monkeypatch.setattr("scenarios.wording.get_close_matches", count)
+    unknown = [f"x{k}" for k in range(20_000)]
+    switches = {"areas": {"switches": unknown}}
+    with pytest.raises(InvalidInputError) as caught:
+        load_scenario("ieee33", changes=switches)
+    gross = [{"meter": name, "sigmas": 1.0} for name in unknown]
+    with pytest.raises(InvalidInputError) as caught_too:
+        load_scenario("ieee33", changes={"telemetry.gross_error": gross})
+    assert len(caught.value.problems) == len(caught_too.value.problems) == 20_000
+    assert 0 < sum(compared) <= 2 * MOST_COMPARISONS
+
+
+def test_wrong_names_do_not_each_list_all_right_ones(tmp_path: Path):
+    links = [{"from": "x", "to": f"y{k}", "loss": 0.1} for k in range(50)]
+    with pytest.raises(InvalidInputError) as caught:
+        load_scenario("ieee33", changes={"areas": {"count": 30}, "faults": {"link": links}})
+    assert "areas: area1, area2, " in str(caught.value)
+    assert all(len(problem) < 300 for problem in caught.value.problems)

@@ -1,0 +1,86 @@
+"""JSON and TOML texts as trees, within limits of depth and work, each key once. Above it, two strangers read files."""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from collections import Counter
+from typing import Any
+
+DEEPEST_KEY = 8  # parts of a key of TOML that dots join
+MOST_KEY_PARTS = 1_000_000  # of all headers and dotted keys; Python's reader takes 1 kB for each
+MOST_VALUES = 30_000_000  # of JSON; a network of a million buses has 10 million
+
+STRINGS_AND_COMMENTS = re.compile(
+    r'"""(?:[^"\\]++|\\.|"(?!""))*+(?:"{3,5}+|\Z)'  # without an end: to where the reader stops
+    r"|'''(?:[^']++|'(?!''))*+(?:'{3,5}+|\Z)"
+    r'|"(?:[^"\\\n]++|\\.)*+"?'
+    r"|'[^'\n]*+'?"
+    r"|\#[^\n]*+",
+    re.DOTALL,
+)
+HEADER = re.compile(r"^[ \t]*+\[", re.MULTILINE)
+DOTTED = re.compile(r"(?<![\w-])[\w-]++(?:[ \t]*+\.[ \t]*+[\w-]++)++([ \t]*+[=\]])?", re.ASCII)
+"""Keys, and numbers with a point."""
+
+
+def parse_json(text: str) -> Any:
+    """The tree of a JSON text.
+
+    Raises:
+        ValueError: it is no JSON, has a key twice in one object, nests too deeply, has too many values, or an integer
+            that Python does not hold.
+    """
+    values = sum(map(text.count, ",[{"))
+    if values > MOST_VALUES:
+        raise ValueError(f"it has {values:,} values, the limit is {MOST_VALUES:,}")
+    try:
+        return json.loads(text, object_pairs_hook=_take_each_once)
+    except RecursionError:
+        raise ValueError("it nests too deeply") from None
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """The tables of a TOML text.
+
+    Raises:
+        ValueError: it is no TOML (with line and column), nests too deeply, has a key of too many parts or too many
+            of them, or an integer or a date that Python does not hold.
+    """
+    _check_keys(text)
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise ValueError("it nests too deeply") from None
+
+
+def _take_each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """An object of JSON, of whose equal keys other readers take the first, the last or all."""
+    table = dict(pairs)
+    if len(table) < len(pairs):
+        twice = next(key for key, count in Counter(key for key, _ in pairs).items() if count > 1)
+        raise ValueError(f"key {twice!r:.80} is given twice; keep one of them")
+    return table
+
+
+def _check_keys(text: str) -> None:
+    """Count the parts of keys before Python's reader, which needs the square of a key's depth, does.
+
+    Up to the first mistake, where that reader stops, this sees the same strings and comments as it does.
+    """
+    bare = STRINGS_AND_COMMENTS.sub(_blank_out, text)
+    total = len(HEADER.findall(bare))
+    for key in DOTTED.finditer(bare):
+        parts = key[0].count(".") + 1
+        if parts > DEEPEST_KEY:
+            line = bare.count("\n", 0, key.start()) + 1
+            raise ValueError(f"a key of {parts:,} parts joined by dots, the limit is {DEEPEST_KEY} (at line {line})")
+        total += parts if key[1] else 0
+    if total > MOST_KEY_PARTS:
+        raise ValueError(f"its headers and dotted keys have {total:,} parts, the limit is {MOST_KEY_PARTS:,}")
+
+
+def _blank_out(found: re.Match[str]) -> str:
+    """A string as one letter, which a part of a key may be; a comment as nothing; with all their ends of lines."""
+    return ("" if found[0].startswith("#") else "_") + "\n" * found[0].count("\n")

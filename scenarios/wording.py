@@ -1,0 +1,42 @@
+"""Words of error messages: long lists cut short, and what a misspelt name may have been."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass
+from difflib import get_close_matches
+
+LONGEST_LIST = 12
+MOST_COMPARISONS = 100_000
+LONGEST_WORD = 200
+
+
+def listed(items: Collection[object]) -> str:
+    """``1, 2, 3``, the end of a long list only counted."""
+    shown = [str(item) for item in list(items)[:LONGEST_LIST]]
+    more = len(items) - len(shown)
+    return ", ".join(shown) + (f" and {more} more" if more else "")
+
+
+@dataclass
+class Suggestions:
+    """Words close to others, until so many were compared that a list of wrong words would take long.
+
+    ``left``: how many more comparisons there may be, each some ten microseconds.
+    """
+
+    allowed: Collection[str]
+    left: int = MOST_COMPARISONS
+
+    def find(self, word: str) -> str:
+        """``"; did you mean 'x'?"`` when one of those allowed is close to ``word``, else nothing."""
+        self.left -= len(self.allowed)
+        if self.left < 0 or len(word) > LONGEST_WORD:
+            return ""
+        close = get_close_matches(word, self.allowed, n=1)
+        return f"; did you mean {close[0]!r}?" if close else ""
+
+
+def suggest(word: str, allowed: Iterable[str]) -> str:
+    """What ``Suggestions`` finds for a single word."""
+    return Suggestions(list(allowed)).find(word)

@@ -1,0 +1,80 @@
+"""Texts that two readers take differently, or that cost far more than their length, are refused unread."""
+
+from __future__ import annotations
+
+import tracemalloc
+
+import pytest
+
+from dsse_core import bounded_parsing
+from dsse_core.bounded_parsing import DEEPEST_KEY, parse_json, parse_toml
+
+DEEP = ".".join("a" * 40_000)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f"{DEEP} = 1",
+        f"[{DEEP}]",
+        f"[[ {DEEP} ]]",
+        "x = { " + " . ".join(["a"] * 9) + " = 1 }",
+        ".".join(['"a b"'] * 9) + " = 1",
+        ".".join(["'a.b'"] * 9) + " = 1",
+        ".".join(['"\\""'] * 9) + " = 1",
+        f'x = """\n"" \\""" """""\n{DEEP} = 1',
+        f"x = '''\n'' # \"\"\" '''''\n{DEEP} = 1",
+        f'x = "#" # "\n{DEEP} = 1',
+        f"x = '\\'\n{DEEP} = 1",
+    ],
+)
+def test_a_deep_key_does_not_reach_the_reader_that_takes_its_square(text: str) -> None:
+    tracemalloc.start()
+    try:
+        with pytest.raises(ValueError, match=r"a key of [\d,]+ parts joined by dots, the limit is 8 \(at line [1-3]\)"):
+            parse_toml(text)
+        assert tracemalloc.get_traced_memory()[1] < 40 * len(text) + 100_000
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        ".".join("a" * DEEPEST_KEY) + " = 1",
+        f"x = '{DEEP}'",
+        f'x = "\\"{DEEP}"',
+        f"x = 1 # {DEEP} = 1",
+        f'x = """\n{DEEP} = 1\n"""',
+        f"x = '''\n{DEEP} = 1\n'''",
+        "x = [1.5, 2.5e3, 1979-05-27T07:32:00.999999]",
+    ],
+)
+def test_what_only_looks_like_a_deep_key_is_read(text: str) -> None:
+    assert parse_toml(text)
+
+
+@pytest.mark.parametrize("text", ['x = """' + '\\"""' * 200_000, "'" * 400_001, '"' * 400_001, "a" * 2_000_000])
+def test_strings_without_an_end_are_looked_at_once(text: str) -> None:
+    with pytest.raises(ValueError, match="line|document"):
+        parse_toml(text)
+
+
+def test_more_headers_than_fit_into_memory_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bounded_parsing, "MOST_KEY_PARTS", 10)
+    assert parse_toml("[[a]]\nb.c = 1.5\n" * 3)
+    with pytest.raises(ValueError, match="headers and dotted keys have 12 parts, the limit is 10"):
+        parse_toml("[[a]]\nb.c = 1.5\n" * 4)
+
+
+@pytest.mark.parametrize("text", ['{"a": 1, "b": 2, "a": 3}', '[{"x": {"a": 1, "\\u0061": 1}}]'])
+def test_a_key_given_twice_is_refused_whatever_its_values(text: str) -> None:
+    with pytest.raises(ValueError, match="key 'a' is given twice; keep one of them"):
+        parse_json(text)
+
+
+def test_more_values_than_fit_into_memory_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bounded_parsing, "MOST_VALUES", 10)
+    assert parse_json("[" + "0," * 9 + "0]")
+    with pytest.raises(ValueError, match="it has 11 values, the limit is 10"):
+        parse_json("[" + "0," * 10 + "0]")
