@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
 from dsse_core.bounded_file import read_text
+from dsse_core.bounded_parsing import parse_json
 from dsse_core.errors import InvalidInputError
 from scenarios.importers.imported import Imported
 
@@ -36,15 +36,13 @@ def _read(path: Path, frequency_hz: float) -> Imported:
         raise InvalidInputError(str(path), [f"the ending {path.suffix!r} is not known; .m and .json are{hint}"])
     text = read_text(path)
     try:
-        content = json.loads(text)
-    except ValueError as error:  # more than JSONDecodeError: integers that Python cannot hold
+        content = parse_json(text)
+    except ValueError as error:
         raise InvalidInputError(str(path), [f"not JSON: {error}"]) from None
-    except RecursionError:
-        raise InvalidInputError(str(path), ["not JSON: it nests too deeply"]) from None
     if isinstance(content, dict) and content.get("_class") == "pandapowerNet":
         from scenarios.importers.pandapower import read_pandapower
 
-        return read_pandapower(path, text)
+        return read_pandapower(path, content)
     if isinstance(content, dict) and "is_batch" in content and "data" in content:
         if content["is_batch"] or content.get("type") != "input":
             problem = (
@@ -53,7 +51,7 @@ def _read(path: Path, frequency_hz: float) -> Imported:
             raise InvalidInputError(str(path), [problem])
         from scenarios.importers.power_grid_model import read_power_grid_model
 
-        return read_power_grid_model(path, frequency_hz)
+        return read_power_grid_model(path, content, frequency_hz)
     raise InvalidInputError(
         str(path), ["neither a pandapower network (to_json) nor power-grid-model input (json_serialize_to_file)"]
     )

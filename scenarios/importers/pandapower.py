@@ -26,7 +26,7 @@ from scenarios.importers.imported import (
 from scenarios.importers.matpower import BR_B, BS, BUS_I, F_BUS, GS, SHIFT, T_BUS, TAP
 from scenarios.importers.matpower_program import BASE_KV, BR_R, BR_X, PD, QD
 from scenarios.importers.pandapower_checks import find_broken, find_unsupported
-from scenarios.importers.pandapower_objects import find_foreign_objects
+from scenarios.importers.pandapower_objects import write_anew
 from scenarios.network_file import default_branch_id
 from scenarios.wording import listed
 from scenarios.zero_impedances import refuse_zero_impedances
@@ -52,16 +52,17 @@ class Conversion:
     open_ends: frozenset[tuple[str, int]]
 
 
-def read_pandapower(path: Path, text: str) -> Imported:
-    """Read ``text``, a pandapower network saved with ``pandapower.to_json`` in ``path``, and its measurement table.
+def read_pandapower(path: Path, tree: Any) -> Imported:
+    """Read a pandapower network and its measurement table.
+
+    ``tree``: of what ``pandapower.to_json`` saved in ``path``. pandapower gets it written anew.
 
     Raises:
         InvalidInputError: the file names objects that are no data; pandapower is missing or cannot read it; every
             element that the network model cannot hold; every measurement that no meter can be.
     """
     pandapower = load_extra("pandapower", "pandapower", str(path))
-    if foreign := list(find_foreign_objects(text)):
-        raise InvalidInputError(str(path), foreign)
+    text = write_anew(str(path), tree)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:

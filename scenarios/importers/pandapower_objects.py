@@ -1,21 +1,30 @@
 """Which objects a pandapower file may name: its reader imports their modules and builds them, so look before it does.
 
-Tables are JSON texts inside the JSON, and so may be what stands in their cells; every level is looked at.
+Tables are JSON texts inside the JSON, and so may be what stands in their cells. pandas reads these texts with a parser
+of its own, which takes what is no JSON. So only the parser here reads the texts of the file, and refuses what it does
+not understand; pandapower and pandas get texts that are written anew from what it has understood and checked.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
-TABLES = {("pandas.core.frame", "DataFrame"), ("pandas", "DataFrame")}
+from dsse_core.bounded_parsing import parse_json
+from dsse_core.errors import InvalidInputError
+
+NET = ("pandapower.auxiliary", "pandapowerNet")
+TABLES = {
+    ("pandas.core.frame", "DataFrame"),
+    ("pandas", "DataFrame"),
+    ("pandas.core.series", "Series"),
+    ("pandas", "Series"),
+}
 HARMLESS = (
     TABLES
     | {
-        ("pandapower.auxiliary", "pandapowerNet"),
-        ("pandas.core.series", "Series"),
-        ("pandas", "Series"),
+        NET,
         ("networkx", "MultiGraph"),
         ("builtins", "complex"),
         ("builtins", "tuple"),
@@ -30,69 +39,74 @@ HARMLESS = (
 HARMLESS_PACKAGES = ("pandapower.control.", "pandapower.protection.")
 """Whose objects stand in tables; their modules are pandapower's own."""
 KEYS = {"_module", "_class", "_object", "orient", "dtype", "is_multiindex", "is_multicolumn"}
-TABLE_KEYS = KEYS | {"index_name", "index_names", "column_name", "column_names"}
+TABLE_KEYS = KEYS | {"typ", "index_name", "index_names", "column_name", "column_names"}
 """Of a table; others would reach pandas' reader, which can be told to open files."""
+PLAIN_PACKAGES = ("numpy", "builtins")
+"""Of the objects made from numbers and texts; the text of any other object is JSON."""
 DEEPEST = 5  # levels of JSON text inside JSON text
 
-Pairs = list[tuple[str, Any]]
 
+def write_anew(what: str, tree: Any) -> str:
+    """The JSON text of ``tree``, a pandapower network, with the texts inside it written anew as well.
 
-def find_foreign_objects(text: str, level: int = 0) -> Iterator[str]:
-    """Every object that ``text`` names and that is none of those allowed; nothing is imported or built.
+    Nothing is imported or built. Texts that no parser reads, such as names, stay as they are.
 
     Raises:
-        ValueError, RecursionError: ``text`` is no JSON, or nests too deeply.
+        InvalidInputError: on ``what``, every object that is none of those allowed and every text that is no JSON.
     """
-    found: list[str] = []
-
-    def look(pairs: Pairs) -> dict[str, Any]:
-        found.extend(_find_problems_of(pairs))
-        for _, value in pairs:
-            look_into(value)
-        return {}
-
-    def look_into(value: Any) -> None:
-        if isinstance(value, list):
-            for item in value:
-                look_into(item)
-        elif isinstance(value, str) and value.lstrip()[:1] in ("{", "["):
-            found.extend(_find_inside(value, level + 1))
-
-    look_into(json.loads(text, object_pairs_hook=look))
-    yield from dict.fromkeys(found)
-
-
-def _find_inside(text: str, level: int) -> Iterator[str]:
-    if level > DEEPEST:
-        yield f"JSON texts stand inside each other more than {DEEPEST} times"
-        return
+    problems: list[str] = []
     try:
-        yield from find_foreign_objects(text, level)
-    except ValueError:
-        return  # a name such as "[old] line"; only what is JSON can name objects
+        text = json.dumps(_check(tree, problems, 0))
+    except RecursionError:
+        problems.append("it nests too deeply")
+    if problems:
+        raise InvalidInputError(what, list(dict.fromkeys(problems)))
+    return text
 
 
-def _find_problems_of(pairs: Pairs) -> Iterator[str]:
-    """``pairs``: of one JSON object, a key given twice included."""
-    keys = [key for key, _ in pairs]
-    modules = [value for key, value in pairs if key == "_module"]
-    classes = [value for key, value in pairs if key == "_class"]
-    if not modules and not classes:
+def _check(value: Any, problems: list[str], level: int) -> Any:
+    """``value`` with its texts of JSON written anew; ``level``: how many of them it stands in."""
+    if isinstance(value, list):
+        return [_check(item, problems, level) for item in value]
+    if not isinstance(value, dict):
+        return value
+    found = list(_find_problems_of(value))
+    problems += found
+    checked = {key: _check(item, problems, level) for key, item in value.items()}
+    if not found and isinstance(value.get("_object"), str) and value.get("_module") not in (None, *PLAIN_PACKAGES):
+        checked["_object"] = _check_text(value["_object"], problems, level + 1)
+    return checked
+
+
+def _check_text(text: str, problems: list[str], level: int) -> str:
+    if level > DEEPEST:
+        problems.append(f"JSON texts stand inside each other more than {DEEPEST} times")
+        return ""
+    try:
+        return json.dumps(_check(parse_json(text), problems, level))
+    except ValueError as error:
+        problems.append(f"an object whose content is no JSON but {_shown(text)} ({error})")
+        return ""
+
+
+def _find_problems_of(table: Mapping[str, Any]) -> Iterator[str]:
+    """What is wrong with a JSON object, if it stands for an object of Python."""
+    if "_module" not in table and "_class" not in table:
         return
-    named = f"{_shown(modules)}, class {_shown(classes)}"
-    if len(modules) != 1 or len(classes) != 1 or not all(isinstance(name, str) for name in (*modules, *classes)):
+    kind = (table.get("_module"), table.get("_class"))
+    named = f"{_shown(kind[0])}, class {_shown(kind[1])}"
+    if not (isinstance(kind[0], str) and isinstance(kind[1], str)):
         yield f"an object of module {named}: one text each is expected"
         return
-    kind = (modules[0], classes[0])
     if kind not in HARMLESS and not (kind[0].startswith(HARMLESS_PACKAGES) and kind[1] != "function"):
         yield f"an object of module {named}: reading the file would import and build it; take it out if it is needed"
     if kind in TABLES:
-        if foreign := sorted(set(keys) - TABLE_KEYS):
-            yield f"a table with the key {_shown(foreign)}; only {', '.join(sorted(TABLE_KEYS))} are known"
-        for content in (value for key, value in pairs if key == "_object" and isinstance(value, str)):
-            if content.lstrip()[:1] not in ("{", "["):
-                yield f"a table whose content is no JSON but {_shown([content])}"
+        if foreign := sorted(set(table) - TABLE_KEYS):
+            known = ", ".join(sorted(TABLE_KEYS))
+            yield f"a table with the key {', '.join(map(_shown, foreign[:5]))}; only {known} are known"
+        if not isinstance(table.get("_object"), str):
+            yield f"a table whose content is no text of JSON but {_shown(table.get('_object'))}"
 
 
-def _shown(values: list[Any]) -> str:
-    return ", ".join(ascii(str(value)[:80]) for value in values[:5]) or "none"
+def _shown(value: Any) -> str:
+    return "none" if value is None else ascii(str(value)[:80])

@@ -6,6 +6,7 @@ documentation, "Components": pi models whose series impedance stands at the to s
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -56,14 +57,16 @@ class Conversion:
     shunted: frozenset[int]
 
 
-def read_power_grid_model(path: Path, frequency_hz: float) -> Imported:
-    """Read power-grid-model input data (JSON), sensors included; ``frequency_hz`` turns capacitances into siemens.
+def read_power_grid_model(path: Path, tree: Any, frequency_hz: float) -> Imported:
+    """Read power-grid-model input data, sensors included; ``frequency_hz`` turns capacitances into siemens.
+
+    ``tree``: that of the JSON in ``path``. power-grid-model, which has a parser of its own, gets it written anew.
 
     Raises:
         InvalidInputError: power-grid-model is missing, or finds the data invalid; every component that the network
             model cannot hold; every sensor that no meter can be.
     """
-    data = _load(path)
+    data = _load(path, tree)
     try:
         conversion, remarks = _convert(path.stem, data, frequency_hz)
         names = {branch: _kind_of(data, component) for component, branch in conversion.branch_of.items()}
@@ -88,12 +91,12 @@ def read_power_grid_model(path: Path, frequency_hz: float) -> Imported:
     )
 
 
-def _load(path: Path) -> Data:
+def _load(path: Path, tree: Any) -> Data:
     utils = load_extra("power_grid_model.utils", "power-grid-model", str(path))
     validation = load_extra("power_grid_model.validation", "power-grid-model", str(path))
     enum = load_extra("power_grid_model", "power-grid-model", str(path))
     try:
-        loaded = utils.json_deserialize_from_file(path)
+        loaded = utils.json_deserialize(json.dumps(tree))
     except Exception as error:  # whatever a foreign reader raises
         raise InvalidInputError(str(path), [f"power-grid-model cannot read it: {error}"]) from None
     data = {str(getattr(name, "value", name)): table for name, table in loaded.items() if len(table)}

@@ -6,6 +6,7 @@ import importlib
 import json
 import os
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -61,13 +62,14 @@ def test_a_file_over_the_limit_is_refused_with_the_limit(tmp_path: Path):
 
 
 @pytest.fixture
-def evil(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def evil(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A file that appears when module ``evil_module`` is imported."""
     (tmp_path / "evil_module.py").write_text(
         f"import pathlib\npathlib.Path({str(tmp_path / 'taken_over')!r}).touch()\nclass Evil: pass\n"
     )
     monkeypatch.syspath_prepend(str(tmp_path))
-    return tmp_path / "taken_over"
+    yield tmp_path / "taken_over"
+    sys.modules.pop("evil_module", None)
 
 
 EVIL = {"_module": "evil_module", "_class": "Evil", "_object": "{}"}
@@ -115,9 +117,79 @@ def test_a_module_named_twice_or_in_escapes_is_seen_too(tmp_path: Path, evil: Pa
         path.write_text(
             '{"_class": "pandapowerNet", "_module": "pandapower.auxiliary", "_object": {"bus": ' + text + "}}"
         )
-        with pytest.raises(InvalidInputError, match=r"evil_module|one text each"):
+        with pytest.raises(InvalidInputError, match=r"evil_module|given twice"):
             import_grid(path)
     assert not evil.exists()
+
+
+LENIENT = {
+    "a number with a zero before it": ("[0]", "[00]"),
+    "a raw end of line in a text": ("index_name", "index\nname"),
+    "a raw tab in a text": ("index_name", "index\tname"),
+    "a key given twice": ('"index":', '"index": [5], "index":'),
+    "a mark of the order of bytes": ("{", "\ufeff{"),
+    "another end of the text": ("}]]}", "}]]} //"),
+}
+
+
+@pytest.mark.parametrize("kind", ["DataFrame", "Series"])
+@pytest.mark.parametrize("name", LENIENT)
+def test_a_text_that_pandas_reads_and_python_does_not_names_no_module(tmp_path: Path, evil: Path, name: str, kind: str):
+    strict, lenient = LENIENT[name]
+    text = json.dumps({"index": [0], "columns": ["object"], "data": [[{"index_name": 1} | EVIL]]})
+    assert strict in text
+    table = TABLE | {"_class": kind, "_module": "pandas", "_object": text.replace(strict, lenient, 1)}
+    net = {"_module": "pandapower.auxiliary", "_class": "pandapowerNet", "_object": {"bus": table}}
+    path = tmp_path / "net.json"
+    path.write_text(json.dumps(net))
+    with pytest.raises(InvalidInputError, match=r"evil_module|no JSON"):
+        import_grid(path)
+    assert not evil.exists()
+    assert "evil_module" not in sys.modules
+
+
+def test_pandapower_is_handed_what_was_written_anew_and_not_the_text_of_the_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    networks = pytest.importorskip("pandapower.networks")
+    pandapower = importlib.import_module("pandapower")
+    net = json.loads(pandapower.to_json(networks.case4gs()))
+    bus = net["_object"]["bus"]
+    bus["_object"] = (
+        json.dumps(json.loads(bus["_object"]), indent=3).replace("\n", "\r\n").replace('"geo"', '"\\u0067eo"')
+    )
+    path = tmp_path / "net.json"
+    path.write_text("\n" + json.dumps(net, indent=2))
+    handed: list[str] = []
+    read = pandapower.from_json_string
+    monkeypatch.setattr(pandapower, "from_json_string", lambda text: handed.append(text) or read(text))
+    assert len(import_grid(path).network.buses) == 4
+    (text,) = handed
+    assert text == json.dumps(json.loads(text))
+    inner = json.loads(text)["_object"]["bus"]["_object"]
+    assert inner == json.dumps(json.loads(inner))
+
+
+def test_power_grid_model_is_handed_what_was_written_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    utils = pytest.importorskip("power_grid_model.utils")
+    handed: list[str] = []
+    monkeypatch.setattr(utils, "json_deserialize", lambda text: handed.append(text) or {})
+    head = '"version": "1.0", "type": "input", "is_batch": false, "attributes": {}, '
+    (tmp_path / "grid.json").write_text("{ " + head + '"data": {"no\\u0064e": [{"id" : 1}]} }')
+    with pytest.raises(InvalidInputError):
+        import_grid(tmp_path / "grid.json")
+    assert handed == ["{" + head + '"data": {"node": [{"id": 1}]}}']
+    (tmp_path / "grid.json").write_text("{ " + head + '"data": {"node": [{"id": 1, "id": 2}]} }')
+    with pytest.raises(InvalidInputError, match="key 'id' is given twice"):
+        import_grid(tmp_path / "grid.json")
+
+
+def test_a_name_that_only_begins_like_json_is_a_name(tmp_path: Path):
+    networks = pytest.importorskip("pandapower.networks")
+    net = networks.case4gs()
+    net.bus["name"] = ["[old] bus", "{x", '{"_module": "x"}', "[00]"]
+    importlib.import_module("pandapower").to_json(net, str(tmp_path / "net.json"))
+    assert [bus.name for bus in import_grid(tmp_path / "net.json").network.buses] == list(net.bus["name"])
 
 
 @pytest.mark.parametrize("index", [[], "a", 1.5, -1, 10**12])
@@ -140,7 +212,6 @@ def test_the_module_would_be_imported_by_pandapower_itself(evil: Path):
     with pytest.raises(Exception):  # noqa: B017, PT011  # it refuses to build the class, but only after the import
         pandapower.from_json_string(json.dumps(net))
     assert evil.exists()
-    sys.modules.pop("evil_module", None)
 
 
 def test_a_network_file_of_json_with_a_key_twice_is_refused(tmp_path: Path):
