@@ -25,7 +25,7 @@ from scenarios.importers.imported import (
 )
 from scenarios.importers.matpower import BR_B, BS, BUS_I, F_BUS, GS, SHIFT, T_BUS, TAP
 from scenarios.importers.matpower_program import BASE_KV, BR_R, BR_X, PD, QD
-from scenarios.importers.pandapower_checks import find_broken, find_unsupported
+from scenarios.importers.pandapower_checks import find_broken, find_constant_currents, find_unsupported
 from scenarios.importers.pandapower_objects import write_anew
 from scenarios.network_file import default_branch_id
 from scenarios.wording import listed
@@ -39,6 +39,7 @@ COUNTED = ("line", "trafo", "impedance", "load", "gen", "shunt", "ward", "motor"
 class Conversion:
     """What pandapower made of its network, and how its elements are called here.
 
+    ``network`` has loads of constant power: what a load draws at which voltage does not matter where it is measured.
     ``sgen``: the static generators, which are out of service in ``net``.
     ``bus_of``: index of a supplied bus -> its bus id here; ``branch_of``: (element type, index) -> branch id;
     ``open_ends``: the branches that are now shunts, as (element type, index).
@@ -96,11 +97,12 @@ def read_pandapower(path: Path, tree: Any) -> Imported:
     from scenarios.importers.pandapower_measurements import read_measurements
 
     readings, reading_remarks = read_measurements(str(path), conversion)
-    converted = {"buses": len(conversion.network.buses)}
+    network = conversion.network if readings else _with_impedance_loads(str(path), conversion)
+    converted = {"buses": len(network.buses)}
     converted |= {name: int(net[name].in_service.sum()) for name in COUNTED if len(net[name])}
     converted["sgen"] = int(sgen.in_service.sum())
     return Imported(
-        network=conversion.network,
+        network=network,
         data_source=f"pandapower network {net.name or path.name}",
         converted=converted,
         remarks=(*remarks, *reading_remarks),
@@ -124,7 +126,7 @@ def _convert(name: str, net: Any, sgen: Any, ppc: dict[str, Any]) -> tuple[Conve
     network = Network(
         name=name,
         base_mva=base,
-        buses=tuple(_with_impedance_loads(net, buses, bus_of, base)),
+        buses=tuple(buses),
         branches=tuple(branches.values()),
         generators=tuple(_build_generators(net, sgen, bus_of, base)),
     )
@@ -153,21 +155,29 @@ def _build_bus(net: Any, row: Any, bus_id: int, base: float) -> Bus:
     )
 
 
-def _with_impedance_loads(net: Any, buses: list[Bus], bus_of: dict[int, int], base: float) -> list[Bus]:
-    """The share of loads that is a constant impedance, moved from the load to the shunt of its bus."""
+def _with_impedance_loads(what: str, conversion: Conversion) -> Network:
+    """The network with the share of loads that is a constant impedance moved from the load to the shunt of its bus.
+
+    Raises:
+        InvalidInputError: listing the loads of constant current.
+    """
+    net, network, bus_of = conversion.net, conversion.network, conversion.bus_of
+    if problems := list(find_constant_currents(net)):
+        raise InvalidInputError(what, problems)
     shunts: dict[int, complex] = {}
     for _, load in net.load[net.load.in_service].iterrows():
-        p = load.p_mw * load.scaling * load.get("const_z_p_percent", 0.0) / 100 / base
-        q = load.q_mvar * load.scaling * load.get("const_z_q_percent", 0.0) / 100 / base
+        p = load.p_mw * load.scaling * load.get("const_z_p_percent", 0.0) / 100 / network.base_mva
+        q = load.q_mvar * load.scaling * load.get("const_z_q_percent", 0.0) / 100 / network.base_mva
         if (p or q) and load.bus in bus_of:
             bus = bus_of[int(load.bus)]
             shunts[bus] = shunts.get(bus, 0j) + complex(p, -q)
-    return [
+    buses = [
         add_shunts(replace(b, p_load=b.p_load - y.real, q_load=b.q_load + y.imag), [y])
         if (y := shunts.get(b.id, 0j))
         else b
-        for b in buses
+        for b in network.buses
     ]
+    return replace(network, buses=tuple(buses))
 
 
 def _build_generators(net: Any, sgen: Any, bus_of: dict[int, int], base: float) -> list[Generator]:

@@ -151,6 +151,12 @@ def find_unsupported(net: Any) -> Iterator[str]:
     if len(sources) != 1:
         found = listed(sources) if sources else "none"
         yield f"exactly one source must hold voltage and angle (ext_grid, or gen with slack), found {found}"
+    if not len(net.measurement):
+        yield from find_constant_currents(net)
+
+
+def find_constant_currents(net: Any) -> Iterator[str]:
+    """Every load whose power the network model cannot compute; where it is measured, nothing needs to."""
     for part in ("p", "q"):
         column = f"const_i_{part}_percent"
         if column in net.load.columns and len(bad := net.load.index[net.load.in_service & (net.load[column] != 0)]):

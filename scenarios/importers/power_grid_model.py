@@ -46,11 +46,13 @@ Data = dict[str, Any]
 class Conversion:
     """The network made of ``data``, and how its components are called here.
 
+    ``measured``: there are sensors, so that a load draws what they say, at whatever voltage; else it has its own law.
     ``bus_of``: node -> bus; ``branch_of``: branch component or source -> branch id, the ``to`` bus of a source's branch
-    being its node; ``shunted``: nodes with shunts, loads and generators of constant impedance included.
+    being its node; ``shunted``: buses with shunts, which loads of constant impedance are, too, unless ``measured``.
     """
 
     data: Data
+    measured: bool
     network: Network
     bus_of: dict[int, int]
     branch_of: dict[int, str]
@@ -67,16 +69,13 @@ def read_power_grid_model(path: Path, tree: Any, frequency_hz: float) -> Importe
             model cannot hold; every sensor that no meter can be.
     """
     data = _load(path, tree)
-    try:
-        conversion, remarks = _convert(path.stem, data, frequency_hz)
-        names = {branch: _kind_of(data, component) for component, branch in conversion.branch_of.items()}
-        cure = "put a link in its place, or where it is a source, give it an sk above 1e15 VA"
-        refuse_zero_impedances(conversion.network, names, cure)
-    except InvalidInputError as error:
-        raise InvalidInputError(str(path), error.problems) from None
     from scenarios.importers.power_grid_model_sensors import read_sensors
 
+    measured = _has_sensors(data)
+    conversion, remarks = _convert_checked(path, data, frequency_hz, measured=measured)
     readings, sensor_remarks = read_sensors(str(path), conversion)
+    if measured and not readings:
+        conversion, remarks = _convert_checked(path, data, frequency_hz, measured=False)
     if "line" in data:
         remarks.append(Remark("note", f"line capacitances at {frequency_hz:g} Hz, which the file does not hold"))
     converted = {name: len(data[name]) for name in sorted(data) if name not in SENSORS}
@@ -89,6 +88,21 @@ def read_power_grid_model(path: Path, tree: Any, frequency_hz: float) -> Importe
         substation=conversion.bus_of[int(_working_source(data)["node"])],
         zero_injection=_find_zero_injections(conversion) if readings else "virtual",
     )
+
+
+def _convert_checked(path: Path, data: Data, frequency_hz: float, *, measured: bool) -> tuple[Conversion, list[Remark]]:
+    try:
+        conversion, remarks = _convert(path.stem, data, frequency_hz, measured=measured)
+        names = {branch: _kind_of(data, component) for component, branch in conversion.branch_of.items()}
+        cure = "put a link in its place, or where it is a source, give it an sk above 1e15 VA"
+        refuse_zero_impedances(conversion.network, names, cure)
+    except InvalidInputError as error:
+        raise InvalidInputError(str(path), error.problems) from None
+    return conversion, remarks
+
+
+def _has_sensors(data: Data) -> bool:
+    return any(name in data for name in SENSORS)
 
 
 def _load(path: Path, tree: Any) -> Data:
@@ -107,8 +121,7 @@ def _load(path: Path, tree: Any) -> Data:
     ]
     if foreign:
         raise InvalidInputError(str(path), foreign)
-    has_sensors = any(name in data for name in SENSORS)
-    purpose = enum.CalculationType.state_estimation if has_sensors else enum.CalculationType.power_flow
+    purpose = enum.CalculationType.state_estimation if _has_sensors(data) else enum.CalculationType.power_flow
     if errors := validation.validate_input_data(loaded, calculation_type=purpose, symmetric=True):
         raise InvalidInputError(str(path), [f"power-grid-model: {error} Ids: {_ids_of(error)}" for error in errors])
     return data
@@ -131,16 +144,16 @@ def rows(data: Data, name: str) -> Any:
     return data.get(name, ())
 
 
-def _convert(name: str, data: Data, frequency_hz: float) -> tuple[Conversion, list[Remark]]:
-    if problems := list(_find_problems(data)):
+def _convert(name: str, data: Data, frequency_hz: float, *, measured: bool) -> tuple[Conversion, list[Remark]]:
+    if problems := list(_find_problems(data, measured=measured)):
         raise InvalidInputError(name, problems)
     kv = {int(node["id"]): float(node["u_rated"]) / 1000 for node in data["node"]}
     closed = [link for link in rows(data, "link") if link["from_status"] and link["to_status"]]
     bus_of = fuse(kv, ((int(link["from_node"]), int(link["to_node"])) for link in closed))
     branches, branch_of, shunts = _build_branches(data, kv, bus_of, frequency_hz)
-    for node, shunt in _find_shunts(data, kv):
+    for node, shunt in _find_shunts(data, kv, measured=measured):
         shunts.setdefault(bus_of[node], []).append(shunt)
-    buses, generators = _build_buses(data, kv, bus_of)
+    buses, generators = _build_buses(data, kv, bus_of, measured=measured)
     source_bus, source_branch, slack = _build_source(data, kv, bus_of)
     if source_bus and source_branch:
         buses.append(source_bus)
@@ -162,17 +175,17 @@ def _convert(name: str, data: Data, frequency_hz: float) -> tuple[Conversion, li
     bus_of = {node: bus for node, bus in bus_of.items() if bus in known}
     ids = {branch.id for branch in network.branches}
     branch_of = {component: branch for component, branch in branch_of.items() if branch in ids}
-    return Conversion(data, network, bus_of, branch_of, frozenset(shunts)), remarks
+    return Conversion(data, measured, network, bus_of, branch_of, frozenset(shunts)), remarks
 
 
-def _find_problems(data: Data) -> Iterator[str]:
+def _find_problems(data: Data, *, measured: bool) -> Iterator[str]:
     sources = [source for source in rows(data, "source") if source["status"]]
     if len(sources) != 1:
         found = listed([f"source {source['id']} at node {source['node']}" for source in sources]) or "none"
         yield f"exactly one source must be in service, the substation; found {found}"
     for name in APPLIANCES:
         held = (CONSTANT_POWER, CONSTANT_IMPEDANCE)
-        if bad := [a for a in rows(data, name) if a["status"] and a["type"] not in held]:
+        if bad := [a for a in rows(data, name) if not measured and a["status"] and a["type"] not in held]:
             yield f"{name} {_ids(bad)}: constant current, which the network model cannot hold; make it constant power"
 
 
@@ -228,13 +241,13 @@ def _build_branches(
     return branches, branch_of, shunts
 
 
-def _find_shunts(data: Data, kv: dict[int, float]) -> Iterator[tuple[int, complex]]:
-    """(node, admittance in p.u.) of shunts and of loads and generators of constant impedance, in service."""
+def _find_shunts(data: Data, kv: dict[int, float], *, measured: bool) -> Iterator[tuple[int, complex]]:
+    """(node, admittance in p.u.) of shunts in service and, if not measured, of what else is a constant impedance."""
     for shunt in rows(data, "shunt"):
         if shunt["status"]:
             node = int(shunt["node"])
             yield node, complex(shunt["g1"], shunt["b1"]) * kv[node] ** 2
-    for name, sign in APPLIANCES.items():
+    for name, sign in () if measured else APPLIANCES.items():
         for a in rows(data, name):
             if a["status"] and a["type"] == CONSTANT_IMPEDANCE:
                 yield int(a["node"]), -sign * complex(_power(a, "p"), -_power(a, "q"))
@@ -245,12 +258,14 @@ def _power(appliance: Any, part: str) -> float:
     return 0.0 if math.isnan(value) else value / BASE_VA
 
 
-def _build_buses(data: Data, kv: dict[int, float], bus_of: dict[int, int]) -> tuple[list[Bus], list[Generator]]:
+def _build_buses(
+    data: Data, kv: dict[int, float], bus_of: dict[int, int], *, measured: bool
+) -> tuple[list[Bus], list[Generator]]:
     loads: dict[int, complex] = {}
     generators = []
     for name in APPLIANCES:
         for a in rows(data, name):
-            if not a["status"] or a["type"] != CONSTANT_POWER:
+            if not a["status"] or not (measured or a["type"] == CONSTANT_POWER):
                 continue
             bus, p, q = bus_of[int(a["node"])], _power(a, "p"), _power(a, "q")
             if name == "sym_load":

@@ -27,12 +27,6 @@ SIGN_AT_APPLIANCE = {LOAD: -1.0, GENERATOR: 1.0, SOURCE: 1.0}
 PARTS = (("p", KIND.P_INJECTION, KIND.P_FLOW), ("q", KIND.Q_INJECTION, KIND.Q_FLOW))
 
 
-@dataclass(frozen=True)
-class _Appliance:
-    bus: int
-    constant_impedance: bool
-
-
 @dataclass
 class _Reader:
     """The sensors read so far. ``of_appliances``: (kind, bus) -> appliance -> what its sensors say."""
@@ -45,13 +39,13 @@ class _Reader:
     remarks: list[Remark] = field(default_factory=list)
 
     @cached_property
-    def appliances(self) -> dict[int, _Appliance]:
-        """Loads, generators and a stiff source in service at supplied nodes; a source with an impedance is a branch."""
-        from scenarios.importers.power_grid_model import APPLIANCES, CONSTANT_IMPEDANCE, rows
+    def appliances(self) -> dict[int, int]:
+        """Loads, generators and a stiff source in service at supplied nodes -> bus; else a source is a branch."""
+        from scenarios.importers.power_grid_model import APPLIANCES, rows
 
         data, bus_of = self.conversion.data, self.conversion.bus_of
         return {
-            int(a["id"]): _Appliance(bus_of[int(a["node"])], name != "source" and int(a["type"]) == CONSTANT_IMPEDANCE)
+            int(a["id"]): bus_of[int(a["node"])]
             for name in (*APPLIANCES, "source")
             for a in rows(data, name)
             if a["status"] and int(a["node"]) in bus_of and int(a["id"]) not in self.conversion.branch_of
@@ -59,7 +53,7 @@ class _Reader:
 
     @cached_property
     def fed_buses(self) -> frozenset[int]:
-        return frozenset(appliance.bus for appliance in self.appliances.values())
+        return frozenset(self.appliances.values())
 
     @cached_property
     def source_nodes(self) -> frozenset[int]:
@@ -183,29 +177,23 @@ def _read_node(reader: _Reader, sensor: Any, node: int) -> None:
 
 
 def _read_appliance(reader: _Reader, sensor: Any, component: int, sign: float) -> None:
-    appliance = reader.appliances.get(component)
+    bus = reader.appliances.get(component)
     if component in reader.conversion.branch_of:  # a source behind its impedance
         _read_flow(reader, sensor, _end_of(reader, component, BRANCH_TO), -sign)
-    elif appliance is None:
+    elif bus is None:
         reader.unsupplied.append(int(sensor["id"]))
-    elif appliance.constant_impedance:
-        reader.problems.append(
-            f"sym_power_sensor {sensor['id']}: {component} is a constant impedance, a shunt here, whose power no meter "
-            "reads; make it constant power, or remove the sensor"
-        )
     else:
         for part, kind, _ in PARTS:
             if reading := _power_of(sensor, part, sign):
-                at = reader.of_appliances.setdefault((kind, appliance.bus), {})
-                at.setdefault(component, []).append(Measurement(Meter(kind, appliance.bus), *reading))
+                at = reader.of_appliances.setdefault((kind, bus), {})
+                at.setdefault(component, []).append(Measurement(Meter(kind, bus), *reading))
 
 
 def _sum_injections(reader: _Reader) -> Iterator[Measurement]:
     """The injections of the buses where every appliance is measured; the others are unknown whatever is measured."""
     at_bus: dict[int, set[int]] = {}
-    for component, appliance in reader.appliances.items():
-        if not appliance.constant_impedance:
-            at_bus.setdefault(appliance.bus, set()).add(component)
+    for component, bus in reader.appliances.items():
+        at_bus.setdefault(bus, set()).add(component)
     for (kind, bus), of_appliances in reader.of_appliances.items():
         if missing := at_bus[bus] - of_appliances.keys():
             text = (
