@@ -13,6 +13,7 @@ from agents.keys import NAME
 from dsse_core.bounded_file import LARGEST_TOML, read_text
 from dsse_core.bounded_parsing import parse_toml
 from dsse_core.errors import InvalidInputError
+from dsse_core.limits import LONGEST_NAME
 
 ACCESS_FILE = "access.toml"
 
@@ -39,7 +40,7 @@ def load_access(path: Path) -> Access:
     problems = []
     for area, neighbours in table.neighbours.items():
         if not NAME.fullmatch(area):
-            problems.append(f"neighbours: area {area!r} may only contain a-z, 0-9, _ and -")
+            problems.append(f"neighbours: area {area!r} may only contain a-z, 0-9, _ and -, {LONGEST_NAME} at most")
         for n in neighbours:
             if area not in table.neighbours.get(n, ()):
                 problems.append(f"neighbours.{area}: {n!r} does not name {area!r} as its neighbour; add it there")

@@ -16,8 +16,9 @@
 import re
 
 from agents.messages import Incarnation
+from dsse_core.limits import LONGEST_NAME
 
-NAME = re.compile(r"[a-z0-9_-]+")
+NAME = re.compile(rf"[a-z0-9_-]{{1,{LONGEST_NAME}}}")
 LIFE = re.compile(r"([0-9a-f]{1,14})-([0-9a-f]{8})")
 
 

@@ -126,20 +126,14 @@ def import_file(file: Path, out: Path, n_area: int, name: str | None, frequency_
     Example:  dsse import case33bw.m --areas 4 --out bw && dsse run bw/scenario.toml
     """
     from scenarios.importers import import_grid
-    from scenarios.importers.imported_files import FILES, write_imported
+    from scenarios.importers.imported_files import write_imported
 
-    if present := [name for name in FILES if (out / name).exists()]:
-        raise InvalidInputError(
-            f"folder {out}", [f"{name} is there already; choose another folder" for name in present]
-        )
     imported = import_grid(file, name=name, frequency_hz=frequency_hz)
-    path, summary = write_imported(out, imported, n_area)
-    show(summary)
-    _check(path)
-    show(f"next: dsse run {path}")
+    path, summary = write_imported(out, imported, n_area, lambda scenario: _check(scenario, file))
+    show(f"{summary}\nnext: dsse run {path}")
 
 
-def _check(path: Path) -> None:
+def _check(path: Path, source: Path) -> None:
     """Check a scenario that has just been written, which its source may make impossible to estimate."""
     from agents.strategies import STRATEGIES
     from scenarios.check import check_scenario
@@ -148,7 +142,7 @@ def _check(path: Path) -> None:
     try:
         check_scenario(load_scenario(path, strategies=tuple(STRATEGIES)))
     except InvalidInputError as error:
-        raise InvalidInputError(f"{path} is written, but cannot run as it is", error.problems) from None
+        raise InvalidInputError(f"{source} is read, but cannot be estimated as it is", error.problems) from None
 
 
 network_commands = (partition, generate, import_file)

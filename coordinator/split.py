@@ -9,12 +9,13 @@ from pathlib import Path
 from agents.area_file import AreaFile, save_area_file
 from agents.keys import NAME
 from dsse_core.errors import InvalidInputError
+from dsse_core.limits import LONGEST_NAME
 from scenarios.scenario import Scenario
 
 
 def default_run_id(scenario: Scenario) -> str:
     """The scenario's name, reduced to the letters that a key may contain."""
-    return re.sub(r"[^a-z0-9_-]+", "-", scenario.name.lower()).strip("-") or "run"
+    return re.sub(r"[^a-z0-9_-]+", "-", scenario.name.lower())[:LONGEST_NAME].strip("-") or "run"
 
 
 def area_files(
@@ -63,7 +64,7 @@ def check_run_id(given: str) -> str:
         InvalidInputError: it has letters that a key may not contain.
     """
     if not NAME.fullmatch(given):
-        raise InvalidInputError("run", [f"{given!r} may only contain a-z, 0-9, _ and -"])
+        raise InvalidInputError("run", [f"{given!r} may only contain a-z, 0-9, _ and -, {LONGEST_NAME} at most"])
     return given
 
 

@@ -20,6 +20,7 @@ SCENARIO = """\
 # Written by: {command}
 
 version = 1
+name = "{name}"
 description = "{description}"
 seed = {seed}
 network = "{network}"
@@ -88,6 +89,7 @@ def _format_scenario(
         flow_meters = "[" + ", ".join(f'"{network.branches[row - 1].id}"' for row in tree.heads) + "]"
     return SCENARIO.format(
         command=command,
+        name=f"{network.name}-{seed}",
         description=f"A made-up feeder of {n_bus} buses in {n_area} areas, {meters} meters",
         seed=seed,
         network=name_network_file(n_bus),

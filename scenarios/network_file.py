@@ -13,6 +13,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from dsse_core.errors import InvalidInputError
+from dsse_core.limits import LONGEST_NAME
 from dsse_core.network import Branch, Bus, Control, Generator, Network
 from scenarios.shipped_files import find_shipped
 from scenarios.strict_toml import Table, load_strict
@@ -20,7 +21,7 @@ from scenarios.wording import suggest
 from scenarios.zero_impedances import find_zero_impedance_problems
 
 Positive = Annotated[float, Field(gt=0)]
-BRANCH_ID = re.compile(r"[a-z0-9_-]+")
+BRANCH_ID = re.compile(rf"[a-z0-9_-]{{1,{LONGEST_NAME}}}")
 NOTHING = (None,) * 4
 
 
@@ -42,7 +43,9 @@ class BranchTable(Table):
     from_: int = Field(alias="from", description="id of the bus at the tap side")
     to: int = Field(description="id of the bus at the other end")
     id: str | None = Field(
-        default=None, pattern=f"^{BRANCH_ID.pattern}$", description="lower-case letters, digits, _ and -"
+        default=None,
+        pattern=f"^{BRANCH_ID.pattern}$",
+        description=f"at most {LONGEST_NAME} lower-case letters, digits, _ and -",
     )
     r_ohm: float | None = None
     x_ohm: float | None = None
@@ -235,7 +238,7 @@ def save_network(path: Path, network: Network, data_source: str) -> None:
     if path.suffix == ".json":
         path.write_text(json.dumps(head | rows), encoding="utf-8")
         return
-    lines = [f"{key} = {_toml(value)}" for key, value in head.items()]
+    lines = [f"{key} = {format_toml(value)}" for key, value in head.items()]
     for table, items in rows.items():
         lines += ["", f"{table} = [", *(f"    {_inline(item)}," for item in items), "]"]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
@@ -297,11 +300,11 @@ def _source_row(generator: Generator, base: float) -> dict[str, object]:
 
 
 def _inline(row: Mapping[str, object]) -> str:
-    return "{ " + ", ".join(f"{key} = {_toml(value)}" for key, value in row.items()) + " }"
+    return "{ " + ", ".join(f"{key} = {format_toml(value)}" for key, value in row.items()) + " }"
 
 
-def _toml(value: object) -> str:
-    """A TOML value; texts are JSON's, which are TOML's but for the delete character."""
+def format_toml(value: object) -> str:
+    """``value`` as TOML; texts are JSON's, which are TOML's but for the delete character."""
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, bool):

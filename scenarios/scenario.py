@@ -280,7 +280,7 @@ def _build_scenario(
     base_mva = partition.network.base_mva
     errors = {name: complex(e.p_mw, e.q_mvar) / base_mva for name, e in file.faults.load_error.items()}
     return Scenario(
-        name=path.stem,
+        name=file.name or path.stem,
         path=path,
         description=file.description,
         seed=file.seed,

@@ -6,12 +6,12 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BeforeValidator, Discriminator, Field, PlainValidator, StringConstraints, Tag, model_validator
 
-from dsse_core.limits import LARGEST_SIGMA, SMALLEST_SIGMA
+from dsse_core.limits import LARGEST_SIGMA, LONGEST_NAME, SMALLEST_SIGMA
 from scenarios.fault_tables import FaultsTable, Positive, Seconds
 from scenarios.strict_toml import Table
 
 Sigma = Annotated[float, Field(ge=SMALLEST_SIGMA, le=LARGEST_SIGMA)]
-AreaName = Annotated[str, StringConstraints(pattern=r"^[a-z0-9_-]+$")]
+AreaName = Annotated[str, StringConstraints(pattern=r"^[a-z0-9_-]+$", max_length=LONGEST_NAME)]
 
 SIGMA_PERCENT = "standard deviation in percent of the true value"
 SIGMA_PU = "standard deviation in p.u."
@@ -240,6 +240,9 @@ class ScenarioFile(Table):
     """A whole scenario file."""
 
     version: Literal[1] = Field(description="version of this format, 1")
+    name: str | None = Field(
+        default=None, min_length=1, max_length=LONGEST_NAME, description="what runs of it are called"
+    )
     description: str = Field(min_length=1, description="one line that says what the scenario shows")
     seed: int = Field(default=1, ge=0, description="seed of noise and losses")
     network: str = Field(

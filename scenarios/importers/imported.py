@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import importlib
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import Literal
 
 from dsse_core.admittance import build_admittance
 from dsse_core.errors import InvalidInputError
+from dsse_core.limits import LARGEST_SIGMA
 from dsse_core.measurement import Measurement, Meter
 from dsse_core.network import Branch, Bus, Control, Network
 from scenarios.wording import listed
+
+SAYS_NOTHING = f"with a standard deviation above {LARGEST_SIGMA:g} p.u., infinite ones included, which says nothing"
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +81,13 @@ def combine_readings(readings: Iterable[Measurement]) -> tuple[tuple[Measurement
 def sum_readings(meter: Meter, readings: Sequence[tuple[float, float]]) -> Measurement:
     """The reading of a sum whose terms (value, sigma) are measured independently."""
     return Measurement(meter, sum(v for v, _ in readings), math.sqrt(sum(s**2 for _, s in readings)))
+
+
+def loop_shunt(branch: Branch) -> complex:
+    """What a branch draws whose two ends are at one bus, as an admittance in p.u.: the sum of its four."""
+    ends = (Bus(branch.from_bus, 1.0), Bus(branch.from_bus + 1, 1.0))
+    apart = replace(branch, to_bus=branch.from_bus + 1, in_service=True)
+    return complex(build_admittance(Network("loop", 1.0, ends, (apart,))).ybus.toarray().sum())
 
 
 def open_end_shunt(branch: Branch, connected: int) -> complex:
@@ -158,3 +168,27 @@ def fused_remarks(representative: Mapping[int, int], by: str) -> list[Remark]:
         if bus != root:
             groups.setdefault(root, []).append(bus)
     return [Remark("fused", f"bus {listed(group)} into bus {root}, joined by {by}") for root, group in groups.items()]
+
+
+def find_source_problems(
+    sources: Sequence[tuple[str, int]], island_of: Mapping[int, int], how_to_split: str
+) -> Iterator[str]:
+    """Why a grid has not exactly one substation, and how to make of each island a grid that has.
+
+    ``sources``: of those that hold voltage and angle, the name and the bus. ``island_of``: bus -> any mark of its
+    island; a bus that is in none is left out.
+    """
+    islands: dict[int, list[str]] = {}
+    for name, bus in sources:
+        if bus in island_of:
+            islands.setdefault(island_of[bus], []).append(f"{name} at bus {bus}")
+    if not islands:
+        yield "no source in service holds voltage and angle; exactly one must, the substation"
+    for names in islands.values():
+        if len(names) > 1:
+            yield f"{listed(names)} feed one island; exactly one of them may hold voltage and angle, the substation"
+    if len(islands) > 1:
+        yield f"{len(islands)} islands have a substation each; import them one by one: {how_to_split}"
+        for mark, names in islands.items():
+            buses = [bus for bus, of in island_of.items() if of == mark]
+            yield f"the island of {listed(names)}: bus {listed(sorted(buses))}"

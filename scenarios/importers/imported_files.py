@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Callable
 from pathlib import Path
 
+from dsse_core.errors import InvalidInputError
+from dsse_core.limits import LONGEST_NAME
 from scenarios.cutting import cut_into
 from scenarios.importers.imported import Imported
-from scenarios.network_file import save_network
+from scenarios.network_file import format_toml, save_network
 from scenarios.readings_file import save_readings
 
 FILES = ("network.toml", "scenario.toml", "readings.csv", "import.txt")
@@ -32,14 +36,37 @@ file = "readings.csv"
 """
 
 
-def write_imported(folder: Path, imported: Imported, n_area: int) -> tuple[Path, str]:
+def write_imported(
+    folder: Path, imported: Imported, n_area: int, check: Callable[[Path], None] = lambda _: None
+) -> tuple[Path, str]:
     """Write the files into ``folder``; the scenario's path, and a summary of what was converted.
 
+    ``check``: raises where the scenario at a path is not as it should be. Then, as after any other error, neither the
+    files nor the folders made for them stay.
+
     Raises:
-        InvalidInputError: before anything is written, where the network cannot be cut into ``n_area`` areas.
+        InvalidInputError: one of the files is there already, or the network cannot be cut into ``n_area`` areas.
     """
+    if present := [name for name in FILES if (folder / name).exists()]:
+        problems = [f"{name} is there already; choose another folder" for name in present]
+        raise InvalidInputError(f"folder {folder}", problems)
     cut_into(imported.network, n_area)
-    folder.mkdir(parents=True, exist_ok=True)
+    made = [parent for parent in (folder, *folder.parents) if not parent.exists()]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        path = _write_files(folder, imported, n_area)
+        check(path)
+    except BaseException:
+        for name in FILES:
+            (folder / name).unlink(missing_ok=True)
+        for parent in made:
+            with contextlib.suppress(OSError):  # never made, or something else stands in it by now
+                parent.rmdir()
+        raise
+    return path, summarise(imported, full=False)
+
+
+def _write_files(folder: Path, imported: Imported, n_area: int) -> Path:
     network = imported.network
     save_network(folder / "network.toml", network, imported.data_source)
     if imported.readings:
@@ -52,7 +79,7 @@ def write_imported(folder: Path, imported: Imported, n_area: int) -> tuple[Path,
     path = folder / "scenario.toml"
     path.write_text(_head(imported, n_area) + meters, encoding="utf-8")
     (folder / "import.txt").write_text(summarise(imported, full=True) + "\n", encoding="utf-8")
-    return path, summarise(imported, full=False)
+    return path
 
 
 def _head(imported: Imported, n_area: int) -> str:
@@ -60,7 +87,8 @@ def _head(imported: Imported, n_area: int) -> str:
     text = f"{imported.data_source}, its {kind}".replace("\\", "/").replace('"', "'")
     return (
         "# Written by dsse import; import.txt says what was converted, and docs/importing.md how.\n\n"
-        f'version = 1\ndescription = "{" ".join(text.split())}"\n'
+        f"version = 1\nname = {format_toml(imported.network.name[:LONGEST_NAME])}\n"
+        f'description = "{" ".join(text.split())}"\n'
         'network = "network.toml"\nstrategy = "information"\n'
         f"areas = {{ count = {n_area} }}\n"
     )

@@ -9,7 +9,14 @@ from dsse_core.bounded_file import read_text
 from dsse_core.errors import InvalidInputError
 from dsse_core.network import Branch, Bus, Control, Generator, Network
 from scenarios.importers.fused_branches import fuse_zero_impedances
-from scenarios.importers.imported import Imported, Remark, leave_out_islands, without_buses
+from scenarios.importers.imported import (
+    Imported,
+    Remark,
+    find_source_problems,
+    fuse,
+    leave_out_islands,
+    without_buses,
+)
 from scenarios.importers.matpower_program import BASE_KV, BR_R, BR_X, PD, QD, Case, Matrix, run_program
 from scenarios.network_file import default_branch_id
 from scenarios.wording import listed
@@ -36,6 +43,7 @@ def _build(path: Path, case: Case, base: float) -> Imported:
     buses, remarks = _build_buses(case.matrices["bus"], base)
     isolated = {int(row[BUS_I]) for row in case.matrices["bus"] if row[BUS_TYPE] == ISOLATED}
     generators, problems = _build_generators(case.matrices["bus"], case.matrices["gen"], base)
+    problems += _find_reference_problems(case.matrices["bus"], case.matrices["branch"])
     if problems:
         raise InvalidInputError(str(path), problems)
     try:
@@ -117,10 +125,7 @@ def _build_generators(bus_rows: Matrix, rows: Matrix, base: float) -> tuple[tupl
         for bus, kind in kinds.items()
         if kind not in known
     ]
-    if len(references) != 1:
-        named = f"buses {listed(references)} are" if references else "no bus is"
-        problems.append(f"{named} of type 3 (reference); the network model holds exactly one substation")
-    elif references[0] not in {int(row[GEN_BUS]) for row in working}:
+    if len(references) == 1 and references[0] not in {int(row[GEN_BUS]) for row in working}:
         problems.append(f"the reference, bus {references[0]}, has no generator in service that says its voltage")
     generators: list[Generator] = []
     slack_found = False
@@ -140,3 +145,17 @@ def _build_generators(bus_rows: Matrix, rows: Matrix, base: float) -> tuple[tupl
             )
         )
     return tuple(generators), problems
+
+
+def _find_reference_problems(bus_rows: Matrix, branch_rows: Matrix) -> list[str]:
+    """That there is not one reference, by the islands that branches in service make."""
+    references = [(f"the reference (type {REF})", int(row[BUS_I])) for row in bus_rows if row[BUS_TYPE] == REF]
+    if not references:
+        return ["no bus is of type 3 (reference); the network model holds exactly one substation"]
+    if len(references) == 1:
+        return []
+    buses = [int(row[BUS_I]) for row in bus_rows]
+    ends = ((int(row[F_BUS]), int(row[T_BUS])) for row in branch_rows if row[BR_STATUS] > 0)
+    island_of = fuse(buses, ((a, b) for a, b in ends if {a, b} <= set(buses)))
+    how = "set the types of the others' buses to 4 (isolated)"
+    return list(find_source_problems(references, island_of, how))

@@ -21,6 +21,7 @@ from scenarios.importers.imported import (
     add_shunts,
     fused_remarks,
     load_extra,
+    loop_shunt,
     open_end_shunt,
 )
 from scenarios.importers.matpower import BR_B, BS, BUS_I, F_BUS, GS, SHIFT, T_BUS, TAP
@@ -42,7 +43,8 @@ class Conversion:
     ``network`` has loads of constant power: what a load draws at which voltage does not matter where it is measured.
     ``sgen``: the static generators, which are out of service in ``net``.
     ``bus_of``: index of a supplied bus -> its bus id here; ``branch_of``: (element type, index) -> branch id;
-    ``open_ends``: the branches that are now shunts, as (element type, index).
+    ``open_ends``, ``loops``: the branches that are now shunts, as (element type, index), since an end is open or since
+    closed switches join the two.
     """
 
     net: Any
@@ -51,6 +53,7 @@ class Conversion:
     bus_of: dict[int, int]
     branch_of: dict[tuple[str, int], str]
     open_ends: frozenset[tuple[str, int]]
+    loops: frozenset[tuple[str, int]]
 
 
 def read_pandapower(path: Path, tree: Any) -> Imported:
@@ -122,7 +125,9 @@ def _convert(name: str, net: Any, sgen: Any, ppc: dict[str, Any]) -> tuple[Conve
     auxiliary = {row: int(net.bus.index.max()) + 1 + row for row in range(len(ppc["bus"])) if row not in id_of_row}
     ids = id_of_row | auxiliary
     buses = [_build_bus(net, row, ids[int(row[BUS_I].real)], base) for row in ppc["bus"]]
-    buses, branches, open_ends = _fold_open_ends(buses, _build_branches(net, ppc, ids), set(auxiliary.values()))
+    all_branches = _build_branches(net, ppc, ids)
+    buses, open_ends, loops = _fold_into_shunts(buses, all_branches, set(auxiliary.values()))
+    branches = {element: branch for element, branch in all_branches.items() if element not in {*open_ends, *loops}}
     network = Network(
         name=name,
         base_mva=base,
@@ -130,14 +135,20 @@ def _convert(name: str, net: Any, sgen: Any, ppc: dict[str, Any]) -> tuple[Conve
         branches=tuple(branches.values()),
         generators=tuple(_build_generators(net, sgen, bus_of, base)),
     )
-    remarks = [
-        *fused_remarks(bus_of, "closed switches"),
-        *_find_left_out(net, bus_of, {*branches, *open_ends}),
-    ]
+    remarks = [*fused_remarks(bus_of, "closed switches"), *_find_left_out(net, bus_of, all_branches.keys())]
     if open_ends:
         remarks.append(Remark("changed", f"{_named(open_ends)}: open at one end, written as the shunt that it is"))
+    if loops:
+        text = "closed switches join its two ends, it carries nothing; what it draws stays as a shunt"
+        remarks.append(Remark("left out", f"{_named(loops)}: {text}"))
     conversion = Conversion(
-        net, sgen, network, bus_of, {e: branch.id for e, branch in branches.items()}, frozenset(open_ends)
+        net=net,
+        sgen=sgen,
+        network=network,
+        bus_of=bus_of,
+        branch_of={element: branch.id for element, branch in branches.items()},
+        open_ends=frozenset(open_ends),
+        loops=frozenset(loops),
     )
     return conversion, remarks
 
@@ -240,21 +251,23 @@ def _elements_of_rows(net: Any, ppc: dict[str, Any]) -> list[tuple[str, int]]:
     return [element_of[row] for row, in_service in enumerate(ppc["internal"]["branch_is"]) if in_service]
 
 
-def _fold_open_ends(
+def _fold_into_shunts(
     buses: list[Bus], branches: dict[tuple[str, int], Branch], auxiliary: set[int]
-) -> tuple[list[Bus], dict[tuple[str, int], Branch], list[tuple[str, int]]]:
-    """Replace each branch that ends at one of pandapower's auxiliary buses, its open end, by its shunt."""
-    branches = dict(branches)
+) -> tuple[list[Bus], list[tuple[str, int]], list[tuple[str, int]]]:
+    """The buses with the shunts of the branches that carry nothing; those with an open end, and those in a loop.
+
+    An open end is one of pandapower's ``auxiliary`` buses, which go; a loop has both ends at one bus.
+    """
     shunts: dict[int, list[complex]] = {}
-    folded = [e for e, branch in branches.items() if auxiliary & {branch.from_bus, branch.to_bus}]
-    for element in folded:
-        branch = branches[element]
+    open_ends = [e for e, branch in branches.items() if auxiliary & {branch.from_bus, branch.to_bus}]
+    for branch in map(branches.__getitem__, open_ends):
         connected = branch.to_bus if branch.from_bus in auxiliary else branch.from_bus
         shunts.setdefault(connected, []).append(open_end_shunt(branch, connected))
+    loops = [e for e, branch in branches.items() if branch.from_bus == branch.to_bus]
+    for branch in map(branches.__getitem__, loops):
+        shunts.setdefault(branch.from_bus, []).append(loop_shunt(branch))
     kept = [add_shunts(bus, shunts[bus.id]) if bus.id in shunts else bus for bus in buses if bus.id not in auxiliary]
-    for element in folded:
-        del branches[element]
-    return kept, branches, folded
+    return kept, open_ends, loops
 
 
 def _find_left_out(net: Any, bus_of: dict[int, int], converted: Collection[tuple[str, int]]) -> Iterator[Remark]:

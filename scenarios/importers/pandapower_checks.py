@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 from collections.abc import Iterator
 from numbers import Real
@@ -9,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from scenarios.importers.imported import find_source_problems
 from scenarios.wording import listed
 
 PLACE, POSITIVE, NUMBER, FLAG = "the index of a bus", "a positive number", "a number", "true or false"
-ANYTHING = "anything"
+ANYTHING, NUMBER_OR_NOTHING = "anything", "a number or nothing"
 COLUMNS = {
     "bus": {"vn_kv": POSITIVE, "name": ANYTHING},
     "line": {"from_bus": PLACE, "to_bus": PLACE, "length_km": POSITIVE, "parallel": POSITIVE}
@@ -36,7 +38,7 @@ BRANCHES = ("line", "trafo", "impedance")
 """Tables whose numbers matter only where an element is in service; pandapower multiplies those of loads by 0."""
 ALL_COLUMNS = {name: columns | {"in_service": FLAG} for name, columns in COLUMNS.items()} | {
     "switch": {"bus": PLACE, "element": NUMBER, "et": ANYTHING, "closed": FLAG, "z_ohm": NUMBER},
-    "measurement": dict.fromkeys(("value", "std_dev", "element"), NUMBER)
+    "measurement": {"element": NUMBER, "value": NUMBER_OR_NOTHING, "std_dev": NUMBER_OR_NOTHING}
     | dict.fromkeys(("measurement_type", "element_type", "side"), ANYTHING),
 }
 ALWAYS_DIVIDED_BY = ("sn_mva", "vk_percent")
@@ -112,7 +114,8 @@ def _is(value: Any, expected: str, there: set[Any]) -> bool:
     """Whether ``value`` is what is expected; ``there``: the indices that a place may name."""
     if expected == PLACE:
         return _is_number(value) and value in there
-    return {POSITIVE: _is_positive, NUMBER: _is_number, FLAG: _is_flag}.get(expected, _is_anything)(value)
+    checks = {POSITIVE: _is_positive, NUMBER: _is_number, NUMBER_OR_NOTHING: _is_number_or_nothing, FLAG: _is_flag}
+    return checks.get(expected, _is_anything)(value)
 
 
 def _is_index(value: Any) -> bool:
@@ -125,6 +128,11 @@ def _is_anything(_: Any) -> bool:
 
 def _is_number(value: Any) -> bool:
     return isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _is_number_or_nothing(value: Any) -> bool:
+    """Infinite ones included, which mean something as standard deviations."""
+    return value is None or (isinstance(value, Real) and not isinstance(value, bool))
 
 
 def _is_positive(value: Any) -> bool:
@@ -144,15 +152,23 @@ def find_unsupported(net: Any) -> Iterator[str]:
         if "in_service" in table.columns and len(working := table.index[table.in_service.astype(bool)]):
             named = f"{name} {listed(list(working))}"
             yield f"{named}: the network model cannot hold it; replace it, or take it out of service"
-    sources = [f"ext_grid {i} at bus {bus}" for i, bus in net.ext_grid.bus[net.ext_grid.in_service].items()]
+    sources = [(f"ext_grid {i}", int(bus)) for i, bus in net.ext_grid.bus[net.ext_grid.in_service].items()]
     if "slack" in net.gen.columns:
         slack = net.gen.in_service & net.gen.slack.astype(bool)
-        sources += [f"gen {i} at bus {bus}" for i, bus in net.gen.bus[slack].items()]
+        sources += [(f"gen {i}", int(bus)) for i, bus in net.gen.bus[slack].items()]
     if len(sources) != 1:
-        found = listed(sources) if sources else "none"
-        yield f"exactly one source must hold voltage and angle (ext_grid, or gen with slack), found {found}"
+        how = "take the ext_grids and slack gens of the others out of service, or use pandapower.select_subnet"
+        yield from find_source_problems(sources, _find_islands(net), how)
     if not len(net.measurement):
         yield from find_constant_currents(net)
+
+
+def _find_islands(net: Any) -> dict[int, int]:
+    """Bus in service -> one bus of its island."""
+    topology = importlib.import_module("pandapower.topology")
+    islands = topology.connected_components(topology.create_nxgraph(net))
+    working = set(net.bus.index[net.bus.in_service.astype(bool)])
+    return {int(bus): int(min(island)) for island in islands for bus in island if bus in working}
 
 
 def find_constant_currents(net: Any) -> Iterator[str]:

@@ -10,8 +10,9 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from dsse_core.errors import InvalidInputError
+from dsse_core.limits import LARGEST_SIGMA
 from dsse_core.measurement import Measurement, MeasurementKind, Meter
-from scenarios.importers.imported import Remark, combine_readings, sum_readings
+from scenarios.importers.imported import SAYS_NOTHING, Remark, combine_readings, sum_readings
 from scenarios.wording import listed
 
 if TYPE_CHECKING:
@@ -31,16 +32,19 @@ def read_measurements(what: str, conversion: Conversion) -> tuple[tuple[Measurem
         InvalidInputError: listing every measurement that no meter can be.
     """
     problems: list[str] = []
-    ignored: list[int] = []
+    left_out: dict[str, list[int]] = {}
     readings: list[Measurement] = []
     powers: dict[tuple[KIND, int], list[Measurement]] = {}
     for index, row in conversion.net.measurement.iterrows():
-        if not (math.isfinite(row.value) and math.isfinite(row.std_dev) and row.std_dev > 0):
-            problems.append(f"measurement {index}: value {row.value}, std_dev {row.std_dev}; std_dev must be positive")
-        elif not _is_live(conversion, row):
-            ignored.append(index)
+        if reason := _find_reason_to_leave_out(conversion, row):
+            left_out.setdefault(reason, []).append(index)
+        elif not (math.isfinite(row.value) and row.std_dev > 0):
+            text = f"value {row.value}, std_dev {row.std_dev}; a finite value and a positive std_dev are expected"
+            problems.append(f"measurement {index}: {text}")
         elif isinstance(found := _read(conversion, row), str):
             problems.append(f"measurement {index}: {found}")
+        elif found.sigma > LARGEST_SIGMA:
+            left_out.setdefault(SAYS_NOTHING, []).append(index)
         elif found.meter.kind.of_injection:
             powers.setdefault((found.meter.kind, int(row.element)), []).append(found)
         else:
@@ -49,17 +53,22 @@ def read_measurements(what: str, conversion: Conversion) -> tuple[tuple[Measurem
     if problems or sum_problems:
         raise InvalidInputError(what, [*problems, *sum_problems])
     combined, remarks = combine_readings([*readings, *sums])
-    if ignored:
-        text = f"measurement {listed(ignored)}: of an element that is out of service or unsupplied"
-        remarks = (*remarks, Remark("left out", text))
-    return combined, list(remarks)
+    told = [Remark("left out", f"measurement {listed(which)}: {reason}") for reason, which in left_out.items()]
+    return combined, [*remarks, *told]
 
 
-def _is_live(conversion: Conversion, row: Any) -> bool:
-    if row.element_type == "bus":
-        return row.element in conversion.bus_of
-    element = (row.element_type, int(row.element))
-    return row.element_type not in SIDES or element in conversion.branch_of or element in conversion.open_ends
+def _find_reason_to_leave_out(conversion: Conversion, row: Any) -> str:
+    """Why a measurement says nothing about the grid; empty if it does."""
+    if any(number is None or math.isnan(number) for number in (row.value, row.std_dev)):
+        return "without a value or a std_dev"
+    element = (row.element_type, row.element if row.element_type == "bus" else int(row.element))
+    if element in conversion.loops:
+        return "of a branch whose two ends closed switches join"
+    known = conversion.branch_of.keys() | conversion.open_ends
+    is_live = row.element in conversion.bus_of if row.element_type == "bus" else element in known
+    if not is_live and row.element_type in ("bus", *SIDES):
+        return "of an element that is out of service or unsupplied"
+    return ""
 
 
 def _read(conversion: Conversion, row: Any) -> Measurement | str:

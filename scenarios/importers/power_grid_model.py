@@ -6,10 +6,9 @@ documentation, "Components": pi models whose series impedance stands at the to s
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,27 +18,32 @@ from scenarios.importers.imported import (
     Imported,
     Remark,
     add_shunts,
+    find_source_problems,
     fuse,
     fused_remarks,
     leave_out_islands,
-    load_extra,
+    loop_shunt,
     open_end_shunt,
 )
 from scenarios.importers.power_grid_model_branches import BUILDERS
+from scenarios.importers.power_grid_model_data import (
+    APPLIANCES,
+    IGNORED,
+    SENSORS,
+    Data,
+    has_sensors,
+    ids,
+    load_data,
+    rows,
+    working_sources,
+)
 from scenarios.network_file import default_branch_id
-from scenarios.wording import listed
 from scenarios.zero_impedances import refuse_zero_impedances
 
 BASE_VA = 1e6
+IN_PARALLEL = "links join its two ends, it carries nothing; what it draws stays as a shunt"
 STIFF = 1e-9  # p.u.; a source's impedance below it is none
-APPLIANCES = {"sym_load": -1, "sym_gen": 1}
-"""Component -> sign of its power as an injection."""
-SENSORS = ("sym_voltage_sensor", "sym_power_sensor", "sym_current_sensor")
-IGNORED = {"fault": "for short circuits only", "transformer_tap_regulator": "taps stay where they are"}
-SUPPORTED = {*BUILDERS, *APPLIANCES, *SENSORS, *IGNORED, "node", "link", "source", "shunt"}
 CONSTANT_POWER, CONSTANT_IMPEDANCE = 0, 1
-
-Data = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -68,10 +72,10 @@ def read_power_grid_model(path: Path, tree: Any, frequency_hz: float) -> Importe
         InvalidInputError: power-grid-model is missing, or finds the data invalid; every component that the network
             model cannot hold; every sensor that no meter can be.
     """
-    data = _load(path, tree)
+    data, remarks_of_data = load_data(str(path), tree)
     from scenarios.importers.power_grid_model_sensors import read_sensors
 
-    measured = _has_sensors(data)
+    measured = has_sensors(data)
     conversion, remarks = _convert_checked(path, data, frequency_hz, measured=measured)
     readings, sensor_remarks = read_sensors(str(path), conversion)
     if measured and not readings:
@@ -83,9 +87,9 @@ def read_power_grid_model(path: Path, tree: Any, frequency_hz: float) -> Importe
         network=conversion.network,
         data_source=f"power-grid-model input {path.name}",
         converted=converted,
-        remarks=(*remarks, *sensor_remarks),
+        remarks=(*remarks_of_data, *remarks, *sensor_remarks),
         readings=readings,
-        substation=conversion.bus_of[int(_working_source(data)["node"])],
+        substation=conversion.bus_of[int(working_sources(data)[0]["node"])],
         zero_injection=_find_zero_injections(conversion) if readings else "virtual",
     )
 
@@ -101,47 +105,10 @@ def _convert_checked(path: Path, data: Data, frequency_hz: float, *, measured: b
     return conversion, remarks
 
 
-def _has_sensors(data: Data) -> bool:
-    return any(name in data for name in SENSORS)
-
-
-def _load(path: Path, tree: Any) -> Data:
-    utils = load_extra("power_grid_model.utils", "power-grid-model", str(path))
-    validation = load_extra("power_grid_model.validation", "power-grid-model", str(path))
-    enum = load_extra("power_grid_model", "power-grid-model", str(path))
-    try:
-        loaded = utils.json_deserialize(json.dumps(tree))
-    except Exception as error:  # whatever a foreign reader raises
-        raise InvalidInputError(str(path), [f"power-grid-model cannot read it: {error}"]) from None
-    data = {str(getattr(name, "value", name)): table for name, table in loaded.items() if len(table)}
-    foreign = [
-        f"{name} {_ids(table)}: the network model cannot hold it"
-        for name, table in data.items()
-        if name not in SUPPORTED
-    ]
-    if foreign:
-        raise InvalidInputError(str(path), foreign)
-    purpose = enum.CalculationType.state_estimation if _has_sensors(data) else enum.CalculationType.power_flow
-    if errors := validation.validate_input_data(loaded, calculation_type=purpose, symmetric=True):
-        raise InvalidInputError(str(path), [f"power-grid-model: {error} Ids: {_ids_of(error)}" for error in errors])
-    return data
-
-
-def _ids_of(error: Any) -> str:
-    """The elements that a validation error is about; of several tables (table, id) pairs."""
-    ids = [f"{i[0]} {i[1]}" if isinstance(i, tuple) else str(i) for i in error.ids]
-    return listed(ids)
-
-
 def _kind_of(data: Data, component: int) -> str:
     """``line 7``: what a component is, beside its id."""
     kinds = [name for name in (*BUILDERS, "source") if name in data]
     return next(f"{name} {component}" for name in kinds if component in data[name]["id"])
-
-
-def rows(data: Data, name: str) -> Any:
-    """The components called ``name``, none if the data have none."""
-    return data.get(name, ())
 
 
 def _convert(name: str, data: Data, frequency_hz: float, *, measured: bool) -> tuple[Conversion, list[Remark]]:
@@ -158,7 +125,7 @@ def _convert(name: str, data: Data, frequency_hz: float, *, measured: bool) -> t
     if source_bus and source_branch:
         buses.append(source_bus)
         branches.append(source_branch)
-        branch_of[int(_working_source(data)["id"])] = source_branch.id
+        branch_of[int(working_sources(data)[0]["id"])] = source_branch.id
     network = Network(
         name=name,
         base_mva=BASE_VA / 1e6,
@@ -167,7 +134,8 @@ def _convert(name: str, data: Data, frequency_hz: float, *, measured: bool) -> t
         generators=(slack, *generators),
     )
     network, island_remarks = leave_out_islands(network)
-    remarks = [*fused_remarks(bus_of, "links"), *island_remarks, *_find_open_ends(data), *_find_unused(data)]
+    remarks = [*fused_remarks(bus_of, "links"), *island_remarks, *_find_open_ends(data), *_find_loops(data, bus_of)]
+    remarks += _find_unused(data)
     if source_branch:
         text = f"bus {source_branch.from_bus} is new: the inside of the source at bus {source_branch.to_bus}"
         remarks.append(Remark("note", text))
@@ -179,35 +147,38 @@ def _convert(name: str, data: Data, frequency_hz: float, *, measured: bool) -> t
 
 
 def _find_problems(data: Data, *, measured: bool) -> Iterator[str]:
-    sources = [source for source in rows(data, "source") if source["status"]]
-    if len(sources) != 1:
-        found = listed([f"source {source['id']} at node {source['node']}" for source in sources]) or "none"
-        yield f"exactly one source must be in service, the substation; found {found}"
+    closed = [b for name in (*BUILDERS, "link") for b in rows(data, name) if b["from_status"] and b["to_status"]]
+    nodes = (int(node["id"]) for node in data["node"])
+    island_of = fuse(nodes, ((int(b["from_node"]), int(b["to_node"])) for b in closed))
+    sources = [(f"source {source['id']}", int(source["node"])) for source in working_sources(data)]
+    yield from find_source_problems(sources, island_of, "take the sources of the other islands out of service")
     for name in APPLIANCES:
         held = (CONSTANT_POWER, CONSTANT_IMPEDANCE)
         if bad := [a for a in rows(data, name) if not measured and a["status"] and a["type"] not in held]:
-            yield f"{name} {_ids(bad)}: constant current, which the network model cannot hold; make it constant power"
+            yield f"{name} {ids(bad)}: constant current, which the network model cannot hold; make it constant power"
 
 
 def _find_open_ends(data: Data) -> Iterator[Remark]:
     branches = list(_all_branches(data))
     if half := [b for b in branches if bool(b["from_status"]) != bool(b["to_status"])]:
-        yield Remark("changed", f"branch {_ids(half)}: open at one end, written as the shunt that it is")
+        yield Remark("changed", f"branch {ids(half)}: open at one end, written as the shunt that it is")
     if off := [b for b in branches if not b["from_status"] and not b["to_status"]]:
-        yield Remark("left out", f"branch {_ids(off)}: open at both ends")
+        yield Remark("left out", f"branch {ids(off)}: open at both ends")
+
+
+def _find_loops(data: Data, bus_of: dict[int, int]) -> Iterator[Remark]:
+    closed = [b for b in _all_branches(data) if b["from_status"] and b["to_status"]]
+    if loops := [b for b in closed if bus_of[int(b["from_node"])] == bus_of[int(b["to_node"])]]:
+        yield Remark("left out", f"branch {ids(loops)}: {IN_PARALLEL}")
 
 
 def _find_unused(data: Data) -> Iterator[Remark]:
     for name, reason in IGNORED.items():
         if name in data:
-            yield Remark("left out", f"{name} {_ids(data[name])}: {reason}")
+            yield Remark("left out", f"{name} {ids(data[name])}: {reason}")
     for name in APPLIANCES:
         if unknown := [a for a in rows(data, name) if a["status"] and math.isnan(a["p_specified"])]:
-            yield Remark("changed", f"{name} {_ids(unknown)}: no power is specified, 0 is written; its sensor counts")
-
-
-def _ids(components: Iterable[Any]) -> str:
-    return listed([int(component["id"]) for component in components])
+            yield Remark("changed", f"{name} {ids(unknown)}: no power is specified, 0 is written; its sensor counts")
 
 
 def _all_branches(data: Data) -> Iterator[Any]:
@@ -218,7 +189,7 @@ def _all_branches(data: Data) -> Iterator[Any]:
 def _build_branches(
     data: Data, kv: dict[int, float], bus_of: dict[int, int], frequency_hz: float
 ) -> tuple[list[Branch], dict[int, str], dict[int, list[complex]]]:
-    """The branches closed at both ends, their ids by component, and the shunts of those closed at one (by bus)."""
+    """The branches between buses, their ids by component, and the shunts that the others are (by bus)."""
     taken: set[str | None] = set()
     branches, branch_of = [], {}
     shunts: dict[int, list[complex]] = {}
@@ -226,18 +197,21 @@ def _build_branches(
         for component in rows(data, name):
             if not component["from_status"] and not component["to_status"]:
                 continue
-            ends = bus_of[int(component["from_node"])], bus_of[int(component["to_node"])]
+            nodes = int(component["from_node"]), int(component["to_node"])
+            ends = bus_of[nodes[0]], bus_of[nodes[1]]
             branch_id = default_branch_id(*ends, taken)
-            nodes_kv = kv[int(component["from_node"])], kv[int(component["to_node"])]
-            pi = BUILDERS[name](component, *nodes_kv, frequency_hz)
+            pi = BUILDERS[name](component, kv[nodes[0]], kv[nodes[1]], frequency_hz)
             branch = Branch(branch_id, *ends, **pi._asdict())
-            if component["from_status"] and component["to_status"]:
+            if component["from_status"] and component["to_status"] and ends[0] == ends[1]:
+                shunts.setdefault(ends[0], []).append(loop_shunt(branch))
+            elif component["from_status"] and component["to_status"]:
                 taken.add(branch_id)
                 branches.append(branch)
                 branch_of[int(component["id"])] = branch_id
             else:
-                connected = ends[0] if component["from_status"] else ends[1]
-                shunts.setdefault(connected, []).append(open_end_shunt(branch, connected))
+                connected = nodes[0] if component["from_status"] else nodes[1]
+                alone = replace(branch, from_bus=nodes[0], to_bus=nodes[1])
+                shunts.setdefault(bus_of[connected], []).append(open_end_shunt(alone, connected))
     return branches, branch_of, shunts
 
 
@@ -276,15 +250,11 @@ def _build_buses(
     return [Bus(i, kv[i], p_load=(s := loads.get(i, 0j)).real, q_load=s.imag) for i in ids], generators
 
 
-def _working_source(data: Data) -> Any:
-    return next(source for source in data["source"] if source["status"])
-
-
 def _build_source(
     data: Data, kv: dict[int, float], bus_of: dict[int, int]
 ) -> tuple[Bus | None, Branch | None, Generator]:
     """The slack behind the source's impedance, ``|z| = u^2 / sk`` with ``r / x = rx_ratio``; at its node if stiff."""
-    source = _working_source(data)
+    source = working_sources(data)[0]
     node = bus_of[int(source["node"])]
     sk = float(source["sk"]) if not math.isnan(source["sk"]) else 1e10
     ratio = float(source["rx_ratio"]) if not math.isnan(source["rx_ratio"]) else 0.1

@@ -13,8 +13,10 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from dsse_core.errors import InvalidInputError
+from dsse_core.limits import LARGEST_SIGMA
 from dsse_core.measurement import Measurement, MeasurementKind, Meter
-from scenarios.importers.imported import Remark, combine_readings, sum_readings
+from scenarios.importers.imported import SAYS_NOTHING, Remark, combine_readings, sum_readings
+from scenarios.importers.power_grid_model_data import APPLIANCES, rows
 from scenarios.wording import listed
 
 if TYPE_CHECKING:
@@ -23,6 +25,7 @@ if TYPE_CHECKING:
 KIND = MeasurementKind
 BASE_VA = 1e6
 BRANCH_FROM, BRANCH_TO, SOURCE, SHUNT, LOAD, GENERATOR, NODE = 0, 1, 2, 3, 4, 5, 9
+LOCAL_ANGLE = 0  # of a current, counted from the voltage at its place
 SIGN_AT_APPLIANCE = {LOAD: -1.0, GENERATOR: 1.0, SOURCE: 1.0}
 PARTS = (("p", KIND.P_INJECTION, KIND.P_FLOW), ("q", KIND.Q_INJECTION, KIND.Q_FLOW))
 
@@ -36,13 +39,12 @@ class _Reader:
     of_appliances: dict[tuple[KIND, int], dict[int, list[Measurement]]] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
     unsupplied: list[int] = field(default_factory=list)
+    saying_nothing: dict[int, None] = field(default_factory=dict)
     remarks: list[Remark] = field(default_factory=list)
 
     @cached_property
     def appliances(self) -> dict[int, int]:
         """Loads, generators and a stiff source in service at supplied nodes -> bus; else a source is a branch."""
-        from scenarios.importers.power_grid_model import APPLIANCES, rows
-
         data, bus_of = self.conversion.data, self.conversion.bus_of
         return {
             int(a["id"]): bus_of[int(a["node"])]
@@ -69,8 +71,6 @@ def read_sensors(what: str, conversion: Conversion) -> tuple[tuple[Measurement, 
     Raises:
         InvalidInputError: listing every sensor that no meter can be.
     """
-    from scenarios.importers.power_grid_model import rows
-
     reader = _Reader(conversion)
     angles = [s for s in rows(conversion.data, "sym_voltage_sensor") if not math.isnan(s["u_angle_measured"])]
     _check_angles(reader, angles)
@@ -85,8 +85,10 @@ def read_sensors(what: str, conversion: Conversion) -> tuple[tuple[Measurement, 
         raise InvalidInputError(what, reader.problems)
     combined, remarks = combine_readings([*reader.readings, *injections])
     if reader.unsupplied:
-        text = f"sensor {listed(reader.unsupplied)}: of something out of service or unsupplied"
+        text = f"sensor {listed(reader.unsupplied)}: of something out of service, unsupplied or bridged by links"
         reader.remarks.append(Remark("left out", text))
+    if reader.saying_nothing:
+        reader.remarks.append(Remark("left out", f"sensor {listed(list(reader.saying_nothing))}: {SAYS_NOTHING}"))
     return combined, [*reader.remarks, *remarks]
 
 
@@ -110,8 +112,8 @@ def _read_voltage(reader: _Reader, sensor: Any) -> None:
         return
     bus = reader.conversion.bus_of[node]
     base = reader.conversion.network.bus(bus).base_kv * 1000
-    value, sigma = float(sensor["u_measured"]) / base, float(sensor["u_sigma"]) / base
-    reader.readings.append(Measurement(Meter(KIND.VM, bus), value, sigma))
+    if reading := _reading_of(reader, sensor, float(sensor["u_measured"]) / base, float(sensor["u_sigma"]) / base):
+        reader.readings.append(Measurement(Meter(KIND.VM, bus), *reading))
 
 
 def _read_power(reader: _Reader, sensor: Any) -> None:
@@ -145,16 +147,23 @@ def _read_flow(reader: _Reader, sensor: Any, end: tuple[int, str] | None, sign: 
         reader.unsupplied.append(int(sensor["id"]))
         return
     for part, _, kind in PARTS:
-        if reading := _power_of(sensor, part, sign):
+        if reading := _power_of(reader, sensor, part, sign):
             reader.readings.append(Measurement(Meter(kind, *end), *reading))
 
 
-def _power_of(sensor: Any, part: str, sign: float) -> tuple[float, float] | None:
+def _reading_of(reader: _Reader, sensor: Any, value: float, sigma: float) -> tuple[float, float] | None:
+    """(value, sigma) in p.u.; None if there is no value, or a sigma that leaves it without weight."""
+    if sigma > LARGEST_SIGMA:
+        reader.saying_nothing[int(sensor["id"])] = None
+    return None if math.isnan(value) or sigma > LARGEST_SIGMA else (value, sigma)
+
+
+def _power_of(reader: _Reader, sensor: Any, part: str, sign: float) -> tuple[float, float] | None:
     """(value, sigma) of P or Q in p.u.; None if it is not measured."""
     value, sigma = float(sensor[f"{part}_measured"]), float(sensor[f"{part}_sigma"])
     if math.isnan(sigma):
         sigma = float(sensor["power_sigma"]) / math.sqrt(2)
-    return None if math.isnan(value) else (sign * value / BASE_VA, sigma / BASE_VA)
+    return _reading_of(reader, sensor, sign * value / BASE_VA, sigma / BASE_VA)
 
 
 def _read_node(reader: _Reader, sensor: Any, node: int) -> None:
@@ -172,7 +181,7 @@ def _read_node(reader: _Reader, sensor: Any, node: int) -> None:
         reader.remarks.append(Remark("left out", text))
     else:
         for part, kind, _ in PARTS:
-            if reading := _power_of(sensor, part, 1.0):
+            if reading := _power_of(reader, sensor, part, 1.0):
                 reader.readings.append(Measurement(Meter(kind, bus), *reading))
 
 
@@ -184,7 +193,7 @@ def _read_appliance(reader: _Reader, sensor: Any, component: int, sign: float) -
         reader.unsupplied.append(int(sensor["id"]))
     else:
         for part, kind, _ in PARTS:
-            if reading := _power_of(sensor, part, sign):
+            if reading := _power_of(reader, sensor, part, sign):
                 at = reader.of_appliances.setdefault((kind, bus), {})
                 at.setdefault(component, []).append(Measurement(Meter(kind, bus), *reading))
 
@@ -213,7 +222,39 @@ def _read_current(reader: _Reader, sensor: Any) -> None:
         reader.unsupplied.append(int(sensor["id"]))
         return
     size = math.sqrt(3) * reader.conversion.network.bus(end[0]).base_kv * 1000 / BASE_VA
-    value, sigma = float(sensor["i_measured"]) * size, float(sensor["i_sigma"]) * size
-    reader.readings.append(Measurement(Meter(KIND.CURRENT, *end), value, sigma))
+    current = _reading_of(reader, sensor, float(sensor["i_measured"]) * size, float(sensor["i_sigma"]) * size)
+    if current is None:
+        return
+    phase, sigma = float(sensor["i_angle_measured"]), float(sensor["i_angle_sigma"])
+    voltage = _find_voltage(reader, end[0])
+    if int(sensor["angle_measurement_type"]) == LOCAL_ANGLE and voltage and math.isfinite(phase) and sigma <= math.pi:
+        for kind, reading in zip((KIND.P_FLOW, KIND.Q_FLOW), _powers(voltage, current, (phase, sigma)), strict=True):
+            reader.readings.append(Measurement(Meter(kind, *end), *reading))
+        return
+    reader.readings.append(Measurement(Meter(KIND.CURRENT, *end), *current))
     text = f"the angle of current sensor {sensor['id']}: current meters here have a magnitude only"
+    if int(sensor["angle_measurement_type"]) == LOCAL_ANGLE and not voltage:
+        text += f", and no voltage sensor at bus {end[0]} makes powers of it"
     reader.remarks.append(Remark("left out", text))
+
+
+def _find_voltage(reader: _Reader, bus: int) -> tuple[float, float] | None:
+    """(value, sigma) that the voltage sensors of a bus say together, p.u."""
+    found, _ = combine_readings(m for m in reader.readings if m.meter == Meter(KIND.VM, bus))
+    return (found[0].value, found[0].sigma) if found else None
+
+
+def _powers(
+    voltage: tuple[float, float], current: tuple[float, float], phase: tuple[float, float]
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """(value, sigma) of P and of Q, p.u., from those of V, I and the angle phi by which power is ahead of 0.
+
+    P = V I cos phi and Q = V I sin phi, their standard deviations to first order of three independent errors. The
+    errors of P and Q are independent of each other where those of I / |I| and phi are alike.
+    """
+    (v, sigma_v), (i, sigma_i), (phi, sigma_phi) = voltage, current, phase
+    p, q = v * i * math.cos(phi), v * i * math.sin(phi)
+    along, across = math.hypot(sigma_v * i, sigma_i * v), v * i * sigma_phi
+    sigma_p = math.hypot(along * math.cos(phi), across * math.sin(phi))
+    sigma_q = math.hypot(along * math.sin(phi), across * math.cos(phi))
+    return (p, sigma_p), (q, sigma_q)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from coordinator.split import default_run_id
 from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
 from scenarios.network_file import load_case
 from scenarios.readings_file import save_readings
@@ -75,7 +76,7 @@ def test_more_areas_than_the_network_has_are_refused(dsse, tmp_path: Path, case:
     assert not (tmp_path / "new").exists()
 
 
-def test_measurements_that_leave_buses_unseen_are_named_and_the_files_stay(
+def test_an_import_that_cannot_be_estimated_leaves_no_folder_behind(
     dsse, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, case: Path
 ) -> None:
     from scenarios.importers import matpower
@@ -83,12 +84,25 @@ def test_measurements_that_leave_buses_unseen_are_named_and_the_files_stay(
     read = matpower.read_matpower
     one = (Measurement(Meter(MeasurementKind.VM, 1), 1.0, 0.01),)
     monkeypatch.setattr(matpower, "read_matpower", lambda path: replace(read(path), readings=one))
-    code, out, err = dsse("import", case, "--out", tmp_path / "new")
-    assert code == 2
-    assert "readings   1 meters" in out
-    assert "scenario.toml is written, but cannot run as it is" in err
+    code, out, err = dsse("import", case, "--out", tmp_path / "new" / "deep")
+    assert (code, out) == (2, "")
+    assert "feeder.m is read, but cannot be estimated as it is" in err
     assert "do not determine the state of bus" in err
-    assert (tmp_path / "new" / "readings.csv").exists()
+    assert not (tmp_path / "new").exists()
+    (tmp_path / "new").mkdir()
+    (tmp_path / "new" / "note.txt").touch()
+    assert dsse("import", case, "--out", tmp_path / "new")[0] == 2
+    assert [path.name for path in (tmp_path / "new").iterdir()] == ["note.txt"]
+
+
+def test_runs_of_two_imports_do_not_share_a_name(dsse, tmp_path: Path, case: Path) -> None:
+    other = case.rename(tmp_path / "Harbour East.m")
+    assert dsse("import", other, "--out", tmp_path / "a")[0] == 0
+    assert dsse("import", other, "--out", tmp_path / "b", "--name", 't"own\n' + 300 * "n")[0] == 0
+    one, two = (load_scenario(tmp_path / folder / "scenario.toml") for folder in "ab")
+    assert (one.name, one.network.name, default_run_id(one)) == ("Harbour East", "Harbour East", "harbour-east")
+    assert two.name.startswith('t"own\nnnn')
+    assert default_run_id(two) == "t-own-" + 58 * "n"
 
 
 def test_a_case_that_is_not_understood_leaves_nothing_behind(dsse, tmp_path: Path, case: Path) -> None:

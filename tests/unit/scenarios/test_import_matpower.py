@@ -170,7 +170,11 @@ def test_every_statement_that_is_not_known_is_refused_with_its_line(tmp_path: Pa
         ("    2  1  100", "    2.5  1  100", "mpc.bus: a bus number or type is no integer"),
         ("    2  1  100", "    2  NaN  100", "mpc.bus: a row holds more than numbers"),
         ("    1  3  0    0   0  0  1", "    1  1  0    0   0  0  1", "no bus is of type 3"),
-        ("    2  1  100", "    2  3  100", "buses 1, 2 are of type 3"),
+        (
+            "    2  1  100",
+            "    2  3  100",
+            "(type 3) at bus 1, the reference (type 3) at bus 2 feed one island",
+        ),
         ("mpc.gen = [ 1", "mpc.gen = [ 2", "has no generator in service"),
         (
             "-360  360;\n];",

@@ -273,3 +273,52 @@ def test_a_table_without_a_column_is_named(tmp_path: Path, table: str, column: s
     net = measured_grid()
     net[table] = net[table].drop(columns=column)
     assert f"table {table} has {len(net[table])} elements but no column {column}" in problems_of(tmp_path, net)
+
+
+def test_a_line_beside_a_closed_switch_is_left_out_and_told(tmp_path: Path) -> None:
+    net = measured_grid()
+    pp.create_line(net, 14, 15, 3, "NA2XS2Y 1x185 RM/25 12/20 kV")
+    pp.create_measurement(net, "p", "line", 0.1, 0.02, 9, side="from")
+    grid = imported(tmp_path, net)
+    check_power_flow(grid, net)  # its charging included
+    told = {(remark.what, remark.text) for remark in grid.remarks}
+    text = "line 9: closed switches join its two ends, it carries nothing; what it draws stays as a shunt"
+    assert ("left out", text) in told
+    assert ("left out", f"measurement {net.measurement.index[-1]}: of a branch whose two ends closed switches join") in told
+    assert grid.network.bus(14).b_shunt > 0
+
+
+def test_measurements_without_a_value_or_a_weight_are_left_out_and_told(tmp_path: Path) -> None:
+    net = measured_grid()
+    whole = {m.meter.id for m in imported(tmp_path, net).readings}
+    kinds = net.measurement.measurement_type
+    at_5, at_11 = (net.measurement.index[(kinds == "v") & (net.measurement.element == bus)][0] for bus in (5, 11))
+    p_5 = net.measurement.index[(kinds == "p") & (net.measurement.element == 5)][0]
+    net.measurement.loc[at_5, ["value", "std_dev"]] = np.nan
+    net.measurement.loc[at_11, "std_dev"] = 1e200
+    net.measurement.loc[p_5, "std_dev"] = np.inf
+    grid = imported(tmp_path, net)
+    assert whole - {m.meter.id for m in grid.readings} >= {"vm@5", "vm@11", "p_injection@5"}
+    told = {remark.text for remark in grid.remarks if remark.what == "left out"}
+    assert f"measurement {at_5}, {p_5}: without a value or a std_dev" in told  # to_json writes no inf
+    text = "with a standard deviation above 1e+06 p.u., infinite ones included, which says nothing"
+    assert any(remark.endswith(text) and str(at_11) in remark for remark in told)
+
+
+def test_two_external_grids_of_separate_islands_are_told_how_to_be_split(tmp_path: Path) -> None:
+    net = small_grid()
+    pp.create_ext_grid(net, 30)
+    text = problems_of(tmp_path, net)
+    assert "2 islands have a substation each; import them one by one: take the ext_grids" in text
+    assert "the island of ext_grid 0 at bus 5: bus 5, 10, 11, 12, 13, 14, 15, 16" in text
+    assert "the island of ext_grid 1 at bus 30: bus 30, 31" in text
+    net.ext_grid.loc[0, "in_service"] = False
+    assert list(imported(tmp_path, net).network.row) == [30, 31]
+    net.ext_grid["in_service"] = False
+    assert "no source in service holds voltage and angle" in problems_of(tmp_path, net)
+
+
+def test_two_external_grids_of_one_island_are_told_so(tmp_path: Path) -> None:
+    net = small_grid()
+    pp.create_ext_grid(net, 13)
+    assert "ext_grid 0 at bus 5, ext_grid 1 at bus 13 feed one island" in problems_of(tmp_path, net)

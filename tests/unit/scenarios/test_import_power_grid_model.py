@@ -234,9 +234,10 @@ def test_one_angle_only_turns_the_grid_and_is_told(tmp_path: Path) -> None:
 
 def test_a_current_sensor_is_a_meter_of_magnitude(tmp_path: Path) -> None:
     data = measured_grid()
+    data["sym_voltage_sensor"]["u_angle_measured"][0] = 0.3
     data["sym_current_sensor"] = table(
         "sym_current_sensor", id=[301], measured_object=[21], measured_terminal_type=[BRANCH_FROM],
-        angle_measurement_type=[0], i_sigma=[2.0], i_angle_sigma=[0.1], i_measured=[20.0], i_angle_measured=[0.1],
+        angle_measurement_type=[1], i_sigma=[2.0], i_angle_sigma=[0.1], i_measured=[20.0], i_angle_measured=[0.1],
     )  # fmt: skip
     data["sym_power_sensor"] = data["sym_power_sensor"][data["sym_power_sensor"]["measured_object"] != 21]
     grid = imported(tmp_path, data)
@@ -246,12 +247,120 @@ def test_a_current_sensor_is_a_meter_of_magnitude(tmp_path: Path) -> None:
     assert any("the angle of current sensor 301" in remark.text for remark in grid.remarks)
 
 
+def test_a_current_sensor_with_a_local_angle_is_not_reduced_to_its_magnitude(tmp_path: Path) -> None:
+    data = measured_grid()
+    output = pgm.PowerGridModel(data).calculate_power_flow(error_tolerance=1e-12)
+    p, q = power_at(output, 30, BRANCH_FROM)
+    line = output["line"][output["line"]["id"] == 30][0]
+    data["sym_power_sensor"] = data["sym_power_sensor"][data["sym_power_sensor"]["measured_object"] != 30]
+    data["sym_voltage_sensor"]["u_measured"] = output["node"]["u"][
+        [NODES.index(node) for node in data["sym_voltage_sensor"]["measured_object"]]
+    ]
+    columns = {
+        "measured_object": [30], "measured_terminal_type": [BRANCH_FROM], "angle_measurement_type": [0],
+        "i_measured": [line["i_from"]], "i_angle_measured": [np.arctan2(q, p)],
+    }  # fmt: skip
+    data["sym_current_sensor"] = table("sym_current_sensor", id=[301], i_sigma=[2.0], i_angle_sigma=[0.01], **columns)
+    grid = imported(tmp_path, data)
+    flows = {m.meter.kind: m for m in grid.readings if m.meter.branch == "2-3"}
+    assert set(flows) == {MeasurementKind.P_FLOW, MeasurementKind.Q_FLOW}
+    assert flows[MeasurementKind.P_FLOW].value == pytest.approx(p / 1e6, rel=1e-9)
+    assert flows[MeasurementKind.Q_FLOW].value == pytest.approx(q / 1e6, rel=1e-9)
+    u, i, phi = float(output["node"]["u"][1]), float(line["i_from"]), np.arctan2(q, p)
+    rng = np.random.default_rng(1)  # what the sensors would say, many times
+    s = (u + 50 * rng.standard_normal(10**6)) * (i + 2 * rng.standard_normal(10**6)) * 3**0.5 / 1e6
+    phis = phi + 0.01 * rng.standard_normal(10**6)
+    assert flows[MeasurementKind.P_FLOW].sigma == pytest.approx(np.std(s * np.cos(phis)), rel=0.01)
+    assert flows[MeasurementKind.Q_FLOW].sigma == pytest.approx(np.std(s * np.sin(phis)), rel=0.01)
+    assert not any("the angle of current sensor" in remark.text for remark in grid.remarks)
+
+
+def test_a_local_angle_without_a_voltage_beside_it_is_told(tmp_path: Path) -> None:
+    data = measured_grid()
+    data["sym_current_sensor"] = table(
+        "sym_current_sensor", id=[301], measured_object=[32], measured_terminal_type=[BRANCH_TO],
+        angle_measurement_type=[0], i_sigma=[2.0], i_angle_sigma=[0.1], i_measured=[20.0], i_angle_measured=[0.1],
+    )  # fmt: skip
+    data["sym_power_sensor"] = data["sym_power_sensor"][data["sym_power_sensor"]["measured_object"] != 32]
+    data["sym_voltage_sensor"] = data["sym_voltage_sensor"][data["sym_voltage_sensor"]["measured_object"] != 5]
+    grid = imported(tmp_path, data)
+    (current,) = (m for m in grid.readings if m.meter.kind is MeasurementKind.CURRENT)
+    assert (current.meter.bus, current.meter.branch) == (5, "4-5")
+    assert (current.value, current.sigma) == pytest.approx((20 * 3**0.5 * 10e3 / 1e6, 2 * 3**0.5 * 10e3 / 1e6))
+    assert any("301" in remark.text and "no voltage sensor at bus 5" in remark.text for remark in grid.remarks)
+
+
+@pytest.mark.parametrize("sigma", [1e200, np.inf])
+def test_a_sensor_without_weight_does_not_divide_by_zero(tmp_path: Path, sigma: float) -> None:
+    data = measured_grid()
+    data["sym_power_sensor"]["power_sigma"][[0, 12]] = sigma
+    data["sym_voltage_sensor"]["u_sigma"][1:3] = sigma  # both of node 4
+    grid = imported(tmp_path, data)
+    meters = {m.meter.id for m in grid.readings}
+    assert "vm@4" not in meters
+    assert "p_flow@1:1-2" not in meters
+    assert any(r.what == "left out" and r.text.startswith("sensor 102, 103, 200, 212: with a") for r in grid.remarks)
+    assert all(m.sigma < 1e6 for m in grid.readings)
+
+
+def test_a_line_beside_a_closed_link_is_left_out_and_told(tmp_path: Path) -> None:
+    data = small_grid()
+    extra = data["line"][:1].copy()
+    extra["id"], extra["from_node"], extra["to_node"], extra["c1"] = 35, 4, 9, 4e-5
+    data["line"] = np.concatenate([data["line"], extra])
+    grid = imported(tmp_path, data)
+    assert any(r.what == "left out" and r.text.startswith("branch 35: links join its two ends") for r in grid.remarks)
+    result = solve_power_flow(grid.network)
+    rows, vm, _ = voltages_there(grid, pgm.PowerGridModel(data).calculate_power_flow(error_tolerance=1e-8))
+    np.testing.assert_allclose(result.vm[rows], vm, atol=1e-5)  # of which its charging makes 1e-4
+
+
+@pytest.mark.parametrize(
+    ("field", "value"), [("uk", 1.2), ("uk", 0.0005), ("i0", 1.5), ("i0", 1e-5), ("pk", 8e6), ("p0", 1e6)]
+)
+def test_a_transformer_that_power_grid_model_computes_with_is_not_refused(
+    tmp_path: Path, field: str, value: float
+) -> None:
+    data = without_link(small_grid())
+    data["transformer"][field][0] = value
+    data["transformer"][["uk_min", "uk_max"]][0] = NAN
+    for name in ("uk_min", "uk_max", "pk_min", "pk_max"):
+        data["transformer"][name][0] = NAN
+    grid = imported(tmp_path, data)
+    check_power_flow(grid, data)
+    noted = [remark.text for remark in grid.remarks if remark.what == "note"]
+    assert any(text.startswith("power-grid-model computes with it, but: ") and "20" in text for text in noted)
+
+
+def test_the_type_of_a_load_is_not_asked_where_sensors_are(tmp_path: Path) -> None:
+    data = measured_grid()
+    expected = imported(tmp_path, data).readings
+    data["sym_load"]["type"][0] = 4
+    grid = imported(tmp_path, data)
+    assert grid.readings == expected
+    assert any("'type'" in remark.text and "60" in remark.text for remark in grid.remarks)
+    del data["sym_power_sensor"], data["sym_voltage_sensor"]
+    assert "60" in problems_of(tmp_path, data)
+
+
+def test_sources_of_separate_islands_are_told_how_to_be_split(tmp_path: Path) -> None:
+    data = small_grid()
+    data["line"]["from_status"][:2] = 0
+    data["line"]["to_status"][:2] = 0
+    data["generic_branch"]["from_status"] = 0
+    data["source"] = table("source", id=[50, 51], node=[1, 6], status=[1, 1], u_ref=[1.0, 1.0])
+    text = problems_of(tmp_path, data)
+    assert "2 islands have a substation each; import them one by one: take the sources of the other islands" in text
+    assert "the island of source 50 at bus 1: bus 1, 2" in text
+    assert "the island of source 51 at bus 6: bus 4, 5, 6, 9" in text
+
+
 def test_everything_that_the_model_cannot_hold_is_named(tmp_path: Path) -> None:
     data = small_grid()
     data["source"] = table("source", id=[50, 51], node=[1, 6], status=[1, 1], u_ref=[1.0, 1.0])
     data["sym_load"]["type"][0] = 2
     text = problems_of(tmp_path, data)
-    assert "source 50 at node 1, source 51 at node 6" in text
+    assert "source 50 at bus 1, source 51 at bus 6 feed one island" in text
     assert "sym_load 60: constant current" in text
 
 

@@ -1,0 +1,96 @@
+"""power-grid-model input data: read by its own reader, checked by its own validator."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable
+from typing import Any
+
+from dsse_core.errors import InvalidInputError
+from scenarios.importers.imported import Remark, load_extra
+from scenarios.importers.power_grid_model_branches import BUILDERS
+from scenarios.wording import listed
+
+APPLIANCES = {"sym_load": -1, "sym_gen": 1}
+"""Component -> sign of its power as an injection."""
+SENSORS = ("sym_voltage_sensor", "sym_power_sensor", "sym_current_sensor")
+IGNORED = {"fault": "for short circuits only", "transformer_tap_regulator": "taps stay where they are"}
+SUPPORTED = {*BUILDERS, *APPLIANCES, *SENSORS, *IGNORED, "node", "link", "source", "shunt"}
+NAME_PLATE = ("uk", "uk_min", "uk_max", "i0")
+"""Of transformers: the validator says which values are plausible; power-grid-model computes with any above 0."""
+
+Data = dict[str, Any]
+
+
+def load_data(what: str, tree: Any) -> tuple[Data, list[Remark]]:
+    """The tables that are not empty, and what the validator finds implausible in them.
+
+    ``tree``: of the JSON in file ``what``. power-grid-model, which has a parser of its own, gets it written anew.
+
+    Raises:
+        InvalidInputError: power-grid-model is missing, cannot read the data or finds them wrong; or the network model
+            cannot hold a component.
+    """
+    utils = load_extra("power_grid_model.utils", "power-grid-model", what)
+    validation = load_extra("power_grid_model.validation", "power-grid-model", what)
+    enum = load_extra("power_grid_model", "power-grid-model", what)
+    try:
+        loaded = utils.json_deserialize(json.dumps(tree))
+    except Exception as error:  # whatever a foreign reader raises
+        raise InvalidInputError(what, [f"power-grid-model cannot read it: {error}"]) from None
+    data = {str(getattr(name, "value", name)): table for name, table in loaded.items() if len(table)}
+    foreign = [
+        f"{name} {ids(table)}: the network model cannot hold it"
+        for name, table in data.items()
+        if name not in SUPPORTED
+    ]
+    if foreign:
+        raise InvalidInputError(what, foreign)
+    purpose = enum.CalculationType.state_estimation if has_sensors(data) else enum.CalculationType.power_flow
+    table = enum.ComponentType.asym_voltage_sensor  # the validator asks for it where a current has a global angle
+    whole = {table: enum.initialize_array("input", table, 0)} | loaded
+    try:
+        errors = validation.validate_input_data(whole, calculation_type=purpose, symmetric=True) or []
+    except Exception as error:  # whatever a foreign validator raises
+        raise InvalidInputError(what, [f"power-grid-model cannot check it ({type(error).__name__}: {error})"]) from None
+    if wrong := [error for error in errors if not _is_computed_with(error, data)]:
+        raise InvalidInputError(what, [f"power-grid-model: {error} Ids: {_ids_of(error)}" for error in wrong])
+    return data, [Remark("note", f"power-grid-model computes with it, but: {e} Ids: {_ids_of(e)}") for e in errors]
+
+
+def rows(data: Data, name: str) -> Any:
+    """The components called ``name``, none if the data have none."""
+    return data.get(name, ())
+
+
+def ids(components: Iterable[Any]) -> str:
+    return listed([int(component["id"]) for component in components])
+
+
+def has_sensors(data: Data) -> bool:
+    return any(name in data for name in SENSORS)
+
+
+def working_sources(data: Data) -> list[Any]:
+    return [source for source in rows(data, "source") if source["status"]]
+
+
+def _is_computed_with(error: Any, data: Data) -> bool:
+    """Whether a finding of the validator keeps power-grid-model from nothing.
+
+    The type of an appliance says how it follows the voltage, which a state estimation does not ask.
+    """
+    name = str(getattr(error.component, "value", error.component))
+    if name in APPLIANCES and error.field == "type":
+        return has_sensors(data)
+    if name != "transformer" or error.field not in NAME_PLATE:
+        return False
+    values = [float(row[error.field]) for row in rows(data, name) if row["id"] in error.ids]
+    return all(value > 0 or math.isnan(value) for value in values)
+
+
+def _ids_of(error: Any) -> str:
+    """The elements that a validation error is about; of several tables (table, id) pairs."""
+    found = [f"{i[0]} {i[1]}" if isinstance(i, tuple) else str(i) for i in error.ids]
+    return listed(found)
