@@ -1,8 +1,11 @@
 """The errors of the package: what is wrong, where, and what to do next."""
 
+import re
 from collections.abc import Sequence
 
 BELIEVABLE = 5.0  # sigma; one reading in two million is farther off by noise alone
+POSITION = re.compile(r"\w\[\d+\]")
+"""Of an item in a list, in a key path."""
 
 
 class DsseError(Exception):
@@ -16,7 +19,8 @@ class InvalidInputError(DsseError):
         self.what = what
         self.problems = tuple(problems)
         count = f"{len(self.problems)} problem" + ("s" if len(self.problems) != 1 else "")
-        super().__init__("\n".join([f"{what}: {count}", *(f"  - {p}" for p in self.problems)]))
+        note = ["(items of lists count from 1)"] if any(map(POSITION.search, self.problems)) else []
+        super().__init__("\n".join([f"{what}: {count}", *(f"  - {p}" for p in self.problems), *note]))
 
 
 class PowerFlowDivergedError(DsseError):

@@ -9,7 +9,7 @@ from scenarios.fault_tables import MOMENTARY, EventTable
 
 def find_time_problems(events: Sequence[EventTable], timeout_s: float) -> Iterable[str]:
     """Events that the time limit of the run would cut off."""
-    for i, event in enumerate(events):
+    for i, event in enumerate(events, 1):
         if _over_s(event) >= timeout_s:
             yield (
                 f"faults.events[{i}]: is over {_over_s(event):g} s after the start, but run.timeout_s is "
@@ -21,13 +21,13 @@ def find_order_problems(events: Sequence[EventTable]) -> Iterable[str]:
     """Events that meet a process that is dead, frozen or silent by then, and cuts of what is cut already."""
     killed: dict[str, int] = {}
     lasting: dict[frozenset[str], int] = {}
-    for i, event in sorted(enumerate(events), key=lambda item: item[1].at_s):
+    for i, event in sorted(enumerate(events, 1), key=lambda item: item[1].at_s):
         whom = frozenset(event.names)
         j = lasting.get(whom)
-        if j is not None and event.at_s < _over_s(events[j]):
+        if j is not None and event.at_s < _over_s(events[j - 1]):
             yield (
-                f"faults.events[{i}].{event.kind}: falls into faults.events[{j}], {_describe(events[j])} until "
-                f"{_over_s(events[j]):g} s; let it happen earlier or later"
+                f"faults.events[{i}].{event.kind}: falls into faults.events[{j}], {_describe(events[j - 1])} until "
+                f"{_over_s(events[j - 1]):g} s; let it happen earlier or later"
             )
         dead = [name for name in event.names if name in killed] if event.kind not in ("restart", "cut") else []
         for name in dead:

@@ -150,11 +150,11 @@ def find_name_problems(table: FaultsTable, areas: Collection[str] | None, router
     for name in table.load_error:
         if name not in areas:
             yield f"faults.load_error.{name}: there is no area {name!r}; areas: {known}"
-    for i, link in enumerate(table.link):
+    for i, link in enumerate(table.link, 1):
         for key, name in (("from", link.from_), ("to", link.to)):
             if name not in areas:
                 yield f"faults.link[{i}].{key}: there is no area {name!r}; areas: {known}"
-    for i, event in enumerate(table.events):
+    for i, event in enumerate(table.events, 1):
         processes = () if event.kind == "cut" else PROCESSES[: 1 + routers]
         for name in event.names:
             if name not in areas and name not in processes:
@@ -170,12 +170,12 @@ def find_link_problems(table: FaultsTable, partition: Partition) -> Iterable[str
     areas = {area.name for area in partition.areas}
     pairs = listed([f"{a} to {b}" for a, b in links]) or "none"
     given: set[tuple[str, str]] = set()
-    for i, link in enumerate((link.from_, link.to) for link in table.link):
+    for i, link in enumerate(((link.from_, link.to) for link in table.link), 1):
         if set(link) <= areas and link not in links:
             yield f"faults.link[{i}]: {link[0]} and {link[1]} are not neighbours; links: {pairs}"
         if link in given:
             yield f"faults.link[{i}]: the link from {link[0]} to {link[1]} is given twice; keep one"
         given.add(link)
-    for i, event in enumerate(table.events):
+    for i, event in enumerate(table.events, 1):
         if event.kind == "cut" and set(event.names) <= areas and event.names not in links:
             yield f"faults.events[{i}].cut: {' and '.join(event.names)} are not neighbours; links: {pairs}"

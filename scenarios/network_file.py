@@ -145,7 +145,7 @@ def _base_kv_by_bus(file: NetworkFile) -> dict[int, float]:
 
 def _find_unit_problems(file: NetworkFile) -> Iterable[str]:
     base_kv = _base_kv_by_bus(file)
-    for i, branch in enumerate(file.branch):
+    for i, branch in enumerate(file.branch, 1):
         if not branch.is_in_ohm:
             continue
         from_kv, to_kv = base_kv.get(branch.from_), base_kv.get(branch.to)

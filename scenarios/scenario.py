@@ -112,7 +112,7 @@ def load_scenario(
 ) -> Scenario:
     """Read a shipped scenario by name, or a scenario file by its path (a ``Path``, or text with ``/`` or ``.toml``).
 
-    ``changes``: values that replace the file's, by key path such as ``faults.loss`` or ``faults.link[0].loss``.
+    ``changes``: values that replace the file's, by key path such as ``faults.loss`` or ``faults.link[1].loss``.
 
     Raises:
         InvalidInputError: unknown name; or every problem of the file: first of its keys and types, then of what
@@ -258,7 +258,7 @@ def _find_gross_error_problems(file: ScenarioFile, meters: Collection[Meter]) ->
     virtual = {meter.id for meter in meters if meter.source is Source.VIRTUAL}
     example, suggestions = min(ids, default="vm@1"), Suggestions(ids)
     given: set[str] = set()
-    for i, meter in enumerate(error.meter for error in file.telemetry.gross_error):
+    for i, meter in enumerate((error.meter for error in file.telemetry.gross_error), 1):
         key = f"telemetry.gross_error[{i}].meter"
         if meter in virtual:
             yield f"{key}: {meter} is an exact zero injection, no meter reads it; choose another meter"

@@ -40,7 +40,7 @@ def load_strict(path: Path, model: type[Model], changes: Mapping[str, object] | 
 
     Raises:
         InvalidInputError: the file cannot be read, is not TOML (with line and column), or does not fit the
-            model: every problem with its key path (list items count from 0) and, for unknown keys, what is allowed.
+            model: every problem with its key path (items of lists count from 1) and, for unknown keys, what is allowed.
     """
     is_json = path.suffix == ".json"
     text = read_text(path, largest=LARGEST_JSON if is_json else LARGEST_TOML)
@@ -69,16 +69,16 @@ def _recognize_other_file(path: Path, content: Any, model: type[Table]) -> str:
 
 
 def _change(content: Any, key: str, value: object) -> str | None:
-    """Set ``key``, a path such as ``faults.link[0].loss``, in ``content``; what is wrong with the path, if it is."""
+    """Set ``key``, a path such as ``faults.link[1].loss``, in ``content``; what is wrong with the path, if it is."""
     if not re.fullmatch(r"[\w-]+(\[\d+\])*(\.[\w-]+(\[\d+\])*)*", key, re.ASCII):
-        return f"{key!r} is no key; one looks like faults.loss or faults.link[0].loss"
-    steps = [int(word) if bracket else word for bracket, word in re.findall(r"(\[?)([\w-]+)", key)]
+        return f"{key!r} is no key; one looks like faults.loss or faults.link[1].loss"
+    steps = [int(word) - 1 if bracket else word for bracket, word in re.findall(r"(\[?)([\w-]+)", key)]
     for i, step in enumerate(steps):
         here = _key_path(steps[:i]) or "the file"
         if isinstance(step, int):
-            if not isinstance(content, list) or step >= len(content):
+            if not isinstance(content, list) or not 0 <= step < len(content):
                 length = f"a list of {len(content)}" if isinstance(content, list) else "no list"
-                return f"{key}: {here} is {length}; items count from 0"
+                return f"{key}: {here} is {length}; items count from 1"
         elif not isinstance(content, dict):
             return f"{key}: {here} is no table in the file"
         elif i + 1 < len(steps):
@@ -116,7 +116,7 @@ def _is_tag(step: int | str) -> bool:
 
 
 def _key_path(location: Iterable[int | str]) -> str:
-    path = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in location)
+    path = "".join(f"[{step + 1}]" if isinstance(step, int) else f".{step}" for step in location)
     return path.removeprefix(".")
 
 

@@ -77,7 +77,7 @@ def test_a_gap_of_the_areas_of_a_cut_is_told_beside_other_problems(tmp_path: Pat
     problems = problems_of(tmp_path, areas, '[[telemetry.gross_error]]\nmeter = "vm@99"\nsigmas = 3.0\n')
     assert problems[0].startswith("areas: 33 areas are asked for")
     assert "at most 32" in problems[0]
-    assert problems[1].startswith("telemetry.gross_error[0].meter: 'vm@99' is no meter")
+    assert problems[1].startswith("telemetry.gross_error[1].meter: 'vm@99' is no meter")
 
 
 def test_wrong_switches_are_told_with_their_key(tmp_path: Path) -> None:
@@ -98,7 +98,7 @@ def test_wrong_switches_are_told_with_their_key(tmp_path: Path) -> None:
             ["areas: give count or the buses of each area, found count and the areas area1"],
         ),
         ("areas = { switches = [] }", ["areas.switches: List should have at least 1 item"]),
-        ("areas = { switches = [67] }", ["areas.switches[0]: must be a valid string, found 67"]),
+        ("areas = { switches = [67] }", ["areas.switches[1]: must be a valid string, found 67"]),
         ("areas = 3", ["areas: must be a table, found 3 (one [areas.NAME] with its buses for each area, or { count"]),
     ],
 )

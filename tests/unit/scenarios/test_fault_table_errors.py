@@ -35,17 +35,17 @@ def test_a_load_error_without_its_reactive_part_is_refused(tmp_path: Path) -> No
 
 def test_a_link_of_an_unknown_area_is_refused(tmp_path: Path) -> None:
     problem = the_only(problems_of(tmp_path, GOOD + link("area1", "area9")))
-    assert problem == "faults.link[0].to: there is no area 'area9'; areas: area1, area2, area3"
+    assert problem == "faults.link[1].to: there is no area 'area9'; areas: area1, area2, area3"
 
 
 def test_a_link_between_areas_that_are_not_neighbours_is_refused_with_the_links(tmp_path: Path) -> None:
     problem = the_only(problems_of(tmp_path, GOOD + link("area2", "area3")))
-    assert problem.startswith("faults.link[0]: area2 and area3 are not neighbours; links: area2 to area1,")
+    assert problem.startswith("faults.link[1]: area2 and area3 are not neighbours; links: area2 to area1,")
 
 
 def test_a_link_that_is_given_twice_is_refused(tmp_path: Path) -> None:
     problem = the_only(problems_of(tmp_path, GOOD + 2 * link("area1", "area2")))
-    assert problem == "faults.link[1]: the link from area1 to area2 is given twice; keep one"
+    assert problem == "faults.link[2]: the link from area1 to area2 is given twice; keep one"
 
 
 def events(*lines: str) -> str:
@@ -61,11 +61,11 @@ def test_every_event_that_cannot_happen_is_refused_with_its_number(tmp_path: Pat
     )
     problems = problems_of(tmp_path, text)
     assert problems == (
-        "faults.events[0].kill: there is no 'area9'; allowed: area1, area2, area3, plant, router",
-        "faults.events[2].cut: there is no 'plant'; allowed: area1, area2, area3",
-        "faults.events[3]: is over 30 s after the start, but run.timeout_s is 30; raise timeout_s or let it happen "
+        "faults.events[1].kill: there is no 'area9'; allowed: area1, area2, area3, plant, router",
+        "faults.events[3].cut: there is no 'plant'; allowed: area1, area2, area3",
+        "faults.events[4]: is over 30 s after the start, but run.timeout_s is 30; raise timeout_s or let it happen "
         "earlier",
-        "faults.events[1].cut: area2 and area3 are not neighbours; links: area2 to area1, area3 to area1, "
+        "faults.events[2].cut: area2 and area3 are not neighbours; links: area2 to area1, area3 to area1, "
         "area1 to area2, area1 to area3",
     )
 
@@ -82,10 +82,10 @@ def test_events_that_meet_what_is_dead_frozen_silent_or_cut_already_are_refused(
         'at_s = 2, cut = ["area2", "area1"], for_s = 2',
     )
     assert problems_of(tmp_path, text) == (
-        "faults.events[2].pause: area1 is dead by then, killed by faults.events[1]; restart it before, or remove one "
+        "faults.events[3].pause: area1 is dead by then, killed by faults.events[2]; restart it before, or remove one "
         "of the two",
-        "faults.events[5].silent: falls into faults.events[4], pause plant until 4 s; let it happen earlier or later",
-        "faults.events[7].cut: falls into faults.events[6], cut area1 and area2 until 3 s; let it happen earlier or "
+        "faults.events[6].silent: falls into faults.events[5], pause plant until 4 s; let it happen earlier or later",
+        "faults.events[8].cut: falls into faults.events[7], cut area1 and area2 until 3 s; let it happen earlier or "
         "later",
     )
 
@@ -100,7 +100,7 @@ def test_an_event_may_begin_when_the_one_before_it_ends(tmp_path: Path) -> None:
 def test_the_second_router_can_be_named_where_there_is_one(tmp_path: Path) -> None:
     happens = events('at_s = 1, kill = "router2"', 'at_s = 2, restart = "router2"')
     assert the_only(problems_of(tmp_path, GOOD + events('at_s = 1, kill = "router2"'))) == (
-        "faults.events[0].kill: there is no 'router2' with transport.routers = 1; allowed: area1, area2, area3, plant, "
+        "faults.events[1].kill: there is no 'router2' with transport.routers = 1; allowed: area1, area2, area3, plant, "
         "router"
     )
     path = tmp_path / "mine.toml"
@@ -111,7 +111,7 @@ def test_the_second_router_can_be_named_where_there_is_one(tmp_path: Path) -> No
 def test_there_is_no_router_to_kill_where_neighbours_link_directly(tmp_path: Path) -> None:
     text = GOOD + '[transport]\nkind = "neighbours"\n' + events('at_s = 1, restart = "router"')
     assert the_only(problems_of(tmp_path, text)) == (
-        "faults.events[0].restart: there is no 'router' with transport.kind = \"neighbours\"; allowed: area1, area2, "
+        "faults.events[1].restart: there is no 'router' with transport.kind = \"neighbours\"; allowed: area1, area2, "
         "area3, plant"
     )
 
@@ -128,7 +128,7 @@ def test_there_is_no_router_to_kill_where_neighbours_link_directly(tmp_path: Pat
 )
 def test_an_event_is_exactly_one_thing_that_lasts_or_does_not(tmp_path: Path, event: str, expected: str) -> None:
     problem = the_only(problems_of(tmp_path, GOOD + events(event)))
-    assert problem.startswith("faults.events[0]: ")
+    assert problem.startswith("faults.events[1]: ")
     assert expected in problem
 
 

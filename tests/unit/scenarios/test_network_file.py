@@ -79,30 +79,30 @@ def test_a_default_id_makes_way_for_the_same_id_given_to_a_later_branch(tmp_path
 
 def test_mixed_units_are_refused(tmp_path: Path) -> None:
     (problem,) = problems_of(tmp_path, changed("b_us = 100.0", "b_pu = 0.1"))
-    assert problem.startswith("branch[0]: mixes ohm and microsiemens with r_pu/x_pu/b_pu/g_pu")
+    assert problem.startswith("branch[1]: mixes ohm and microsiemens with r_pu/x_pu/b_pu/g_pu")
 
 
 def test_half_an_impedance_is_refused(tmp_path: Path) -> None:
     (problem,) = problems_of(tmp_path, changed("r_pu = 0.01, ", ""))
-    assert problem == "branch[2]: has no complete impedance; give r_ohm and x_ohm, or r_pu and x_pu"
+    assert problem == "branch[3]: has no complete impedance; give r_ohm and x_ohm, or r_pu and x_pu"
 
 
 def test_an_impedance_in_ohm_between_two_voltage_levels_is_refused(tmp_path: Path) -> None:
     (problem,) = problems_of(tmp_path, changed("r_pu = 0.01, x_pu = 0.05, b_pu = 0.002", "r_ohm = 1.0, x_ohm = 1.0"))
-    assert problem.startswith("branch[2].r_ohm: the branch joins bus 2 of 20.0 kV and bus 3 of 0.4 kV")
+    assert problem.startswith("branch[3].r_ohm: the branch joins bus 2 of 20.0 kV and bus 3 of 0.4 kV")
 
 
 @pytest.mark.parametrize(
     ("old", "new", "text"),
     [
-        ("vm_pu = 1.02, ", "", "source[0]: vm_pu is missing"),
-        ("q_mvar = 0.5", "vm_pu = 1.0", "source[1]: vm_pu has no meaning for kind 'power'"),
-        ("vm_pu = 0.99", "vm_pu = 0.99, va_deg = 1.0", "source[2]: va_deg has no meaning for kind 'voltage'"),
-        ('kind = "power"', 'kind = "pq"', "source[1].kind: must be 'slack', 'voltage' or 'power', found 'pq'"),
-        ("base_kv = 0.4", "base_kv = 0.0", "bus[2].base_kv: must be greater than 0, found 0.0"),
-        ("tap_ratio = 0.95", "tap = 0.95", "branch[2].tap: unknown key; allowed here: from, to, id,"),
-        ('id = "spare"', 'id = "S 1"', "branch[3].id: must match pattern"),
-        ("from = 2, ", "", "branch[2].from: missing; id of the bus at the tap side"),
+        ("vm_pu = 1.02, ", "", "source[1]: vm_pu is missing"),
+        ("q_mvar = 0.5", "vm_pu = 1.0", "source[2]: vm_pu has no meaning for kind 'power'"),
+        ("vm_pu = 0.99", "vm_pu = 0.99, va_deg = 1.0", "source[3]: va_deg has no meaning for kind 'voltage'"),
+        ('kind = "power"', 'kind = "pq"', "source[2].kind: must be 'slack', 'voltage' or 'power', found 'pq'"),
+        ("base_kv = 0.4", "base_kv = 0.0", "bus[3].base_kv: must be greater than 0, found 0.0"),
+        ("tap_ratio = 0.95", "tap = 0.95", "branch[3].tap: unknown key; allowed here: from, to, id,"),
+        ('id = "spare"', 'id = "S 1"', "branch[4].id: must match pattern"),
+        ("from = 2, ", "", "branch[3].from: missing; id of the bus at the tap side"),
         ("{ id = 3, ", "{ id = 2, ", "bus 2 is defined "),
         ("from = 2, to = 3", "from = 2, to = 7", "branch 2-7 ends at bus 7"),
     ],
@@ -113,7 +113,7 @@ def test_a_mistake_is_named_by_its_place(tmp_path: Path, old: str, new: str, tex
 
 def test_all_problems_are_reported_at_once(tmp_path: Path) -> None:
     text = changed("base_mva = 10.0", "base_mva = 0.0").replace("base_kv = 0.4", "base = 0.4")
-    assert [p.split(":")[0] for p in problems_of(tmp_path, text)] == ["base_mva", "bus[2].base_kv", "bus[2].base"]
+    assert [p.split(":")[0] for p in problems_of(tmp_path, text)] == ["base_mva", "bus[3].base_kv", "bus[3].base"]
 
 
 def test_an_unknown_case_is_refused_with_those_that_are_shipped() -> None:

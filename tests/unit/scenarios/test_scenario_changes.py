@@ -20,7 +20,7 @@ def test_tables_that_the_file_does_not_have_are_made():
 
 def test_several_changes_and_items_of_lists_are_possible():
     link = [{"from": "area1", "to": "area2", "loss": 0.1}]
-    scenario = load_scenario("ieee33", changes={"faults.link": link, "faults.link[0].loss": 0.7, "seed": 9})
+    scenario = load_scenario("ieee33", changes={"faults.link": link, "faults.link[1].loss": 0.7, "seed": 9})
     assert (scenario.faults.links["area1", "area2"].loss, scenario.seed) == (0.7, 9)
 
 
@@ -31,7 +31,8 @@ def test_several_changes_and_items_of_lists_are_possible():
         ("faults.loss", 2, "must be less than or equal to 1, found 2"),
         ("faults.loss.more", 1, "faults.loss is no table"),
         ("areas.area1.buses[99]", 1, "areas.area1.buses is a list of 13"),
-        ("areas[0]", 1, "areas is no list"),
+        ("areas.area1.buses[0]", 1, "areas.area1.buses is a list of 13; items count from 1"),
+        ("areas[1]", 1, "areas is no list"),
         ("faults..loss", 1, "is no key; one looks like faults.loss"),
         ("", 1, "is no key"),
     ],

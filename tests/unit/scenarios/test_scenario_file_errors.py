@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from scenario_mistakes import GOOD, link, problems_of, the_only
 
+from coordinator.split import default_run_id
 from dsse_core.errors import InvalidInputError
 from scenarios.scenario import load_scenario
 from scenarios.shipped_files import find_shipped
@@ -25,7 +26,7 @@ def test_an_unknown_key_is_refused_with_the_allowed_ones_and_the_closest(tmp_pat
 
 def test_an_unknown_key_at_the_top_is_refused(tmp_path: Path) -> None:
     problem = the_only(problems_of(tmp_path, changed("seed = 1", "seeed = 1")))
-    assert problem.startswith("seeed: unknown key; allowed here: version, description, seed, network,")
+    assert problem.startswith("seeed: unknown key; allowed here: version, name, description, seed, network,")
 
 
 def test_an_unknown_key_inside_a_named_area_is_refused_with_what_an_area_allows(tmp_path: Path) -> None:
@@ -38,9 +39,34 @@ def test_an_unknown_key_inside_a_named_area_is_refused_with_what_an_area_allows(
 def test_an_unknown_key_inside_a_list_of_tables_is_refused_with_its_position(tmp_path: Path) -> None:
     text = GOOD + '\n[[faults.link]]\nfrom = "area1"\nto = "area2"\nloss = 0.1\ndelay = 1\n'
     assert the_only(problems_of(tmp_path, text)) == (
-        "faults.link[0].delay: unknown key; allowed here: from, to, loss, burst, delay_ms, jitter_ms, duplicate, "
+        "faults.link[1].delay: unknown key; allowed here: from, to, loss, burst, delay_ms, jitter_ms, duplicate, "
         "corrupt, load, lie; did you mean 'delay_ms'?"
     )
+
+
+def test_a_position_in_a_list_is_not_left_to_be_guessed() -> None:
+    with pytest.raises(InvalidInputError) as caught:
+        load_scenario("ieee33", changes={"areas.area2.buses": [7, "y"]})
+    *_, problem, note = str(caught.value).splitlines()
+    assert problem.endswith("areas.area2.buses[2]: must be a valid integer, found 'y'")
+    assert note == "(items of lists count from 1)"
+    with pytest.raises(InvalidInputError) as caught:
+        load_scenario("ieee33", changes={"seed": -1})
+    assert "count from" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "changes", [{"areas": {300 * "a": {"buses": [*range(1, 34)]}}}, {"name": 300 * "a"}, {"name": ""}]
+)
+def test_a_name_of_300_letters_does_not_pass_the_check_to_fail_later(changes: dict[str, object]) -> None:
+    with pytest.raises(InvalidInputError, match=r"must have at (most 64|least 1) character"):
+        load_scenario("ieee33", changes=changes)
+
+
+def test_a_file_with_a_name_of_200_letters_has_a_run_of_64(tmp_path: Path) -> None:
+    path = tmp_path / (200 * "a" + ".toml")
+    path.write_text(GOOD, encoding="utf-8")
+    assert default_run_id(load_scenario(path)) == 64 * "a"
 
 
 def test_a_missing_key_is_named_with_its_meaning(tmp_path: Path) -> None:
@@ -207,7 +233,7 @@ def gross_error(meter: str) -> str:
 
 def test_a_gross_error_of_an_unknown_meter_is_refused_with_the_closest(tmp_path: Path) -> None:
     problem = the_only(problems_of(tmp_path, GOOD + gross_error("p_flow@4:3-4")))
-    assert problem.startswith("telemetry.gross_error[0].meter: 'p_flow@4:3-4' is no meter of this scenario")
+    assert problem.startswith("telemetry.gross_error[1].meter: 'p_flow@4:3-4' is no meter of this scenario")
     assert "did you mean 'p_flow@" in problem
 
 
