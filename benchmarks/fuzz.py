@@ -31,6 +31,13 @@ GROUPS = {
     "messages": ("messages",),
     "scenarios": ("scenario.toml", "network.toml", "network.json", "area.toml", "area.json", "readings.csv"),
     "importers": ("matpower.m", "pandapower.json", "power_grid_model.json"),
+    "parsers": (
+        "keys.toml",
+        "lenient-network.json",
+        "lenient-area.json",
+        "lenient-power_grid_model.json",
+        "foreign-pandapower.json",
+    ),
 }
 LONGEST_S = 30.0  # of one input
 MOST_MEMORY = 4 * GIB

@@ -20,6 +20,7 @@ STRINGS_AND_COMMENTS = re.compile(
     r"|\#[^\n]*+",
     re.DOTALL,
 )
+HALF_OF_A_PAIR = re.compile(r"\\u[dD][89a-fA-F]|[\ud800-\udfff]")
 HEADER = re.compile(r"^[ \t]*+\[", re.MULTILINE)
 DOTTED = re.compile(r"(?<![\w-])[\w-]++(?:[ \t]*+\.[ \t]*+[\w-]++)++([ \t]*+[=\]])?", re.ASCII)
 """Keys, and numbers with a point."""
@@ -36,9 +37,14 @@ def parse_json(text: str) -> Any:
     if values > MOST_VALUES:
         raise ValueError(f"it has {values:,} values, the limit is {MOST_VALUES:,}")
     try:
-        return json.loads(text, object_pairs_hook=_take_each_once)
+        tree = json.loads(text, object_pairs_hook=_take_each_once)
+        if HALF_OF_A_PAIR.search(text):  # some readers leave out the half that stands alone, so that names change
+            json.dumps(tree, ensure_ascii=False).encode()
     except RecursionError:
         raise ValueError("it nests too deeply") from None
+    except UnicodeEncodeError as error:
+        raise ValueError(f"it holds half of a character, {error.object[error.start]!a}") from None
+    return tree
 
 
 def parse_toml(text: str) -> dict[str, Any]:

@@ -74,16 +74,18 @@ def _check(value: Any, problems: list[str], level: int) -> Any:
     problems += found
     checked = {key: _check(item, problems, level) for key, item in value.items()}
     if not found and isinstance(value.get("_object"), str) and value.get("_module") not in (None, *PLAIN_PACKAGES):
-        checked["_object"] = _check_text(value["_object"], problems, level + 1)
+        is_table = (value.get("_module"), value.get("_class")) in TABLES
+        checked["_object"] = _check_text(value["_object"], problems, level + 1, allow_nan=not is_table)
     return checked
 
 
-def _check_text(text: str, problems: list[str], level: int) -> str:
+def _check_text(text: str, problems: list[str], level: int, *, allow_nan: bool) -> str:
+    """``text`` written anew; ``allow_nan``: nan and inf, which pandapower writes and reads, and pandas does not."""
     if level > DEEPEST:
         problems.append(f"JSON texts stand inside each other more than {DEEPEST} times")
         return ""
     try:
-        return json.dumps(_check(parse_json(text), problems, level))
+        return json.dumps(_check(parse_json(text), problems, level), allow_nan=allow_nan)
     except ValueError as error:
         problems.append(f"an object whose content is no JSON but {_shown(text)} ({error})")
         return ""

@@ -114,7 +114,7 @@ def _kind_of(data: Data, component: int) -> str:
 def _convert(name: str, data: Data, frequency_hz: float, *, measured: bool) -> tuple[Conversion, list[Remark]]:
     if problems := list(_find_problems(data, measured=measured)):
         raise InvalidInputError(name, problems)
-    kv = {int(node["id"]): float(node["u_rated"]) / 1000 for node in data["node"]}
+    kv = {int(node["id"]): float(node["u_rated"]) / 1000 for node in rows(data, "node")}
     closed = [link for link in rows(data, "link") if link["from_status"] and link["to_status"]]
     bus_of = fuse(kv, ((int(link["from_node"]), int(link["to_node"])) for link in closed))
     branches, branch_of, shunts = _build_branches(data, kv, bus_of, frequency_hz)
@@ -148,7 +148,7 @@ def _convert(name: str, data: Data, frequency_hz: float, *, measured: bool) -> t
 
 def _find_problems(data: Data, *, measured: bool) -> Iterator[str]:
     closed = [b for name in (*BUILDERS, "link") for b in rows(data, name) if b["from_status"] and b["to_status"]]
-    nodes = (int(node["id"]) for node in data["node"])
+    nodes = (int(node["id"]) for node in rows(data, "node"))
     island_of = fuse(nodes, ((int(b["from_node"]), int(b["to_node"])) for b in closed))
     sources = [(f"source {source['id']}", int(source["node"])) for source in working_sources(data)]
     yield from find_source_problems(sources, island_of, "take the sources of the other islands out of service")

@@ -1,5 +1,8 @@
 """The fuzzer's inputs are repeatable, and no decoder falls for those of the first few numbers."""
 
+import json
+import tomllib
+
 import pytest
 
 from benchmarks.fuzz import FINDING, make_input, try_input
@@ -20,6 +23,23 @@ def test_spoilt_input_is_accepted_or_refused(name, random_seed, tmp_path):
     for number in range(10 if name == "messages" else 1):
         outcome = try_input(name, make_input(name, random_seed, number), tmp_path)
         assert not outcome.startswith(FINDING), outcome
+
+
+def test_a_module_that_a_file_has_imported_is_a_finding(monkeypatch, tmp_path):
+    monkeypatch.setattr("scenarios.importers.pandapower.write_anew", lambda _, tree: json.dumps(tree))
+    outcomes = [
+        try_input("foreign-pandapower.json", make_input("foreign-pandapower.json", 1, number), tmp_path)
+        for number in range(9, 12)
+    ]
+    assert any(outcome.startswith("FINDING: TwoReadingsError") and "was imported" in outcome for outcome in outcomes)
+
+
+def test_a_key_given_twice_and_a_deep_one_that_are_read_are_findings(monkeypatch, tmp_path):
+    monkeypatch.setattr("scenarios.strict_toml.parse_json", json.loads)
+    monkeypatch.setattr("benchmarks.fuzz_parsing.parse_toml", tomllib.loads)
+    for name, what in (("lenient-network.json", "a key is given twice"), ("keys.toml", "parts was accepted")):
+        outcomes = [try_input(name, make_input(name, 1, number), tmp_path) for number in range(200)]
+        assert any(outcome.startswith("FINDING: TwoReadingsError") and what in outcome for outcome in outcomes)
 
 
 def test_anything_else_is_a_finding(monkeypatch, tmp_path):

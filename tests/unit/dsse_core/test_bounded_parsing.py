@@ -73,6 +73,13 @@ def test_a_key_given_twice_is_refused_whatever_its_values(text: str) -> None:
         parse_json(text)
 
 
+@pytest.mark.parametrize("text", ['{"\\ud800_module": 1}', '["\\uDFFF"]', '["\\ude00\\ud83d"]', '["\ud800"]'])
+def test_half_of_a_character_which_other_readers_leave_out_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match="half of a character"):
+        parse_json(text)
+    assert parse_json('["\\ud83d\\ude00", "\\\\ud800"]') == ["\U0001f600", "\\ud800"]
+
+
 def test_more_values_than_fit_into_memory_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bounded_parsing, "MOST_VALUES", 10)
     assert parse_json("[" + "0," * 9 + "0]")

@@ -127,6 +127,8 @@ LENIENT = {
     "a raw end of line in a text": ("index_name", "index\nname"),
     "a raw tab in a text": ("index_name", "index\tname"),
     "a key given twice": ('"index":', '"index": [5], "index":'),
+    "half of a character": ('"_module"', '"\\ud800_module"'),
+    "no number": ("[0]", "[NaN]"),
     "a mark of the order of bytes": ("{", "\ufeff{"),
     "another end of the text": ("}]]}", "}]]} //"),
 }
