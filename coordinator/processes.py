@@ -16,7 +16,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from coordinator.zygote import STOP_S, Ended, Preload, Signal, Start, Started, Stop
+from coordinator.zygote import ENDS, PARENT, STOP_S, Ended, Preload, Signal, Start, Started, Stop
 from dsse_core.errors import DsseError
 
 ONE_THREAD = {
@@ -45,15 +45,20 @@ class Launcher:
         self.on_news = news or (lambda _: None)
         self._orders, theirs = Pipe()
         path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH", "")]))
-        self._zygote = subprocess.Popen(
-            # -P: a folder of the user's called "agents" or "scenarios" must not stand in for ours
-            [sys.executable, "-P", "-m", "coordinator.zygote", str(theirs.fileno())],
-            pass_fds=[theirs.fileno()],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            start_new_session=True,
-            env={**os.environ, **ONE_THREAD, **ONE_HEAP, "PYTHONPATH": path},
-        )
+        # inherited: until it knows what to do at them, signals that end it wait
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, ENDS)
+        try:
+            self._zygote = subprocess.Popen(
+                # -P: a folder of the user's called "agents" or "scenarios" must not stand in for ours
+                [sys.executable, "-P", "-m", "coordinator.zygote", str(theirs.fileno())],
+                pass_fds=[theirs.fileno()],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                start_new_session=True,
+                env={**os.environ, **ONE_THREAD, **ONE_HEAP, "PYTHONPATH": path},
+            )
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         theirs.close()
         self._any_started = False
         self._stopping = False
@@ -128,13 +133,15 @@ class Launcher:
             ) from None
 
     def _read_news(self) -> None:
+        said_its_end = False
         try:
             while True:
                 news = self._orders.recv()
+                said_its_end |= news.name == PARENT
                 self.on_news(news)  # looked up now: it may have been set while we waited
         except (EOFError, OSError):
-            if not (self._stopping or self._closed):
-                self.on_news(Ended("parent of all processes", self.pid, self._zygote.wait()))
+            if not (self._stopping or self._closed or said_its_end):
+                self.on_news(Ended(PARENT, self.pid, self._zygote.wait()))
 
 
 def check_open_files(areas: int) -> None:

@@ -1,9 +1,9 @@
 """The warmed parent: imports once what router, plant and agents need, then forks each of them in milliseconds.
 
 It obeys the coordinator over one socket. A coordinator that ends in order has its processes stopped; one
-that is killed stops nothing: the areas go on until SIGTERM to this process, which then stops them. It holds
-no thread and no Zenoh session, so forking is safe. It and its children are one process group of their own,
-so that Ctrl-C in a terminal reaches the coordinator only.
+that is killed stops nothing: the areas go on until SIGTERM, SIGINT or SIGHUP to this process, which then stops them;
+if this process is killed, they end by themselves. It holds no thread and no Zenoh session, so forking is safe. It
+and its children are one process group of their own, so that Ctrl-C in a terminal reaches the coordinator only.
 """
 
 from __future__ import annotations
@@ -24,7 +24,11 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any, NoReturn
 
+from coordinator.lifeline import Lifeline
+
 STOP_S = 3.0  # from SIGTERM to SIGKILL
+ENDS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
+PARENT = "parent of all processes"
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,15 +91,20 @@ class Zygote:
     orders: Connection[Any, Any]
     children: dict[int, Start] = field(default_factory=dict)  # by pid
     stopped: bool = False
+    signalled: int = 0  # by which signal it was told to stop, if by one
+    lifeline: Lifeline = field(default_factory=Lifeline)
 
     def serve(self) -> None:
-        """Obey until told to stop or until SIGTERM; without a coordinator, until no child is left."""
+        """Obey until told to stop or until a signal of ``ENDS``; without a coordinator, until no child is left."""
         wake_read, wake_write = os.pipe()
         os.set_blocking(wake_read, False)
         os.set_blocking(wake_write, False)
         signal.set_wakeup_fd(wake_write, warn_on_full_buffer=False)
         signal.signal(signal.SIGCHLD, lambda *_: None)  # the byte on the pipe is what counts
-        signal.signal(signal.SIGTERM, self._on_sigterm)
+        for number in ENDS:
+            if signal.getsignal(number) != signal.SIG_IGN:  # as nohup has it
+                signal.signal(number, self._stop)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDS)  # which the coordinator has blocked until now
         # inherited: orders to a process wait until it knows what to do at them; unheard of, they would end it
         signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGUSR1, signal.SIGUSR2))
         self._inherited = (wake_read, wake_write)
@@ -114,10 +123,12 @@ class Zygote:
                         orphaned = True
                         _redirect(Path(os.devnull))  # who reads the coordinator's pipes shall see their end
         finally:
+            if self.signalled:  # before the ends of the children, which follow from it
+                self._report(Ended(PARENT, os.getpid(), -self.signalled))
             self._stop_children()
 
-    def _on_sigterm(self, *_: object) -> None:
-        self.stopped = True
+    def _stop(self, number: int, _: object) -> None:
+        self.stopped, self.signalled = True, number
 
     def _obey(self, order: Preload | Start | Signal | Stop) -> None:
         match order:
@@ -149,12 +160,14 @@ class Zygote:
         try:
             os.nice(order.nice)
             signal.set_wakeup_fd(-1)
-            for number in (signal.SIGCHLD, signal.SIGTERM):
-                signal.signal(number, signal.SIG_DFL)
+            for number in (signal.SIGCHLD, *ENDS):
+                if signal.getsignal(number) != signal.SIG_IGN:
+                    signal.signal(number, signal.SIG_DFL)
             self.orders.close()
             for fd in self._inherited:
                 os.close(fd)
             _redirect(order.log)
+            self.lifeline.hold(STOP_S if order.stop_last else 0.0, STOP_S)
             faulthandler.enable(all_threads=False)
             code = _call(order)
         except BaseException:

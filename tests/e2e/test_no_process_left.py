@@ -69,6 +69,34 @@ def test_a_killed_coordinator_stops_nothing_and_one_signal_to_the_parent_stops_a
     assert_nothing_left(run.pids())
 
 
+def test_a_killed_coordinator_and_a_killed_parent_leave_nothing_for_ever(start_run, assert_nothing_left):
+    run = start_run("ieee33")
+    run.wait_until_joined("area1", "area2", "area3")
+    pids = run.pids()
+    run.process.kill()
+    run.end()
+    os.kill(pids["area2"], signal.SIGSTOP)  # which of itself would hear of nothing
+    os.kill(pids["parent"], signal.SIGKILL)
+    assert_nothing_left(pids)
+    for area in ("area1", "area2"):
+        assert "ends: SIGTERM" in (run.folder / "logs" / f"{area}.log").read_text()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_to_the_parent_stops_all_in_order_and_shows_no_traceback(
+    start_run, deaf_scenario, assert_nothing_left, number: signal.Signals
+):
+    run = start_run(deaf_scenario)
+    run.wait_until_joined("area1", "area2")
+    os.kill(run.pids()["parent"], number)
+    code, out, err = run.end()
+    assert code == 1
+    assert f"parent of all processes died with signal {number.name}" in out
+    assert "Traceback" not in out + err
+    assert_nothing_left(run.pids())
+    assert "ends: SIGTERM" in (run.folder / "logs" / "area1.log").read_text()
+
+
 def test_a_killed_parent_of_all_ends_the_run_and_leaves_nothing_behind(start_run, deaf_scenario, assert_nothing_left):
     run = start_run(deaf_scenario)
     run.wait_until_joined("area1", "area2")

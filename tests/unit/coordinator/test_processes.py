@@ -143,3 +143,16 @@ def test_an_order_to_a_process_that_is_not_ready_for_it_waits_and_does_not_end_i
         launcher.start("one", "signal:sigwait", {signal.SIGUSR1}, log=tmp_path / "one.log")
         launcher.signal("one", signal.SIGUSR1)  # long before it waits for it
         assert take_until(news, Ended, "one").code == signal.SIGUSR1
+
+
+def test_a_process_that_ignores_sigterm_does_not_outlive_its_killed_parent(tmp_path: Path):
+    news = News()
+    with Launcher(news.put) as launcher:
+        ignore = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); print('deaf'); time.sleep(600)"
+        launcher.start("deaf", "builtins:exec", ignore, log=tmp_path / "deaf.log")
+        pid = take_until(news, Started, "deaf").pid
+        deadline = time.monotonic() + DEADLINE_S
+        while read_end(tmp_path / "deaf.log") != "deaf" and time.monotonic() < deadline:
+            news.take(0.02)
+        os.kill(launcher.pid, signal.SIGKILL)
+        assert is_gone(pid)  # inside the block: on leaving it the launcher would kill the group

@@ -1,0 +1,35 @@
+"""A forked process ends with its parent, however that ends: by a pipe whose other end only the parent holds.
+
+The system closes that end with the parent, even at SIGKILL, and whoever reads the pipe hears of it at once, on every
+POSIX system. A signal ordered from the system (PR_SET_PDEATHSIG) would do on Linux only.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import threading
+import time
+
+
+class Lifeline:
+    """Made by the parent before it forks; each child calls ``hold`` once, before anything of its own runs."""
+
+    def __init__(self) -> None:
+        self._read, self._write = os.pipe()
+
+    def hold(self, wait_s: float, grace_s: float) -> None:
+        """From now on: ``wait_s`` after the parent's death SIGTERM to this process, SIGKILL ``grace_s`` after that."""
+        os.close(self._write)
+        threading.Thread(target=self._end_with_parent, args=(wait_s, grace_s), name="lifeline", daemon=True).start()
+
+    def _end_with_parent(self, wait_s: float, grace_s: float) -> None:
+        os.read(self._read, 1)  # nobody writes: it returns when the last writing end is closed
+        with contextlib.suppress(OSError):
+            os.killpg(os.getpgrp(), signal.SIGCONT)  # one that was paused could not hear of it
+        time.sleep(wait_s)
+        # to the main thread, which runs the handlers: sent to the process, another thread might wake for it
+        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)
+        time.sleep(grace_s)
+        os.kill(os.getpid(), signal.SIGKILL)
