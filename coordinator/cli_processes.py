@@ -140,4 +140,21 @@ def plant(
     )
 
 
-process_commands = (split, agent, router, plant)
+@click.command(short_help="End what is left of a run.")
+@click.argument("folder", metavar="RUN_FOLDER", type=click.Path(path_type=Path))
+def stop(folder: Path) -> None:
+    """End the processes of the run in RUN_FOLDER that are left on this host, as after `kill -9` of its `dsse run`.
+
+    \b
+    Example:  dsse stop runs/ieee33-20261122-120000
+    """
+    from coordinator.stop_run import stop_run
+
+    run, count = stop_run(folder)
+    if count:
+        print(f"run {run.id}: {count} process{'es' * (count > 1)} ended")
+    else:
+        print(f"run {run.id}: no process of it is left on this host")
+
+
+process_commands = (split, agent, router, plant, stop)

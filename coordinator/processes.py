@@ -6,6 +6,7 @@ import contextlib
 import os
 import pickle
 import queue
+import secrets
 import signal
 import subprocess
 import sys
@@ -16,7 +17,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from coordinator.zygote import ENDS, PARENT, STOP_S, Ended, Preload, Signal, Start, Started, Stop
+from coordinator.zygote import ENDS, MODULE, PARENT, STOP_S, Ended, Preload, Signal, Start, Started, Stop
 from dsse_core.errors import DsseError
 
 ONE_THREAD = {
@@ -43,6 +44,7 @@ class Launcher:
         if not hasattr(os, "fork"):
             raise LaunchError("this system cannot fork processes; run on Linux or macOS, or under WSL on Windows")
         self.on_news = news or (lambda _: None)
+        self.mark = secrets.token_hex(8)  # in the command lines of all its processes
         self._orders, theirs = Pipe()
         path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH", "")]))
         # inherited: until it knows what to do at them, signals that end it wait
@@ -50,7 +52,7 @@ class Launcher:
         try:
             self._zygote = subprocess.Popen(
                 # -P: a folder of the user's called "agents" or "scenarios" must not stand in for ours
-                [sys.executable, "-P", "-m", "coordinator.zygote", str(theirs.fileno())],
+                [sys.executable, "-P", "-m", MODULE, str(theirs.fileno()), self.mark],
                 pass_fds=[theirs.fileno()],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,

@@ -63,7 +63,8 @@ def run_scenario(
         run_id = f"{default_run_id(scenario)}-{secrets.token_hex(4)}"
         system = System(launcher, scenario, run_id, folder, keys=_find_keys(scenario, run_id, folder, secure, keys))
         run = RunUnderWay(scenario, run_id, folder, system, events, started)
-        events.write("run started", run=run_id, scenario=scenario.name, seed=scenario.seed, parent_pid=launcher.pid)
+        parent = {"parent_pid": launcher.pid, "mark": launcher.mark}
+        events.write("run started", None, run=run_id, scenario=scenario.name, seed=scenario.seed, **parent)
         listen_to_processes(run)
         run.note_time("scenario_loaded")
         try:

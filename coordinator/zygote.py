@@ -29,6 +29,7 @@ from coordinator.lifeline import Lifeline
 STOP_S = 3.0  # from SIGTERM to SIGKILL
 ENDS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 PARENT = "parent of all processes"
+MODULE = "coordinator.zygote"
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,7 +231,7 @@ def _call(order: Start) -> int:
         return request.code or 0
 
 
-if __name__ == "__main__":
+if __name__ == "__main__":  # arguments: the socket; the mark by which `dsse stop` knows it and what it forks
     from coordinator import zygote  # the classes that the coordinator pickles, not their copies in __main__
 
     zygote.Zygote(Connection(int(sys.argv[1]))).serve()

@@ -82,6 +82,33 @@ def test_a_killed_coordinator_and_a_killed_parent_leave_nothing_for_ever(start_r
         assert "ends: SIGTERM" in (run.folder / "logs" / f"{area}.log").read_text()
 
 
+def test_stop_ends_what_a_killed_coordinator_has_left_and_nothing_else(start_run, dsse, assert_nothing_left):
+    run = start_run("ieee33")
+    run.wait_until_joined("area1", "area2", "area3")
+    pids = run.pids()
+    run.process.kill()
+    run.end()
+    os.kill(pids["area3"], signal.SIGSTOP)
+    mark = run.events()[0]["mark"]
+    with subprocess.Popen([sys.executable, "-c", "input()", str(mark)], stdin=subprocess.PIPE) as bystander:
+        done = dsse("stop", run.folder)
+        assert bystander.poll() is None
+    assert (done.returncode, done.stderr) == (0, "")
+    assert f"run {run.events()[0]['run']}: 6 processes ended" in done.stdout  # parent, router, plant, areas
+    assert_nothing_left(pids)
+    assert "no process of it is left" in dsse("stop", run.folder).stdout
+
+
+def test_stop_ends_a_parent_that_is_frozen(start_run, dsse, deaf_scenario, assert_nothing_left):
+    run = start_run(deaf_scenario)
+    run.wait_until_joined("area1", "area2")
+    run.process.kill()
+    run.end()
+    os.kill(run.pids()["parent"], signal.SIGSTOP)
+    assert dsse("stop", run.folder).returncode == 0
+    assert_nothing_left(run.pids())
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_to_the_parent_stops_all_in_order_and_shows_no_traceback(
     start_run, deaf_scenario, assert_nothing_left, number: signal.Signals

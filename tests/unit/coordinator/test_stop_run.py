@@ -1,0 +1,58 @@
+"""``dsse stop`` ends the processes of a run, whatever has become of its numbers, and believes no strange folder."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from pathlib import Path
+
+import psutil
+import pytest
+
+from coordinator import stop_run as stopping
+from coordinator.processes import Launcher
+from coordinator.stop_run import find_marked, read_started_run, stop_run
+from dsse_core.errors import InvalidInputError
+
+
+def make_folder(folder: Path, **about: object) -> Path:
+    event = {"time": 0.0, "event": "run started", "run": "mine", "parent_pid": os.getpid()} | about
+    (folder / "events.jsonl").write_text(json.dumps(event) + "\n")
+    return folder
+
+
+@pytest.mark.parametrize("list_by_ps", [False, True])
+def test_the_processes_of_a_run_are_known_by_their_command_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, list_by_ps: bool
+):
+    if list_by_ps:
+        monkeypatch.setattr(stopping, "PROC", tmp_path / "no-proc")
+    with Launcher() as launcher, Launcher() as other:
+        for one in (launcher, other):
+            one.start("one", "time:sleep", 60, log=tmp_path / "one.log")
+        children = psutil.Process(launcher.pid).children
+        while not children():
+            assert psutil.pid_exists(launcher.pid)
+        assert set(find_marked(launcher.mark)) == {launcher.pid, children()[0].pid}
+
+
+def test_a_number_that_is_anothers_by_now_is_not_signalled(tmp_path: Path):
+    heard: list[int] = []
+    before = signal.signal(signal.SIGTERM, lambda number, _: heard.append(number))
+    try:
+        run, count = stop_run(make_folder(tmp_path, mark="0123456789abcdef"))
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert (run.id, count, heard) == ("mine", 0, [])
+
+
+@pytest.mark.parametrize("about", [{}, {"mark": ""}, {"mark": 7}, {"mark": "python"}, {"mark": "0123456789ABCDEF"}])
+def test_a_folder_of_no_run_is_refused(tmp_path: Path, about: dict[str, object]):
+    with pytest.raises(InvalidInputError, match="give the run folder of `dsse run`"):
+        read_started_run(make_folder(tmp_path, **about))
+
+
+def test_a_folder_without_events_is_refused(tmp_path: Path):
+    with pytest.raises(InvalidInputError, match=r"events\.jsonl: 1 problem\n  - cannot be read: No such file"):
+        read_started_run(tmp_path)
