@@ -8,11 +8,12 @@ coordinator needs.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from pathlib import Path
-from typing import TYPE_CHECKING
 
+TYPE_CHECKING = False  # as that of ``typing``, which would take longer to import than all else here
 if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
     from coordinator.progress import Progress
     from coordinator.result import RunResult
     from scenarios.faults import LinkChanges

@@ -7,25 +7,42 @@ import os
 import sys
 from collections.abc import Sequence
 
+from coordinator import interrupts
+
 SWITCH_S = 1e-3  # after which a thread that computes lets in one that has news from the bus
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command in ``argv`` (default: that of the process) and return its exit code."""
+    """Run the command in ``argv`` (default: that of the process) and return its exit code, which no signal changes."""
+    interrupts.end_at_once()
     arguments = list(sys.argv[1:] if argv is None else argv)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # spinning threads would take the agents' cores
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # to look for some, it reads about all packages
     gc.set_threshold(100_000, 50, 100)  # a large grid is millions of objects without cycles: look for some rarely
     sys.setswitchinterval(SWITCH_S)
-    if arguments[:1] == ["agent"]:
-        from agents.__main__ import main as agent
+    code = _run_agent(arguments[1:]) if arguments[:1] == ["agent"] else _run_command(arguments)
+    interrupts.ignore()
+    return code
 
-        return agent(arguments[1:])
+
+def _run_agent(arguments: Sequence[str]) -> int:
+    from agents.__main__ import main as agent
+
+    return agent(arguments)
+
+
+def _run_command(arguments: Sequence[str]) -> int:
     from agents.heap import keep_small
-    from coordinator.cli import run_command
+    from coordinator.cli import run_command, say_interrupted
 
     keep_small()
-    return run_command(arguments)
+    try:
+        interrupts.raise_interrupts()
+        code = run_command(arguments)
+        interrupts.ignore()
+    except KeyboardInterrupt:  # before the command began, or when it was over
+        code = say_interrupted()
+    return code
 
 
 if __name__ == "__main__":

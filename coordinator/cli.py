@@ -13,8 +13,8 @@ from coordinator.cli_networks import network_commands
 from coordinator.cli_processes import process_commands
 from coordinator.cli_studies import study_commands
 from coordinator.cli_watch import watch
+from coordinator.interrupts import INTERRUPTED_CODE, end_orderly_on_signals
 from coordinator.terminal import (
-    end_orderly_on_signals,
     finish_run,
     no_plots_option,
     progress,
@@ -44,9 +44,14 @@ def run_command(arguments: Sequence[str]) -> int:
         say(f"error: {name}{error.strerror or error}; choose another place, or make room there")
         return 2
     except (KeyboardInterrupt, click.Abort):
-        print("interrupted", file=sys.stderr)
-        return 1
+        return say_interrupted()
     return int(code or 0)
+
+
+def say_interrupted() -> int:
+    """Say that somebody has ended the command; its exit code."""
+    say("interrupted")
+    return INTERRUPTED_CODE
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})

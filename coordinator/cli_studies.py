@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from coordinator.interrupts import end_orderly_on_signals
 from coordinator.terminal import (
     Number,
-    end_orderly_on_signals,
     finish_run,
     no_plots_option,
     progress,

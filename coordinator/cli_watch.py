@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 
 import click
 
+from coordinator.interrupts import end_orderly_on_signals
 from coordinator.terminal import (
     bus_timeout_option,
     choose_endpoints,
     connect_option,
-    end_orderly_on_signals,
     keys_option,
     show,
 )

@@ -17,7 +17,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from coordinator.zygote import ENDS, MODULE, PARENT, STOP_S, Ended, Preload, Signal, Start, Started, Stop
+from coordinator.interrupts import ENDS
+from coordinator.zygote import MODULE, PARENT, STOP_S, Ended, Preload, Signal, Start, Started, Stop
 from dsse_core.errors import DsseError
 
 ONE_THREAD = {

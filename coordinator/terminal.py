@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 import os
-import signal
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from coordinator.interrupts import decide
 from dsse_core.limits import LONGEST_S
 
 if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts fast
@@ -87,25 +87,19 @@ def say(text: str) -> None:
 
 
 def finish_run(result: RunResult, no_plots: bool) -> int:
-    """Print the verdict, draw the pictures, and return the exit code."""
+    """Print the verdict, draw the pictures, and return the exit code, which signals that come later do not change."""
     from coordinator.report import format_verdict
 
-    show(format_verdict(result))
+    verdict, code = format_verdict(result), 2 if result.unwritten else 0 if result.verdict.consensus else 1
+    decide(code)
+    show(verdict)
     if result.unwritten:
         say(f"error: files of the run are missing: {result.unwritten}; make room there, or choose another place")
-        return 2
-    if not no_plots:
+    elif not no_plots:
         from coordinator.plots import draw_plots
 
         draw_plots(result)
-    return 0 if result.verdict.consensus else 1
-
-
-def end_orderly_on_signals() -> None:
-    """Let SIGTERM and SIGHUP do what Ctrl-C does."""
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        if signal.getsignal(number) != signal.SIG_IGN:  # as nohup has it
-            signal.signal(number, _interrupt)
+    return code
 
 
 @contextmanager
@@ -148,7 +142,3 @@ def _print_now_and_then() -> Callable[[Progress], None]:
             say(f"{progress.elapsed_s:6.1f} s  {', '.join(areas)}")
 
     return show
-
-
-def _interrupt(*_: object) -> NoReturn:
-    raise KeyboardInterrupt

@@ -24,10 +24,10 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any, NoReturn
 
+from coordinator.interrupts import ENDS
 from coordinator.lifeline import Lifeline
 
 STOP_S = 3.0  # from SIGTERM to SIGKILL
-ENDS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 PARENT = "parent of all processes"
 MODULE = "coordinator.zygote"
 

@@ -1,0 +1,94 @@
+"""Ctrl-C and SIGTERM at any moment of a command: one word, no traceback, and a verdict that was given stands."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from dsse_command import COMMAND, ENVIRONMENT
+from waiting import DEADLINE_S
+
+INTERRUPT = """
+import os, signal, sys
+class Finder:
+    def find_spec(self, name, path=None, target=None):
+        if name == os.environ["INTERRUPT_AT"] and "coordinator" in sys.orig_argv:  # not the parent of a run's processes
+            os.kill(os.getpid(), int(os.environ["INTERRUPT_BY"]))
+sys.meta_path.insert(0, Finder())
+"""
+
+
+@pytest.fixture
+def interrupted_at(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
+    """Run ``dsse`` with a signal that reaches it while it imports a module; its run folder, if any, is ``out``."""
+    (tmp_path / "hook").mkdir()
+    (tmp_path / "hook" / "sitecustomize.py").write_text(INTERRUPT)
+    path = os.pathsep.join([str(tmp_path / "hook"), ENVIRONMENT["PYTHONPATH"]])
+
+    def run(module: str, *arguments: str, number: signal.Signals = signal.SIGINT) -> subprocess.CompletedProcess[str]:
+        where = {"INTERRUPT_AT": module, "INTERRUPT_BY": str(int(number)), "PYTHONPATH": path}
+        return subprocess.run(
+            [*COMMAND, *arguments],
+            cwd=tmp_path,
+            env={**ENVIRONMENT, **where},
+            capture_output=True,
+            text=True,
+            timeout=DEADLINE_S,
+            check=False,
+        )
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ("command", "module"),
+    [
+        ("check ieee33", "click"),
+        ("check ieee33", "coordinator.cli"),
+        ("check ieee33", "numpy"),
+        ("check ieee33", "numpy._core.multiarray"),
+        ("check ieee33", "numpy._core._exceptions"),  # by compiled code, which makes an ImportError of it
+        ("estimate ieee33", "scipy.sparse"),
+        ("agent areas/area1.toml", "agents.transport"),
+        ("plant ieee33", "numpy"),
+        ("run ieee33 --out out", "coordinator.run_scenario"),
+        ("run ieee33 --out out", "numpy"),
+        ("run ieee33 --out out", "zenoh"),
+        ("run ieee33 --out out", "scenarios.telemetry"),
+    ],
+)
+def test_ctrl_c_while_modules_are_loaded_shows_no_traceback(interrupted_at, command: str, module: str):
+    done = interrupted_at(module, *command.split())
+    assert (done.returncode, done.stdout, done.stderr.strip()) == (1, "", "interrupted")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_after_the_verdict_does_not_change_the_exit_code(interrupted_at, number: signal.Signals):
+    done = interrupted_at("matplotlib.figure", "run", "ieee33", "--out", "out", "--quiet", number=number)
+    assert done.stdout.startswith("consensus after")
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_sigterm_when_the_interpreter_ends_does_not_change_the_exit_code(tmp_path: Path):
+    """Where Python has given its signals back to the system, which would end the process with -15."""
+    (tmp_path / "sitecustomize.py").write_text(
+        "import os, signal, sys\n"
+        "class AtTheEnd:\n"
+        "    def __del__(self, kill=os.kill, pid=os.getpid(), number=signal.SIGTERM):\n"
+        "        kill(pid, number)\n"
+        "sys.kept_to_the_end = AtTheEnd()\n"
+    )
+    path = os.pathsep.join([str(tmp_path), ENVIRONMENT["PYTHONPATH"]])
+    done = subprocess.run(
+        [*COMMAND, "scenarios"],
+        env={**ENVIRONMENT, "PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+        timeout=DEADLINE_S,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
