@@ -21,6 +21,7 @@ from agents.loop import run_agent
 from agents.strategies import STRATEGIES
 from agents.succession import REPLACED_CODE, ReplacedError
 from agents.transport import Session
+from dsse_core import compiling
 from dsse_core.errors import DsseError, InvalidInputError
 from dsse_core.limits import LONGEST_S
 
@@ -57,12 +58,21 @@ def run_process(
     Where hundreds are forked, none of them needs a parser of its own: 2 ms and 1.5 MiB each.
     """
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
+    compiling.listen(_log_compiling)
     try:
         run_area(path, endpoints, timeout_s, keys)
     except DsseError as error:
         print(f"error: {error}", file=sys.stderr)
         return REPLACED_CODE if isinstance(error, ReplacedError) else 2
     return 0
+
+
+def _log_compiling(begins: bool, folder: str | None) -> None:
+    """Say once what takes so long."""
+    if begins:
+        compiling.forget_listeners()
+        kept = f"this happens once, the code is kept in {folder}" if folder else "there is no safe folder to keep it in"
+        logging.getLogger(__name__).info("compiling the solvers of large radial areas; %s", kept)
 
 
 def _seconds(text: str) -> float:

@@ -34,8 +34,11 @@ def _run_agent(arguments: Sequence[str]) -> int:
 def _run_command(arguments: Sequence[str]) -> int:
     from agents.heap import keep_small
     from coordinator.cli import run_command, say_interrupted
+    from coordinator.compile_clock import clock
+    from coordinator.terminal import say
 
     keep_small()
+    clock.say = say
     try:
         interrupts.raise_interrupts()
         code = run_command(arguments)

@@ -157,4 +157,20 @@ def stop(folder: Path) -> None:
         print(f"run {run.id}: no process of it is left on this host")
 
 
-process_commands = (split, agent, router, plant, stop)
+@click.command("compile", short_help="Compile the solvers of large radial networks ahead.")
+def compile_() -> None:
+    """Compile the solvers of large radial networks now, so that no run has to: for an image, or by an administrator.
+
+    They are kept in the folder of NUMBA_CACHE_DIR if that is set, else beside the package if that can be written, else
+    in the cache folder of the user. A processor of another kind compiles anew.
+
+    \b
+    Example:  sudo /opt/dsse/bin/dsse compile
+    """
+    from coordinator.compile_ahead import compile_ahead
+
+    ahead = compile_ahead()
+    print(f"kept in {ahead.folder}" if ahead.folder else f"is compiled already, in {' or '.join(ahead.found_in)}")
+
+
+process_commands = (split, agent, router, plant, stop, compile_)

@@ -17,8 +17,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from coordinator.compile_clock import clock
 from coordinator.interrupts import ENDS
-from coordinator.zygote import MODULE, PARENT, STOP_S, Ended, Preload, Signal, Start, Started, Stop
+from coordinator.zygote import MODULE, PARENT, STOP_S, Compiling, Ended, Preload, Signal, Start, Started, Stop
 from dsse_core.errors import DsseError
 
 ONE_THREAD = {
@@ -136,13 +137,19 @@ class Launcher:
             ) from None
 
     def _read_news(self) -> None:
-        said_its_end = False
+        said_its_end = compiles = False
         try:
             while True:
                 news = self._orders.recv()
+                if isinstance(news, Compiling):
+                    compiles = news.begins
+                    clock.take(news.begins, news.folder)
+                    continue
                 said_its_end |= news.name == PARENT
                 self.on_news(news)  # looked up now: it may have been set while we waited
         except (EOFError, OSError):
+            if compiles:
+                clock.take(False, None)
             if not (self._stopping or self._closed or said_its_end):
                 self.on_news(Ended(PARENT, self.pid, self._zygote.wait()))
 

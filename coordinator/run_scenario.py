@@ -10,6 +10,7 @@ from pathlib import Path
 
 from agents.access import COORDINATOR
 from agents.credentials import AUTHORITY, credentials_in
+from coordinator.compile_clock import clock
 from coordinator.events import EventLog
 from coordinator.judging import choose_scenario, judge, make_observer, no_consensus_within
 from coordinator.observer import Observer
@@ -31,6 +32,7 @@ from coordinator.split import default_run_id
 from coordinator.system import System
 from coordinator.yardstick import start_yardstick
 from dsse_core.area_model import choose_backend
+from dsse_core.estimation_plan import FEWEST_BUSES_OF_TREE
 from scenarios.check import check_scenario
 from scenarios.scenario import Scenario
 from scenarios.telemetry import make_telemetry
@@ -55,8 +57,7 @@ def run_scenario(
 ) -> RunResult:
     """Run ``scenario`` with the processes of ``launcher``; see ``coordinator.run``. ``started``: monotonic time."""
     scenario = choose_scenario(scenario, seed, strategy, timeout_s)
-    if any(choose_backend(area) == "tree" for area in scenario.partition.areas):
-        launcher.preload("agents.warm_up:warm_up")  # beside the check, which in a large grid takes as long
+    launcher.preload(*_find_solvers(scenario))  # beside the check, which in a large grid takes as long
     check_scenario(scenario)
     folder = make_run_folder(out, default_run_id(scenario), ("areas", "logs"))
     with EventLog(folder / "events.jsonl", started) as events:
@@ -75,6 +76,15 @@ def run_scenario(
             launcher.close()
             note_ends(run)
             events.write("run ended")
+
+
+def _find_solvers(scenario: Scenario) -> tuple[str, ...]:
+    """What of the compiled solvers the areas need, as targets of ``Launcher.preload``."""
+    areas = scenario.partition.areas
+    exchange = any(choose_backend(area) == "tree" for area in areas)
+    largest = max((len(area.network.buses) for area in areas), default=0)
+    estimate = scenario.strategy == "angle-offset" and largest >= FEWEST_BUSES_OF_TREE  # of each area by itself
+    return ("agents.warm_up:warm_up",) * exchange + ("agents.warm_up:warm_up_estimate",) * (exchange and estimate)
 
 
 def _find_keys(scenario: Scenario, run_id: str, folder: Path, secure: bool, keys: str | Path | None) -> Path | None:
@@ -143,7 +153,7 @@ def _run_with_router(run: RunUnderWay, on_update: Callable[[Progress], None] | N
 
 
 def _is_time_to_begin(run: RunUnderWay) -> bool:
-    waited_s = time.monotonic() - run.started
+    waited_s = time.monotonic() - clock.find_start(run.started)
     return run.joined is not None or waited_s >= JOIN_SHARE * run.scenario.run.timeout_s
 
 
@@ -154,7 +164,6 @@ def _watch(
     until: Callable[[Sequence[str]], bool],
 ) -> str | None:
     """Take in news ``until`` the obstacles to consensus allow it (None); or the reason why that is not awaited."""
-    deadline = run.started + run.scenario.run.timeout_s
     check_s = min(run.scenario.run.beat_s / 10, UPDATE_S)
     next_check = next_update = 0.0
     try:
@@ -179,7 +188,7 @@ def _watch(
                 return None
             if not run.schedule.steps and standing.dead_end:
                 return standing.dead_end
-            if now >= deadline:
+            if now >= clock.find_start(run.started) + run.scenario.run.timeout_s:
                 return no_consensus_within(run.scenario, obstacles)
     except KeyboardInterrupt:
         return INTERRUPTED

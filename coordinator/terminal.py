@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from coordinator.compile_clock import clock
 from coordinator.interrupts import decide
 from dsse_core.limits import LONGEST_S
 
@@ -106,6 +107,7 @@ def finish_run(result: RunResult, no_plots: bool) -> int:
 def progress(title: str, quiet: bool) -> Iterator[Callable[[Progress], None] | None]:
     """How progress is shown: not at all, as a table that lives in the terminal, or as a line now and then."""
     if quiet:
+        clock.say = None
         yield None
     elif sys.stderr.isatty():
         with ExitStack() as stack:

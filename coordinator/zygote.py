@@ -26,6 +26,7 @@ from typing import Any, NoReturn
 
 from coordinator.interrupts import ENDS
 from coordinator.lifeline import Lifeline
+from dsse_core import compiling
 
 STOP_S = 3.0  # from SIGTERM to SIGKILL
 PARENT = "parent of all processes"
@@ -85,6 +86,14 @@ class Ended:
     code: int
 
 
+@dataclass(frozen=True, slots=True)
+class Compiling:
+    """To the coordinator: the parent begins or ends to compile; ``folder``: where the code is kept, None: nowhere."""
+
+    begins: bool
+    folder: str | None
+
+
 @dataclass
 class Zygote:
     """Serves the commands that arrive on ``orders``."""
@@ -109,6 +118,7 @@ class Zygote:
         # inherited: orders to a process wait until it knows what to do at them; unheard of, they would end it
         signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGUSR1, signal.SIGUSR2))
         self._inherited = (wake_read, wake_write)
+        compiling.listen(lambda begins, folder: self._report(Compiling(begins, folder)))
         gc.set_threshold(100_000, 50, 100)  # the plant of a large grid is millions of objects without cycles
         try:
             orphaned = False
@@ -165,6 +175,7 @@ class Zygote:
                 if signal.getsignal(number) != signal.SIG_IGN:
                     signal.signal(number, signal.SIG_DFL)
             self.orders.close()
+            compiling.forget_listeners()
             for fd in self._inherited:
                 os.close(fd)
             _redirect(order.log)
@@ -186,7 +197,7 @@ class Zygote:
                 return
             self._report(Ended(self.children.pop(pid).name, pid, os.waitstatus_to_exitcode(status)))
 
-    def _report(self, news: Started | Ended) -> None:
+    def _report(self, news: Started | Ended | Compiling) -> None:
         with contextlib.suppress(OSError):  # nobody listens any more; the next receive says so
             self.orders.send(news)
 

@@ -9,23 +9,24 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from dsse_core.code_cache import KeptCode
+
 LEAST_SCALE = 1e-8  # of the rows of lam, in units of 1 / variance: round-off in place of information sets no scale
 NO_INFORMATION = 1e-20  # with all sigmas 1: a pivot that only round-off can have made
 N_INVERSE = 11  # columns of a block with right-hand sides: D (4), U (4), r (1), and two of the unit matrix
 
 
 def compiled(function: Callable[..., Any]) -> Any:
-    """``function`` compiled once for all processes; for each anew where no folder can be written to keep it in.
+    """``function`` compiled once for all processes; for each anew where there is no safe folder to keep it in.
 
     Other threads go on while it runs: where nobody takes in what the bus receives, a link counts as lost. For each
     view of an array, and each array given to a function, references are counted: inside the loops over all buses there
     are neither, or these counts take as long as the work.
     """
-    options: Any = {"error_model": "numpy", "fastmath": {"contract"}, "nogil": True}
-    try:
-        return njit(cache=True, **options)(function)
-    except RuntimeError:  # as under a unit of systemd that sees neither a home nor anything to write in
-        return njit(**options)(function)
+    dispatcher = njit(error_model="numpy", fastmath={"contract"}, nogil=True)(function)
+    if hasattr(dispatcher, "_cache"):  # not where NUMBA_DISABLE_JIT is set
+        dispatcher._cache = KeptCode(function)  # as ``enable_caching`` does with a cache of numba's own
+    return dispatcher
 
 
 @compiled

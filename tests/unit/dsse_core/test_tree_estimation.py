@@ -228,9 +228,11 @@ def test_without_numba_the_reason_is_given(monkeypatch, case, meters_of):
     assert "numba is not installed" in str(build_tree_plan(case("ieee33"), meters_of(case("ieee33"), *Kind)))
 
 
-def test_what_is_compiled_is_of_use_where_nothing_can_be_written_to_keep_it():
-    nowhere = {**os.environ, "NUMBA_CACHE_LOCATOR_CLASSES": "UserProvidedCacheLocator"}
-    nowhere.pop("NUMBA_CACHE_DIR", None)
+@pytest.mark.parametrize(
+    "settings", [{"NUMBA_CACHE_DIR": "/proc/nowhere"}, {"NUMBA_CACHE_LOCATOR_CLASSES": "UserProvidedCacheLocator"}]
+)
+def test_what_is_compiled_is_of_use_where_nothing_can_be_written_to_keep_it(settings: dict[str, str]):
+    nowhere = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"} | settings
     command = [sys.executable, "-c", "from dsse_core import tree_block as t; print(t.wrap(7.0))"]
     done = subprocess.run(command, env=nowhere, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

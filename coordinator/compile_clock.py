@@ -1,0 +1,53 @@
+"""When this command, or the parent of its processes, compiles: it is said once, and no time limit runs meanwhile."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable
+
+from dsse_core import compiling
+
+
+class CompileClock:
+    """Takes in, on any thread, when this process and the parent compile, and in which folder the code is kept.
+
+    ``say``: called with one line for the user when that begins for the first time.
+    """
+
+    def __init__(self) -> None:
+        self.say: Callable[[str], None] | None = None
+        self._lock = threading.Lock()
+        self._under_way = 0
+        self._ended_at = -math.inf
+
+    def take(self, begins: bool, folder: str | None) -> None:
+        """Compiling has begun, or ended."""
+        with self._lock:
+            self._under_way += 1 if begins else -1
+            self._ended_at = time.monotonic()
+            say = self.say if begins else None
+            self.say = None if begins else self.say
+        if say:
+            say(describe_compiling(folder))
+
+    def find_start(self, started: float) -> float:
+        """When the clock of what began at ``started`` starts: at the end of all compiling, which may be now; s."""
+        with self._lock:
+            return time.monotonic() if self._under_way else max(started, self._ended_at)
+
+
+def describe_compiling(folder: str | None) -> str:
+    """What takes so long, for the user."""
+    once = (
+        f"this happens once: the code is kept in {folder}"
+        if folder
+        else "there is no safe folder to keep the code in, so that it happens each time; "
+        "set NUMBA_CACHE_DIR to one, or run `dsse compile` as administrator"
+    )
+    return f"compiling the solvers of large radial networks, some 20 s of a processor; {once}"
+
+
+clock = CompileClock()  # of this process
+compiling.listen(clock.take)

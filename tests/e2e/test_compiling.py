@@ -1,0 +1,99 @@
+"""The first run on a machine compiles: it says so, loses no time by it, and the next one finds what it has kept."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from dsse_command import COMMAND, ENVIRONMENT
+
+pytest.importorskip("numba")
+
+FIRST_RUN_S = 300.0
+LIMIT_S = "8"  # of the run; compiling alone takes 13 s of a processor
+LINE = "compiling the solvers of large radial networks"
+Dsse = Callable[..., subprocess.CompletedProcess[str]]
+WITHOUT_A_PLACE_TO_KEEP_IN = """
+import os, sys
+os.access = lambda *_: False  # as in an administrator's folder; root may write everywhere
+from dsse_core import compiling
+from dsse_core.code_cache import find_folder_to_keep_in
+from agents.warm_up import warm_up, warm_up_estimate
+compiling.listen(lambda begins, folder: sys.exit("compiles"))
+assert find_folder_to_keep_in() is None
+warm_up()
+warm_up_estimate()
+"""
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("compiled")
+
+
+@pytest.fixture(scope="module")
+def feeders(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two areas of 70 buses, and of 600: those are estimated by compiled code in each area, too."""
+    folder = tmp_path_factory.mktemp("feeders")
+    for buses in (140, 1200):
+        made = ["generate", "--buses", str(buses), "--areas", "2", "--out", str(folder / str(buses))]
+        subprocess.run([*COMMAND, *made], env=ENVIRONMENT, capture_output=True, check=True)
+    return folder
+
+
+@pytest.fixture
+def dsse(place: Path, tmp_path: Path) -> Dsse:
+    def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [*COMMAND, *arguments],
+            cwd=tmp_path,
+            env={**ENVIRONMENT, "NUMBA_CACHE_DIR": str(place)},
+            capture_output=True,
+            text=True,
+            timeout=FIRST_RUN_S,
+            check=False,
+        )
+
+    return run
+
+
+def test_compiling_does_not_count_against_the_time_limit_and_is_said_once(dsse: Dsse, feeders: Path, place: Path):
+    scenario = str(feeders / "140" / "scenario.toml")
+    first = dsse("run", scenario, "--timeout", LIMIT_S, "--no-plots")
+    assert first.returncode == 0, first.stdout + first.stderr
+    assert first.stderr.count(LINE) == 1
+    assert f"this happens once: the code is kept in {place}" in first.stderr
+    assert LINE not in dsse("run", scenario, "--timeout", LIMIT_S, "--no-plots").stderr
+
+
+def test_what_was_compiled_ahead_is_not_compiled_again(dsse: Dsse, feeders: Path, place: Path):
+    ahead = dsse("compile")
+    assert ahead.returncode == 0, ahead.stderr
+    assert f"kept in {place}" in ahead.stdout
+    again = dsse("compile")
+    assert f"is compiled already, in {place}" in again.stdout
+    assert again.stderr == ""
+    scenario = str(feeders / "1200" / "scenario.toml")
+    for strategy in ("information", "angle-offset"):
+        done = dsse("simulate", scenario, "--strategy", strategy, "--no-plots", "--out", strategy)
+        assert done.returncode in (0, 1), done.stderr
+        assert LINE not in done.stderr
+    environment = {**ENVIRONMENT, "NUMBA_CACHE_DIR": str(place)}
+    code = [sys.executable, "-P", "-c", WITHOUT_A_PLACE_TO_KEEP_IN]
+    done = subprocess.run(code, env=environment, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_compiled_code_is_not_loaded_from_where_others_can_write(dsse: Dsse, feeders: Path, place: Path):
+    place.chmod(0o777)
+    try:
+        for command in ("compile", f"estimate {feeders / '1200' / 'scenario.toml'}"):
+            done = dsse(*command.split())
+            assert done.returncode == 2
+            assert "error: NUMBA_CACHE_DIR: 1 problem\n  - compiled code is not loaded from" in done.stderr
+            assert "Traceback" not in done.stderr
+    finally:
+        place.chmod(0o700)
