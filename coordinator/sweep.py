@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import os
 import signal
@@ -35,7 +36,8 @@ def run_tasks(plan: SweepPlan, tasks: Sequence[Task], jobs: int) -> Iterator[tup
     others = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(jobs, context, initializer=_start_worker, initargs=(plan,))
     try:
-        tasks_of = {pool.submit(_run_task, task): task for task in tasks}
+        with _ctrl_c_held_back():  # inherited: workers leave it to us from their first moment on
+            tasks_of = {pool.submit(_run_task, task): task for task in tasks}
         for future in as_completed(tasks_of):
             yield tasks_of[future], future.result()
     except BrokenProcessPool:
@@ -46,6 +48,18 @@ def run_tasks(plan: SweepPlan, tasks: Sequence[Task], jobs: int) -> Iterator[tup
             worker.terminate()
         raise
     pool.shutdown()
+
+
+@contextlib.contextmanager
+def _ctrl_c_held_back() -> Iterator[None]:
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def run_on_twin(scenario: Scenario) -> StudyRow:
@@ -63,7 +77,7 @@ def _run_task(task: Task) -> StudyRow:
 
 
 def _start_worker(plan: SweepPlan) -> None:
-    """Leave Ctrl-C to the parent, and end with it, however it ends."""
+    """Leave Ctrl-C to the parent, for good, and end with it, however it ends."""
     global _plan
     _plan = plan
     signal.signal(signal.SIGINT, signal.SIG_IGN)

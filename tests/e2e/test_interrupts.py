@@ -16,7 +16,7 @@ INTERRUPT = """
 import os, signal, sys
 class Finder:
     def find_spec(self, name, path=None, target=None):
-        if name == os.environ["INTERRUPT_AT"] and "coordinator" in sys.orig_argv:  # not the parent of a run's processes
+        if name == os.environ["INTERRUPT_AT"] and os.environ["INTERRUPTED"] in sys.orig_argv:
             os.kill(os.getpid(), int(os.environ["INTERRUPT_BY"]))
 sys.meta_path.insert(0, Finder())
 """
@@ -29,8 +29,10 @@ def interrupted_at(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[
     (tmp_path / "hook" / "sitecustomize.py").write_text(INTERRUPT)
     path = os.pathsep.join([str(tmp_path / "hook"), ENVIRONMENT["PYTHONPATH"]])
 
-    def run(module: str, *arguments: str, number: signal.Signals = signal.SIGINT) -> subprocess.CompletedProcess[str]:
-        where = {"INTERRUPT_AT": module, "INTERRUPT_BY": str(int(number)), "PYTHONPATH": path}
+    def run(
+        module: str, *arguments: str, number: signal.Signals = signal.SIGINT, who: str = "coordinator"
+    ) -> subprocess.CompletedProcess[str]:
+        where = {"INTERRUPTED": who, "INTERRUPT_AT": module, "INTERRUPT_BY": str(int(number)), "PYTHONPATH": path}
         return subprocess.run(
             [*COMMAND, *arguments],
             cwd=tmp_path,
@@ -64,6 +66,13 @@ def interrupted_at(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[
 def test_ctrl_c_while_modules_are_loaded_shows_no_traceback(interrupted_at, command: str, module: str):
     done = interrupted_at(module, *command.split())
     assert (done.returncode, done.stdout, done.stderr.strip()) == (1, "", "interrupted")
+
+
+def test_ctrl_c_while_workers_of_a_sweep_load_their_modules_is_left_to_the_command(interrupted_at):
+    sweep = ["sweep", "ieee33", "--vary", "faults.loss=0:0.2:2", "--jobs", "2", "--out", "out"]
+    done = interrupted_at("numpy", *sweep, who="--multiprocessing-fork")
+    assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stderr
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
