@@ -17,6 +17,7 @@ from agents.area_reader import load_area_file
 from agents.credentials import load_credentials
 from agents.events import StopRequested
 from agents.inbox import Inbox
+from agents.log_format import start_log
 from agents.loop import run_agent
 from agents.strategies import STRATEGIES
 from agents.succession import REPLACED_CODE, ReplacedError
@@ -57,7 +58,7 @@ def run_process(
 
     Where hundreds are forked, none of them needs a parser of its own: 2 ms and 1.5 MiB each.
     """
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
+    start_log()
     compiling.listen(_log_compiling)
     try:
         run_area(path, endpoints, timeout_s, keys)

@@ -20,11 +20,11 @@ import numpy as np
 from agents.triangle import read_triangle
 from agents.wire_checks import (
     CHECKS,
-    LONGEST_TEXT,
+    LONGEST_NOTE,
     MessageError,
     check_count,
+    check_name,
     check_number,
-    check_text,
     shown,
     tuple_of,
 )
@@ -36,6 +36,7 @@ MAX_BYTES = 8 * 1024 * 1024
 MAX_NEIGHBOUR_BYTES = 256 * 1024  # of what neighbours say; only telemetry and states grow with the area
 MOST_MAPS = 16  # in one message; a state has three
 Integer = int  # may be negative; an int in a message is a count
+Notes = tuple[str, ...]  # sentences; other texts in a message are names
 UNNUMBERED = {"header", "fresh", "quality", "telemetry_age", "ages", "scans", "old_sides", "refused"}  # see content_of
 
 
@@ -240,7 +241,7 @@ class StateMessage:
     bytes: int
     lost: int
     refused: dict[str, int]
-    notes: tuple[str, ...]
+    notes: Notes
     faults: dict[str, int]
     quality: str
     telemetry_age: float
@@ -312,8 +313,8 @@ def decode(payload: bytes, largest: int = MAX_BYTES) -> Message:
     if message_type is None:
         raise MessageError("malformed", f"unknown kind {shown(fields[1])}")
     header = Header(
-        run=check_text("run", fields[2]),
-        sender=check_text("sender", fields[3]),
+        run=check_name("run", fields[2]),
+        sender=check_name("sender", fields[3]),
         incarnation=Incarnation(*_check_incarnation("incarnation", fields[4])),
         scan=check_count("scan", fields[5]),
         sequence=check_count("sequence", fields[6]),
@@ -345,7 +346,7 @@ def _unpack(payload: bytes, largest: int) -> object:
             raise MessageError("malformed", f"a key given twice, or more than {MOST_MAPS} maps")
         return content
 
-    limits = {"max_str_len": 4 * LONGEST_TEXT, "max_bin_len": 0, "max_ext_len": 0}
+    limits = {"max_str_len": 4 * LONGEST_NOTE, "max_bin_len": 0, "max_ext_len": 0}
     try:
         return msgpack.unpackb(packed, use_list=False, raw=False, object_pairs_hook=read_map, **limits)
     except MessageError:

@@ -13,6 +13,7 @@ import time
 
 from agents.keys import life_of, name_of_live
 from agents.messages import Incarnation
+from agents.wire_checks import LONGEST_NAME
 
 FAREWELL = re.compile(rb"[A-Za-z0-9 ._-]{1,40}")
 
@@ -29,7 +30,6 @@ def begin_life() -> Incarnation:
 
 MAX_NAMES = 20_000  # that are kept in mind, and
 MAX_LIVES = 100  # of each: whoever may show tokens may show many
-LONGEST_KEY = 4000  # characters
 
 
 class Presence:
@@ -67,7 +67,7 @@ class Presence:
                 del self._lives[name]
             return not lives
         is_too_much = len(self._lives) >= MAX_NAMES if name not in self._lives else len(lives) >= MAX_LIVES
-        if is_too_much or len(key) > LONGEST_KEY:
+        if is_too_much or max(map(len, key.split("/"))) > LONGEST_NAME:
             return False
         self._lives.setdefault(name, lives).add(life)
         return True

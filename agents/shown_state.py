@@ -10,6 +10,7 @@ from agents.hearing import Hearing
 from agents.messages import Header, Message, StateMessage, content_of
 from agents.quality import judge_quality
 from agents.strategies.interface import Estimate
+from agents.wire_checks import limit_notes
 from dsse_core.partition import Area
 
 Sent = Mapping[str, Message]
@@ -77,7 +78,7 @@ class ShownState:
             messages=0,
             bytes=0,
             lost=0,
-            notes=tuple(notes),
+            notes=limit_notes(notes),
             faults={},
             **self._passing(gone, refused, now),
         )

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import math
 import reprlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from dsse_core.printable import shortened
+
 LARGEST_COUNT = 2**53  # and of integers the largest size: exact as a float, too
-LONGEST_TEXT = 1000  # characters
+LONGEST_NAME = 300  # characters of the name of a run, an area or a meter, and of every key of a map
+LONGEST_NOTE = 1000  # characters
+MOST_NOTES = 50
 
 
 class MessageError(ValueError):
@@ -29,9 +33,23 @@ def shown(value: object) -> str:
     return ascii(reprlib.repr(value))[1:-1][:80]
 
 
-def check_text(name: str, value: object) -> str:
-    if not isinstance(value, str) or len(value) > LONGEST_TEXT:
-        raise MessageError("malformed", f"{name} is {shown(value)}, not a text of at most {LONGEST_TEXT} characters")
+def limit_notes(notes: Sequence[str]) -> tuple[str, ...]:
+    """``notes`` as a message may carry them: long ones cut off, and of many the first and how many more there are."""
+    kept = tuple(shortened(note, LONGEST_NOTE) for note in notes)
+    return kept if len(kept) <= MOST_NOTES else (*kept[: MOST_NOTES - 1], f"and {len(kept) - MOST_NOTES + 1} more")
+
+
+def check_name(name: str, value: object) -> str:
+    return _check_text(name, value, LONGEST_NAME)
+
+
+def check_note(name: str, value: object) -> str:
+    return _check_text(name, value, LONGEST_NOTE)
+
+
+def _check_text(name: str, value: object, longest: int) -> str:
+    if not isinstance(value, str) or len(value) > longest:
+        raise MessageError("malformed", f"{name} is {shown(value)}, not a text of at most {longest} characters")
     return value
 
 
@@ -82,18 +100,25 @@ def check_numbers(name: str, value: object) -> tuple[float, ...]:
     return tuple_of(check_number)(name, value)
 
 
-def check_texts(name: str, value: object) -> tuple[str, ...]:
-    """As ``tuple_of(check_text)``, for the many names of a scan."""
-    if isinstance(value, tuple) and set(map(type, value)) <= {str} and max(map(len, value), default=0) <= LONGEST_TEXT:
+def check_names(name: str, value: object) -> tuple[str, ...]:
+    """As ``tuple_of(check_name)``, for the many names of a scan."""
+    if isinstance(value, tuple) and set(map(type, value)) <= {str} and max(map(len, value), default=0) <= LONGEST_NAME:
         return value
-    return tuple_of(check_text)(name, value)
+    return tuple_of(check_name)(name, value)
+
+
+def check_notes(name: str, value: object) -> tuple[str, ...]:
+    notes = tuple_of(check_note)(name, value)
+    if len(notes) > MOST_NOTES:
+        raise MessageError("malformed", f"{len(notes)} {name}, the limit is {MOST_NOTES}")
+    return notes
 
 
 def map_of(check: Callable[[str, object], Any]) -> Callable[[str, object], dict[str, Any]]:
     def check_all(name: str, value: object) -> dict[str, Any]:
         if not isinstance(value, dict):
             raise MessageError("malformed", f"{name} is {shown(value)}, not a map")
-        return {check_text(name, key): check(name, item) for key, item in value.items()}
+        return {check_name(name, key): check(name, item) for key, item in value.items()}
 
     return check_all
 
@@ -103,10 +128,11 @@ CHECKS: Mapping[str, Callable[[str, object], Any]] = {  # by the annotation of t
     "float": check_number,
     "int": check_count,
     "Integer": check_integer,
-    "str": check_text,
+    "str": check_name,
+    "Notes": check_notes,
     "tuple[float, ...]": check_numbers,
     "tuple[int, ...]": tuple_of(check_count),
-    "tuple[str, ...]": check_texts,
+    "tuple[str, ...]": check_names,
     "dict[str, int]": map_of(check_count),
     "dict[str, float]": map_of(check_number),
     "dict[str, tuple[int, int, int]]": map_of(tuple_of(check_count, 3)),

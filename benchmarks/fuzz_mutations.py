@@ -8,7 +8,13 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
+STEERING = (  # markup, orders to a terminal, formulas, made-up lines, letters in another order
+    *("[/nope]", "[bold", "[link=http://192.0.2.1]x[/link]", ":smile:", "[[/]]", "\\[/x]"),
+    *("\x1b]0;x\x07", "\x1b[2J", "\x9b31m", "\x7f", "\r", "\b\b\b", "a\nconsensus", "\tx"),
+    *("$\\frac$", "$x", "\\$", "{x}", "%s", "\u202eevil", "\u2028x", "\ufeff", "\U000e0041"),
+)
 HOSTILE: tuple[Any, ...] = (
+    *STEERING,
     *(0, 1, -1, 2, 2**31, 2**53, 2**63, 2**64 - 1, -(2**63), 10**12, 10**30),
     *(0.0, -0.0, 1e-320, 1e-12, 1e18, 1e300, -1e300, math.nan, math.inf, -math.inf),
     *("", "x", "\x00", "\x1b[2J", "é", "a" * 2000, "../../etc/passwd", "/dev/zero", "{", "1e999", "nan", "all"),

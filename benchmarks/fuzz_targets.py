@@ -24,8 +24,10 @@ from agents.area_file import save_area_file
 from agents.area_reader import load_area_file
 from agents.wire_checks import MessageError
 from benchmarks import fuzz_parsing
-from benchmarks.fuzz_mutations import spoil_bytes, spoil_text, spoil_tree
+from benchmarks.fuzz_mutations import STEERING, spoil_bytes, spoil_text, spoil_tree
+from coordinator.live import format_view
 from coordinator.split import area_files
+from coordinator.watch import Watcher
 from dsse_core.errors import InvalidInputError
 from scenarios.importers import import_grid
 from scenarios.network_file import load_case, load_network
@@ -63,9 +65,21 @@ def _make_value(rng: random.Random, kind: Any, length: int) -> Any:
     if origin is tuple:
         return tuple(_make_value(rng, argument, length) for argument in arguments)
     if origin is dict:
-        return {name: _make_value(rng, arguments[1], length) for name in ("area1", "area3")}
-    made: dict[Any, Any] = {bool: rng.random() < 0.5, int: rng.randrange(100), float: rng.gauss(0, 1), str: "vm@1"}
+        return {name: _make_value(rng, arguments[1], length) for name in ("area1", _make_text(rng))}
+    made: dict[Any, Any] = {
+        bool: rng.random() < 0.5,
+        int: rng.randrange(100),
+        float: rng.gauss(0, 1),
+        str: _make_text(rng),
+    }
     return made[kind]
+
+
+def _make_text(rng: random.Random) -> str:
+    """Of two texts one as it should be, the other full of what steers whatever shows it; of 200 one is too long."""
+    if rng.random() < 0.5:
+        return "vm@1"
+    return "".join(rng.choices(STEERING, k=3)) * (1000 if rng.random() < 0.01 else 1)
 
 
 def make_payload(rng: random.Random) -> bytes:
@@ -87,10 +101,22 @@ def make_payload(rng: random.Random) -> bytes:
 
 def read_payload(content: bytes, _: Path) -> str:
     try:
-        messages.decode(content, messages.MAX_NEIGHBOUR_BYTES)
+        message = messages.decode(content, messages.MAX_NEIGHBOUR_BYTES)
     except MessageError as error:
+        if not str(error).isprintable():
+            raise AssertionError("a refusal that is not printable") from error
         return error.reason
+    if isinstance(message, messages.StateMessage):
+        _show(message)
     return "accepted"
+
+
+def _show(state: messages.StateMessage) -> None:
+    """As ``dsse watch`` does; it must be text and nothing else."""
+    watcher = Watcher(state.header.run)
+    watcher.take_state(state, 0.0)
+    if not format_view(watcher.look(0.0)).replace("\n", "").isprintable():
+        raise AssertionError("a table that is not printable")
 
 
 # Files

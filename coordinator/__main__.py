@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import io
 import os
 import sys
 from collections.abc import Sequence
@@ -20,6 +21,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # to look for some, it reads about all packages
     gc.set_threshold(100_000, 50, 100)  # a large grid is millions of objects without cycles: look for some rarely
     sys.setswitchinterval(SWITCH_S)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # a terminal of another alphabet shows an escape, as standard error does
+        sys.stdout.reconfigure(errors="backslashreplace")
     code = _run_agent(arguments[1:]) if arguments[:1] == ["agent"] else _run_command(arguments)
     interrupts.ignore()
     return code

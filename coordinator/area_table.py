@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from coordinator.report import format_table
 from dsse_core.division import build_partition
 from dsse_core.partition import Partition
+from dsse_core.printable import printable
 from scenarios.scenario import Scenario
 
 MAX_NAMED = 5
@@ -30,7 +31,7 @@ def format_areas(scenario: Scenario) -> str:
         )
         for area in partition.areas
     ]
-    return "\n".join([format_table(header, rows), "", *_summarise(partition, owned)])
+    return "\n".join([format_table(header, rows), "", *map(printable, _summarise(partition, owned))])
 
 
 def _summarise(partition: Partition, owned: dict[str, int]) -> list[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import sys
+import io
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -23,10 +23,12 @@ from coordinator.terminal import (
     say,
     scenario_argument,
     seed_option,
+    show,
     strategy_option,
     timeout_option,
 )
 from dsse_core.errors import DsseError
+from dsse_core.printable import printable
 
 
 def run_command(arguments: Sequence[str]) -> int:
@@ -34,10 +36,12 @@ def run_command(arguments: Sequence[str]) -> int:
     try:
         code = commands.main(list(arguments), prog_name="dsse", standalone_mode=False)
     except DsseError as error:
-        print(f"error: {error}", file=sys.stderr)
+        say(f"error: {error}")
         return 2
     except click.ClickException as error:
-        error.show()
+        usage = io.StringIO()
+        error.show(usage)
+        say(usage.getvalue().rstrip())
         return 2
     except OSError as error:  # a full disk, a folder that cannot be written, a file that is none
         name = f"{error.filename}: " if error.filename else ""
@@ -123,7 +127,7 @@ def check(scenario: str) -> None:
     from coordinator.judging import prepare_scenario
     from coordinator.report import format_check
 
-    print(format_check(prepare_scenario(scenario)))
+    show(format_check(prepare_scenario(scenario)))
 
 
 @commands.command()
@@ -138,7 +142,7 @@ def scenarios() -> None:
     listed = list_scenarios()
     width = max(len(name) for name, _ in listed)
     for name, description in listed:
-        print(f"{name:{width}}  {description}")
+        show(f"{name:{width}}  {printable(description)}")
 
 
 @commands.command(short_help="Solve the power flow of the whole network.")
@@ -153,7 +157,7 @@ def powerflow(scenario: str) -> None:
     from dsse_core.power_flow import solve_power_flow
     from scenarios.scenario import load_scenario
 
-    print(format_power_flow(solve_power_flow(load_scenario(scenario).network)))
+    show(format_power_flow(solve_power_flow(load_scenario(scenario).network)))
 
 
 @commands.command(short_help="Estimate the whole grid in one place.")
@@ -173,7 +177,7 @@ def estimate(scenario: str, seed: int | None) -> None:
     prepared = prepare_scenario(scenario, seed)
     telemetry = make_telemetry(prepared)
     report = process_bad_data(prepared.network, telemetry.union, tolerance=prepared.tolerances.estimator)
-    print(format_estimate(report, telemetry.truth))
+    show(format_estimate(report, telemetry.truth))
 
 
 for command in (*process_commands, *network_commands, *study_commands, keys_commands, watch):

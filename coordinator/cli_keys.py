@@ -6,7 +6,8 @@ from pathlib import Path
 
 import click
 
-from coordinator.terminal import Number, run_id_option, scenario_argument
+from coordinator.terminal import Number, run_id_option, scenario_argument, show
+from dsse_core.printable import printable
 
 YEAR_DAYS = 365.0
 LONGEST_DAYS = 36500.0
@@ -52,5 +53,6 @@ def create(scenario: str, out: Path, days: float, hosts: tuple[str, ...], run_id
     loaded = load_scenario(scenario)
     access = access_of(loaded.partition, choose_run_id(loaded, run_id))
     create_keys(out, access, days, hosts)
-    print(f"{out}: keys of {', '.join(access.names)}, valid for {days:g} days")
-    print(f"keep {out / 'authority.key'} off the hosts; each needs authority.crt and its own processes' .crt and .key")
+    show(printable(f"{out}: keys of {', '.join(access.names)}, valid for {days:g} days"))
+    authority = printable(out / "authority.key")
+    show(f"keep {authority} off the hosts; each needs authority.crt and its own processes' .crt and .key")

@@ -18,8 +18,10 @@ from coordinator.terminal import (
     run_id_option,
     scenario_argument,
     seed_option,
+    show,
 )
 from dsse_core.limits import LONGEST_S
+from dsse_core.printable import printable
 
 SHORTEST_SCAN_S = 0.001
 SCAN_SECONDS = Number(min=SHORTEST_SCAN_S, max=LONGEST_S)
@@ -50,7 +52,7 @@ def split(
     direct = prepared.transport.kind == "neighbours"
     places = choose_places(prepared, "tls" if secure else "tcp") if direct else {}
     for path in dict(write_area_files(prepared, choose_run_id(prepared, run_id), endpoints, out, places)).values():
-        print(path)
+        show(printable(path))
 
 
 @click.command(

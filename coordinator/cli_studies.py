@@ -26,6 +26,7 @@ from coordinator.terminal import (
     strategy_option,
     timeout_option,
 )
+from dsse_core.printable import printable
 
 if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts fast
     from coordinator.result import RunOutcome
@@ -130,10 +131,10 @@ def compare(
     rows = compare_strategies(loaded, chosen, _run_processes if processes else _run_on_twin, out)
     buses, areas = len(loaded.network.buses), len(loaded.partition.areas)
     where = "real processes" if processes else "on the twin, virtual time"
-    show(f"{loaded.name}, {buses} buses in {areas} areas, seed {loaded.seed}, {where}\n")
+    show(f"{printable(loaded.name)}, {buses} buses in {areas} areas, seed {loaded.seed}, {where}\n")
     show(format_comparison(rows))
     if out is not None:
-        show(f"\nfiles: {out}")
+        show(f"\nfiles: {printable(out)}")
 
 
 def _run_processes(scenario: Scenario, folder: Path) -> RunOutcome:
@@ -198,7 +199,7 @@ def sweep(
             raise
         finally:
             _draw(plan, table)
-    show(f"{len(table.rows)} runs in {table.path}, picture in {folder / 'sweep.png'}")
+    show(printable(f"{len(table.rows)} runs in {table.path}, picture in {folder / 'sweep.png'}"))
 
 
 def _run_missing(plan: SweepPlan, table: SweepTable, jobs: int, quiet: bool) -> None:
@@ -208,9 +209,9 @@ def _run_missing(plan: SweepPlan, table: SweepTable, jobs: int, quiet: bool) -> 
     from coordinator.sweep import run_tasks
 
     missing = [task for task in plan.tasks if task not in table.rows]
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), disable=quiet) as bar:
-        shown = bar.add_task(plan.key, total=len(plan.tasks), completed=len(plan.tasks) - len(missing))
+        shown = bar.add_task(printable(plan.key), total=len(plan.tasks), completed=len(plan.tasks) - len(missing))
         for task, row in run_tasks(plan, missing, jobs):
             table.add(task, row)
             bar.advance(shown)

@@ -13,6 +13,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from coordinator.feeder_layout import Layout, lay_out
+from coordinator.plot_text import plot_text
 from dsse_core.network import Branch
 from dsse_core.partition import Area, Partition
 
@@ -34,7 +35,7 @@ def draw_areas(partition: Partition, path: Path) -> None:
     figure = Figure(figsize=(_inches(columns), _inches(rows) + 1), layout="constrained")
     axes = figure.subplots()
     axes.set_axis_off()
-    axes.set_title(f"{network.name}: {n_bus} buses in {len(partition.areas)} areas")
+    axes.set_title(plot_text(f"{network.name}: {n_bus} buses in {len(partition.areas)} areas"))
     _draw_branches(axes, partition, layout)
     assert network.slack is not None  # a partition has a substation
     _mark(axes, layout, [network.row[bus] for bus in partition.boundaries], "boundary bus", "o", "white")

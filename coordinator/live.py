@@ -9,9 +9,14 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.live import Live
 from rich.table import Table
+from rich.text import Text
 
 from coordinator.progress import Progress
 from coordinator.watch import View
+from dsse_core.printable import listed, printable, shortened
+
+MOST_LISTED = 12  # notes of an area, or processes that are no areas
+LONGEST_CELL = 300  # characters of a note; `dsse watch --json` has them whole
 
 
 @contextmanager
@@ -26,13 +31,14 @@ def build_table(title: str, progress: Progress) -> Table:
     """The areas at one moment; gaps are the largest to a neighbour at a boundary bus."""
     waiting = f"waits: {progress.obstacles[0]}" if progress.obstacles else "consensus"
     more = f" (and {len(progress.obstacles) - 1} more)" if len(progress.obstacles) > 1 else ""
-    table = Table(title=f"{title}   {progress.elapsed_s:.1f} s", caption=waiting + more, title_justify="left")
+    table = _new_table(f"{title}   {progress.elapsed_s:.1f} s", waiting + more)
     for heading in ("area", "state"):
         table.add_column(heading)
     for heading in ("scan", "exchanges", "gap deg", "gap p.u.", "messages", "lost"):
         table.add_column(heading, justify="right")
     for area in progress.areas:
-        table.add_row(
+        _add_row(
+            table,
             area.name,
             area.state,
             str(area.scan),
@@ -77,28 +83,48 @@ WATCHED = (
 
 def build_view_table(view: View) -> Table:
     """What a watcher sees of a run; gaps are the largest to a neighbour at a bus that both publish."""
-    below = "\n".join([f"also there: {', '.join(view.others) or 'nobody'}", *view.doubles])
-    table = Table(title=f"run {view.run}", caption=below, title_justify="left")
+    others = listed(view.others, MOST_LISTED) or "nobody"
+    table = _new_table(f"run {view.run}", f"also there: {others}", *view.doubles)
     for heading in ("area", "state"):
         table.add_column(heading)
     for heading in WATCHED:
         table.add_column(heading, justify="right")
     table.add_column("notes")
     for area in view.areas:
-        table.add_row(
+        _add_row(
+            table,
             area.name,
             area.state,
             area.quality if area.quality == area.said_quality else f"{area.quality} (said {area.said_quality})",
             str(area.scan),
             "-" if area.age_s is None else f"{area.age_s:.1f}",
-            f"{area.telemetry_age_s:.1f}",
-            "-" if not area.ages_s else f"{max(area.ages_s.values()):.1f}",
+            _age(area.telemetry_age_s),
+            "-" if not area.ages_s else _age(max(area.ages_s.values())),
             "-" if area.gap_va_deg is None else f"{area.gap_va_deg:.2g}",
             "-" if area.gap_vm_pu is None else f"{area.gap_vm_pu:.2g}",
             str(area.exchanges),
             str(area.messages),
             str(area.lost),
             str(sum(area.refused.values())),
-            "; ".join(area.notes),
+            listed([shortened(note, LONGEST_CELL) for note in area.notes], MOST_LISTED, "; "),
         )
     return table
+
+
+def _new_table(title: str, *below: str) -> Table:
+    """A table with a title and lines below it, all of them text and never markup."""
+    return Table(
+        title=Text(printable(title), style="table.title"),
+        caption=Text("\n".join(map(printable, below)), style="table.caption"),
+        title_justify="left",
+    )
+
+
+def _add_row(table: Table, *cells: str) -> None:
+    """A row of text, which is never markup."""
+    table.add_row(*(Text(printable(cell)) for cell in cells))
+
+
+def _age(seconds: float) -> str:
+    """As an area states it, however absurd."""
+    return f"{seconds:.1f}" if abs(seconds) < 1e6 else f"{seconds:.3g}"

@@ -19,6 +19,7 @@ from agents.hearing import FRESH_BEATS, OVER_BEATS, is_old
 from agents.messages import StateMessage
 from agents.quality import NONE, STALE
 from dsse_core.partition import Partition
+from dsse_core.printable import printable
 
 QUIET_BEATS = 2
 MAX_NAMED = 12  # areas
@@ -223,7 +224,7 @@ class Observer:
             return f"{name} is not on the bus"
         if state is None:
             return f"{name} has not shown a state"
-        notes = f": {'; '.join(state.notes)}" if state.notes else ""
+        notes = f": {printable('; '.join(state.notes))}" if state.notes else ""
         if state.header.scan == 0:
             return f"{name} has no telemetry"
         if state.header.scan != scan:

@@ -15,6 +15,7 @@ from agents.access import PLANT
 from agents.credentials import load_credentials
 from agents.inbox import Inbox
 from agents.keys import all_lives, live_key, name_of_live, telemetry_key
+from agents.log_format import start_log
 from agents.presence import begin_life
 from agents.succession import GIVES_WAY, REPLACED_CODE, ReplacedError, Succession
 from agents.transport import Session
@@ -46,7 +47,7 @@ def run_plant(
     Signal ``SILENT`` makes it publish nothing until signal ``SPEAK``. ``keys``: folder of the plant's credentials.
     ``direct``: ``endpoints`` are those of all areas, not of routers.
     """
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
+    start_log()
     inbox = Inbox()
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # Zenoh's connecting would defer Python's handler to its end
     try:

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 
 from coordinator.comparison import Comparison, Voltages, wrapped_deg
 from coordinator.convergence import gap_history
+from coordinator.plot_text import plot_text
 from coordinator.result import RunResult
 
 TRUE: dict[str, Any] = {"color": "black", "marker": "o", "markerfacecolor": "none", "markersize": 7}
@@ -43,7 +44,7 @@ def _new_figure(result: RunResult, title: str, rows: int = 1) -> tuple[Figure, l
     figure = Figure(figsize=(min(max(8.0, 0.27 * n), 20.0), 4.6 + 2.2 * (rows - 1)), layout="constrained")
     axes = figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0].tolist()
     scenario = result.scenario
-    figure.suptitle(f"{title}: {scenario.name}, {scenario.strategy}, seed {scenario.seed}")
+    figure.suptitle(plot_text(f"{title}: {scenario.name}, {scenario.strategy}, seed {scenario.seed}"))
     return figure, axes
 
 
@@ -93,7 +94,8 @@ def _draw_gap(result: RunResult) -> Figure:
     figure = Figure(figsize=(8.0, 6.0), layout="constrained")
     axes = figure.subplots(2, 1, sharex=True)
     scenario = result.scenario
-    figure.suptitle(f"Gap to the centralised estimate: {scenario.name}, {scenario.strategy}, seed {scenario.seed}")
+    title = f"Gap to the centralised estimate: {scenario.name}, {scenario.strategy}, seed {scenario.seed}"
+    figure.suptitle(plot_text(title))
     end = result.timing_s["verdict"]
     for name, series in gap_history(result).items():
         times = series[:, 0].tolist()

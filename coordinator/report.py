@@ -8,12 +8,13 @@ from collections.abc import Sequence
 from coordinator.result import AreaResult, RunResult, Verdict
 from dsse_core.bad_data import BadDataReport, SuspectKept
 from dsse_core.power_flow import PowerFlowResult
+from dsse_core.printable import printable, printable_lines
 from scenarios.scenario import Scenario
 
 
 def format_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Columns padded to their widest cell; the first is flush left, the others right."""
-    lines = [header, *rows]
+    """Columns padded to their widest cell, all printable; the first is flush left, the others right."""
+    lines = [header, *([printable(cell) for cell in row] for row in rows)]
     widths = [max(len(line[column]) for line in lines) for column in range(len(header))]
     return "\n".join(
         "  ".join(
@@ -32,14 +33,14 @@ def format_verdict(result: RunResult) -> str:
     if verdict.virtual_s is not None:
         time = f"{verdict.virtual_s:.2f} s of virtual time, computed in {time}"
     lines = [
-        f"{outcome} after {time}: {scenario.name}, {len(scenario.network.buses)} buses in "
+        f"{outcome} after {time}: {printable(scenario.name)}, {len(scenario.network.buses)} buses in "
         f"{len(result.areas)} areas, strategy {scenario.strategy}, seed {scenario.seed}"
     ]
     if verdict.reason:
-        lines.append(f"  {verdict.reason}")
+        lines.append(f"  {printable_lines(verdict.reason)}")
     lines += ["", _format_gaps(result), "", _format_areas(result), ""]
-    lines += _format_findings(result)
-    lines.append(f"files: {result.folder}")
+    lines += map(printable, _format_findings(result))
+    lines.append(f"files: {printable(result.folder)}")
     return "\n".join(lines)
 
 
@@ -129,7 +130,7 @@ def format_estimate(report: BadDataReport, truth: PowerFlowResult | None) -> str
         for row, bus in enumerate(estimate.network.buses)
     ]
     table = format_table(("bus", "vm p.u.", "sigma", *true, "va deg", "sigma", *true), rows)
-    return "\n".join([table, "", *_format_bad_data(report)])
+    return "\n".join([table, "", *map(printable, _format_bad_data(report))])
 
 
 def _format_bad_data(report: BadDataReport) -> list[str]:
@@ -180,7 +181,7 @@ def format_check(scenario: Scenario) -> str:
             f"  {area.name}: {len(area.network.buses)} buses, {towards}, {meters} meters, "
             f"local slack bus {area.slack_bus} ({slack})"
         )
-    return "\n".join(lines)
+    return "\n".join(map(printable, lines))
 
 
 def _pu(value: float | None) -> str:

@@ -14,6 +14,7 @@ from coordinator.result import RunOutcome
 from coordinator.run_folder import make_run_folder
 from coordinator.study_row import COLUMNS, NOT_POSSIBLE, StudyRow, make_impossible_row, make_row, to_cells
 from dsse_core.errors import InvalidInputError
+from dsse_core.printable import printable
 from scenarios.check import check_scenario
 from scenarios.scenario import Scenario, describe_unknown_strategy
 
@@ -106,4 +107,6 @@ def _cells(row: StudyRow) -> tuple[str, ...]:
 
 
 def _reasons(rows: Sequence[StudyRow]) -> list[str]:
-    return [line for row in rows if row.reason for line in ("", f"{row.strategy}: {row.outcome}: {row.reason}")]
+    return [
+        line for row in rows if row.reason for line in ("", f"{row.strategy}: {row.outcome}: {printable(row.reason)}")
+    ]

@@ -13,6 +13,7 @@ mpl.use("Agg")
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from coordinator.plot_text import plot_text
 from coordinator.study_row import NO_CONSENSUS, StudyRow
 from coordinator.sweep_plan import Task
 
@@ -25,20 +26,20 @@ def draw_sweep(path: Path, title: str, key: str, rows: Mapping[Task, StudyRow]) 
     """Draw ``rows``: above, the final gap to the centralised estimate; below, the time until it stays under 1e-6."""
     figure = Figure(figsize=(8.0, 7.0), layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True)
-    figure.suptitle(title)
+    figure.suptitle(plot_text(title))
     values = sorted({task.value for task in rows}, key=_place)
     x = [_number(value) for value in values]
     if None in x:
         x = list(map(float, range(len(values))))
         step = -(-len(values) // MAX_LABELS)
-        below.set_xticks(x[::step], values[::step])
+        below.set_xticks(x[::step], list(map(plot_text, values[::step])))
     for number, strategy in enumerate(dict.fromkeys(task.strategy for task in sorted(rows, key=lambda t: t.strategy))):
         of_value = [[r for t, r in rows.items() if (t.value, t.strategy) == (v, strategy)] for v in values]
         _draw(above, x, of_value, lambda row: row.gap, _name_outcomes(strategy, of_value), number)
         _draw(below, x, of_value, lambda row: row.below_1e6_s, strategy, number)
     above.set_ylabel("final gap to centralised (p.u. or rad)")
     below.set_ylabel("virtual time to stay below 1e-6 (s)")
-    below.set_xlabel(key)
+    below.set_xlabel(plot_text(key))
     for axis in (above, below):
         if any(np.isfinite(line.get_ydata()).any() for line in axis.lines):  # else there is nothing to scale
             axis.set_yscale("log")

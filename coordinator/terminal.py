@@ -16,6 +16,7 @@ import click
 from coordinator.compile_clock import clock
 from coordinator.interrupts import decide
 from dsse_core.limits import LONGEST_S
+from dsse_core.printable import printable_lines
 
 if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts fast
     from coordinator.progress import Progress
@@ -71,9 +72,9 @@ def choose_endpoints(given: tuple[str, ...], secured: bool) -> tuple[str, ...]:
 
 
 def show(text: str) -> bool:
-    """Print in one piece; whether anybody still reads: to a result it makes no difference."""
+    """Print in one piece, printable; whether anybody still reads: to a result it makes no difference."""
     try:
-        sys.stdout.write(text + "\n")
+        sys.stdout.write(printable_lines(text) + "\n")
         sys.stdout.flush()
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -82,9 +83,9 @@ def show(text: str) -> bool:
 
 
 def say(text: str) -> None:
-    """Print on standard error, if anybody still reads it."""
+    """Print on standard error, printable, if anybody still reads it."""
     with suppress(OSError):
-        print(text, file=sys.stderr, flush=True)
+        print(printable_lines(text), file=sys.stderr, flush=True)
 
 
 def finish_run(result: RunResult, no_plots: bool) -> int:

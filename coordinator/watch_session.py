@@ -18,10 +18,12 @@ from agents.wire_checks import MessageError
 from coordinator.processes import News
 from coordinator.split import check_run_id
 from coordinator.watch import Watcher
+from dsse_core.printable import listed
 
 ANY = "*"
 SETTLE_S = 0.3  # from the first run seen to the belief that there is no other
 STEP_S = 0.05
+MOST_RUNS = 12  # that an error names
 
 Look = Callable[[float], Watcher]
 """Take in what arrives within so many seconds, and the watcher that knows of it."""
@@ -87,7 +89,7 @@ def _find_run(session: Session, timeout_s: float) -> str:
     if not runs:
         raise TransportError(f"no area or plant is on this bus within {timeout_s:g} s; are agents running?")
     if len(runs) > 1:
-        raise TransportError(f"several runs are on this bus: {', '.join(sorted(runs))}; choose one with --run")
+        raise TransportError(f"several runs are on this bus: {listed(sorted(runs), MOST_RUNS)}; choose one with --run")
     return runs.pop()
 
 

@@ -3,24 +3,29 @@
 import re
 from collections.abc import Sequence
 
+from dsse_core.printable import printable, printable_lines
+
 BELIEVABLE = 5.0  # sigma; one reading in two million is farther off by noise alone
 POSITION = re.compile(r"\w\[\d+\]")
 """Of an item in a list, in a key path."""
 
 
 class DsseError(Exception):
-    """Base of every error that a caller may want to catch; its text is meant for the user."""
+    """Base of every error that a caller may want to catch; its text is meant for the user, and printable."""
+
+    def __str__(self) -> str:
+        return printable_lines(super().__str__())
 
 
 class InvalidInputError(DsseError):
-    """Input that cannot be used. ``problems`` holds every problem found, not only the first."""
+    """Input that cannot be used. ``problems`` holds every problem found, not only the first, on one line each."""
 
     def __init__(self, what: str, problems: Sequence[str]) -> None:
-        self.what = what
-        self.problems = tuple(problems)
+        self.what = printable(what)
+        self.problems = tuple(map(printable, problems))
         count = f"{len(self.problems)} problem" + ("s" if len(self.problems) != 1 else "")
         note = ["(items of lists count from 1)"] if any(map(POSITION.search, self.problems)) else []
-        super().__init__("\n".join([f"{what}: {count}", *(f"  - {p}" for p in self.problems), *note]))
+        super().__init__("\n".join([f"{self.what}: {count}", *(f"  - {p}" for p in self.problems), *note]))
 
 
 class PowerFlowDivergedError(DsseError):

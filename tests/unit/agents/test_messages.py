@@ -1,6 +1,7 @@
 """Every message survives the wire unchanged, and nothing malformed gets through."""
 
 import math
+from dataclasses import replace
 
 import msgpack
 import pytest
@@ -22,7 +23,7 @@ from agents.messages import (
     encode,
     seal,
 )
-from agents.wire_checks import MessageError
+from agents.wire_checks import LONGEST_NAME, LONGEST_NOTE, MOST_NOTES, MessageError, limit_notes
 
 HEADER = Header("run-1", "area1", Incarnation(1_795_200_000_000, 2**32 - 1), 7, 3, 1_795_200_000.25)
 STATE = StateMessage(
@@ -133,6 +134,46 @@ def test_an_admm_message_has_four_numbers_of_each():
     fields[11] = fields[11][:3]
     with pytest.raises(MessageError, match="do not have 4 numbers each"):
         decode(seal(msgpack.packb(fields)))
+
+
+@pytest.mark.parametrize("place", ["removed", "old_sides", "quality", "refused", "sent", "run", "sender"])
+def test_a_name_longer_than_any_name_is_refused(place):
+    longest = "a" * LONGEST_NAME
+    for name, passes in ((longest, True), (longest + "a", False)):
+        values = {"refused": {name: 1}, "sent": {name: (1, 1, 1)}, "quality": name}
+        if place in ("run", "sender"):
+            state = replace(STATE, header=replace(HEADER, **{place: name}))
+        else:
+            state = replace(STATE, **{place: values.get(place, (name,))})
+        if passes:
+            assert decode(encode(state)) == state
+        else:
+            with pytest.raises(MessageError, match="malformed"):
+                decode(encode(state))
+
+
+@pytest.mark.parametrize(
+    ("notes", "passes"),
+    [
+        (("n" * LONGEST_NOTE,) * MOST_NOTES, True),
+        (("n" * (LONGEST_NOTE + 1),), False),
+        (("n",) * (MOST_NOTES + 1), False),
+    ],
+)
+def test_notes_are_few_and_short(notes, passes):
+    state = replace(STATE, notes=notes)
+    if passes:
+        assert decode(encode(state)) == state
+    else:
+        with pytest.raises(MessageError, match="malformed"):
+            decode(encode(state))
+
+
+def test_an_area_with_much_to_note_is_not_refused_for_it():
+    notes = [f"neighbour area{k} is gone" for k in range(200)] + ["no estimate: bus " + ", ".join(map(str, range(999)))]
+    kept = limit_notes(notes[-1:] + notes)
+    assert decode(encode(replace(STATE, notes=kept))).notes == kept
+    assert (len(kept), len(kept[0]), kept[0][-3:], kept[-1]) == (MOST_NOTES, LONGEST_NOTE, "...", "and 153 more")
 
 
 def test_an_oversized_payload_is_refused_unread():

@@ -14,6 +14,7 @@ from agents.faults import LOST
 from agents.keys import live_key
 from agents.messages import Header, Incarnation
 from agents.presence import MAX_LIVES, Presence
+from agents.wire_checks import LONGEST_NAME
 from coordinator import processes, watch
 from coordinator.processes import News
 from coordinator.run_news import listen
@@ -72,7 +73,7 @@ def test_of_one_name_no_more_lives_are_kept_than_anybody_needs_and_no_more_names
     assert len(kept.names) == 3
     kept.take(live_key("run", "area", "stranger0", LIFE), False)
     assert kept.take(live_key("run", "area", "area2", LIFE), True), "there is room again"
-    assert not kept.take(live_key("run", "area", "x" * presence.LONGEST_KEY, LIFE), True)
+    assert not kept.take(live_key("run", "area", "x" * (LONGEST_NAME + 1), LIFE), True)
 
 
 def test_a_watcher_keeps_so_many_areas_and_no_more(monkeypatch: pytest.MonkeyPatch):

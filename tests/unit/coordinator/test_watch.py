@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from shown_states import a_state, said_by
 
@@ -101,6 +103,28 @@ def test_gaps_are_the_largest_to_a_neighbour_at_a_bus_that_both_show():
 def test_a_run_to_watch_is_a_name_and_no_pattern(name: str):
     with pytest.raises(InvalidInputError, match="may only contain"):
         check_run_id(name)
+
+
+def test_what_an_area_says_is_shown_and_never_obeyed():
+    watcher = Watcher("[/run]")
+    hostile = "[/nope]\x1b]0;owned\x07\nconsensus :smile: [bold red]"
+    for area in ("area1", "[/link]\x9b2J"):
+        said = said_by(area, Incarnation(1, 1), notes=(hostile,), quality="\x1b[8m[/x]")
+        watcher.take_state(replace(said, header=replace(said.header, run="[/run]")), 0.0)
+    table = format_view(watcher.look(0.0))
+    assert table.replace("\n", "").isprintable()
+    for part in ("run [/run]", r"[/link]\x9b2J", r"[/nope]\x1b]0;owned", ":smile:", r"\x1b[8m[/x]"):
+        assert part in table
+
+
+def test_one_area_does_not_fill_the_terminal():
+    watcher = Watcher("run")
+    notes = tuple(f"{k} " + "x" * 900 for k in range(50))
+    watcher.take_state(a_state(notes=notes, telemetry_age=1e300), 0.0)
+    table = format_view(watcher.look(0.0))
+    assert "38 more" in " ".join(table.split())
+    assert "1e+300" in table
+    assert len(table.splitlines()) < 100
 
 
 def test_an_area_and_a_plant_that_run_twice_are_named_with_their_lives_as_long_as_they_do():

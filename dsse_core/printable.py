@@ -1,0 +1,31 @@
+"""Foreign text made printable: names, notes and paths that others chose, before they are shown anywhere."""
+
+from __future__ import annotations
+
+
+def printable(text: object) -> str:
+    r"""``text`` on one line, with an escape such as ``\x1b`` for every character that is not seen as itself.
+
+    Those are what steers a terminal (escape, carriage return, C1 controls), what turns the order of letters or hides
+    them, line ends, blanks other than the plain one, and bytes of a file name that are no text.
+    """
+    shown = str(text)
+    if shown.isprintable():
+        return shown
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in shown)
+
+
+def printable_lines(text: str) -> str:
+    """``text`` with the same escapes, its lines kept."""
+    return "\n".join(map(printable, text.split("\n")))
+
+
+def shortened(text: str, longest: int) -> str:
+    """``text``, or its beginning and three dots: ``longest`` characters at most."""
+    return text if len(text) <= longest else text[: longest - 3] + "..."
+
+
+def listed(texts: tuple[str, ...] | list[str], most: int, separator: str = ", ") -> str:
+    """At most ``most`` of ``texts`` in one, and how many more there are."""
+    more = [f"{len(texts) - most} more"] if len(texts) > most else []
+    return separator.join([*texts[:most], *more])

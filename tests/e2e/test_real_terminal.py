@@ -1,0 +1,171 @@
+"""What strangers write reaches a real terminal as text: nothing of it is obeyed, and nothing ends the program."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import pexpect
+import pytest
+from dsse_command import COMMAND, ENVIRONMENT, ROOT, free_endpoint
+from system_by_hand import SystemByHand
+from waiting import DEADLINE_S, wait_until
+
+from agents.keys import live_key, state_key
+from agents.messages import Header, StateMessage, encode
+from agents.presence import begin_life
+from agents.transport import Session
+
+NOTE = "[/nope] \x1b]0;owned\x07 \x1b[2J \x9b2J \rconsensus\n [bold]$\\frac$ \u202e"
+SHOWN = r"[/nope] \x1b]0;owned\x07 \x1b[2J \x9b2J \rconsensus\n [bold]$\frac$ \u202e"
+OF_RICH = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")  # how it draws: colours, and where the cursor goes
+
+
+def terminal(folder: Path, *arguments: str) -> pexpect.spawn:
+    """``dsse`` with ``arguments`` in a terminal of its own, 500 columns wide so that no text is broken."""
+    environment = {**ENVIRONMENT, "TERM": "xterm-256color"}
+    command, *first = COMMAND
+    return pexpect.spawn(
+        command,
+        [*first, *arguments],
+        cwd=folder,
+        env=environment,
+        encoding="utf-8",
+        timeout=DEADLINE_S,
+        dimensions=(60, 500),
+    )
+
+
+def read_all(screen: pexpect.spawn) -> tuple[str, int | None]:
+    """Everything that the program has written to the terminal, and its exit code."""
+    screen.expect_exact(pexpect.EOF)
+    before = str(screen.before)
+    screen.close()
+    return before, screen.exitstatus
+
+
+def assert_harmless(output: str) -> None:
+    """Only line ends and what rich draws with are left of the characters that steer a terminal."""
+    assert "Traceback" not in output
+    assert "\x1b[2J" not in output
+    left = OF_RICH.sub("", output).replace("\r", "").replace("\n", "")
+    assert left.isprintable(), [c for c in left if not c.isprintable()]
+
+
+def hostile_state(run: str, area: str) -> StateMessage:
+    return StateMessage(
+        header=Header(run, area, begin_life(), 1, 1, 0.0),
+        **dict.fromkeys(("buses", "vm", "va", "sigma_vm", "sigma_va", "removed", "critical", "old_sides"), ()),
+        **{key: {} for key in ("sent", "heard", "refused", "faults", "ages", "scans")},
+        **{"referenced": False, "objective": 0.0, "degrees_of_freedom": 0, "checked": False},
+        **{"messages": 0, "bytes": 0, "lost": 0, "notes": (NOTE,), "quality": "[/good]\x1b[8m", "telemetry_age": 0.0},
+    )
+
+
+@contextmanager
+def saying(session: Session, states: Sequence[StateMessage]) -> Iterator[None]:
+    """Put ``states`` on the bus again and again, each with a new number."""
+    over = threading.Event()
+
+    def go_on() -> None:
+        publishers = [session.publisher(state_key(s.header.run, s.header.sender)) for s in states]
+        sequence = 1
+        while not over.wait(0.05):
+            sequence += 1
+            for put, state in zip(publishers, states, strict=True):
+                put(encode(replace(state, header=replace(state.header, sequence=sequence))))
+
+    thread = threading.Thread(target=go_on)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
+
+
+def test_a_watcher_in_a_terminal_shows_what_strangers_say_and_obeys_none_of_it(tmp_path):
+    endpoint = free_endpoint()
+    with SystemByHand(tmp_path) as system:
+        system.start("router", "router", "--listen", endpoint)
+        with Session.connect([endpoint], DEADLINE_S) as session:
+            token = live_key("run", "area", "[bold]\x1b]0;owned\x07", begin_life())
+            session.declare_presence(token)
+            with saying(session, [hostile_state("run", "area1")]):
+                screen = terminal(tmp_path, "watch", "--connect", endpoint, "--run", "run")
+                screen.expect_exact(SHOWN)
+                output = str(screen.before) + SHOWN
+                screen.kill(signal.SIGINT)
+                rest, code = read_all(screen)
+                once = terminal(tmp_path, "watch", "--connect", endpoint, "--run", "run", "--once", "--timeout", "2")
+                lines, _ = read_all(once)
+        assert system.end("router") == 0
+    assert code == 0
+    assert r"[bold]\x1b]0;owned\x07" in output + rest
+    assert r"[/good]\x1b[8m" in output + rest
+    assert r"\x1b]0;owned\x07" in lines
+    assert_harmless(output + rest)
+    assert_harmless(lines)
+
+
+def test_a_run_in_a_terminal_ends_with_its_verdict_whatever_strangers_say(deaf_scenario, tmp_path):
+    out = tmp_path / "out"
+    screen = terminal(tmp_path, "run", str(deaf_scenario), "--out", str(out), "--timeout", "12", "--no-plots")
+    endpoints, events = out / "logs" / "router.endpoints", out / "events.jsonl"
+    wait_until(lambda: endpoints.exists() and "appeared" in events.read_text())
+    run = json.loads(events.read_text().splitlines()[0])["run"]
+    lies = [hostile_state(run, f"area{k}") for k in (1, 2, 3)]
+    with Session.connect([endpoints.read_text().split()[0]], DEADLINE_S) as session, saying(session, lies):
+        output, code = read_all(screen)
+    assert code == 1
+    table, _, verdict = output.partition("NO CONSENSUS")
+    assert "[/nope]" in table
+    assert SHOWN in verdict
+    assert_harmless(output)
+
+
+@pytest.mark.parametrize("command", ["run", "simulate", "check"])
+def test_the_name_of_a_file_is_text_in_tables_and_pictures(command: str, tmp_path: Path):
+    (tmp_path / "[").mkdir()  # as far as the slash the name is that of a folder
+    name = "[/nope]$\\frac$\x1b]0;owned\x07.toml"
+    (tmp_path / name).write_text((ROOT / "scenarios" / "shipped" / "industrial13.toml").read_text())
+    options = {"run": ["--out", "out"], "simulate": ["--out", "out"]}
+    output, code = read_all(terminal(tmp_path, command, name, *options.get(command, [])))
+    assert code == 0, output
+    assert r"nope]$\frac$\x1b]0;owned\x07" in output
+    assert_harmless(output)
+
+
+def test_an_error_about_a_strangers_file_is_text(tmp_path):
+    (tmp_path / "bad.toml").write_text('"\\u001b]0;owned\\u0007[/nope]\\nmade-up line" = 1\n')
+    output, code = read_all(terminal(tmp_path, "check", "bad.toml"))
+    assert code == 2
+    assert r"\x1b]0;owned\x07[/nope]\nmade-up line: unknown key" in output
+    assert_harmless(output)
+
+
+@pytest.mark.parametrize("name", [b"\xc3\x98rsted.toml", b"no text \xff.toml"])
+def test_a_name_that_the_terminal_cannot_write_is_no_traceback(name: bytes, tmp_path):
+    text = (ROOT / "scenarios" / "shipped" / "industrial13.toml").read_text()
+    (tmp_path / os.fsdecode(name)).write_text(text)
+    for command in ("check", "run"):
+        options = ["--out", "out", "--no-plots"] if command == "run" else []
+        done = subprocess.run(
+            [*COMMAND, command, name, *options],
+            cwd=tmp_path,
+            env={**ENVIRONMENT, "PYTHONIOENCODING": "ascii"},
+            capture_output=True,
+            timeout=DEADLINE_S,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+        assert b"Traceback" not in done.stderr
+        assert (b"\\xd8rsted" if b"rsted" in name else b"no text \\udcff") in done.stdout

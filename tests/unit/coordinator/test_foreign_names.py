@@ -1,0 +1,64 @@
+"""Names from files that look like markup, formulas or orders to a terminal."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from agents.log_format import PrintableFormatter
+from coordinator.draw_areas import draw_areas
+from coordinator.live import build_table
+from coordinator.plots import draw_plots
+from coordinator.progress import AreaProgress, Progress
+from coordinator.report import format_check, format_verdict
+from coordinator.result import RunResult
+from coordinator.simulation import simulate_scenario
+from dsse_core.printable import printable
+from scenarios.scenario import Scenario, load_scenario
+
+HOSTILE = ("$\\frac$", "[/nope]", "a$b", "\x1b[2J$x$", "\udcff")
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> RunResult:
+    return simulate_scenario("industrial13", tmp_path_factory.mktemp("runs") / "run")
+
+
+def named(name: str) -> Scenario:
+    scenario = load_scenario("industrial13")
+    partition = replace(scenario.partition, network=replace(scenario.network, name=name))
+    return replace(scenario, name=name, description=name, network=partition.network, partition=partition)
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_name_is_no_formula_in_a_picture(name: str, result: RunResult, tmp_path: Path):
+    pictures = draw_plots(replace(result, scenario=named(name)))
+    draw_areas(named(name).partition, tmp_path / "areas.png")
+    assert all(path.stat().st_size > 0 for path in (*pictures, tmp_path / "areas.png"))
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_verdict_and_a_check_are_printable_whatever_the_scenario_is_called(name: str, result: RunResult):
+    noted = tuple(replace(area, notes=(f"{name}\nconsensus",)) for area in result.areas)
+    text = format_verdict(replace(result, scenario=named(name), areas=noted)) + format_check(named(name))
+    assert text.replace("\n", "").isprintable()
+    assert not any(line.startswith("consensus\n") for line in text.splitlines(keepends=True))
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_the_table_of_a_run_takes_names_as_text(name: str):
+    area = AreaProgress(name, "joined", 0, 0, None, None, 0, 0)
+    console = Console(width=200, color_system=None)
+    with console.capture() as captured:
+        console.print(build_table(name, Progress(1.0, (area,), (f"{name} has no estimate: {name}",))))
+    assert captured.get().replace("\n", "").isprintable()
+    assert captured.get().count(printable(name)) == 4
+
+
+def test_a_line_of_a_log_is_one_line_and_printable():
+    record = logging.LogRecord("agents", logging.WARNING, __file__, 1, "%s", ("bad\x1b[2J\nmade-up line",), None)
+    assert PrintableFormatter("%(message)s").format(record) == r"bad\x1b[2J\nmade-up line"
