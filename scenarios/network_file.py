@@ -21,7 +21,7 @@ from scenarios.wording import suggest
 from scenarios.zero_impedances import find_zero_impedance_problems
 
 Positive = Annotated[float, Field(gt=0)]
-BRANCH_ID = re.compile(rf"[a-z0-9_-]{{1,{LONGEST_NAME}}}")
+BRANCH_ID = re.compile(rf"[a-z0-9_-]{{1,{LONGEST_NAME}}}")  # the id of a meter holds it, and has its limit on the wire
 NOTHING = (None,) * 4
 
 
@@ -253,8 +253,8 @@ def _find_id_problems(network: Network) -> Iterable[str]:
             taken.add(expected)
             if branch.id != expected:
                 yield (
-                    f"branch {branch.id!r}: a network file has ids of lower-case letters, digits, _ and -, "
-                    f"or calls this branch {expected!r}; rename it"
+                    f"branch {branch.id!r}: a network file has ids of at most {LONGEST_NAME} lower-case letters, "
+                    f"digits, _ and -, or calls this branch {expected!r}; rename it"
                 )
 
 

@@ -102,6 +102,7 @@ def test_an_impedance_in_ohm_between_two_voltage_levels_is_refused(tmp_path: Pat
         ("base_kv = 0.4", "base_kv = 0.0", "bus[3].base_kv: must be greater than 0, found 0.0"),
         ("tap_ratio = 0.95", "tap = 0.95", "branch[3].tap: unknown key; allowed here: from, to, id,"),
         ('id = "spare"', 'id = "S 1"', "branch[4].id: must match pattern"),
+        ('id = "spare"', f'id = "{65 * "s"}"', "branch[4].id: must match pattern"),
         ("from = 2, ", "", "branch[3].from: missing; id of the bus at the tap side"),
         ("{ id = 3, ", "{ id = 2, ", "bus 2 is defined "),
         ("from = 2, to = 3", "from = 2, to = 7", "branch 2-7 ends at bus 7"),
