@@ -37,7 +37,7 @@ class EventLog:
         """Write one event that happened at monotonic time ``now`` (default: this moment)."""
         at = (time.monotonic() if now is None else now) - self._started
         with self._noting_failure():
-            self._file.write(json.dumps({"time": round(at, 4), "event": event, **details}) + "\n")
+            self._file.write(json.dumps({"time": at, "event": event, **details}) + "\n")
             self._file.flush()
 
     @contextmanager

@@ -127,7 +127,7 @@ def judge(
     return RunOutcome(
         scenario=scenario,
         run=run,
-        verdict=make_verdict(observer, comparison, reason, round(wall_s, 4), virtual_s),
+        verdict=make_verdict(observer, comparison, reason, wall_s, virtual_s),
         areas=make_area_results(observer, comparison, started + (wall_s if virtual_s is None else virtual_s)),
         comparison=comparison,
         centralised=centralised.report,

@@ -265,6 +265,6 @@ def _bus_rows(comparison: Comparison) -> list[list[object]]:
         cells: list[object] = [bus.id, comparison.partition.owner_of_bus[bus.id]]
         for voltages in (comparison.truth, comparison.centralised, comparison.decentralised, comparison.sigma):
             for value in (float(voltages.vm[row]), math.degrees(voltages.va[row])):
-                cells.append("" if math.isnan(value) else f"{value:.9g}")
+                cells.append("" if math.isnan(value) else repr(value))  # which reads back as the same number
         rows.append(cells)
     return rows

@@ -71,7 +71,7 @@ class RunUnderWay:
         self.clock = RunClock(self.id, self.scenario.run.beat_s, begin_life())
 
     def note_time(self, moment: str) -> None:
-        self.timing_s[moment] = round(time.monotonic() - self.started, 4)
+        self.timing_s[moment] = time.monotonic() - self.started
 
 
 def listen_to_processes(run: RunUnderWay) -> None:
@@ -129,7 +129,7 @@ def take_news(run: RunUnderWay, observer: Observer, item: object) -> str | None:
                 observer.take_presence(name, alive, at)
                 if run.joined is None and not observer.find_absent():
                     run.joined = at
-                    run.timing_s["areas_joined"] = round(at - run.started, 4)
+                    run.timing_s["areas_joined"] = at - run.started
         case MessageError():
             run.refused[item.reason] += 1
             if is_worth_writing(run.refused[item.reason]):

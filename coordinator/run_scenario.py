@@ -128,7 +128,7 @@ def _run_with_router(run: RunUnderWay, on_update: Callable[[Progress], None] | N
         yardstick = start_yardstick(scenario, telemetry, lambda: run.note_time("centralised_estimated"))
         reason = reason or _watch(run, observer, on_update, until=lambda obstacles: not obstacles)
         wall_s = time.monotonic() - run.started
-    run.timing_s["last_change"] = round(max(0.0, observer.changed_at - run.started), 4)
+    run.timing_s["last_change"] = max(0.0, observer.changed_at - run.started)
     run.note_time("verdict")
     run.events.write("consensus" if reason is None else "no consensus", reason=reason)
     run.system.launcher.stop()  # the processes end while the files are written

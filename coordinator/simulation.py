@@ -125,8 +125,8 @@ class Simulation:
             reason,
             started=0.0,
             wall_s=time.monotonic() - self._started,
-            virtual_s=round(now, 6),
-            timing_s={"last_change": round(max(0.0, self._observer.changed_at), 6), "verdict": round(now, 6)},
+            virtual_s=now,
+            timing_s={"last_change": max(0.0, self._observer.changed_at), "verdict": now},
             faults=self._states.faults + self._schedule.counts,
         )
 

@@ -52,10 +52,6 @@ def make_row(outcome: RunOutcome) -> StudyRow:
     """The row of a run that has ended."""
     verdict, gaps = outcome.verdict, gap_history(outcome)
 
-    def time_below(limit: float) -> float | None:
-        found = find_time_below(gaps, limit)
-        return None if found is None else round(found, 6)
-
     return StudyRow(
         strategy=outcome.scenario.strategy,
         seed=outcome.scenario.seed,
@@ -66,9 +62,9 @@ def make_row(outcome: RunOutcome) -> StudyRow:
         messages=verdict.messages,
         bytes=verdict.bytes,
         lost=verdict.lost,
-        below_1e3_s=time_below(1e-3),
-        below_1e6_s=time_below(1e-6),
-        below_1e8_s=time_below(1e-8),
+        below_1e3_s=find_time_below(gaps, 1e-3),
+        below_1e6_s=find_time_below(gaps, 1e-6),
+        below_1e8_s=find_time_below(gaps, 1e-8),
         end_s=verdict.wall_s if verdict.virtual_s is None else verdict.virtual_s,
         reason=_shortened(verdict.reason or ""),
     )

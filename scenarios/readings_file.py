@@ -85,7 +85,7 @@ def save_readings(path: Path, network: Network, readings: Sequence[Measurement])
         for m in readings:
             unit = WRITTEN_IN[m.meter.kind]
             size = unit_size(unit, m.meter, network)
-            pair = [f"{m.value / size:.15g}", f"{m.sigma / size:.15g}"]
+            pair = [repr(float(m.value / size)), repr(float(m.sigma / size))]  # exact
             writer.writerow([m.meter.id, *(cell for u in units for cell in (pair if u == unit else ["", ""]))])
 
 

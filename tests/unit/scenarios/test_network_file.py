@@ -191,3 +191,16 @@ def test_branches_without_impedance_beside_the_others_are_refused_one_by_one(tmp
         f"branch 3-1 has |r + jx| = 1e-09 {ending}buses into one",
         f"branch 2-3 has |r + jx| = 1e-08 {ending}buses into one",
     )
+
+
+def test_toml_holds_no_rounder_numbers_than_json(tmp_path: Path) -> None:
+    network = load(tmp_path, GOOD)
+    branches = tuple(replace(b, r=b.r / 3, x=b.x / 7) for b in network.branches)
+    buses = tuple(replace(b, p_load=b.p_load / 9) for b in network.buses)
+    odd = replace(network, branches=branches, buses=buses)
+    read = []
+    for suffix in (".toml", ".json"):
+        save_network(tmp_path / f"written{suffix}", odd, "a test")
+        read.append(load_network(tmp_path / f"written{suffix}"))
+    assert read[0] == read[1]
+    assert [b.r for b in read[0].branches] == [b.r for b in branches]

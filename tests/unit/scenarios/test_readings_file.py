@@ -93,6 +93,12 @@ def test_what_was_written_is_read_back(tmp_path: Path) -> None:
         assert (ours.value, ours.sigma) == pytest.approx((theirs.value, theirs.sigma), rel=1e-12)
 
 
+def test_a_voltage_is_written_with_all_its_digits(tmp_path: Path) -> None:
+    readings = tuple(m for m in all_readings() if m.meter.kind is KIND.VM)
+    save_readings(tmp_path / "readings.csv", NETWORK, readings)
+    assert load_readings(tmp_path / "readings.csv", NETWORK) == readings
+
+
 def test_a_spreadsheets_mark_at_the_start_and_empty_lines_do_no_harm(tmp_path: Path) -> None:
     assert len(load(tmp_path, "\ufeffmeter,value_pu,sigma_pu\r\nvm@1,1,0.01\r\n,,\r\n\r\n")) == 1
 
