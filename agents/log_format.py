@@ -16,7 +16,8 @@ class PrintableFormatter(logging.Formatter):
 
 
 def start_log() -> None:
-    """Log to standard error; for the entry points of processes."""
+    """Log to standard error; for the entry points of processes. A log that cannot be written ends none of them."""
+    logging.raiseExceptions = False
     handler = logging.StreamHandler()
     handler.setFormatter(PrintableFormatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
     logging.basicConfig(level=logging.INFO, handlers=[handler])

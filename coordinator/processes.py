@@ -19,7 +19,19 @@ from typing import Any, Self
 
 from coordinator.compile_clock import clock
 from coordinator.interrupts import ENDS
-from coordinator.zygote import MODULE, PARENT, STOP_S, Compiling, Ended, Preload, Signal, Start, Started, Stop
+from coordinator.zygote import (
+    IO_ERROR_CODE,
+    MODULE,
+    PARENT,
+    STOP_S,
+    Compiling,
+    Ended,
+    Preload,
+    Signal,
+    Start,
+    Started,
+    Stop,
+)
 from dsse_core.errors import DsseError
 
 ONE_THREAD = {
@@ -168,6 +180,8 @@ def check_open_files(areas: int) -> None:
 
 def describe_end(code: int) -> str:
     """How a process ended, in words."""
+    if code == IO_ERROR_CODE:
+        return f"exit code {code}, as a file could not be written or read; is the disk full?"
     return f"exit code {code}" if code >= 0 else f"signal {signal.Signals(-code).name}"
 
 

@@ -159,13 +159,15 @@ def take_process_news(run: RunUnderWay, item: ProcessNews) -> str | None:
             if expected:
                 return None
             kind = f"area {name}" if name in run.scenario.partition.owner_of_bus.values() else name
-            end = read_end(run.system.log_of(name))
-            return f"{kind} died with {describe_end(code)}" + (
-                f"; the end of its log {run.system.log_of(name)}:\n{end}"
-                if end
-                else f"; its log {run.system.log_of(name)} is empty"
-            )
+            return f"{kind} died with {describe_end(code)}{_describe_log(run.system.log_of(name))}"
     return None
+
+
+def _describe_log(log: Path) -> str:
+    """What the log of a process that has died ends with; nothing where it has none, as the parent of all."""
+    if end := read_end(log):
+        return f"; the end of its log {log}:\n{end}"
+    return f"; its log {log} is empty" if log.exists() else ""
 
 
 def note_ends(run: RunUnderWay) -> None:

@@ -27,10 +27,12 @@ from typing import Any, NoReturn
 from coordinator.interrupts import ENDS
 from coordinator.lifeline import Lifeline
 from dsse_core import compiling
+from dsse_core.printable import printable_lines
 
 STOP_S = 3.0  # from SIGTERM to SIGKILL
 PARENT = "parent of all processes"
 MODULE = "coordinator.zygote"
+IO_ERROR_CODE = 74  # exit code of a process that could not write or read a file, as sysexits.h has it
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,12 +184,15 @@ class Zygote:
             self.lifeline.hold(STOP_S if order.stop_last else 0.0, STOP_S)
             faulthandler.enable(all_threads=False)
             code = _call(order)
-        except BaseException:
-            traceback.print_exc()
-        finally:
             logging.shutdown()
             sys.stdout.flush()
-            sys.stderr.flush()
+        except OSError as error:  # if the disk is full, these words find no room either: the code says it, too
+            code = IO_ERROR_CODE
+            where = f"{error.filename}: " if error.filename else ""
+            _say_last(f"error: {where}{error.strerror or error}; make room there, or choose another place\n")
+        except BaseException:
+            _say_last(traceback.format_exc())
+        finally:
             os._exit(code)  # nothing of the parent's stack may run here
 
     def _reap(self) -> None:
@@ -217,6 +222,12 @@ class Zygote:
         while self.children:
             self._reap()
             time.sleep(0.002)
+
+
+def _say_last(text: str) -> None:
+    """Write to standard error past all buffers, which may hold what could not be written."""
+    with contextlib.suppress(OSError):
+        os.write(sys.stderr.fileno(), printable_lines(text).encode(errors="backslashreplace"))
 
 
 def _redirect(log: Path) -> None:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import resource
+import shutil
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -30,7 +32,9 @@ def run_limited(folder: Path, limit: int, value: int, *arguments: str) -> subpro
 
 
 def test_a_run_whose_events_no_longer_fit_on_the_disk_still_ends_with_its_verdict(tmp_path: Path):
-    done = run_limited(tmp_path, resource.RLIMIT_FSIZE, 5000, "ieee33-lossy", "--out", "out")  # its area files just fit
+    done = run_limited(
+        tmp_path, resource.RLIMIT_FSIZE, 7000, "ieee33-lossy", "--out", "out"
+    )  # its other files just fit
     assert done.returncode == 2
     assert done.stdout.startswith("consensus after ")
     assert "error: files of the run are missing: out/events.jsonl: File too large; make room there" in done.stderr
@@ -42,6 +46,42 @@ def test_a_run_folder_without_room_for_the_area_files_is_refused(tmp_path: Path)
     assert done.returncode == 2
     assert "File too large; choose another place, or make room there" in done.stderr
     assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("room", [0, 10, 300])
+def test_a_router_without_room_for_its_first_words_is_no_traceback(tmp_path: Path, room: int):
+    done = run_limited(tmp_path, resource.RLIMIT_FSIZE, room, "ieee33", "--out", "out")
+    assert done.returncode == 2
+    assert "make room" in done.stderr or "is the disk full?" in done.stderr
+    assert "Traceback" not in done.stdout + done.stderr
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Callable[[int], Path]]:
+    """Mount a disk of so many KiB, where the system allows it."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+
+    def mount(kib: int) -> Path:
+        options = ["-t", "tmpfs", "-o", f"size={kib}k", "tmpfs", str(folder)]
+        if (
+            not shutil.which("mount")
+            or subprocess.run(["mount", *options], capture_output=True, check=False).returncode
+        ):
+            pytest.skip("nothing can be mounted here; it takes root")
+        return folder
+
+    yield mount
+    if folder.is_mount():
+        subprocess.run(["umount", str(folder)], check=True)
+
+
+@pytest.mark.parametrize("kib", [4, 8, 12])
+def test_a_tiny_disk_is_one_error_and_no_traceback(small_disk: Callable[[int], Path], tmp_path: Path, kib: int):
+    done = run_limited(tmp_path, resource.RLIMIT_CORE, 0, "ieee33", "--out", str(small_disk(kib) / "out"))
+    assert done.returncode == 2
+    assert "make room" in done.stderr or "is the disk full?" in done.stderr
+    assert "Traceback" not in done.stdout + done.stderr
 
 
 def test_too_few_open_files_for_the_links_of_all_areas_are_told_before_anything_starts(tmp_path: Path):

@@ -131,6 +131,7 @@ def test_a_killed_parent_of_all_ends_the_run_and_leaves_nothing_behind(start_run
     code, out, _ = run.end()
     assert code == 1
     assert "parent of all processes died with signal SIGKILL" in out
+    assert "its log" not in out  # it has none
     assert_nothing_left(run.pids())
 
 

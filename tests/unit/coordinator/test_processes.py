@@ -11,7 +11,7 @@ import psutil
 import pytest
 
 from coordinator.processes import Launcher, LaunchError, News, describe_end, read_end
-from coordinator.zygote import Ended, Started
+from coordinator.zygote import IO_ERROR_CODE, Ended, Started
 
 DEADLINE_S = 20.0
 
@@ -58,6 +58,24 @@ def test_an_exception_ends_in_the_log_and_in_exit_code_1(tmp_path: Path):
         launcher.start("one", "builtins:int", "no number", log=tmp_path / "one.log")
         assert take_until(news, Ended, "one").code == 1
     assert "ValueError" in read_end(tmp_path / "one.log")
+
+
+def test_a_process_that_cannot_write_its_log_ends_without_a_traceback_and_is_no_second_parent(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+):
+    news, tmp = News(), tmp_path / "no folder" / "two.log"
+    with Launcher(news.put) as launcher:
+        launcher.start("one", "builtins:print", "hello", log=Path("/dev/full"))
+        launcher.start("two", "builtins:print", "hello", log=tmp)
+        codes = {name: ended.code for name, ended in take_all(news, Ended, "one", "two").items()}
+        assert psutil.Process(launcher.pid).children() == []
+        launcher.start("three", "builtins:print", "hello", log=tmp_path / "three.log")
+        assert take_until(news, Ended, "three").code == 0
+    assert codes == {"one": IO_ERROR_CODE, "two": IO_ERROR_CODE}
+    assert "is the disk full?" in describe_end(IO_ERROR_CODE)
+    said = capfd.readouterr().err
+    assert "Traceback" not in said
+    assert f"error: {tmp}: No such file or directory" in said
 
 
 def test_the_exit_code_of_a_process_is_told(tmp_path: Path):
