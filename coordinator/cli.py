@@ -30,6 +30,8 @@ from coordinator.terminal import (
 from dsse_core.errors import DsseError
 from dsse_core.printable import printable
 
+DISTRIBUTION = "consensus-dsse"
+
 
 def run_command(arguments: Sequence[str]) -> int:
     """Run ``dsse`` with ``arguments``; a user's mistake becomes one message and exit code 2."""
@@ -58,7 +60,23 @@ def say_interrupted() -> int:
     return INTERRUPTED_CODE
 
 
+def _show_version(context: click.Context, _: click.Parameter, asked: bool) -> None:
+    if asked and not context.resilient_parsing:
+        from coordinator.result import version_of
+
+        show(f"{DISTRIBUTION} {version_of(DISTRIBUTION) or 'in a folder, not installed'}")
+        context.exit()
+
+
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.option(
+    "--version",
+    is_flag=True,
+    expose_value=False,
+    is_eager=True,
+    callback=_show_version,
+    help="Show the version and exit.",
+)
 def commands() -> None:
     """Decentralised state estimation of power grids: one process per area, over Zenoh.
 

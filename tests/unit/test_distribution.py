@@ -1,0 +1,38 @@
+"""What the package says of itself is the same everywhere."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from coordinator.cli import run_command
+
+ROOT = Path(__file__).parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+
+
+def test_the_command_tells_its_version(capsys: pytest.CaptureFixture[str]):
+    assert run_command(["--version"]) == 0
+    assert capsys.readouterr().out == f"{PROJECT['name']} {PROJECT['version']}\n"
+
+
+def test_who_cites_it_cites_this_version():
+    cited = dict(re.findall(r"^(\S+): (.+)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE))
+    told = (cited["title"], cited["version"], cited["license"])
+    assert told == (PROJECT["name"], PROJECT["version"], PROJECT["license"])
+
+
+def test_no_dependency_is_without_a_lowest_version_that_can_be_tried():
+    needed = [*PROJECT["dependencies"], *PROJECT["optional-dependencies"]["test"]]
+    assert [line for line in needed if not re.search(r">=\d", line)] == []
+
+
+def test_an_extra_asks_for_no_lower_version_than_the_tests_try():
+    lowest = dict(line.split(">=") for line in PROJECT["optional-dependencies"]["test"])
+    for extra in ("fast", "bench", "pandapower", "power-grid-model"):
+        for line in PROJECT["optional-dependencies"][extra]:
+            name, version = line.split(">=")
+            assert lowest.get(name, version) == version
