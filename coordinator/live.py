@@ -16,7 +16,7 @@ from coordinator.watch import View
 from dsse_core.printable import listed, printable, shortened
 
 MOST_LISTED = 12  # notes of an area, or processes that are no areas
-LONGEST_CELL = 300  # characters of a note; `dsse watch --json` has them whole
+LONGEST_CELL = 300  # characters of a sentence; `dsse watch --json` and the verdict have them whole
 
 
 @contextmanager
@@ -29,7 +29,7 @@ def live_table(title: str) -> Iterator[Callable[[Progress], None]]:
 
 def build_table(title: str, progress: Progress) -> Table:
     """The areas at one moment; gaps are the largest to a neighbour at a boundary bus."""
-    waiting = f"waits: {progress.obstacles[0]}" if progress.obstacles else "consensus"
+    waiting = shortened(f"waits: {progress.obstacles[0]}", LONGEST_CELL) if progress.obstacles else "consensus"
     more = f" (and {len(progress.obstacles) - 1} more)" if len(progress.obstacles) > 1 else ""
     table = _new_table(f"{title}   {progress.elapsed_s:.1f} s", waiting + more)
     for heading in ("area", "state"):
@@ -84,7 +84,8 @@ WATCHED = (
 def build_view_table(view: View) -> Table:
     """What a watcher sees of a run; gaps are the largest to a neighbour at a bus that both publish."""
     others = listed(view.others, MOST_LISTED) or "nobody"
-    table = _new_table(f"run {view.run}", f"also there: {others}", *view.doubles)
+    told = [shortened(double, LONGEST_CELL) for double in view.doubles[:MOST_LISTED]]
+    table = _new_table(f"run {view.run}", f"also there: {others}", *told)
     for heading in ("area", "state"):
         table.add_column(heading)
     for heading in WATCHED:

@@ -59,6 +59,13 @@ def test_the_table_of_a_run_takes_names_as_text(name: str):
     assert captured.get().count(printable(name)) == 4
 
 
+def test_one_note_does_not_fill_the_terminal_of_a_run():
+    console = Console(width=80, color_system=None)
+    with console.capture() as captured:
+        console.print(build_table("run", Progress(1.0, (), ("x" * 50_000,))))
+    assert len(captured.get().splitlines()) < 20
+
+
 def test_a_line_of_a_log_is_one_line_and_printable():
     record = logging.LogRecord("agents", logging.WARNING, __file__, 1, "%s", ("bad\x1b[2J\nmade-up line",), None)
     assert PrintableFormatter("%(message)s").format(record) == r"bad\x1b[2J\nmade-up line"
