@@ -11,14 +11,14 @@ from dataclasses import replace
 from pathlib import Path
 from types import FrameType
 
-from agents.access_file import ACCESS_FILE, load_access
 from agents.area_file import AreaFile
 from agents.area_reader import load_area_file
-from agents.credentials import load_credentials
+from agents.credentials import load_keys
 from agents.events import StopRequested
 from agents.inbox import Inbox
 from agents.log_format import start_log
 from agents.loop import run_agent
+from agents.renewal import Renewal, on_hangup
 from agents.strategies import STRATEGIES
 from agents.succession import REPLACED_CODE, ReplacedError
 from agents.transport import Session
@@ -107,6 +107,8 @@ def run_area(path: Path, endpoints: Sequence[str], timeout_s: float, keys: Path 
         inbox.put("stop", StopRequested(signal.Signals(number).name))
 
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # Zenoh's connecting would defer Python's handler to its end
+    if keys:
+        on_hangup(lambda: inbox.put("renewal", Renewal.ASKED), lambda: stop(signal.SIGHUP, None))
     with _open_session(content, timeout_s, keys) as session:
         signal.signal(signal.SIGTERM, stop)
         signal.signal(signal.SIGINT, stop)
@@ -116,11 +118,10 @@ def run_area(path: Path, endpoints: Sequence[str], timeout_s: float, keys: Path 
 
 def _open_session(content: AreaFile, timeout_s: float, keys: Path | None) -> Session:
     """Join the bus at a router, or listen for the neighbours."""
-    credentials = load_credentials(keys, content.area.name)
+    loaded = load_keys(keys, content.area.name, content.run, listens=bool(content.listen))
     if not content.listen:
-        return Session.connect(content.endpoints, timeout_s, credentials, beat_s=content.beat_s)
-    access = replace(load_access(keys / ACCESS_FILE), run=content.run) if keys else None
-    return Session.meet(content.endpoints, content.listen, credentials, access, beat_s=content.beat_s)
+        return Session.connect(content.endpoints, timeout_s, loaded, beat_s=content.beat_s)
+    return Session.meet(content.endpoints, content.listen, loaded, beat_s=content.beat_s)
 
 
 if __name__ == "__main__":

@@ -1,12 +1,12 @@
 """Who may speak: what each certificate may publish, show and hear, and the same as Zenoh's access control.
 
-Whoever forwards messages (a router, or an agent to its neighbours) knows a link by the common name of the certificate
-at its other end, and refuses everything that is not allowed here.
+Every process applies this to every link of its own, whichever end called: the common name of the certificate at the
+other end says who that is, not the place where it was found, and everything that is not allowed here is refused.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,19 +36,26 @@ EVERY_MESSAGE = (
     "liveliness_query",
     "declare_liveliness_subscriber",
 )
+SPOKEN = ("put", "delete", "liveliness_token")
+REVOKED = "/revoked"  # a rule's name that is no area's
 
 
 @dataclass(frozen=True)
 class Access:
-    """All that decides who may speak in ``run``: area -> its neighbours."""
+    """All that decides who may speak in ``run``: area -> its neighbours, and names whose keys are in wrong hands."""
 
     run: str
     neighbours: Mapping[str, tuple[str, ...]]
+    revoked: tuple[str, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
         """The common names of all certificates of a deployment."""
         return (ROUTER, PLANT, COORDINATOR, *self.neighbours)
+
+    def met_directly_by(self, name: str) -> tuple[str, ...]:
+        """Whom ``name`` links with where there is no router: a plant and a watcher with all areas."""
+        return (*self.neighbours[name], PLANT, COORDINATOR) if name in self.neighbours else tuple(self.neighbours)
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,28 +124,44 @@ def _rights_of_coordinator(access: Access) -> Rights:
     )
 
 
-def zenoh_access_control(access: Access) -> dict[str, Any]:
-    """The rules as Zenoh's configuration ``access_control``: what is not allowed is refused."""
-    rules: list[dict[str, Any]] = []
+def zenoh_access_control(access: Access, meets: Iterable[str]) -> dict[str, Any]:
+    """The rules for links with ``meets`` as Zenoh's configuration ``access_control``: what is not allowed is refused.
+
+    A link with anybody else, or with a revoked name, may be there, and nothing passes. What revoked names alone may
+    say is refused whoever passes it on.
+    """
+    names = [name for name in meets if name not in access.revoked]
+    rights = find_rights(access)
+    rules = [_rule(REVOKED, "deny", ("ingress", "egress"), SPOKEN, own)] if (own := _said_by_revoked(access)) else []
     policies = []
-    for name, rights in find_rights(access).items():
-        own = [
-            _rule(f"{name}-{flow}-{messages[0]}", flow, messages, keys)
-            for flow, messages, keys in _table(rights)
-            if keys
-        ]
-        rules += own
-        policies.append({"rules": [rule["id"] for rule in own], "subjects": [name]})
-    for flow in ("ingress", "egress"):
-        rules.append(_rule(f"{ROUTER}-{flow}", flow, EVERY_MESSAGE, (all_of_run(access.run),)))
-    policies.append({"rules": [f"{ROUTER}-ingress", f"{ROUTER}-egress"], "subjects": [ROUTER]})
+    for name in names:
+        allowed = _rules_of_router(access) if name == ROUTER else _rules_of(name, rights[name])
+        policies.append({"rules": [rule["id"] for rule in (*rules[: bool(own)], *allowed)], "subjects": [name]})
+        rules += allowed
     return {
         "enabled": True,
         "default_permission": "deny",
         "rules": rules,
-        "subjects": [{"id": name, "cert_common_names": [name]} for name in access.names],
+        "subjects": [{"id": name, "cert_common_names": [name]} for name in names],
         "policies": policies,
     }
+
+
+def _said_by_revoked(access: Access) -> tuple[str, ...]:
+    rights = find_rights(access)
+    return tuple(key for name in access.revoked for key in (*rights[name].publishes, *rights[name].shows))
+
+
+def _rules_of(name: str, rights: Rights) -> list[dict[str, Any]]:
+    return [
+        _rule(f"{name}-{flow}-{messages[0]}", "allow", (flow,), messages, keys)
+        for flow, messages, keys in _table(rights)
+        if keys
+    ]
+
+
+def _rules_of_router(access: Access) -> list[dict[str, Any]]:
+    return [_rule(ROUTER, "allow", ("ingress", "egress"), EVERY_MESSAGE, (all_of_run(access.run),))]
 
 
 def _table(rights: Rights) -> tuple[tuple[str, tuple[str, ...], tuple[str, ...]], ...]:
@@ -154,5 +177,13 @@ def _table(rights: Rights) -> tuple[tuple[str, tuple[str, ...], tuple[str, ...]]
     )
 
 
-def _rule(name: str, flow: str, messages: tuple[str, ...], keys: tuple[str, ...]) -> dict[str, Any]:
-    return {"id": name, "permission": "allow", "flows": [flow], "messages": list(messages), "key_exprs": list(keys)}
+def _rule(
+    name: str, permission: str, flows: tuple[str, ...], messages: tuple[str, ...], keys: tuple[str, ...]
+) -> dict[str, Any]:
+    return {
+        "id": name,
+        "permission": permission,
+        "flows": list(flows),
+        "messages": list(messages),
+        "key_exprs": list(keys),
+    }

@@ -1,4 +1,4 @@
-"""The access file: who is whose neighbour, as TOML. A router reads it beside its keys; `dsse keys create` writes it."""
+"""The access file: who is whose neighbour, as TOML, beside the keys of everybody; `dsse keys create` writes it."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from pathlib import Path
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from agents.access import Access
+from agents.access import COORDINATOR, PLANT, ROUTER, Access
 from agents.area_reader import describe_schema_error
+from agents.credential_files import find_mode_problems, write_public
 from agents.keys import NAME
 from dsse_core.bounded_file import LARGEST_TOML, read_text
 from dsse_core.bounded_parsing import parse_toml
@@ -16,12 +17,20 @@ from dsse_core.errors import InvalidInputError
 from dsse_core.limits import LONGEST_NAME
 
 ACCESS_FILE = "access.toml"
+HEAD = """\
+# Who may speak with whom: nobody lets through anything else.
+# Names in "revoked" are denied everything; after a change, send SIGHUP to every process.
+"""
 
 
 def save_access(path: Path, access: Access) -> None:
     """Write ``access`` as TOML."""
-    table = {"run": access.run, "neighbours": {area: list(names) for area, names in access.neighbours.items()}}
-    path.write_text("# Who may speak with whom: routers let through nothing else.\n" + tomli_w.dumps(table))
+    table = {
+        "run": access.run,
+        "revoked": list(access.revoked),
+        "neighbours": {area: list(names) for area, names in access.neighbours.items()},
+    }
+    write_public(path, (HEAD + tomli_w.dumps(table)).encode())
 
 
 def load_access(path: Path) -> Access:
@@ -41,15 +50,29 @@ def load_access(path: Path) -> Access:
     for area, neighbours in table.neighbours.items():
         if not NAME.fullmatch(area):
             problems.append(f"neighbours: area {area!r} may only contain a-z, 0-9, _ and -, {LONGEST_NAME} at most")
+        if area in (ROUTER, PLANT, COORDINATOR):
+            problems.append(f"neighbours: no area can be called {area!r}, as another process is")
         for n in neighbours:
             if area not in table.neighbours.get(n, ()):
                 problems.append(f"neighbours.{area}: {n!r} does not name {area!r} as its neighbour; add it there")
+    access = Access(
+        table.run, {area: tuple(names) for area, names in table.neighbours.items()}, tuple(dict.fromkeys(table.revoked))
+    )
+    problems += [problem for name in access.revoked if (problem := _find_problem_of_revoked(access, name))]
+    problems += find_mode_problems(path)
     if problems:
         raise InvalidInputError(what, problems)
-    return Access(table.run, {area: tuple(names) for area, names in table.neighbours.items()})
+    return access
+
+
+def _find_problem_of_revoked(access: Access, name: str) -> str:
+    if name == ROUTER:
+        return f"revoked: {name!r} would end all exchange; replace the keys of all by those of a new authority"
+    return "" if name in access.names else f"revoked: {name!r} is no name of a certificate: {', '.join(access.names)}"
 
 
 class _FileTable(BaseModel):
     model_config = ConfigDict(extra="forbid")
     run: str = Field(pattern=f"^{NAME.pattern}$")
+    revoked: list[str] = []
     neighbours: dict[str, list[str]] = Field(min_length=1)

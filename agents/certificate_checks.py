@@ -12,16 +12,17 @@ from cryptography import x509
 from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric.types import PrivateKeyTypes
-from cryptography.x509.oid import NameOID
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
+from agents.credential_files import find_mode_problems
 from agents.credentials import Credentials
 from dsse_core.bounded_file import LARGEST_PEM, read_bounded
 
 PROBE_S = 2.0  # time for a handshake that only asks why there is no connection
 
 
-def find_credential_problems(credentials: Credentials) -> list[str]:
-    """Every problem: which file, what was found, what to do."""
+def find_credential_problems(credentials: Credentials, listens: bool) -> list[str]:
+    """Every problem: which file, what was found, what to do. ``listens``: others call the process, too."""
     now = datetime.datetime.now(datetime.UTC)
     problems: list[str] = []
     authorities = _read_certificates(credentials.authority, problems)
@@ -38,6 +39,7 @@ def find_credential_problems(credentials: Credentials) -> list[str]:
             f"{credentials.certificate}: is the certificate of {found!r}, and {credentials.name!r} is needed; "
             "take that process's certificate, or make one with this common name"
         )
+    problems += _find_usage_problems(credentials.certificate, own, listens)
     if key and key.public_key() != own.public_key():
         problems.append(f"{credentials.key}: does not belong to {credentials.certificate}; copy both from one place")
     if authorities and not any(_is_issued_by(c, a) for c in chain for a in authorities):
@@ -50,7 +52,9 @@ def find_credential_problems(credentials: Credentials) -> list[str]:
 
 def _read_certificates(path: Path, problems: list[str]) -> list[x509.Certificate]:
     try:
-        return x509.load_pem_x509_certificates(read_bounded(path, LARGEST_PEM))
+        content = read_bounded(path, LARGEST_PEM)
+        problems += find_mode_problems(path)
+        return x509.load_pem_x509_certificates(content)
     except OSError as error:
         problems.append(_describe_unreadable(path, error))
     except ValueError:
@@ -61,8 +65,7 @@ def _read_certificates(path: Path, problems: list[str]) -> list[x509.Certificate
 def _read_key(path: Path, problems: list[str]) -> PrivateKeyTypes | None:
     try:
         content = read_bounded(path, LARGEST_PEM)
-        if path.stat().st_mode & 0o007:
-            problems.append(f"{path}: anybody on this host may read or change this private key; chmod o-rwx {path}")
+        problems += find_mode_problems(path, private=True)
         return serialization.load_pem_private_key(content, password=None)
     except OSError as error:
         problems.append(_describe_unreadable(path, error))
@@ -86,6 +89,22 @@ def _find_date_problems(path: Path, certificate: x509.Certificate, now: datetime
     if now < begin:
         return [f"{path}: is valid from {begin:%Y-%m-%d %H:%M} UTC on; is this host's clock right ({now:%Y-%m-%d})?"]
     return []
+
+
+def _find_usage_problems(path: Path, certificate: x509.Certificate, listens: bool) -> list[str]:
+    try:
+        usage = certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
+    except x509.ExtensionNotFound:
+        return []  # good for everything
+    problems = []
+    if ExtendedKeyUsageOID.CLIENT_AUTH not in usage:
+        problems.append(f"{path}: its extended key usage lacks clientAuth, and this process calls others")
+    if listens and ExtendedKeyUsageOID.SERVER_AUTH not in usage:
+        problems.append(
+            f"{path}: is for a process that only calls others (its extended key usage lacks serverAuth), and this one "
+            "listens; make keys for this scenario with `dsse keys create SCENARIO`"
+        )
+    return problems
 
 
 def _common_name(certificate: x509.Certificate) -> str:
@@ -124,3 +143,8 @@ def explain_refusal(endpoint: str, credentials: Credentials) -> str:
     except (OSError, ValueError) as error:
         return str(error)
     return ""
+
+
+def read_validity(path: Path) -> list[tuple[datetime.datetime, datetime.datetime]]:
+    """From when to when each certificate in ``path`` is valid; nothing if none can be read."""
+    return [(c.not_valid_before_utc, c.not_valid_after_utc) for c in _read_certificates(path, [])]

@@ -28,6 +28,7 @@ from agents.link import FaultyLinks
 from agents.messages import ClockMessage, StateMessage, decode
 from agents.presence import Presence, begin_life, read_farewell
 from agents.protocol import AreaProtocol
+from agents.renewal import Renewal
 from agents.strategies import make_strategy
 from agents.succession import GIVES_WAY, ReplacedError, Succession
 from agents.transport import Session
@@ -44,6 +45,11 @@ class _TokenSeen:
     key: str
     alive: bool
     farewell: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class _OutOfSight:
+    """All tokens seen up to now count no longer: the links are opened anew, with other rules perhaps."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +105,9 @@ def run_agent(content: AreaFile, session: Session, inbox: Inbox) -> str:
             give_back()
         news = inbox.take(min(protocol.wait_s(now), links.next_due() - now, succession.next_due() - now))
         links.release(time.monotonic())
+        if Renewal.ASKED in news and session.interrupt():
+            news += [*inbox.take(0.0), _OutOfSight()]
+            session.resume()
         events = list(_events_of(name, news, presence, succession, links))
         try:
             succession.check(time.monotonic())
@@ -164,6 +173,12 @@ def _events_of(
         match item:
             case _ClockHeard(at, payload):
                 _take_clock(links, at, payload)
+            case _OutOfSight():
+                succession.forget()
+                for _, gone in presence.forget():
+                    yield PresenceChanged(gone, False)
+            case Renewal():
+                pass
             case _TokenSeen(key, alive) if name_of_live(key)[1] == area:  # our own life, or a namesake's
                 succession.take(key, alive, time.monotonic())
             case _TokenSeen(key, alive, farewell):

@@ -47,6 +47,12 @@ class Presence:
         """All lives of a name that are there, the newest last."""
         return sorted(self._lives.get((role, name), ()))
 
+    def forget(self) -> list[tuple[str, str]]:
+        """Know of nobody any more; (role, name) of all that were there."""
+        names = sorted(self._lives)
+        self._lives.clear()
+        return names
+
     def take_farewell(self, key: str) -> bool:
         """Note that the life that shows the token on ``key`` ends; whether its name is gone, now or already.
 

@@ -42,6 +42,10 @@ class Succession:
         elif self._own < life and life.start_ms <= latest_ms and len(self._since) < MAX_LIVES:
             self._since.setdefault(life, now)
 
+    def forget(self) -> None:
+        """Know of no newer life any more, until it is seen again."""
+        self._since.clear()
+
     def next_due(self) -> float:
         """When ``check`` may have something to say; infinity if nobody newer is there."""
         return min(self._since.values(), default=float("inf")) + self._overlap_s

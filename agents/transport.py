@@ -2,108 +2,270 @@
 
 Endpoints are explicit: multicast scouting, gossip and shared memory are off. A session must be closed, or
 its process never exits; entities are kept referenced, or they vanish; nothing here may exist before a fork.
-With credentials there are TLS links only, both ends show a certificate, and a router applies the rules of access.
+With keys there are TLS links only, both ends show a certificate, and each applies the rules of access to the other.
 """
 
 from __future__ import annotations
 
 import contextlib
 import json
+import logging
 import time
 from collections.abc import Callable, Sequence
-from types import TracebackType
-from typing import Any, Self
+from typing import Any, TypeVar, cast
 
 import zenoh
 
-from agents.access import Access, zenoh_access_control
-from agents.credentials import Credentials
-from agents.messages import MAX_BYTES
+from agents.access import ROUTER
+from agents.bus_config import (
+    at_once,
+    bus_config,
+    find_open_endpoints,
+    find_protocol_problem,
+    in_the_background,
+    in_turns,
+)
+from agents.credentials import Credentials, Keys
+from agents.links import Links
 from dsse_core.errors import DsseError
 from dsse_core.limits import LONGEST_S
 
-SHORTEST_LEASE_S = 2.0
-LEASE_BEATS = 3  # by then, what has come over the link is stale anyway; where there are many, beats are long
-RETRY = {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 2}
+log = logging.getLogger(__name__)
+FIRST_SLICE_S, LAST_SLICE_S = 0.5, 0.01  # for which one of several endpoints is tried
+MAX_TOLD = 1000  # links of names without rights that are logged
+AnyLinks = TypeVar("AnyLinks", bound=Links)
+News = TypeVar("News")
 
 
 class TransportError(DsseError):
     """The bus cannot be reached or opened; names the endpoint."""
 
 
-def _config(mode: str, credentials: Credentials | None = None, beat_s: float = 0.0, **sections: Any) -> zenoh.Config:
-    """``beat_s``: that of who speaks here; the other end waits for a sign of life as long as that allows."""
-    return zenoh.Config.from_json5(
-        json.dumps(
-            {
-                "mode": mode,
-                "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
-                "timestamping": {"enabled": True},
-                "transport": {
-                    "shared_memory": {"enabled": False},
-                    "unicast": {
-                        "open_timeout": 10000,
-                        "accept_timeout": 10000,
-                        "accept_pending": 1000,
-                        "max_sessions": 2000,
-                    },
-                    "link": {
-                        **_tls(credentials),
-                        "tx": {
-                            "lease": int(1000 * max(SHORTEST_LEASE_S, LEASE_BEATS * beat_s)),
-                            "keep_alive": 4,
-                            "queue": {"congestion_control": {"block": {"wait_before_close": 1_000_000}}},
-                        },
-                        "rx": {"max_message_size": MAX_BYTES},
-                    },
-                },
-                **sections,
+class Session(Links):
+    """A client of one or more routers, or a peer of some others; it reconnects by itself."""
+
+    @classmethod
+    def connect(
+        cls, endpoints: Sequence[str], timeout_s: float = 10.0, keys: Keys | None = None, *, beat_s: float = 0.0
+    ) -> Session:
+        """Connect to the first of ``endpoints`` that answers within ``timeout_s``, and has a router's certificate.
+
+        Raises:
+            TransportError: none answers, or takes our certificate, or one is not a Zenoh endpoint.
+        """
+        _check_protocol(endpoints, keys)
+        if not 0 < timeout_s <= LONGEST_S:
+            raise TransportError(f"a wait of {timeout_s} s for the bus; it must be positive and at most a day")
+
+        def open_bus(keys: Keys | None, wait_s: float) -> zenoh.Session:
+            deadline = time.monotonic() + wait_s
+            for order, slice_s in in_turns(endpoints, FIRST_SLICE_S):
+                left_s = deadline - time.monotonic()
+                try:
+                    connect = at_once(order, left_s if len(endpoints) == 1 else min(slice_s, left_s))
+                    return _open(bus_config("client", keys, (ROUTER,), beat_s, connect=connect))
+                except zenoh.ZError as error:
+                    if time.monotonic() >= deadline - LAST_SLICE_S:
+                        raise _cannot_reach(endpoints, wait_s, keys, error) from None
+            raise AssertionError("turns never end")
+
+        return _with_watched_links(cls(open_bus, _close, keys, timeout_s), (ROUTER,))
+
+    @classmethod
+    def meet(
+        cls, endpoints: Sequence[str], listen: Sequence[str] = (), keys: Keys | None = None, *, beat_s: float = 0.0
+    ) -> Session:
+        """Link with each of ``endpoints`` directly, as soon and as often as it is there; no router takes part.
+
+        What passes between two others does not pass here. ``listen``: where others link with us.
+
+        Raises:
+            TransportError: an endpoint to listen on is occupied or cannot be opened.
+        """
+        _check_protocol([*endpoints, *listen], keys)
+        _log_refused_links(keys if listen else None)
+        warn_of_strangers(listen, keys is not None)
+        meets = keys.access.met_directly_by(keys.name) if keys else ()
+
+        def open_bus(keys: Keys | None, _: float) -> zenoh.Session:
+            places = {
+                "listen": {"endpoints": list(listen), "exit_on_failure": True},
+                "connect": in_the_background(endpoints),
             }
+            try:
+                return _open(bus_config("peer", keys, meets, beat_s, **places))
+            except zenoh.ZError as error:
+                raise _cannot_listen(listen, error) from None
+
+        return _with_watched_links(cls(open_bus, _close, keys), meets)
+
+    @classmethod
+    def join(
+        cls,
+        endpoints: Sequence[str],
+        timeout_s: float = 10.0,
+        keys: Keys | None = None,
+        *,
+        beat_s: float = 0.0,
+        direct: bool = False,
+    ) -> Session:
+        """``connect`` to one of the routers at ``endpoints``, or, ``direct``, ``meet`` all areas there."""
+        if direct:
+            return cls.meet(endpoints, keys=keys, beat_s=beat_s)
+        return cls.connect(endpoints, timeout_s, keys, beat_s=beat_s)
+
+    def publisher(self, key: str) -> Callable[[bytes], None]:
+        """A function that puts a payload on ``key``; while links are closed to be opened again, nobody hears it."""
+        declared = self.declare(
+            lambda bus: bus.declare_publisher(
+                key,
+                congestion_control=zenoh.CongestionControl.DROP,
+                priority=zenoh.Priority.DATA_HIGH,
+                express=True,
+            )
         )
-    )
+
+        def put(payload: bytes) -> None:
+            if (publisher := declared.entity) is not None:
+                publisher.put(payload)
+
+        return put
+
+    def subscribe(self, key_expression: str, callback: Callable[[str, bytes], None]) -> None:
+        """Call ``callback(key, payload)`` for every message, on the thread that receives; it must return at once."""
+
+        def declare(bus: zenoh.Session) -> Any:
+            def on_sample(sample: zenoh.Sample) -> None:
+                if self.is_open(bus):
+                    callback(str(sample.key_expr), sample.payload.to_bytes())
+
+            return bus.declare_subscriber(key_expression, _directly(on_sample))
+
+        self.declare(declare)
+
+    def declare_presence(self, key: str) -> None:
+        """Show a liveliness token on ``key`` until the session closes or the process dies."""
+        self.declare(lambda bus: bus.liveliness().declare_token(key))
+
+    def watch_presence(self, key_expression: str, callback: Callable[[str, bool], None]) -> None:
+        """Call ``callback(key, alive)`` for every token, those already there included.
+
+        After ``interrupt`` none counts until it is seen again: their ends are not told.
+        """
+
+        def declare(bus: zenoh.Session) -> Any:
+            def on_sample(sample: zenoh.Sample) -> None:
+                if self.is_open(bus):
+                    callback(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
+
+            return bus.liveliness().declare_subscriber(key_expression, _directly(on_sample), history=True)
+
+        self.declare(declare)
 
 
-def _tls(credentials: Credentials | None) -> dict[str, Any]:
-    """Show one's own certificate in both directions, and insist on the other's."""
-    if credentials is None:
-        return {}
-    certificate, key = str(credentials.certificate), str(credentials.key)
-    tls = {
-        "root_ca_certificate": str(credentials.authority),
-        "enable_mtls": True,
-        "verify_name_on_connect": True,
-        "close_link_on_expiration": True,
-        "listen_certificate": certificate,
-        "listen_private_key": key,
-        "connect_certificate": certificate,
-        "connect_private_key": key,
-    }
-    return {"protocols": ["tls"], "tls": tls}
+class Router(Links):
+    """A Zenoh router inside this process."""
+
+    endpoints: tuple[str, ...] = ()
+
+    @classmethod
+    def listen(
+        cls, endpoints: Sequence[str], keys: Keys | None = None, others: Sequence[str] = (), *, beat_s: float = 0.0
+    ) -> Router:
+        """Open a router on ``endpoints``; port 0 takes a free one, ``Router.endpoints`` says which.
+
+        ``others``: routers to link with, as soon and as often as they are there; linked routers are one bus.
+        ``beat_s``: of those who will link with it. Without ``keys`` everybody may speak who gets a link. What is
+        refused is logged on standard output by Zenoh: links at level ``warn``, messages at
+        ``RUST_LOG=zenoh::net::routing::interceptor=trace``.
+
+        Raises:
+            TransportError: an endpoint is occupied or cannot be opened.
+        """
+        _check_protocol([*endpoints, *others], keys)
+        _log_refused_links(keys)
+        warn_of_strangers(endpoints, keys is not None)
+        places = tuple(endpoints)
+        meets = keys.access.names if keys else ()
+
+        def open_bus(keys: Keys | None, _: float) -> zenoh.Session:
+            sections = {
+                "listen": {"endpoints": list(places), "exit_on_failure": True},
+                "connect": in_the_background(others),
+                "adminspace": {"enabled": True},
+            }
+            try:
+                return _open(bus_config("router", keys, meets, beat_s, **sections))
+            except zenoh.ZError as error:
+                raise _cannot_listen(places, error) from None
+
+        router = _with_watched_links(cls(open_bus, _close, keys), meets)
+        router.endpoints = _locators(cast(zenoh.Session, router.bus))
+        if any(place.endswith(":0") for place in endpoints):
+            places = router.endpoints  # where the others look for it when it opens again
+        return router
 
 
-def _check_protocol(endpoints: Sequence[str], credentials: Credentials | None) -> None:
+def _open(config: dict[str, Any]) -> zenoh.Session:
+    return zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
+
+
+def _close(session: zenoh.Session) -> None:
+    with contextlib.suppress(zenoh.ZError):  # a link that no longer answers; it is given up anyway
+        session.close()  # type: ignore[no-untyped-call]
+
+
+def _with_watched_links(links: AnyLinks, meets: Sequence[str]) -> AnyLinks:
+    """Have it logged who links, or is found where somebody else was looked for, and has no rights here."""
+    if links.keys is None:
+        return links
+    told: set[tuple[str, str]] = set()
+
+    def on_link(event: zenoh.LinkEvent) -> None:
+        place, name = event.link.dst, event.link.auth_identifier or ""
+        has_rights = links.keys is not None and name in meets and name not in links.keys.access.revoked
+        if event.kind == zenoh.SampleKind.PUT and not has_rights and (place, name) not in told and len(told) < MAX_TOLD:
+            told.add((place, name))
+            log.warning("%s shows the certificate of %r, who has no rights here: nothing passes", place, name)
+
+    links.declare(lambda bus: bus.info.declare_link_events_listener(_directly(on_link), history=True))
+    return links
+
+
+def _directly(callback: Callable[[News], None]) -> zenoh.handlers.Callback[News]:
+    """Without a Python thread of its own for every subscriber, which costs memory and changes of threads."""
+    return zenoh.handlers.Callback(callback, indirect=False)
+
+
+def _check_protocol(endpoints: Sequence[str], keys: Keys | None) -> None:
     """Raise TransportError for the first endpoint that does not fit to having keys, or having none."""
-    for endpoint in endpoints:
-        protocol, _, place = endpoint.partition("/")
-        if credentials and protocol != "tls":
-            raise TransportError(f"{endpoint} is not secured, and there are keys; write tls/{place}, or give no keys")
-        if protocol == "tls" and not credentials:
-            raise TransportError(f"{endpoint} needs a certificate and a private key; give their folder with --keys")
+    if problem := find_protocol_problem(endpoints, keys is not None):
+        raise TransportError(problem)
 
 
-def _in_the_background(endpoints: Sequence[str]) -> dict[str, Any]:
-    """Connect to each of ``endpoints``, now or whenever it is there."""
-    return {"endpoints": list(endpoints), "timeout_ms": -1, "exit_on_failure": False, "retry": RETRY}
+def warn_of_strangers(listen: Sequence[str], secured: bool) -> None:
+    """Log which places to ``listen`` on other hosts reach, where nobody needs a key."""
+    if not secured and (open_places := find_open_endpoints(listen)):
+        log.warning(
+            "listening without keys on %s: everybody who reaches it may hear and say everything; give --keys, or "
+            "listen on 127.0.0.1",
+            ", ".join(open_places),
+        )
 
 
-def _access_control(access: Access | None) -> dict[str, Any]:
-    return {"access_control": zenoh_access_control(access)} if access else {}
-
-
-def _log_refused_links(credentials: Credentials | None) -> None:
+def _log_refused_links(keys: Keys | None) -> None:
     """Let Zenoh write on standard output whom it refused; not that somebody is not there yet."""
-    if credentials:
+    if keys:
         zenoh.init_log_from_env_or("warn,zenoh::net::runtime::orchestrator=error")
+
+
+def _cannot_reach(endpoints: Sequence[str], wait_s: float, keys: Keys | None, error: Exception) -> TransportError:
+    return TransportError(
+        f"cannot reach {', '.join(endpoints)} within {wait_s:g} s: "
+        f"{_reason(endpoints, keys.credentials if keys else None) or _short(error)}; is the router running "
+        "(dsse router), is the endpoint right (e.g. tcp/127.0.0.1:7447), and have both sides keys of one "
+        "authority, or none?"
+    )
 
 
 def _cannot_listen(endpoints: Sequence[str], error: Exception) -> TransportError:
@@ -111,196 +273,6 @@ def _cannot_listen(endpoints: Sequence[str], error: Exception) -> TransportError
         f"cannot listen on {', '.join(endpoints)}: {_short(error)}; is the port taken by another "
         "program? Choose another, or port 0 for a free one"
     )
-
-
-class _Closing:
-    """A Zenoh session that closes with its block."""
-
-    def __init__(self, session: zenoh.Session) -> None:
-        self._session = session
-        self._kept: list[Any] = []
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Close the session; later calls do nothing."""
-        self._kept.clear()
-        with contextlib.suppress(zenoh.ZError):  # a link that no longer answers; the process is leaving anyway
-            self._session.close()  # type: ignore[no-untyped-call]
-
-
-class Session(_Closing):
-    """A client of one or more routers, or a peer of some others; it reconnects by itself."""
-
-    @classmethod
-    def connect(
-        cls,
-        endpoints: Sequence[str],
-        timeout_s: float = 10.0,
-        credentials: Credentials | None = None,
-        *,
-        beat_s: float = 0.0,
-    ) -> Session:
-        """Connect to the first of ``endpoints`` that answers within ``timeout_s``.
-
-        Raises:
-            TransportError: none answers, or takes our certificate, or one is not a Zenoh endpoint.
-        """
-        _check_protocol(endpoints, credentials)
-        if not 0 < timeout_s <= LONGEST_S:
-            raise TransportError(f"a wait of {timeout_s} s for the bus; it must be positive and at most a day")
-        connect = {
-            "endpoints": list(endpoints),
-            "timeout_ms": int(timeout_s * 1000),
-            "exit_on_failure": True,
-            "retry": RETRY,
-        }
-        try:
-            return cls(zenoh.open(_config("client", credentials, beat_s, connect=connect)))
-        except zenoh.ZError as error:
-            raise TransportError(
-                f"cannot reach {', '.join(endpoints)} within {timeout_s:g} s: "
-                f"{_reason(endpoints, credentials) or _short(error)}; is the router running (dsse router), "
-                "is the endpoint right (e.g. tcp/127.0.0.1:7447), and have both sides keys of one authority, or none?"
-            ) from None
-
-    @classmethod
-    def meet(
-        cls,
-        endpoints: Sequence[str],
-        listen: Sequence[str] = (),
-        credentials: Credentials | None = None,
-        access: Access | None = None,
-        *,
-        beat_s: float = 0.0,
-    ) -> Session:
-        """Link with each of ``endpoints`` directly, as soon and as often as it is there; no router takes part.
-
-        What passes between two others does not pass here. ``listen``: where others link with us. ``access``: who may
-        speak here.
-
-        Raises:
-            TransportError: an endpoint to listen on is occupied or cannot be opened.
-        """
-        _check_protocol([*endpoints, *listen], credentials)
-        _log_refused_links(credentials if listen else None)
-        try:
-            config = _config(
-                "peer",
-                credentials,
-                beat_s,
-                listen={"endpoints": list(listen), "exit_on_failure": True},
-                connect=_in_the_background(endpoints),
-                **_access_control(access),
-            )
-            return cls(zenoh.open(config))
-        except zenoh.ZError as error:
-            raise _cannot_listen(listen, error) from None
-
-    @classmethod
-    def join(
-        cls,
-        endpoints: Sequence[str],
-        timeout_s: float = 10.0,
-        credentials: Credentials | None = None,
-        *,
-        beat_s: float = 0.0,
-        direct: bool = False,
-    ) -> Session:
-        """``connect`` to one of the routers at ``endpoints``, or, ``direct``, ``meet`` all areas there."""
-        if direct:
-            return cls.meet(endpoints, credentials=credentials, beat_s=beat_s)
-        return cls.connect(endpoints, timeout_s, credentials, beat_s=beat_s)
-
-    def publisher(self, key: str) -> Callable[[bytes], None]:
-        """A function that puts a payload on ``key``."""
-        publisher = self._session.declare_publisher(
-            key,
-            congestion_control=zenoh.CongestionControl.DROP,
-            priority=zenoh.Priority.DATA_HIGH,
-            express=True,
-        )
-        self._kept.append(publisher)
-        return publisher.put
-
-    def subscribe(self, key_expression: str, callback: Callable[[str, bytes], None]) -> None:
-        """Call ``callback(key, payload)`` for every message, on the thread that receives; it must return at once."""
-
-        def on_sample(sample: zenoh.Sample) -> None:
-            callback(str(sample.key_expr), sample.payload.to_bytes())
-
-        self._kept.append(self._session.declare_subscriber(key_expression, _directly(on_sample)))
-
-    def declare_presence(self, key: str) -> None:
-        """Show a liveliness token on ``key`` until the session closes or the process dies."""
-        self._kept.append(self._session.liveliness().declare_token(key))
-
-    def watch_presence(self, key_expression: str, callback: Callable[[str, bool], None]) -> None:
-        """Call ``callback(key, alive)`` for every token, those already there included."""
-
-        def on_sample(sample: zenoh.Sample) -> None:
-            callback(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
-
-        self._kept.append(
-            self._session.liveliness().declare_subscriber(key_expression, _directly(on_sample), history=True)
-        )
-
-
-def _directly(callback: Callable[[zenoh.Sample], None]) -> zenoh.handlers.Callback[zenoh.Sample]:
-    """Without a Python thread of its own for every subscriber, which costs memory and changes of threads."""
-    return zenoh.handlers.Callback(callback, indirect=False)
-
-
-class Router(_Closing):
-    """A Zenoh router inside this process."""
-
-    endpoints: tuple[str, ...] = ()
-
-    @classmethod
-    def listen(
-        cls,
-        endpoints: Sequence[str],
-        credentials: Credentials | None = None,
-        access: Access | None = None,
-        others: Sequence[str] = (),
-        *,
-        beat_s: float = 0.0,
-    ) -> Router:
-        """Open a router on ``endpoints``; port 0 takes a free one, ``Router.endpoints`` says which.
-
-        ``others``: routers to link with, as soon and as often as they are there; linked routers are one bus.
-        ``beat_s``: of those who will link with it. ``access``: who may speak; without it everybody may who gets a link.
-        What is refused is logged on standard output by Zenoh: links at level ``warn``, messages at
-        ``RUST_LOG=zenoh::net::routing::interceptor=trace``.
-
-        Raises:
-            TransportError: an endpoint is occupied or cannot be opened.
-        """
-        _check_protocol([*endpoints, *others], credentials)
-        _log_refused_links(credentials)
-        try:
-            session = zenoh.open(
-                _config(
-                    "router",
-                    credentials,
-                    beat_s,
-                    listen={"endpoints": list(endpoints), "exit_on_failure": True},
-                    connect=_in_the_background(others),
-                    adminspace={"enabled": True},
-                    **_access_control(access),
-                )
-            )
-        except zenoh.ZError as error:
-            raise _cannot_listen(endpoints, error) from None
-        router = cls(session)
-        router.endpoints = _locators(session)
-        return router
 
 
 def _locators(session: zenoh.Session) -> tuple[str, ...]:

@@ -43,7 +43,7 @@ def run(
         timeout_s: replaces the scenario's time limit, s.
         on_update: called about ten times a second with what the areas are doing.
         plots: draw the PNG files, too.
-        secure: TLS with a certificate for each process, and access control; ``keys`` are made in the run folder.
+        secure: TLS with a certificate for each process, and access control, with keys that end with the run.
         keys: folder with keys of ``dsse keys create`` to use instead; implies ``secure``.
 
     Raises:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import datetime
 import ipaddress
-import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,8 +13,9 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from agents.access import Access
+from agents.access import ROUTER, Access
 from agents.access_file import ACCESS_FILE, load_access, save_access
+from agents.credential_files import make_private_folder, write_private, write_public
 from agents.credentials import AUTHORITY, check_credentials, credentials_in
 from coordinator.run_folder import folder_error
 from dsse_core.errors import InvalidInputError
@@ -33,28 +33,39 @@ def access_of(partition: Partition, run: str) -> Access:
     return Access(run, {area.name: tuple(sorted({n.area for n in area.neighbours})) for area in partition.areas})
 
 
-def check_keys(folder: Path, access: Access) -> None:
+def listeners_of(access: Access, direct: bool) -> tuple[str, ...]:
+    """Who is called by others: routers, or, ``direct``, all areas."""
+    return tuple(access.neighbours) if direct else (ROUTER,)
+
+
+def check_keys(folder: Path, access: Access, direct: bool = False) -> None:
     """Check that ``folder`` has good credentials of all of ``access``, and rules for the same areas and neighbours.
+
+    ``direct``: areas listen, and there is no router.
 
     Raises:
         InvalidInputError: every problem of the files, or of the rules.
     """
-    check_credentials(folder, access.names)
+    check_credentials(folder, access.names, listeners_of(access, direct))
     path = folder / ACCESS_FILE
-    there = load_access(path).neighbours
+    rules = load_access(path)
+    there = rules.neighbours
     problems = [
         f"area {area} has neighbours {', '.join(found) or 'none'} there, {', '.join(wanted) or 'none'} in the scenario"
         for area in sorted({*there, *access.neighbours})
         if (found := there.get(area, ())) != (wanted := access.neighbours.get(area, ()))
     ]
+    problems += [f"revoked: {name} is denied everything, and is a part of this scenario" for name in rules.revoked]
     if problems:
         raise InvalidInputError(f"access file {path}", [*problems, "make keys for this scenario: dsse keys create"])
 
 
-def create_keys(folder: Path, access: Access, days: float, hosts: Sequence[str] = ()) -> None:
-    """Write authority, certificates, private keys (mode 0600) and the rules of access into ``folder``, new or empty.
+def create_keys(folder: Path, access: Access, days: float, hosts: Sequence[str] = (), *, direct: bool = False) -> None:
+    """Write authority, certificates, private keys and the rules of access into ``folder``, new or empty.
 
-    ``hosts``: names and addresses, beside those of this host's loopback, under which routers and agents are reached.
+    Nobody else reads a key, whatever the umask. ``hosts``: names and addresses, beside those of this host's loopback,
+    under which those are reached who listen: routers, or, ``direct``, areas. Everybody else's certificate is good for
+    calling only, so that its owner is taken for no router.
 
     Raises:
         InvalidInputError: ``folder`` holds something already, or a name does not fit into a certificate.
@@ -74,13 +85,13 @@ def create_keys(folder: Path, access: Access, days: float, hosts: Sequence[str] 
     if problems:
         raise InvalidInputError("keys", problems)
     try:
-        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        make_private_folder(folder)
         occupied = any(folder.iterdir())
     except OSError as error:
         raise folder_error(f"keys {folder}", error) from None
     if occupied:
         raise InvalidInputError(f"keys {folder}", ["is not empty; keys are never overwritten: choose a new folder"])
-    authority = credentials_in(folder, AUTHORITY)
+    authority, listeners = credentials_in(folder, AUTHORITY), listeners_of(access, direct)
     signing_key = ec.generate_private_key(ec.SECP256R1())
     issuer = _name(f"authority of {access.run}"[:LONGEST_NAME])
     _write_key(authority.key, signing_key)
@@ -88,8 +99,9 @@ def create_keys(folder: Path, access: Access, days: float, hosts: Sequence[str] 
     for name in access.names:
         files = credentials_in(folder, name)
         key = ec.generate_private_key(ec.SECP256R1())
+        names = (*HERE, *hosts) if name in listeners else ()
         _write_key(files.key, key)
-        _write_certificate(files.certificate, _build_certificate(name, key, issuer, signing_key, days, hosts))
+        _write_certificate(files.certificate, _build_certificate(name, key, issuer, signing_key, days, names))
     save_access(folder / ACCESS_FILE, access)
 
 
@@ -122,18 +134,19 @@ def _build_certificate(
     days: float,
     hosts: Sequence[str],
 ) -> x509.Certificate:
-    """For both ends of a link: routers are connected to and connect to each other."""
-    both_ends = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.CLIENT_AUTH, ExtendedKeyUsageOID.SERVER_AUTH])
-    names = x509.SubjectAlternativeName([_host(host) for host in dict.fromkeys((*HERE, *hosts))])
+    """For who calls others, and, at ``hosts``, if there are any, is called: routers call each other."""
+    usage = [ExtendedKeyUsageOID.CLIENT_AUTH, *([ExtendedKeyUsageOID.SERVER_AUTH] if hosts else [])]
     issued_by = x509.AuthorityKeyIdentifier.from_issuer_public_key(signing_key.public_key())
-    return (
+    builder = (
         _begin(_name(name), issuer, key, days)
-        .add_extension(names, critical=False)
         .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-        .add_extension(both_ends, critical=False)
+        .add_extension(x509.ExtendedKeyUsage(usage), critical=True)
         .add_extension(issued_by, critical=False)
-        .sign(signing_key, hashes.SHA256())
     )
+    if hosts:
+        names = x509.SubjectAlternativeName([_host(host) for host in dict.fromkeys(hosts)])
+        builder = builder.add_extension(names, critical=False)
+    return builder.sign(signing_key, hashes.SHA256())
 
 
 def _begin(
@@ -173,9 +186,8 @@ def _write_key(path: Path, key: ec.EllipticCurvePrivateKey) -> None:
     text = key.private_bytes(
         serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
     )
-    with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
-        file.write(text)
+    write_private(path, text)
 
 
 def _write_certificate(path: Path, certificate: x509.Certificate) -> None:
-    path.write_bytes(certificate.public_bytes(serialization.Encoding.PEM))
+    write_public(path, certificate.public_bytes(serialization.Encoding.PEM))

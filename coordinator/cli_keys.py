@@ -52,7 +52,7 @@ def create(scenario: str, out: Path, days: float, hosts: tuple[str, ...], run_id
 
     loaded = load_scenario(scenario)
     access = access_of(loaded.partition, choose_run_id(loaded, run_id))
-    create_keys(out, access, days, hosts)
+    create_keys(out, access, days, hosts, direct=loaded.transport.kind == "neighbours")
     show(printable(f"{out}: keys of {', '.join(access.names)}, valid for {days:g} days"))
     authority = printable(out / "authority.key")
     show(f"keep {authority} off the hosts; each needs authority.crt and its own processes' .crt and .key")

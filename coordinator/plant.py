@@ -12,11 +12,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from agents.access import PLANT
-from agents.credentials import load_credentials
+from agents.credentials import load_keys
 from agents.inbox import Inbox
 from agents.keys import all_lives, live_key, name_of_live, telemetry_key
 from agents.log_format import start_log
 from agents.presence import begin_life
+from agents.renewal import Renewal, on_hangup
 from agents.succession import GIVES_WAY, REPLACED_CODE, ReplacedError, Succession
 from agents.transport import Session
 from coordinator.scans import Scans
@@ -53,8 +54,10 @@ def run_plant(
     try:
         life = begin_life()
         payloads = scans.payloads(run, life, scan)
-        credentials = load_credentials(keys, PLANT)
-        with Session.join(endpoints, timeout_s, credentials, beat_s=scans.beat_s, direct=direct) as session:
+        if keys:
+            on_hangup(lambda: inbox.put("renewal", Renewal.ASKED), lambda: inbox.put("stop", None))
+        loaded = load_keys(keys, PLANT, run)
+        with Session.join(endpoints, timeout_s, loaded, beat_s=scans.beat_s, direct=direct) as session:
             for number in (signal.SIGTERM, signal.SIGINT):
                 signal.signal(number, lambda *_: inbox.put("stop", None))
             publishers = {area: session.publisher(telemetry_key(run, area)) for area in payloads}
@@ -68,7 +71,7 @@ def run_plant(
             session.declare_presence(own_token)
             log.info("plant of run %s, seed %s, %s areas", run, scans.seed, len(payloads))
             succession = Succession(f"plant of run {run}", life, time.monotonic(), scans.beat_s)
-            voice = _Voice(publishers, inbox, scans.beat_s, succession)
+            voice = _Voice(publishers, inbox, scans.beat_s, succession, session)
             for number in (SILENT, SPEAK):
                 signal.signal(number, voice.be_silent)
             signal.pthread_sigmask(signal.SIG_UNBLOCK, (SILENT, SPEAK))  # a run's plant may have been told already
@@ -99,6 +102,7 @@ class _Voice:
     inbox: Inbox
     beat_s: float
     succession: Succession
+    session: Session
     silent: bool = False
     _newest: dict[str, bytes] = field(default_factory=dict)  # area -> the readings that have come in
     _due: dict[str, None] = field(default_factory=dict)  # areas to be served, in this order; a new scan goes on with it
@@ -121,6 +125,10 @@ class _Voice:
             said = self._publish_some(payloads, late_s, now - start)
             wait_s = said / RATE if self._due else math.inf
             news = self.inbox.take(min(next_beat - time.monotonic(), over - time.monotonic(), wait_s))
+            if Renewal.ASKED in news and self.session.interrupt():
+                news += self.inbox.take(0.0)
+                self.succession.forget()
+                self.session.resume()
             if None in news:
                 return True
             self._mind_successors([item for item in news if isinstance(item, tuple)])

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import logging
 import os
 import signal
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
-from agents.access import ROUTER, Access
-from agents.credentials import load_credentials
+from agents.access import ROUTER
+from agents.credentials import load_keys
 from agents.inbox import Inbox
+from agents.renewal import Renewal, on_hangup
 from agents.transport import Router
 from dsse_core.errors import DsseError
 
@@ -45,32 +46,27 @@ def main(argv: Sequence[str] | None = None) -> int:
         help="beat of the areas: where it is long, silence may last, too",
     )
     arguments = parser.parse_args(argv)
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
     inbox = Inbox()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: inbox.put("stop", True))
     try:
-        credentials, access = load_credentials(arguments.keys, ROUTER), _load_access(arguments.keys, arguments.run)
-        default = "tls/127.0.0.1:7447" if credentials else "tcp/127.0.0.1:7447"
+        if arguments.keys:
+            on_hangup(lambda: inbox.put("renewal", Renewal.ASKED), lambda: inbox.put("stop", True))
+        keys = load_keys(arguments.keys, ROUTER, arguments.run, listens=True)
+        default = "tls/127.0.0.1:7447" if keys else "tcp/127.0.0.1:7447"
         listen, others = arguments.listen or [default], arguments.connect or ()
-        with Router.listen(listen, credentials, access, others, beat_s=arguments.beat) as router:
+        with Router.listen(listen, keys, others, beat_s=arguments.beat) as router:
             print("listening on", ", ".join(router.endpoints), flush=True)
             if arguments.endpoints_file:
                 _write_whole(arguments.endpoints_file, "\n".join(router.endpoints))
-            while not inbox.take(FOREVER_S):
-                pass
+            while True not in (news := inbox.take(FOREVER_S)):
+                if Renewal.ASKED in news and router.interrupt():
+                    router.resume()
     except DsseError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     return 0
-
-
-def _load_access(keys: Path | None, run: str | None) -> Access | None:
-    if keys is None:
-        return None
-    from agents.access_file import ACCESS_FILE, load_access  # a router without keys starts in a moment
-
-    access = load_access(keys / ACCESS_FILE)
-    return replace(access, run=run) if run else access
 
 
 def _write_whole(path: Path, text: str) -> None:

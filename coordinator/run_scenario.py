@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import secrets
+import tempfile
 import time
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 
@@ -60,9 +62,10 @@ def run_scenario(
     launcher.preload(*_find_solvers(scenario))  # beside the check, which in a large grid takes as long
     check_scenario(scenario)
     folder = make_run_folder(out, default_run_id(scenario), ("areas", "logs"))
-    with EventLog(folder / "events.jsonl", started) as events:
+    with ExitStack() as at_the_end, EventLog(folder / "events.jsonl", started) as events:
         run_id = f"{default_run_id(scenario)}-{secrets.token_hex(4)}"
-        system = System(launcher, scenario, run_id, folder, keys=_find_keys(scenario, run_id, folder, secure, keys))
+        keys = _find_keys(scenario, run_id, at_the_end, secure, keys)
+        system = System(launcher, scenario, run_id, folder, keys=keys)
         run = RunUnderWay(scenario, run_id, folder, system, events, started)
         parent = {"parent_pid": launcher.pid, "mark": launcher.mark}
         events.write("run started", None, run=run_id, scenario=scenario.name, seed=scenario.seed, **parent)
@@ -87,20 +90,26 @@ def _find_solvers(scenario: Scenario) -> tuple[str, ...]:
     return ("agents.warm_up:warm_up",) * exchange + ("agents.warm_up:warm_up_estimate",) * (exchange and estimate)
 
 
-def _find_keys(scenario: Scenario, run_id: str, folder: Path, secure: bool, keys: str | Path | None) -> Path | None:
-    """The folder of credentials of a secured run, made for this run if none is given; None if it is not secured."""
+def _find_keys(
+    scenario: Scenario, run_id: str, at_the_end: ExitStack, secure: bool, keys: str | Path | None
+) -> Path | None:
+    """The folder of credentials of a secured run, made for this run if none is given; None if it is not secured.
+
+    What is made here is for nobody else's eyes, so it is no part of the result, and removed ``at_the_end``.
+    """
     if keys is None and not secure:
         return None
     from coordinator.certificates import access_of, check_keys, create_keys  # not needed by most runs
 
-    access = access_of(scenario.partition, run_id)
+    access, direct = access_of(scenario.partition, run_id), scenario.transport.kind == "neighbours"
     if keys is not None:
-        check_keys(Path(keys), access)
+        check_keys(Path(keys), access, direct)
         return Path(keys).absolute()
     host = scenario.transport.listen.partition("/")[2].rpartition(":")[0]
-    create_keys(folder / "keys", access, DAYS_OF_A_RUN, [host.strip("[]")])
-    credentials_in(folder / "keys", AUTHORITY).key.unlink()  # nobody is to get a certificate later
-    return (folder / "keys").absolute()
+    folder = Path(at_the_end.enter_context(tempfile.TemporaryDirectory(prefix="dsse-keys-"))).absolute()
+    create_keys(folder, access, DAYS_OF_A_RUN, [host.strip("[]")], direct=direct)
+    credentials_in(folder, AUTHORITY).key.unlink()  # nobody is to get a certificate later
+    return folder
 
 
 def _wait_for_router(run: RunUnderWay) -> str | None:

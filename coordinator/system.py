@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from agents.access import PLANT, ROUTER, ROUTERS, SECOND_ROUTER
-from agents.credentials import load_credentials
-from agents.transport import Session, TransportError
+from agents.credentials import load_keys
+from agents.transport import Session, TransportError, warn_of_strangers
 from coordinator.places import choose_places
 from coordinator.processes import Launcher, check_open_files, read_end
 from coordinator.scans import MadeScan, OwnScans
@@ -71,6 +71,7 @@ class System:
         check_open_files(len(self.scenario.partition.areas))
         protocol = "tls" if self.keys else "tcp"
         listen = f"{protocol}/{self.scenario.transport.listen.partition('/')[2]}"
+        warn_of_strangers([listen], self.keys is not None)  # here, too: who reads the log of a router?
         if self.direct:
             self._places = choose_places(self.scenario, protocol)
             self.endpoints = tuple(self._places.values())
@@ -81,8 +82,8 @@ class System:
 
     def join(self, name: str) -> Session:
         """A session of ours on the bus, with the credentials of process ``name`` if it is secured."""
-        credentials, beat_s = load_credentials(self.keys, name), self.scenario.run.beat_s
-        return Session.join(self.endpoints, credentials=credentials, beat_s=beat_s, direct=self.direct)
+        keys, beat_s = load_keys(self.keys, name, self.id), self.scenario.run.beat_s
+        return Session.join(self.endpoints, keys=keys, beat_s=beat_s, direct=self.direct)
 
     def _start_router(self, name: str, listen: str, wait: Callable[[], str | None]) -> tuple[str, ...]:
         """Start a router that links with those before it; its endpoints."""

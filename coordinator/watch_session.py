@@ -8,8 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from agents.access import COORDINATOR
-from agents.access_file import ACCESS_FILE, load_access
-from agents.credentials import load_credentials
+from agents.credentials import load_keys
 from agents.keys import all_live, all_states, name_of_live, run_of, sender_of
 from agents.messages import StateMessage, decode
 from agents.presence import read_farewell
@@ -43,10 +42,9 @@ def attach(
         TransportError: no endpoint answers in time, no run or several are there.
     """
     run = check_run_id(run) if run is not None else None
-    credentials = load_credentials(keys, COORDINATOR)
-    if keys and not run:
-        run = load_access(keys / ACCESS_FILE).run
-    with Session.join(endpoints, timeout_s, credentials, direct=direct) as session:
+    loaded = load_keys(keys, COORDINATOR, run)
+    run = loaded.access.run if loaded else run
+    with Session.join(endpoints, timeout_s, loaded, direct=direct) as session:
         run = run or _find_run(session, timeout_s)
         watcher, news = Watcher(run), News()
         session.subscribe(all_states(run), lambda key, payload: news.offer(_decoded(key, payload)))

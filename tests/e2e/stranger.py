@@ -17,7 +17,10 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-from agents.credentials import Credentials, credentials_in
+from impostor import Impostor
+
+from agents.access import Access
+from agents.credentials import Keys
 from agents.keys import all_from_neighbours, all_lives, neighbour_key, state_key, telemetry_key
 from agents.presence import begin_life
 from agents.transport import Session, TransportError
@@ -31,55 +34,51 @@ LATER = 1_000_000  # scans ahead of the real plant
 CONNECTIONS = 20
 
 
-def speak(endpoint: str, credentials: Credentials | None) -> None:
+def speak(endpoint: str, keys: Path | None, name: str) -> None:
     """As area2, tell lies in the name of others, and listen to what is not for area2."""
-    heard: set[str] = set()
-    seen: set[str] = set()
     scan = int(1000 * time.time()) + LATER
     lies = make_payloads(replace(load_scenario(RUN), seed=99), RUN, begin_life(), scan)
     with (
-        Session.connect([endpoint], DEADLINE_S, credentials) as mouth,  # a session hears itself, whoever forbids it
-        Session.connect([endpoint], DEADLINE_S, credentials) as session,
+        Impostor.calling([endpoint], keys, name) as mouth,  # a session hears itself, whoever forbids it
+        Impostor.calling([endpoint], keys, name) as ear,
     ):
-        for key in ("dsse/**", f"dsse/v1/{RUN}/area/*/state", telemetry_key(RUN, "area1")):
-            session.subscribe(key, lambda key, payload: heard.add(key))
-        session.subscribe(all_from_neighbours(RUN, "area3"), lambda key, payload: heard.add(key))
-        session.subscribe(all_from_neighbours(RUN, "area2"), lambda key, payload: heard.add(key))  # its due
-        session.watch_presence("dsse/**", lambda key, alive: seen.add(key))
-        mouth.declare_presence(f"dsse/v1/{RUN}/live/area/area9/1-2")
-        for role, name in (("area", "*"), ("plant", "*")):
-            session.watch_presence(all_lives(RUN, role, name), lambda key, alive: seen.add(key))
-        keys = {telemetry_key(RUN, area): lie for area, lie in lies.items()}
-        keys |= {neighbour_key(RUN, "area3", kind, "area1"): b"lie" for kind in ("information", "tally", "load")}
-        keys |= {neighbour_key(RUN, "area9", "information", "area1"): b"lie", state_key(RUN, "area1"): b"lie"}
-        publishers = [(mouth.publisher(key), lie) for key, lie in keys.items()]
+        ear.listen(f"dsse/v1/{RUN}/area/*/state", telemetry_key(RUN, "area1"))
+        ear.listen(all_from_neighbours(RUN, "area3"), all_from_neighbours(RUN, "area2"))  # the second is its due
+        ear.listen(all_lives(RUN, "area", "*"), all_lives(RUN, "plant", "*"))
+        ear.listen(all_lives(RUN, "area", "area1"), all_lives(RUN, "area", "area2"))
+        mouth.show(f"dsse/v1/{RUN}/live/area/area9/1-2")
+        keys_of_others = {telemetry_key(RUN, area): lie for area, lie in lies.items()}
+        for kind in ("information", "tally", "load"):
+            keys_of_others[neighbour_key(RUN, "area3", kind, "area1")] = b"lie"
+        keys_of_others |= {neighbour_key(RUN, "area9", "information", "area1"): b"lie", state_key(RUN, "area1"): b"lie"}
+        said = [put for key, lie in keys_of_others.items() for put in mouth.say([key], lie)]
         pause, deadline = threading.Event(), time.monotonic() + DEADLINE_S
         for _ in range(ROUNDS):
-            for put, lie in publishers:
-                put(lie)
+            for put in said:
+                put()
             pause.wait(0.002)
-        while not any(key.endswith("/area2") for key in heard) and time.monotonic() < deadline:
+        while not any(key.endswith("/area2") for _, key in ear.heard) and time.monotonic() < deadline:
             pause.wait(0.01)
-        print(json.dumps({"heard": sorted(heard), "seen": sorted(seen), "scan": scan}))
+        print(json.dumps({"heard": sorted({key for _, key in ear.heard}), "seen": sorted(ear.seen), "scan": scan}))
 
 
-def connect(endpoint: str, credentials: Credentials | None) -> None:
+def connect(endpoint: str, keys: Path, name: str) -> None:
     """Get a link, whatever is wrong with the credentials."""
     try:
-        with Session.connect([endpoint], 1.0, credentials):
+        with Session.connect([endpoint], 1.0, Keys(keys, name, Access(RUN, {}))):
             print("in")
     except TransportError as error:
         print(error)
 
 
-def shout(endpoint: str, credentials: Credentials | None) -> None:
+def shout(endpoint: str, keys: Path | None, name: str) -> None:
     """Send rubbish to all areas in the name of one that does not exist, as fast as can be."""
-    with Session.connect([endpoint], DEADLINE_S, credentials) as session:
-        areas = [area.name for area in load_scenario(RUN).partition.areas]
-        publishers = [session.publisher(neighbour_key(RUN, "area9", "information", area)) for area in areas]
+    areas = [area.name for area in load_scenario(RUN).partition.areas]
+    with Impostor.calling([endpoint], keys, name) as impostor:
+        said = impostor.say([neighbour_key(RUN, "area9", "information", area) for area in areas], b"rubbish" * 20)
         for number in itertools.count():
-            for put in publishers:
-                put(b"rubbish" * 20)
+            for put in said:
+                put()
             if number == ROUNDS:
                 print("shouting", flush=True)
 
@@ -103,8 +102,8 @@ def flood(endpoint: str, wildly: bool) -> None:
 
 if __name__ == "__main__":
     what, at, *whose = sys.argv[1:]
-    own = credentials_in(Path(whose[0]), whose[1]) if whose else None
+    own = (Path(whose[0]), whose[1]) if whose else (None, "stranger")
     if what.startswith("flood"):
         flood(at, wildly=what == "flood-wildly")
     else:
-        {"speak": speak, "connect": connect, "shout": shout}[what](at, own)
+        {"speak": speak, "connect": connect, "shout": shout}[what](at, *own)  # type: ignore[operator]

@@ -15,7 +15,7 @@ from typing import Self
 from dsse_command import COMMAND, ENVIRONMENT, free_endpoint
 from waiting import DEADLINE_S
 
-from agents.credentials import load_credentials
+from agents.credentials import load_keys
 from agents.keys import all_live, all_states, name_of_live
 from agents.messages import StateMessage, decode
 from agents.presence import Presence
@@ -90,7 +90,7 @@ class Watcher:
         self._observer = make_observer(self.scenario)
         self._presence = Presence()
         self._news: queue.SimpleQueue[bytes | tuple[str, bool]] = queue.SimpleQueue()
-        self._session = Session.connect(endpoints, DEADLINE_S, load_credentials(keys, "coordinator"))
+        self._session = Session.connect(endpoints, DEADLINE_S, load_keys(keys, "coordinator"))
         run = self.scenario.name
         self._session.subscribe(all_states(run), lambda key, payload: self._news.put(payload))
         self._session.watch_presence(all_live(run), lambda key, alive: self._news.put((key, alive)))

@@ -26,7 +26,7 @@ from coordinator.split import write_area_files
 from scenarios.scenario import load_scenario
 
 AREAS = ("area1", "area2", "area3")
-STRANGER = [sys.executable, "-P", str(ROOT / "tests" / "e2e" / "stranger.py")]
+STRANGER = [sys.executable, str(ROOT / "tests" / "e2e" / "stranger.py")]
 SEE_REFUSED_MESSAGES = {"RUST_LOG": "warn,zenoh::net::routing::interceptor=trace"}
 
 
@@ -252,12 +252,18 @@ def test_who_has_one_areas_key_and_shouts_for_others_does_not_keep_a_restarted_a
                 shouter.kill()
 
 
-def test_a_secured_run_ends_with_the_verdict_of_any_other(dsse, tmp_path: Path):
+def test_a_secured_run_ends_with_the_verdict_of_any_other_and_leaves_no_private_key(
+    dsse, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    (tmp_path / "temporary").mkdir()
+    monkeypatch.setitem(ENVIRONMENT, "TMPDIR", str(tmp_path / "temporary"))
     done = dsse("run", "industrial13", "--secure", "--no-plots", "--quiet", "--out", "out")
     assert done.returncode == 0, done.stderr
     verdict = json.loads((tmp_path / "out" / "result.json").read_text())["verdict"]
     assert max(verdict["gap_vm_pu"], math.radians(verdict["gap_va_deg"])) <= 1e-8
     assert (tmp_path / "out" / "logs" / "router.endpoints").read_text().startswith("tls/")
+    assert not list((tmp_path / "out").rglob("*.key"))
+    assert not list((tmp_path / "temporary").rglob("*"))
 
 
 def test_keys_of_another_scenario_start_no_run(dsse, system: Secured):

@@ -1,4 +1,4 @@
-"""Certificates on real links: what is delivered, at a router and between neighbours, and what happens at expiry."""
+"""Certificates on real links: what is delivered, at a router, and what happens at expiry."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from expiring import let_expire
 from waiting import wait_until
 
 from agents.access import Access
-from agents.credentials import credentials_in, load_credentials
+from agents.credentials import load_keys
 from agents.transport import Router, Session, TransportError
 from coordinator.certificates import create_keys
 
@@ -48,16 +48,14 @@ def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def router(keys: Path) -> Iterator[Router]:
-    with Router.listen(["tls/127.0.0.1:0"], load_credentials(keys, "router"), CHAIN) as router:
+    with Router.listen(["tls/127.0.0.1:0"], load_keys(keys, "router", listens=True)) as router:
         yield router
 
 
 @pytest.fixture
 def join(keys: Path, router: Router) -> Iterator[Callable[[str], Session]]:
     with ExitStack() as opened:
-        yield lambda name: opened.enter_context(
-            Session.connect(router.endpoints, credentials=credentials_in(keys, name))
-        )
+        yield lambda name: opened.enter_context(Session.connect(router.endpoints, keys=load_keys(keys, name)))
 
 
 def listen(session: Session, name: str, heard: Heard) -> None:
@@ -93,29 +91,6 @@ def test_of_all_that_anybody_says_only_what_is_allowed_is_delivered(join: Callab
     assert heard == DELIVERED
 
 
-def test_between_neighbours_everybody_sees_to_it_alone(keys: Path):
-    heard: Heard = set()
-    with ExitStack() as opened:
-        with Router.listen(["tls/127.0.0.1:0"], load_credentials(keys, "router"), CHAIN) as probe:
-            (place,) = probe.endpoints
-        own = load_credentials(keys, "b")
-        listen(opened.enter_context(Session.meet([], [place], own, CHAIN)), "b", heard)
-        said = []
-        for name in ("a", "c", "plant", "coordinator"):
-            neighbour = Session.meet([place], credentials=load_credentials(keys, name))
-            said += say_all(opened.enter_context(neighbour), name)
-        wanted = {(who, key, whom) for who, key, whom in DELIVERED if whom == "b"}
-
-        def said_until_all_is_heard() -> bool:
-            for put in said:
-                put()
-            return heard >= wanted
-
-        wait_until(said_until_all_is_heard)
-        assert said_until_all_is_heard()
-        assert heard == wanted
-
-
 def test_a_certificate_that_expires_in_operation_ends_its_link(
     keys: Path, tmp_path: Path, router: Router, join: Callable[[str], Session]
 ):
@@ -128,16 +103,16 @@ def test_a_certificate_that_expires_in_operation_ends_its_link(
         (short / path.name).chmod(0o600)
     let_expire(short, "a", in_s=6.0)
     token = "dsse/v1/run/live/area/a/1-2"
-    with Session.connect(router.endpoints, credentials=load_credentials(short, "a")) as session:
+    with Session.connect(router.endpoints, keys=load_keys(short, "a")) as session:
         session.declare_presence(token)
         wait_until(lambda: (token, True) in changes)
         wait_until(lambda: (token, False) in changes)
 
 
 def test_broken_handshakes_at_one_port_of_a_router_do_not_keep_links_at_another_waiting(keys: Path):
-    own = load_credentials(keys, "a")
+    own = load_keys(keys, "a")
     two = ["tls/127.0.0.1:0", "tls/127.0.0.1:0"]
-    with Router.listen(two, load_credentials(keys, "router"), CHAIN) as router:
+    with Router.listen(two, load_keys(keys, "router", listens=True)) as router:
         flooded, private = router.endpoints
         host, _, port = flooded.partition("/")[2].rpartition(":")
         for _ in range(400):  # the router waits 0.1 s after each
@@ -151,11 +126,11 @@ def test_broken_handshakes_at_one_port_of_a_router_do_not_keep_links_at_another_
 
 @pytest.mark.parametrize("endpoint", ["tcp/127.0.0.1:7447", "ws/127.0.0.1:7447"])
 def test_with_keys_no_link_is_open(keys: Path, endpoint: str):
-    credentials = load_credentials(keys, "a")
+    own = load_keys(keys, "a")
     for opening in (
-        lambda: Session.connect([endpoint], credentials=credentials),
-        lambda: Session.meet([endpoint], credentials=credentials),
-        lambda: Router.listen([endpoint], credentials),
+        lambda: Session.connect([endpoint], keys=own),
+        lambda: Session.meet([endpoint], keys=own),
+        lambda: Router.listen([endpoint], own),
     ):
         with pytest.raises(TransportError, match=r"is not secured, and there are keys; write tls/127\.0\.0\.1:7447"):
             opening()
@@ -163,9 +138,9 @@ def test_with_keys_no_link_is_open(keys: Path, endpoint: str):
 
 def test_a_router_that_was_called_by_a_name_not_in_its_certificate_is_refused_with_the_reason(keys: Path):
     with (
-        Router.listen(["tls/127.0.0.2:0"], load_credentials(keys, "router"), CHAIN) as router,
+        Router.listen(["tls/127.0.0.2:0"], load_keys(keys, "router", listens=True)) as router,
         pytest.raises(TransportError) as caught,
     ):
-        Session.connect(router.endpoints, 0.5, load_credentials(keys, "a"))
+        Session.connect(router.endpoints, 0.5, load_keys(keys, "a"))
     assert "its certificate is refused here" in str(caught.value)
     assert "127.0.0.2" in str(caught.value)

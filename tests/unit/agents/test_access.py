@@ -1,5 +1,6 @@
 """The rules of who may speak, as data: a table of what each certificate may and may not do."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,20 +13,22 @@ from dsse_core.errors import InvalidInputError
 CHAIN = Access("run", {"a": ("b",), "b": ("a", "c"), "c": ("b",)})
 
 
-def may(name: str, flow: str, message: str, key: str, access: Access = CHAIN) -> bool:
-    """What Zenoh decides: whether a rule of one of the name's policies includes the key."""
-    control = zenoh_access_control(access)
+def may(name: str, flow: str, message: str, key: str, access: Access = CHAIN, meets: tuple[str, ...] = ()) -> bool:
+    """What Zenoh decides: a rule of the name's policies that allows it includes the key, and none that denies."""
+    control = zenoh_access_control(access, meets or access.names)
     assert control["default_permission"] == "deny"
     rules = {rule["id"]: rule for rule in control["rules"]}
     subjects = {s["id"] for s in control["subjects"] if name in s["cert_common_names"]}
-    return any(
-        flow in rule["flows"]
-        and message in rule["messages"]
-        and any(zenoh.KeyExpr(allowed).includes(f"dsse/v1/{key}") for allowed in rule["key_exprs"])
+    said = [
+        rule["permission"]
         for policy in control["policies"]
         if subjects & set(policy["subjects"])
         for rule in (rules[name] for name in policy["rules"])
-    )
+        if flow in rule["flows"]
+        and message in rule["messages"]
+        and any(zenoh.KeyExpr(allowed).includes(f"dsse/v1/{key}") for allowed in rule["key_exprs"])
+    ]
+    return "allow" in said and "deny" not in said
 
 
 ALLOWED = [
@@ -100,15 +103,42 @@ def test_everything_else_is_refused(name: str, flow: str, message: str, key: str
     assert not may(name, flow, message, key)
 
 
+def test_nobody_has_rights_on_links_that_do_not_exist():
+    assert may("router", "ingress", "put", "run/area/b/state", meets=("router",))
+    assert not may("b", "ingress", "put", "run/area/b/state", meets=("router",))
+    for caller in ("a", "plant", "coordinator"):
+        meets = CHAIN.met_directly_by(caller)
+        assert not may("router", "ingress", "put", "run/area/b/state", meets=meets)
+        assert may("b", "ingress", "liveliness_token", "run/live/area/b/1-2", meets=meets)
+    assert not may("c", "ingress", "liveliness_token", "run/live/area/c/1-2", meets=CHAIN.met_directly_by("a"))
+
+
+@pytest.mark.parametrize(
+    ("revoked", "key"), [("b", "area/b/state"), ("b", "area/b/information/a"), ("plant", "telemetry/a")]
+)
+@pytest.mark.parametrize("flow", ["ingress", "egress"])
+def test_what_a_revoked_name_says_is_refused_from_routers_too(revoked: str, key: str, flow: str):
+    assert may("router", flow, "put", f"run/{key}")
+    access = replace(CHAIN, revoked=(revoked,))
+    for name in (revoked, "router"):
+        assert not may(name, flow, "put", f"run/{key}", access)
+        assert not may(
+            name, flow, "liveliness_token", f"run/live/{'area' if revoked == 'b' else 'plant'}/{revoked}/1-2", access
+        )
+    assert may("router", flow, "put", "run/area/a/state", access)
+    assert may("a", "ingress", "put", "run/area/a/state", access)
+
+
 def test_an_area_without_neighbours_needs_no_rules_about_any():
     alone = Access("run", {"a": ()})
     assert may("a", "ingress", "put", "run/area/a/state", alone)
-    assert all(rule["key_exprs"] for rule in zenoh_access_control(alone)["rules"])
+    assert all(rule["key_exprs"] for rule in zenoh_access_control(alone, alone.names)["rules"])
 
 
 def test_the_access_file_brings_the_rules_back(tmp_path: Path):
-    save_access(tmp_path / "access.toml", CHAIN)
-    assert load_access(tmp_path / "access.toml") == CHAIN
+    for access in (CHAIN, replace(CHAIN, revoked=("c", "plant"))):
+        save_access(tmp_path / "access.toml", access)
+        assert load_access(tmp_path / "access.toml") == access
 
 
 @pytest.mark.parametrize(
@@ -120,6 +150,13 @@ def test_the_access_file_brings_the_rules_back(tmp_path: Path):
         ('run = "r"\n[neighbours]\na = ["b"]\nb = []', "'b' does not name 'a' as its neighbour; add it there"),
         ('run = "r"\n[neighbours]\n"a/**" = []', "may only contain a-z"),
         ("run = ", "is not TOML"),
+        ('run = "r"\n[neighbours]\nrouter = []', "no area can be called 'router', as another process is"),
+        (
+            'run = "r"\nrevoked = ["z"]\n[neighbours]\na = []',
+            "revoked: 'z' is no name of a certificate: router, plant,",
+        ),
+        ('run = "r"\nrevoked = ["router"]\n[neighbours]\na = []', "revoked: 'router' would end all exchange; replace"),
+        ('run = "r"\n[neighbours]\na = []\nrevoked = ["a"]', "neighbours.revoked: 'a' does not name 'revoked'"),
         (None, "`dsse keys create SCENARIO` writes: 1 problem\n  - cannot be read: No such file or directory"),
     ],
 )

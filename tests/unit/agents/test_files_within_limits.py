@@ -10,15 +10,15 @@ import pytest
 
 from agents.access_file import load_access
 from agents.area_reader import load_area_file
-from agents.credentials import load_credentials
+from agents.credentials import load_keys
 from dsse_core.bounded_file import LARGEST_PEM, LARGEST_TOML
 from dsse_core.errors import InvalidInputError
 
 READERS: list[tuple[str, Callable[[Path], object], int]] = [
     ("area1.toml", load_area_file, LARGEST_TOML),
     ("access.toml", load_access, LARGEST_TOML),
-    ("area1.crt", lambda path: load_credentials(path.parent, "area1"), LARGEST_PEM),
-    ("area1.key", lambda path: load_credentials(path.parent, "area1"), LARGEST_PEM),
+    ("area1.crt", lambda path: load_keys(path.parent, "area1"), LARGEST_PEM),
+    ("area1.key", lambda path: load_keys(path.parent, "area1"), LARGEST_PEM),
 ]
 
 

@@ -1,15 +1,19 @@
 """Keys: what is created, and what is told about files that cannot be used."""
 
 import datetime
+import os
 import stat
+from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from cryptography import x509
+from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from agents.access import Access
-from agents.access_file import ACCESS_FILE, load_access
-from agents.credentials import credentials_in, load_credentials
+from agents.access_file import ACCESS_FILE, load_access, save_access
+from agents.credentials import credentials_in, load_keys
 from coordinator.certificates import access_of, check_keys, create_keys
 from coordinator.cli import run_command
 from dsse_core.errors import InvalidInputError
@@ -26,7 +30,7 @@ def keys(tmp_path: Path) -> Path:
 
 def problems_of(folder: Path, name: str = "area1") -> str:
     with pytest.raises(InvalidInputError) as caught:
-        load_credentials(folder, name)
+        load_keys(folder, name)
     return str(caught.value)
 
 
@@ -37,18 +41,81 @@ def test_every_process_gets_a_certificate_of_the_same_authority_and_a_key_of_its
         certificate = x509.load_pem_x509_certificate((keys / f"{name}.crt").read_bytes())
         certificate.verify_directly_issued_by(authority)
         assert certificate.subject.rfc4514_string() == f"CN={name}"
-        hosts = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
-        assert hosts.get_values_for_type(x509.DNSName) == ["localhost", "grid-a.example"]
-        assert "192.0.2.7" in map(str, hosts.get_values_for_type(x509.IPAddress))
         left = certificate.not_valid_after_utc - datetime.datetime.now(datetime.UTC)
         assert datetime.timedelta(days=9) < left < datetime.timedelta(days=10)
     assert len({path.read_bytes() for path in keys.glob("*.key")}) == 6
     assert load_access(keys / ACCESS_FILE) == ACCESS
 
 
-def test_nobody_else_may_read_a_private_key(keys: Path):
-    for path in keys.glob("*.key"):
-        assert stat.S_IMODE(path.stat().st_mode) == 0o600
+def find_roles(folder: Path) -> tuple[set[str], set[str]]:
+    """Whose certificates are good for being called, and whose name hosts."""
+    called, named = set(), set()
+    for path in folder.glob("*.crt"):
+        extensions = x509.load_pem_x509_certificate(path.read_bytes()).extensions
+        kinds = {type(extension.value): extension.value for extension in extensions}
+        if path.stem == "authority":
+            continue
+        assert ExtendedKeyUsageOID.CLIENT_AUTH in kinds[x509.ExtendedKeyUsage]
+        if ExtendedKeyUsageOID.SERVER_AUTH in kinds[x509.ExtendedKeyUsage]:
+            called.add(path.stem)
+        if hosts := kinds.get(x509.SubjectAlternativeName):
+            named.add(path.stem)
+            assert hosts.get_values_for_type(x509.DNSName) == ["localhost", "grid-a.example"]
+            assert "192.0.2.7" in map(str, hosts.get_values_for_type(x509.IPAddress))
+    return called, named
+
+
+def test_nobody_who_does_not_listen_has_a_certificate_for_being_called(keys: Path, tmp_path: Path):
+    assert find_roles(keys) == ({"router"}, {"router"})
+    create_keys(tmp_path / "direct", ACCESS, days=10, hosts=["grid-a.example", "192.0.2.7"], direct=True)
+    assert find_roles(tmp_path / "direct") == ({"area1", "area2"}, {"area1", "area2"})
+
+
+def test_keys_for_areas_that_do_not_listen_are_refused_where_they_do(keys: Path):
+    with pytest.raises(InvalidInputError, match=r"area2.crt: is for a process that only calls others"):
+        check_keys(keys, ACCESS, direct=True)
+    with pytest.raises(InvalidInputError, match=r"make keys for this scenario with `dsse keys create SCENARIO`"):
+        load_keys(keys, "area1", listens=True)
+
+
+@pytest.mark.parametrize("umask", [0o000, 0o022, 0o777])
+def test_nobody_else_may_read_a_private_key_whatever_the_umask(tmp_path: Path, umask: int):
+    (tmp_path / "there").mkdir(mode=0o777)
+    before = os.umask(umask)
+    try:
+        create_keys(tmp_path / "new" / "keys", ACCESS, days=10)
+        create_keys(tmp_path / "there", ACCESS, days=10)
+    finally:
+        os.umask(before)
+    for folder in (tmp_path / "new" / "keys", tmp_path / "there"):
+        assert modes_of([folder]) == {0o700}
+        assert modes_of(folder.glob("*.key")) == {0o600}
+        assert modes_of(path for path in folder.iterdir() if path.suffix != ".key") == {0o644}
+    assert modes_of([tmp_path / "new"]) == {0o700}
+
+
+def modes_of(paths: Iterable[Path]) -> set[int]:
+    return {stat.S_IMODE(path.stat().st_mode) for path in paths}
+
+
+@pytest.mark.parametrize("name", ["authority.crt", "area1.crt", "access.toml"])
+def test_a_file_that_anybody_may_change_is_refused(keys: Path, name: str):
+    (keys / name).chmod(0o666)
+    assert f"anybody on this host may change this file; chmod o-w {keys / name}" in problems_of(keys)
+
+
+def test_whose_name_is_revoked_is_told_at_the_start(keys: Path):
+    save_access(keys / ACCESS_FILE, replace(ACCESS, revoked=("area1",)))
+    assert "revoked: names 'area1', and this process would be 'area1'" in problems_of(keys)
+    with pytest.raises(InvalidInputError, match="revoked: area1 is denied everything"):
+        check_keys(keys, ACCESS)
+
+
+def test_rules_are_applied_to_the_run_that_is_asked_for(keys: Path):
+    loaded = load_keys(keys, "area1", "trial")
+    assert loaded is not None
+    assert loaded.access == replace(ACCESS, run="trial")
+    assert loaded.load_anew() == loaded
 
 
 def test_keys_are_never_overwritten(keys: Path):

@@ -1,0 +1,48 @@
+"""Files of keys on the disk: who may read and change them, whatever the umask says, from their first byte on."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+
+PRIVATE_FILE, PUBLIC_FILE, PRIVATE_FOLDER = 0o600, 0o644, 0o700
+
+
+def make_private_folder(folder: Path) -> None:
+    """Make ``folder`` and what is missing above it for this user alone; one that is there becomes so.
+
+    Raises:
+        OSError: it cannot be made, or is another user's.
+    """
+    missing = [place for place in (folder, *folder.parents) if not place.exists()]
+    for place in reversed(missing):
+        place.mkdir(mode=PRIVATE_FOLDER, exist_ok=True)
+        place.chmod(PRIVATE_FOLDER)  # where a umask took away what the owner needs
+    folder.chmod(PRIVATE_FOLDER)
+
+
+def write_private(path: Path, content: bytes) -> None:
+    """Write a new file that only this user reads."""
+    _write(path, content, os.O_EXCL, PRIVATE_FILE)
+
+
+def write_public(path: Path, content: bytes) -> None:
+    """Write a file that everybody may read and only this user changes."""
+    _write(path, content, os.O_TRUNC, PUBLIC_FILE)
+
+
+def _write(path: Path, content: bytes, flag: int, mode: int) -> None:
+    with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | flag, PRIVATE_FILE), "wb") as file:
+        os.fchmod(file.fileno(), mode)
+        file.write(content)
+
+
+def find_mode_problems(path: Path, private: bool = False) -> list[str]:
+    """Why ``path`` is not safe from the other users of this host; ``private``: nor from their eyes."""
+    mode = stat.S_IMODE(path.stat().st_mode)
+    if private and mode & 0o007:
+        return [f"{path}: anybody on this host may read or change this private key; chmod o-rwx {path}"]
+    if mode & 0o002:
+        return [f"{path}: anybody on this host may change this file; chmod o-w {path}"]
+    return []

@@ -1,0 +1,42 @@
+"""SIGHUP: take up the keys and rules that are in the files now."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable
+from enum import Enum
+
+
+class Renewal(Enum):
+    """What waits in the inbox of a process that got SIGHUP."""
+
+    ASKED = "asked"
+
+
+def on_hangup(ask: Callable[[], None], end: Callable[[], None]) -> None:
+    """On SIGHUP call ``ask``, or, if that came because the terminal of this process was closed, ``end``.
+
+    Under nohup a closed terminal means nothing, and SIGHUP from others what it means elsewhere.
+    """
+    had_terminal = _has_terminal()
+    goes_on = signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+
+    def handle(*_: object) -> None:
+        nonlocal had_terminal
+        if had_terminal and not _has_terminal():
+            had_terminal = False
+            if not goes_on:
+                end()
+        else:
+            ask()
+
+    signal.signal(signal.SIGHUP, handle)
+
+
+def _has_terminal() -> bool:
+    try:
+        os.close(os.open("/dev/tty", os.O_RDWR | os.O_NOCTTY))
+    except OSError:
+        return False
+    return True

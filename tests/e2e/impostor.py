@@ -1,0 +1,107 @@
+"""Keys that are good for everything, and sessions that keep to no rule: what a thief of keys has."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import zenoh
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import ExtendedKeyUsageOID
+
+from agents.access import Access
+from agents.bus_config import at_once, bus_config, in_the_background
+from agents.credentials import Keys, credentials_in
+from coordinator.certificates import HERE, _host
+
+DEADLINE_S = 30.0
+
+
+def let_listen(keys: Path, name: str) -> None:
+    """Have the authority in ``keys`` issue ``name``'s certificate again, for calling and for being called at HERE."""
+    files, authority = credentials_in(keys, name), credentials_in(keys, "authority")
+    signing_key = serialization.load_pem_private_key(authority.key.read_bytes(), None)
+    assert isinstance(signing_key, ec.EllipticCurvePrivateKey)
+    narrow = x509.load_pem_x509_certificate(files.certificate.read_bytes())
+    builder = x509.CertificateBuilder(
+        issuer_name=narrow.issuer,
+        subject_name=narrow.subject,
+        public_key=narrow.public_key(),
+        serial_number=x509.random_serial_number(),
+        not_valid_before=narrow.not_valid_before_utc,
+        not_valid_after=narrow.not_valid_after_utc,
+    )
+    usage = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.CLIENT_AUTH, ExtendedKeyUsageOID.SERVER_AUTH])
+    names = x509.SubjectAlternativeName([_host(host) for host in HERE])
+    wide = builder.add_extension(usage, critical=False).add_extension(names, critical=False)
+    certificate = wide.sign(signing_key, hashes.SHA256())
+    files.certificate.write_bytes(certificate.public_bytes(serialization.Encoding.PEM))
+
+
+class Impostor:
+    """A Zenoh session with the key of ``name``, if any, and no rules; it hears and says all that others let it."""
+
+    def __init__(self, keys: Path | None, name: str, mode: str, **sections: Any) -> None:
+        config = bus_config(mode, Keys(keys, name, Access("run", {})) if keys else None, **sections)
+        config.pop("access_control", None)
+        self.name = name
+        self.heard: set[tuple[str, str]] = set()  # (what was said, key)
+        self.seen: set[str] = set()
+        self._said: set[bytes] = set()
+        self._shown: set[str] = set()
+        self._session = zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
+        self._kept: list[Any] = []
+
+    @classmethod
+    def at(cls, place: str, keys: Path | None, name: str, mode: str = "router") -> Impostor:
+        """Where somebody else is looked for."""
+        return cls(keys, name, mode, listen={"endpoints": [place], "exit_on_failure": True})
+
+    @classmethod
+    def calling(cls, places: Sequence[str], keys: Path | None, name: str, mode: str = "client") -> Impostor:
+        """A router, or, as a peer, all areas."""
+        connect = at_once(places, DEADLINE_S) if mode == "client" else in_the_background(places)
+        return cls(keys, name, mode, connect=connect, listen={"endpoints": []})
+
+    def listen(self, *expressions: str) -> None:
+        """To all there is and to ``expressions``: what is too wide is refused whole."""
+        for expression in ("dsse/**", *expressions):
+            self._kept.append(self._session.declare_subscriber(expression, self._note))
+            self._kept.append(
+                self._session.liveliness().declare_subscriber(
+                    expression, lambda sample: self._see(str(sample.key_expr)), history=True
+                )
+            )
+
+    def show(self, *keys: str) -> None:
+        """Presence tokens."""
+        self._shown |= set(keys)
+        self._kept += [self._session.liveliness().declare_token(key) for key in keys]
+
+    def say(self, keys: Sequence[str], payload: bytes | None = None) -> list[Callable[[], None]]:
+        """Functions that say ``payload``, or its name, on each of ``keys``."""
+        publishers = [self._session.declare_publisher(key) for key in keys]
+        self._kept += publishers
+        what = payload or self.name.encode()
+        self._said.add(what)
+        return [lambda p=p: p.put(what) for p in publishers]  # type: ignore[misc]
+
+    def _note(self, sample: zenoh.Sample) -> None:
+        said = sample.payload.to_bytes()
+        if said not in self._said:  # a session hears itself
+            self.heard.add((said.decode(errors="replace")[:40], str(sample.key_expr)))
+
+    def _see(self, key: str) -> None:
+        if key not in self._shown:
+            self.seen.add(key)
+
+    def __enter__(self) -> Impostor:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._kept.clear()
+        self._session.close()  # type: ignore[no-untyped-call]

@@ -1,0 +1,176 @@
+"""Who has stolen a key sits where a router or a neighbour is looked for, or calls everybody: real processes and TLS."""
+
+from __future__ import annotations
+
+import shutil
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import zenoh
+from dsse_command import free_endpoint
+from impostor import Impostor, let_listen
+from shown_states import a_state
+from system_by_hand import SystemByHand, Watcher
+from waiting import wait_until
+
+from agents.access import Access, find_rights
+from agents.keys import all_live, all_lives, state_key, telemetry_key
+from agents.messages import Header, encode
+from agents.presence import begin_life
+from coordinator.certificates import access_of, create_keys
+from coordinator.places import choose_places
+from coordinator.split import write_area_files
+from coordinator.telemetry_messages import make_payloads
+from scenarios.scenario import load_scenario
+
+RUN = "ieee33"
+AREAS = ("area1", "area2", "area3")
+ROUNDS = 200
+
+
+class ByHand(SystemByHand):
+    """The processes of ieee33 with keys, through a router or on direct links."""
+
+    def __init__(self, folder: Path, scenario: Path) -> None:
+        super().__init__(folder)
+        self.scenario_file, self.scenario = scenario, load_scenario(scenario)
+        self.direct = self.scenario.transport.kind == "neighbours"
+        self.access: Access = access_of(self.scenario.partition, RUN)
+        self.keys = folder / "keys"
+        create_keys(self.keys, self.access, days=1, direct=self.direct)
+        self.places = choose_places(self.scenario, "tls") if self.direct else {}
+        self.endpoints = list(self.places.values()) or [free_endpoint("tls")]
+        self.files = dict(write_area_files(self.scenario, RUN, self.endpoints, folder / "areas", self.places))
+
+    def connect(self) -> list[str]:
+        connect = [part for endpoint in self.endpoints for part in ("--connect", endpoint)]
+        return [*connect, "--keys", str(self.keys), "--run", RUN]
+
+    def start_router(self) -> None:
+        self.start("router", "router", "--listen", self.endpoints[0], "--keys", self.keys)
+
+    def start_others(self, areas: Sequence[str] = AREAS) -> None:
+        self.start("plant", "plant", self.scenario_file, *self.connect())
+        for area in areas:
+            self.start(area, "agent", self.files[area], "--keys", self.keys)
+
+    def lies(self) -> dict[str, bytes]:
+        """Readings that nobody made, for every area."""
+        payloads = make_payloads(replace(self.scenario, seed=99), RUN, begin_life(), 10**9)
+        return {telemetry_key(RUN, area): payload for area, payload in payloads.items()}
+
+
+def scenario_of(edited_scenario: Callable[..., Path], kind: str) -> Path:
+    path = edited_scenario(RUN)
+    path.write_text(path.read_text() + f'[transport]\nkind = "{kind}"\n')
+    return path
+
+
+def attack(impostor: Impostor, lies: dict[str, bytes]) -> None:
+    """Listen to everybody, show everybody's tokens, and say ``lies``."""
+    impostor.listen(*(state_key(RUN, area) for area in ("*", *AREAS)), *(telemetry_key(RUN, area) for area in AREAS))
+    impostor.listen(*(f"dsse/v1/{RUN}/area/*/*/{area}" for area in AREAS), all_live(RUN))
+    impostor.listen(*(all_lives(RUN, role, name) for role, name in (*(("area", a) for a in AREAS), ("plant", "plant"))))
+    impostor.show(*(f"dsse/v1/{RUN}/live/area/{area}/fffffffffff-ffffffff" for area in AREAS))
+    said = [put for key, lie in lies.items() for put in impostor.say([key], lie)]
+    pause = threading.Event()
+    for _ in range(ROUNDS):
+        for put in said:
+            put()
+        pause.wait(0.01)
+
+
+def forge_state(area: str) -> bytes:
+    """A good state of ``area``, newer than any, with a note."""
+    header = Header(RUN, area, begin_life(), 10**9, 1, time.time())
+    return encode(replace(a_state(notes=("forged",)), header=header))
+
+
+def is_due(access: Access, name: str, key: str) -> bool:
+    """Whether ``name`` may hear or see what is on ``key``."""
+    rights = find_rights(access)[name]
+    return any(zenoh.KeyExpr(allowed).intersects(key) for allowed in (*rights.hears, *rights.sees))
+
+
+@pytest.mark.parametrize("is_for_everything", [False, True], ids=["as made", "good for everything"])
+def test_with_the_key_of_an_area_nobody_is_taken_for_the_router(
+    edited_scenario: Callable[..., Path], tmp_path: Path, is_for_everything: bool
+):
+    with ByHand(tmp_path, scenario_of(edited_scenario, "router")) as system:
+        system.start_router()
+        system.start_others()
+        with Watcher(RUN, system.endpoints, system.keys) as watcher:
+            watcher.wait_for_consensus()
+        stolen = tmp_path / "stolen"
+        shutil.copytree(system.keys, stolen)
+        if is_for_everything:
+            let_listen(stolen, "area3")
+        system.end("router")
+        with Impostor.at(system.endpoints[0], stolen, "area3") as impostor:
+            if is_for_everything:
+                wait_until(lambda: all("shows the certificate of 'area3'" in system.said(a) for a in (*AREAS, "plant")))
+            attack(impostor, system.lies() | {state_key(RUN, area): forge_state(area) for area in AREAS})
+            system.start("watch", "watch", "--once", "--json", "--timeout", "3", *system.connect())
+            assert system.processes["watch"].wait(60) in (1, 2)  # nothing to be seen, or no router at all
+            assert not impostor.heard
+            assert not impostor.seen
+        assert "forged" not in system.said("watch")
+        system.start_router()
+        with Watcher(RUN, system.endpoints, system.keys) as watcher:
+            watcher.wait_for_consensus()
+            assert all(state.refused == {} for state in watcher.states.values())
+        for name in (*AREAS, "plant", "router"):
+            assert system.end(name) == 0, system.said(name)
+
+
+def test_between_neighbours_the_key_of_an_area_hears_and_forges_nobody_else(
+    edited_scenario: Callable[..., Path], tmp_path: Path
+):
+    with ByHand(tmp_path, scenario_of(edited_scenario, "neighbours")) as system:
+        system.start_others(AREAS[:2])  # area3 is in wrong hands
+        forged = {state_key(RUN, area): forge_state(area) for area in AREAS[:2]}
+        system.start("watch", "watch", "--direct", "--json", *system.connect())
+        with Impostor.at(system.places["area3"], system.keys, "area3", "peer") as impostor:
+            wait_until(lambda: '"area2"' in system.said("watch") and '"area1"' in system.said("watch"))
+            attack(impostor, system.lies() | forged)
+            wait_until(lambda: any("/telemetry/area3" in key for _, key in impostor.heard))
+            assert [key for _, key in impostor.heard if not is_due(system.access, "area3", key)] == []
+            assert [key for key in impostor.seen if not is_due(system.access, "area3", key)] == []
+        assert "forged" not in system.said("watch")
+        for name in (*AREAS[:2], "plant"):
+            assert system.end(name) == 0, system.said(name)
+
+
+@pytest.mark.parametrize("name", ["area2", "area3", "plant", "coordinator", "router"])
+def test_between_neighbours_whoever_calls_everybody_hears_its_due_only(
+    edited_scenario: Callable[..., Path], tmp_path: Path, name: str
+):
+    with ByHand(tmp_path, scenario_of(edited_scenario, "neighbours")) as system:
+        system.start_others()
+        others = tmp_path / "others"
+        create_keys(others, system.access, days=1, direct=True)
+        lies = {key: lie for key, lie in system.lies().items() if name != "plant"}
+        forged = {state_key(RUN, area): forge_state(area) for area in AREAS if area != name}
+        with (
+            Impostor.calling(system.endpoints, others, name, "peer") as stranger,
+            Impostor.calling(system.endpoints, system.keys, name, "peer") as impostor,
+        ):
+            attack(stranger, lies | forged)
+            attack(impostor, lies | forged)
+            assert not stranger.heard
+            assert not stranger.seen
+            if name == "router":  # there is none
+                assert not impostor.heard
+                assert not impostor.seen
+            else:
+                assert [key for _, key in impostor.heard if not is_due(system.access, name, key)] == []
+                assert [key for key in impostor.seen if not is_due(system.access, name, key)] == []
+        system.start("watch", "watch", "--direct", "--json", *system.connect())
+        wait_until(lambda: system.said("watch").count('"state": "estimates"') >= len(AREAS))
+        assert "forged" not in system.said("watch")
+        for area in (*AREAS, "plant"):
+            assert system.end(area) == 0, system.said(area)

@@ -1,0 +1,174 @@
+"""Whoever has a key is at the place of somebody else: what each process tells it and hears from it there.
+
+The certificates here are good for everything, so that only the rules are left to tell who is who.
+"""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from impostor import Impostor, let_listen
+from waiting import wait_until
+
+from agents.access import Access
+from agents.credentials import load_keys
+from agents.transport import Router, Session, TransportError
+from coordinator.certificates import create_keys
+
+CHAIN = Access("run", {"a": ("b",), "b": ("a", "c"), "c": ("b",)})
+ALL = CHAIN.names
+OWN_KEYS = {
+    **{
+        i: (*(f"area/{i}/information/{j}" for j in "abc"), f"area/{i}/state", f"live/area/{i}/1-00000001")
+        for i in "abc"
+    },
+    "plant": (*(f"telemetry/{i}" for i in "abc"), "live/plant/plant/1-00000001"),
+    "coordinator": ("clock", "live/coordinator/coordinator/1-00000001"),
+}
+SUBSCRIPTIONS = {
+    **{
+        i: (f"area/*/*/{i}", f"telemetry/{i}", "clock", *(f"live/area/{j}/*" for j in CHAIN.neighbours[i]))
+        for i in "abc"
+    },
+    "plant": (),
+    "coordinator": ("area/*/state", "live/*/*/*"),
+}
+# (who says it, key, to whom) of messages, on links without a router
+MESSAGES = {
+    *((i, f"area/{i}/information/{j}", j) for i in "abc" for j in CHAIN.neighbours[i]),
+    *((i, f"area/{i}/state", "coordinator") for i in "abc"),
+    *(("plant", f"telemetry/{i}", i) for i in "abc"),
+    *(("coordinator", "clock", i) for i in "abc"),
+}
+# (who shows it, to whom) of tokens
+TOKENS = {(i, j) for i in "abc" for j in (*CHAIN.neighbours[i], "plant", "coordinator")}
+
+
+def whole(key: str) -> str:
+    return f"dsse/v1/run/{key}"
+
+
+def message_keys(name: str) -> list[str]:
+    return [whole(key) for key in OWN_KEYS[name] if not key.startswith("live")]
+
+
+def token_keys(name: str) -> list[str]:
+    return [whole(key) for key in OWN_KEYS[name] if key.startswith("live")]
+
+
+@pytest.fixture(scope="module")
+def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("keys") / "keys"
+    create_keys(folder, CHAIN, days=1)
+    for name in ALL:
+        let_listen(folder, name)
+    return folder
+
+
+def free_place() -> str:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tls/127.0.0.1:{probe.getsockname()[1]}"
+
+
+class Victim:
+    """The session of a process as it really is, which says, shows and hears all that this process does."""
+
+    def __init__(self, session: Session, name: str) -> None:
+        self.session, self.name = session, name
+        self.heard: set[tuple[str, str]] = set()
+        self.seen: set[str] = set()
+        for expression in SUBSCRIPTIONS[name]:
+            session.subscribe(whole(expression), self._note)
+            session.watch_presence(whole(expression), self._note_token)
+        self.puts = [(session.publisher(key), name.encode()) for key in message_keys(name)]
+        for key in token_keys(name):
+            session.declare_presence(key)
+
+    def _note(self, key: str, payload: bytes) -> None:
+        if payload.decode() != self.name:  # a session hears itself
+            self.heard.add((payload.decode(), key))
+
+    def _note_token(self, key: str, alive: bool) -> None:
+        if key not in token_keys(self.name):
+            self.seen.add(key)
+
+    def say(self) -> None:
+        for put, payload in self.puts:
+            put(payload)
+
+
+def exchange(victim: Victim, impostor: Impostor, until: Callable[[], bool]) -> None:
+    """Let both say everything ``until`` something holds, and a while after it."""
+    impostor.listen(*(whole(e) for of in SUBSCRIPTIONS.values() for e in of))
+    impostor.show(*(key for name in OWN_KEYS for key in token_keys(name)))
+    said = impostor.say([key for name in OWN_KEYS for key in message_keys(name)])
+
+    def all_said() -> bool:
+        victim.say()
+        for put in said:
+            put()
+        return until()
+
+    wait_until(all_said)
+    for _ in range(20):
+        all_said()
+
+
+@pytest.mark.parametrize("impostor", [name for name in ALL if name != "router"])
+@pytest.mark.parametrize("victim", OWN_KEYS)
+def test_nobody_but_a_router_is_told_or_heard_where_a_router_is_expected(
+    keys: Path, victim: str, impostor: str, caplog: pytest.LogCaptureFixture
+):
+    place = free_place()
+    with (
+        Impostor.at(place, keys, impostor) as router,
+        Session.connect([place], keys=load_keys(keys, victim)) as session,
+    ):
+        talker = Victim(session, victim)
+        exchange(talker, router, lambda: f"shows the certificate of '{impostor}'" in caplog.text)
+        assert not router.heard
+        assert not talker.heard
+        assert not talker.seen
+
+
+@pytest.mark.parametrize(("caller", "impostor"), [(c, i) for c in OWN_KEYS for i in ALL if c != i])
+def test_between_neighbours_a_key_gives_its_own_rights_at_any_place(keys: Path, caller: str, impostor: str):
+    place = free_place()
+    with (
+        Impostor.at(place, keys, impostor, "peer") as other,
+        Session.meet([place], keys=load_keys(keys, caller)) as session,
+    ):
+        talker = Victim(session, caller)
+        told = {(caller, whole(key)) for who, key, whom in MESSAGES if (who, whom) == (caller, impostor)}
+        heard = {(impostor, whole(key)) for who, key, whom in MESSAGES if (who, whom) == (impostor, caller)}
+        shown = {key for who, whom in TOKENS if (who, whom) == (impostor, caller) for key in token_keys(who)}
+        linked = lambda: bool(session.bus.info.links())  # type: ignore[union-attr]  # noqa: E731
+        exchange(talker, other, lambda: linked() and told <= other.heard and heard <= talker.heard)
+        assert other.heard == told
+        assert talker.heard == heard
+        assert talker.seen <= shown
+
+
+def test_a_link_to_nobody_with_a_certificate_for_calling_only_comes_about(tmp_path: Path):
+    create_keys(tmp_path / "keys", CHAIN, days=1)
+    place = free_place()
+    with (
+        Impostor.at(place, tmp_path / "keys", "c"),
+        pytest.raises(TransportError, match="its certificate is refused here: unsuitable certificate purpose"),
+    ):
+        Session.connect([place], 0.5, load_keys(tmp_path / "keys", "a"))
+
+
+def test_a_client_goes_on_to_the_true_router_if_an_area_is_at_the_place_of_another(tmp_path: Path):
+    create_keys(tmp_path / "keys", CHAIN, days=1)
+    place = free_place()
+    with (
+        Impostor.at(place, tmp_path / "keys", "c"),
+        Router.listen(["tls/127.0.0.1:0"], load_keys(tmp_path / "keys", "router", listens=True)) as router,
+        Session.connect([place, *router.endpoints], keys=load_keys(tmp_path / "keys", "a")) as session,
+    ):
+        assert [link.auth_identifier for link in session.bus.info.links()] == ["router"]  # type: ignore[union-attr]
