@@ -20,6 +20,16 @@ def test_the_token_of_an_old_life_that_vanishes_late_does_not_hide_the_new_life(
     assert presence.take(NEW, False)
 
 
+def test_who_is_forgotten_is_there_when_it_is_seen_again():
+    presence = Presence()
+    presence.take(OLD, True)
+    presence.take(NEW, True)
+    assert presence.forget() == [("area", "area1")]
+    assert presence.names == set()
+    assert not presence.take(OLD, False)
+    assert presence.take(NEW, True)
+
+
 def test_a_farewell_counts_before_and_after_the_end_of_its_token_but_not_while_another_life_is_there():
     presence = Presence()
     presence.take(OLD, True)
