@@ -5,69 +5,25 @@ from __future__ import annotations
 import shutil
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import zenoh
-from dsse_command import free_endpoint
 from impostor import Impostor, let_listen
+from keys_by_hand import AREAS, RUN, KeysByHand, scenario_of
 from shown_states import a_state
-from system_by_hand import SystemByHand, Watcher
+from system_by_hand import Watcher
 from waiting import wait_until
 
 from agents.access import Access, find_rights
 from agents.keys import all_live, all_lives, state_key, telemetry_key
 from agents.messages import Header, encode
 from agents.presence import begin_life
-from coordinator.certificates import access_of, create_keys
-from coordinator.places import choose_places
-from coordinator.split import write_area_files
-from coordinator.telemetry_messages import make_payloads
-from scenarios.scenario import load_scenario
+from coordinator.certificates import create_keys
 
-RUN = "ieee33"
-AREAS = ("area1", "area2", "area3")
 ROUNDS = 200
-
-
-class ByHand(SystemByHand):
-    """The processes of ieee33 with keys, through a router or on direct links."""
-
-    def __init__(self, folder: Path, scenario: Path) -> None:
-        super().__init__(folder)
-        self.scenario_file, self.scenario = scenario, load_scenario(scenario)
-        self.direct = self.scenario.transport.kind == "neighbours"
-        self.access: Access = access_of(self.scenario.partition, RUN)
-        self.keys = folder / "keys"
-        create_keys(self.keys, self.access, days=1, direct=self.direct)
-        self.places = choose_places(self.scenario, "tls") if self.direct else {}
-        self.endpoints = list(self.places.values()) or [free_endpoint("tls")]
-        self.files = dict(write_area_files(self.scenario, RUN, self.endpoints, folder / "areas", self.places))
-
-    def connect(self) -> list[str]:
-        connect = [part for endpoint in self.endpoints for part in ("--connect", endpoint)]
-        return [*connect, "--keys", str(self.keys), "--run", RUN]
-
-    def start_router(self) -> None:
-        self.start("router", "router", "--listen", self.endpoints[0], "--keys", self.keys)
-
-    def start_others(self, areas: Sequence[str] = AREAS) -> None:
-        self.start("plant", "plant", self.scenario_file, *self.connect())
-        for area in areas:
-            self.start(area, "agent", self.files[area], "--keys", self.keys)
-
-    def lies(self) -> dict[str, bytes]:
-        """Readings that nobody made, for every area."""
-        payloads = make_payloads(replace(self.scenario, seed=99), RUN, begin_life(), 10**9)
-        return {telemetry_key(RUN, area): payload for area, payload in payloads.items()}
-
-
-def scenario_of(edited_scenario: Callable[..., Path], kind: str) -> Path:
-    path = edited_scenario(RUN)
-    path.write_text(path.read_text() + f'[transport]\nkind = "{kind}"\n')
-    return path
 
 
 def attack(impostor: Impostor, lies: dict[str, bytes]) -> None:
@@ -100,7 +56,7 @@ def is_due(access: Access, name: str, key: str) -> bool:
 def test_with_the_key_of_an_area_nobody_is_taken_for_the_router(
     edited_scenario: Callable[..., Path], tmp_path: Path, is_for_everything: bool
 ):
-    with ByHand(tmp_path, scenario_of(edited_scenario, "router")) as system:
+    with KeysByHand(tmp_path, scenario_of(edited_scenario, "router")) as system:
         system.start_router()
         system.start_others()
         with Watcher(RUN, system.endpoints, system.keys) as watcher:
@@ -130,7 +86,7 @@ def test_with_the_key_of_an_area_nobody_is_taken_for_the_router(
 def test_between_neighbours_the_key_of_an_area_hears_and_forges_nobody_else(
     edited_scenario: Callable[..., Path], tmp_path: Path
 ):
-    with ByHand(tmp_path, scenario_of(edited_scenario, "neighbours")) as system:
+    with KeysByHand(tmp_path, scenario_of(edited_scenario, "neighbours")) as system:
         system.start_others(AREAS[:2])  # area3 is in wrong hands
         forged = {state_key(RUN, area): forge_state(area) for area in AREAS[:2]}
         system.start("watch", "watch", "--direct", "--json", *system.connect())
@@ -149,7 +105,7 @@ def test_between_neighbours_the_key_of_an_area_hears_and_forges_nobody_else(
 def test_between_neighbours_whoever_calls_everybody_hears_its_due_only(
     edited_scenario: Callable[..., Path], tmp_path: Path, name: str
 ):
-    with ByHand(tmp_path, scenario_of(edited_scenario, "neighbours")) as system:
+    with KeysByHand(tmp_path, scenario_of(edited_scenario, "neighbours")) as system:
         system.start_others()
         others = tmp_path / "others"
         create_keys(others, system.access, days=1, direct=True)

@@ -1,0 +1,60 @@
+"""The processes of ieee33 with keys, started one by one, through a router or on direct links."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from dsse_command import free_endpoint
+from system_by_hand import SystemByHand
+
+from agents.access import Access
+from agents.keys import telemetry_key
+from agents.presence import begin_life
+from coordinator.certificates import access_of, create_keys
+from coordinator.places import choose_places
+from coordinator.split import write_area_files
+from coordinator.telemetry_messages import make_payloads
+from scenarios.scenario import load_scenario
+
+RUN = "ieee33"
+AREAS = ("area1", "area2", "area3")
+
+
+class KeysByHand(SystemByHand):
+    """The processes of ieee33 with keys, through a router or on direct links."""
+
+    def __init__(self, folder: Path, scenario: Path) -> None:
+        super().__init__(folder)
+        self.scenario_file, self.scenario = scenario, load_scenario(scenario)
+        self.direct = self.scenario.transport.kind == "neighbours"
+        self.access: Access = access_of(self.scenario.partition, RUN)
+        self.keys = folder / "keys"
+        create_keys(self.keys, self.access, days=1, direct=self.direct)
+        self.places = choose_places(self.scenario, "tls") if self.direct else {}
+        self.endpoints = list(self.places.values()) or [free_endpoint("tls")]
+        self.files = dict(write_area_files(self.scenario, RUN, self.endpoints, folder / "areas", self.places))
+
+    def connect(self) -> list[str]:
+        connect = [part for endpoint in self.endpoints for part in ("--connect", endpoint)]
+        return [*connect, "--keys", str(self.keys), "--run", RUN]
+
+    def start_router(self) -> None:
+        self.start("router", "router", "--listen", self.endpoints[0], "--keys", self.keys)
+
+    def start_others(self, areas: Sequence[str] = AREAS) -> None:
+        self.start("plant", "plant", self.scenario_file, *self.connect())
+        for area in areas:
+            self.start(area, "agent", self.files[area], "--keys", self.keys)
+
+    def lies(self) -> dict[str, bytes]:
+        """Readings that nobody made, for every area."""
+        payloads = make_payloads(replace(self.scenario, seed=99), RUN, begin_life(), 10**9)
+        return {telemetry_key(RUN, area): payload for area, payload in payloads.items()}
+
+
+def scenario_of(edited_scenario: Callable[..., Path], kind: str) -> Path:
+    path = edited_scenario(RUN)
+    path.write_text(path.read_text() + f'[transport]\nkind = "{kind}"\n')
+    return path

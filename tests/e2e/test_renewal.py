@@ -1,0 +1,132 @@
+"""SIGHUP: real processes take up new keys and revoked names without a restart."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import signal
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from impostor import Impostor
+from keys_by_hand import AREAS, RUN, KeysByHand, scenario_of
+from system_by_hand import Watcher
+from waiting import wait_until
+
+from agents.access_file import ACCESS_FILE, load_access, save_access
+from agents.credentials import load_keys
+from agents.keys import all_from_neighbours, all_live, state_key, telemetry_key
+from agents.transport import Session, TransportError
+from coordinator.certificates import create_keys
+
+OPEN_AGAIN = "links are open again with the keys of now, after "
+
+
+def hang_up(system: KeysByHand, names: Sequence[str]) -> None:
+    """Send SIGHUP to each, and wait until all have links again."""
+    before = {name: system.said(name).count(OPEN_AGAIN) for name in names}
+    for name in names:
+        system.processes[name].send_signal(signal.SIGHUP)
+    wait_until(lambda: all(system.said(name).count(OPEN_AGAIN) > before[name] for name in names))
+
+
+def revoke(system: KeysByHand, name: str) -> None:
+    path = system.keys / ACCESS_FILE
+    save_access(path, replace(load_access(path), revoked=(name,)))
+
+
+def watched_areas(dsse: Callable, system: KeysByHand) -> dict[str, dict]:
+    """What ``dsse watch`` sees of the areas that are there."""
+    direct = ["--direct"] if system.direct else []
+    done = dsse("watch", *direct, "--once", "--json", "--timeout", "5", *system.connect())
+    return {n: a for n, a in json.loads(done.stdout)["areas"].items() if a["state"] != "gone"} if done.stdout else {}
+
+
+@pytest.mark.parametrize("kind", ["router", "neighbours"])
+def test_keys_of_a_new_authority_end_neither_a_process_nor_the_exchange(
+    dsse, edited_scenario: Callable[..., Path], tmp_path: Path, kind: str
+):
+    with KeysByHand(tmp_path, scenario_of(edited_scenario, kind)) as system:
+        if not system.direct:
+            system.start_router()
+        system.start_others()
+
+        def all_agree() -> bool:
+            areas = watched_areas(dsse, system)
+            return set(areas) == set(AREAS) and all(area["quality"] == "good" for area in areas.values())
+
+        wait_until(all_agree)
+        old = tmp_path / "old"
+        shutil.copytree(system.keys, old)
+        create_keys(tmp_path / "new", system.access, days=1, direct=system.direct)
+        for path in (tmp_path / "new").iterdir():
+            shutil.copy(path, system.keys / path.name)
+        hang_up(system, list(system.processes))
+        wait_until(all_agree)
+        with pytest.raises(TransportError, match="its certificate is refused here"):
+            Session.connect(system.endpoints, 0.5, load_keys(old, "coordinator"))
+        for name in (*AREAS, "plant", *(() if system.direct else ("router",))):
+            assert system.end(name) == 0, system.said(name)
+
+
+@pytest.mark.parametrize("kind", ["router", "neighbours"])
+def test_a_revoked_name_neither_speaks_nor_hears_nor_is_seen(
+    dsse, edited_scenario: Callable[..., Path], tmp_path: Path, kind: str
+):
+    with KeysByHand(tmp_path, scenario_of(edited_scenario, kind)) as system:
+        if not system.direct:
+            system.start_router()
+        system.start_others()
+        wait_until(lambda: set(watched_areas(dsse, system)) == set(AREAS))
+        revoke(system, "area3")  # whose process goes on as if nothing had happened
+        hang_up(system, [name for name in system.processes if name != "area3"])
+        wait_until(lambda: set(watched_areas(dsse, system)) == {"area1", "area2"})
+        notes = watched_areas(dsse, system)["area1"]["notes"]
+        assert any("area3" in note and ("gone" in note or "absent" in note or "not" in note) for note in notes), notes
+        mode = "peer" if system.direct else "client"
+        places = [place for name, place in system.places.items() if name != "area3"] or system.endpoints
+        with Impostor.calling(places, system.keys, "area3", mode) as thief:
+            thief.listen(telemetry_key(RUN, "area3"), all_from_neighbours(RUN, "area3"), all_live(RUN))
+            thief.show(f"dsse/v1/{RUN}/live/area/area3/1-00000001")
+            said = thief.say([state_key(RUN, "area3")])
+            wait_until(
+                lambda: "shows the certificate of 'area3'" in system.said("area1" if system.direct else "router")
+            )
+            for put in said * 20:
+                put()
+            assert set(watched_areas(dsse, system)) == {"area1", "area2"}
+            assert not thief.heard
+            assert not thief.seen
+
+
+def test_a_router_that_has_not_been_told_brings_nothing_of_a_revoked_name_to_those_who_have(
+    dsse, edited_scenario: Callable[..., Path], tmp_path: Path
+):
+    with KeysByHand(tmp_path, scenario_of(edited_scenario, "router")) as system:
+        system.start_router()
+        system.start_others()
+        with Watcher(RUN, system.endpoints, system.keys) as watcher:  # has not been told either
+            watcher.wait_for_consensus()
+            revoke(system, "area3")
+            hang_up(system, ["area1"])
+            watcher.wait_until(lambda: any("area3" in note for note in watcher.states["area1"].notes))
+            watcher.wait_until(lambda: watcher.states["area1"].ages["area3"] > 2.0)  # s; never heard again
+            assert "area3 is not on the bus" not in watcher.obstacles()
+        assert set(watched_areas(dsse, system)) == {"area1", "area2"}  # a watcher that comes now reads who is revoked
+
+
+def test_keys_that_cannot_be_used_change_nothing(dsse, edited_scenario: Callable[..., Path], tmp_path: Path):
+    with KeysByHand(tmp_path, scenario_of(edited_scenario, "router")) as system:
+        system.start_router()
+        system.start_others()
+        with Watcher(RUN, system.endpoints, system.keys) as watcher:
+            watcher.wait_for_consensus()
+            (system.keys / "router.crt").write_text("rubbish")
+            (system.keys / "area1.crt").write_text("rubbish")
+            for name in ("router", "area1"):
+                system.processes[name].send_signal(signal.SIGHUP)
+                wait_until(lambda name=name: "the keys in use stay as they were" in system.said(name))
+                assert f"{name}.crt: holds no certificate in PEM" in system.said(name)
+            watcher.wait_for_consensus()
