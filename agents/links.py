@@ -125,7 +125,7 @@ class Links:
                 bus = self._open(self.keys, REOPEN_S)
             except DsseError as error:
                 if not told:
-                    log.warning("links are not open again yet: %s", error)
+                    log.warning("not open again yet: %s", error)
                 told = True
                 self._given_up.wait(PAUSE_S)
                 continue
@@ -133,7 +133,7 @@ class Links:
                 self.bus = bus
                 for declared in self._declared:
                     declared.entity = declared.declare(bus)
-            log.info("links are open again with the keys of now, after %.2f s", time.monotonic() - began)
+            log.info("open again with the keys of now, after %.2f s", time.monotonic() - began)
             self._mind_expiry()
             return
 

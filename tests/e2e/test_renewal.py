@@ -21,7 +21,7 @@ from agents.keys import all_from_neighbours, all_live, state_key, telemetry_key
 from agents.transport import Session, TransportError
 from coordinator.certificates import create_keys
 
-OPEN_AGAIN = "links are open again with the keys of now, after "
+OPEN_AGAIN = "open again with the keys of now, after "
 
 
 def hang_up(system: KeysByHand, names: Sequence[str]) -> None:

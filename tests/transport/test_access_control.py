@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import socket
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -107,6 +108,36 @@ def test_a_certificate_that_expires_in_operation_ends_its_link(
         session.declare_presence(token)
         wait_until(lambda: (token, True) in changes)
         wait_until(lambda: (token, False) in changes)
+
+
+def test_while_both_authorities_are_believed_old_and_new_keys_link(keys: Path, tmp_path: Path):
+    create_keys(tmp_path / "new", CHAIN, days=1)
+    both = (keys / "authority.crt").read_bytes() + (tmp_path / "new" / "authority.crt").read_bytes()
+    for name, folder in (("changing", keys), ("changed", tmp_path / "new")):
+        shutil.copytree(folder, tmp_path / name)
+        (tmp_path / name / "authority.crt").write_bytes(both)
+    for first, second in (("changing", "changed"), ("changed", "changing")):
+        with (
+            Router.listen(["tls/127.0.0.1:0"], load_keys(tmp_path / first, "router", listens=True)) as router,
+            Session.connect(router.endpoints, 20.0, load_keys(tmp_path / second, "a")) as session,
+        ):
+            assert session.bus is not None
+
+
+def test_a_router_opens_again_at_the_places_where_it_was(keys: Path):
+    changes: list[bool] = []
+    with (
+        Router.listen(["tls/127.0.0.1:0"], load_keys(keys, "router", listens=True)) as router,
+        Session.connect(router.endpoints, keys=load_keys(keys, "coordinator")) as watcher,
+        Session.connect(router.endpoints, keys=load_keys(keys, "a")) as area,
+    ):
+        watcher.watch_presence("dsse/v1/run/live/*/*/*", lambda key, alive: changes.append(alive))
+        area.declare_presence("dsse/v1/run/live/area/a/1-2")
+        wait_until(lambda: changes == [True])
+        assert router.interrupt()
+        wait_until(lambda: changes == [True, False])
+        router.resume()
+        wait_until(lambda: changes == [True, False, True])
 
 
 def test_broken_handshakes_at_one_port_of_a_router_do_not_keep_links_at_another_waiting(keys: Path):
