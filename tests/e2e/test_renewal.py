@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from expiring import let_expire
 from impostor import Impostor
 from keys_by_hand import AREAS, RUN, KeysByHand, scenario_of
 from system_by_hand import Watcher
@@ -115,6 +116,18 @@ def test_a_router_that_has_not_been_told_brings_nothing_of_a_revoked_name_to_tho
             watcher.wait_until(lambda: watcher.states["area1"].ages["area3"] > 2.0)  # s; never heard again
             assert "area3 is not on the bus" not in watcher.obstacles()
         assert set(watched_areas(dsse, system)) == {"area1", "area2"}  # a watcher that comes now reads who is revoked
+
+
+def test_no_certificate_ends_without_a_word_before(edited_scenario: Callable[..., Path], tmp_path: Path):
+    with KeysByHand(tmp_path, scenario_of(edited_scenario, "router")) as system:
+        for name in ("router", "area1"):
+            let_expire(system.keys, name, in_s=3600.0)  # of two days
+        system.start_router()
+        system.start_others()
+        for name in ("router", "area1"):
+            wait_until(lambda name=name: f"{name}.crt: expires at " in system.said(name))
+        wait_until(lambda: "scan 1" in system.said("area2") or "estimates" in system.said("area2"))
+        assert "expires at " not in system.said("area2")
 
 
 def test_keys_that_cannot_be_used_change_nothing(dsse, edited_scenario: Callable[..., Path], tmp_path: Path):

@@ -135,11 +135,12 @@ def test_nobody_but_a_router_is_told_or_heard_where_a_router_is_expected(
         assert not talker.seen
 
 
+@pytest.mark.parametrize("mode", ["peer", "router"])
 @pytest.mark.parametrize(("caller", "impostor"), [(c, i) for c in OWN_KEYS for i in ALL if c != i])
-def test_between_neighbours_a_key_gives_its_own_rights_at_any_place(keys: Path, caller: str, impostor: str):
+def test_between_neighbours_a_key_gives_its_own_rights_at_any_place(keys: Path, caller: str, impostor: str, mode: str):
     place = free_place()
     with (
-        Impostor.at(place, keys, impostor, "peer") as other,
+        Impostor.at(place, keys, impostor, mode) as other,
         Session.meet([place], keys=load_keys(keys, caller)) as session,
     ):
         talker = Victim(session, caller)
