@@ -26,14 +26,14 @@ from agents.bus_config import (
     in_turns,
 )
 from agents.credentials import Credentials, Keys
-from agents.links import Links
+from agents.renewable_bus import RenewableBus
 from dsse_core.errors import DsseError
 from dsse_core.limits import LONGEST_S
 
 log = logging.getLogger(__name__)
 FIRST_SLICE_S, LAST_SLICE_S = 0.5, 0.01  # for which one of several endpoints is tried
 MAX_TOLD = 1000  # links of names without rights that are logged
-AnyLinks = TypeVar("AnyLinks", bound=Links)
+AnyBus = TypeVar("AnyBus", bound=RenewableBus)
 News = TypeVar("News")
 
 
@@ -41,7 +41,7 @@ class TransportError(DsseError):
     """The bus cannot be reached or opened; names the endpoint."""
 
 
-class Session(Links):
+class Session(RenewableBus):
     """A client of one or more routers, or a peer of some others; it reconnects by itself."""
 
     @classmethod
@@ -163,7 +163,7 @@ class Session(Links):
         self.declare(declare)
 
 
-class Router(Links):
+class Router(RenewableBus):
     """A Zenoh router inside this process."""
 
     endpoints: tuple[str, ...] = ()
@@ -215,21 +215,21 @@ def _close(session: zenoh.Session) -> None:
         session.close()  # type: ignore[no-untyped-call]
 
 
-def _with_watched_links(links: AnyLinks, meets: Sequence[str]) -> AnyLinks:
+def _with_watched_links(bus: AnyBus, meets: Sequence[str]) -> AnyBus:
     """Have it logged who links, or is found where somebody else was looked for, and has no rights here."""
-    if links.keys is None:
-        return links
+    if bus.keys is None:
+        return bus
     told: set[tuple[str, str]] = set()
 
     def on_link(event: zenoh.LinkEvent) -> None:
         place, name = event.link.dst, event.link.auth_identifier or ""
-        has_rights = links.keys is not None and name in meets and name not in links.keys.access.revoked
+        has_rights = bus.keys is not None and name in meets and name not in bus.keys.access.revoked
         if event.kind == zenoh.SampleKind.PUT and not has_rights and (place, name) not in told and len(told) < MAX_TOLD:
             told.add((place, name))
             log.warning("%s shows the certificate of %r, who has no rights here: nothing passes", place, name)
 
-    links.declare(lambda bus: bus.info.declare_link_events_listener(_directly(on_link), history=True))
-    return links
+    bus.declare(lambda opened: opened.info.declare_link_events_listener(_directly(on_link), history=True))
+    return bus
 
 
 def _directly(callback: Callable[[News], None]) -> zenoh.handlers.Callback[News]:

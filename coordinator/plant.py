@@ -15,9 +15,9 @@ from agents.access import PLANT
 from agents.credentials import load_keys
 from agents.inbox import Inbox
 from agents.keys import all_lives, live_key, name_of_live, telemetry_key
-from agents.links import Links
 from agents.log_format import start_log
 from agents.presence import begin_life
+from agents.renewable_bus import RenewableBus
 from agents.renewal import Renewal, on_hangup
 from agents.succession import GIVES_WAY, REPLACED_CODE, ReplacedError, Succession
 from agents.transport import Session
@@ -103,7 +103,7 @@ class _Voice:
     inbox: Inbox
     beat_s: float
     succession: Succession
-    links: Links
+    bus: RenewableBus
     silent: bool = False
     _newest: dict[str, bytes] = field(default_factory=dict)  # area -> the readings that have come in
     _due: dict[str, None] = field(default_factory=dict)  # areas to be served, in this order; a new scan goes on with it
@@ -126,12 +126,12 @@ class _Voice:
             said = self._publish_some(payloads, late_s, now - start)
             wait_s = said / RATE if self._due else math.inf
             news = self.inbox.take(min(next_beat - time.monotonic(), over - time.monotonic(), wait_s))
-            if Renewal.ASKED in news and self.links.interrupt():
+            if Renewal.ASKED in news and self.bus.interrupt():
                 news += self.inbox.take(0.0)
                 self._mind_successors([item for item in news if isinstance(item, tuple)])
                 news = [item for item in news if not isinstance(item, tuple)]
                 self.succession.forget()
-                self.links.resume()
+                self.bus.resume()
             if None in news:
                 return True
             self._mind_successors([item for item in news if isinstance(item, tuple)])

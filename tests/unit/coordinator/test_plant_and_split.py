@@ -10,8 +10,8 @@ import pytest
 
 from agents.area_reader import load_area_file
 from agents.inbox import Inbox
-from agents.links import Links
 from agents.messages import Incarnation, TelemetryMessage, decode
+from agents.renewable_bus import RenewableBus
 from agents.succession import Succession
 from coordinator.plant import BURST, _Voice
 from coordinator.scans import MadeScan, OwnScans
@@ -86,15 +86,15 @@ def test_a_run_id_is_made_of_what_a_key_may_contain():
         choose_run_id(load_scenario("ieee33"), "My/Run")
 
 
-def no_links() -> Links:
-    return Links(lambda *_: nullcontext(), lambda _: None)  # type: ignore[arg-type,return-value]
+def no_bus() -> RenewableBus:
+    return RenewableBus(lambda *_: nullcontext(), lambda _: None)  # type: ignore[arg-type,return-value]
 
 
 def test_a_plant_whose_scans_follow_at_once_publishes_each_and_can_be_stopped():
     published: list[bytes] = []
     inbox = Inbox()
     succession = Succession("plant", Incarnation(1, 1), 0.0, beat_s=0.2)
-    voice = _Voice({"area1": published.append}, inbox, beat_s=0.2, succession=succession, links=no_links())
+    voice = _Voice({"area1": published.append}, inbox, beat_s=0.2, succession=succession, bus=no_bus())
     assert not voice.serve({"area1": b"scan 1"}, {}, duration_s=1e-9)
     inbox.put("stop", None)
     assert voice.serve({"area1": b"scan 2"}, {}, duration_s=1e-9)
@@ -106,7 +106,7 @@ def test_a_plant_says_much_in_pieces_and_who_waits_when_a_scan_ends_is_first_in_
     areas = [f"area{k}" for k in range(1, 4)]
     publishers = {area: lambda payload, area=area: said.append(f"{area} {payload[:1].decode()}") for area in areas}
     succession = Succession("plant", Incarnation(1, 1), 0.0, beat_s=LONGEST_S)
-    voice = _Voice(publishers, Inbox(), beat_s=LONGEST_S, succession=succession, links=no_links())
+    voice = _Voice(publishers, Inbox(), beat_s=LONGEST_S, succession=succession, bus=no_bus())
     for scan in (b"1", b"2", b"3"):
         assert not voice.serve({area: scan * BURST for area in areas}, {}, duration_s=1e-9)
     assert said == ["area1 1", "area2 2", "area3 3"]

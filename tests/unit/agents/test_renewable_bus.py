@@ -1,4 +1,4 @@
-"""Links that are opened again with renewed keys bring back what was declared, and nothing else."""
+"""RenewableBus that are opened again with renewed keys bring back what was declared, and nothing else."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from waiting import wait_until
 from agents.access import Access
 from agents.access_file import ACCESS_FILE, load_access, save_access
 from agents.credentials import Keys, load_keys
-from agents.links import Links
+from agents.renewable_bus import RenewableBus
 from coordinator.certificates import create_keys
 from dsse_core.errors import DsseError
 
@@ -59,38 +59,38 @@ def opener() -> Opener:
 
 
 @pytest.fixture
-def links(opener: Opener, keys: Keys) -> Iterator[Links]:
-    with Links(opener, Bus.close, keys) as links:
-        yield links
+def bus(opener: Opener, keys: Keys) -> Iterator[RenewableBus]:
+    with RenewableBus(opener, Bus.close, keys) as bus:
+        yield bus
 
 
-def declare(links: Links, *names: str) -> None:
+def declare(bus: RenewableBus, *names: str) -> None:
     for name in names:
-        links.declare(lambda bus, name=name: bus.declared.append(name) or name)
+        bus.declare(lambda bus, name=name: bus.declared.append(name) or name)
 
 
-def test_what_was_declared_is_there_again_in_order_with_the_rules_of_now(opener: Opener, links: Links, keys: Keys):
-    declare(links, "subscriber", "token")
+def test_what_was_declared_is_there_again_in_order_with_the_rules_of_now(opener: Opener, bus: RenewableBus, keys: Keys):
+    declare(bus, "subscriber", "token")
     save_access(keys.folder / ACCESS_FILE, Access("run", {"a": ("b",), "b": ("a",)}, ("b",)))
-    assert links.interrupt()
+    assert bus.interrupt()
     first = opener.opened[0]
     assert first.closed
-    assert not links.is_open(first)
+    assert not bus.is_open(first)
     assert len(opener.opened) == 1
     opener.failures = 3
-    links.resume()
+    bus.resume()
     wait_until(lambda: len(opener.opened) == 2 and opener.opened[1].declared == ["subscriber", "token"])
     second = opener.opened[1]
     assert second.keys is not None
     assert second.keys.access.revoked == ("b",)
-    assert links.is_open(second)
+    assert bus.is_open(second)
 
 
 def test_keys_that_cannot_be_used_leave_links_as_they_were(
-    opener: Opener, links: Links, keys: Keys, caplog: pytest.LogCaptureFixture
+    opener: Opener, bus: RenewableBus, keys: Keys, caplog: pytest.LogCaptureFixture
 ):
     keys.credentials.certificate.write_text("rubbish")
-    assert not links.interrupt()
+    assert not bus.interrupt()
     assert [bus.closed for bus in opener.opened] == [False]
     assert "the keys in use stay as they were" in caplog.text
     assert "a.crt: holds no certificate in PEM" in caplog.text
@@ -98,30 +98,30 @@ def test_keys_that_cannot_be_used_leave_links_as_they_were(
 
 
 def test_without_keys_nothing_is_renewed(opener: Opener):
-    with Links(opener, Bus.close) as links:
-        assert not links.interrupt()
+    with RenewableBus(opener, Bus.close) as bus:
+        assert not bus.interrupt()
     assert [bus.closed for bus in opener.opened] == [True]
 
 
-def test_who_closes_while_links_are_opened_again_does_not_wait_for_them(opener: Opener, links: Links):
-    assert links.interrupt()
+def test_who_closes_while_links_are_opened_again_does_not_wait_for_them(opener: Opener, bus: RenewableBus):
+    assert bus.interrupt()
     opener.failures = 10**9
-    links.resume()
-    links.close()
+    bus.resume()
+    bus.close()
     assert [bus.closed for bus in opener.opened] == [True]
 
 
-def test_what_is_declared_while_there_are_no_links_comes_with_them(opener: Opener, links: Links):
-    assert links.interrupt()
-    declare(links, "late")
-    links.resume()
+def test_what_is_declared_while_there_are_no_links_comes_with_them(opener: Opener, bus: RenewableBus):
+    assert bus.interrupt()
+    declare(bus, "late")
+    bus.resume()
     wait_until(lambda: len(opener.opened) == 2 and opener.opened[1].declared == ["late"])
 
 
-def test_a_second_renewal_during_the_first_leaves_one_bus_open(opener: Opener, links: Links):
+def test_a_second_renewal_during_the_first_leaves_one_bus_open(opener: Opener, bus: RenewableBus):
     for _ in range(5):
-        assert links.interrupt()
-        links.resume()
+        assert bus.interrupt()
+        bus.resume()
     wait_until(lambda: [bus.closed for bus in opener.opened].count(False) == 1)
-    links.close()
+    bus.close()
     assert all(bus.closed for bus in opener.opened)

@@ -19,7 +19,7 @@ REOPEN_S = 1.0  # one attempt to open links again; a process that is to end wait
 PAUSE_S = 0.2  # between two attempts
 
 
-class Bus(Protocol):
+class OpenBus(Protocol):
     """What is opened: a session of Zenoh."""
 
     def close(self) -> Any: ...
@@ -33,7 +33,7 @@ class Declaration:
     entity: Any = None
 
 
-class Links:
+class RenewableBus:
     """Opens the bus, closes it with its block, and in between takes up renewed keys.
 
     ``open_bus``: opens it with keys, waiting so many seconds for the other side; ``close_bus``: closes it.
@@ -44,7 +44,7 @@ class Links:
 
     def __init__(
         self,
-        open_bus: Callable[[Keys | None, float], Bus],
+        open_bus: Callable[[Keys | None, float], OpenBus],
         close_bus: Callable[[Any], None],
         keys: Keys | None = None,
         timeout_s: float = REOPEN_S,
@@ -55,7 +55,7 @@ class Links:
         self._lock = threading.RLock()  # what is declared may call back at once
         self._reopening: threading.Thread | None = None
         self._given_up = threading.Event()
-        self.bus: Bus | None = open_bus(keys, timeout_s)
+        self.bus: OpenBus | None = open_bus(keys, timeout_s)
         self._expiry = ExpiryWatch(keys.credentials) if keys else None
 
     def __enter__(self) -> Self:
@@ -81,7 +81,7 @@ class Links:
                 declared.entity = declare(self.bus)
         return declared
 
-    def is_open(self, bus: Bus) -> bool:
+    def is_open(self, bus: OpenBus) -> bool:
         """Whether ``bus`` is the one in use; what still comes from a former one is to be ignored."""
         return bus is self.bus
 
