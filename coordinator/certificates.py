@@ -64,8 +64,8 @@ def create_keys(folder: Path, access: Access, days: float, hosts: Sequence[str] 
     """Write authority, certificates, private keys and the rules of access into ``folder``, new or empty.
 
     Nobody else reads a key, whatever the umask. ``hosts``: names and addresses, beside those of this host's loopback,
-    under which those are reached who listen: routers, or, ``direct``, areas. Everybody else's certificate is good for
-    calling only, so that its owner is taken for no router.
+    under which those are reached who listen: routers, or, ``direct``, areas; ``area1=HOST`` is one of area1's alone.
+    Everybody else's certificate is good for calling only, so that its owner is taken for no router.
 
     Raises:
         InvalidInputError: ``folder`` holds something already, or a name does not fit into a certificate.
@@ -75,11 +75,8 @@ def create_keys(folder: Path, access: Access, days: float, hosts: Sequence[str] 
         for name in access.names
         if len(name) > LONGEST_NAME
     ]
-    problems += [
-        f"host {host!r} is neither a name nor an address; without port and protocol, as grid-a.example or 192.0.2.7"
-        for host in hosts
-        if not _is_host(host)
-    ]
+    listeners = listeners_of(access, direct)
+    problems += [problem for host in hosts if (problem := _find_host_problem(host, listeners))]
     if AUTHORITY in access.names:
         problems.append(f"area {AUTHORITY!r}: its files would be those of the authority; name the area otherwise")
     if problems:
@@ -91,7 +88,7 @@ def create_keys(folder: Path, access: Access, days: float, hosts: Sequence[str] 
         raise folder_error(f"keys {folder}", error) from None
     if occupied:
         raise InvalidInputError(f"keys {folder}", ["is not empty; keys are never overwritten: choose a new folder"])
-    authority, listeners = credentials_in(folder, AUTHORITY), listeners_of(access, direct)
+    authority = credentials_in(folder, AUTHORITY)
     signing_key = ec.generate_private_key(ec.SECP256R1())
     issuer = _name(f"authority of {access.run}"[:LONGEST_NAME])
     _write_key(authority.key, signing_key)
@@ -99,7 +96,7 @@ def create_keys(folder: Path, access: Access, days: float, hosts: Sequence[str] 
     for name in access.names:
         files = credentials_in(folder, name)
         key = ec.generate_private_key(ec.SECP256R1())
-        names = (*HERE, *hosts) if name in listeners else ()
+        names = _hosts_of(name, hosts) if name in listeners else ()
         _write_key(files.key, key)
         _write_certificate(files.certificate, _build_certificate(name, key, issuer, signing_key, days, names))
     save_access(folder / ACCESS_FILE, access)
@@ -166,6 +163,23 @@ def _begin(
 
 def _name(common_name: str) -> x509.Name:
     return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, common_name)])
+
+
+def _find_host_problem(text: str, listeners: Sequence[str]) -> str:
+    name, given, host = text.rpartition("=")
+    if not _is_host(host):
+        return (
+            f"host {host!r} is neither a name nor an address; without port and protocol, as grid-a.example or 192.0.2.7"
+        )
+    if given and name not in listeners:
+        return f"host {text!r}: {name!r} does not listen; those who do are {', '.join(listeners)}"
+    return ""
+
+
+def _hosts_of(name: str, hosts: Sequence[str]) -> tuple[str, ...]:
+    """Where ``name`` is called: here, at what is said for all, and at what is said for it."""
+    parts = [host.rpartition("=") for host in hosts]
+    return (*HERE, *(host for whose, given, host in parts if not given or whose == name))
 
 
 def _is_host(host: str) -> bool:

@@ -36,7 +36,8 @@ def keys_commands() -> None:
     "--host",
     "hosts",
     multiple=True,
-    help="Name or address under which a router is reached, beside localhost; repeatable.",
+    help="Name or address under which those who listen are reached, beside localhost; NAME=HOST for NAME alone; "
+    "repeatable.",
 )
 @run_id_option
 def create(scenario: str, out: Path, days: float, hosts: tuple[str, ...], run_id: str | None) -> None:
@@ -45,6 +46,7 @@ def create(scenario: str, out: Path, days: float, hosts: tuple[str, ...], run_id
     \b
     Examples:  dsse keys create ieee33 --out keys
                dsse keys create ieee33 --host grid-a.example --host 192.0.2.7
+               dsse keys create my/neighbours.toml --host area1=grid-a.example
     """
     from coordinator.certificates import access_of, create_keys
     from coordinator.split import choose_run_id

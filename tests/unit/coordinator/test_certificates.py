@@ -14,7 +14,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 from agents.access import Access
 from agents.access_file import ACCESS_FILE, load_access, save_access
 from agents.credentials import credentials_in, load_keys
-from coordinator.certificates import access_of, check_keys, create_keys
+from coordinator.certificates import HERE, access_of, check_keys, create_keys
 from coordinator.cli import run_command
 from dsse_core.errors import InvalidInputError
 from scenarios.scenario import load_scenario
@@ -69,6 +69,15 @@ def test_nobody_who_does_not_listen_has_a_certificate_for_being_called(keys: Pat
     assert find_roles(keys) == ({"router"}, {"router"})
     create_keys(tmp_path / "direct", ACCESS, days=10, hosts=["grid-a.example", "192.0.2.7"], direct=True)
     assert find_roles(tmp_path / "direct") == ({"area1", "area2"}, {"area1", "area2"})
+
+
+def test_nobody_is_called_at_the_host_of_another(tmp_path: Path):
+    hosts = ["both.example", "area1=a.example", "area2=192.0.2.7"]
+    create_keys(tmp_path / "keys", ACCESS, days=10, hosts=hosts, direct=True)
+    for name, own in (("area1", ["both.example", "a.example"]), ("area2", ["both.example", "192.0.2.7"])):
+        certificate = x509.load_pem_x509_certificate((tmp_path / "keys" / f"{name}.crt").read_bytes())
+        names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+        assert [str(entry.value) for entry in names][len(HERE) :] == own
 
 
 def test_keys_for_areas_that_do_not_listen_are_refused_where_they_do(keys: Path):
@@ -214,6 +223,8 @@ def test_dsse_keys_create_says_what_it_made_and_refuses_to_do_it_again(tmp_path:
         (["--host", "a.example:7447"], "host 'a.example:7447' is neither a name nor an address; without port"),
         (["--host", "tls/192.0.2.7"], "is neither a name nor an address"),
         (["--host", "192.0.2.777"], "is neither a name nor an address"),
+        (["--host", "area9=a.example"], "'area9' does not listen; those who do are router"),
+        (["--host", "router=a.example:1"], "host 'a.example:1' is neither a name nor an address"),
         (["--host", ""], "is neither a name nor an address"),
         (["--host", "a" * 64 + ".example"], "is neither a name nor an address"),
         (["--out", "/dev/null/keys"], "cannot be made: a file is in its way"),
