@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 
 from coordinator.convergence import find_time_below, gap_history
 from coordinator.result import RunOutcome
+from dsse_core.printable import shortened
 from scenarios.scenario import Scenario
 
 CONSENSUS, NO_CONSENSUS, NOT_POSSIBLE = "consensus", "no consensus", "not possible"
@@ -101,5 +102,4 @@ def from_cells(cells: list[str]) -> StudyRow:
 
 
 def _shortened(text: str) -> str:
-    line = " ".join(text.split())
-    return line if len(line) <= LONGEST_REASON else line[: LONGEST_REASON - 3] + "..."
+    return shortened(" ".join(text.split()), LONGEST_REASON)

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+from itertools import islice
+
+LONGEST_LIST = 12
+
 
 def printable(text: object) -> str:
     r"""``text`` on one line, with an escape such as ``\x1b`` for every character that is not seen as itself.
@@ -25,7 +30,8 @@ def shortened(text: str, longest: int) -> str:
     return text if len(text) <= longest else text[: longest - 3] + "..."
 
 
-def listed(texts: tuple[str, ...] | list[str], most: int, separator: str = ", ") -> str:
-    """At most ``most`` of ``texts`` in one, and how many more there are."""
-    more = [f"{len(texts) - most} more"] if len(texts) > most else []
-    return separator.join([*texts[:most], *more])
+def listed(items: Collection[object], most: int = LONGEST_LIST, separator: str = ", ") -> str:
+    """``1, 2, 3``: at most ``most`` of ``items`` in one text, and how many more there are."""
+    shown = [str(item) for item in islice(items, most)]
+    more = len(items) - len(shown)
+    return separator.join(shown) + (f" and {more} more" if more else "")

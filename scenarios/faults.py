@@ -11,8 +11,8 @@ from dsse_core.errors import InvalidInputError
 from dsse_core.limits import LONGEST_S
 from dsse_core.link_faults import LinkFaults
 from dsse_core.partition import Partition
+from dsse_core.printable import listed
 from scenarios.fault_tables import BurstTable, FaultsTable, LieTable, LinkTable, LoadFaultTable
-from scenarios.wording import listed
 
 Link = tuple[str, str]
 """(sending area, receiving area)."""

@@ -1,4 +1,4 @@
-"""Words of error messages: long lists cut short, and what a misspelt name may have been."""
+"""Words of error messages: what a misspelt name may have been."""
 
 from __future__ import annotations
 
@@ -6,16 +6,8 @@ from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from difflib import get_close_matches
 
-LONGEST_LIST = 12
 MOST_COMPARISONS = 100_000
 LONGEST_WORD = 200
-
-
-def listed(items: Collection[object]) -> str:
-    """``1, 2, 3``, the end of a long list only counted."""
-    shown = [str(item) for item in list(items)[:LONGEST_LIST]]
-    more = len(items) - len(shown)
-    return ", ".join(shown) + (f" and {more} more" if more else "")
 
 
 @dataclass

@@ -8,9 +8,9 @@ from dataclasses import replace
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.network import Branch, Bus, Network
+from dsse_core.printable import listed
 from scenarios.importers.imported import Remark, add_shunts, fuse, fused_remarks
 from scenarios.network_file import default_branch_id
-from scenarios.wording import listed
 
 
 def fuse_zero_impedances(network: Network) -> tuple[Network, list[Remark]]:

@@ -14,7 +14,7 @@ from dsse_core.errors import InvalidInputError
 from dsse_core.limits import LARGEST_SIGMA
 from dsse_core.measurement import Measurement, Meter
 from dsse_core.network import Branch, Bus, Control, Network
-from scenarios.wording import listed
+from dsse_core.printable import listed
 
 SAYS_NOTHING = f"with a standard deviation above {LARGEST_SIGMA:g} p.u., infinite ones included, which says nothing"
 

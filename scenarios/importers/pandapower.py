@@ -15,6 +15,7 @@ from typing import Any
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.network import Branch, Bus, Control, Generator, Network
+from dsse_core.printable import listed
 from scenarios.importers.imported import (
     Imported,
     Remark,
@@ -29,7 +30,6 @@ from scenarios.importers.matpower_program import BASE_KV, BR_R, BR_X, PD, QD
 from scenarios.importers.pandapower_checks import find_broken, find_constant_currents, find_unsupported
 from scenarios.importers.pandapower_objects import write_anew
 from scenarios.network_file import default_branch_id
-from scenarios.wording import listed
 from scenarios.zero_impedances import refuse_zero_impedances
 
 BRANCHES = ("line", "trafo", "impedance", "switch")

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from dsse_core.printable import listed
 from scenarios.importers.imported import find_source_problems
-from scenarios.wording import listed
 
 PLACE, POSITIVE, NUMBER, FLAG = "the index of a bus", "a positive number", "a number", "true or false"
 ANYTHING, NUMBER_OR_NOTHING = "anything", "a number or nothing"

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 from dsse_core.errors import InvalidInputError
 from dsse_core.limits import LARGEST_SIGMA
 from dsse_core.measurement import Measurement, MeasurementKind, Meter
+from dsse_core.printable import listed
 from scenarios.importers.imported import SAYS_NOTHING, Remark, combine_readings, sum_readings
-from scenarios.wording import listed
 
 if TYPE_CHECKING:
     from scenarios.importers.pandapower import Conversion

@@ -8,9 +8,9 @@ from collections.abc import Iterable
 from typing import Any
 
 from dsse_core.errors import InvalidInputError
+from dsse_core.printable import listed
 from scenarios.importers.imported import Remark, load_extra
 from scenarios.importers.power_grid_model_branches import BUILDERS
-from scenarios.wording import listed
 
 APPLIANCES = {"sym_load": -1, "sym_gen": 1}
 """Component -> sign of its power as an injection."""

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 from dsse_core.errors import InvalidInputError
 from dsse_core.limits import LARGEST_SIGMA
 from dsse_core.measurement import Measurement, MeasurementKind, Meter
+from dsse_core.printable import listed
 from scenarios.importers.imported import SAYS_NOTHING, Remark, combine_readings, sum_readings
 from scenarios.importers.power_grid_model_data import APPLIANCES, rows
-from scenarios.wording import listed
 
 if TYPE_CHECKING:
     from scenarios.importers.power_grid_model import Conversion

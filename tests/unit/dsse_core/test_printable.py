@@ -49,4 +49,5 @@ def test_long_texts_and_lists_say_that_there_is_more():
     assert shortened("abcdefgh", 8) == "abcdefgh"
     assert shortened("abcdefghi", 8) == "abcde..."
     assert listed(["a", "b", "c"], 3) == "a, b, c"
-    assert listed(("a", "b", "c"), 1, "; ") == "a; 2 more"
+    assert listed(("a", "b", "c"), 1, "; ") == "a and 2 more"
+    assert listed(range(20)).endswith("10, 11 and 8 more")
