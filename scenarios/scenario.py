@@ -14,6 +14,7 @@ from dsse_core.errors import InvalidInputError
 from dsse_core.measurement import Measurement, Meter, Source
 from dsse_core.network import Network
 from dsse_core.partition import Partition
+from dsse_core.printable import printable
 from scenarios.cutting import cut_at, cut_into
 from scenarios.fault_order import find_order_problems, find_time_problems
 from scenarios.faults import Faults, build_faults, find_link_problems, find_name_problems
@@ -280,7 +281,7 @@ def _build_scenario(
     base_mva = partition.network.base_mva
     errors = {name: complex(e.p_mw, e.q_mvar) / base_mva for name, e in file.faults.load_error.items()}
     return Scenario(
-        name=file.name or path.stem,
+        name=file.name or printable(path.stem),
         path=path,
         description=file.description,
         seed=file.seed,

@@ -8,6 +8,7 @@ from pathlib import Path
 from dsse_core.bounded_file import read_text
 from dsse_core.bounded_parsing import parse_json
 from dsse_core.errors import InvalidInputError
+from dsse_core.printable import printable
 from scenarios.importers.imported import Imported
 
 __all__ = ["Imported", "import_grid"]
@@ -16,14 +17,16 @@ __all__ = ["Imported", "import_grid"]
 def import_grid(path: Path, *, name: str | None = None, frequency_hz: float = 50.0) -> Imported:
     """Read a file of another project, which its ending and content tell.
 
-    ``name``: of the network, that of the file if None. ``frequency_hz`` is for power-grid-model alone, whose files do
+    ``name``: of the network, that of the file if None, made printable: a file may be called what no text can be.
+    ``frequency_hz`` is for power-grid-model alone, whose files do
     not hold it.
 
     Raises:
         InvalidInputError: unknown format, missing optional package, or everything that the network model cannot hold.
     """
     imported = _read(path, frequency_hz)
-    return imported if name is None else replace(imported, network=replace(imported.network, name=name))
+    network = replace(imported.network, name=printable(imported.network.name if name is None else name))
+    return replace(imported, network=network, data_source=printable(imported.data_source))
 
 
 def _read(path: Path, frequency_hz: float) -> Imported:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,8 +19,16 @@ from coordinator.report import format_check, format_verdict
 from coordinator.result import RunResult
 from coordinator.simulation import simulate_scenario
 from dsse_core.printable import printable
+from scenarios.network_file import load_network
 from scenarios.scenario import Scenario, load_scenario
 
+CASE = """function mpc = feeder
+mpc.version = '2';
+mpc.baseMVA = 10;
+mpc.bus = [ 1 3 0 0 0 0 1 1 0 20 1 1.1 0.9; 2 1 1 0.3 0 0 1 1 0 20 1 1.1 0.9 ];
+mpc.gen = [ 1 0 0 9 -9 1.02 100 1 9 0 ];
+mpc.branch = [ 1 2 0.01 0.02 0 0 0 0 0 0 1 ];
+"""
 HOSTILE = ("$\\frac$", "[/nope]", "a$b", "\x1b[2J$x$", "\udcff")
 
 
@@ -69,3 +78,27 @@ def test_one_note_does_not_fill_the_terminal_of_a_run():
 def test_a_line_of_a_log_is_one_line_and_printable():
     record = logging.LogRecord("agents", logging.WARNING, __file__, 1, "%s", ("bad\x1b[2J\nmade-up line",), None)
     assert PrintableFormatter("%(message)s").format(record) == r"bad\x1b[2J\nmade-up line"
+
+
+@pytest.mark.parametrize("name", ["net\udcff", "net\x1b[2J", "two\nlines"])
+def test_a_file_name_that_is_no_text_does_not_become_the_name_of_a_network(dsse, tmp_path: Path, name: str):
+    """Bytes that are no UTF-8 can stand in the name of a file, but not in a file."""
+    case, folder = tmp_path / f"{name}.m", tmp_path / "imported"
+    case.write_text(CASE, encoding="utf-8")
+    code, _, err = dsse("import", case, "--out", folder)
+    assert (code, err) == (0, "")
+    assert load_network(folder / "network.toml").name == printable(name)
+    assert printable(name) in (folder / "import.txt").read_text(encoding="utf-8")
+    code, _, err = dsse("import", case, "--out", tmp_path / "named", "--name", f"my {name}")
+    assert (code, err) == (0, "")
+    assert load_network(tmp_path / "named" / "network.toml").name == printable(f"my {name}")
+
+
+@pytest.mark.parametrize("name", ["sc\udcff", "sc\x1b[2J"])
+def test_a_scenario_file_whose_name_is_no_text_is_called_what_can_be_written(dsse, tmp_path: Path, name: str):
+    path = tmp_path / f"{name}.toml"
+    shutil.copy(load_scenario("industrial13").path, path)
+    assert load_scenario(path).name == printable(name)
+    code, _, err = dsse("compare", path, "--out", tmp_path / "out")
+    assert code == 0, err
+    assert printable(name) in (tmp_path / "out" / "comparison.md").read_text(encoding="utf-8")

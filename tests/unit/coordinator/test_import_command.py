@@ -101,7 +101,7 @@ def test_runs_of_two_imports_do_not_share_a_name(dsse, tmp_path: Path, case: Pat
     assert dsse("import", other, "--out", tmp_path / "b", "--name", 't"own\n' + 300 * "n")[0] == 0
     one, two = (load_scenario(tmp_path / folder / "scenario.toml") for folder in "ab")
     assert (one.name, one.network.name, default_run_id(one)) == ("Harbour East", "Harbour East", "harbour-east")
-    assert two.name.startswith('t"own\nnnn')
+    assert two.name.startswith(r't"own\nnnn')
     assert default_run_id(two) == "t-own-" + 58 * "n"
 
 
