@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import logging
 import os
 import signal
 import sys
@@ -13,6 +12,7 @@ from pathlib import Path
 from agents.access import ROUTER
 from agents.credentials import load_keys
 from agents.inbox import Inbox
+from agents.log_format import start_log
 from agents.renewal import Renewal, on_hangup
 from agents.transport import Router
 from dsse_core.errors import DsseError
@@ -46,7 +46,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         help="beat of the areas: where it is long, silence may last, too",
     )
     arguments = parser.parse_args(argv)
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
+    start_log()
     inbox = Inbox()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: inbox.put("stop", True))
