@@ -79,6 +79,12 @@ def save_area_file(path: Path, content: AreaFile) -> None:
         "seed": content.seed,
         "admm": {"penalty": content.penalty},
         "local_slack": slack,
+        "exchange": {
+            **({"towards_hub": area.towards_hub} if area.towards_hub else {}),
+            "areas": area.n_areas,
+            "entry_vm": area.entry_voltage[0],
+            "entry_va": area.entry_voltage[1],
+        },
         **({"reference": dict(zip(("bus", "va"), area.reference, strict=True))} if area.reference else {}),
         "load_messages": {
             "generation": content.generation,

@@ -43,9 +43,20 @@ def load_area_file(path: Path) -> AreaFile:
         raise InvalidInputError(what, problems)
     reference = (t.reference.bus, t.reference.va) if t.reference else None
     neighbours = tuple(Neighbour(n.area, n.bus, n.is_parent) for n in t.neighbour)
+    area = Area(
+        name=t.area,
+        network=network,
+        neighbours=neighbours,
+        slack_bus=t.local_slack.bus,
+        slack_vm=t.local_slack.vm,
+        reference=reference,
+        towards_hub=t.exchange.towards_hub,
+        n_areas=t.exchange.areas,
+        entry_voltage=(t.exchange.entry_vm, t.exchange.entry_va),
+    )
     return AreaFile(
         run=t.run,
-        area=Area(t.area, network, neighbours, t.local_slack.bus, t.local_slack.vm, reference),
+        area=area,
         meters=meters,
         strategy=t.strategy,
         endpoints=tuple(t.endpoints),
@@ -113,6 +124,10 @@ def _find_place_problems(t: Any, network: Network) -> Iterator[str]:
         yield f"local_slack.bus: bus {t.local_slack.bus} is not in the network"
     if t.reference and t.reference.bus not in network.row:
         yield f"reference.bus: bus {t.reference.bus} is not in the network"
+    if t.exchange.towards_hub is not None and t.exchange.towards_hub not in {n.area for n in t.neighbour}:
+        yield f"exchange.towards_hub: {t.exchange.towards_hub} is no neighbour"
+    if t.exchange.areas <= len(t.neighbour):
+        yield f"exchange.areas: is {t.exchange.areas}; this area and its neighbours alone are {len(t.neighbour) + 1}"
     if sum(n.is_parent for n in t.neighbour) != (0 if network.slack else 1):
         yield "neighbour: exactly one must be the parent, or none where the network holds the substation"
     if not (t.endpoints or t.listen):
@@ -144,6 +159,13 @@ class _Slack(_Strict):
 class _Reference(_Strict):
     bus: int
     va: float = 0.0
+
+
+class _Exchange(_Strict):
+    towards_hub: str | None = None
+    areas: int = Field(ge=1)
+    entry_vm: float = Field(gt=0)
+    entry_va: float
 
 
 class _LoadMessages(_Strict):
@@ -223,6 +245,7 @@ def _file_like(all_like: Any) -> Any:
         seed=(int, 0),
         local_slack=(_Slack, ...),
         reference=(_Reference | None, None),
+        exchange=(_Exchange, ...),
         load_messages=(_LoadMessages, _LoadMessages()),
         admm=(_Admm, _Admm()),
         neighbour=(_rows_like(Neighbour, area=(_Name, ...), faults=(_FaultsTable, _FaultsTable())), []),

@@ -11,7 +11,17 @@ from functools import cached_property
 
 import numpy as np
 
-from agents.messages import AdmmMessage, BoundaryMessage, InformationMessage, LoadMessage, Message
+from agents.messages import (
+    AdmmMessage,
+    BoundaryMessage,
+    DownMessage,
+    HeartbeatMessage,
+    InformationMessage,
+    LoadMessage,
+    Message,
+    UpMessage,
+)
+from agents.triangle import read_triangle
 from dsse_core.link_faults import LinkFaults
 
 LOST, BURST, CUT = "lost", "lost in a burst", "lost in a cut"
@@ -105,9 +115,14 @@ class LinkFate:
 
 
 def _tell_lie(message: Message, f: LinkFaults) -> Message:
-    """The boundary message of a sender whose y = (p, q, vm, va) were ``lie_scale`` times as large, plus the offsets."""
+    """What a sender would say whose y = (p, q, vm, va) were ``lie_scale`` times as large, plus the offsets."""
     offset = np.array([0.0, 0.0, f.lie_vm, f.lie_va])
     match message:
+        case UpMessage() | DownMessage() if message.R:  # z = R y
+            z = f.lie_scale * np.array(message.z) + read_triangle(message.R) @ offset
+            return replace(message, z=tuple(z.tolist()), power=tuple(f.lie_scale * p for p in message.power))
+        case HeartbeatMessage() if message.y:
+            return replace(message, y=tuple((f.lie_scale * np.array(message.y) + offset).tolist()))
         case BoundaryMessage():
             return replace(message, vm=f.lie_scale * message.vm + f.lie_vm, va=f.lie_scale * message.va + f.lie_va)
         case InformationMessage():  # z = R y

@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Protocol
 
 from agents.events import Publish
 from agents.freshness import renew
-from agents.hearing import Hearing
 from agents.messages import BoundaryNews, Header, LoadMessage, Message, TallyMessage, content_of
 from dsse_core.boundary_load import NetLoad, load_message_for
 from dsse_core.partition import Neighbour
 
 NEWS_LOAD = 1e-9  # p.u.
+
+
+class HasScan(Protocol):
+    """Who knows the current scan."""
+
+    @property
+    def scan(self) -> int: ...
 
 
 class LastWords:
@@ -22,7 +29,7 @@ class LastWords:
     """
 
     def __init__(
-        self, neighbours: Sequence[Neighbour], hearing: Hearing, header_for: Callable[[Message | None], Header]
+        self, neighbours: Sequence[Neighbour], hearing: HasScan, header_for: Callable[[Message | None], Header]
     ) -> None:
         self.loads: dict[str, LoadMessage] = {}
         self.boundary: dict[str, BoundaryNews] = {}

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from agents.area_file import AreaFile
+from agents.choose_protocol import kinds_of, make_protocol
 from agents.doorkeeper import Doorkeeper
 from agents.events import Event, Finish, PresenceChanged, Publish
 from agents.heap import give_back
@@ -27,9 +28,7 @@ from agents.keys import (
 from agents.link import FaultyLinks
 from agents.messages import ClockMessage, StateMessage, decode
 from agents.presence import Presence, begin_life, read_farewell
-from agents.protocol import AreaProtocol
 from agents.renewal import Renewal
-from agents.strategies import make_strategy
 from agents.succession import GIVES_WAY, ReplacedError, Succession
 from agents.transport import Session
 from agents.wire_checks import MessageError
@@ -70,9 +69,8 @@ def run_agent(content: AreaFile, session: Session, inbox: Inbox) -> str:
     """
     now = time.monotonic()
     incarnation = begin_life()
-    strategy = make_strategy(content)
-    protocol = AreaProtocol(content, strategy, incarnation, now=now, started_at=time.time())
-    kinds = ("load", strategy.kind, *strategy.other_kinds)
+    protocol = make_protocol(content, incarnation, now=now, started_at=time.time())
+    kinds = kinds_of(content.strategy)
     links = FaultyLinks(content.area.name, content.links, content.seed, _publishers(content, session, kinds))
     name, run = content.area.name, content.run
     _listen(content, session, kinds, inbox)

@@ -23,6 +23,7 @@ from agents.wire_checks import (
     LONGEST_NOTE,
     MessageError,
     check_count,
+    check_integer,
     check_name,
     check_number,
     shown,
@@ -30,6 +31,7 @@ from agents.wire_checks import (
 )
 from dsse_core.boundary_information import BoundaryInformation, are_within_reason
 from dsse_core.boundary_load import NetLoad
+from dsse_core.verdict import Totals
 
 WIRE_VERSION = 1
 MAX_BYTES = 8 * 1024 * 1024
@@ -185,6 +187,72 @@ class TallyMessage:
 
 
 @dataclass(frozen=True, slots=True)
+class HeartbeatMessage:
+    """Where the sender stands: in (scan, ``revision``) it has come to round ``k``, and whether that is ``final``.
+
+    ``hears``: it hears the receiver. ``answers``: send time of the receiver's newest message plus the time it has lain
+    here, from which the receiver finds the round trip; 0 without one. ``received``: round of the receiver's newest
+    message of this term, -1 without one. ``complete``: at rest, its side is heard and fresh. ``y``: at rest, (p, q,
+    vm, va) at the boundary in its final state.
+    """
+
+    kind: ClassVar[str] = "heartbeat"
+    header: Header
+    bus: int
+    revision: int
+    k: int
+    hears: bool
+    answers: float
+    received: Integer
+    final: bool
+    complete: bool
+    y: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class RoundMessage:
+    """One side's part in round ``k`` of the term (scan, ``revision``): all that the sender's side knows at x_k.
+
+    ``hears``, ``answers``, ``received``: as in a heartbeat. ``R``, ``z``: its information, as in an information
+    message, or empty where no step is to come. ``no_load``: R of the no-load model in round 0; empty where something
+    is missing. ``power``: (p, q) at the boundary, from a child.
+    """
+
+    header: Header
+    bus: int
+    revision: int
+    k: int
+    hears: bool
+    answers: float
+    received: Integer
+    R: tuple[float, ...]
+    z: tuple[float, ...]
+    no_load: tuple[float, ...]
+    power: tuple[float, ...]
+    totals: Totals
+
+
+@dataclass(frozen=True)
+class UpMessage(RoundMessage):
+    """Towards the hub; the totals are those of the sender's side."""
+
+    kind: ClassVar[str] = "up"
+
+
+@dataclass(frozen=True)
+class DownMessage(RoundMessage):
+    """From the side of the hub; the totals are those of all areas, on which ``decider`` in its ``life`` decided.
+
+    ``verdict``: what follows from them, which the receiver finds out for itself, too.
+    """
+
+    kind: ClassVar[str] = "down"
+    verdict: str
+    decider: str
+    life: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class TelemetryMessage:
     """One scan of an area's meters: ids, values and sigmas, p.u. and rad."""
 
@@ -251,7 +319,17 @@ class StateMessage:
 
 
 BoundaryNews = BoundaryMessage | InformationMessage | AdmmMessage
-Message = LoadMessage | BoundaryNews | TallyMessage | TelemetryMessage | ClockMessage | StateMessage
+Message = (
+    LoadMessage
+    | BoundaryNews
+    | TallyMessage
+    | HeartbeatMessage
+    | UpMessage
+    | DownMessage
+    | TelemetryMessage
+    | ClockMessage
+    | StateMessage
+)
 
 MESSAGE_TYPES: Mapping[str, type[Any]] = {
     cls.kind: cls
@@ -261,6 +339,9 @@ MESSAGE_TYPES: Mapping[str, type[Any]] = {
         InformationMessage,
         AdmmMessage,
         TallyMessage,
+        HeartbeatMessage,
+        UpMessage,
+        DownMessage,
         TelemetryMessage,
         ClockMessage,
         StateMessage,
@@ -274,12 +355,16 @@ def content_of(message: LoadMessage | BoundaryNews | TallyMessage | StateMessage
     return content
 
 
+def _check_of(annotation: str) -> Callable[[str, object], Any]:
+    return (lambda name, value: _check_totals(name, value)) if annotation == "Totals" else CHECKS[annotation]
+
+
 _CONTENT: Mapping[str, Callable[[Any], Any]] = {
     kind: attrgetter(*(field.name for field in dataclasses.fields(cls) if field.name not in UNNUMBERED))
     for kind, cls in MESSAGE_TYPES.items()
 }
 _PLACES: Mapping[str, tuple[tuple[str, Callable[[str, object], Any]], ...]] = {  # behind the header: name and check
-    kind: tuple((field.name, CHECKS[str(field.type)]) for field in dataclasses.fields(cls)[1:])
+    kind: tuple((field.name, _check_of(str(field.type))) for field in dataclasses.fields(cls)[1:])
     for kind, cls in MESSAGE_TYPES.items()
 }
 _check_incarnation = tuple_of(check_count, 2)
@@ -290,7 +375,34 @@ def encode(message: Message) -> bytes:
     h = message.header
     head = [WIRE_VERSION, message.kind, h.run, h.sender, [h.incarnation.start_ms, h.incarnation.random]]
     body = [getattr(message, name) for name, _ in _PLACES[message.kind]]
-    return seal(msgpack.packb([*head, h.scan, h.sequence, h.time, *body]))
+    return seal(msgpack.packb([*head, h.scan, h.sequence, h.time, *body], default=_unfold))
+
+
+def _unfold(value: object) -> list[Any]:
+    """Totals as an array of their fields, in order."""
+    if not isinstance(value, Totals):
+        raise TypeError(f"{type(value).__name__} has no place in a message")
+    return [getattr(value, name) for name, _ in _TOTALS]
+
+
+def _check_totals(name: str, value: object) -> Totals:
+    if not isinstance(value, tuple) or len(value) != len(_TOTALS):
+        raise MessageError("malformed", f"{name} is {shown(value)}, not an array of {len(_TOTALS)}")
+    found = {field: check(f"{name}.{field}", item) for (field, check), item in zip(_TOTALS, value, strict=True)}
+    return Totals(**found)
+
+
+def _check_named(name: str, value: object) -> tuple[tuple[str, float], ...]:
+    """(text, number) pairs."""
+    pairs = tuple_of(lambda _, item: item)(name, value)
+    for pair in pairs:
+        if not isinstance(pair, tuple) or len(pair) != 2:
+            raise MessageError("malformed", f"{name} has {shown(pair)}, not a name and a number")
+    return tuple((check_name(name, text), check_number(name, number)) for text, number in pairs)
+
+
+_TOTALS_CHECKS = dict(CHECKS) | {"tuple[tuple[str, float], ...]": _check_named, "int": check_integer}
+_TOTALS = tuple((f.name, _TOTALS_CHECKS[str(f.type)]) for f in dataclasses.fields(Totals))
 
 
 def seal(packed: bytes) -> bytes:
@@ -367,6 +479,12 @@ def _check_lengths(message_type: type[Any], body: Mapping[str, Any]) -> None:
         raise MessageError("malformed", f"R and z have {len(body['R'])} and {len(body['z'])} numbers, not 10 and 4")
     if message_type is AdmmMessage and {len(body[name]) for name in ("r", "r_before", "weight")} != {4}:
         raise MessageError("malformed", "r, r_before and weight do not have 4 numbers each")
+    if issubclass(message_type, RoundMessage):
+        lengths = tuple(len(body[name]) for name in ("R", "z", "no_load", "power"))
+        if lengths[:2] not in ((0, 0), (10, 4)) or lengths[2] not in (0, 10) or lengths[3] not in (0, 2):
+            raise MessageError("malformed", f"R, z, no_load and power have {lengths} numbers")
+    if message_type is HeartbeatMessage and len(body["y"]) not in (0, 4):
+        raise MessageError("malformed", f"y has {len(body['y'])} numbers, not 4 or none")
     if message_type is TallyMessage and len(body["no_load"]) not in (0, 10):
         raise MessageError("malformed", f"no_load has {len(body['no_load'])} numbers, not 10 or none")
     for group in _EQUALLY_LONG:

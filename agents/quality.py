@@ -8,6 +8,7 @@ from agents.hearing import Hearing
 from agents.strategies.interface import Estimate
 
 GOOD, DEGRADED, RELATIVE_ANGLE, STALE, NONE = "good", "degraded", "relative-angle", "stale", "none"
+UNOBSERVABLE = "unobservable"
 
 
 def judge_quality(

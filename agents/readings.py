@@ -15,13 +15,13 @@ class Readings:
     """``measurements``: those of the scan, virtual ones included. ``silent``: ids of the meters without a reading."""
 
     def __init__(self, content: AreaFile) -> None:
-        self.measurements: tuple[Measurement, ...] = ()
-        self.silent: list[str] = []
         self._content = content
         self._meters = {meter.id: meter for meter in content.meters}
         self._virtual = {
             meter_id: Measurement(m, 0.0, 0.0) for meter_id, m in self._meters.items() if m.source is Source.VIRTUAL
         }
+        self.measurements: tuple[Measurement, ...] = tuple(self._virtual.values())
+        self.silent = [meter_id for meter_id in self._meters if meter_id not in self._virtual]
         self._net_load: NetLoad | None = None  # of these measurements, once asked for
 
     def take(self, message: TelemetryMessage) -> Iterator[str]:

@@ -7,17 +7,21 @@ from agents.messages import (
     BoundaryMessage,
     BoundaryNews,
     ClockMessage,
+    DownMessage,
     Header,
+    HeartbeatMessage,
     LoadMessage,
     Message,
     StateMessage,
     TallyMessage,
     TelemetryMessage,
+    UpMessage,
 )
 from agents.strategies.bad_data_tree import has_too_many_names
 from dsse_core.boundary_information import BEYOND_REASON, are_within_reason
 
 LONGEST_LEAD_S = 600.0  # by which the sender's clock may be ahead of ours
+MOST_REVISIONS = 10**6  # of one scan; each takes a beat at least
 FUTURE = "time in the future"  # a reason of refusal
 
 
@@ -49,7 +53,9 @@ def find_lead(header: Header, now: float) -> float:
     return max(header.time, header.incarnation.start_ms / 1000) - now
 
 
-def find_unreasonable(message: LoadMessage | BoundaryNews | TallyMessage) -> str:
+def find_unreasonable(
+    message: LoadMessage | BoundaryNews | TallyMessage | HeartbeatMessage | UpMessage | DownMessage,
+) -> str:
     """That no estimate can have the numbers of ``message``; empty if one can. Strategies know more of their own."""
     match message:
         case LoadMessage():
@@ -62,6 +68,14 @@ def find_unreasonable(message: LoadMessage | BoundaryNews | TallyMessage) -> str
             counts = message.degrees_of_freedom, message.held_back
             figures = message.objective, *message.normalized
             possible = are_within_reason((*counts, *figures, *message.no_load)) and min(figures) >= 0
+        case UpMessage() | DownMessage():
+            t = message.totals
+            numbers = *message.R, *message.z, *message.no_load, *message.power, t.degrees_of_freedom
+            sizes = t.objective, t.dvm, t.dva, *(value for _, value in t.worst), t.areas, t.held_back
+            possible = are_within_reason((*numbers, *sizes)) and min(sizes) >= 0
+            possible = possible and message.revision < MOST_REVISIONS
+        case HeartbeatMessage():
+            possible = are_within_reason((0.0, *message.y)) and message.revision < MOST_REVISIONS
         case _:
             possible = True
     return "" if possible else "numbers beyond reason"

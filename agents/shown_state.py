@@ -72,7 +72,7 @@ class ShownState:
         heard = (self._hearing.loads, self._hearing.boundary, self._hearing.tallies)
         return StateMessage(
             header=self._header_for(self.message),
-            **_describe(estimate, self._buses),
+            **describe_estimate(estimate, self._buses),
             sent={name: _sequences(name, *sent) for name in self._neighbours},
             heard={name: _sequences(name, *heard) for name in self._neighbours},
             messages=0,
@@ -111,7 +111,7 @@ class ShownState:
         return judge_quality(self._estimate, doubts, self._hearing, self._neighbours, gone, now)
 
 
-def _describe(estimate: Estimate | None, buses: tuple[int, ...]) -> dict[str, Any]:
+def describe_estimate(estimate: Estimate | None, buses: tuple[int, ...]) -> dict[str, Any]:
     """The fields of a state that ``estimate`` fills; without one all are empty."""
     if estimate is None:
         empty: dict[str, Any] = dict.fromkeys(("buses", "vm", "va", "sigma_vm", "sigma_va", "removed", "critical"), ())

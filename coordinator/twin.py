@@ -16,11 +16,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from agents.area_file import AreaFile
+from agents.choose_protocol import AgentProtocol, make_protocol
 from agents.events import Event, Finish, PresenceChanged, Publish, Received, Refused
 from agents.link import FaultyLinks
 from agents.messages import Header, Incarnation, Message, StateMessage, TelemetryMessage, decode
-from agents.protocol import AreaProtocol
-from agents.strategies import make_strategy
 from agents.wire_checks import MessageError
 from coordinator.telemetry_messages import make_message
 from dsse_core.measurement import Measurement
@@ -67,7 +66,7 @@ class SimulatedBus:
         self.files = {content.area.name: content for content in files}
         self.states: dict[str, StateMessage] = {}
         self._refused: Counter[tuple[str, str]] = Counter()  # receiver, reason
-        self.protocols: dict[str, AreaProtocol] = {}
+        self.protocols: dict[str, AgentProtocol] = {}
         self.links: dict[str, FaultyLinks] = {}
         self.plant_speaks = True
         self._on_state = on_state
@@ -91,9 +90,7 @@ class SimulatedBus:
         content = self.files[name]
         self._lives[name] += 1
         incarnation = Incarnation(int(STARTED_AT * 1000) + self._lives[name], zlib.crc32(name.encode()))
-        self.protocols[name] = AreaProtocol(
-            content, make_strategy(content), incarnation, now=self.now, started_at=STARTED_AT + self.now
-        )
+        self.protocols[name] = make_protocol(content, incarnation, now=self.now, started_at=STARTED_AT + self.now)
         links = FaultyLinks(name, content.links, content.seed, lambda to, _, payload: self._put(name, to, payload))
         links.begin(0.0)
         self.links[name] = links

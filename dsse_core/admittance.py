@@ -62,16 +62,24 @@ def flat_start(network: Network, reference: int) -> tuple[np.ndarray, np.ndarray
 
     Walks from the reference over the branches and follows tap ratios and phase shifts.
     """
-    v = np.zeros(len(network.buses), dtype=complex)
-    v[network.row[reference]] = 1.0
+    vm, va = walk_unloaded(network, reference)
+    return vm, np.angle(np.exp(1j * va))
+
+
+def walk_unloaded(network: Network, reference: int) -> tuple[np.ndarray, np.ndarray]:
+    """``flat_start`` with angles as the walk adds them up: they may be beyond half a turn."""
+    vm, va = np.zeros(len(network.buses)), np.zeros(len(network.buses))
+    vm[network.row[reference]] = 1.0
     queue = [reference]
     while queue:
         here = queue.pop()
+        row = network.row[here]
         for branch in network.branches_at[here]:
-            there = branch.other_end(here)
-            if v[network.row[there]] == 0:
-                ratio = cmath.rect(branch.tap, branch.shift)
-                v[network.row[there]] = v[network.row[here]] * (1 / ratio if here == branch.from_bus else ratio)
-                queue.append(there)
-    v[v == 0] = 1.0  # buses out of reach of the reference; observability analysis names them
-    return abs(v), np.angle(v)
+            there = network.row[branch.other_end(here)]
+            if vm[there] == 0:
+                is_forward = here == branch.from_bus
+                vm[there] = vm[row] / branch.tap if is_forward else vm[row] * branch.tap
+                va[there] = va[row] - branch.shift if is_forward else va[row] + branch.shift
+                queue.append(branch.other_end(here))
+    vm[vm == 0] = 1.0  # buses out of reach of the reference; observability analysis names them
+    return vm, va

@@ -22,6 +22,7 @@ from dsse_core.partition import Area, Neighbour
 Backend = Literal["auto", "tree", "sparse", "dense"]
 Matrix: TypeAlias = sp.csr_array | np.ndarray
 TREE_FROM = 60  # buses of an area, from which the tree repays the loading of numba
+PRIOR_SIGMA = 0.3  # p.u. and rad: a voltage lies that near to what it was, whatever happens
 DENSE_BELOW = 40  # buses of an area, below which dense matrices cost less than sparse ones
 _POWER = (MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION)
 
@@ -33,6 +34,8 @@ class AreaModel:
     ``free``: the variables that are unknown, all but a reference angle. ``no_load``: the weights say nothing of how
     well powers and voltages are known. ``backend``: "tree" takes the tree wherever there is one, "auto" from
     TREE_FROM buses on, and dense matrices below DENSE_BELOW.
+    ``prior``: a state, shape (size,), whose voltages count as measured with PRIOR_SIGMA, where neighbours or readings
+    are missing; the tree cannot serve then.
     """
 
     area: Area
@@ -46,6 +49,7 @@ class AreaModel:
     reference: int | None
     no_load: bool = False
     backend: Backend = "auto"
+    prior: np.ndarray | None = None
 
     @cached_property
     def virtual(self) -> np.ndarray:
@@ -63,7 +67,7 @@ class AreaModel:
     @cached_property
     def tree(self) -> AreaTree | None:
         """Its measurements on the tree of its buses, if that is the back end; without it the exchange is sparse."""
-        if self.no_load or choose_backend(self.area, self.backend) != "tree":
+        if self.no_load or self.prior is not None or choose_backend(self.area, self.backend) != "tree":
             return None
         return AreaTree(self.area, self.meters, self.z, self.sigma, self.reference)
 

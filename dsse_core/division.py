@@ -7,6 +7,7 @@ from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
+from dsse_core.admittance import walk_unloaded
 from dsse_core.errors import InvalidInputError
 from dsse_core.network import Branch, Control, Network
 from dsse_core.partition import Area, Neighbour, Partition
@@ -49,7 +50,32 @@ def build_partition(
         assert network.slack is not None  # checked by _find_bus_problems
         reference = (network.slack.bus, network.slack.va) if network.slack.bus in members[name] else None
         areas.append(Area(name, part, tuple(neighbours[name]), bus, vm, reference))
+    return _with_schedule(Partition(network, tuple(areas)))
+
+
+def _with_schedule(partition: Partition) -> Partition:
+    """Every area with what it has to know of the whole: the way to the hub, how many areas there are, its start."""
+    network, towards = partition.network, _find_ways(partition, partition.hub)
+    assert network.slack is not None  # checked by _find_bus_problems
+    vm, va = walk_unloaded(network, network.slack.bus)
+    areas = []
+    for area in partition.areas:
+        row = network.row[area.entry_bus]
+        entry = float(vm[row]), float(va[row]) + network.slack.va
+        areas.append(replace(area, towards_hub=towards[area.name], n_areas=len(partition.areas), entry_voltage=entry))
     return Partition(network, tuple(areas))
+
+
+def _find_ways(partition: Partition, hub: str) -> dict[str, str | None]:
+    """Area -> the neighbour on its way to ``hub``."""
+    towards: dict[str, str | None] = {hub: None}
+    queue = [hub]
+    for name in queue:  # which grows
+        for neighbour in partition.area(name).neighbours:
+            if neighbour.area not in towards:
+                towards[neighbour.area] = name
+                queue.append(neighbour.area)
+    return towards
 
 
 def _find_slack_problems(

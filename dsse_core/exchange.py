@@ -51,6 +51,13 @@ def solve_step(
     return _shorten(model, sparse.solve_damped(model, x, heard, damping, np.zeros(len(damping))))
 
 
+def solve_whole_step(model: AreaModel, x: np.ndarray, heard: Mapping[str, BoundaryInformation]) -> np.ndarray:
+    """The Gauss-Newton step of the whole grid, shape (size,), where ``heard`` is all that is known beyond the area."""
+    if model.tree and (dx := model.tree.step(x, heard, (NOT_YET, NOT_YET_OF_POWER), x)) is not None:
+        return dx
+    return sparse.solve_damped(model, x, heard, least_information(model, model.free), np.zeros(len(model.free)))
+
+
 def solve_steps(
     model: AreaModel,
     x: np.ndarray,

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 import scipy.sparse as sp
 
-from dsse_core.area_model import AreaModel, Matrix
+from dsse_core.area_model import PRIOR_SIGMA, AreaModel, Matrix
 from dsse_core.augmented import AugmentedFactor
 from dsse_core.augmented_dense import DenseFactor
 from dsse_core.boundary_information import (
@@ -188,6 +188,9 @@ def _responses_to_shift(
         elif (message := heard.get(n.area)) is not None:
             first, end = end, end + len(message.rows[0])
             B[first:end] = message.rows[0] @ dy
+    if model.prior is not None:
+        n_bus = len(model.area.network.buses)
+        B[end : end + n_bus, 1], B[end + n_bus :, 0] = 1.0, x[n_bus : 2 * n_bus] / vm_b
     if fixed.size:
         B[:, 1] -= H[:, fixed].sum(axis=1)
         if va_column in fixed:  # the reference itself: it does not move
@@ -209,7 +212,20 @@ def stack_rows(
         r = np.concatenate([model.residual(x), of_messages])
     sigma = np.ones(len(r))
     sigma[: len(model.z)] = model.sigma
-    return H, r, sigma
+    return (H, r, sigma) if model.prior is None else _with_prior(model, model.prior, x, H, r, sigma)
+
+
+def _with_prior(
+    model: AreaModel, prior: np.ndarray, x: np.ndarray, H: Matrix, r: np.ndarray, sigma: np.ndarray
+) -> tuple[Matrix, np.ndarray, np.ndarray]:
+    """The rows of ``stack_rows`` and one for each voltage, angles first, that ``prior`` gives."""
+    n_voltages = 2 * len(model.area.network.buses)
+    rows = sp.eye_array(n_voltages, model.size, format="csr")
+    r = np.concatenate([r, (prior - x)[:n_voltages]])
+    sigma = np.concatenate([sigma, np.full(n_voltages, PRIOR_SIGMA)])
+    if isinstance(H, np.ndarray):
+        return np.concatenate([H, rows.toarray()]), r, sigma
+    return sp.csr_array(sp.vstack([H, rows], format="csr")), r, sigma
 
 
 def _stack_messages(

@@ -16,7 +16,7 @@ from dsse_core.area_model import AreaModel, build_area_model
 from dsse_core.bad_data import THRESHOLD, TIE, normalize_residuals
 from dsse_core.boundary_information import BoundaryInformation
 from dsse_core.exchange import compute_information
-from dsse_core.exchange_sparse import sample_redundancy
+from dsse_core.exchange_sparse import sample_redundancy, variances
 from dsse_core.measurement import Measurement, MeasurementKind, Meter
 from dsse_core.partition import Area, Neighbour
 
@@ -26,6 +26,9 @@ NO_LOAD_REDUNDANCY = 1e-12
 # Below it what a neighbour is told of a power, in units of the own ones, or of a voltage is NO_LOAD_NOT_YET alone,
 # 1e-9; to a neighbour whose impedances are a thousand times smaller it would look like something.
 NOTHING_AT_NO_LOAD = 1e-8
+# Above it the variance of a voltage at no load, where all sigmas are 1, says that nothing determines it: what is known
+# through the smallest impedances in a row has less, NO_LOAD_NOT_YET alone 1e18.
+NOTHING_KNOWN = 1e12
 
 
 @dataclass(frozen=True)
@@ -55,7 +58,7 @@ def tally_area(
     return Tally(
         objective=find_objective(model, x),
         degrees_of_freedom=count_freedom(model),
-        worst=_keep_tied(suspects),
+        worst=keep_tied(suspects),
         held_back=held_back,
     )
 
@@ -78,12 +81,12 @@ def add_tallies(tallies: Iterable[Tally]) -> Tally:
     return Tally(
         objective=sum(t.objective for t in tallies),
         degrees_of_freedom=sum(t.degrees_of_freedom for t in tallies),
-        worst=_keep_tied({meter: value for t in tallies for meter, value in t.worst.items()}),
+        worst=keep_tied({meter: value for t in tallies for meter, value in t.worst.items()}),
         held_back=sum(t.held_back for t in tallies),
     )
 
 
-def _keep_tied(suspects: Mapping[str, float]) -> dict[str, float]:
+def keep_tied(suspects: Mapping[str, float]) -> dict[str, float]:
     least = max(suspects.values(), default=0.0) * (1 - TIE)
     return {meter: suspects[meter] for meter in sorted(suspects) if suspects[meter] >= least}
 
@@ -116,6 +119,13 @@ class NoLoadModel:
         """Ids of the meters, virtual ones included, without any one of which the state is not observable."""
         redundancy = sample_redundancy(self.model, self.x, self._at_own_voltage(heard), np.random.default_rng(0))
         return {self.ids[k] for k in np.flatnonzero(redundancy < NO_LOAD_REDUNDANCY)}
+
+    def find_unobservable(self, heard: Mapping[str, BoundaryInformation]) -> tuple[int, ...]:
+        """Ids of the buses whose voltage neither the area's meters nor what neighbours tell determine."""
+        variance, _ = variances(self.model, self.x, self._at_own_voltage(heard))
+        n = len(self.model.area.network.buses)
+        known = np.maximum(variance[:n], variance[n : 2 * n]) < NOTHING_KNOWN
+        return tuple(bus.id for bus, is_known in zip(self.model.area.network.buses, known, strict=True) if not is_known)
 
     def _at_own_voltage(self, heard: Mapping[str, BoundaryInformation]) -> dict[str, BoundaryInformation]:
         """What neighbours have told of relative numbers as information about y."""

@@ -40,6 +40,9 @@ class Area:
     slack_bus: int
     slack_vm: float | None
     reference: tuple[int, float] | None = None
+    towards_hub: str | None = None
+    n_areas: int = 1
+    entry_voltage: tuple[float, float] = (1.0, 0.0)
 
     @property
     def is_reference(self) -> bool:
@@ -49,6 +52,11 @@ class Area:
     @property
     def parent(self) -> Neighbour | None:
         return next((n for n in self.neighbours if n.is_parent), None)
+
+    @property
+    def entry_bus(self) -> int:
+        """Where a walk from the substation enters the area: the parent's bus, or the substation itself."""
+        return self.parent.bus if self.parent else self.reference[0] if self.reference else self.slack_bus
 
     @property
     def boundary_buses(self) -> tuple[int, ...]:
@@ -117,6 +125,11 @@ class Partition:
             for bus, names in seen.items()
             if len(names) > 1
         }
+
+    @property
+    def hub(self) -> str:
+        """The middle area of the longest path: from it all others are reached soonest."""
+        return self.longest_path[len(self.longest_path) // 2]
 
     @cached_property
     def longest_path(self) -> tuple[str, ...]:

@@ -8,7 +8,12 @@ from agents.strategies.angle_offset import AngleOffset
 from agents.strategies.information import Information
 from agents.strategies.interface import Strategy
 
-STRATEGIES: Mapping[str, type[Strategy]] = {"angle-offset": AngleOffset, "information": Information, "admm": Admm}
+STRATEGIES: Mapping[str, type[Strategy]] = {
+    "angle-offset": AngleOffset,
+    "information": Information,
+    "admm": Admm,
+    "free-running": Information,
+}
 
 
 def make_strategy(content: AreaFile) -> Strategy:

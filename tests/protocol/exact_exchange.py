@@ -6,8 +6,7 @@ import numpy as np
 from feeders import Feeder
 from simulated_bus import SimulatedBus, area_files_of, with_links
 
-from agents.messages import TallyMessage
-from agents.strategies.bad_data_tree import USE_CURRENTS
+from agents.rounds import RoundsProtocol
 from dsse_core.bad_data import CRITICAL_REDUNDANCY, BadDataReport, process_bad_data
 from dsse_core.link_faults import LinkFaults
 from scenarios.scenario import Scenario
@@ -36,11 +35,10 @@ def run_feeder(feeder: Feeder, loss: float, seed: int, **faults: float) -> tuple
 
 
 def settle_bus(bus: SimulatedBus, limit_s: float = 600.0) -> None:
-    """Until all areas have settled, bad data have been looked for, and everything has been repeated once more."""
+    """Until all areas have settled and bad data have been looked for."""
     while not (bus.settled and all(state.checked for state in bus.states.values())):
         assert bus.now < limit_s, {name: (state.checked, state.notes) for name, state in bus.states.items()}
         bus.run(0.05)
-    bus.run(3.0)
     bus.run_until_settled(limit_s)
 
 
@@ -65,9 +63,10 @@ def assert_equals_centralised(bus: SimulatedBus, report: BadDataReport) -> None:
 
 def assert_same_decisions(bus: SimulatedBus, report: BadDataReport) -> None:
     """The areas have decided what ``report`` has, in its order; critical meters are the same but at the limit."""
-    told = [message.decisions for _, _, _, message in bus.delivered if isinstance(message, TallyMessage)]
-    removals = ([decision for decision in decisions if decision != USE_CURRENTS] for decisions in told)
-    assert max(removals, key=len) == [removed.measurement.meter.id for removed in report.removed]
+    removed = [meter.measurement.meter.id for meter in report.removed]
+    for protocol in bus.protocols.values():
+        assert isinstance(protocol, RoundsProtocol)
+        assert list(protocol.removed) == removed
     result = report.result
     redundancy = result.residual_variance / np.where(result.sigmas > 0, result.sigmas, np.inf) ** 2
     on_edge = (redundancy > CRITICAL_REDUNDANCY / 10) & (redundancy < CRITICAL_REDUNDANCY * 10)

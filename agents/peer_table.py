@@ -1,0 +1,140 @@
+"""The neighbours of an area under rounds: who is there, what was last sent to whom, and what is due."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import TypeVar
+
+from agents.hearing import FRESH_BEATS, PASSED_ON_BEATS
+from agents.messages import DownMessage, HeartbeatMessage, UpMessage
+from agents.peers import Peer, Term
+from dsse_core.partition import Neighbour
+
+PATIENCE_BEATS = 8  # of silence after which a neighbour is left out, at least
+
+M = TypeVar("M", HeartbeatMessage, UpMessage, DownMessage, UpMessage | DownMessage)
+
+
+class PeerTable:
+    """``gone``: neighbours whose processes have ended -> their farewell. ``distrusted``: neighbour -> why its messages
+    are not used in this scan.
+
+    Args:
+        clock_offset: from monotonic to wall-clock time, s.
+    """
+
+    def __init__(self, neighbours: Sequence[Neighbour], beat_s: float, now: float, clock_offset: float) -> None:
+        self.gone: dict[str, str] = {}
+        self.distrusted: dict[str, str] = {}
+        self._peers = {n.area: Peer(n.bus, present_at=now) for n in neighbours}
+        self._beat_s = beat_s
+        self._clock_offset = clock_offset
+
+    def __getitem__(self, name: str) -> Peer:
+        return self._peers[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._peers)
+
+    def items(self) -> Iterator[tuple[str, Peer]]:
+        yield from self._peers.items()
+
+    def silent_at(self, name: str) -> float:
+        """When a neighbour counts as gone if it does not say until then that it hears us."""
+        return self._peers[name].present_at + self._patience_s(self._peers[name])
+
+    def is_present(self, name: str, now: float) -> bool:
+        """Whether a neighbour is there, and hears us as we hear it."""
+        return name not in self.gone and self.silent_at(name) > now
+
+    def present(self, now: float) -> frozenset[str]:
+        """The neighbours that rounds may use."""
+        return frozenset(name for name in self._peers if self.is_present(name, now)) - self.distrusted.keys()
+
+    def hears(self, name: str, now: float) -> bool:
+        """Whether we hear a neighbour."""
+        peer = self._peers[name]
+        return bool(now <= peer.heard_at + self._patience_s(peer))
+
+    def _patience_s(self, peer: Peer) -> float:
+        return peer.patience_s(PATIENCE_BEATS * self._beat_s)
+
+    @property
+    def patience_s(self) -> float:
+        """The longest of all neighbours."""
+        return max(map(self._patience_s, self._peers.values()), default=PATIENCE_BEATS * self._beat_s)
+
+    def note_gone(self, name: str, farewell: str) -> None:
+        """The process of a neighbour has ended."""
+        self.gone[name] = farewell
+        self._peers[name].present_at = -math.inf
+
+    def stamp(self, name: str, message: M, now: float) -> M:
+        """``message`` as it is sent to ``name`` now."""
+        peer = self._peers[name]
+        peer.said_at, peer.is_owed_word = now, False
+        return replace(
+            message,
+            header=replace(message.header, time=now + self._clock_offset),
+            hears=self.hears(name, now),
+            answers=peer.answers(now),
+            received=peer.received.k if peer.received else -1,
+        )
+
+    def due_times(self, is_final: bool) -> Iterator[float]:
+        """When heartbeats and repeats are due; ``is_final``: the scan is at its end."""
+        for peer in self._peers.values():
+            yield peer.said_at + self._quiet_s(peer, is_final)
+            if peer.repeat is not None:
+                yield peer.repeat.at
+
+    def take_due_repeats(self, now: float) -> list[str]:
+        """To whom the last message of a round is to be sent again now.
+
+        Who is not there needs none: when it is back, its heartbeat says that it lacks the message.
+        """
+        due = []
+        for name, peer in self._peers.items():
+            if peer.repeat is None or peer.repeat.at > now:
+                continue
+            if self.is_present(name, now):
+                peer.wait_longer(now, self._beat_s)
+                due.append(name)
+            else:
+                peer.repeat = None
+        return due
+
+    def owes_heartbeat(self, name: str, now: float, is_final: bool) -> bool:
+        """Whether nothing has been said for too long."""
+        peer = self._peers[name]
+        return now >= peer.said_at + self._quiet_s(peer, is_final)
+
+    def _quiet_s(self, peer: Peer, is_final: bool) -> float:
+        """How long nothing is said: a beat at rest, before no longer than the wait that patience counts in."""
+        return self._beat_s if is_final else min(self._beat_s, peer.round_trip.longest_wait_s)
+
+    def begin_term(self) -> None:
+        """Messages of former rounds count no more; everybody is to hear of the term."""
+        for peer in self._peers.values():
+            peer.begin_term()
+
+    def find_old(self, term: Term, links: frozenset[str], now: float, beats: float = FRESH_BEATS) -> set[str]:
+        """Neighbours that are not heard, in another term, or say that their side is not complete."""
+        return {
+            name
+            for name, peer in self._peers.items()
+            if name in self.gone
+            or name not in links
+            or now >= peer.heard_at + beats * self._beat_s
+            or peer.term != term
+            or not peer.complete
+        }
+
+    def aging_times(self, now: float) -> Iterator[float]:
+        """When what is fresh now will not be, if nothing is heard until then."""
+        for peer in self._peers.values():
+            for beats in (FRESH_BEATS, PASSED_ON_BEATS):
+                if (at := peer.heard_at + beats * self._beat_s) > now:
+                    yield at

@@ -1,0 +1,127 @@
+"""The readings that an area has of its current scan and of later ones, and whether they are late."""
+
+from __future__ import annotations
+
+from collections import Counter
+from enum import Enum, auto
+
+from agents.area_file import AreaFile
+from agents.hearing import FRESH_BEATS, OVER_BEATS, is_old
+from agents.messages import TelemetryMessage
+from agents.readings import Readings
+
+MOST_AHEAD = 10  # scans by which a neighbour may be ahead of the own telemetry; with more, one of the two is wrong
+DEADLINE_BEATS = 5  # after which an area goes on without its own readings
+
+
+class News(Enum):
+    """What new telemetry is: of no use, of the scan that waits for it, of a scan under way, of a later one."""
+
+    NONE = auto()
+    AWAITED = auto()
+    LATE = auto()
+    NEXT_SCAN = auto()
+
+
+class ScanReadings:
+    """``scan``: the current one, 0 before any. ``are_there``: its readings are, or it goes on without them, which is
+    ``stale``. ``refused``: readings that cannot be used, by reason.
+    """
+
+    def __init__(self, content: AreaFile, now: float) -> None:
+        self.readings = Readings(content)
+        self.scan = 0
+        self.are_there = self.stale = False
+        self.entered_at = now
+        self.refused: Counter[str] = Counter()
+        self._beat_s = content.beat_s
+        self._last: TelemetryMessage | None = None
+        self._heard_at = now
+        self._later: dict[int, TelemetryMessage] = {}
+        self._offset = 0  # from the plant's numbers to the scans of terms
+
+    @property
+    def next_scan(self) -> int:
+        """The newest later scan with readings; 0 without one."""
+        return max((scan for scan in self._later if scan > self.scan), default=0)
+
+    def age(self, now: float) -> float:
+        """s since telemetry was last heard; 0 before the first."""
+        return now - self._heard_at if self._last else 0.0
+
+    def is_late(self, now: float, beats: float = FRESH_BEATS) -> bool:
+        """Whether telemetry has not been heard for ``beats``."""
+        return now >= self._heard_at + beats * self._beat_s
+
+    def fresh_until(self, beats: float) -> float:
+        """When it will not have been, if none comes."""
+        return self._heard_at + beats * self._beat_s
+
+    def may_enter(self, scan: int) -> bool:
+        """Whether a neighbour can be at ``scan``: numbers come from telemetry, and terms never go back."""
+        return self._last is None or scan <= self._last.header.scan + self._offset + MOST_AHEAD
+
+    @property
+    def deadline(self) -> float:
+        """When the scan goes on without its readings; infinity if they are there."""
+        return float("inf") if self.are_there or not self.scan else self.entered_at + DEADLINE_BEATS * self._beat_s
+
+    @property
+    def has_been_read(self) -> bool:
+        """Whether there has ever been telemetry."""
+        return self._last is not None
+
+    def take(self, message: TelemetryMessage, now: float) -> News:
+        """Keep telemetry if it is newer than what there is."""
+        last = self._last
+        if last is not None and is_old(message.header, last.header, now - self._heard_at, OVER_BEATS * self._beat_s):
+            return News.NONE
+        self._heard_at = now
+        if last is not None and message.header.order == last.header.order:
+            return News.NONE
+        scan = self._number_of(message)
+        self._last = message
+        if scan > self.scan:
+            self._later[scan] = message
+            return News.NEXT_SCAN
+        if scan < self.scan:
+            return News.NONE
+        if not self.are_there:
+            self._read(message)
+            return News.AWAITED
+        if self.stale or last is None or _says(message) != _says(last):
+            self._later[scan], self.are_there = message, False
+            return News.LATE
+        return News.NONE
+
+    def _number_of(self, message: TelemetryMessage) -> int:
+        """The scan of terms that telemetry belongs to: its own number, but terms never go back.
+
+        A plant that begins anew with its clock set back numbers scans lower than the last one did.
+        """
+        is_of_new_plant = self._last is not None and message.header.incarnation != self._last.header.incarnation
+        scan = message.header.scan + self._offset
+        if is_of_new_plant and scan < self.scan:
+            scan = self.scan + self.are_there
+            self._offset = scan - message.header.scan
+        return scan
+
+    def enter(self, scan: int, now: float) -> None:
+        """Begin a term of ``scan``, with the readings that there are."""
+        if scan != self.scan:
+            self.scan, self.entered_at, self.are_there, self.stale = scan, now, False, False
+        if scan in self._later:
+            self._read(self._later.pop(scan))
+        self._later = {later: message for later, message in self._later.items() if later > scan}
+
+    def go_on_without(self) -> None:
+        """The last readings stand in for those of the scan."""
+        self.are_there = self.stale = True
+
+    def _read(self, message: TelemetryMessage) -> None:
+        self.refused.update(self.readings.take(message))
+        self.are_there, self.stale = True, False
+
+
+def _says(message: TelemetryMessage) -> tuple[object, ...]:
+    return message.meters, message.values, message.sigmas
