@@ -13,13 +13,13 @@ from types import FrameType
 
 from agents.area_file import AreaFile
 from agents.area_reader import load_area_file
+from agents.choose_protocol import STRATEGIES
 from agents.credentials import load_keys
 from agents.events import StopRequested
 from agents.inbox import Inbox
 from agents.log_format import start_log
 from agents.loop import run_agent
 from agents.renewal import Renewal, on_hangup
-from agents.strategies import STRATEGIES
 from agents.succession import REPLACED_CODE, ReplacedError
 from agents.transport import Session
 from dsse_core import compiling

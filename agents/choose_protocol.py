@@ -10,9 +10,10 @@ from agents.events import Action, Event
 from agents.messages import DownMessage, HeartbeatMessage, Incarnation, LoadMessage, UpMessage
 from agents.protocol import AreaProtocol
 from agents.rounds import RoundsProtocol
-from agents.strategies import STRATEGIES, make_strategy
+from agents.strategies import ASYNCHRONOUS, make_strategy
 
 ROUNDS = "information"
+STRATEGIES = ("angle-offset", ROUNDS, "admm")  # as they are compared
 
 
 class AgentProtocol(Protocol):
@@ -42,5 +43,4 @@ def kinds_of(strategy: str) -> tuple[str, ...]:
     """The kinds of messages that neighbours send each other under ``strategy``."""
     if strategy == ROUNDS:
         return LoadMessage.kind, HeartbeatMessage.kind, UpMessage.kind, DownMessage.kind
-    chosen = STRATEGIES[strategy]
-    return LoadMessage.kind, chosen.kind, *chosen.other_kinds
+    return LoadMessage.kind, ASYNCHRONOUS[strategy].kind

@@ -16,7 +16,6 @@ from agents.messages import (
     BoundaryMessage,
     DownMessage,
     HeartbeatMessage,
-    InformationMessage,
     LoadMessage,
     Message,
     UpMessage,
@@ -125,9 +124,6 @@ def _tell_lie(message: Message, f: LinkFaults) -> Message:
             return replace(message, y=tuple((f.lie_scale * np.array(message.y) + offset).tolist()))
         case BoundaryMessage():
             return replace(message, vm=f.lie_scale * message.vm + f.lie_vm, va=f.lie_scale * message.va + f.lie_va)
-        case InformationMessage():  # z = R y
-            z = f.lie_scale * message.information.z + message.information.R @ offset
-            return replace(message, z=tuple(z.tolist()))
         case AdmmMessage():
             told, before = ((f.lie_scale * np.array(r) + offset).tolist() for r in (message.r, message.r_before))
             return replace(message, r=tuple(told), r_before=tuple(before))

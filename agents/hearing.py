@@ -7,7 +7,7 @@ because it says so.
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import TypeVar
 
@@ -15,17 +15,14 @@ from agents.messages import (
     BoundaryNews,
     Header,
     LoadMessage,
-    TallyMessage,
     TelemetryMessage,
 )
 
 FRESH_BEATS = 3  # younger is fresh: everything is repeated at every beat, and two repeats in a row may be lost
 PASSED_ON_BEATS = 3.5  # older is not passed on as fresh; the third repeat, which comes just after three beats, may be
-PATIENT_BEATS = 0.1  # after new readings neighbours should have theirs, too, and say what follows from them
-PATIENT_SHARE = 0.25  # of the time between two scans: each is to be shown before the next one comes
 OVER_BEATS = 10  # after which a life that is not heard is over
 
-NeighbourNews = LoadMessage | BoundaryNews | TallyMessage
+NeighbourNews = LoadMessage | BoundaryNews
 M = TypeVar("M", bound=NeighbourNews)
 
 
@@ -45,16 +42,12 @@ class Hearing:
         self.telemetry: TelemetryMessage | None = None
         self.loads: dict[str, LoadMessage] = {}
         self.boundary: dict[str, BoundaryNews] = {}
-        self.tallies: dict[str, TallyMessage] = {}
         self._fresh_s = FRESH_BEATS * beat_s
         self._beat_s = beat_s
-        self._most_patient_s = PATIENT_BEATS * beat_s
         self._over_s = OVER_BEATS * beat_s
         self._spoke_at: dict[tuple[str, str], float] = {}  # when what is kept was last heard, by kind and sender
         self._heard_at: dict[str, float] = {}  # the newest boundary message of each neighbour
         self._telemetry_at = self._scan_since = 0.0
-        self.patient_until = 0.0  # how long neighbours are awaited that have not yet spoken of the current scan
-        self._former_scan = 0  # before the current one
 
     @property
     def scan(self) -> int:
@@ -63,11 +56,8 @@ class Hearing:
 
     def take(self, message: NeighbourNews, now: float) -> bool:
         """Keep ``message`` if it is the newest of its sender and kind; whether it is, and no repeat."""
-        match message:
-            case LoadMessage():
-                return self._keep_newest(self.loads, message, now)
-            case TallyMessage():
-                return self._keep_newest(self.tallies, message, now)
+        if isinstance(message, LoadMessage):
+            return self._keep_newest(self.loads, message, now)
         is_new = self._keep_newest(self.boundary, message, now)
         sender = message.header.sender
         if message.header.order == self.boundary[sender].header.order:
@@ -84,8 +74,7 @@ class Hearing:
         if last is not None and message.header.order == last.header.order:
             return False
         if message.header.scan != self.scan:
-            self.patient_until = now + min(self._most_patient_s, PATIENT_SHARE * (now - self._scan_since))
-            self._scan_since, self._former_scan = now, self.scan
+            self._scan_since = now
         self.telemetry = message
         return True
 
@@ -112,7 +101,7 @@ class Hearing:
 
     def forget_neighbours(self) -> None:
         """As if they had never spoken."""
-        for heard in (self.loads, self.boundary, self.tallies, self._heard_at, self._spoke_at):
+        for heard in (self.loads, self.boundary, self._heard_at, self._spoke_at):
             heard.clear()
 
     def telemetry_age(self, now: float) -> float:
@@ -143,15 +132,6 @@ class Hearing:
             for name, m in self.boundary.items()
             if waits or m.header.scan == self.scan or (m.header.scan > self.scan and name in ahead)
         }
-
-    def awaited(self, present: Container[str], now: float) -> set[str]:
-        """The neighbours, of those ``present``, that are about to speak of a new scan for the first time.
-
-        Who has said nothing of the former one is not waited for again.
-        """
-        if now >= self.patient_until:
-            return set()
-        return {name for name, m in self.boundary.items() if name in present and m.header.scan == self._former_scan}
 
     def is_late(self, now: float, beats: float = FRESH_BEATS) -> bool:
         """Whether telemetry has not been heard for ``beats``."""

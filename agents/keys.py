@@ -2,9 +2,9 @@
 
 ==============================  ====================================================
 ``area/<i>/boundary/<j>``       boundary messages of area i for neighbour j, angle-offset
-``area/<i>/information/<j>``    the same of strategy information
+``area/<i>/up/<j>``, ``down``   messages of rounds of strategy information, towards the hub and from it
+``area/<i>/heartbeat/<j>``      where area i stands in its rounds, and that it hears neighbour j
 ``area/<i>/admm/<j>``           the same of strategy admm
-``area/<i>/tally/<j>``          what area i adds to the test for bad data, and what is decided
 ``area/<i>/load/<j>``           load messages of area i for neighbour j
 ``area/<i>/state``              what area i knows, for whoever watches
 ``telemetry/<i>``               meter readings for area i, from the plant or a gateway

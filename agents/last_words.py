@@ -7,7 +7,7 @@ from typing import Protocol
 
 from agents.events import Publish
 from agents.freshness import renew
-from agents.messages import BoundaryNews, Header, LoadMessage, Message, TallyMessage, content_of
+from agents.messages import BoundaryNews, Header, LoadMessage, Message
 from dsse_core.boundary_load import NetLoad, load_message_for
 from dsse_core.partition import Neighbour
 
@@ -22,7 +22,7 @@ class HasScan(Protocol):
 
 
 class LastWords:
-    """``loads``, ``boundary``, ``tallies``: neighbour -> the newest message to it.
+    """``loads``, ``boundary``: neighbour -> the newest message to it.
 
     Args:
         header_for: the header of a message that follows the given one.
@@ -33,7 +33,6 @@ class LastWords:
     ) -> None:
         self.loads: dict[str, LoadMessage] = {}
         self.boundary: dict[str, BoundaryNews] = {}
-        self.tallies: dict[str, TallyMessage] = {}
         self._neighbours = neighbours
         self._hearing = hearing
         self._header_for = header_for
@@ -63,14 +62,6 @@ class LastWords:
         self.boundary[name] = message
         return Publish(message, name)
 
-    def tell_tally(self, message: TallyMessage, name: str) -> list[Publish]:
-        """Tell neighbour ``name`` how bad data look from here, if that is new."""
-        last = self.tallies.get(name)
-        if last is not None and not self.is_outdated(last) and content_of(message) == content_of(last):
-            return []
-        self.tallies[name] = message
-        return [Publish(message, name)]
-
     def tell_freshness(self, fresh: Mapping[str, bool]) -> Iterator[Publish]:
         """Which words have come to rest on something old, or no longer do; those of a former scan will be replaced.
 
@@ -85,6 +76,6 @@ class LastWords:
     def repeat(self) -> Iterator[Publish]:
         """All of it once more."""
         for name in dict.fromkeys(n.area for n in self._neighbours):
-            for message in (self.loads.get(name), self.boundary.get(name), self.tallies.get(name)):
+            for message in (self.loads.get(name), self.boundary.get(name)):
                 if message is not None:
                     yield Publish(message, name)

@@ -10,14 +10,11 @@ import dataclasses
 import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from operator import attrgetter
 from typing import Any, ClassVar
 
 import msgpack
-import numpy as np
 
-from agents.triangle import read_triangle
 from agents.wire_checks import (
     CHECKS,
     LONGEST_NOTE,
@@ -29,7 +26,6 @@ from agents.wire_checks import (
     shown,
     tuple_of,
 )
-from dsse_core.boundary_information import BoundaryInformation, are_within_reason
 from dsse_core.boundary_load import NetLoad
 from dsse_core.verdict import Totals
 
@@ -108,34 +104,6 @@ class BoundaryMessage:
     fresh: bool = False
 
 
-@dataclass(frozen=True)
-class InformationMessage:
-    """The sender's cost-to-go at a boundary bus, ``1/2 |R y - z|^2`` of ``y = (p, q, vm, va)``: 14 numbers.
-
-    ``R``: the upper triangle of the 4x4 matrix, row by row. ``referenced``: the sender's side knows the
-    substation's angle. ``complete``: it rests on all areas of the sender's side.
-    """
-
-    kind: ClassVar[str] = "information"
-    header: Header
-    bus: int
-    R: tuple[float, ...]
-    z: tuple[float, ...]
-    referenced: bool
-    complete: bool
-    fresh: bool = False
-
-    @cached_property
-    def information(self) -> BoundaryInformation:
-        """R as a matrix, and z."""
-        return BoundaryInformation(read_triangle(self.R), np.array(self.z))
-
-    @property
-    def is_within_reason(self) -> bool:
-        """Whether all its numbers are."""
-        return are_within_reason((*self.R, *self.z))
-
-
 @dataclass(frozen=True, slots=True)
 class AdmmMessage:
     """What the sender tells in its ``iteration`` at a boundary: ``r = 2 y - z`` of ``y = (p, q, vm, va)``.
@@ -155,35 +123,6 @@ class AdmmMessage:
     unsettled: bool
     referenced: bool
     fresh: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class TallyMessage:
-    """Bad data of the whole feeder: what the sender's side of the tree of areas adds, and what is decided.
-
-    ``decisions``: meters taken out, in order, and when current magnitudes came into use; figures of the same list only
-    are combined. ``finished``: from the substation's side, there will be no more, and nothing is under way. ``sent``,
-    ``heard``: (start_ms, random, sequence) of the last information message to the receiver and of the newest from it,
-    on which that and the figures rest. ``settled``: they are final, all areas of this side included; only then
-    ``objective`` (J), ``degrees_of_freedom``, ``worst`` with its ``normalized`` residuals and ``held_back``, the number
-    of current magnitudes not yet in use, count. ``no_load``: as ``InformationMessage.R``, of the no-load model and of
-    (p, q) / vm_b^2, dvm / vm_b and dva, vm_b being the sender's no-load voltage; empty until known.
-    """
-
-    kind: ClassVar[str] = "tally"
-    header: Header
-    bus: int
-    decisions: tuple[str, ...]
-    finished: bool
-    settled: bool
-    sent: tuple[int, ...]
-    heard: tuple[int, ...]
-    objective: float
-    degrees_of_freedom: Integer
-    held_back: Integer
-    worst: tuple[str, ...]
-    normalized: tuple[float, ...]
-    no_load: tuple[float, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,9 +152,10 @@ class HeartbeatMessage:
 class RoundMessage:
     """One side's part in round ``k`` of the term (scan, ``revision``): all that the sender's side knows at x_k.
 
-    ``hears``, ``answers``, ``received``: as in a heartbeat. ``R``, ``z``: its information, as in an information
-    message, or empty where no step is to come. ``no_load``: R of the no-load model in round 0; empty where something
-    is missing. ``power``: (p, q) at the boundary, from a child.
+    ``hears``, ``answers``, ``received``: as in a heartbeat. ``R``, ``z``: the side's cost-to-go at the boundary bus,
+    ``1/2 |R y - z|^2`` of ``y = (p, q, vm, va)``, R the upper triangle of a (4, 4) matrix row by row; empty where no
+    step is to come. ``no_load``: R of the no-load model in round 0, of (p, q) / vm_b^2, dvm / vm_b and dva, vm_b being
+    the sender's no-load voltage; empty where something is missing. ``power``: (p, q) at the boundary, from a child.
     """
 
     header: Header
@@ -280,7 +220,8 @@ class StateMessage:
     ``buses``, ``vm``, ``va``, ``sigma_vm``, ``sigma_va``: the estimate (empty before the first), p.u. and rad.
     ``referenced``: angles count from the substation. ``removed``: meters taken out as bad data.
     ``critical``: meters that cannot be spared, whatever they read. ``checked``: bad data have been looked for.
-    ``sent``, ``heard``: per neighbour the last sequence numbers of (load, boundary, tally) messages; 0 before any.
+    ``sent``, ``heard``: per neighbour the last sequence numbers of load messages and of boundary messages or those of
+    rounds; 0 before any.
     ``messages``, ``bytes``, ``lost``: totals handed to the bus, ``lost`` of them dropped by the links; ``faults``:
     what the links have done to them, by kind. ``refused``: received payloads by reason of refusal. ``notes``: in
     words, what is missing.
@@ -303,8 +244,8 @@ class StateMessage:
     removed: tuple[str, ...]
     critical: tuple[str, ...]
     checked: bool
-    sent: dict[str, tuple[int, int, int]]
-    heard: dict[str, tuple[int, int, int]]
+    sent: dict[str, tuple[int, int]]
+    heard: dict[str, tuple[int, int]]
     messages: int
     bytes: int
     lost: int
@@ -318,11 +259,10 @@ class StateMessage:
     old_sides: tuple[str, ...]
 
 
-BoundaryNews = BoundaryMessage | InformationMessage | AdmmMessage
+BoundaryNews = BoundaryMessage | AdmmMessage
 Message = (
     LoadMessage
     | BoundaryNews
-    | TallyMessage
     | HeartbeatMessage
     | UpMessage
     | DownMessage
@@ -336,9 +276,7 @@ MESSAGE_TYPES: Mapping[str, type[Any]] = {
     for cls in (
         LoadMessage,
         BoundaryMessage,
-        InformationMessage,
         AdmmMessage,
-        TallyMessage,
         HeartbeatMessage,
         UpMessage,
         DownMessage,
@@ -349,7 +287,7 @@ MESSAGE_TYPES: Mapping[str, type[Any]] = {
 }
 
 
-def content_of(message: LoadMessage | BoundaryNews | TallyMessage | StateMessage) -> tuple[Any, ...]:
+def content_of(message: LoadMessage | BoundaryNews | StateMessage) -> tuple[Any, ...]:
     """What a sequence number stands for: all but the header and what may differ between two messages of one number."""
     content: tuple[Any, ...] = _CONTENT[message.kind](message)
     return content
@@ -468,15 +406,12 @@ def _unpack(payload: bytes, largest: int) -> object:
 
 
 _EQUALLY_LONG = (
-    ("worst", "normalized"),
     ("buses", "vm", "va", "sigma_vm", "sigma_va"),
     ("meters", "values", "sigmas"),
 )
 
 
 def _check_lengths(message_type: type[Any], body: Mapping[str, Any]) -> None:
-    if message_type is InformationMessage and (len(body["R"]), len(body["z"])) != (10, 4):
-        raise MessageError("malformed", f"R and z have {len(body['R'])} and {len(body['z'])} numbers, not 10 and 4")
     if message_type is AdmmMessage and {len(body[name]) for name in ("r", "r_before", "weight")} != {4}:
         raise MessageError("malformed", "r, r_before and weight do not have 4 numbers each")
     if issubclass(message_type, RoundMessage):
@@ -485,8 +420,6 @@ def _check_lengths(message_type: type[Any], body: Mapping[str, Any]) -> None:
             raise MessageError("malformed", f"R, z, no_load and power have {lengths} numbers")
     if message_type is HeartbeatMessage and len(body["y"]) not in (0, 4):
         raise MessageError("malformed", f"y has {len(body['y'])} numbers, not 4 or none")
-    if message_type is TallyMessage and len(body["no_load"]) not in (0, 10):
-        raise MessageError("malformed", f"no_load has {len(body['no_load'])} numbers, not 10 or none")
     for group in _EQUALLY_LONG:
         if group[0] in body and len({len(body[name]) for name in group}) != 1:
             raise MessageError("malformed", f"{', '.join(group)} differ in length")

@@ -1,4 +1,4 @@
-"""The protocol of one area: events and time in, actions out. No bus, no clock, no randomness.
+"""The asynchronous protocol of one area: events and time in, actions out. No bus, no clock, no randomness.
 
 Solve when there is news; tell a neighbour when what it should hear has changed; repeat the last words at a
 slow beat, so that a lost last message does not matter. Messages are absolute: of each sender the newest
@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 
@@ -24,10 +25,8 @@ from agents.messages import (
     BoundaryNews,
     Header,
     Incarnation,
-    InformationMessage,
     LoadMessage,
     Message,
-    TallyMessage,
     TelemetryMessage,
 )
 from agents.readings import Readings
@@ -36,7 +35,6 @@ from agents.reminders import Reminders
 from agents.shown_state import ShownState
 from agents.strategies.interface import Estimate, Knowledge, Strategy
 from agents.strategies.start import find_no_load
-from agents.turn import Turn
 from dsse_core.boundary_load import NetLoad
 
 
@@ -65,8 +63,6 @@ class AreaProtocol:
         self._readings = Readings(content)
         self._words = LastWords(content.area.neighbours, self._hearing, self._header)
         self._estimate_told: Estimate | None = None  # to neighbours, the last
-        self._turn = Turn()
-        self._estimate_to_tell: tuple[Estimate, tuple[str, ...]] | None = None  # once news has been looked for again
         self._state = ShownState(content.area, self._hearing, self._header)
         self._present: set[str] = set()
         self._gone: dict[str, str] = {}  # neighbour -> its farewell
@@ -82,16 +78,8 @@ class AreaProtocol:
 
     def wait_s(self, now: float) -> float:
         """How long the protocol may be left alone, s."""
-        at = min(self._next_beat, self._reminders.next_due(), self._hearing.next_change(now), self._turn.next_due())
-        if self._turn.awaited:
-            at = min(at, self._hearing.patient_until)
-        return 0.0 if self._is_busy else max(0.0, at - now)
-
-    @property
-    def _is_busy(self) -> bool:
-        """Whether there is something to do even if nothing is heard."""
-        goes_on = self._strategy.restless or self._estimate_to_tell is not None
-        return (goes_on and not self._turn.is_held_back) or self._turn.next_due() <= self._now
+        at = min(self._next_beat, self._reminders.next_due(), self._hearing.next_change(now))
+        return max(0.0, at - now)
 
     def handle(self, events: Sequence[Event], now: float) -> Iterator[Action]:
         """Take in ``events``, all that arrived since the last call, and say what to do.
@@ -127,19 +115,16 @@ class AreaProtocol:
 
     def _react(self, news: bool) -> Iterator[Action]:
         used = set(self._hearing.usable(self._now))
-        awaited = self._hearing.awaited(self._present, self._now) if self._strategy.passes_on else set()
         if self._hearing.telemetry is None:
             yield from self._show_state(None, ["no telemetry yet"])
-        elif news or self._is_busy or (used, awaited) != (self._used, self._turn.awaited):
+        elif news or used != self._used:
             self._used = used
-            self._turn.awaited = awaited
-            yield from self._work(news)
-        elif self._turn.may_show(self._now) and self._state.has_aged(set(self._gone), self._now):
+            yield from self._work()
+        elif self._state.has_aged(set(self._gone), self._now):
             yield self._renew_state()
         for name in self._reminders.take_due(self._now):
             yield Publish(self._words.boundary[name], name)
-        if not (self._is_busy or self._turn.awaited):
-            yield from self._tell_freshness()
+        yield from self._tell_freshness()
 
     # What comes in
 
@@ -150,9 +135,9 @@ class AreaProtocol:
         that they agree again.
         """
         reason = find_refusal(message, key_sender, self._content, self._now + self._clock_offset)
-        if not reason and isinstance(message, BoundaryNews):
-            known = message.kind == self._strategy.kind
-            reason = self._strategy.find_refusal(message) if known else "other strategy"
+        if not reason and not isinstance(message, TelemetryMessage | LoadMessage):
+            is_known = isinstance(message, BoundaryMessage | AdmmMessage) and message.kind == self._strategy.kind
+            reason = self._strategy.find_refusal(cast("BoundaryNews", message)) if is_known else "other strategy"
         if reason:
             self._refused[reason] += 1
             if reason != FUTURE or key_sender in self._ahead:
@@ -161,32 +146,25 @@ class AreaProtocol:
             return True
         agrees_again = self._ahead.pop(key_sender, None) is not None
         if isinstance(message, TelemetryMessage):
-            last_scan = self._scan
             if not self._hearing.take_telemetry(message, self._now):
                 return agrees_again
-            if self._scan != last_scan:
-                self._turn.forget()
             for reason in self._readings.take(message):
                 self._refused[reason] += 1
-        elif isinstance(message, LoadMessage | BoundaryMessage | InformationMessage | AdmmMessage | TallyMessage):
-            if not self._hearing.take(message, self._now):
-                return agrees_again
-            if isinstance(message, BoundaryNews) and message.header.scan == self._scan:
-                self._turn.take_answer(key_sender)
+        elif isinstance(message, LoadMessage | BoundaryMessage | AdmmMessage) and not self._hearing.take(
+            message, self._now
+        ):
+            return agrees_again
         return True
 
     # What goes out
 
-    def _work(self, news: bool) -> Iterator[Action]:
+    def _work(self) -> Iterator[Action]:
         """Tell what is new. Numbers beyond all reason, a neighbour's perhaps, leave no estimate and no crash."""
         problem = ""
         for _ in range(2):  # with all that was heard; if that leads nowhere, from the own telemetry alone
             try:
-                if not self._tells_loads_last:
-                    yield from self._words.tell_loads(self._readings.net_load, self._heard_loads())
-                yield from self._estimate(news)
-                if self._tells_loads_last and self._estimate_to_tell is None and not self._turn.is_held_back:
-                    yield from self._words.tell_loads(self._readings.net_load, self._heard_loads())
+                yield from self._words.tell_loads(self._readings.net_load, self._heard_loads())
+                yield from self._estimate()
                 break
             except (ArithmeticError, np.linalg.LinAlgError, RuntimeError, ValueError) as error:
                 problem = f"no estimate: {type(error).__name__}: {error}"
@@ -195,52 +173,23 @@ class AreaProtocol:
             yield from self._show_state(None, (problem,))
         self._stop_answered_reminders()
 
-    @property
-    def _tells_loads_last(self) -> bool:
-        """Where they only start the iteration, and it is under way; for whoever has to start anew."""
-        return self._strategy.passes_on and self._estimate_told is not None
-
     def _start_anew(self) -> None:
         """Forget what cannot be computed with, as a restart would: where the iteration is, and all that was heard.
 
         What the neighbours have been told on such a ground is replaced by the first estimate that follows.
         """
         self._strategy, self._estimate_told = type(self._strategy)(self._content), None
-        self._estimate_to_tell = None
-        self._turn.forget()
         self._hearing.forget_neighbours()
         self._refused["led to no estimate"] += 1
 
-    def _estimate(self, news: bool) -> Iterator[Action]:
-        """Solve and tell the neighbours what is new; when they have had time to answer, judge and show the state.
-
-        A state is shown at rest only: whoever has seen one knows that nothing but news will change it.
-        """
-        if self._turn.is_held_back:
-            self._estimate_to_tell = None
-            return
-        if self._estimate_to_tell is None or news:
-            estimate, notes = self._strategy.solve(self._knowledge())
-            self._check_reasonable(estimate)
-            if self._estimate_to_tell is None and estimate is not None and self._is_to_be_told(estimate):
-                self._estimate_to_tell = estimate, notes
-                return  # what has come in meanwhile may change what to say, and saying it takes longest
-        else:
-            estimate, notes = self._estimate_to_tell
-        self._estimate_to_tell = None
+    def _estimate(self) -> Iterator[Action]:
+        """Solve, tell the neighbours what is new, and show the state."""
+        estimate, notes = self._strategy.solve(self._knowledge())
+        self._check_reasonable(estimate)
         if estimate is not None and self._is_to_be_told(estimate):
             self._estimate_told = estimate
             yield from self._tell_boundaries(estimate)
-        if self._strategy.restless or not self._turn.may_show(self._now):
-            return
-        self._turn.show()
-        if estimate is not None:
-            estimate, contradictions = self._strategy.judge(self._knowledge(), estimate)
-            self._check_reasonable(estimate)
-            notes += contradictions
-            yield from self._tell_tallies()
-        if not self._strategy.restless:
-            yield from self._show_state(estimate, notes, doubts=bool(notes))
+        yield from self._show_state(estimate, notes, doubts=bool(notes))
 
     def _check_reasonable(self, estimate: Estimate | None) -> None:
         """Raise ``ArithmeticError`` if no grid can be in this state."""
@@ -250,8 +199,7 @@ class AreaProtocol:
     def _is_to_be_told(self, estimate: Estimate) -> bool:
         """To somebody: the readings of a new scan may be the same, and a neighbour's turn may come later."""
         sent = [self._words.boundary.get(n.area) for n in self._area.neighbours]
-        has_changed = estimate is not self._estimate_told or any(map(self._words.is_outdated, sent))
-        return has_changed or self._turn.has_more(self._now)
+        return estimate is not self._estimate_told or any(map(self._words.is_outdated, sent))
 
     def _knowledge(self) -> Knowledge:
         return Knowledge(
@@ -260,46 +208,26 @@ class AreaProtocol:
             boundary={name: m for name, m in self._hearing.boundary.items() if name in self._used},
             present=frozenset(self._present),
             scan=self._scan,
-            tallies={name: m for name, m in self._hearing.tallies.items() if m.header.scan == self._scan},
-            sent={name: m for name, m in self._words.boundary.items() if name not in self._turn.held},
         )
 
     def _heard_loads(self) -> dict[str, NetLoad]:
         return {name: message.load for name, message in sorted(self._hearing.loads.items())}
 
     def _tell_boundaries(self, estimate: Estimate) -> Iterator[Action]:
-        """What rests on an awaited word is held back: it would be out of date before it arrives."""
         fresh = self._find_fresh()
         for n in self._area.neighbours:
-            if not self._turn.may_tell(n.area, self._now):
-                continue
             last = self._words.boundary.get(n.area)
             message = replace(self._strategy.message_for(n, estimate, self._header(last)), fresh=fresh[n.area])
             _check_sayable(message, self._strategy.find_refusal(message))
             if last is None or self._words.is_outdated(last) or self._strategy.is_news(n, message, last):
-                publish = self._words.tell_boundary(message, n.area)
                 self._reminders.start(n.area, self._now)
-                if self._strategy.expects_answer(n):
-                    self._turn.await_answer(n.area, self._now)
-                yield publish
+                yield self._words.tell_boundary(message, n.area)
 
     def _tell_freshness(self) -> Iterator[Publish]:
-        """Nobody's last word is called fresh where another, which rests on more, is about to follow."""
-        outdated = set(self._by_name) if self._is_busy or self._turn.awaited else self._turn.held
-        fresh = {name: is_fresh for name, is_fresh in self._find_fresh().items() if not (is_fresh and name in outdated)}
-        return self._words.tell_freshness(fresh)
+        return self._words.tell_freshness(self._find_fresh())
 
     def _find_fresh(self) -> dict[str, bool]:
         return find_fresh(self._hearing, list(self._by_name), set(self._gone), self._now)
-
-    def _tell_tallies(self) -> list[Publish]:
-        told: list[Publish] = []
-        for n in self._area.neighbours:
-            message = self._strategy.tally_for(n, self._header(self._words.tallies.get(n.area)))
-            if message is not None:
-                _check_sayable(message)
-                told += self._words.tell_tally(message, n.area)
-        return told
 
     def _stop_answered_reminders(self) -> None:
         for n in self._area.neighbours:
@@ -307,7 +235,7 @@ class AreaProtocol:
                 self._reminders.stop(n.area)
 
     def _show_state(self, estimate: Estimate | None, notes: Sequence[str], doubts: bool = False) -> list[Action]:
-        sent = (self._words.loads, self._words.boundary, self._words.tallies)
+        sent = (self._words.loads, self._words.boundary)
         notes = (*notes, *self._what_is_missing())
         state = self._state.change(estimate, notes, doubts, sent, set(self._gone), self._all_refused, self._now)
         return [Publish(state, None)] if state else []
@@ -361,7 +289,7 @@ class AreaProtocol:
         )
 
 
-def _check_sayable(message: BoundaryNews | TallyMessage, refusal: str = "") -> None:
+def _check_sayable(message: BoundaryNews, refusal: str = "") -> None:
     """Raise ``ArithmeticError`` if the neighbour will refuse ``message``."""
     if reason := refusal or find_unreasonable(message):
         raise ArithmeticError(f"what it would tell a neighbour: {reason}")

@@ -13,11 +13,9 @@ from agents.messages import (
     LoadMessage,
     Message,
     StateMessage,
-    TallyMessage,
     TelemetryMessage,
     UpMessage,
 )
-from agents.strategies.bad_data_tree import has_too_many_names
 from dsse_core.boundary_information import BEYOND_REASON, are_within_reason
 
 LONGEST_LEAD_S = 600.0  # by which the sender's clock may be ahead of ours
@@ -54,7 +52,7 @@ def find_lead(header: Header, now: float) -> float:
 
 
 def find_unreasonable(
-    message: LoadMessage | BoundaryNews | TallyMessage | HeartbeatMessage | UpMessage | DownMessage,
+    message: LoadMessage | BoundaryNews | HeartbeatMessage | UpMessage | DownMessage,
 ) -> str:
     """That no estimate can have the numbers of ``message``; empty if one can. Strategies know more of their own."""
     match message:
@@ -62,12 +60,6 @@ def find_unreasonable(
             possible = are_within_reason((message.p, message.q, message.sigma)) and message.sigma >= 0
         case BoundaryMessage():
             possible = are_within_reason((message.vm, message.va)) and message.vm > 0
-        case TallyMessage() if has_too_many_names(message.decisions) or has_too_many_names(message.worst):
-            return "too many names"
-        case TallyMessage():
-            counts = message.degrees_of_freedom, message.held_back
-            figures = message.objective, *message.normalized
-            possible = are_within_reason((*counts, *figures, *message.no_load)) and min(figures) >= 0
         case UpMessage() | DownMessage():
             t = message.totals
             numbers = *message.R, *message.z, *message.no_load, *message.power, t.degrees_of_freedom

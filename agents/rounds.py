@@ -77,8 +77,10 @@ class RoundsProtocol:
     # The interface of a protocol
 
     def describe_backend(self) -> str:
-        """For the log: what computes the exchange."""
-        return choose_backend(self._area)
+        """For the log: what computes the exchange, and how often something else had to."""
+        chosen, declined = choose_backend(self._area), self._round.estimation.declined
+        left = [f"{count} for {why}" for why, count in declined.most_common()]
+        return f"{chosen}, calls left to sparse matrices: {', '.join(left)}" if left else chosen
 
     @property
     def scan(self) -> int:

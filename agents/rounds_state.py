@@ -215,8 +215,8 @@ class RoundsState:
         return StateMessage(
             header=replace(header_for(self._message), scan=self._of_scan or term[0]),
             **describe_estimate(self._estimate, self._buses),
-            sent={name: (loads.get(name, 0), peer.sequence, 0) for name, peer in peers},
-            heard={name: (heard_loads.get(name, 0), peer.heard_sequence, 0) for name, peer in peers},
+            sent={name: (loads.get(name, 0), peer.sequence) for name, peer in peers},
+            heard={name: (heard_loads.get(name, 0), peer.heard_sequence) for name, peer in peers},
             messages=0,
             bytes=0,
             lost=0,

@@ -38,14 +38,14 @@ class ShownState:
         estimate: Estimate | None,
         notes: Sequence[str],
         doubts: bool,
-        sent: tuple[Sent, Sent, Sent],
+        sent: tuple[Sent, Sent],
         gone: set[str],
         refused: Mapping[str, int],
         now: float,
     ) -> StateMessage | None:
         """Show ``estimate`` as things are at time ``now``; the state to be published, None if it says nothing new.
 
-        ``sent``: the last load, boundary and tally message to each neighbour. Under the number of the last state
+        ``sent``: the last load and boundary message to each neighbour. Under the number of the last state
         only its quality, ages and counts may change.
         """
         last, scan = self.message, self._hearing.scan
@@ -63,13 +63,13 @@ class ShownState:
         self,
         estimate: Estimate | None,
         notes: Sequence[str],
-        sent: tuple[Sent, Sent, Sent],
+        sent: tuple[Sent, Sent],
         gone: set[str],
         refused: Mapping[str, int],
         now: float,
     ) -> StateMessage:
         """The state but for what the links have counted, which they fill in."""
-        heard = (self._hearing.loads, self._hearing.boundary, self._hearing.tallies)
+        heard = (self._hearing.loads, self._hearing.boundary)
         return StateMessage(
             header=self._header_for(self.message),
             **describe_estimate(estimate, self._buses),
@@ -131,6 +131,6 @@ def describe_estimate(estimate: Estimate | None, buses: tuple[int, ...]) -> dict
     }
 
 
-def _sequences(name: str, loads: Sent, boundary: Sent, tallies: Sent) -> tuple[int, int, int]:
-    load, state, tally = (kept[name].header.sequence if name in kept else 0 for kept in (loads, boundary, tallies))
-    return load, state, tally
+def _sequences(name: str, loads: Sent, boundary: Sent) -> tuple[int, int]:
+    load, state = (kept[name].header.sequence if name in kept else 0 for kept in (loads, boundary))
+    return load, state

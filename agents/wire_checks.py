@@ -135,5 +135,5 @@ CHECKS: Mapping[str, Callable[[str, object], Any]] = {  # by the annotation of t
     "tuple[str, ...]": check_names,
     "dict[str, int]": map_of(check_count),
     "dict[str, float]": map_of(check_number),
-    "dict[str, tuple[int, int, int]]": map_of(tuple_of(check_count, 3)),
+    "dict[str, tuple[int, int]]": map_of(tuple_of(check_count, 2)),
 }

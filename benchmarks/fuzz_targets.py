@@ -29,6 +29,7 @@ from coordinator.live import format_view
 from coordinator.split import area_files
 from coordinator.watch import Watcher
 from dsse_core.errors import InvalidInputError
+from dsse_core.verdict import Totals
 from scenarios.importers import import_grid
 from scenarios.network_file import load_case, load_network
 from scenarios.readings_file import load_readings, save_readings
@@ -66,6 +67,9 @@ def _make_value(rng: random.Random, kind: Any, length: int) -> Any:
         return tuple(_make_value(rng, argument, length) for argument in arguments)
     if origin is dict:
         return {name: _make_value(rng, arguments[1], length) for name in ("area1", _make_text(rng))}
+    if kind is Totals:
+        hints = typing.get_type_hints(Totals)
+        return Totals(**{name: _make_value(rng, hint, length % 4) for name, hint in hints.items()})
     made: dict[Any, Any] = {
         bool: rng.random() < 0.5,
         int: rng.randrange(100),

@@ -35,7 +35,7 @@ def partition(scenario: str, count: int | None, switches: tuple[str, ...], out: 
         raise click.UsageError("--count and --switches are two ways to cut; give one of them")
     if out is not None and out.suffix.lower() not in PICTURES:
         raise InvalidInputError("--out", [f"{out} has none of the endings {', '.join(PICTURES)}; give it one"])
-    from agents.strategies import STRATEGIES
+    from agents.choose_protocol import STRATEGIES
     from coordinator.area_table import format_area_tables, format_areas
     from scenarios.scenario import load_scenario
 
@@ -135,7 +135,7 @@ def import_file(file: Path, out: Path, n_area: int, name: str | None, frequency_
 
 def _check(path: Path, source: Path) -> None:
     """Check a scenario that has just been written, which its source may make impossible to estimate."""
-    from agents.strategies import STRATEGIES
+    from agents.choose_protocol import STRATEGIES
     from scenarios.check import check_scenario
     from scenarios.scenario import load_scenario
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from agents.strategies import STRATEGIES
+from agents.choose_protocol import STRATEGIES
 from coordinator.comparison import compare
 from coordinator.doubles import Double
 from coordinator.observer import Observer

@@ -260,11 +260,10 @@ class Observer:
                 if sender is None or receiver is None:
                     continue
                 sent, heard = (
-                    numbers.get(name, (0, 0, 0))
-                    for numbers, name in ((sender.sent, n.area), (receiver.heard, area.name))
+                    numbers.get(name, (0, 0)) for numbers, name in ((sender.sent, n.area), (receiver.heard, area.name))
                 )
-                for kind, said, got in zip(("load", "boundary", "tally"), sent, heard, strict=True):
-                    if said == 0 and kind != "tally":  # which not every strategy has
+                for kind, said, got in zip(("load", "boundary"), sent, heard, strict=True):
+                    if said == 0:
                         found.append(f"{area.name} has sent {n.area} no {kind} message")
                     elif got != said:
                         found.append(f"{n.area} has not heard the last {kind} message of {area.name}")
@@ -273,7 +272,7 @@ class Observer:
 
 def count_exchanges(state: StateMessage) -> int:
     """The most changed messages that an area has sent to one neighbour; they are numbered from 1."""
-    return max((load + boundary for load, boundary, _ in state.sent.values()), default=0)
+    return max((load + boundary for load, boundary in state.sent.values()), default=0)
 
 
 def _voltage(state: StateMessage, bus: int) -> tuple[float, float]:

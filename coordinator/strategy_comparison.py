@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from agents.strategies import STRATEGIES
+from agents.choose_protocol import STRATEGIES
 from coordinator.report import format_table
 from coordinator.result import RunOutcome
 from coordinator.run_folder import make_run_folder

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from agents.strategies import STRATEGIES
+from agents.choose_protocol import STRATEGIES
 from coordinator.judging import NO_CHANGES, choose_scenario
 from coordinator.result import version_of
 from dsse_core.errors import InvalidInputError

@@ -7,6 +7,7 @@ centralised estimate.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import TypeVar, cast
@@ -20,7 +21,7 @@ from dsse_core.boundary_information import BoundaryInformation
 from dsse_core.boundary_load import NetLoad
 from dsse_core.errors import DsseError
 from dsse_core.exchange import compute_information, find_variances, solve_whole_step
-from dsse_core.feeder_bad_data import NoLoadModel, build_no_load_model, count_freedom, find_objective, tally_area
+from dsse_core.feeder_bad_data import NoLoadModel, build_no_load_model, count_freedom, find_objective, find_suspects
 from dsse_core.measurement import Measurement, MeasurementKind, Source
 from dsse_core.partition import Area, Neighbour
 from dsse_core.verdict import MOST_NAMED, Decision, Memory, Totals, Verdict
@@ -69,6 +70,12 @@ class AreaEstimation:
     def model(self) -> AreaModel:
         assert self._model is not None  # ``begin`` was called
         return self._model
+
+    @property
+    def declined(self) -> Counter[str]:
+        """What the tree, where it is the back end, has left to sparse matrices, by reason."""
+        tree = self._model.tree if self._model else None
+        return tree.declined if tree else Counter()
 
     # A term
 
@@ -272,7 +279,7 @@ class AreaEstimation:
         without_check = (variance <= CRITICAL_REDUNDANCY * model.sigma**2) & ~model.virtual
         critical = {*self.critical, *(model.meters[k].id for k in np.flatnonzero(without_check))}
         self.critical = tuple(m.id for m in model.meters if m.id in critical)
-        worst = tally_area(model, self.x, variance, critical).worst
+        worst = find_suspects(model, self.x, variance, critical)
         self._worst = tuple(sorted(worst.items()))[:MOST_NAMED]
         self.reported |= worst.keys()
 

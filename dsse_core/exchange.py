@@ -20,35 +20,10 @@ from dsse_core import exchange_sparse as sparse
 from dsse_core.area_model import AreaModel
 from dsse_core.boundary_information import BoundaryInformation
 from dsse_core.exchange_sparse import NOT_YET, NOT_YET_OF_POWER, least_information
-from dsse_core.kept_factor import KeptFactor, solve_steps_anew, solve_steps_on
 from dsse_core.partition import Neighbour
 
-DAMPING = 0.3  # tau, p.u. and rad: undamped steps diverge while transit power is seen through losses only
+DAMPING = 0.3  # tau, p.u. and rad
 LARGEST_STEP = 0.1  # p.u. and rad, of any voltage
-SMALL_STEP = 1e-3  # p.u. and rad; after a smaller one the damping falls in proportion
-
-
-def solve_step(
-    model: AreaModel,
-    x: np.ndarray,
-    heard: Mapping[str, BoundaryInformation],
-    last_step: float = np.inf,
-    *,
-    powers_too: bool = False,
-) -> np.ndarray:
-    """The damped step dx, shape (size,), ``(G + D) dx = b`` with all messages in; D = 1 / tau^2 for voltages.
-
-    ``powers_too``: damp them alike, where messages do not yet tell what neighbours know. After a small
-    ``last_step``, max |dx|, less damping is needed, and directions of little information converge too.
-    """
-    less = min(1.0, last_step / SMALL_STEP)
-    if not powers_too and model.tree:
-        of_voltage = max(DAMPING**-2.0 * less, NOT_YET)
-        if (dx := model.tree.step(x, heard, (of_voltage, NOT_YET_OF_POWER), x)) is not None:
-            return _shorten(model, dx)
-    most = np.full(len(model.free), DAMPING**-2.0) if powers_too else _damping(model)
-    damping = np.maximum(most * less, least_information(model, model.free))
-    return _shorten(model, sparse.solve_damped(model, x, heard, damping, np.zeros(len(damping))))
 
 
 def solve_whole_step(model: AreaModel, x: np.ndarray, heard: Mapping[str, BoundaryInformation]) -> np.ndarray:
@@ -58,42 +33,13 @@ def solve_whole_step(model: AreaModel, x: np.ndarray, heard: Mapping[str, Bounda
     return sparse.solve_damped(model, x, heard, least_information(model, model.free), np.zeros(len(model.free)))
 
 
-def solve_steps(
-    model: AreaModel,
-    x: np.ndarray,
-    heard: Mapping[str, BoundaryInformation],
-    last_step: float,
-    enough: float,
-    kept: KeptFactor | None,
-) -> tuple[np.ndarray, list[float], KeptFactor | None]:
-    """``solve_step`` and what follows on its factor, or all of it on the one ``kept`` before, where that serves.
+def solve_damped_step(model: AreaModel, x: np.ndarray, heard: Mapping[str, BoundaryInformation]) -> np.ndarray:
+    """The step dx, shape (size,), ``(G + D) dx = b``, D = 1 / tau^2 for all variables, of LARGEST_STEP at most.
 
-    Their sum dx, max |dx| of each, and the factor. ``enough``: no further step where it is expected to be smaller. On
-    the tree a factor costs no more than a step.
+    Where messages do not tell what neighbours know, undamped steps diverge: transit power is seen through losses only.
     """
-    if model.tree:
-        dx = solve_step(model, x, heard, last_step)
-        return dx, [float(abs(dx).max(initial=0.0))], None
-    if kept is not None and (solved := solve_steps_on(kept, model, x, heard, enough)) is not None:
-        return solved
-    damping = np.maximum(_damping(model) * min(1.0, last_step / SMALL_STEP), least_information(model, model.free))
-    dx, sizes, kept = solve_steps_anew(model, x, heard, damping, enough)
-    return _shorten(model, dx), sizes, kept
-
-
-def solve_step_near(
-    model: AreaModel, x: np.ndarray, heard: Mapping[str, BoundaryInformation], start: np.ndarray
-) -> np.ndarray:
-    """The step dx, shape (size,), where news is missing: ``start`` counts as measured, all voltages with sigma tau.
-
-    Without it losses alone would tell what the missing neighbours should, and the state would run away.
-    """
-    if model.tree:
-        dx = model.tree.step(x, heard, (DAMPING**-2.0, NOT_YET_OF_POWER), start)
-        if dx is not None:
-            return _shorten(model, dx)
-    damping = _damping(model)
-    return _shorten(model, sparse.solve_damped(model, x, heard, damping, damping * (x - start)[model.free]))
+    damping = np.maximum(np.full(len(model.free), DAMPING**-2.0), least_information(model, model.free))
+    return _shorten(model, sparse.solve_damped(model, x, heard, damping, np.zeros(len(damping))))
 
 
 def _shorten(model: AreaModel, dx: np.ndarray) -> np.ndarray:
@@ -102,24 +48,11 @@ def _shorten(model: AreaModel, dx: np.ndarray) -> np.ndarray:
     return np.asarray(dx * min(1.0, LARGEST_STEP / max(largest, LARGEST_STEP)))
 
 
-def _damping(model: AreaModel) -> np.ndarray:
-    """Of voltages; nobody knows beforehand how large powers are."""
-    return np.where(model.free < 2 * len(model.area.network.buses), DAMPING**-2.0, NOT_YET_OF_POWER)
-
-
-def state_variance(
-    model: AreaModel, x: np.ndarray, heard: Mapping[str, BoundaryInformation], *, near_start: bool = False
-) -> np.ndarray:
-    """diag(G^-1) with all messages in, shape (size,): at the fixed point that of the centralised estimate.
-
-    ``near_start``: with the start as a measurement, as in ``solve_step_near``.
-    """
-    if model.tree:
-        damping_on_tree = (DAMPING**-2.0 if near_start else NOT_YET, NOT_YET_OF_POWER)
-        if (found := model.tree.variances(x, heard, damping_on_tree)) is not None:
-            return found[0]
-    damping = _damping(model) if near_start else least_information(model, model.free)
-    return sparse.state_variance(model, x, heard, damping)
+def state_variance(model: AreaModel, x: np.ndarray, heard: Mapping[str, BoundaryInformation]) -> np.ndarray:
+    """diag(G^-1) with all messages in, shape (size,): at the fixed point that of the centralised estimate."""
+    if model.tree and (found := model.tree.variances(x, heard, (NOT_YET, NOT_YET_OF_POWER))) is not None:
+        return found[0]
+    return sparse.state_variance(model, x, heard, least_information(model, model.free))
 
 
 def find_variances(

@@ -1,12 +1,12 @@
 """Bad data of the whole feeder from what each area knows: the centralised test, added up along the tree of areas.
 
-At the fixed point of the exact exchange J, degrees of freedom and normalised residuals of the areas are those of
-the centralised estimate, so that a sum and a maximum along the tree make the same decisions (``bad_data``).
+At the end of the exact exchange J, degrees of freedom and normalised residuals of the areas are those of the
+centralised estimate, so that a sum and a maximum along the tree make the same decisions (``verdict``, ``bad_data``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,35 +31,18 @@ NOTHING_AT_NO_LOAD = 1e-8
 NOTHING_KNOWN = 1e12
 
 
-@dataclass(frozen=True)
-class Tally:
-    """What some areas together add to the test.
+def find_suspects(model: AreaModel, x: np.ndarray, variance: np.ndarray, spared: Collection[str]) -> dict[str, float]:
+    """Meter -> its normalised residual, the largest of the area above the threshold and those that equal it.
 
-    ``worst``: meter id -> its normalised residual above the threshold, the largest of them and those that equal it.
-    ``held_back``: how many of their meters are not yet in use.
+    ``variance``: diag(Omega) at ``x``; ``spared``: critical meters.
     """
-
-    objective: float
-    degrees_of_freedom: int
-    worst: Mapping[str, float]
-    held_back: int = 0
-
-
-def tally_area(
-    model: AreaModel, x: np.ndarray, variance: np.ndarray, spared: Collection[str], held_back: int = 0
-) -> Tally:
-    """The area's own part. ``variance``: diag(Omega) at ``x``; ``spared``: critical meters."""
     normalized = normalize_residuals(model.residual(x), variance, model.sigma, ~model.virtual)
-    suspects = {
-        model.meters[k].id: float(normalized[k])
-        for k in np.flatnonzero(normalized > THRESHOLD)
-        if model.meters[k].id not in spared
-    }
-    return Tally(
-        objective=find_objective(model, x),
-        degrees_of_freedom=count_freedom(model),
-        worst=keep_tied(suspects),
-        held_back=held_back,
+    return keep_tied(
+        {
+            model.meters[k].id: float(normalized[k])
+            for k in np.flatnonzero(normalized > THRESHOLD)
+            if model.meters[k].id not in spared
+        }
     )
 
 
@@ -75,18 +58,8 @@ def count_freedom(model: AreaModel) -> int:
     return len(model.meters) - 2 * owned + model.area.is_reference
 
 
-def add_tallies(tallies: Iterable[Tally]) -> Tally:
-    """The test of several parts of the feeder together."""
-    tallies = list(tallies)
-    return Tally(
-        objective=sum(t.objective for t in tallies),
-        degrees_of_freedom=sum(t.degrees_of_freedom for t in tallies),
-        worst=keep_tied({meter: value for t in tallies for meter, value in t.worst.items()}),
-        held_back=sum(t.held_back for t in tallies),
-    )
-
-
 def keep_tied(suspects: Mapping[str, float]) -> dict[str, float]:
+    """The largest, and those that equal it."""
     least = max(suspects.values(), default=0.0) * (1 - TIE)
     return {meter: suspects[meter] for meter in sorted(suspects) if suspects[meter] >= least}
 

@@ -5,17 +5,14 @@ from collections.abc import Mapping
 from agents.area_file import AreaFile
 from agents.strategies.admm import Admm
 from agents.strategies.angle_offset import AngleOffset
-from agents.strategies.information import Information
 from agents.strategies.interface import Strategy
 
-STRATEGIES: Mapping[str, type[Strategy]] = {
+ASYNCHRONOUS: Mapping[str, type[Strategy]] = {
     "angle-offset": AngleOffset,
-    "information": Information,
     "admm": Admm,
-    "free-running": Information,
 }
 
 
 def make_strategy(content: AreaFile) -> Strategy:
     """The strategy that the area file names."""
-    return STRATEGIES[content.strategy](content)
+    return ASYNCHRONOUS[content.strategy](content)

@@ -17,7 +17,7 @@ from agents.strategies.start import start_state
 from dsse_core.area_model import AreaModel, build_area_model
 from dsse_core.boundary_information import BEYOND_REASON, EXACT_SIGMA, VA
 from dsse_core.consensus_admm import compute_weight, pull
-from dsse_core.exchange import solve_step, state_variance
+from dsse_core.exchange import solve_damped_step, state_variance
 from dsse_core.measurement import Measurement, MeasurementKind
 from dsse_core.partition import Neighbour
 
@@ -133,7 +133,7 @@ class Admm(Strategy):
                 pulls[name] = pulled
             if (angle := b.angle_to_follow) is not None:  # turned at once: meters see no difference
                 self._x[: len(self._area.network.buses)] += angle - self._y(b)[VA]
-        dx = solve_step(self._model, self._x, pulls, powers_too=True)
+        dx = solve_damped_step(self._model, self._x, pulls)
         self._x, self._moved = self._x + dx, float(abs(dx).max(initial=0.0))
         self._shown = self._estimate(self._model)
 

@@ -1,4 +1,4 @@
-"""The interface between the protocol and a strategy: three decisions, no clock, no bus."""
+"""The interface between the asynchronous protocol and a strategy: three decisions, no clock, no bus."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from agents.area_file import AreaFile
-from agents.messages import BoundaryNews, Header, TallyMessage
+from agents.messages import BoundaryNews, Header
 from dsse_core.boundary_load import NetLoad
 from dsse_core.measurement import Measurement
 from dsse_core.partition import Neighbour
@@ -27,8 +27,7 @@ class Knowledge:
 
     ``measurements``: its telemetry of the current scan, virtual measurements included. ``loads``: neighbour ->
     load message; ``boundary``: neighbour -> its newest boundary message; silent neighbours are absent from both.
-    ``present``: the neighbours that are on the bus. ``tallies``: neighbour -> its newest one; ``sent``: neighbour ->
-    the last boundary message to it, none where another is about to follow.
+    ``present``: the neighbours that are on the bus.
     """
 
     measurements: tuple[Measurement, ...]
@@ -36,8 +35,6 @@ class Knowledge:
     boundary: Mapping[str, BoundaryNews] = field(default_factory=dict)
     present: frozenset[str] = frozenset()
     scan: int = 0
-    tallies: Mapping[str, TallyMessage] = field(default_factory=dict)
-    sent: Mapping[str, BoundaryNews] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -74,11 +71,9 @@ class Estimate:
 
 
 class Strategy(ABC):
-    """One area's side of a boundary-exchange strategy. ``kind``: that of the messages it sends and takes."""
+    """One area's side of an asynchronous strategy. ``kind``: that of the messages it sends and takes."""
 
     kind: ClassVar[str]
-    other_kinds: ClassVar[tuple[str, ...]] = ()  # of what else goes to neighbours: tallies, where there are any
-    passes_on: ClassVar[bool] = False  # whether a message to one neighbour rests on the newest of all the others
 
     @abstractmethod
     def __init__(self, content: AreaFile) -> None: ...
@@ -87,17 +82,8 @@ class Strategy(ABC):
     def solve(self, known: Knowledge) -> tuple[Estimate | None, tuple[str, ...]]:
         """The estimate that ``known`` allows, None if it allows none, and in words what is missing."""
 
-    @property
-    def restless(self) -> bool:
-        """Whether to solve again at once, without waiting for news."""
-        return False
-
     def awaits_answer(self, neighbour: Neighbour) -> bool:
         """Whether nothing more can be done at this boundary until ``neighbour`` has answered the last message."""
-        return False
-
-    def expects_answer(self, neighbour: Neighbour) -> bool:
-        """Whether ``neighbour`` will have something to say to what ``message_for`` has last said to it."""
         return False
 
     def describe_backend(self) -> str:
@@ -107,18 +93,6 @@ class Strategy(ABC):
     def find_refusal(self, message: BoundaryNews) -> str:
         """Why a neighbour's message cannot be used, in short; empty if it can."""
         return ""
-
-    def judge(self, known: Knowledge, estimate: Estimate) -> tuple[Estimate, tuple[str, ...]]:
-        """Look for bad data beyond the area, once its neighbours have been told ``estimate``.
-
-        The estimate with what is known of it now, and in words what contradicts it. A meter to be removed makes
-        the strategy restless.
-        """
-        return estimate, ()
-
-    def tally_for(self, neighbour: Neighbour, header: Header) -> TallyMessage | None:
-        """What ``neighbour`` is to hear of that; None where the strategy does not."""
-        return None
 
     @abstractmethod
     def message_for(self, neighbour: Neighbour, estimate: Estimate, header: Header) -> BoundaryNews:

@@ -46,7 +46,7 @@ class SimulatedBus(twin.SimulatedBus):
         return self.states.keys() == self.files.keys() and all(
             state.referenced
             and state.header.scan == self.scan
-            and all(self.states[n].sent[name] == heard != (0, 0, 0) for n, heard in state.heard.items())
+            and all(self.states[n].sent[name] == heard != (0, 0) for n, heard in state.heard.items())
             for name, state in self.states.items()
         )
 

@@ -8,7 +8,7 @@ import pytest
 from simulated_bus import SimulatedBus, area_files_of
 from tree_of_areas import tree_scenario
 
-from agents.messages import StateMessage, TallyMessage
+from agents.messages import DownMessage, StateMessage, UpMessage
 from agents.quality import GOOD
 from dsse_core.bad_data import BadDataReport, process_bad_data
 from scenarios.scenario import Scenario, load_scenario
@@ -34,9 +34,9 @@ class Watched:
     def good_now(self) -> set[str]:
         return {name for name, state in self.bus.states.items() if state.quality == GOOD}
 
-    def lose_tallies_to(self, *receivers: str) -> None:
+    def lose_rounds_to(self, *receivers: str) -> None:
         self.bus.refuse_delivery = lambda _, receiver, message: (
-            isinstance(message, TallyMessage) and receiver in receivers
+            isinstance(message, UpMessage | DownMessage) and receiver in receivers
         )
 
     def lose_nothing(self) -> None:
@@ -57,13 +57,13 @@ def gap_of(state: StateMessage, report: BadDataReport) -> float:
     return max(abs(central.vm[rows] - state.vm).max(), abs(central.va[rows] - state.va).max())
 
 
-@pytest.mark.parametrize("lose_tallies", [False, True])
+@pytest.mark.parametrize("lose_rounds", [False, True])
 @pytest.mark.parametrize("ahead", ["b", "d"])
-def test_two_scans_under_the_label_of_one_are_not_good(ahead: str, lose_tallies: bool):
-    """Area c is late; what it hears of the next scan from ``ahead`` goes into what it tells others of its own scan."""
+def test_two_scans_under_the_label_of_one_are_not_good(ahead: str, lose_rounds: bool):
+    """Area c is late for the next scan, which ``ahead`` has first."""
     world = Watched(tree_scenario())
-    if lose_tallies:
-        world.lose_tallies_to("a", "b", "d", "e")
+    if lose_rounds:
+        world.lose_rounds_to("a", "b", "d", "e")
     others = set(world.bus.files) - {ahead, "c"}
     world.bus.next_scan(world.telemetry[2].by_area, late_s={"c": 0.2} | dict.fromkeys(others, 0.4))
     world.bus.run(1.0)
@@ -75,15 +75,12 @@ def test_two_scans_under_the_label_of_one_are_not_good(ahead: str, lose_tallies:
 
 
 def test_who_has_not_heard_that_the_search_for_bad_data_began_anew_is_not_good():
-    """The substation's area restarts and uses its bad meter again until it has found it out once more.
-
-    A wrong flow inside area 1 moves the boundary too little for the others to see a contradiction.
-    """
+    """The substation's area restarts and uses its bad meter again until it has found it out once more."""
     scenario = load_scenario("ieee33")
     scenario = replace(scenario, telemetry=replace(scenario.telemetry, gross_errors={"p_flow@2:2-3": 20.0}))
     world = Watched(scenario)
     assert world.bus.states["area1"].removed == ("p_flow@2:2-3",)
-    world.lose_tallies_to("area2", "area3")
+    world.lose_rounds_to("area2", "area3")
     world.bus.kill("area1")
     world.bus.run(0.3)
     world.bus.start("area1")

@@ -7,10 +7,9 @@ import pytest
 from simulated_bus import SimulatedBus, area_files_of, bus_of
 
 from agents.events import Finish, PresenceChanged, Publish, Received, Refused, StopRequested
-from agents.messages import BoundaryMessage, Header, Incarnation, InformationMessage, LoadMessage
+from agents.messages import BoundaryMessage, Header, HeartbeatMessage, Incarnation, LoadMessage
 from agents.protocol import AreaProtocol
 from agents.strategies import make_strategy
-from agents.turn import ANSWER_S
 from coordinator.twin import STARTED_AT
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
@@ -134,31 +133,18 @@ def load_from_area2(sequence=1, **changes):
 
 
 def act(protocol, events, now):
-    """What it does at time ``now``, and if nothing more is heard, when neighbours have had time to answer."""
-    actions = list(protocol.handle(events, now))
-    while (wait := protocol.wait_s(now)) <= ANSWER_S and not any(isinstance(a, Finish) for a in actions):
-        now += wait
-        actions += protocol.handle([], now)
-    return actions
+    """What it does at time ``now``."""
+    return list(protocol.handle(events, now))
 
 
 def last_state(actions):
     return [a.message for a in actions if isinstance(a, Publish) and a.to is None][-1]
 
 
-def test_neighbours_are_told_before_the_state_is_judged(area1, monkeypatch):
+def test_neighbours_are_told_before_the_state_is_shown(area1):
     protocol, telemetry, content = area1
-    judged = []
-    judge = protocol._strategy.judge
-    monkeypatch.setattr(protocol._strategy, "judge", lambda *known: judged.append(known) or judge(*known))
-    told = set()
-    for events in ([telemetry], []):  # once more after a look for news
-        for action in protocol.handle(events, 0.0):
-            if action.message.kind == protocol._strategy.kind:
-                assert not judged
-                told.add(action.to)
-    assert told == {n.area for n in content.area.neighbours}
-    assert judged
+    receivers = [action.to for action in protocol.handle([telemetry], 0.0) if action.message.kind != "load"]
+    assert receivers == [*(n.area for n in content.area.neighbours), None]
 
 
 def test_before_any_telemetry_an_area_says_that_it_has_none(area1):
@@ -196,7 +182,7 @@ def test_a_repeat_is_the_same_message_with_the_same_sequence(area1):
         (replace(load_from_area2(), sigma=-0.1), "area2", "numbers beyond reason"),
         (BoundaryMessage(load_from_area2().header, 6, 0.0, 0.0, True), "area2", "numbers beyond reason"),
         (
-            InformationMessage(load_from_area2().header, 6, (1e4,) * 10, (1.0,) * 4, True, True),
+            HeartbeatMessage(load_from_area2().header, 6, 0, 0, True, 0.0, -1, False, False, ()),
             "area2",
             "other strategy",
         ),
@@ -209,7 +195,7 @@ def test_what_should_not_have_come_is_refused_and_counted(area1, message, key_se
     assert [a.message.kind for a in said] == (["state"] if reason == "time in the future" else [])
     state = last_state(act(protocol, [], content.beat_s))
     assert state.refused == {reason: 1}
-    assert state.heard["area2"] == (0, 0, 0)
+    assert state.heard["area2"] == (0, 0)
 
 
 def test_a_clock_that_is_behind_is_named_once_as_the_cause_until_the_sender_is_heard(area1):

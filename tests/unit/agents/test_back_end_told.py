@@ -7,7 +7,8 @@ from back_ends import back_end
 from feeders import make_feeder
 from simulated_bus import SimulatedBus
 
-from agents.strategies import make_strategy
+from agents.choose_protocol import make_protocol
+from agents.messages import Incarnation
 
 
 @pytest.mark.parametrize(("n_bus", "expected"), [(20, "dense"), (50, "sparse"), (80, "tree")])
@@ -15,7 +16,8 @@ def test_the_back_end_is_known_before_anything_is_computed(n_bus: int, expected:
     if expected == "tree":
         pytest.importorskip("numba")
     (content,) = make_feeder(1, n_bus=n_bus, n_area=1).area_files(0.0, 0)
-    assert make_strategy(content).describe_backend() == expected
+    protocol = make_protocol(content, Incarnation(1, 1), now=0.0, started_at=1.7e9)
+    assert protocol.describe_backend() == expected
 
 
 def test_messages_away_from_the_reference_are_told_as_calls_that_the_tree_has_left():

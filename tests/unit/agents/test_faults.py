@@ -16,14 +16,16 @@ from agents.messages import (
     AdmmMessage,
     BoundaryMessage,
     Header,
+    HeartbeatMessage,
     Incarnation,
-    InformationMessage,
     LoadMessage,
     Message,
+    UpMessage,
     decode,
     encode,
 )
 from dsse_core.link_faults import LinkFaults
+from dsse_core.verdict import Totals
 
 COUNT = 4000
 
@@ -177,10 +179,13 @@ def test_a_lie_tells_of_another_voltage_in_every_strategys_words():
     told = 1.5 * y + np.array([0.0, 0.0, 0.02, -0.1])
     R = np.triu(np.arange(1.0, 17.0).reshape(4, 4))
     upper = tuple(R[np.triu_indices(4)].tolist())
-    information = InformationMessage(header(), 6, upper, tuple((R @ y).tolist()), True, True)
+    of_round = {"revision": 0, "k": 1, "hears": True, "answers": 0.0, "received": 0}
+    z = tuple((R @ y).tolist())
+    up = UpMessage(header(), 6, **of_round, R=upper, z=z, no_load=(), power=(), totals=Totals())
+    heartbeat = HeartbeatMessage(header(), 6, **of_round, final=True, complete=True, y=tuple(y))
     admm = AdmmMessage(header(), 6, 1, tuple(y), tuple(y), (1.0,) * 4, True, True)
-    (b, i, a), link = send(faults, [replace(boundary(), vm=0.98, va=0.05), information, admm])
+    (b, i, h, a), link = send(faults, [replace(boundary(), vm=0.98, va=0.05), up, heartbeat, admm])
     np.testing.assert_allclose((b.vm, b.va), told[2:])
     np.testing.assert_allclose(np.linalg.solve(R, i.z), told)
-    np.testing.assert_allclose([a.r, a.r_before], [told, told])
-    assert link.met == {"lied": 3}
+    np.testing.assert_allclose([h.y, a.r, a.r_before], [told, told, told])
+    assert link.met == {"lied": 4}

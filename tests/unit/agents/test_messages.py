@@ -12,18 +12,20 @@ from agents.messages import (
     WIRE_VERSION,
     AdmmMessage,
     BoundaryMessage,
+    DownMessage,
     Header,
+    HeartbeatMessage,
     Incarnation,
-    InformationMessage,
     LoadMessage,
     StateMessage,
-    TallyMessage,
     TelemetryMessage,
+    UpMessage,
     decode,
     encode,
     seal,
 )
 from agents.wire_checks import LONGEST_NAME, LONGEST_NOTE, MOST_NOTES, MessageError, limit_notes
+from dsse_core.verdict import Totals
 
 HEADER = Header("run-1", "area1", Incarnation(1_795_200_000_000, 2**32 - 1), 7, 3, 1_795_200_000.25)
 STATE = StateMessage(
@@ -39,8 +41,8 @@ STATE = StateMessage(
     removed=("p_flow@1:1-2",),
     critical=("vm@1",),
     checked=True,
-    sent={"area2": (1, 4, 0)},
-    heard={"area2": (1, 3, 2)},
+    sent={"area2": (1, 4)},
+    heard={"area2": (1, 3)},
     messages=12,
     bytes=800,
     lost=2,
@@ -53,26 +55,27 @@ STATE = StateMessage(
     scans={"area2": 6},
     old_sides=("area3",),
 )
+UP = UpMessage(
+    HEADER,
+    bus=6,
+    revision=1,
+    k=3,
+    hears=True,
+    answers=1.7e9,
+    received=2,
+    R=tuple(map(float, range(10))),
+    z=(0.1, 0.2, 0.3, 0.4),
+    no_load=(),
+    power=(0.1, 0.2),
+    totals=Totals(12.5, -2, 1e-3, 2e-3, 3, (("vm@1", 4.5),), 2, True, ("area4",), (), ("7", "9-12"), ()),
+)
 MESSAGES = [
     LoadMessage(HEADER, 6, 0.25, -0.1, 0.01),
     BoundaryMessage(HEADER, 6, 0.95, -0.02, True),
     AdmmMessage(HEADER, 6, 3, (0.1, 0.0, 1.0, -0.1), (0.2, 0.0, 1.0, -0.1), (1e4, 1e4, 1e5, 1e5), True, True),
-    InformationMessage(HEADER, 6, tuple(range(10)), (0.1, 0.2, 0.3, 0.4), True, False),
-    TallyMessage(
-        HEADER,
-        bus=6,
-        decisions=("p_flow@1:1-2",),
-        finished=False,
-        settled=True,
-        sent=(1, 2, 3),
-        heard=(1, 2, 4),
-        objective=12.5,
-        degrees_of_freedom=20,
-        held_back=3,
-        worst=("vm@1",),
-        normalized=(4.5,),
-        no_load=tuple(range(10)),
-    ),
+    HeartbeatMessage(HEADER, 6, 1, 3, True, 1.7e9, -1, True, False, (0.1, 0.2, 1.0, -0.1)),
+    UP,
+    DownMessage(**{**vars(UP), "power": ()}, verdict="judge", decider="area1", life=(1, 2)),
     TelemetryMessage(HEADER, "area1", ("vm@1",), (1.0,), (0.002,)),
     STATE,
 ]

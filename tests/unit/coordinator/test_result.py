@@ -33,7 +33,7 @@ def a_state_of(area, central, va_shift: float = 0.0) -> StateMessage:
     """The area publishes the centralised estimate, its angles off by ``va_shift``."""
     rows = [central.network.row[bus.id] for bus in area.network.buses]
     n = len(rows)
-    said = {neighbour.area: (1, 2, 0) for neighbour in area.neighbours}
+    said = {neighbour.area: (1, 2) for neighbour in area.neighbours}
     return said_by(
         area.name,
         Incarnation(1, 1),

@@ -80,7 +80,7 @@ def test_a_watcher_keeps_so_many_areas_and_no_more(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(watch, "MAX_NAMES", 5)
     watcher = Watcher("run")
     for k in range(20):
-        watcher.take_state(said_by(f"area{k}", LIFE, sent={f"made-up{j}": (1, 1, 1) for j in range(20)}), 0.0)
+        watcher.take_state(said_by(f"area{k}", LIFE, sent={f"made-up{j}": (1, 1) for j in range(20)}), 0.0)
         watcher.take_farewell(live_key("run", "area", f"area{k}", LIFE), "SIGTERM")
     assert len(watcher.look(0.0).areas) == 5
     assert len(watcher._heard) == len(watcher._farewells) == 5

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from agents.strategies import STRATEGIES
+from agents.choose_protocol import STRATEGIES
 from coordinator.cli import run_command
 from coordinator.strategy_comparison import choose_strategies
 from coordinator.study_row import COLUMNS, from_cells, to_cells

@@ -91,7 +91,7 @@ def test_a_life_whose_clock_was_set_back_is_shown_once_the_newer_one_was_silent_
 
 def test_gaps_are_the_largest_to_a_neighbour_at_a_bus_that_both_show():
     watcher = Watcher("run")
-    life, neighbours = Incarnation(1, 1), {"area2": (1, 1, 1), "area3": (1, 1, 1)}
+    life, neighbours = Incarnation(1, 1), {"area2": (1, 1), "area3": (1, 1)}
     watcher.take_state(said_by("area1", life, sent=neighbours), 0.0)
     assert seen(watcher, 0.0).gap_vm_pu is None
     watcher.take_state(said_by("area2", life, vm=(1.01,)), 0.0)

@@ -6,7 +6,7 @@ import pytest
 from dsse_core.area_model import build_area_model
 from dsse_core.consensus_admm import POWER_METER_SIGMA, SPREAD, VOLTMETER_SIGMA, compute_weight, pull
 from dsse_core.division import build_partition
-from dsse_core.exchange import compute_information, solve_step
+from dsse_core.exchange import compute_information, solve_damped_step
 from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.network import Branch, Bus, Control, Generator, Network
 
@@ -60,6 +60,6 @@ def test_the_pull_leads_to_the_mean_of_what_is_known_and_what_is_pulled_to():
     z = np.array([0.12, 0.12, 0.98, 0.3])
     x = FLAT[4]
     for _ in range(30):
-        x = x + solve_step(model, x, {"owner": pull(np.array([0.02, 0.02, 0.01, 0.01]) ** -2.0, z)})
+        x = x + solve_damped_step(model, x, {"owner": pull(np.array([0.02, 0.02, 0.01, 0.01]) ** -2.0, z)})
     y, _ = model.boundary(x, CHILD.neighbours[0])
     np.testing.assert_allclose(y, [0.11, 0.11, 1.0, 0.3], atol=1e-9)

@@ -6,21 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from boundary_marginal import marginal_of
 from feeders import Feeder, make_feeder, make_star
 from grids import MeterShares, make_grid
 
-from agents.strategies.boundary_marginal import marginal_of
 from dsse_core.area_model import AreaModel, Backend, build_area_model, choose_backend
 from dsse_core.boundary_information import BoundaryInformation
-from dsse_core.exchange import (
-    compute_information,
-    find_variances,
-    solve_step,
-    solve_step_near,
-    solve_steps,
-    state_variance,
-)
-from dsse_core.kept_factor import KeptFactor, find_rest
+from dsse_core.exchange import compute_information, find_variances, solve_whole_step, state_variance
 from dsse_core.partition import Neighbour
 from dsse_core.power_flow import solve_power_flow
 
@@ -28,7 +20,6 @@ has_numba = importlib.util.find_spec("numba") is not None
 needs_numba = pytest.mark.skipif(not has_numba, reason="the tree needs numba: pip install 'consensus-dsse[fast]'")
 each_back_end = pytest.mark.parametrize("backend", [pytest.param("tree", marks=needs_numba), "dense"])
 
-ENOUGH = 1e-11  # p.u., rad; of a last step
 CLOSE = 1e-9  # of a step or a variance; p.u., rad
 ROUNDS = 12  # after which every area has heard of all the others
 
@@ -68,18 +59,13 @@ def cases_of(feeder: Feeder, rng: np.random.Generator, backend: Backend = "tree"
 
 
 def assert_same(case: Case) -> int:
-    """All five functions agree; how many of them the tree left to the sparse path."""
+    """All functions agree; how many of them the tree left to the sparse path."""
     sparse, fast, x, heard = case.sparse, case.other, case.x, case.heard
-    start = x + 1e-3
     voltages = slice(0, 2 * len(sparse.area.network.buses))
-    for last_step in (np.inf, 1e-9):
-        one, other = (solve_step(m, x, heard, last_step)[voltages] for m in (sparse, fast))
-        np.testing.assert_allclose(other, one, rtol=0, atol=CLOSE * max(abs(one).max(), 1e-3))
-    one, other = (solve_step_near(m, x, heard, start) for m in (sparse, fast))
-    np.testing.assert_allclose(other[voltages], one[voltages], rtol=0, atol=CLOSE * max(abs(one).max(), 1e-3))
-    for near in (False, True):
-        one, other = (state_variance(m, x, heard, near_start=near) for m in (sparse, fast))
-        np.testing.assert_allclose(other, one, rtol=CLOSE, atol=1e-20)
+    one, other = (solve_whole_step(m, x, heard)[voltages] for m in (sparse, fast))
+    np.testing.assert_allclose(other, one, rtol=0, atol=CLOSE * max(abs(one).max(), 1e-3))
+    one, other = (state_variance(m, x, heard) for m in (sparse, fast))
+    np.testing.assert_allclose(other, one, rtol=CLOSE, atol=1e-20)
     one, other = (find_variances(m, x, heard)[1] / sparse.sigma**2 for m in (sparse, fast))
     np.testing.assert_allclose(other, one, rtol=0, atol=CLOSE)
     for neighbour in sparse.area.neighbours:
@@ -170,76 +156,7 @@ def test_the_same_meters_read_anew_give_what_a_new_model_gives(backend):
     reference = area.reference[0]
     built, old = (build_area_model(area, readings, reference, backend=backend) for readings in (second, first))
     x = np.r_[np.zeros(20), np.ones(20)]
-    before = solve_step(old, x, {})
-    np.testing.assert_array_equal(solve_step(old.with_readings(second), x, {}), solve_step(built, x, {}))
-    np.testing.assert_array_equal(solve_step(old, x, {}), before)
-    assert abs(solve_step(built, x, {}) - before).max() > 1e-6
-
-
-both_back_ends = pytest.mark.parametrize("backend", ["sparse", "dense"])
-
-
-def settle_anew(model: AreaModel, x: np.ndarray, heard: Mapping[str, BoundaryInformation]) -> np.ndarray:
-    last = np.inf
-    for _ in range(20):
-        dx = solve_step(model, x, heard, last)
-        x, last = x + dx, float(abs(dx).max())
-    assert last <= ENOUGH
-    return x
-
-
-def settle(
-    model: AreaModel, x: np.ndarray, heard: Mapping[str, BoundaryInformation], kept: KeptFactor | None = None
-) -> tuple[np.ndarray, KeptFactor]:
-    sizes = [np.inf]
-    for _ in range(20):
-        dx, sizes, kept = solve_steps(model, x, heard, sizes[-1], ENOUGH, kept)
-        x = x + dx
-        if find_rest(sizes) <= ENOUGH:
-            break
-    assert find_rest(sizes) <= ENOUGH
-    assert kept is not None
-    return x, kept
-
-
-def areas_of(backend: str, seed: int):
-    """Model, a state near the settled one, messages, and where steps with new factors end."""
-    rng = np.random.default_rng(seed)
-    for case in cases_of(make_feeder(seed, n_bus=30, n_area=4), rng, backend):
-        model = case.other
-        settled = settle_anew(model, case.x, case.heard)
-        x = settled.copy()
-        x[model.free] += 1e-4 * rng.standard_normal(len(model.free))
-        yield model, x, case.heard, settled
-
-
-@both_back_ends
-@pytest.mark.parametrize("seed", [5, 6, 7])
-def test_steps_on_one_factor_end_where_steps_with_new_factors_end(backend, seed):
-    for model, x, heard, settled in areas_of(backend, seed):
-        found, kept = settle(model, x, heard)
-        np.testing.assert_allclose(found, settled, rtol=0, atol=CLOSE)
-        again, _ = settle(model, x, heard, kept)
-        np.testing.assert_allclose(again, settled, rtol=0, atol=CLOSE)
-
-
-@both_back_ends
-def test_the_factor_of_one_scan_serves_for_the_next(backend):
-    for model, x, heard, _ in areas_of(backend, 6):
-        _, kept = settle(model, x, heard)
-        read_anew = replace(model, z=model.z + 0.1 * model.sigma)
-        found, kept_again = settle(read_anew, x, heard, kept)
-        assert kept_again.factor is kept.factor
-        np.testing.assert_allclose(found, settle_anew(read_anew, x, heard), rtol=0, atol=CLOSE)
-
-
-@both_back_ends
-def test_other_weights_or_information_need_a_new_factor(backend):
-    for model, x, heard, _ in areas_of(backend, 9):
-        _, kept = settle(model, x, heard)
-        other_weights = replace(model, sigma=2 * model.sigma)
-        told_less = {name: BoundaryInformation(m.R / 2, m.z / 2) for name, m in heard.items()}
-        assert kept.serves(model, x, heard)
-        assert not kept.serves(other_weights, x, heard)
-        assert not kept.serves(model, x, told_less)
-        assert not kept.serves(model, x, {})
+    before = solve_whole_step(old, x, {})
+    np.testing.assert_array_equal(solve_whole_step(old.with_readings(second), x, {}), solve_whole_step(built, x, {}))
+    np.testing.assert_array_equal(solve_whole_step(old, x, {}), before)
+    assert abs(solve_whole_step(built, x, {}) - before).max() > 1e-6

@@ -1,4 +1,4 @@
-"""What both sides of a boundary together say of ``y = (p, q, vm, va)``: mean, spread, contradiction, what is news."""
+"""What both sides of a boundary together say of ``y = (p, q, vm, va)``: mean and spread."""
 
 from __future__ import annotations
 
@@ -9,9 +9,6 @@ from scipy.linalg.lapack import dgeqp3, dormqr, dtrtri, dtrtrs
 
 from dsse_core.boundary_information import BoundaryInformation
 
-MEAN_MOVES = 1e-10  # p.u., rad: what of a boundary's marginal is worth a message
-MEAN_MOVES_SIGMA = 1e-7  # or, if that is more, this part of its standard deviation
-SIGMA_MOVES = 1e-7  # of its standard deviations
 SINGULAR = 1e-14  # scaled pivots below it leave a direction of y open
 UPPER = np.triu(np.ones((4, 4)))
 
@@ -33,13 +30,6 @@ def marginal_of(y: np.ndarray, *sides: BoundaryInformation) -> tuple[np.ndarray,
         inverse = dtrtri(t.upper)[0] * UPPER[: t.rank, : t.rank]
         sigma[known] = np.sqrt(np.einsum("ij,ij->i", inverse, inverse)) / t.length[known]
     return mean, sigma
-
-
-def distance_between(y: np.ndarray, one: BoundaryInformation, other: BoundaryInformation) -> tuple[float, int]:
-    """What the two sides' cost-to-go cannot both reach, chi-square distributed with the degrees of freedom given."""
-    t = _triangulate(y, one, other)
-    left = t.turned[t.rank :]
-    return float(left @ left), t.n_told - t.rank
 
 
 class _Triangle(NamedTuple):
@@ -68,22 +58,3 @@ def _triangulate(y: np.ndarray, *sides: BoundaryInformation) -> _Triangle:
     turned = dormqr("L", "T", reflectors, tau, r[heavy_first, None], len(R))[0][:, 0]
     rank = int(np.count_nonzero(abs(reflectors.diagonal()) > SINGULAR))
     return _Triangle(reflectors[:rank, :rank], turned, order - 1, rank, length, int(np.count_nonzero(weight)))
-
-
-def has_moved(
-    y: np.ndarray, now: BoundaryInformation, last: BoundaryInformation, other: BoundaryInformation | None
-) -> bool:
-    """Whether the marginal of y, together with the ``other`` side's information, differs enough to be told.
-
-    ``y``: the present state. Where the marginal does not exist, whether the message itself does.
-    """
-    others = [other] if other is not None else []
-    mean, sigma = marginal_of(y, now, *others)
-    last_mean, last_sigma = marginal_of(y, last, *others)
-    if sigma is None or last_sigma is None:
-        weight = abs(now.R).max(axis=1)
-        turned = abs(now.R - last.R).max(axis=1) > SIGMA_MOVES * weight
-        shifted = abs((now.z - now.R @ y) - (last.z - last.R @ y)) > np.maximum(MEAN_MOVES_SIGMA, MEAN_MOVES * weight)
-        return bool((turned | shifted).any())
-    worth_telling = np.maximum(MEAN_MOVES, MEAN_MOVES_SIGMA * sigma)
-    return bool((abs(mean - last_mean) > worth_telling).any() or (abs(sigma / last_sigma - 1) > SIGMA_MOVES).any())
