@@ -201,6 +201,12 @@ class RoundsState:
         old = self._peers.find_old(term, self._round.links, now)
         return tuple(sorted(name for name in old if not self._peers[name].complete))
 
+    def _estimate_now(self, term: Term) -> Estimate | None:
+        """The estimate, which has not been checked as long as a neighbour contradicts it."""
+        if self._estimate is None or not any(self._mismatches(term)):
+            return self._estimate
+        return replace(self._estimate, checked=False)
+
     def _compose(
         self,
         term: Term,
@@ -214,7 +220,7 @@ class RoundsState:
         waiting = () if self._scan.has_been_read or term[0] else ("no telemetry yet",)
         return StateMessage(
             header=replace(header_for(self._message), scan=self._of_scan or term[0]),
-            **describe_estimate(self._estimate, self._buses),
+            **describe_estimate(self._estimate_now(term), self._buses),
             sent={name: (loads.get(name, 0), peer.sequence) for name, peer in peers},
             heard={name: (heard_loads.get(name, 0), peer.heard_sequence) for name, peer in peers},
             messages=0,

@@ -17,11 +17,12 @@ from dataclasses import dataclass, field
 
 from agents.hearing import FRESH_BEATS, OVER_BEATS, is_old
 from agents.messages import StateMessage
-from agents.quality import NONE, STALE
+from agents.quality import GOOD, NONE, STALE
 from dsse_core.partition import Partition
 from dsse_core.printable import printable
 
 QUIET_BEATS = 2
+SETTLING_BEATS = 3  # after the last change; whatever is not good then stays so, or messages are lost all the time
 MAX_NAMED = 12  # areas
 LEAST_DEAD_END_S = 5.0  # of waiting for telemetry: on a busy machine the plant may have to wait for its turn
 
@@ -158,6 +159,9 @@ class Observer:
             return Standing(tuple(disunity))
         ages = self._find_cut_off(now)
         obstacles = tuple(f"{name} has heard no telemetry for {age:.1f} s" for name, age in ages.items())
+        if now - self.changed_at < SETTLING_BEATS * self.beat_s:  # in which areas hear that their neighbours are done
+            worth = {name: self.quality_of(name, now) for name in self._watched}
+            obstacles += tuple(f"{name} is {quality}" for name, quality in worth.items() if quality != GOOD)
         return Standing(obstacles, self._find_dead_end(ages))
 
     def _find_dead_end(self, ages: Mapping[str, float]) -> str | None:

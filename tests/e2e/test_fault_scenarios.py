@@ -56,7 +56,7 @@ def test_a_liar_is_named_and_there_is_neither_consensus_nor_a_good_state_of_who_
     assert result.faults["lied"] > 0
     (hears,) = [area for area in result.areas if area.name == "area1"]
     assert hears.quality == "degraded"
-    assert any("information from area3 contradicts the rest" in note for note in hears.notes)
+    assert any("boundary mismatch with area3" in note for note in hears.notes)
 
 
 def test_damaged_messages_are_refused_and_counted_by_reason(tmp_path: Path):

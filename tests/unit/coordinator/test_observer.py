@@ -12,7 +12,6 @@ from agents.hearing import OVER_BEATS
 from agents.messages import Header, Incarnation, StateMessage
 from coordinator.observer import Observer, Standing
 from coordinator.progress import describe_progress
-from dsse_core.partition import Area
 from scenarios.scenario import load_scenario
 
 PARTITION = load_scenario("ieee33").partition
