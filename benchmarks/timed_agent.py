@@ -15,7 +15,7 @@ import agents.doorkeeper
 import agents.link
 from agents.__main__ import main as run_agent
 from agents.events import Action
-from agents.protocol import AreaProtocol
+from agents.rounds import RoundsProtocol
 from agents.transport import Session
 
 PING, PONG = "dsse/v1/latency/ping", "dsse/v1/latency/pong"
@@ -39,7 +39,7 @@ def run_timed_agent(area_file: str, out: str) -> int:
 
     agents.doorkeeper.decode = timed("decode", agents.doorkeeper.decode)  # type: ignore[attr-defined]
     agents.link.encode = timed("encode", agents.link.encode)  # type: ignore[attr-defined]
-    handle = AreaProtocol.handle
+    handle = RoundsProtocol.handle
 
     def timed_handle(*arguments: Any) -> Iterator[Action]:
         actions, following = handle(*arguments), timed("solve", next)
@@ -47,7 +47,7 @@ def run_timed_agent(area_file: str, out: str) -> int:
             yield action
         calls["handled"] += 1
 
-    AreaProtocol.handle = timed_handle  # type: ignore[method-assign, assignment]
+    RoundsProtocol.handle = timed_handle  # type: ignore[method-assign, assignment]
     code = run_agent([area_file])
     calls["solve"] = calls.pop("handled", 0)
     Path(out).write_text(json.dumps({"seconds": seconds, "calls": calls}))

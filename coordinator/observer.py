@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 
 from agents.hearing import FRESH_BEATS, OVER_BEATS, is_old
 from agents.messages import StateMessage
-from agents.quality import GOOD, NONE, STALE
+from agents.quality import GOOD, NONE, STALE, UNOBSERVABLE
 from dsse_core.partition import Partition
 from dsse_core.printable import printable
 
@@ -156,7 +156,7 @@ class Observer:
     def standing(self, now: float) -> Standing:
         """What is missing to consensus at time ``now``, and whether it can still come."""
         if disunity := self._find_disunity(now):
-            return Standing(tuple(disunity))
+            return Standing(tuple(disunity), self._find_unobservable(now))
         ages = self._find_cut_off(now)
         obstacles = tuple(f"{name} has heard no telemetry for {age:.1f} s" for name, age in ages.items())
         if now - self.changed_at < SETTLING_BEATS * self.beat_s:  # in which areas hear that their neighbours are done
@@ -164,9 +164,23 @@ class Observer:
             obstacles += tuple(f"{name} is {quality}" for name, quality in worth.items() if quality != GOOD)
         return Standing(obstacles, self._find_dead_end(ages))
 
+    def _find_unobservable(self, now: float) -> str | None:
+        """That the readings of this scan do not determine the state, if all areas have found that long ago."""
+        if any(self.quality_of(name, now) != UNOBSERVABLE for name in self._watched):
+            return None
+        if now - self.changed_at < self._longest_wait_s:
+            return None
+        first = next(iter(self._states.values()))
+        return f"the readings of scan {self.scan} do not determine the state: {'; '.join(first.notes)}"
+
+    @property
+    def _longest_wait_s(self) -> float:
+        """After which waiting helps no more."""
+        return max(OVER_BEATS * self.beat_s, LEAST_DEAD_END_S)
+
     def _find_dead_end(self, ages: Mapping[str, float]) -> str | None:
         """Why waiting helps no more, if it does not: the areas agree, on estimates that have been stale for long."""
-        if not ages or min(ages.values()) < max(OVER_BEATS * self.beat_s, LEAST_DEAD_END_S):
+        if not ages or min(ages.values()) < self._longest_wait_s:
             return None
         named = ", ".join(list(ages)[:MAX_NAMED]) + (f" and {len(ages) - MAX_NAMED} more" * (len(ages) > MAX_NAMED))
         return (

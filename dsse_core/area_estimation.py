@@ -197,12 +197,13 @@ class AreaEstimation:
     def totals(self) -> Totals:
         """The area's own part at x_k."""
         name, model, n = self.area.name, self.model, self._n
+        not_owned = self.area.parent.bus if self.area.parent else None
         own = Totals(
             areas=1,
             referenced=self.area.reference is not None or bool(model.angles.size),
             silent=tuple(sorted(self._silent)),
             stale=(name,) if self._is_stale else (),
-            unobservable=_as_ranges(self.unobservable),
+            unobservable=_as_ranges([bus for bus in self.unobservable if bus != not_owned]),
             failed=(name,) if self.failure else (),
         )
         if self.failure:

@@ -88,9 +88,15 @@ def add_totals(parts: Iterable[Totals]) -> Totals:
         referenced=any(t.referenced for t in parts),
         silent=_add_names(t.silent for t in parts),
         stale=_add_names(t.stale for t in parts),
-        unobservable=_add_names(t.unobservable for t in parts),
+        unobservable=tuple(sorted((r for t in parts for r in t.unobservable), key=_first_bus))[:MOST_NAMED],
         failed=_add_names(t.failed for t in parts),
     )
+
+
+def _first_bus(buses: str) -> int:
+    """Of a range such as "12-19"."""
+    number = buses.partition("-")[0]
+    return int(number) if number.isdecimal() else 0
 
 
 def _add_names(parts: Iterable[tuple[str, ...]]) -> tuple[str, ...]:

@@ -227,3 +227,27 @@ def test_a_contradiction_is_never_good():
 def _judged(scenario):
     simulation = Simulation(replace(scenario, strategy="information"))
     return simulation.judge(simulation.run())
+
+
+def test_a_scan_whose_readings_do_not_determine_the_state_is_unobservable_and_no_consensus():
+    """The only voltmeter is silent: without the buses and the meter named, 0.028 p.u. off would pass for good."""
+    changes = {"measurements.voltage.buses": [1], "faults.telemetry.missing": 0.02, "run.timeout_s": 20.0}
+    simulation = Simulation(replace(load_scenario("ieee33", changes=changes), seed=14))
+    result = simulation.judge(simulation.run())
+    assert not result.verdict.consensus
+    assert "do not determine the state: not observable" in str(result.verdict.reason)
+    assert {area.quality for area in result.areas} == {"unobservable"}
+    notes = {area.name: area.notes for area in result.areas}
+    assert any("determines buses 1-6, 7-18, 19-25, 26-33" in note for note in notes["area2"])
+    assert any("the first is vm@1" in note for note in notes["area1"])
+
+
+def test_a_dead_only_voltmeter_is_not_believed():
+    scenario = load_scenario("ieee33", changes={"measurements.voltage.buses": [1]})
+    telemetry = make_telemetry(scenario).by_area
+    dead = [replace(m, value=0.45) if m.meter.id == "vm@1" else m for m in telemetry["area1"]]
+    bus = SimulatedBus(area_files_of(scenario, strategy="information"), telemetry | {"area1": dead})
+    bus.run(1.0)
+    assert set(qualities(bus).values()) == {"unobservable"}
+    assert any("left out as dead: vm@1" in note for note in bus.states["area1"].notes)
+    assert not any(state.removed for state in bus.states.values())
