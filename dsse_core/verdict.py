@@ -12,14 +12,10 @@ from enum import StrEnum
 
 from dsse_core.bad_data import CONFIDENCE, chi_square_limit
 from dsse_core.feeder_bad_data import keep_tied
-from dsse_core.gauss_newton import FLOWS_KNOWN, FULL_STEPS, MAX_DVA, MAX_DVM
+from dsse_core.gauss_newton import FLOWS_KNOWN, FULL_STEPS, LAST_STEP, MAX_DVA, MAX_DVM, is_last
 
 MOST_STEPS = 25  # of one iteration; then it begins anew at the flat start, where
 MOST_STEPS_ANEW = 60  # are taken before the scan is given up
-FAST = 0.1  # of two steps in a row the ratio below which convergence is quadratic, and
-LAST_STEP = 1e-5  # p.u. and rad: the size of the next step below which it may be the last, and
-REMAINDER = 2e-9  # p.u. and rad: that of the one after it, which is not taken
-SMALLEST_STEP = 1e-10  # p.u. and rad: of a step that is the last whatever came before
 NEAR_LIMIT = 0.01  # of the chi-square limit: J so near to it is found more exactly first
 SURE_STEP = 1e-9  # p.u. and rad: after a smaller step J is as exact as it gets
 MOST_REMOVED = 1000  # meters of one scan; more are made up by somebody who would do so for ever
@@ -175,12 +171,8 @@ def _remove_worst(memory: Memory, totals: Totals) -> tuple[Memory, Verdict]:
 
 def _comes_last(memory: Memory, totals: Totals) -> bool:
     """Whether the coming step is the last, judged by the steps that were taken: a gain would lie below rounding."""
-    step, before = totals.step, memory.before
-    if not step < SMALLEST_STEP:
-        rate = step / before if before else 1.0
-        if not (rate < FAST and step * rate < LAST_STEP and step * rate * rate < REMAINDER):
-            return False
-        if memory.uses_currents and step * rate >= REMAINDER:  # convergence is linear at best
-            return False
+    step = totals.step
+    if not is_last(step, memory.before, memory.uses_currents, LAST_STEP):
+        return False
     limit = chi_square_limit(totals.degrees_of_freedom, CONFIDENCE)
     return step <= SURE_STEP or abs(totals.objective - limit) >= NEAR_LIMIT * limit
