@@ -54,9 +54,9 @@ class PeerTable:
         return frozenset(name for name in self._peers if self.is_present(name, now)) - self.distrusted.keys()
 
     def hears(self, name: str, now: float) -> bool:
-        """Whether we hear a neighbour."""
+        """Whether we hear a neighbour; who is not believed is told that it is not heard, and goes on without us."""
         peer = self._peers[name]
-        return bool(now <= peer.heard_at + self._patience_s(peer))
+        return name not in self.distrusted and bool(now <= peer.heard_at + self._patience_s(peer))
 
     def _patience_s(self, peer: Peer) -> float:
         return peer.patience_s(PATIENCE_BEATS * self._beat_s)

@@ -22,7 +22,7 @@ from typing import Any
 from agents.area_file import AreaFile
 from agents.area_round import AreaRound, Content, Decider, Outcome
 from agents.events import Action, Event, Finish, PresenceChanged, Publish, Received, Refused, StopRequested
-from agents.hearing import FRESH_BEATS, PASSED_ON_BEATS
+from agents.hearing import FRESH_BEATS, OVER_BEATS, PASSED_ON_BEATS
 from agents.last_words import LastWords
 from agents.messages import (
     DownMessage,
@@ -180,7 +180,7 @@ class RoundsProtocol:
     def _hear(self, name: str, message: RoundsMessage) -> Iterator[Action]:
         """What a message of any kind says of its sender: its life, its term, whether it hears us."""
         peer = self._peers[name]
-        if peer.is_of_former_life(message.header):
+        if peer.is_of_former_life(message.header, self._now, OVER_BEATS * self._beat_s):
             return
         is_restart = peer.incarnation not in (None, message.header.incarnation)
         peer.is_owed_word |= is_restart or not self._peers.hears(name, self._now)  # that it is heard
@@ -216,6 +216,8 @@ class RoundsProtocol:
 
     def _take_round(self, name: str, peer: Peer, message: UpMessage | DownMessage) -> Iterator[Action]:
         """A message of a round from a neighbour in use: what is not answered at once is acknowledged at once."""
+        if message.k > self._round.k:
+            return  # who is ahead of us in our own term says false things
         peer.is_owed_word = True
         peer.take_round(message)
         if message.k < self._round.k:

@@ -244,7 +244,8 @@ class AreaEstimation:
                 case Decision.JUDGE:
                     self._judge()
                 case Decision.FINAL:
-                    self._aged |= {n: BoundaryInformation(AGED * m.R, AGED * m.z) for n, m in heard.items()}
+                    last = {name: told for name, told in self._heard.items() if name not in self._silent}
+                    self._aged |= {n: BoundaryInformation(AGED * m.R, AGED * m.z) for n, m in last.items()}
         except FAILURES as error:
             self.fail(error)
 

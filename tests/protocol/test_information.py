@@ -259,3 +259,35 @@ def test_information_that_is_beyond_reason_is_refused_and_counted():
     bus.post("area2", Received(lie, "area1"))
     bus.run(0.5)
     assert bus.states["area2"].refused == {"numbers beyond reason": 1}
+
+
+def test_a_verdict_that_does_not_follow_is_refused_and_nobody_waits_for_ever():
+    """Area 1, the hub, tells area 2 of totals from which another verdict follows; both go on without each other."""
+    bus = SimulatedBus(
+        area_files_of(load_scenario("ieee33"), strategy="information"),
+        make_telemetry(load_scenario("ieee33")).by_area,
+    )
+    honest = bus.deliver
+
+    def deliver(sender: str, receiver: str, payload: bytes) -> None:
+        message = decode(payload)
+        if (sender, receiver) == ("area1", "area2") and isinstance(message, DownMessage) and message.k == 1:
+            payload = encode(replace(message, verdict="final"))
+        honest(sender, receiver, payload)
+
+    bus.deliver = deliver
+    bus.run(10.0)
+    assert all(protocol.outcome is not None for protocol in bus.protocols.values())
+    assert any(note.startswith("area1 is not believed: it says 'final'") for note in bus.states["area2"].notes)
+    assert "no information from area2" in bus.states["area1"].notes
+    assert "good" not in {state.quality for state in bus.states.values()}
+
+
+def test_a_neighbour_whose_clock_was_set_back_is_heard_again():
+    bus, _ = settle(load_scenario("ieee33"))
+    bus.kill("area2")
+    bus.run(3.0)
+    bus._lives["area2"] -= 300_000  # ms
+    bus.start("area2")
+    bus.run(3.0)
+    assert {state.quality for state in bus.states.values()} == {"good"}

@@ -143,7 +143,7 @@ def test_an_admm_message_has_four_numbers_of_each():
 def test_a_name_longer_than_any_name_is_refused(place):
     longest = "a" * LONGEST_NAME
     for name, passes in ((longest, True), (longest + "a", False)):
-        values = {"refused": {name: 1}, "sent": {name: (1, 1, 1)}, "quality": name}
+        values = {"refused": {name: 1}, "sent": {name: (1, 1)}, "quality": name}
         if place in ("run", "sender"):
             state = replace(STATE, header=replace(HEADER, **{place: name}))
         else:
