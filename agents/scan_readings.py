@@ -90,7 +90,7 @@ class ScanReadings:
             self._read(message)
             return News.AWAITED
         if self.stale or last is None or _says(message) != _says(last):
-            self._later[scan], self.are_there = message, False
+            self._later[scan] = message  # what is under way goes on with what there is until the next term
             return News.LATE
         return News.NONE
 

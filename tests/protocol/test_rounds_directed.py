@@ -1,0 +1,66 @@
+"""The protocol of rounds in single histories that have once gone wrong, or would without one of its rules."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from toy_history import MOST_CHATTER
+from toy_rounds import BEAT_S, TRAVEL_S, ToyBus, toy_numbers
+
+from agents.events import PresenceChanged
+from agents.messages import DownMessage, HeartbeatMessage, UpMessage
+
+ROW, LONG_ROW = "three in a row", "four in a row"
+LIMIT_S = 15.0
+
+
+@pytest.fixture(autouse=True)
+def numbers() -> Iterator[None]:
+    with toy_numbers():
+        yield
+
+
+def at_rest(tree: str = ROW, **changes: object) -> ToyBus:
+    bus = ToyBus(tree, **changes)
+    bus.run_until_at_rest(LIMIT_S)
+    return bus
+
+
+def lose_an_acknowledgement() -> ToyBus:
+    """At rest when b ends scan 2 with its neighbours and the answer of a is lost."""
+    rng = np.random.default_rng(1)
+    is_lost = False
+
+    def lose_one(sender, receiver, message):
+        nonlocal is_lost
+        is_answer = sender == "a" and message.header.scan == 2 and isinstance(message, HeartbeatMessage)
+        if is_answer and message.received == 1 and not is_lost:
+            is_lost = True
+            return None
+        return TRAVEL_S * float(rng.uniform(1.0, 1.5))
+
+    bus = at_rest(fate=lose_one)
+    bus.next_scan()
+    bus.run(0.007)
+    assert is_lost
+    return bus
+
+
+def test_of_two_late_readings_within_a_beat_the_newer_one_counts():
+    bus = at_rest()
+    for k in range(4):
+        bus.at(bus.now + 0.02 * k, lambda k=k: bus.read("a", 1, 0.9 + 0.01 * k))
+    bus.run(0.1)
+    bus.run_until_at_rest(LIMIT_S)
+
+
+def test_a_late_reading_leaves_the_final_state_as_it_is_until_the_next_term_begins():
+    bus = at_rest()
+    bus.read("a", 1, 0.9)
+    bus.run(0.01)
+    bus.read("a", 1, 0.91)  # a beat has not passed: the change is due, not made
+    bus.read("a", 1, 0.92)
+    bus.run(2.0)
+    bus.run_until_at_rest(LIMIT_S)

@@ -1,0 +1,362 @@
+"""The protocol of rounds with numbers that only tell what they rest on, on a bus that does what a schedule says.
+
+``ToyEstimation`` stands for ``AreaEstimation``: its information is the list of (area, term, k) behind it. Whoever takes
+a step sees whether every area is in it once, in the same term and round.
+"""
+
+from __future__ import annotations
+
+import functools
+import heapq
+import itertools
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from unittest import mock
+
+import numpy as np
+
+from agents.area_file import AreaFile
+from agents.events import Event, PresenceChanged, Publish, Received
+from agents.messages import (
+    DownMessage,
+    Header,
+    HeartbeatMessage,
+    Incarnation,
+    LoadMessage,
+    StateMessage,
+    TelemetryMessage,
+    UpMessage,
+)
+from agents.quality import GOOD
+from agents.rounds import RoundsProtocol
+from dsse_core.boundary_information import BoundaryInformation
+from dsse_core.division import build_partition
+from dsse_core.measurement import MeasurementKind, Meter
+from dsse_core.partition import Area
+from dsse_core.verdict import Decision, Totals
+from scenarios.scenario import load_scenario
+
+BEAT_S = 0.2
+TRAVEL_S = 0.001
+STARTED_AT = 1.7e9
+MOST_WAKES = 50  # at one moment, of one area, before it counts as a busy loop
+MOST_PER_SECOND = 400  # messages on one link, as a mean over a second: a flood
+TRUNK, REST = range(6, 19), range(26, 34)
+TREES = {
+    "three in a row": {"a": [1, 2, *range(19, 23)], "b": [*range(2, 7), 23, 24, 25], "c": [*TRUNK, *REST]},
+    "four in a row": {
+        "a": [1, 2, *range(19, 23)],
+        "b": [2, 3, 23, 24, 25],
+        "c": [3, 4, 5, 6],
+        "d": [*TRUNK, *REST],
+    },
+    "star of four": {
+        "h": [1, 2, 3, 4, 5, 6],
+        "x": [2, *range(19, 23)],
+        "y": [3, 23, 24, 25],
+        "z": [*TRUNK, *REST],
+    },
+}
+Part = tuple[str, tuple[int, int], int]  # area, term, k
+RoundsMessage = UpMessage | DownMessage | HeartbeatMessage
+
+
+class ToyEstimation:
+    """What ``AreaEstimation`` is to ``AreaRound``; every iteration takes two rounds, the second step is 0."""
+
+    told: list[tuple[Part, ...]] = []  # noqa: RUF012 - what every information that was passed on rests on, by number
+
+    def __init__(self, area: Area) -> None:
+        self.area = area
+        self.failure = ""
+        self.removed = self.critical = self.dead_voltmeters = ()
+        self.reported: set[str] = set()
+        self.is_first = False
+        self.find_term: Callable[[], tuple[int, int]] = lambda: (0, 0)
+        self.final: tuple[Part, ...] = ()
+        self.reading = float("nan")
+        self._silent: tuple[str, ...] = ()
+        self._is_stale = False
+        self._term, self._k, self._step = (0, 0), 0, 0.0
+
+    def begin(self, readings: Sequence, *, silent: set[str], stale: bool, loads: Mapping) -> None:
+        self._silent, self._is_stale, self.failure = tuple(sorted(silent)), stale, ""
+        self._term, self._k, self._step, self.final = self.find_term(), 0, 0.0, ()
+        self.reading = next((m.value for m in readings), float("nan"))
+
+    def fail(self, error: BaseException) -> None:
+        raise AssertionError("the toy has failed") from error
+
+    def set_power(self, neighbour: str, power: Sequence[float]) -> None:
+        pass
+
+    def power_for(self, neighbour: str) -> tuple[float, ...]:
+        return ()
+
+    def no_load_for(self, neighbour: str, heard: Mapping) -> None:
+        return None
+
+    def boundary_values(self, neighbour: str) -> tuple[float, ...]:
+        return 0.0, 0.0, 1.0, 0.0
+
+    def information_for(self, neighbour: str, heard: Mapping[str, BoundaryInformation]) -> BoundaryInformation:
+        self.told.append(self._with(heard))
+        R = np.zeros((4, 4))
+        R[0, 0] = len(self.told) - 1
+        return BoundaryInformation(R, np.zeros(4))
+
+    def _with(self, heard: Mapping[str, BoundaryInformation]) -> tuple[Part, ...]:
+        """The own part and those behind ``heard``; each area once, all of this term and round."""
+        parts = [(self.area.name, self._term, self._k)]
+        for information in heard.values():
+            parts += self.told[int(information.R[0, 0])]
+        assert len({name for name, _, _ in parts}) == len(parts), f"an area counts twice in {parts}"
+        assert {(term, k) for _, term, k in parts} == {(self._term, self._k)}, f"of other rounds: {parts}"
+        return tuple(parts)
+
+    def totals(self) -> Totals:
+        stale = (self.area.name,) if self._is_stale else ()
+        return Totals(dvm=self._step, degrees_of_freedom=9, areas=1, referenced=True, silent=self._silent, stale=stale)
+
+    def carry_out(self, verdict, memory, heard: Mapping[str, BoundaryInformation], no_load: Mapping) -> None:
+        assert verdict.takes_step
+        parts = self._with(heard)
+        if verdict.decision is Decision.FINAL:
+            self.final = parts
+        self._k += 1
+
+    def find_sigmas(self) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+        return np.ones(1), np.ones(1), ()
+
+    @property
+    def no_load_va(self) -> np.ndarray:
+        return np.zeros(1)
+
+    @property
+    def voltages(self) -> tuple[np.ndarray, np.ndarray]:
+        return np.ones(1), np.zeros(1)
+
+
+@contextmanager
+def toy_numbers() -> Iterator[None]:
+    """Areas begun meanwhile have the numbers of the toy."""
+    ToyEstimation.told = []
+    with mock.patch("agents.area_round.AreaEstimation", ToyEstimation):
+        yield
+
+
+@functools.cache
+def files_of(tree: str) -> dict[str, AreaFile]:
+    """Every area of one of ``TREES`` has one meter."""
+    network = load_scenario("ieee33").network
+    files = {}
+    for area in build_partition(network, TREES[tree]).areas:
+        meter = Meter(MeasurementKind.VM, area.network.buses[-1].id)
+        files[area.name] = AreaFile("toy", area, (meter,), "information", ("tcp/127.0.0.1:0",), beat_s=BEAT_S)
+    return files
+
+
+def deliver_all(sender: str, receiver: str, message: RoundsMessage) -> float | None:
+    return TRAVEL_S
+
+
+class ToyBus:
+    """``fate``: (sender, receiver, message) -> how long the message travels, None if it is lost.
+
+    ``decided``: (scan, revision, decider, its life, k) -> the verdict and its totals.
+    """
+
+    def __init__(self, tree: str, fate: Callable[[str, str, RoundsMessage], float | None] = deliver_all) -> None:
+        self.files = files_of(tree)
+        self.fate = fate
+        self.now = 0.0
+        self.scan = 0
+        self.protocols: dict[str, RoundsProtocol] = {}
+        self.states: dict[str, StateMessage] = {}
+        self.cuts: set[tuple[str, str]] = set()
+        self.decided: dict[tuple, tuple] = {}
+        self.sent: Counter[tuple[str, str]] = Counter()
+        self.handled = 0
+        self.on_handled: Callable[[], None] = lambda: None
+        self.values: dict[str, float] = {}  # the newest reading of every area
+        self.has_tokens = True  # whether areas hear at once that a neighbour has ended
+        self._telemetry: dict[str, TelemetryMessage] = {}
+        self._wake: dict[str, float] = {}
+        self._wakes: Counter[tuple[str, float]] = Counter()
+        self._frozen: dict[str, list[Event]] = {}
+        self._lives: Counter[str] = Counter()
+        self._queue: list = []
+        self._order = itertools.count()
+        self._sequence = itertools.count(1)
+        for name in self.files:
+            self.start(name)
+        self.next_scan()
+        self.at(BEAT_S, self._repeat_telemetry)
+
+    # What may happen
+
+    def at(self, time: float, function: Callable[[], None]) -> None:
+        heapq.heappush(self._queue, (time, next(self._order), "", function))
+
+    def start(self, name: str, clock_offset: float = 0.0) -> None:
+        """A new life, whose wall clock is ahead by ``clock_offset``, s."""
+        if name in self.protocols:
+            return
+        self._lives[name] += 1
+        started_at = STARTED_AT + self.now + clock_offset
+        life = Incarnation(int(started_at * 1000) + self._lives[name], self._lives[name])
+        protocol = RoundsProtocol(self.files[name], life, now=self.now, started_at=started_at)
+        protocol._round.estimation.find_term = lambda: protocol.term
+        self.protocols[name] = protocol
+        self._push(self.now, name, None)
+        self._tell_presence(name, alive=True)
+        self.send_telemetry(name)
+
+    def kill(self, name: str) -> None:
+        if self.protocols.pop(name, None) is not None:
+            self._frozen.pop(name, None)
+            self._tell_presence(name, alive=False)
+
+    def freeze(self, name: str) -> None:
+        if name in self.protocols:
+            self._frozen.setdefault(name, [])
+
+    def thaw(self, name: str) -> None:
+        for event in self._frozen.pop(name, []):
+            self._push(self.now, name, event)
+        self._push(self.now, name, None)
+
+    def cut(self, *directions: tuple[str, str]) -> None:
+        self.cuts |= set(directions)
+
+    def heal(self, *directions: tuple[str, str]) -> None:
+        self.cuts -= set(directions)
+
+    def next_scan(self, late_s: Mapping[str, float] | None = None, without: Sequence[str] = ()) -> None:
+        """``late_s``: area -> by how much its readings are late; those of ``without`` never come."""
+        self.scan += 1
+        for name in self.files:
+            self.values[name] = 1 + 1e-3 * self.scan
+            if name not in without:
+                self.at(self.now + (late_s or {}).get(name, 0.0), functools.partial(self.read, name, self.scan))
+
+    def read(self, name: str, scan: int, value: float | None = None, life: int = 0) -> None:
+        """The plant has readings of an area."""
+        value = 1 + 1e-3 * scan if value is None else value
+        if scan >= self.scan:
+            self.values[name] = value
+        header = Header("toy", "plant", Incarnation(life, 0), scan, next(self._sequence), STARTED_AT + self.now)
+        meter = self.files[name].meters[0]
+        self._telemetry[name] = TelemetryMessage(header, name, (meter.id,), (value,), (0.01,))
+        self.send_telemetry(name)
+
+    def send_telemetry(self, name: str) -> None:
+        if name in self._telemetry:
+            self._push(self.now + TRAVEL_S, name, Received(self._telemetry[name], ""))
+
+    # What follows
+
+    def run(self, duration_s: float) -> None:
+        end = self.now + duration_s
+        while self._queue and self._queue[0][0] < end:
+            self._step()
+        self.now = end
+
+    def run_until_at_rest(self, limit_s: float) -> None:
+        """Until every area is good on the last scan, by then or never."""
+        end = self.now + limit_s
+        while missing := self.find_missing():
+            assert self.now < end, f"not at rest: {missing}"
+            self.run(BEAT_S)
+
+    def find_chatter(self) -> int:
+        """The most messages on one link in two seconds."""
+        before = self.sent.copy()
+        self.run(2.0)
+        return max((self.sent - before).values())
+
+    def find_missing(self) -> list[str]:
+        """What is missing to the end of the last scan everywhere."""
+        missing = [f"{name} is dead" for name in self.files.keys() - self.protocols.keys()]
+        for name, protocol in sorted(self.protocols.items()):
+            outcome, where = protocol.outcome, f"{name} at {protocol.term}, round {protocol._round.k}"
+            if outcome is None or protocol.scan != self.scan:
+                missing.append(f"{where}: not final, waits for {protocol._round.links}")
+            elif outcome.totals.areas != len(self.files) or outcome.totals.silent or outcome.totals.stale:
+                missing.append(f"{where}: final on {outcome.totals}")
+            elif protocol._round.estimation.reading != self.values[name]:
+                missing.append(f"{where}: final with readings that are not its newest")
+            elif name not in self.states or self.states[name].quality != GOOD:
+                missing.append(f"{where}: not good")
+        return missing
+
+    def _tell_presence(self, name: str, alive: bool) -> None:
+        for n in self.files[name].area.neighbours if self.has_tokens else ():
+            self._push(self.now + TRAVEL_S, n.area, PresenceChanged(name, alive))
+            if alive and n.area in self.protocols:
+                self._push(self.now + TRAVEL_S, name, PresenceChanged(n.area, True))
+
+    def _repeat_telemetry(self) -> None:
+        for name in self.files:
+            self.send_telemetry(name)
+        self.at(self.now + BEAT_S, self._repeat_telemetry)
+
+    def _push(self, at: float, name: str, event: Event | None) -> None:
+        heapq.heappush(self._queue, (at, next(self._order), name, event))
+
+    def _step(self) -> None:
+        """The next moment; who is concerned acts in the order of names."""
+        self.now = self._queue[0][0]
+        happening: dict[str, list[Event]] = {}
+        while self._queue and self._queue[0][0] <= self.now:
+            _, _, name, event = heapq.heappop(self._queue)
+            if not name:
+                event()
+            elif event is not None:
+                happening.setdefault(name, []).append(event)
+            else:
+                happening.setdefault(name, [])
+        for name in sorted(happening):
+            if name in self._frozen:
+                self._frozen[name] += happening[name]
+            elif name in self.protocols and (happening[name] or self._wake.get(name, 0.0) <= self.now):
+                self._act(name, happening[name])
+
+    def _act(self, name: str, events: Sequence[Event]) -> None:
+        protocol = self.protocols[name]
+        for action in protocol.handle(events, self.now):
+            assert isinstance(action, Publish)
+            message = action.message
+            if isinstance(message, StateMessage):
+                self.states[name] = message
+            elif not isinstance(message, LoadMessage):
+                self._send(name, action.to, message)
+        self._check(name, protocol)
+        at = self.now + protocol.wait_s(self.now)
+        self._wakes[name, self.now] += at == self.now
+        assert self._wakes[name, self.now] < MOST_WAKES, f"{name} is busy without an end at {self.now}"
+        if at != self._wake.get(name) or at == self.now:
+            self._wake[name] = at
+            self._push(at, name, None)
+        self.handled += 1
+        self.on_handled()
+
+    def _send(self, name: str, to: str, message: RoundsMessage) -> None:
+        self.sent[name, to] += 1
+        assert self.sent[name, to] < MOST_PER_SECOND * (self.now + 1), f"{name} floods {to}"
+        if isinstance(message, DownMessage):
+            key = (message.header.scan, message.revision, message.decider, message.life, message.k)
+            said = self.decided.setdefault(key, (message.verdict, message.totals))
+            assert said == (message.verdict, message.totals), f"two verdicts of {key}"
+        travel_s = None if (name, to) in self.cuts else self.fate(name, to, message)
+        if travel_s is not None:
+            self._push(self.now + travel_s, to, Received(message, name))
+
+    def _check(self, name: str, protocol: RoundsProtocol) -> None:
+        """What holds at the end of a term."""
+        assert not protocol._peers.distrusted, f"{name} does not believe {protocol._peers.distrusted}"
+        outcome, parts = protocol.outcome, protocol._round.estimation.final
+        if outcome is not None:
+            counted = sorted(area for area, _, _ in parts)
+            assert len(counted) == outcome.totals.areas, f"{name} counts {outcome.totals.areas}, in it are {counted}"
