@@ -221,7 +221,7 @@ class RoundsProtocol:
         peer.is_owed_word = True
         peer.take_round(message)
         if message.k < self._round.k:
-            if peer.sent is not None and peer.sent.k == message.k and peer.has_waited_for_trip(self._now):
+            if peer.sent is not None and message.received < peer.sent.k and peer.has_waited_for_trip(self._now):
                 yield self._send_again(name)  # it lacks our answer
         elif isinstance(message, UpMessage):
             if self._round.take_up(name, message):

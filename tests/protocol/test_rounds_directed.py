@@ -64,3 +64,26 @@ def test_a_late_reading_leaves_the_final_state_as_it_is_until_the_next_term_begi
     bus.read("a", 1, 0.92)
     bus.run(2.0)
     bus.run_until_at_rest(LIMIT_S)
+
+
+@pytest.mark.parametrize("lost", [HeartbeatMessage, UpMessage, DownMessage])
+@pytest.mark.parametrize("number", range(8))
+@pytest.mark.parametrize("travel_s", [TRAVEL_S, 0.0017, 0.03])
+def test_a_lost_message_starts_no_chatter(lost: type, number: int, travel_s: float):
+    heard = 0
+
+    def lose_one(sender, receiver, message):
+        nonlocal heard
+        heard += isinstance(message, lost)
+        return None if isinstance(message, lost) and heard == number + 1 else travel_s
+
+    bus = ToyBus(ROW, lose_one)
+    bus.run_until_at_rest(LIMIT_S)
+    assert bus.find_chatter() <= MOST_CHATTER
+
+
+def test_a_lost_acknowledgement_is_made_good_by_one_repeat():
+    bus = lose_an_acknowledgement()
+    before = bus.sent["b", "a"]
+    bus.run(0.15)
+    assert bus.sent["b", "a"] - before <= 4
