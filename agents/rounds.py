@@ -223,6 +223,8 @@ class RoundsProtocol:
         if message.k < self._round.k:
             if peer.sent is not None and message.received < peer.sent.k and peer.has_waited_for_trip(self._now):
                 yield self._send_again(name)  # it lacks our answer
+        elif message.k > self._round.k:
+            return  # said to a former life of this area
         elif isinstance(message, UpMessage):
             if self._round.take_up(name, message):
                 peer.take_answer()

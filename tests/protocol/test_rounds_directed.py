@@ -87,3 +87,20 @@ def test_a_lost_acknowledgement_is_made_good_by_one_repeat():
     before = bus.sent["b", "a"]
     bus.run(0.15)
     assert bus.sent["b", "a"] - before <= 4
+
+
+@pytest.mark.parametrize("died_at", [TRAVEL_S * k / 2 for k in range(2, 16)])
+@pytest.mark.parametrize("away_s", [TRAVEL_S / 2, 3 * TRAVEL_S])
+@pytest.mark.parametrize("name", ["a", "b", "c"])
+@pytest.mark.parametrize("has_tokens", [False, True])
+def test_who_starts_again_in_the_middle_of_a_scan_takes_nothing_that_was_said_to_its_past(
+    died_at, away_s, name, has_tokens
+):
+    bus = at_rest()
+    bus.has_tokens = has_tokens
+    begin = bus.now
+    bus.next_scan()
+    bus.at(begin + died_at, lambda: bus.kill(name))
+    bus.at(begin + died_at + away_s, lambda: bus.start(name))
+    bus.run(0.1)
+    bus.run_until_at_rest(LIMIT_S)
