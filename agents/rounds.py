@@ -185,6 +185,8 @@ class RoundsProtocol:
         is_restart = peer.incarnation not in (None, message.header.incarnation)
         peer.is_owed_word |= is_restart or not self._peers.hears(name, self._now)  # that it is heard
         peer.take(message, self._now, self._now + self._clock_offset)
+        if message.hears:
+            self._peers.gone.pop(name, None)  # the token was lost, not the process
         term = (message.header.scan, message.revision)
         if term[0] > self.scan:
             peer.take_answer()  # it has moved on, and lacks nothing

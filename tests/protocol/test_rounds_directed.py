@@ -104,3 +104,13 @@ def test_who_starts_again_in_the_middle_of_a_scan_takes_nothing_that_was_said_to
     bus.at(begin + died_at + away_s, lambda: bus.start(name))
     bus.run(0.1)
     bus.run_until_at_rest(LIMIT_S)
+
+
+def test_a_neighbour_whose_token_is_lost_while_it_speaks_makes_nobody_begin_anew_at_every_beat():
+    bus = at_rest()
+    bus._push(bus.now, "a", PresenceChanged("b", False))
+    bus.next_scan()
+    bus.run_until_at_rest(LIMIT_S)
+    revision = bus.protocols["a"].term[1]
+    bus.run(5.0)
+    assert bus.protocols["a"].term[1] == revision
