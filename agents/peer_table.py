@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TypeVar
 
-from agents.hearing import FRESH_BEATS, PASSED_ON_BEATS
-from agents.messages import DownMessage, HeartbeatMessage, UpMessage
+from agents.hearing import FRESH_BEATS, OVER_BEATS, PASSED_ON_BEATS
+from agents.messages import DownMessage, Header, HeartbeatMessage, UpMessage
 from agents.peers import Peer, Term
 from dsse_core.partition import Neighbour
 
@@ -52,6 +52,10 @@ class PeerTable:
     def present(self, now: float) -> frozenset[str]:
         """The neighbours that rounds may use."""
         return frozenset(name for name in self._peers if self.is_present(name, now)) - self.distrusted.keys()
+
+    def is_of_former_life(self, header: Header, now: float) -> bool:
+        """Whether a message comes from a process that has ended since."""
+        return self._peers[header.sender].is_of_former_life(header, now, OVER_BEATS * self._beat_s)
 
     def hears(self, name: str, now: float) -> bool:
         """Whether we hear a neighbour; who is not believed is told that it is not heard, and goes on without us."""

@@ -90,12 +90,9 @@ class Peer:
     _newest: tuple[float, float] = (0.0, 0.0)  # send time by its clock, and when it arrived here
 
     def is_of_former_life(self, header: Header, now: float, over_s: float) -> bool:
-        """Whether a message is from before its last start; a life that was silent for ``over_s`` is over, and the
-        clock of the next one may have been set back.
-        """
-        if self.incarnation is None or header.incarnation >= self.incarnation:
-            return False
-        return now <= self.heard_at + over_s
+        """A life not heard for ``over_s`` is over; the clock of the next one may have been set back."""
+        is_over = now - self.heard_at > over_s
+        return self.incarnation is not None and header.incarnation < self.incarnation and not is_over
 
     def take(self, message: HeartbeatMessage | UpMessage | DownMessage, now: float, wall: float) -> None:
         """Note what any message says of the process and the link; ``wall``: ``now`` as own messages state it."""

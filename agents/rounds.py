@@ -180,11 +180,13 @@ class RoundsProtocol:
     def _hear(self, name: str, message: RoundsMessage) -> Iterator[Action]:
         """What a message of any kind says of its sender: its life, its term, whether it hears us."""
         peer = self._peers[name]
-        if peer.is_of_former_life(message.header, self._now, OVER_BEATS * self._beat_s):
+        if self._peers.is_of_former_life(message.header, self._now):
             return
         is_restart = peer.incarnation not in (None, message.header.incarnation)
         peer.is_owed_word |= is_restart or not self._peers.hears(name, self._now)  # that it is heard
         peer.take(message, self._now, self._now + self._clock_offset)
+        if is_restart and self._is_load_of_other_life(name, message.header.incarnation):
+            del self._heard_loads[name]
         if message.hears:
             self._peers.gone.pop(name, None)  # the token was lost, not the process
         term = (message.header.scan, message.revision)
@@ -202,6 +204,9 @@ class RoundsProtocol:
             peer.is_owed_word |= peer.repeat is None  # a message that is being repeated shows our term as well
         elif name in self._round.links:
             yield from self._take_in_term(name, peer, message)
+
+    def _is_load_of_other_life(self, name: str, life: Incarnation) -> bool:
+        return name in self._heard_loads and self._heard_loads[name].header.incarnation != life
 
     def _must_change_for(self, name: str, message: RoundsMessage, is_restart: bool) -> bool:
         """Whether a neighbour is back that is not in use, or begins anew."""

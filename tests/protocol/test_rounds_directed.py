@@ -114,3 +114,11 @@ def test_a_neighbour_whose_token_is_lost_while_it_speaks_makes_nobody_begin_anew
     revision = bus.protocols["a"].term[1]
     bus.run(5.0)
     assert bus.protocols["a"].term[1] == revision
+
+
+def test_a_neighbour_that_starts_again_with_its_clock_set_back_is_heard_again():
+    bus = at_rest()
+    bus.kill("a")
+    bus.run(1.0)
+    bus.start("a", clock_offset=-300.0)
+    bus.run_until_at_rest(LIMIT_S)
