@@ -82,7 +82,7 @@ class PeerTable:
         return replace(
             message,
             header=replace(message.header, time=now + self._clock_offset),
-            hears=self.hears(name, now),
+            hears=self.hears(name, now) and name not in self.distrusted,  # else it would wait for us
             answers=peer.answers(now),
             received=peer.received.k if peer.received else -1,
         )

@@ -122,3 +122,16 @@ def test_a_neighbour_that_starts_again_with_its_clock_set_back_is_heard_again():
     bus.run(1.0)
     bus.start("a", clock_offset=-300.0)
     bus.run_until_at_rest(LIMIT_S)
+
+
+def test_who_does_not_believe_a_neighbour_lets_the_others_come_to_an_end():
+    bus = ToyBus(ROW)
+    bus._check = lambda *_: None
+    bus.run_until_at_rest(LIMIT_S)
+    bus.next_scan()
+    bus.run(TRAVEL_S / 2)
+    bus.protocols["a"]._round.find_lie = lambda *_: "made up"
+    bus.run(5.0)
+    assert {name: protocol.outcome is not None for name, protocol in bus.protocols.items()} == dict.fromkeys(
+        bus.files, True
+    )
