@@ -94,8 +94,13 @@ class Peer:
         is_over = now - self.heard_at > over_s
         return self.incarnation is not None and header.incarnation < self.incarnation and not is_over
 
-    def take(self, message: HeartbeatMessage | UpMessage | DownMessage, now: float, wall: float) -> None:
-        """Note what any message says of the process and the link; ``wall``: ``now`` as own messages state it."""
+    def take(
+        self, message: HeartbeatMessage | UpMessage | DownMessage, now: float, wall: float, *, is_awake: bool
+    ) -> None:
+        """Note what any message says of the process and the link; ``wall``: ``now`` as own messages state it.
+
+        ``is_awake``: it was taken in as it came, so that it tells how long messages take.
+        """
         header = message.header
         if header.incarnation != self.incarnation:
             self.term, self.received, self._newest, self.heard_sequence = (0, 0), None, (0.0, 0.0), 0
@@ -109,7 +114,7 @@ class Peer:
             self.final, self.complete, self.y = False, False, ()
             if isinstance(message, HeartbeatMessage):
                 self.final, self.complete, self.y = message.final, message.complete, message.y
-        if 0 < message.answers <= wall:
+        if is_awake and 0 < message.answers <= wall:
             self.round_trip.take(wall - message.answers)
 
     def take_round(self, message: UpMessage | DownMessage) -> None:

@@ -43,6 +43,8 @@ from agents.triangle import write_triangle
 from dsse_core.area_model import choose_backend
 from dsse_core.verdict import Totals
 
+STILL_BEATS = 2  # between two calls: the process has stood still, and how long messages took is not known
+
 RoundsMessage = HeartbeatMessage | UpMessage | DownMessage
 
 
@@ -59,6 +61,7 @@ class RoundsProtocol:
         self._incarnation = incarnation
         self._clock_offset = started_at - now
         self._now = now
+        self._is_awake = True  # since it was last left alone: else messages have lain unheard
         self._beat_s = content.beat_s
         self._peers = PeerTable(content.area.neighbours, content.beat_s, now, self._clock_offset)
         self._round = AreaRound(content.area)
@@ -122,6 +125,7 @@ class RoundsProtocol:
 
     def handle(self, events: Sequence[Event], now: float) -> Iterator[Action]:
         """Take in ``events``, all that arrived since the last call, and say what to do, one by one as it is known."""
+        self._is_awake = now - self._now < STILL_BEATS * self._beat_s
         self._now = now
         for event in events:
             match event:
@@ -184,7 +188,7 @@ class RoundsProtocol:
             return
         is_restart = peer.incarnation not in (None, message.header.incarnation)
         peer.is_owed_word |= is_restart or not self._peers.hears(name, self._now)  # that it is heard
-        peer.take(message, self._now, self._now + self._clock_offset)
+        peer.take(message, self._now, self._now + self._clock_offset, is_awake=self._is_awake)
         if is_restart and self._is_load_of_other_life(name, message.header.incarnation):
             del self._heard_loads[name]
         if message.hears:

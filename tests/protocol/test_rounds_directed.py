@@ -135,3 +135,16 @@ def test_who_does_not_believe_a_neighbour_lets_the_others_come_to_an_end():
     assert {name: protocol.outcome is not None for name, protocol in bus.protocols.items()} == dict.fromkeys(
         bus.files, True
     )
+
+
+def test_after_a_process_has_stood_still_a_dead_neighbour_is_left_out_as_soon_as_ever():
+    bus = at_rest()
+    bus.freeze("a")
+    bus.run(60.0)
+    bus.thaw("a")
+    bus.run_until_at_rest(LIMIT_S)
+    bus.has_tokens = False
+    bus.kill("b")
+    bus.next_scan()
+    bus.run(10 * BEAT_S)
+    assert bus.protocols["a"].outcome is not None
