@@ -79,6 +79,8 @@ class PeerTable:
         """``message`` as it is sent to ``name`` now."""
         peer = self._peers[name]
         peer.said_at, peer.is_owed_word = now, False
+        if not isinstance(message, HeartbeatMessage):
+            peer.told_complete = False  # as the neighbour understands it
         return replace(
             message,
             header=replace(message.header, time=now + self._clock_offset),

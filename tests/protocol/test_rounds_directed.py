@@ -148,3 +148,9 @@ def test_after_a_process_has_stood_still_a_dead_neighbour_is_left_out_as_soon_as
     bus.next_scan()
     bus.run(10 * BEAT_S)
     assert bus.protocols["a"].outcome is not None
+
+
+def test_a_repeat_at_rest_takes_good_from_nobody_for_longer_than_round_trips():
+    bus = lose_an_acknowledgement()
+    bus.run(0.03)
+    assert not bus.find_missing()
