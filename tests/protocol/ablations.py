@@ -18,7 +18,7 @@ _go_on, _take_in_term = RoundsProtocol._go_on, RoundsProtocol._take_in_term
 
 
 def _is_silent_when_idle() -> AbstractContextManager[object]:
-    return mock.patch.object(PeerTable, "_quiet_s", lambda self, peer, is_final: math.inf)
+    return mock.patch.object(PeerTable, "_quiet_s", return_value=math.inf)
 
 
 def _ignores_late_readings() -> AbstractContextManager[object]:

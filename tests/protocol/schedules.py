@@ -1,6 +1,6 @@
-"""All schedules of the toy within bounds: what befalls each of the first messages, together with one event at each moment.
+"""All schedules of the toy within bounds: what befalls each of the first messages, and one event at any moment.
 
-Exploration is by replay: a schedule is where which deviation from prompt delivery happens, and everything else follows.
+Exploration is by replay: a schedule says which messages are not delivered promptly, and everything else follows.
 """
 
 from __future__ import annotations
@@ -10,7 +10,8 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 
-from toy_rounds import BEAT_S, TRAVEL_S, RoundsMessage, ToyBus, toy_numbers
+from toy_estimation import toy_numbers
+from toy_rounds import BEAT_S, TRAVEL_S, RoundsMessage, ToyBus
 
 LOST = None
 DELAYS_S = (2.3 * TRAVEL_S, 0.015)  # behind the answers to others; behind a repeat of itself

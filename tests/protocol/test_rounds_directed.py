@@ -6,8 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from toy_estimation import toy_numbers
 from toy_history import MOST_CHATTER
-from toy_rounds import BEAT_S, TRAVEL_S, ToyBus, toy_numbers
+from toy_rounds import BEAT_S, TRAVEL_S, ToyBus
 
 from agents.events import PresenceChanged
 from agents.messages import DownMessage, HeartbeatMessage, UpMessage

@@ -9,7 +9,8 @@ import toy_history
 from ablations import ABLATIONS
 from schedules import all_schedules, events_of, live_through
 from simulated_bus import SimulatedBus, area_files_of, with_links
-from toy_rounds import BEAT_S, TREES, ToyBus, toy_numbers
+from toy_estimation import toy_numbers
+from toy_rounds import BEAT_S, TREES, ToyBus
 
 from agents.quality import GOOD
 from agents.rounds import RoundsProtocol
