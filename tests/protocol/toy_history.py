@@ -77,6 +77,8 @@ def _draw_processes(rng: np.random.Generator, severity: float, bus: ToyBus) -> N
         elif fate < 0.5 * severity:
             bus.at(start, partial(bus.freeze, name))
             bus.at(end, partial(bus.thaw, name))
+        elif fate < 0.6 * severity:
+            bus.at(start, partial(bus.lose_token, name))
 
 
 def _draw_cuts(rng: np.random.Generator, severity: float, bus: ToyBus) -> None:

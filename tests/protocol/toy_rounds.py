@@ -122,6 +122,10 @@ class ToyBus:
             self._frozen.pop(name, None)
             self._tell_presence(name, alive=False)
 
+    def lose_token(self, name: str) -> None:
+        """The process goes on, but its neighbours hear that it has ended."""
+        self._tell_presence(name, alive=False)
+
     def freeze(self, name: str) -> None:
         if name in self.protocols:
             self._frozen.setdefault(name, [])
@@ -146,7 +150,10 @@ class ToyBus:
                 self.at(self.now + (late_s or {}).get(name, 0.0), functools.partial(self.read, name, self.scan))
 
     def read(self, name: str, scan: int, value: float | None = None, life: int = 0) -> None:
-        """The plant has readings of an area."""
+        """The plant has readings of an area; those of a scan before its newest it keeps to itself."""
+        last = self._telemetry.get(name)
+        if last is not None and scan < last.header.scan and life == last.header.incarnation.start_ms:
+            return
         value = 1 + 1e-3 * scan if value is None else value
         if scan >= self.scan:
             self.values[name] = value
@@ -234,6 +241,8 @@ class ToyBus:
             message = action.message
             if isinstance(message, StateMessage):
                 self.states[name] = message
+                counted = len(protocol._round.estimation.final)
+                assert message.quality != GOOD or counted == len(self.files), f"{name} is good on {counted} areas"
             elif not isinstance(message, LoadMessage):
                 self._send(name, action.to, message)
         self._check(name, protocol)
