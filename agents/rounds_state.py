@@ -187,12 +187,15 @@ class RoundsState:
         if not estimate.referenced:
             return RELATIVE_ANGLE
         is_sound = outcome is self._round.outcome and self._counts_all(outcome) and not outcome.totals.stale
-        is_sound = is_sound and not any(self._mismatches(term)) and not _exceeds_limit(outcome.totals)
+        is_sound = is_sound and not self._scan.are_outdated and not _exceeds_limit(outcome.totals)
+        is_sound = is_sound and not any(self._mismatches(term))
         return GOOD if is_sound and not self._peers.find_old(term, self._round.links, now) else DEGRADED
 
     def is_side_complete(self, name: str, term: Term, now: float) -> bool:
         """Whether all on this side of neighbour ``name`` is heard, fresh, at the end of this term and agrees."""
-        if self._round.outcome is None or self._scan.is_late(now, PASSED_ON_BEATS) or any(self._mismatches(term)):
+        if self._round.outcome is None or self._scan.is_late(now, PASSED_ON_BEATS) or self._scan.are_outdated:
+            return False
+        if any(self._mismatches(term)):
             return False
         return not self._peers.find_old(term, self._round.links, now, PASSED_ON_BEATS) - {name}
 

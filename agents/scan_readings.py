@@ -45,6 +45,11 @@ class ScanReadings:
         """The newest later scan with readings; 0 without one."""
         return max((scan for scan in self._later if scan > self.scan), default=0)
 
+    @property
+    def are_outdated(self) -> bool:
+        """Whether other readings of this scan wait for the next term."""
+        return self.scan in self._later
+
     def age(self, now: float) -> float:
         """s since telemetry was last heard; 0 before the first."""
         return now - self._heard_at if self._last else 0.0

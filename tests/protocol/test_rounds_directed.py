@@ -121,6 +121,17 @@ def test_a_neighbour_whose_token_is_lost_while_it_speaks_makes_nobody_begin_anew
     assert bus.protocols["a"].term[1] == revision
 
 
+def test_nobody_is_good_on_readings_that_are_known_to_be_replaced():
+    bus = at_rest()
+    bus.read("b", 1, 0.9)
+    bus.run(0.03)
+    assert {state.quality for state in bus.states.values()} == {GOOD}
+    bus.read("b", 1, 0.91)
+    bus.run(0.01)
+    assert GOOD not in {state.quality for state in bus.states.values()}
+    bus.run_until_at_rest(LIMIT_S)
+
+
 def test_a_neighbour_that_starts_again_with_its_clock_set_back_is_heard_again():
     bus = at_rest()
     bus.kill("a")
