@@ -58,9 +58,9 @@ class PeerTable:
         return self._peers[header.sender].is_of_former_life(header, now, OVER_BEATS * self._beat_s)
 
     def hears(self, name: str, now: float) -> bool:
-        """Whether we hear a neighbour; who is not believed is told that it is not heard, and goes on without us."""
+        """Whether we hear a neighbour."""
         peer = self._peers[name]
-        return name not in self.distrusted and bool(now <= peer.heard_at + self._patience_s(peer))
+        return bool(now <= peer.heard_at + self._patience_s(peer))
 
     def _patience_s(self, peer: Peer) -> float:
         return peer.patience_s(PATIENCE_BEATS * self._beat_s)

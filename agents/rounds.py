@@ -22,7 +22,7 @@ from typing import Any
 from agents.area_file import AreaFile
 from agents.area_round import AreaRound, Content, Decider, Outcome
 from agents.events import Action, Event, Finish, PresenceChanged, Publish, Received, Refused, StopRequested
-from agents.hearing import FRESH_BEATS, OVER_BEATS, PASSED_ON_BEATS
+from agents.hearing import FRESH_BEATS, PASSED_ON_BEATS
 from agents.last_words import LastWords
 from agents.messages import (
     DownMessage,
@@ -228,14 +228,12 @@ class RoundsProtocol:
     def _take_round(self, name: str, peer: Peer, message: UpMessage | DownMessage) -> Iterator[Action]:
         """A message of a round from a neighbour in use: what is not answered at once is acknowledged at once."""
         if message.k > self._round.k:
-            return  # who is ahead of us in our own term says false things
+            return  # said to a former life of this area
         peer.is_owed_word = True
         peer.take_round(message)
         if message.k < self._round.k:
             if peer.sent is not None and message.received < peer.sent.k and peer.has_waited_for_trip(self._now):
                 yield self._send_again(name)  # it lacks our answer
-        elif message.k > self._round.k:
-            return  # said to a former life of this area
         elif isinstance(message, UpMessage):
             if self._round.take_up(name, message):
                 peer.take_answer()

@@ -29,6 +29,7 @@ class ToyEstimation:
         self.failure = ""
         self.removed = self.critical = self.dead_voltmeters = ()
         self.reported: set[str] = set()
+        self.own_meters: frozenset[str] = frozenset()
         self.is_first = False
         self.find_term: Callable[[], tuple[int, int]] = lambda: (0, 0)
         self.final: tuple[Part, ...] = ()
