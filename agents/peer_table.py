@@ -79,8 +79,9 @@ class PeerTable:
         """``message`` as it is sent to ``name`` now."""
         peer = self._peers[name]
         peer.said_at, peer.is_owed_word = now, False
-        if not isinstance(message, HeartbeatMessage):
-            peer.told_complete = False  # as the neighbour understands it
+        is_complete = isinstance(message, HeartbeatMessage) and message.complete
+        if peer.told_complete != is_complete:  # of a message of a round the neighbour takes it back
+            peer.told_complete, peer.changed_at = is_complete, now
         return replace(
             message,
             header=replace(message.header, time=now + self._clock_offset),
@@ -118,8 +119,11 @@ class PeerTable:
         return now >= peer.said_at + self._quiet_s(peer, is_final)
 
     def _quiet_s(self, peer: Peer, is_final: bool) -> float:
-        """How long nothing is said: a beat at rest, before no longer than the wait that patience counts in."""
-        return self._beat_s if is_final else min(self._beat_s, peer.round_trip.longest_wait_s)
+        """How long nothing is said: no longer than the wait that patience counts in, and at rest ever longer since what
+        heartbeats say has changed, as one may be lost; a beat at most.
+        """
+        unchanged_s = peer.said_at - peer.changed_at if is_final else 0.0
+        return min(self._beat_s, max(peer.round_trip.longest_wait_s, unchanged_s))
 
     def begin_term(self) -> None:
         """Messages of former rounds count no more; everybody is to hear of the term."""

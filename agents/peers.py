@@ -79,6 +79,7 @@ class Peer:
     complete: bool = False
     y: tuple[float, ...] = ()
     told_complete: bool = False
+    changed_at: float = -math.inf  # when it was last told otherwise
     is_owed_word: bool = False  # what it has sent, or what has changed, is to be answered at once
     sequence: int = 0  # of the last message of a round to it
     heard_sequence: int = 0

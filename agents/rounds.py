@@ -371,7 +371,6 @@ class RoundsProtocol:
 
     def _heartbeat(self, name: str) -> Publish:
         peer, outcome = self._peers[name], self._round.outcome
-        peer.told_complete = self._state.is_side_complete(name, self.term, self._now)
         has_y = outcome is not None and name in self._round.links and not self._round.estimation.failure
         message = HeartbeatMessage(
             header=self._header(None),
@@ -382,7 +381,7 @@ class RoundsProtocol:
             answers=0.0,
             received=-1,
             final=outcome is not None,
-            complete=peer.told_complete,
+            complete=self._state.is_side_complete(name, self.term, self._now),
             y=self._round.estimation.boundary_values(name) if has_y else (),
         )
         return Publish(self._peers.stamp(name, message, self._now), name)

@@ -81,6 +81,7 @@ class ToyBus:
         self.cuts: set[tuple[str, str]] = set()
         self.decided: dict[tuple, tuple] = {}
         self.sent: Counter[tuple[str, str]] = Counter()
+        self.sent_of_rounds: Counter[tuple[str, str]] = Counter()
         self.handled = 0
         self.on_handled: Callable[[], None] = lambda: None
         self.values: dict[str, float] = {}  # the newest reading of every area
@@ -257,6 +258,7 @@ class ToyBus:
 
     def _send(self, name: str, to: str, message: RoundsMessage) -> None:
         self.sent[name, to] += 1
+        self.sent_of_rounds[name, to] += not isinstance(message, HeartbeatMessage)
         assert self.sent[name, to] < MOST_PER_SECOND * (self.now + 1), f"{name} floods {to}"
         if isinstance(message, DownMessage):
             key = (message.header.scan, message.revision, message.decider, message.life, message.k)
