@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 SIGINT = (signal.SIGINT,)
 ENDS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 INTERRUPTED_CODE = 1
-RETRY_S = 0.01
 _state = {"is_command": False, "code": INTERRUPTED_CODE}
 
 
@@ -63,18 +62,32 @@ def _end_decided(*_: object) -> NoReturn:
     os._exit(_state["code"])
 
 
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    """Raise KeyboardInterrupt, or try again soon: compiled modules swallow it, or make a traceback of it."""
-    if not _is_importing(frame) or not hasattr(signal, "pthread_kill"):
+def _interrupt(_number: int, frame: FrameType | None) -> None:
+    """Raise KeyboardInterrupt, or once the import under way is over: compiled modules swallow it, or make a traceback
+    of it.
+    """
+    importer = _find_importer(frame)
+    if importer is None:
         raise KeyboardInterrupt
-    import threading  # loaded already wherever anything is waited for
+    import sys  # loaded already wherever a module is imported
 
-    threading.Timer(RETRY_S, signal.pthread_kill, (threading.main_thread().ident, number)).start()
+    importer.f_trace = _raise_interrupt
+    sys.settrace(lambda *_: None)  # without any, that of the frame is not asked
 
 
-def _is_importing(frame: FrameType | None) -> bool:
+def _find_importer(frame: FrameType | None) -> FrameType | None:
+    """The frame whose import statement is under way, None without one."""
+    found = None
     while frame is not None:
         if frame.f_code.co_filename.startswith("<frozen importlib"):
-            return True
+            found = frame.f_back
         frame = frame.f_back
-    return False
+    return found
+
+
+def _raise_interrupt(frame: FrameType, _event: str, _argument: object) -> NoReturn:
+    import sys
+
+    sys.settrace(None)
+    frame.f_trace = None
+    raise KeyboardInterrupt
