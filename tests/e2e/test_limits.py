@@ -33,7 +33,7 @@ def run_limited(folder: Path, limit: int, value: int, *arguments: str) -> subpro
 
 def test_a_run_whose_events_no_longer_fit_on_the_disk_still_ends_with_its_verdict(tmp_path: Path):
     done = run_limited(
-        tmp_path, resource.RLIMIT_FSIZE, 7000, "ieee33-lossy", "--out", "out"
+        tmp_path, resource.RLIMIT_FSIZE, 7000, "ieee33-disorder", "--out", "out"
     )  # its other files just fit
     assert done.returncode == 2
     assert done.stdout.startswith("consensus after ")
