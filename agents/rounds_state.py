@@ -16,11 +16,12 @@ from agents.scan_readings import ScanReadings
 from agents.shown_state import describe_estimate
 from agents.strategies.interface import Estimate
 from dsse_core.area_estimation import FAILURES
-from dsse_core.bad_data import CONFIDENCE, chi_square_limit
+from dsse_core.bad_data import chi_square_limit
 from dsse_core.partition import Area
 from dsse_core.verdict import UNOBSERVABLE as NOT_OBSERVABLE
 from dsse_core.verdict import Totals
 
+CONTRADICTION = 0.9999  # confidence of the chi-square test of what is shown; bad data are looked for at a lower one
 MISMATCH = 1e-6  # p.u. and rad, of the final voltages that two sides of a boundary have; rounding leaves 1e-8
 
 Counts = tuple[Mapping[str, int], Mapping[str, int], Mapping[str, int]]
@@ -241,5 +242,5 @@ class RoundsState:
 
 
 def _exceeds_limit(totals: Totals) -> bool:
-    """Whether the chi-square test still fails at the end."""
-    return totals.objective >= chi_square_limit(totals.degrees_of_freedom, CONFIDENCE)
+    """Whether J at the end is more than noise alone leaves in all but one of ten thousand scans."""
+    return totals.objective >= chi_square_limit(totals.degrees_of_freedom, CONTRADICTION)
