@@ -64,6 +64,7 @@ def run_program(text: str) -> Case:
 def _split_statements(text: str) -> Iterator[tuple[int, str]]:
     """(line, statement) of a program: without comments, continued lines joined, brackets kept whole."""
     statement, start, depth = "", 0, 0
+    is_blank = True  # the statement so far
     in_comment = False
     for number, raw in enumerate(text.splitlines(), start=1):
         if raw.strip() in ("%{", "%}"):
@@ -74,20 +75,21 @@ def _split_statements(text: str) -> Iterator[tuple[int, str]]:
         continued = line.rstrip().endswith("...")
         line = line.rstrip().removesuffix("...")
         for character in line:
-            if not statement.strip():
+            if is_blank:
                 start = number
             depth += (character in "[{(") - (character in "]})")
             if character == ";" and depth == 0:
                 yield start, statement
-                statement = ""
+                statement, is_blank = "", True
             else:
                 statement += character
+                is_blank = is_blank and character.isspace()
         if depth > 0:
             statement += " " if continued else "\n"
         elif not continued:
             yield start, statement
-            statement = ""
-    if statement.strip():
+            statement, is_blank = "", True
+    if not is_blank:
         yield start, statement
 
 
