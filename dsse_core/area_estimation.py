@@ -278,10 +278,8 @@ class AreaEstimation:
         """Which meters are critical, and the largest normalised residual of the others."""
         model = self.model
         _, variance = find_variances(model, self.x, self._heard)
-        without_check = (variance <= CRITICAL_REDUNDANCY * model.sigma**2) & ~model.virtual
-        critical = {*self.critical, *(model.meters[k].id for k in np.flatnonzero(without_check))}
-        self.critical = tuple(m.id for m in model.meters if m.id in critical)
-        worst = find_suspects(model, self.x, variance, critical)
+        self.critical = self._find_critical(variance)
+        worst = find_suspects(model, self.x, variance, self.critical)
         self._worst = tuple(sorted(worst.items()))[:MOST_NAMED]
         self.reported |= worst.keys()
 
@@ -293,10 +291,14 @@ class AreaEstimation:
         """
         of_state, variance = find_variances(self.model, self.x, self._heard)
         sigma = np.sqrt(np.maximum(of_state, 0.0))
+        return sigma[self._n : 2 * self._n], sigma[: self._n], self._find_critical(variance)
+
+    def _find_critical(self, variance: np.ndarray) -> tuple[str, ...]:
+        """Ids of the meters that cannot be spared at no load, or whose residual says nothing; ``variance``: Omega."""
         model = self.model
         without_check = (variance <= CRITICAL_REDUNDANCY * model.sigma**2) & ~model.virtual
         critical = {*self.critical, *(model.meters[k].id for k in np.flatnonzero(without_check))}
-        return sigma[self._n : 2 * self._n], sigma[: self._n], tuple(m.id for m in model.meters if m.id in critical)
+        return tuple(meter.id for meter in model.meters if meter.id in critical)
 
     @property
     def no_load_va(self) -> np.ndarray:
