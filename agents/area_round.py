@@ -28,7 +28,7 @@ class Decider:
     """Who has added up all totals: ``name`` in its ``life``."""
 
     name: str
-    life: tuple[int, ...]
+    life: tuple[int, int]
 
 
 @dataclass(frozen=True)

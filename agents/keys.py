@@ -1,4 +1,4 @@
-"""Key expressions on the bus, all below ``dsse/v1/<run>/``; every chunk is made of ``[a-z0-9_-]``.
+"""Key expressions on the bus, all below ``dsse/v<wire version>/<run>/``; every chunk is made of ``[a-z0-9_-]``.
 
 ==============================  ====================================================
 ``area/<i>/boundary/<j>``       boundary messages of area i for neighbour j, angle-offset
@@ -15,15 +15,16 @@
 
 import re
 
-from agents.messages import Incarnation
+from agents.messages import WIRE_VERSION, Incarnation
 from dsse_core.limits import LONGEST_NAME
 
 NAME = re.compile(rf"[a-z0-9_-]{{1,{LONGEST_NAME}}}")
+VERSION = re.compile(r"v([0-9]{1,9})")
 LIFE = re.compile(r"([0-9a-f]{1,14})-([0-9a-f]{8})")
 
 
 def _root(run: str) -> str:
-    return f"dsse/v1/{run}"
+    return f"dsse/v{WIRE_VERSION}/{run}"
 
 
 def all_of_run(run: str) -> str:
@@ -66,6 +67,17 @@ def all_lives(run: str, role: str, name: str) -> str:
 
 def all_live(run: str) -> str:
     return all_lives(run, "*", "*")
+
+
+def all_live_of_any_version(run: str) -> str:
+    """The same of programs that speak another wire version, which can only be named."""
+    return f"dsse/*/{run}/live/*/*/*"
+
+
+def version_of(key: str) -> int:
+    """The wire version that a key belongs to; 0 if it is not written as versions are."""
+    found = VERSION.fullmatch(key.split("/")[1])
+    return int(found[1]) if found else 0
 
 
 def run_of(key: str) -> str:

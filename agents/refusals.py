@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from agents.area_file import AreaFile
+from agents.boundary_variables import ONE_PHASE
 from agents.messages import (
     BoundaryMessage,
     BoundaryNews,
@@ -43,6 +44,8 @@ def find_refusal(message: Message, key_sender: str, content: AreaFile, now: floa
         return "sender does not own the key"
     if message.bus != bus:
         return "other boundary bus"
+    if getattr(message, "variables", ONE_PHASE) != ONE_PHASE:
+        return "other boundary variables"
     return find_unreasonable(message)
 
 

@@ -16,12 +16,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import msgpack
+import msgspec
 import tomli_w
 
 from agents import messages
 from agents.area_file import save_area_file
 from agents.area_reader import load_area_file
+from agents.boundary_variables import ONE_PHASE
 from agents.wire_checks import MessageError
 from benchmarks import fuzz_parsing
 from benchmarks.fuzz_mutations import STEERING, spoil_bytes, spoil_text, spoil_tree
@@ -56,6 +57,8 @@ def make_message(rng: random.Random) -> messages.Message:
     hints = typing.get_type_hints(cls)
     length = rng.choice((0, 1, 4, 10))
     places = {f.name: _make_value(rng, hints[f.name], length) for f in dataclasses.fields(cls) if f.name != "header"}
+    if "variables" in places and rng.random() < 0.9:
+        places["variables"] = ONE_PHASE
     return typing.cast("messages.Message", cls(header=header, **places))
 
 
@@ -91,9 +94,9 @@ def make_payload(rng: random.Random) -> bytes:
     packed = messages.encode(make_message(rng))[:-4]
     kind = rng.randrange(4)
     if kind == 0:
-        tree = msgpack.unpackb(packed)
+        tree = msgspec.msgpack.decode(packed)
         try:
-            packed = msgpack.packb(spoil_tree(rng, tree))
+            packed = msgspec.msgpack.encode(spoil_tree(rng, tree))
         except OverflowError:  # not every integer can be sent
             packed = packed[1:]
     elif kind == 1:

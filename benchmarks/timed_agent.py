@@ -18,7 +18,7 @@ from agents.events import Action
 from agents.rounds import RoundsProtocol
 from agents.transport import Session
 
-PING, PONG = "dsse/v1/latency/ping", "dsse/v1/latency/pong"
+PING, PONG = "dsse/v2/latency/ping", "dsse/v2/latency/pong"
 
 
 def run_timed_agent(area_file: str, out: str) -> int:

@@ -93,9 +93,8 @@ def _format(view: View, as_json: bool) -> str:
         areas = {area.name: {"state": area.state} | asdict(area) for area in view.areas}
         for area in areas.values():
             del area["name"]
-        return json.dumps(
-            {"time": time.time(), "run": view.run, "others": view.others, "doubles": view.doubles, "areas": areas}
-        )
+        about = {"others": view.others, "doubles": view.doubles, "other_versions": view.other_versions}
+        return json.dumps({"time": time.time(), "run": view.run, **about, "areas": areas})
     from coordinator.live import format_view
 
     return format_view(view)

@@ -84,7 +84,7 @@ WATCHED = (
 def build_view_table(view: View) -> Table:
     """What a watcher sees of a run; gaps are the largest to a neighbour at a bus that both publish."""
     others = listed(view.others, MOST_LISTED) or "nobody"
-    told = [shortened(double, LONGEST_CELL) for double in view.doubles[:MOST_LISTED]]
+    told = [shortened(word, LONGEST_CELL) for word in (*view.doubles[:MOST_LISTED], *view.other_versions)]
     table = _new_table(f"run {view.run}", f"also there: {others}", *told)
     for heading in ("area", "state"):
         table.add_column(heading)

@@ -19,7 +19,7 @@ from dsse_core.bad_data import BadDataReport
 from scenarios.scenario import Scenario
 
 VERSION = 1
-DISTRIBUTIONS = ("consensus-dsse", "numpy", "scipy", "eclipse-zenoh", "msgpack")
+DISTRIBUTIONS = ("consensus-dsse", "numpy", "scipy", "eclipse-zenoh", "msgspec")
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,14 +7,17 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 from agents.hearing import is_old
-from agents.keys import name_of_live
-from agents.messages import StateMessage
+from agents.keys import name_of_live, version_of
+from agents.messages import WIRE_VERSION, StateMessage, describe_other_version
 from agents.presence import MAX_NAMES, Presence
 from agents.quality import NONE, STALE
 from coordinator.doubles import NOUNS, describe_double
 from coordinator.observer import count_exchanges
+from dsse_core.printable import listed
 
 OVER_S = 2.0  # after which a life that is not heard is over; nobody tells a watcher the beat
+MOST_VERSIONS = 10  # other wire versions that are told apart, and
+MOST_NAMED = 12  # names of each
 SILENT_GAPS = 3  # an area that was not heard for so many of its longest pauses, and for OVER_S, is silent
 
 
@@ -70,12 +73,14 @@ class View:
     """A run at one moment. ``others``: plant, coordinators and watchers that are there, as ``role name``.
 
     ``doubles``: in words, which area or plant runs more than once; one that has just been started again may, for 2 s.
+    ``other_versions``: in words, who speaks another wire version, of whom nothing else can be shown.
     """
 
     run: str
     areas: tuple[AreaView, ...]
     others: tuple[str, ...]
     doubles: tuple[str, ...] = ()
+    other_versions: tuple[str, ...] = ()
 
 
 @dataclass
@@ -87,12 +92,17 @@ class Watcher:
 
     run: str
     _presence: Presence = field(default_factory=Presence)
+    _other_versions: dict[int, Presence] = field(default_factory=dict)
     _farewells: dict[str, str] = field(default_factory=dict)
     _heard: dict[str, tuple[float, StateMessage]] = field(default_factory=dict)
     _longest_gap: dict[str, float] = field(default_factory=dict)  # between two states of an area's life, s
 
     def take_presence(self, key: str, alive: bool) -> None:
-        """Note that a token appeared or vanished."""
+        """Note that a token of any wire version appeared or vanished."""
+        if (version := version_of(key)) != WIRE_VERSION:
+            if version in self._other_versions or len(self._other_versions) < MOST_VERSIONS:
+                self._other_versions.setdefault(version, Presence()).take(key, alive)
+            return
         if self._presence.take(key, alive) and alive:
             self._farewells.pop(name_of_live(key)[1], None)  # that was said by a former life
 
@@ -123,7 +133,19 @@ class Watcher:
         names = sorted(self._names_of("area") | self._heard.keys() | spoken_to, key=_by_number)[:MAX_NAMES]
         others = sorted(f"{role} {name}" for role, name in self._presence.names if role != "area")
         views = tuple(self._view_of(name, now) for name in names)
-        return View(self.run, views, tuple(others), tuple(self._find_doubles()))
+        return View(self.run, views, tuple(others), tuple(self._find_doubles()), self.find_other_versions())
+
+    def find_other_versions(self) -> tuple[str, ...]:
+        """In words, who speaks which other wire version."""
+        found = {
+            version: sorted({f"{role} {name}" for role, name in presence.names})
+            for version, presence in sorted(self._other_versions.items())
+        }
+        return tuple(
+            describe_other_version(version, f"{listed(names, MOST_NAMED)} speak{'s' * (len(names) == 1)}")
+            for version, names in found.items()
+            if names
+        )
 
     def _find_doubles(self) -> Iterator[str]:
         for role, name in sorted(self._presence.names):

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from agents.access import COORDINATOR
 from agents.credentials import load_keys
-from agents.keys import all_live, all_states, name_of_live, run_of, sender_of
-from agents.messages import StateMessage, decode
+from agents.keys import all_live, all_live_of_any_version, all_states, name_of_live, run_of, sender_of, version_of
+from agents.messages import WIRE_VERSION, StateMessage, decode, describe_other_version
 from agents.presence import read_farewell
 from agents.transport import Session, TransportError
 from agents.wire_checks import MessageError
@@ -49,7 +49,8 @@ def attach(
         watcher, news = Watcher(run), News()
         session.subscribe(all_states(run), lambda key, payload: news.offer(_decoded(key, payload)))
         session.subscribe(all_live(run), lambda key, payload: news.offer((key, read_farewell(payload)), said_once=True))
-        session.watch_presence(all_live(run), lambda key, alive: news.offer((key, alive), said_once=True))
+        all_tokens = all_live(run) if loaded else all_live_of_any_version(run)  # keys let nobody see other versions
+        session.watch_presence(all_tokens, lambda key, alive: news.offer((key, alive), said_once=True))
 
         def look(duration_s: float) -> Watcher:
             for item in news.take(duration_s):
@@ -76,14 +77,21 @@ def wait_until_whole(look: Look, timeout_s: float) -> Watcher:
 def _find_run(session: Session, timeout_s: float) -> str:
     """The only run of which an area or a plant is there."""
     news = News()
-    session.watch_presence(all_live(ANY), lambda key, alive: news.offer((key, alive), said_once=True))
+    others: dict[str, int] = {}  # runs of another wire version
+    session.watch_presence(all_live_of_any_version(ANY), lambda key, alive: news.offer((key, alive), said_once=True))
     runs: set[str] = set()
     deadline, settled = time.monotonic() + timeout_s, float("inf")
     while (now := time.monotonic()) < min(deadline, settled):
         for key, alive in news.take(STEP_S):
             if alive and name_of_live(key)[0] in ("area", "plant"):
-                runs.add(run_of(key))
                 settled = min(settled, now + SETTLE_S)
+                if version_of(key) == WIRE_VERSION:
+                    runs.add(run_of(key))
+                elif len(others) <= MOST_RUNS:
+                    others[run_of(key)] = version_of(key)
+    if not runs and others:
+        who = f"run {listed(sorted(others), MOST_RUNS)} speaks"
+        raise TransportError(describe_other_version(max(others.values()), who))
     if not runs:
         raise TransportError(f"no area or plant is on this bus within {timeout_s:g} s; are agents running?")
     if len(runs) > 1:

@@ -42,11 +42,11 @@ def speak(endpoint: str, keys: Path | None, name: str) -> None:
         Impostor.calling([endpoint], keys, name) as mouth,  # a session hears itself, whoever forbids it
         Impostor.calling([endpoint], keys, name) as ear,
     ):
-        ear.listen(f"dsse/v1/{RUN}/area/*/state", telemetry_key(RUN, "area1"))
+        ear.listen(f"dsse/v2/{RUN}/area/*/state", telemetry_key(RUN, "area1"))
         ear.listen(all_from_neighbours(RUN, "area3"), all_from_neighbours(RUN, "area2"))  # the second is its due
         ear.listen(all_lives(RUN, "area", "*"), all_lives(RUN, "plant", "*"))
         ear.listen(all_lives(RUN, "area", "area1"), all_lives(RUN, "area", "area2"))
-        mouth.show(f"dsse/v1/{RUN}/live/area/area9/1-2")
+        mouth.show(f"dsse/v2/{RUN}/live/area/area9/1-2")
         keys_of_others = {telemetry_key(RUN, area): lie for area, lie in lies.items()}
         for kind in ("information", "tally", "load"):
             keys_of_others[neighbour_key(RUN, "area3", kind, "area1")] = b"lie"

@@ -29,9 +29,9 @@ ROUNDS = 200
 def attack(impostor: Impostor, lies: dict[str, bytes]) -> None:
     """Listen to everybody, show everybody's tokens, and say ``lies``."""
     impostor.listen(*(state_key(RUN, area) for area in ("*", *AREAS)), *(telemetry_key(RUN, area) for area in AREAS))
-    impostor.listen(*(f"dsse/v1/{RUN}/area/*/*/{area}" for area in AREAS), all_live(RUN))
+    impostor.listen(*(f"dsse/v2/{RUN}/area/*/*/{area}" for area in AREAS), all_live(RUN))
     impostor.listen(*(all_lives(RUN, role, name) for role, name in (*(("area", a) for a in AREAS), ("plant", "plant"))))
-    impostor.show(*(f"dsse/v1/{RUN}/live/area/{area}/fffffffffff-ffffffff" for area in AREAS))
+    impostor.show(*(f"dsse/v2/{RUN}/live/area/{area}/fffffffffff-ffffffff" for area in AREAS))
     said = [put for key, lie in lies.items() for put in impostor.say([key], lie)]
     pause = threading.Event()
     for _ in range(ROUNDS):

@@ -90,7 +90,7 @@ def test_a_revoked_name_neither_speaks_nor_hears_nor_is_seen(
         places = [place for name, place in system.places.items() if name != "area3"] or system.endpoints
         with Impostor.calling(places, system.keys, "area3", mode) as thief:
             thief.listen(telemetry_key(RUN, "area3"), all_from_neighbours(RUN, "area3"), all_live(RUN))
-            thief.show(f"dsse/v1/{RUN}/live/area/area3/1-00000001")
+            thief.show(f"dsse/v2/{RUN}/live/area/area3/1-00000001")
             said = thief.say([state_key(RUN, "area3")])
             wait_until(
                 lambda: "shows the certificate of 'area3'" in system.said("area1" if system.direct else "router")

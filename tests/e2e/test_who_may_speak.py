@@ -178,7 +178,7 @@ def test_who_has_one_areas_key_can_neither_speak_for_others_nor_listen_to_them(s
     told = json.loads(run_stranger("speak", system.endpoint, system.keys, "area2"))
     assert told["heard"], "what is meant for its own area it may hear"
     assert all(key.endswith("/area2") for key in told["heard"])
-    allowed = tuple(f"dsse/v1/{RUN}/live/area/{name}/" for name in ("area1", "area2"))  # a neighbour, and itself
+    allowed = tuple(f"dsse/v2/{RUN}/live/area/{name}/" for name in ("area1", "area2"))  # a neighbour, and itself
     assert all(key.startswith(allowed) for key in told["seen"])
     refused = log_since(system, before)
     for key in ("telemetry/area1", "area/area3/information/area1", "area/area1/state"):

@@ -176,6 +176,13 @@ def test_a_repeat_is_the_same_message_with_the_same_sequence(area1):
         (load_from_area2(sender="area9"), "area9", "unknown sender"),
         (load_from_area2(), "area3", "sender does not own the key"),
         (load_from_area2(bus=5), "area2", "other boundary bus"),
+        (
+            HeartbeatMessage(
+                load_from_area2().header, 6, 0, 0, True, 0.0, -1, False, False, (), variables=("p.a", "q.a")
+            ),
+            "area2",
+            "other boundary variables",
+        ),
         (load_from_area2(time=STARTED_AT + 1e4), "area2", "time in the future"),
         (load_from_area2(incarnation=Incarnation(int(STARTED_AT * 1000) + 10**7, 1)), "area2", "time in the future"),
         (replace(load_from_area2(), p=1e300), "area2", "numbers beyond reason"),

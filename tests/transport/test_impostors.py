@@ -48,7 +48,7 @@ TOKENS = {(i, j) for i in "abc" for j in (*CHAIN.neighbours[i], "plant", "coordi
 
 
 def whole(key: str) -> str:
-    return f"dsse/v1/run/{key}"
+    return f"dsse/v2/run/{key}"
 
 
 def message_keys(name: str) -> list[str]:

@@ -10,7 +10,7 @@ from agents.events import Received, Refused
 from agents.inbox import Inbox
 from agents.messages import MAX_NEIGHBOUR_BYTES, Header, Incarnation, LoadMessage, encode
 
-KEY, TELEMETRY = "dsse/v1/r/area/area2/load/area1", "dsse/v1/r/telemetry/area1"
+KEY, TELEMETRY = "dsse/v2/r/area/area2/load/area1", "dsse/v2/r/telemetry/area1"
 LOAD = LoadMessage(Header("r", "area2", Incarnation(1, 1), 1, 1, 0.0), 6, 0.1, 0.0, 0.01)
 
 
@@ -42,14 +42,14 @@ def test_strangers_take_one_slot_however_many_keys_they_have(door, caplog):
     doorkeeper, inbox = door
     with caplog.at_level(logging.WARNING):
         for k in range(12_345):
-            doorkeeper.take(f"dsse/v1/r/area/stranger{k}/load/area1", encode(LOAD))
+            doorkeeper.take(f"dsse/v2/r/area/stranger{k}/load/area1", encode(LOAD))
     assert inbox.take(0.0) == [Refused("unknown sender", 12_345)]
     assert len(caplog.records) == 5  # number 1, 10, 100, 1000, 10000
 
 
 def test_a_known_neighbour_cannot_invent_kinds_either(door):
     doorkeeper, inbox = door
-    doorkeeper.take("dsse/v1/r/area/area2/gossip/area1", encode(LOAD))
+    doorkeeper.take("dsse/v2/r/area/area2/gossip/area1", encode(LOAD))
     assert inbox.take(0.0) == [Refused("unknown sender", 1)]
 
 

@@ -1,17 +1,23 @@
 """Every message survives the wire unchanged, and nothing malformed gets through."""
 
+import json
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
+from pathlib import Path
 
-import msgpack
+import msgspec
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from agents.boundary_variables import ONE_PHASE
 from agents.messages import (
+    MESSAGE_TYPES,
     WIRE_VERSION,
     AdmmMessage,
     BoundaryMessage,
+    ClockMessage,
     DownMessage,
     Header,
     HeartbeatMessage,
@@ -24,6 +30,7 @@ from agents.messages import (
     encode,
     seal,
 )
+from agents.triangle import read_triangle, write_triangle
 from agents.wire_checks import LONGEST_NAME, LONGEST_NOTE, MOST_NOTES, MessageError, limit_notes
 from dsse_core.verdict import Totals
 
@@ -77,6 +84,7 @@ MESSAGES = [
     UP,
     DownMessage(**{**vars(UP), "power": ()}, verdict="judge", decider="area1", life=(1, 2)),
     TelemetryMessage(HEADER, "area1", ("vm@1",), (1.0,), (0.002,)),
+    ClockMessage(HEADER, 12.5),
     STATE,
 ]
 
@@ -91,52 +99,139 @@ def test_a_boundary_message_fits_in_200_bytes_even_with_long_names():
     assert len(encode(BoundaryMessage(header, 2**31, 0.95, -0.02, True))) <= 200
 
 
-def fields_of(message):
-    return list(msgpack.unpackb(encode(message)[:-4]))
+def places_of(message):
+    return list(msgspec.msgpack.decode(encode(message)[:-4]))
+
+
+def changed(*path, to):
+    """A change of the place of a message that ``path`` leads to."""
+
+    def change(places):
+        for step in path[:-1]:
+            places = places[step]
+        places[path[-1]] = to
+
+    return change
+
+
+HEADER_PLACE, VM, REFERENCED = 2, 4, 6  # of a boundary message
 
 
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        (lambda f: f.__setitem__(0, WIRE_VERSION + 1), "wire version"),
-        (lambda f: f.__setitem__(1, "gossip"), "malformed"),
-        (lambda f: f.__setitem__(1, ["load"]), "malformed"),
-        (lambda f: f.__setitem__(2, 5), "malformed"),
-        (lambda f: f.__setitem__(4, [1]), "malformed"),
-        (lambda f: f.__setitem__(5, -1), "malformed"),
-        (lambda f: f.__setitem__(6, True), "malformed"),
-        (lambda f: f.__setitem__(7, math.inf), "not finite"),
-        (lambda f: f.__setitem__(9, math.nan), "not finite"),
-        (lambda f: f.__setitem__(9, "0.95"), "malformed"),
-        (lambda f: f.__setitem__(9, 2**64 - 1), None),
-        (lambda f: f.__setitem__(11, 1), "malformed"),
-        (lambda f: f.append(0), "malformed"),
-        (lambda f: f.pop(), "malformed"),
+        (changed(0, to=WIRE_VERSION + 1), "wire version"),
+        (changed(0, to="2"), "malformed"),
+        (changed(1, to="gossip"), "malformed"),
+        (changed(1, to=["load"]), "malformed"),
+        (changed(HEADER_PLACE, to=5), "malformed"),
+        (changed(HEADER_PLACE, 0, to=5), "malformed"),
+        (changed(HEADER_PLACE, 2, to=[1]), "malformed"),
+        (changed(HEADER_PLACE, 3, to=-1), "malformed"),
+        (changed(HEADER_PLACE, 4, to=True), "malformed"),
+        (changed(HEADER_PLACE, 5, to=math.inf), "not finite"),
+        (changed(VM, to=math.nan), "not finite"),
+        (changed(VM, to=-math.inf), "not finite"),
+        (changed(VM, to="0.95"), "malformed"),
+        (changed(VM, to=None), "malformed"),
+        (changed(REFERENCED, to=1), "malformed"),
+        (lambda places: places.append(0), "malformed"),
+        (lambda places: places.pop(), "malformed"),
+        (lambda places: places[HEADER_PLACE].append(0), "malformed"),
     ],
 )
-def test_a_changed_field_is_refused_with_its_reason(change, reason):
-    fields = fields_of(BoundaryMessage(HEADER, 6, 0.95, -0.02, True))
-    change(fields)
-    if reason is None:
-        assert decode(seal(msgpack.packb(fields))).vm == float(2**64 - 1)
-        return
+def test_a_changed_place_is_refused_with_its_reason(change, reason):
+    places = places_of(BoundaryMessage(HEADER, 6, 0.95, -0.02, True))
+    change(places)
     with pytest.raises(MessageError) as caught:
-        decode(seal(msgpack.packb(fields)))
+        decode(seal(msgspec.msgpack.encode(places)))
     assert caught.value.reason == reason
 
 
+def test_a_whole_number_may_stand_for_a_number():
+    places = places_of(BoundaryMessage(HEADER, 6, 0.95, -0.02, True))
+    places[VM] = 2**64 - 1
+    assert decode(seal(msgspec.msgpack.encode(places))).vm == float(2**64 - 1)
+
+
+@pytest.mark.parametrize("kind", sorted(MESSAGE_TYPES))
+def test_recorded_bytes_of_wire_version_1_are_refused_by_name(kind):
+    recorded = json.loads((Path(__file__).parent / "wire_version_1.json").read_text())
+    with pytest.raises(
+        MessageError, match="speaks wire version 1, this is version 2: upgrade the other side"
+    ) as caught:
+        decode(bytes.fromhex(recorded[kind]))
+    assert caught.value.reason == "wire version"
+
+
+def test_a_later_wire_version_asks_for_an_upgrade_of_this_program():
+    with pytest.raises(MessageError, match="speaks wire version 3, this is version 2: upgrade this program"):
+        decode(seal(msgspec.msgpack.encode([3, {"kind": "load"}])))
+
+
+def test_the_field_that_is_wrong_is_named():
+    places = places_of(UP)
+    places[2 + [f.name for f in fields(UP)].index("z")][3] = "0.4"
+    with pytest.raises(MessageError, match=r"z\[3\]: Expected `float`, got `str`"):
+        decode(seal(msgspec.msgpack.encode(places)))
+
+
 def test_arrays_of_a_state_must_have_one_length():
-    fields = fields_of(STATE)
-    fields[9] = [1.0]
     with pytest.raises(MessageError, match="differ in length"):
-        decode(seal(msgpack.packb(fields)))
+        decode(encode(replace(STATE, vm=(1.0,))))
 
 
-def test_an_admm_message_has_four_numbers_of_each():
-    fields = fields_of(next(m for m in MESSAGES if isinstance(m, AdmmMessage)))
-    fields[11] = fields[11][:3]
-    with pytest.raises(MessageError, match="do not have 4 numbers each"):
-        decode(seal(msgpack.packb(fields)))
+def test_a_key_given_twice_is_refused():
+    places = places_of(STATE)
+    places[2 + [f.name for f in fields(STATE)].index("refused")] = [["malformed", 1], ["malformed", 2]]
+    with pytest.raises(MessageError, match="given twice"):
+        decode(seal(msgspec.msgpack.encode(places)))
+
+
+THREE_PHASES = tuple(f"{kind}.{phase}" for kind in ("p", "q", "vm", "va") for phase in "abc")
+SPEAK_OF_BOUNDARIES = [UP, *(m for m in MESSAGES if m.kind in ("down", "admm", "heartbeat"))]
+
+
+def with_variables(message, variables):
+    """``message`` about a boundary with ``variables``, all arrays as long as they then are."""
+    d = len(variables)
+    numbers = tuple(0.1 * k for k in range(d * (d + 1) // 2))
+    match message.kind:
+        case "heartbeat":
+            return replace(message, variables=variables, y=numbers[:d])
+        case "admm":
+            return replace(message, variables=variables, **dict.fromkeys(("r", "r_before", "weight"), numbers[:d]))
+    powers = sum(name[0] in "pq" for name in variables)
+    return replace(message, variables=variables, R=numbers, z=numbers[:d], no_load=numbers, power=numbers[:powers])
+
+
+@pytest.mark.parametrize("message", SPEAK_OF_BOUNDARIES, ids=lambda m: m.kind)
+@pytest.mark.parametrize("variables", [THREE_PHASES, ("p.a", "q.a", "vm.a", "va.a"), ("p@6", "q@6", "vm@7", "va@7")])
+def test_a_boundary_may_have_any_number_of_variables(message, variables):
+    told = with_variables(message, variables)
+    assert decode(encode(told)) == told
+
+
+@pytest.mark.parametrize("message", SPEAK_OF_BOUNDARIES, ids=lambda m: m.kind)
+@pytest.mark.parametrize("variables", [THREE_PHASES, ONE_PHASE])
+def test_no_array_about_a_boundary_has_another_length_than_its_variables_ask_for(message, variables):
+    told = with_variables(message, variables)
+    for name in {"R", "z", "no_load", "power", "y", "r", "r_before", "weight"} & {f.name for f in fields(told)}:
+        for wrong in (getattr(told, name)[:-1], (*getattr(told, name), 0.0)):
+            with pytest.raises(MessageError, match=f"{name} has {len(wrong)} numbers, not .* with {len(variables)}"):
+                decode(encode(replace(told, **{name: wrong})))
+
+
+@pytest.mark.parametrize("variables", [(), ("p", "p", "vm", "va"), ("p", "q", "vm", "VA"), ("p", "q", "vm", "va.")])
+def test_variables_that_no_boundary_has_are_refused(variables):
+    with pytest.raises(MessageError, match="variable"):
+        decode(encode(with_variables(UP, variables)))
+
+
+def test_information_with_three_phases_survives_as_a_matrix():
+    R = np.triu(np.arange(1.0, 145.0).reshape(12, 12))
+    told = replace(with_variables(UP, THREE_PHASES), R=write_triangle(R))
+    np.testing.assert_array_equal(read_triangle(decode(encode(told)).R), R)
 
 
 @pytest.mark.parametrize("place", ["removed", "old_sides", "quality", "refused", "sent", "run", "sender"])
@@ -196,8 +291,10 @@ def test_a_single_flipped_bit_is_noticed(message):
 
 
 def array_around(value):
-    """An array with a header whose kind is ``value``."""
-    return b"\x98\x01" + value + b"\x00" * 6
+    """A load message at whose ``p`` stands ``value``."""
+    places = places_of(MESSAGES[0])
+    places[4] = "here"
+    return msgspec.msgpack.encode(places).replace(b"\xa4here", value)
 
 
 @pytest.mark.parametrize(
@@ -206,16 +303,16 @@ def array_around(value):
         (b"", "not MessagePack"),
         (b"\xc1", "not MessagePack"),
         (b"\xdd\xff\xff\xff\xff", "not MessagePack"),  # an array that says it has four thousand million items
-        (b"\x91" * 100_000, "not MessagePack"),
+        (b"\x91" * 100_000, "malformed"),
+        (b"\x92\x02" + b"\x91" * 100_000, "not MessagePack"),
         (array_around(b"\x91" * 900 + b"\xc0"), "malformed"),  # deeper than Python prints
-        (array_around(b"\xd9\xff" + b"\xff" * 255), "not MessagePack"),  # not UTF-8
-        (array_around(b"\xdb\x00\x10\x00\x00" + b"x" * 2**20), "not MessagePack"),  # a long text
-        (array_around(b"\xd4\x01x"), "not MessagePack"),  # an extension type
-        (array_around(b"\xc4\x01x"), "not MessagePack"),  # binary
-        (array_around(b"\x82\xa1a\x01\xa1a\x02"), "malformed"),  # a key given twice
-        (array_around(b"\x81\x01\x01"), "not MessagePack"),  # a key that is no text
+        (array_around(b"\xd9\xff" + b"\xff" * 255), "malformed"),  # not UTF-8
+        (array_around(b"\xdb\x00\x10\x00\x00" + b"x" * 2**20), "malformed"),  # a long text
+        (array_around(b"\xd4\x01x"), "malformed"),  # an extension type
+        (array_around(b"\xc4\x01x"), "malformed"),  # binary
+        (array_around(b"\x82\xa1a\x01\xa1a\x02"), "malformed"),  # a map
         (b"\xdd\x00\x40\x00\x00" + b"\x80" * 2**22, "malformed"),  # four million empty maps
-        (array_around(b"\xcf" + b"\xff" * 8), "malformed"),
+        (array_around(b"\xc3"), "malformed"),
     ],
 )
 def test_what_could_exhaust_or_confuse_the_reader_is_refused_shortly(packed, reason):
@@ -226,14 +323,61 @@ def test_what_could_exhaust_or_confuse_the_reader_is_refused_shortly(packed, rea
     assert str(caught.value).isprintable()
 
 
-@pytest.mark.parametrize("place", [5, 6])
+@pytest.mark.parametrize("text", [b"\xd9\xff" + b"\xff" * 255, b"\xdb\x00\x10\x00\x00" + b"x" * 2**20])
+def test_a_name_that_is_not_utf_8_or_a_mebibyte_long_is_refused(text):
+    packed = msgspec.msgpack.encode(places_of(MESSAGES[0])).replace(b"\xa5run-1", text)
+    with pytest.raises(MessageError) as caught:
+        decode(seal(packed))
+    assert str(caught.value).isprintable()
+    assert len(str(caught.value)) < 300
+
+
+@pytest.mark.parametrize("place", [3, 4])
 def test_a_count_is_below_two_to_the_53(place):
-    fields = fields_of(MESSAGES[0])
-    fields[place] = 2**53 - 1
-    decode(seal(msgpack.packb(fields)))
-    fields[place] = 2**53
-    with pytest.raises(MessageError, match="not a count"):
-        decode(seal(msgpack.packb(fields)))
+    places = places_of(MESSAGES[0])
+    places[HEADER_PLACE][place] = 2**53 - 1
+    decode(seal(msgspec.msgpack.encode(places)))
+    places[HEADER_PLACE][place] = 2**53
+    with pytest.raises(MessageError, match="malformed"):
+        decode(seal(msgspec.msgpack.encode(places)))
+
+
+TOTALS_PLACE = 2 + [f.name for f in fields(UP)].index("totals")
+
+
+def totals_read(change):
+    """The totals of ``UP`` after a ``change`` of their list."""
+    places = places_of(UP)
+    change(places[TOTALS_PLACE])
+    return decode(seal(msgspec.msgpack.encode(places))).totals
+
+
+def test_totals_that_say_nothing_are_left_out():
+    assert places_of(replace(UP, totals=Totals(objective=2.0, areas=1)))[TOTALS_PLACE] == [
+        ["objective", 2.0],
+        ["areas", 1],
+    ]
+    assert totals_read(lambda parts: parts.pop(0)) == replace(UP.totals, objective=0.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        (lambda parts: parts.append(["losses", 1.0]), "unknown kind 'losses'"),
+        (lambda parts: parts.append(parts[-1]), "out of order or twice"),
+        (lambda parts: parts.reverse(), "out of order or twice"),
+        (lambda parts: parts[0].__setitem__(1, math.nan), "not finite"),
+        (lambda parts: parts[0].__setitem__(1, "12"), "malformed"),
+        (lambda parts: parts[0].append(1), "malformed"),
+    ],
+)
+def test_totals_that_a_verdict_could_not_follow_from_are_refused(change, why):
+    with pytest.raises(MessageError, match=why):
+        totals_read(change)
+
+
+def test_totals_of_an_unknown_kind_that_is_optional_are_passed_over():
+    assert totals_read(lambda parts: parts.insert(3, ["losses?", 1.0])) == UP.totals
 
 
 def refusal_of(payload):
@@ -267,3 +411,12 @@ def test_a_restarted_area_is_newer_than_its_past_whatever_the_sequence():
     old = Header("r", "a", Incarnation(1000, 5), 1, 99, 0.0)
     new = Header("r", "a", Incarnation(2000, 1), 1, 1, 0.0)
     assert new.order > old.order
+
+
+@pytest.mark.parametrize("kind", sorted(MESSAGE_TYPES))
+def test_the_documentation_gives_every_message_as_it_is_packed(kind):
+    page = (Path(__file__).parents[3] / "docs" / "protocol.md").read_text()
+    (row,) = (line for line in page.splitlines() if line.startswith(f"| `{kind}` | ") and line.count("|") == 3)
+    names = [field.name for field in fields(MESSAGE_TYPES[kind])]
+    assert row == f"| `{kind}` | {', '.join(names[1:])} |"
+    assert names[0] == "header"

@@ -137,3 +137,19 @@ def test_an_area_and_a_plant_that_run_twice_are_named_with_their_lives_as_long_a
     assert other in format_view(watcher.look(0.0))
     watcher.take_presence(ONE, False)
     assert watcher.look(0.0).doubles == (other,)
+
+
+def test_areas_of_another_wire_version_are_named_instead_of_nothing_being_shown():
+    watcher = Watcher("run")
+    for version, name in (("v1", "area1"), ("v1", "area2"), ("v7", "area3"), ("strange", "area4")):
+        watcher.take_presence(f"dsse/{version}/run/live/area/{name}/1-00000001", True)
+    view = watcher.look(0.0)
+    assert not watcher.is_whole()
+    assert view.areas == ()
+    assert view.other_versions[1:] == (
+        "area area1, area area2 speak wire version 1, this is version 2: upgrade the other side",
+        "area area3 speaks wire version 7, this is version 2: upgrade this program",
+    )
+    assert "speak wire version 1, this is version 2" in format_view(view)
+    watcher.take_presence("dsse/v7/run/live/area/area3/1-00000001", False)
+    assert len(watcher.look(0.0).other_versions) == 2

@@ -1,0 +1,57 @@
+"""Totals as messages carry them: a list of (kind, value), the kinds being the fields of ``Totals`` in their order.
+
+What is left out is zero, false or empty, which adds nothing to any total. So a later version can add a kind without a
+new wire version: it leaves it out where it says nothing. Who does not know a kind that is there refuses the message,
+as the verdict follows from all totals, unless the kind ends with ``?``: nothing may follow from those, and who does
+not know them passes them over.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any, get_type_hints
+
+import msgspec
+
+from agents.wire_checks import Integer, MessageError, Name, Names, Number, shown
+from dsse_core.verdict import Totals
+
+WireTotals = tuple[tuple[Name, msgspec.Raw], ...]
+_CHECKED: Mapping[Any, Any] = {
+    bool: bool,
+    int: Integer,
+    float: Number,
+    tuple[str, ...]: Names,
+    tuple[tuple[str, float], ...]: tuple[tuple[Name, Number], ...],
+}
+_TYPES = get_type_hints(Totals)
+_KINDS = [(f.name, f.default) for f in dataclasses.fields(Totals)]
+_READERS = {kind: msgspec.msgpack.Decoder(_CHECKED[_TYPES[kind]]) for kind, _ in _KINDS}
+_PLACES = {kind: place for place, (kind, _) in enumerate(_KINDS)}
+
+
+def list_totals(totals: Totals) -> list[tuple[str, Any]]:
+    """``totals`` as a message carries them."""
+    return [(kind, value) for kind, nothing in _KINDS if (value := getattr(totals, kind)) != nothing]
+
+
+def read_totals(parts: Sequence[tuple[str, msgspec.Raw]]) -> Totals:
+    """The totals that a message carries.
+
+    Raises:
+        MessageError: a kind that is not known and not optional, out of order or given twice.
+        msgspec.ValidationError: a value of another type than its kind has.
+    """
+    values: dict[str, Any] = {}
+    last = -1
+    for kind, value in parts:
+        place = _PLACES.get(kind)
+        if place is None:
+            if not kind.endswith("?"):
+                raise MessageError("malformed", f"totals of the unknown kind {shown(kind)}")
+            continue
+        if place <= last:
+            raise MessageError("malformed", f"totals of kind {kind} out of order or twice")
+        last, values[kind] = place, _READERS[kind].decode(value)
+    return Totals(**values)

@@ -1,0 +1,43 @@
+"""A watcher on a bus where programs of another wire version speak names them; it shows nothing else of them."""
+
+from __future__ import annotations
+
+import pytest
+
+from agents.messages import WIRE_VERSION
+from agents.transport import Router, Session, TransportError
+from coordinator.watch_session import attach
+
+FORMER, LATER = WIRE_VERSION - 1, WIRE_VERSION + 1
+
+
+@pytest.fixture
+def router():
+    with Router.listen(["tcp/127.0.0.1:0"]) as router:
+        yield router
+
+
+@pytest.fixture
+def show(router):
+    """Have an area of another wire version on the bus."""
+    session = Session.connect(router.endpoints)
+    yield lambda version: session.declare_presence(f"dsse/v{version}/old/live/area/area1/1-00000001")
+    session.close()
+
+
+@pytest.mark.parametrize(("version", "upgrade"), [(FORMER, "upgrade the other side"), (LATER, "upgrade this program")])
+def test_a_watcher_does_not_say_that_nobody_is_there_where_another_wire_version_speaks(router, show, version, upgrade):
+    show(version)
+    with (
+        pytest.raises(TransportError, match=f"run old speaks wire version {version}, this is version .*{upgrade}"),
+        attach(router.endpoints, None, 20.0),
+    ):
+        pass
+
+
+def test_a_watcher_of_a_named_run_names_its_areas_of_another_wire_version(router, show):
+    show(FORMER)
+    with attach(router.endpoints, "old", 20.0) as look:
+        looks = (look(0.05) for _ in range(400))
+        seen = next(found for watcher in looks if (found := watcher.look(0.0).other_versions))
+    assert seen == (f"area area1 speaks wire version {FORMER}, this is version {WIRE_VERSION}: upgrade the other side",)
