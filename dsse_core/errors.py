@@ -3,29 +3,39 @@
 import re
 from collections.abc import Sequence
 
-from dsse_core.printable import printable, printable_lines
+from dsse_core.printable import listed, printable, printable_lines, shortened_inside
 
 BELIEVABLE = 5.0  # sigma; one reading in two million is farther off by noise alone
+MOST_SHOWN = 50  # problems of one input; who has more mends these first
+LONGEST_LINE = 1000  # characters; of a longer one the beginning, which says where, and the end, which says what to do
+MOST_NAMED = 100  # buses in one text
 POSITION = re.compile(r"\w\[\d+\]")
 """Of an item in a list, in a key path."""
 
 
 class DsseError(Exception):
-    """Base of every error that a caller may want to catch; its text is meant for the user, and printable."""
+    """Base of every error that a caller may want to catch; its text is meant for the user: printable, no line of it
+    longer than ``LONGEST_LINE``."""
 
     def __str__(self) -> str:
-        return printable_lines(super().__str__())
+        return "\n".join(
+            shortened_inside(line, LONGEST_LINE) for line in printable_lines(super().__str__()).split("\n")
+        )
 
 
 class InvalidInputError(DsseError):
-    """Input that cannot be used. ``problems`` holds every problem found, not only the first, on one line each."""
+    """Input that cannot be used. ``problems`` holds every problem found, not only the first, on one line each; the text
+    has the first ``MOST_SHOWN`` and counts the rest.
+    """
 
     def __init__(self, what: str, problems: Sequence[str]) -> None:
         self.what = printable(what)
         self.problems = tuple(map(printable, problems))
         count = f"{len(self.problems)} problem" + ("s" if len(self.problems) != 1 else "")
-        note = ["(items of lists count from 1)"] if any(map(POSITION.search, self.problems)) else []
-        super().__init__("\n".join([f"{self.what}: {count}", *(f"  - {p}" for p in self.problems), *note]))
+        shown = self.problems[:MOST_SHOWN]
+        more = [f"  ... and {len(self.problems) - len(shown):,} more"] if len(shown) < len(self.problems) else []
+        note = ["(items of lists count from 1)"] if any(map(POSITION.search, shown)) else []
+        super().__init__("\n".join([f"{self.what}: {count}", *(f"  - {p}" for p in shown), *more, *note]))
 
 
 class PowerFlowDivergedError(DsseError):
@@ -51,14 +61,14 @@ class NotObservableError(DsseError):
         self.buses = tuple(buses)
         self.cures = tuple(cures)
         self.left_out = tuple(left_out)
-        names = ", ".join(str(b) for b in self.buses)
+        names = listed(self.buses, MOST_NAMED)
         remedy = (
-            "any one of these added meters would cure it: " + "; ".join(self.cures)
+            "any one of these added meters would cure it: " + listed(self.cures, separator="; ")
             if self.cures
             else "no single added meter would cure it; add meters among these buses"
         )
         them = "it" if len(self.left_out) == 1 else "them"
-        without = f"{'; '.join(self.left_out)}: left out as dead; without {them} " if self.left_out else ""
+        without = f"{listed(self.left_out, separator='; ')}: left out as dead; without {them} " if self.left_out else ""
         super().__init__(f"{without}the measurements do not determine the state of bus {names}; {remedy}")
 
 

@@ -30,6 +30,12 @@ def shortened(text: str, longest: int) -> str:
     return text if len(text) <= longest else text[: longest - 3] + "..."
 
 
+def shortened_inside(text: str, longest: int) -> str:
+    """``text``, or its beginning, three dots and its last quarter: ``longest`` characters at most."""
+    end = longest // 4
+    return text if len(text) <= longest else f"{text[: longest - end - 5]} ... {text[-end:]}"
+
+
 def listed(items: Collection[object], most: int = LONGEST_LIST, separator: str = ", ") -> str:
     """``1, 2, 3``: at most ``most`` of ``items`` in one text, and how many more there are."""
     shown = [str(item) for item in islice(items, most)]

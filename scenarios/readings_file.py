@@ -18,7 +18,7 @@ from dsse_core.errors import InvalidInputError
 from dsse_core.limits import LARGEST_SIGMA, SMALLEST_SIGMA
 from dsse_core.measurement import Measurement, MeasurementKind, Meter, find_meter_problems
 from dsse_core.network import Network
-from scenarios.wording import suggest
+from scenarios.wording import Suggestions, suggest
 
 KIND = MeasurementKind
 UNITS: Mapping[str, frozenset[MeasurementKind]] = {
@@ -98,6 +98,7 @@ class _Table:
     readings: list[Measurement] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
     line_of: dict[str, int] = field(default_factory=dict)
+    meant: Suggestions = field(default_factory=lambda: Suggestions(list(KIND)))
 
     def take_header(self, header: Sequence[str]) -> None:
         allowed = ["meter", *(f"{column}_{unit}" for unit in UNITS for column in ("value", "sigma"))]
@@ -131,7 +132,7 @@ class _Table:
         if len(row) != 1 + 2 * len(self.units):
             yield f"{len(row)} columns, but the header has {1 + 2 * len(self.units)}"
             return
-        meter = parse_meter(row[0].strip())
+        meter = parse_meter(row[0].strip(), self.meant)
         if isinstance(meter, str):
             yield meter
             return
@@ -157,13 +158,13 @@ class _Table:
         yield from problems
 
 
-def parse_meter(text: str) -> Meter | str:
-    """The meter with id ``text``, e.g. ``p_flow@3:3-4``; or what is wrong with the id."""
+def parse_meter(text: str, meant: Suggestions | None = None) -> Meter | str:
+    """The meter with id ``text``, e.g. ``p_flow@3:3-4``; or what is wrong with the id. ``meant``: of many such ids."""
     kind_name, at, place = text.partition("@")
     bus, _, branch = place.partition(":")
     kinds = [str(kind) for kind in KIND]
     if not at or kind_name not in kinds or not bus.isdecimal() or len(bus) > LONGEST_BUS:
-        close = suggest(kind_name, kinds) if kind_name not in kinds else ""
+        close = (meant or Suggestions(kinds)).find(kind_name) if kind_name not in kinds else ""
         return (
             f"{text!r:.80} is no meter id; one looks like vm@1, p_injection@4 or p_flow@3:3-4 "
             f"(KIND@BUS or KIND@BUS:BRANCH, kinds: {', '.join(kinds)}){close}"

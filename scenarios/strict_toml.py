@@ -16,7 +16,7 @@ from pydantic_core import ErrorDetails
 from dsse_core.bounded_file import LARGEST_JSON, LARGEST_TOML, read_text
 from dsse_core.bounded_parsing import parse_json, parse_toml
 from dsse_core.errors import InvalidInputError
-from scenarios.wording import suggest
+from scenarios.wording import Suggestions
 
 KINDS_OF_FILES = {
     frozenset({"bus", "branch"}): 'a network file; give a scenario file, which names it by network = "{name}"',
@@ -33,6 +33,8 @@ class Table(BaseModel):
 
 
 Model = TypeVar("Model", bound=Table)
+Meant = dict[tuple[str, ...], Suggestions]
+"""Keys that a table may have -> which of them the unknown ones of a file may have been, within one bound of work."""
 
 
 def load_strict(path: Path, model: type[Model], changes: Mapping[str, object] | None = None) -> Model:
@@ -54,8 +56,9 @@ def load_strict(path: Path, model: type[Model], changes: Mapping[str, object] | 
         return model.model_validate(content)
     except ValidationError as error:
         other = _recognize_other_file(path, content, model)
+        meant: Meant = {}
         raise InvalidInputError(
-            str(path), [other] if other else [_describe(model, e) for e in error.errors()]
+            str(path), [other] if other else [_describe(model, e, meant) for e in error.errors()]
         ) from None
 
 
@@ -90,12 +93,13 @@ def _change(content: Any, key: str, value: object) -> str | None:
     return None
 
 
-def _describe(model: type[Table], error: ErrorDetails) -> str:
+def _describe(model: type[Table], error: ErrorDetails, meant: Meant) -> str:
     location = [step for step in error["loc"] if step != "[key]"]
     key = _key_path(step for step in location if not _is_tag(step))
     if error["type"] == "extra_forbidden":
-        allowed = _allowed_keys(model, location[:-1])
-        return f"{key}: unknown key; allowed here: {', '.join(allowed)}{suggest(str(location[-1]), allowed)}"
+        allowed = tuple(_allowed_keys(model, location[:-1]))
+        close = meant.setdefault(allowed, Suggestions(allowed)).find(str(location[-1]))
+        return f"{key}: unknown key; allowed here: {', '.join(allowed)}{close}"
     while location and _is_tag(location[-1]):
         location.pop()
     meaning = _meaning(model, location)

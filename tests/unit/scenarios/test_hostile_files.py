@@ -13,6 +13,7 @@ import pytest
 
 from dsse_core.bounded_file import LARGEST_TOML, read_text
 from dsse_core.errors import InvalidInputError
+from dsse_core.measurement import MeasurementKind
 from scenarios.importers import import_grid
 from scenarios.network_file import load_case, load_network
 from scenarios.readings_file import load_readings
@@ -248,3 +249,25 @@ def test_wrong_names_do_not_each_list_all_right_ones(tmp_path: Path):
         load_scenario("ieee33", changes={"areas": {"count": 30}, "faults": {"link": links}})
     assert "areas: area1, area2, " in str(caught.value)
     assert all(len(problem) < 300 for problem in caught.value.problems)
+
+
+def test_a_file_of_unknown_keys_is_answered_with_the_first_and_the_number_of_the_others(tmp_path: Path):
+    """It took 54 MB of text, and a search for what each may have been."""
+    path = tmp_path / "scenario.toml"
+    path.write_text("\n".join(f"nam{i} = 1" for i in range(30_000)))
+    with pytest.raises(InvalidInputError) as caught:
+        load_scenario(path)
+    assert len(str(caught.value)) < 50_000
+    assert len(caught.value.problems) > 30_000
+    assert sum("did you mean" in problem for problem in caught.value.problems) <= MOST_COMPARISONS / 10
+
+
+def test_readings_of_unknown_kinds_are_answered_as_briefly(tmp_path: Path):
+    path = tmp_path / "readings.csv"
+    path.write_text("meter,value_pu,sigma_pu\n" + "".join(f"vmm{i}@1,1,1\n" for i in range(30_000)))
+    with pytest.raises(InvalidInputError) as caught:
+        load_readings(path, load_case("ieee33"))
+    assert len(str(caught.value)) < 50_000
+    assert sum("did you mean" in problem for problem in caught.value.problems) <= MOST_COMPARISONS / len(
+        MeasurementKind
+    )
