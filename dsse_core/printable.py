@@ -25,6 +25,11 @@ def printable_lines(text: str) -> str:
     return "\n".join(map(printable, text.split("\n")))
 
 
+def on_one_line(text: object) -> str:
+    """``text``, such as another library's error, with each run of blanks and line ends as one blank."""
+    return " ".join(str(text).split())
+
+
 def shortened(text: str, longest: int) -> str:
     """``text``, or its beginning and three dots: ``longest`` characters at most."""
     return text if len(text) <= longest else text[: longest - 3] + "..."

@@ -69,7 +69,11 @@ def _build(path: Path, case: Case, base: float) -> Imported:
         network,
         f"MATPOWER case {path.name}",
         converted,
-        (*(Remark("changed", change) for change in case.changes), *remarks),
+        (
+            *(Remark("changed", c) for c in case.changes),
+            *remarks,
+            *(Remark("left out", field) for field in case.left_out),
+        ),
     )
 
 

@@ -8,16 +8,22 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TypeVar
+
+from dsse_core.printable import shortened
 
 PD, QD, BASE_KV, BR_R, BR_X = 2, 3, 9, 2, 3  # columns
 COLUMNS = {"bus": 13, "branch": 11, "gen": 10}
 """Matrix -> how many columns it has at least."""
+MOST_COLUMNS = {"bus": 17, "branch": 21, "gen": 25}
+"""Matrix -> how many columns mean something to MATPOWER, results of an optimal power flow included."""
+NOT_NEEDED = {"gencost", "areas", "bus_name", "gentype", "genfuel", "genid", "branch_name", "gen_name"}
+"""Fields of ``mpc`` that change no power flow."""
 NUMBERS = {"bus": (0, 1), "branch": (0, 1), "gen": (0,)}
 """Matrix -> its columns of bus numbers and types."""
-NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+NUMBER = r"[+-]?(?:\d++(?:\.\d*+)?+|\.\d++)(?:[eE][+-]?\d++)?+"
 HARMLESS = re.compile(
     r"function\b.*|mpc\.version='?2'?|define_constants|end"
     r"|\[[A-Z_0-9,~ ]+\]=idx_(?:bus|brch|gen|cost)"
@@ -39,12 +45,15 @@ Given = TypeVar("Given")
 
 @dataclass
 class Case:
-    """The program as far as executed. ``changes``: the conversions; ``problems``: what is not understood."""
+    """The program as far as executed. ``changes``: the conversions; ``left_out``: fields that are not read, though they
+    may mean something; ``problems``: what is not understood.
+    """
 
     base_mva: float | None = None
     power_factor: float | None = None
     matrices: dict[str, Matrix] = field(default_factory=dict)
     changes: list[str] = field(default_factory=list)
+    left_out: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
 
 
@@ -112,6 +121,11 @@ def _execute(case: Case, statement: str, line: int) -> None:
             _take_matrix(case, found[1], value, line)
         elif found[1] in ("dcline", "if", "load", "softlims") and value.strip("[]{} \n"):
             case.problems.append(f"line {line}: mpc.{found[1]}: the network model cannot hold it; remove it")
+        elif found[1] not in NOT_NEEDED:
+            field_name = shortened(found[1], LONGEST_SHOWN)
+            case.left_out.append(
+                f"mpc.{field_name} (line {line}): a field that is not read; no power flow here needs it"
+            )
         return
     plain = _normalised(statement)
     if not plain or HARMLESS.fullmatch(plain) or re.fullmatch(r"mpc\.(?!version)\w+='[^']*'", plain):
@@ -155,32 +169,39 @@ def _take_matrix(case: Case, name: str, text: str, line: int) -> None:
     rows: Matrix = []
     inside = text.strip().removeprefix("[").removesuffix("]")
     for offset, raw in enumerate(inside.split("\n")):
-        for cells in (part.replace(",", " ").split() for part in raw.split(";")):
-            if not cells:
-                continue
-            row = [number for cell in cells if (number := _number(cell)) is not None]
-            if len(row) < len(cells):
-                case.problems.append(
-                    f"line {line + offset}: mpc.{name}: a row holds more than numbers: {_shown(raw.strip())}"
-                )
-                continue
-            elif not all(row[column].is_integer() for column in NUMBERS[name] if column < len(row)):
-                case.problems.append(f"line {line + offset}: mpc.{name}: a bus number or type is no integer")
-            if len(row) < COLUMNS[name]:
-                problem = f"mpc.{name}: a row has {len(row)} columns, at least {COLUMNS[name]} are needed (version 2)"
-                case.problems.append(f"line {line + offset}: {problem}")
-            if any(math.isnan(number) for number in row):
-                case.problems.append(
-                    f"line {line + offset}: mpc.{name}: a quotient is no number: {_shown(raw.strip())}"
-                )
-            rows.append(row)
+        for part in raw.split(";"):
+            if cells := part.replace(",", " ").split():
+                numbers = [_number(cell) for cell in cells]
+                row = [number for number in numbers if number is not None]
+                found = _find_row_problems(name, cells, row, len(rows[0]) if rows else None)
+                case.problems += [f"line {line + offset}: mpc.{name}: {problem}" for problem in found]
+                if len(row) == len(cells):
+                    rows.append(row)
     if not inside.strip():
         case.problems.append(f"line {line}: mpc.{name} is empty")
+    if rows and (beyond := len(rows[0]) - MOST_COLUMNS[name]) > 0:
+        case.left_out.append(f"mpc.{name} (line {line}): the last {beyond} columns, which MATPOWER does not know")
     case.matrices[name] = rows
 
 
+def _find_row_problems(name: str, cells: Sequence[str], row: Sequence[float], width: int | None) -> Iterator[str]:
+    """What is wrong with a row of matrix ``name``; ``row``: those of its ``cells`` that are numbers; ``width``: of the
+    first row."""
+    if len(row) < len(cells):
+        yield f"a row holds more than numbers: {_shown(' '.join(cells))}"
+        return
+    if not all(row[column].is_integer() for column in NUMBERS[name] if column < len(row)):
+        yield "a bus number or type is no integer"
+    if len(row) < COLUMNS[name]:
+        yield f"a row has {len(row)} columns, at least {COLUMNS[name]} are needed (version 2)"
+    elif width is not None and len(row) != width:
+        yield f"a row has {len(row)} columns, the first has {width}; give all the same"
+    if bad := [cell for cell, number in zip(cells, row, strict=True) if math.isnan(number)]:
+        yield f"{_shown(bad[0])} is no number that can be computed with; correct it"
+
+
 def _number(cell: str) -> float | None:
-    if cell in ("Inf", "-Inf"):  # limits, which power flow does not use
+    if cell in ("Inf", "-Inf", "NaN"):  # limits, which power flow does not use, may be infinite
         return float(cell)
     if (found := CELL.fullmatch(cell)) is None:
         return None

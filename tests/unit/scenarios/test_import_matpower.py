@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -168,7 +170,7 @@ def test_every_statement_that_is_not_known_is_refused_with_its_line(tmp_path: Pa
         ("mpc.baseMVA = 10;", "", "mpc.baseMVA is missing"),
         ("mpc.version = '2'", "mpc.version = '1'", "line 3: "),
         ("    2  1  100", "    2.5  1  100", "mpc.bus: a bus number or type is no integer"),
-        ("    2  1  100", "    2  NaN  100", "mpc.bus: a row holds more than numbers"),
+        ("    2  1  100", "    2  NaN  100", "mpc.bus: 'NaN' is no number"),
         ("    1  3  0    0   0  0  1", "    1  1  0    0   0  0  1", "no bus is of type 3"),
         (
             "    2  1  100",
@@ -295,8 +297,16 @@ def test_buses_whose_voltages_differ_do_not_become_one(tmp_path: Path, old: str,
         ("mpc.baseMVA = 10;", "mpc.baseMVA = 1e999;", "it must be a positive power in MVA"),
         ("1  3  0    0   0  0  1  1  0  12.66", "1  3  0    0   0  0  1  1  0  0", "base voltage of 0 kV; ohms need"),
         ("1  3  0    0   0  0  1  1  0  12.66", "1  3  0    0   0  0  1  1  0  1e300", "ohms need a positive one"),
-        ("    2  1  100", "    2  1  5/0", "mpc.bus: a quotient is no number"),
-        ("    2  1  100", "    2  1  1/sqrt(-2)", "mpc.bus: a quotient is no number"),
+        ("    2  1  100", "    2  1  5/0", "mpc.bus: '5/0' is no number that can be computed with"),
+        ("    2  1  100", "    2  1  1/sqrt(-2)", "mpc.bus: '1/sqrt(-2)' is no number that can be computed with"),
+        ("    2  1  100", "    2  1  NaN", "line 7: mpc.bus: 'NaN' is no number that can be computed with; correct it"),
+        ("    2  1  100", "    NaN  1  100", "'NaN' is no number that can be computed with"),
+        ("    2  1  100", "    2  1  nan", "a row holds more than numbers: '2 1 nan 60"),
+        (
+            "12.66  1  1.1  0.9;\n    3",
+            "12.66  1  1.1  0.9  7;\n    3",
+            "mpc.bus: a row has 14 columns, the first has 13",
+        ),
         ("    2  1  100", "    2  7  100", "bus 2 is of type 7"),
         ("mpc.gen = [ 1  0  0  10  -10  1  100  1  10  0 ]", "mpc.gen = [ ]", "mpc.gen is empty"),
         ("mpc.bus(:, [PD, QD]) =", "pf = 2; mpc.bus(:, [PD, QD]) =", "a power factor lies between 0 and 1"),
@@ -316,3 +326,43 @@ def test_what_is_shown_of_a_file_is_short_and_harms_no_terminal(tmp_path: Path) 
 def test_a_file_that_is_no_case_is_one_problem(tmp_path: Path) -> None:
     (problem,) = problems_of(tmp_path, "\x00\x1b\x7f\nnothing\nof it\n")
     assert "this is no MATPOWER case" in problem
+
+
+def test_no_field_and_no_column_is_left_out_in_silence(tmp_path: Path) -> None:
+    def told_of(text: str) -> list[str]:
+        return [remark.text for remark in read(tmp_path, text).remarks if remark.what == "left out"]
+
+    more = "mpc.foo = [ 1 2 ];\nmpc.gencost = [ 2 0 0 3 0 20 0 ];\nmpc.Branch = { 'x' };\n"
+    assert told_of(BUSBARS + more) == [
+        "branch 2-4, 2-3: both ends are at one bus now, it carries nothing",
+        "mpc.foo (line 25): a field that is not read; no power flow here needs it",
+        "mpc.Branch (line 27): a field that is not read; no power flow here needs it",
+    ]
+    gen = "mpc.gen = [ 1  0  0  10  -10  1  100  1  10  0"
+    assert told_of(changed(DISTRIBUTION, gen, gen + 11 * "  0")) == []
+    (told,) = told_of(changed(DISTRIBUTION, gen, gen + 16 * "  0"))
+    assert told == "mpc.gen (line 10): the last 1 columns, which MATPOWER does not know"
+
+
+DEADLINE_S = 120
+PROBE = """
+import sys
+from scenarios.importers.matpower_program import run_program
+print(len(run_program(sys.stdin.read()).problems))
+"""
+ENDLESS = {
+    "blanks in a matrix": "mpc.bus = [" + " " * 1_000_000 + "1 ]",
+    "line ends in a matrix": "mpc.bus = [" + "\n1" * 300_000,
+    "digits that end as no number": "mpc.baseMVA = 1;\nmpc.bus = [" + "1" * 1_000_000 + "x]",
+    "digits in a statement": "mpc.baseMVA = " + "1" * 1_000_000 + "x",
+    "wrong rows on one line": "mpc.bus = [" + "x;" * 100_000 + "]",
+}
+
+
+@pytest.mark.parametrize("text", ENDLESS.values(), ids=ENDLESS)
+def test_no_case_keeps_the_reader_for_ever(text: str) -> None:
+    """Work that grows with the square of any of these takes hours."""
+    done = subprocess.run(
+        [sys.executable, "-c", PROBE], input=text, capture_output=True, text=True, timeout=DEADLINE_S, check=True
+    )
+    assert int(done.stdout) > 0
