@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +15,7 @@ import numpy as np
 from agents.choose_protocol import STRATEGIES
 from coordinator.judging import NO_CHANGES, choose_scenario
 from coordinator.result import version_of
+from dsse_core.bounded_parsing import parse_toml
 from dsse_core.errors import InvalidInputError
 from scenarios.faults import LinkChanges
 from scenarios.scenario import Scenario, load_scenario
@@ -132,16 +132,16 @@ def _parse_range(text: str) -> list[object]:
 
 def _parse_list(text: str) -> list[object]:
     try:
-        values: list[object] = tomllib.loads(f"values = [{text}]")["values"]
-    except tomllib.TOMLDecodeError:  # words need no quotes
+        values: list[object] = parse_toml(f"values = [{text}]")["values"]
+    except ValueError:  # words need no quotes
         return [_parse_word(word.strip()) for word in text.split(",")]
     return values
 
 
 def _parse_word(word: str) -> object:
     try:
-        return tomllib.loads(f"value = {word}")["value"]
-    except tomllib.TOMLDecodeError:
+        return parse_toml(f"value = {word}")["value"]
+    except ValueError:
         return word
 
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import re
+import sys
 import tomllib
 from collections import Counter
+from collections.abc import Iterator
 from typing import Any
 
 DEEPEST_KEY = 8  # parts of a key of TOML that dots join
@@ -37,7 +40,8 @@ def parse_json(text: str) -> Any:
     if values > MOST_VALUES:
         raise ValueError(f"it has {values:,} values, the limit is {MOST_VALUES:,}")
     try:
-        tree = json.loads(text, object_pairs_hook=_take_each_once)
+        with _integers_in_words():
+            tree = json.loads(text, object_pairs_hook=_take_each_once)
         if HALF_OF_A_PAIR.search(text):  # some readers leave out the half that stands alone, so that names change
             json.dumps(tree, ensure_ascii=False).encode()
     except RecursionError:
@@ -56,9 +60,21 @@ def parse_toml(text: str) -> dict[str, Any]:
     """
     _check_keys(text)
     try:
-        return tomllib.loads(text)
+        with _integers_in_words():
+            return tomllib.loads(text)
     except RecursionError:
         raise ValueError("it nests too deeply") from None
+
+
+@contextlib.contextmanager
+def _integers_in_words() -> Iterator[None]:
+    """Python's error for an integer that it does not turn into a number, without the advice to let it."""
+    try:
+        yield
+    except ValueError as error:
+        if type(error) is ValueError and "integer string conversion" in str(error):
+            raise ValueError(f"it has an integer of more than {sys.get_int_max_str_digits():,} digits") from None
+        raise
 
 
 def _take_each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

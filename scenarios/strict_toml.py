@@ -73,7 +73,7 @@ def _recognize_other_file(path: Path, content: Any, model: type[Table]) -> str:
 
 def _change(content: Any, key: str, value: object) -> str | None:
     """Set ``key``, a path such as ``faults.link[1].loss``, in ``content``; what is wrong with the path, if it is."""
-    if not re.fullmatch(r"[\w-]+(\[\d+\])*(\.[\w-]+(\[\d+\])*)*", key, re.ASCII):
+    if not re.fullmatch(r"[\w-]+(\[\d{1,9}\])*(\.[\w-]+(\[\d{1,9}\])*)*", key, re.ASCII):
         return f"{key!r} is no key; one looks like faults.loss or faults.link[1].loss"
     steps = [int(word) - 1 if bracket else word for bracket, word in re.findall(r"(\[?)([\w-]+)", key)]
     for i, step in enumerate(steps):

@@ -25,8 +25,9 @@ class Suggestions:
         self.left -= len(self.allowed)
         if self.left < 0 or len(word) > LONGEST_WORD:
             return ""
-        close = get_close_matches(word, self.allowed, n=1)
-        return f"; did you mean {close[0]!r}?" if close else ""
+        by_small_letters = {allowed.lower(): allowed for allowed in self.allowed}
+        close = get_close_matches(word.lower(), by_small_letters, n=1)
+        return f"; did you mean {by_small_letters[close[0]]!r}?" if close else ""
 
 
 def suggest(word: str, allowed: Iterable[str]) -> str:

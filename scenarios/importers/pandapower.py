@@ -15,7 +15,7 @@ from typing import Any
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.network import Branch, Bus, Control, Generator, Network
-from dsse_core.printable import listed
+from dsse_core.printable import listed, on_one_line
 from scenarios.importers.imported import (
     Imported,
     Remark,
@@ -29,6 +29,7 @@ from scenarios.importers.matpower import BR_B, BS, BUS_I, F_BUS, GS, SHIFT, T_BU
 from scenarios.importers.matpower_program import BASE_KV, BR_R, BR_X, PD, QD
 from scenarios.importers.pandapower_checks import find_broken, find_constant_currents, find_unsupported
 from scenarios.importers.pandapower_objects import write_anew
+from scenarios.importers.pandapower_unread import find_unread
 from scenarios.network_file import default_branch_id
 from scenarios.zero_impedances import refuse_zero_impedances
 
@@ -72,11 +73,12 @@ def read_pandapower(path: Path, tree: Any) -> Imported:
         try:
             net = pandapower.from_json_string(text)
         except Exception as error:  # whatever a foreign reader raises
-            raise InvalidInputError(str(path), [f"pandapower cannot read it: {error}"]) from None
+            raise InvalidInputError(str(path), [f"pandapower cannot read it: {on_one_line(error)}"]) from None
         try:
             problems = list(find_broken(net)) or list(find_unsupported(net))
         except Exception as error:  # tables so broken that pandas cannot go through them
-            problems = [f"its tables are broken ({type(error).__name__}: {error}); pandapower.diagnostic may say why"]
+            found = f"{type(error).__name__}: {on_one_line(error)}"
+            problems = [f"its tables are broken ({found}); pandapower.diagnostic may say why"]
         if problems:
             raise InvalidInputError(str(path), problems)
         sgen = net.sgen.copy()  # sources here, negative loads in pandapower's matrices, clipped to limits there
@@ -86,9 +88,8 @@ def read_pandapower(path: Path, tree: Any) -> Imported:
                 net, init="flat", calculate_voltage_angles=True, check_connectivity=True, mode="pf"
             )
         except Exception as error:
-            problem = (
-                f"pandapower cannot convert it ({type(error).__name__}: {error}); pandapower.diagnostic may say why"
-            )
+            found = f"{type(error).__name__}: {on_one_line(error)}"
+            problem = f"pandapower cannot convert it ({found}); pandapower.diagnostic may say why"
             raise InvalidInputError(str(path), [problem]) from None
     try:
         conversion, remarks = _convert(path.stem, net, sgen, ppc)
@@ -108,7 +109,7 @@ def read_pandapower(path: Path, tree: Any) -> Imported:
         network=network,
         data_source=f"pandapower network {net.name or path.name}",
         converted=converted,
-        remarks=(*remarks, *reading_remarks),
+        remarks=(*remarks, *reading_remarks, *find_unread(net)),
         readings=readings,
         zero_injection="measured" if readings else "virtual",
     )

@@ -8,8 +8,9 @@ from collections.abc import Iterable
 from typing import Any
 
 from dsse_core.errors import InvalidInputError
-from dsse_core.printable import listed
+from dsse_core.printable import listed, on_one_line
 from scenarios.importers.imported import Remark, load_extra
+from scenarios.importers.power_grid_model_attributes import find_descriptions, find_unknown_attributes
 from scenarios.importers.power_grid_model_branches import BUILDERS
 
 APPLIANCES = {"sym_load": -1, "sym_gen": 1}
@@ -35,10 +36,12 @@ def load_data(what: str, tree: Any) -> tuple[Data, list[Remark]]:
     utils = load_extra("power_grid_model.utils", "power-grid-model", what)
     validation = load_extra("power_grid_model.validation", "power-grid-model", what)
     enum = load_extra("power_grid_model", "power-grid-model", what)
+    if unknown := list(find_unknown_attributes(tree, _known_attributes(enum))):
+        raise InvalidInputError(what, unknown)
     try:
         loaded = utils.json_deserialize(json.dumps(tree))
     except Exception as error:  # whatever a foreign reader raises
-        raise InvalidInputError(what, [f"power-grid-model cannot read it: {error}"]) from None
+        raise InvalidInputError(what, [f"power-grid-model cannot read it: {on_one_line(error)}"]) from None
     data = {str(getattr(name, "value", name)): table for name, table in loaded.items() if len(table)}
     foreign = [
         f"{name} {ids(table)}: the network model cannot hold it"
@@ -53,10 +56,19 @@ def load_data(what: str, tree: Any) -> tuple[Data, list[Remark]]:
     try:
         errors = validation.validate_input_data(whole, calculation_type=purpose, symmetric=True) or []
     except Exception as error:  # whatever a foreign validator raises
-        raise InvalidInputError(what, [f"power-grid-model cannot check it ({type(error).__name__}: {error})"]) from None
+        problem = f"power-grid-model cannot check it ({type(error).__name__}: {on_one_line(error)})"
+        raise InvalidInputError(what, [problem]) from None
     if wrong := [error for error in errors if not _is_computed_with(error, data)]:
-        raise InvalidInputError(what, [f"power-grid-model: {error} Ids: {_ids_of(error)}" for error in wrong])
-    return data, [Remark("note", f"power-grid-model computes with it, but: {e} Ids: {_ids_of(e)}") for e in errors]
+        problems = [f"power-grid-model: {on_one_line(error)} Ids: {_ids_of(error)}" for error in wrong]
+        raise InvalidInputError(what, problems)
+    notes = [f"power-grid-model computes with it, but: {on_one_line(e)} Ids: {_ids_of(e)}" for e in errors]
+    return data, [*(Remark("note", note) for note in notes), *find_descriptions(tree)]
+
+
+def _known_attributes(power_grid_model: Any) -> dict[str, tuple[str, ...]]:
+    """Component -> its attributes."""
+    tables = power_grid_model.power_grid_meta_data["input"].items()
+    return {str(getattr(name, "value", name)): tuple(table.dtype.names) for name, table in tables}
 
 
 def rows(data: Data, name: str) -> Any:

@@ -59,3 +59,11 @@ def test_a_time_that_is_no_number_is_quoted(folder: Path, capsys: pytest.Capture
     with pytest.raises(SystemExit):
         run_command(["agent", "areas/area1.toml", "--timeout", "soon"])
     assert "--timeout: 'soon' is no number of seconds" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("vary", ["areas=" + "[" * 5000, "faults.loss=" + "9" * 5000, f"x[{'9' * 5000}].loss=1"])
+def test_values_to_vary_that_no_reader_takes_are_one_error(capsys: pytest.CaptureFixture[str], vary: str):
+    assert run_command(["sweep", "ieee33", "--vary", vary]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("error: ")
+    assert len(said) < 5000

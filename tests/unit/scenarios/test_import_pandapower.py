@@ -323,3 +323,20 @@ def test_two_external_grids_of_one_island_are_told_so(tmp_path: Path) -> None:
     net = small_grid()
     pp.create_ext_grid(net, 13)
     assert "ext_grid 0 at bus 5, ext_grid 1 at bus 13 feed one island" in problems_of(tmp_path, net)
+
+
+def test_no_column_or_table_that_pandapower_does_not_know_is_left_out_in_silence(tmp_path: Path) -> None:
+    net = small_grid()
+    assert not any("does not know" in remark.text for remark in imported(tmp_path, net).remarks)
+    net.load["const_z_percent"] = 0.0
+    net.load["profile"] = "H0"
+    net.line["max_loading_percent"] = 100.0  # pandapower knows it
+    net["streets"] = net.bus.copy()[["name"]]
+    pp.control.ContinuousTapControl(net, 0, 1.0)
+    told = {remark.text for remark in imported(tmp_path, net).remarks if remark.what == "left out"}
+    assert (
+        "columns of table load that pandapower does not know: const_z_percent; did you mean 'const_z_q_percent'?, "
+        "profile"
+    ) in told
+    assert "table streets: pandapower has no elements of this name" in told
+    assert "controller 0: not run, taps stay where they are" in told

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -411,3 +413,61 @@ def test_branches_without_impedance_are_refused_by_their_names(tmp_path: Path) -
     assert "branch 3-4 (line 31) has |r + jx| = 1e-11 p.u., the median branch " in text
     assert "branch 10-1 (source 50) has |r + jx| = 2e-09 p.u." in text
     assert "put a link in its place" in text
+
+
+def changed_file(tmp_path: Path, change: Callable[[Data], object]) -> Path:
+    """The file of ``small_grid``, its JSON changed."""
+    path = tmp_path / "grid.json"
+    utils.json_serialize_to_file(path, small_grid())
+    tree = json.loads(path.read_text())
+    change(tree)
+    path.write_text(json.dumps(tree))
+    return path
+
+
+def test_no_attribute_is_dropped_in_silence(tmp_path: Path) -> None:
+    def change(tree: Data) -> None:
+        tree["data"]["source"][0]["Sk"] = tree["data"]["source"][0].pop("sk")
+        for load in tree["data"]["sym_load"][:2]:
+            load["foo"] = {"bar": [1]}
+
+    with pytest.raises(InvalidInputError) as caught:
+        import_grid(changed_file(tmp_path, change))
+    assert sorted(caught.value.problems) == [
+        "source 50: unknown attribute 'Sk', which power-grid-model would leave out; did you mean 'sk'?; correct or "
+        "remove it, or put it under 'extra' if it describes",
+        "sym_load 60, 61: unknown attribute 'foo', which power-grid-model would leave out; correct or remove it, or "
+        "put it under 'extra' if it describes",
+    ]
+
+
+def test_an_unknown_attribute_of_compact_data_is_named_as_well(tmp_path: Path) -> None:
+    path = changed_file(tmp_path, lambda tree: tree["attributes"].update(shunt=["id", "node", "status", "g1", "B1"]))
+    with pytest.raises(InvalidInputError, match=r"shunt: unknown attribute 'B1'.*did you mean 'b1'"):
+        import_grid(path)
+
+
+def test_descriptions_are_left_out_and_told(tmp_path: Path) -> None:
+    def change(tree: Data) -> None:
+        tree["data"]["node"][2]["extra"] = {"name": "Harbour"}
+        tree["frequency"] = 60
+
+    told = {(remark.what, remark.text) for remark in import_grid(changed_file(tmp_path, change)).remarks}
+    assert ("left out", "'extra' of node, which describes them") in told
+    assert ("left out", "beside the data: frequency, which power-grid-model does not know") in told
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda tree: tree["data"].update(source={"id": 2}),
+        lambda tree: tree["data"]["source"][0].update(sk="a\nb"),
+        lambda tree: tree["data"].update(foo=[{"id": 3}]),
+        lambda tree: tree.update(data=[], attributes=7),
+        lambda tree: tree["data"].update(source=[7, None, []]),
+    ],
+)
+def test_another_librarys_words_stand_on_one_line(tmp_path: Path, change: Callable[[Data], object]) -> None:
+    with pytest.raises(InvalidInputError, match="power-grid-model cannot read it: ") as caught:
+        import_grid(changed_file(tmp_path, change))
+    assert "\\n" not in str(caught.value)
