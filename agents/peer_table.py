@@ -80,8 +80,9 @@ class PeerTable:
         peer = self._peers[name]
         peer.said_at, peer.is_owed_word = now, False
         is_complete = isinstance(message, HeartbeatMessage) and message.complete
-        if peer.told_complete != is_complete:  # of a message of a round the neighbour takes it back
-            peer.told_complete, peer.changed_at = is_complete, now
+        term = (message.header.scan, message.revision)
+        if (peer.told_term, peer.told_complete) != (term, is_complete):  # a message of a round takes the latter back
+            peer.told_term, peer.told_complete, peer.changed_at = term, is_complete, now
         return replace(
             message,
             header=replace(message.header, time=now + self._clock_offset),
@@ -119,11 +120,11 @@ class PeerTable:
         return now >= peer.said_at + self._quiet_s(peer, is_final)
 
     def _quiet_s(self, peer: Peer, is_final: bool) -> float:
-        """How long nothing is said: no longer than the wait that patience counts in, and at rest ever longer since what
-        heartbeats say has changed, as one may be lost; a beat at most.
+        """How long nothing is said: ever longer since what heartbeats say has changed, as one may be lost; at rest a
+        beat at most, before no longer than patience allows.
         """
-        unchanged_s = peer.said_at - peer.changed_at if is_final else 0.0
-        return min(self._beat_s, max(peer.round_trip.longest_wait_s, unchanged_s))
+        longest_s = self._beat_s if is_final else min(self._beat_s, self._patience_s(peer) / peer.patience_messages)
+        return min(longest_s, max(peer.round_trip.longest_wait_s, peer.said_at - peer.changed_at))
 
     def begin_term(self) -> None:
         """Messages of former rounds count no more; everybody is to hear of the term."""

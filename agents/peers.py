@@ -24,31 +24,25 @@ Term = tuple[int, int]  # scan, revision
 
 @dataclass
 class RoundTrip:
-    """The smoothed round trip of one link and its mean deviation, s; nan before the first sample."""
+    """The smoothed round trip of one link and its mean deviation, s; nan before the first sample.
+
+    ``wait_s``: how long an answer is waited for before the first repeat; ``longest_wait_s``: between two of many.
+    """
 
     mean: float = math.nan
     deviation: float = math.nan
+    wait_s: float = FIRST_WAIT_S
+    longest_wait_s: float = max(FIRST_WAIT_S, LEAST_LONGEST_WAIT_S)
 
     def take(self, sample: float) -> None:
         """Take in a measured round trip, s."""
         if math.isnan(self.mean):
             self.mean, self.deviation = sample, sample / 2
-            return
-        self.deviation += DEVIATION_GAIN * (abs(sample - self.mean) - self.deviation)
-        self.mean += MEAN_GAIN * (sample - self.mean)
-
-    @property
-    def wait_s(self) -> float:
-        """How long an answer is waited for before the first repeat."""
-        if math.isnan(self.mean):
-            return FIRST_WAIT_S
-        return max(LEAST_WAIT_S, self.mean + DEVIATIONS * self.deviation)
-
-    @property
-    def longest_wait_s(self) -> float:
-        """Between two repeats of many."""
-        trips = LEAST_LONGEST_WAIT_S if math.isnan(self.mean) else LONGEST_WAIT_TRIPS * self.mean
-        return max(LEAST_LONGEST_WAIT_S, trips, self.wait_s)
+        else:
+            self.deviation += DEVIATION_GAIN * (abs(sample - self.mean) - self.deviation)
+            self.mean += MEAN_GAIN * (sample - self.mean)
+        self.wait_s = max(LEAST_WAIT_S, self.mean + DEVIATIONS * self.deviation)
+        self.longest_wait_s = max(LEAST_LONGEST_WAIT_S, LONGEST_WAIT_TRIPS * self.mean, self.wait_s)
 
 
 @dataclass
@@ -78,8 +72,9 @@ class Peer:
     final: bool = False
     complete: bool = False
     y: tuple[float, ...] = ()
+    told_term: Term = (0, 0)
     told_complete: bool = False
-    changed_at: float = -math.inf  # when it was last told otherwise
+    changed_at: float = -math.inf  # when it was last told other ones
     is_owed_word: bool = False  # what it has sent, or what has changed, is to be answered at once
     sequence: int = 0  # of the last message of a round to it
     heard_sequence: int = 0
@@ -129,11 +124,16 @@ class Peer:
         sent_at, arrived_at = self._newest
         return sent_at + (now - arrived_at) if sent_at else 0.0
 
-    def patience_s(self, least_s: float) -> float:
-        """How long it may be silent before it counts as gone: ``least_s``, or until PATIENCE_WAITS of its messages
-        should have come through; of ``mean_count`` round trips one is not lost, of its root one message.
+    @property
+    def patience_messages(self) -> float:
+        """How many of its messages are lost before it counts as gone: PATIENCE_WAITS should have come through; of
+        ``mean_count`` round trips one is not lost, of its root one message.
         """
-        return max(least_s, PATIENCE_WAITS * self.round_trip.longest_wait_s * math.sqrt(self.mean_count))
+        return PATIENCE_WAITS * math.sqrt(self.mean_count)
+
+    def patience_s(self, least_s: float) -> float:
+        """How long it may be silent before it counts as gone: ``least_s``, or as long as so many messages take."""
+        return max(least_s, self.round_trip.longest_wait_s * self.patience_messages)
 
     def await_answer(self, message: UpMessage | DownMessage, now: float) -> None:
         """``message`` has just been sent for the first time."""

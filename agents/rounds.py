@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -416,10 +416,12 @@ class RoundsProtocol:
         if is_beat:
             self._next_beat = self._now + self._beat_s
             yield from (Publish(message, name) for name, message in self._loads.loads.items())
-        refused = self._refused + self._scan.refused + Counter(self._not_let_in)
-        loads = {name: m.header.sequence for name, m in self._loads.loads.items()}
-        heard_loads = {name: m.header.sequence for name, m in self._heard_loads.items()}
-        counts = loads, heard_loads, refused
-        state = self._state.show(self.term, self._now, self._ahead, counts, self._header, is_beat=is_beat)
+        state = self._state.show(self.term, self._now, self._ahead, self._count, self._header, is_beat=is_beat)
         if state is not None:
             yield Publish(state, None)
+
+    def _count(self) -> tuple[Mapping[str, int], Mapping[str, int], Mapping[str, int]]:
+        """Sequence numbers of load messages sent and heard by neighbour, and what was refused by reason."""
+        loads = {name: m.header.sequence for name, m in self._loads.loads.items()}
+        heard_loads = {name: m.header.sequence for name, m in self._heard_loads.items()}
+        return loads, heard_loads, self._refused + self._scan.refused + Counter(self._not_let_in)

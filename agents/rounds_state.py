@@ -24,7 +24,7 @@ from dsse_core.verdict import Totals
 CONTRADICTION = 0.9999  # confidence of the chi-square test of what is shown; bad data are looked for at a lower one
 MISMATCH = 1e-6  # p.u. and rad, of the final voltages that two sides of a boundary have; rounding leaves 1e-8
 
-Counts = tuple[Mapping[str, int], Mapping[str, int], Mapping[str, int]]
+Counts = Callable[[], tuple[Mapping[str, int], Mapping[str, int], Mapping[str, int]]]
 
 
 class RoundsState:
@@ -41,6 +41,7 @@ class RoundsState:
         self._outcome: Outcome | None = None  # which the estimate is of
         self._of_scan = 0
         self._notes: tuple[str, ...] = ()
+        self._gaps: dict[str, tuple[Outcome, tuple[float, ...], tuple[float, float]]] = {}  # as _find_gap found them
 
     def show(
         self,
@@ -54,7 +55,7 @@ class RoundsState:
     ) -> StateMessage | None:
         """The state to be published at time ``now``, if any is.
 
-        ``ahead``: senders refused as from the future -> by how much, s. ``counts``: sequence numbers of load messages
+        ``ahead``: senders refused as from the future -> by how much, s. ``counts()``: sequence numbers of load messages
         sent and heard by neighbour, and what was refused by reason.
         """
         outcome = self._round.outcome
@@ -168,13 +169,21 @@ class RoundsState:
         for name, peer in sorted(self._peers.items()):
             if peer.term != term or not peer.final or not peer.y or name not in self._round.links:
                 continue
-            _, _, vm, va = estimation.boundary_values(name)
-            dvm, dva = abs(vm - peer.y[2]), abs(math.remainder(va - peer.y[3], 2 * math.pi))
+            dvm, dva = self._find_gap(name, outcome, peer.y)
             if max(dvm, dva) > MISMATCH:
                 yield (
                     f"boundary mismatch with {name} at bus {peer.bus}: its final voltage differs by {dvm:.3g} p.u. and "
                     f"{math.degrees(dva):.3g} deg; one of the two sides says false things"
                 )
+
+    def _find_gap(self, name: str, outcome: Outcome, theirs: tuple[float, ...]) -> tuple[float, float]:
+        """By how much (vm, va) at a boundary differ, p.u. and rad; asked for at every event, found once."""
+        kept = self._gaps.get(name)
+        if kept is None or kept[0] is not outcome or kept[1] != theirs:
+            _, _, vm, va = self._round.estimation.boundary_values(name)
+            gap = abs(vm - theirs[2]), abs(math.remainder(va - theirs[3], 2 * math.pi))
+            self._gaps[name] = kept = outcome, theirs, gap
+        return kept[2]
 
     def _quality(self, term: Term, now: float) -> str:
         """The worst that holds now."""
@@ -219,7 +228,7 @@ class RoundsState:
         counts: Counts,
         header_for: Callable[[Message | None], Header],
     ) -> StateMessage:
-        loads, heard_loads, refused = counts
+        loads, heard_loads, refused = counts()
         peers = sorted(self._peers.items())
         waiting = () if self._scan.has_been_read or term[0] else ("no telemetry yet",)
         return StateMessage(
