@@ -18,6 +18,7 @@ from dsse_core.link_faults import LinkFaults
 from dsse_core.measurement import Meter
 from dsse_core.network import Branch, Bus, Generator
 from dsse_core.partition import Area, Neighbour
+from dsse_core.state_limits import DEFAULT_LIMITS, StateLimits
 
 FORMAT = 1
 
@@ -41,6 +42,7 @@ class AreaFile:
         links: neighbour -> what goes wrong on the link to it; a neighbour that is not there has a sound link.
         seed: of what goes wrong.
         penalty: of strategy ``admm``.
+        limits: what an estimate must keep to be relied on.
     """
 
     run: str
@@ -56,6 +58,7 @@ class AreaFile:
     links: dict[str, LinkFaults] = field(default_factory=dict)
     seed: int = 0
     penalty: float = 1.0
+    limits: StateLimits = DEFAULT_LIMITS
 
 
 def save_area_file(path: Path, content: AreaFile) -> None:
@@ -78,6 +81,7 @@ def save_area_file(path: Path, content: AreaFile) -> None:
         "tolerance": content.tolerance,
         "seed": content.seed,
         "admm": {"penalty": content.penalty},
+        "quality": dataclasses.asdict(content.limits),
         "local_slack": slack,
         "exchange": {
             **({"towards_hub": area.towards_hub} if area.towards_hub else {}),

@@ -24,6 +24,7 @@ from dsse_core.link_faults import LinkFaults
 from dsse_core.measurement import Meter, find_meter_problems
 from dsse_core.network import Branch, Bus, Generator, Network
 from dsse_core.partition import Area, Neighbour
+from dsse_core.state_limits import DEFAULT_LIMITS, StateLimits
 
 T = TypeVar("T")
 OF_ONE_LENGTH = "of_one_length"  # our type of a schema's error
@@ -68,6 +69,7 @@ def load_area_file(path: Path) -> AreaFile:
         links={n.area: LinkFaults(**vars(n.faults)) for n in t.neighbour},
         seed=t.seed,
         penalty=t.admm.penalty,
+        limits=StateLimits(**vars(t.quality)),
     )
 
 
@@ -130,6 +132,8 @@ def _find_place_problems(t: Any, network: Network) -> Iterator[str]:
         yield f"exchange.areas: is {t.exchange.areas}; this area and its neighbours alone are {len(t.neighbour) + 1}"
     if sum(n.is_parent for n in t.neighbour) != (0 if network.slack else 1):
         yield "neighbour: exactly one must be the parent, or none where the network holds the substation"
+    if t.quality.lowest_vm >= t.quality.highest_vm:
+        yield f"quality.lowest_vm: is {t.quality.lowest_vm:g}; it must be below highest_vm, {t.quality.highest_vm:g}"
     if not (t.endpoints or t.listen):
         yield "endpoints: is empty; name a router, or give listen, where neighbours link with this area"
 
@@ -176,6 +180,12 @@ class _LoadMessages(_Strict):
 
 class _Admm(_Strict):
     penalty: float = Field(default=1.0, gt=0)
+
+
+class _Quality(_Strict):
+    lowest_vm: float = Field(default=DEFAULT_LIMITS.lowest_vm, ge=0)
+    highest_vm: float = Field(default=DEFAULT_LIMITS.highest_vm, gt=0)
+    most_removed: float = Field(default=DEFAULT_LIMITS.most_removed, ge=0, le=1)
 
 
 class _Columns(_Strict):
@@ -248,6 +258,7 @@ def _file_like(all_like: Any) -> Any:
         exchange=(_Exchange, ...),
         load_messages=(_LoadMessages, _LoadMessages()),
         admm=(_Admm, _Admm()),
+        quality=(_Quality, _Quality()),
         neighbour=(_rows_like(Neighbour, area=(_Name, ...), faults=(_FaultsTable, _FaultsTable())), []),
         network=(network, ...),
         meter=(all_like(Meter), ...),

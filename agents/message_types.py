@@ -229,9 +229,9 @@ class StateMessage:
     ``sent``, ``heard``: per neighbour the last sequence numbers of load messages and of boundary messages or those of
     rounds; 0 before any.
     ``messages``, ``bytes``, ``lost``: totals handed to the bus, ``lost`` of them dropped by the links; ``faults``:
-    what the links have done to them, by kind. ``refused``: received payloads by reason of refusal. ``notes``: in
-    words, what is missing.
-    ``quality``: what the state is worth (docs/quality.md). ``telemetry_age``: s since telemetry was last heard;
+    what the links have done to them, by kind. ``refused``: received payloads by reason of refusal.
+    ``quality``: what the state is worth (docs/quality.md). ``notes``: why, the worst first, then remarks.
+    ``telemetry_age``: s since telemetry was last heard;
     ``ages``, ``scans``: neighbour -> s since its boundary message was last heard, and the scan of the newest;
     ``old_sides``: neighbours that say that their side rests on something old. All these hold at ``header.time`` and
     may differ between two states of one sequence number.

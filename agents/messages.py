@@ -54,7 +54,7 @@ __all__ = [
 WIRE_VERSION = 2
 MAX_BYTES = 8 * 1024 * 1024
 MAX_NEIGHBOUR_BYTES = 256 * 1024  # of what neighbours say; only telemetry and states grow with the area
-UNNUMBERED = {"header", "fresh", "quality", "telemetry_age", "ages", "scans", "old_sides", "refused"}  # see content_of
+UNNUMBERED = {"header", "fresh", "quality", "notes", "telemetry_age", "ages", "scans", "old_sides", "refused"}
 
 BoundaryNews = BoundaryMessage | AdmmMessage
 Message = (

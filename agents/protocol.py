@@ -29,6 +29,7 @@ from agents.messages import (
     Message,
     TelemetryMessage,
 )
+from agents.quality import find_refused_clocks, find_silent_meters
 from agents.readings import Readings
 from agents.refusals import FUTURE, find_lead, find_refusal, find_unreasonable
 from agents.reminders import Reminders
@@ -63,7 +64,7 @@ class AreaProtocol:
         self._readings = Readings(content)
         self._words = LastWords(content.area.neighbours, self._hearing, self._header)
         self._estimate_told: Estimate | None = None  # to neighbours, the last
-        self._state = ShownState(content.area, self._hearing, self._header)
+        self._state = ShownState(content, self._hearing, self._header)
         self._present: set[str] = set()
         self._gone: dict[str, str] = {}  # neighbour -> its farewell
         self._refused: Counter[str] = Counter()
@@ -116,11 +117,11 @@ class AreaProtocol:
     def _react(self, news: bool) -> Iterator[Action]:
         used = set(self._hearing.usable(self._now))
         if self._hearing.telemetry is None:
-            yield from self._show_state(None, ["no telemetry yet"])
+            yield from self._show_state(None, ())
         elif news or used != self._used:
             self._used = used
             yield from self._work()
-        elif self._state.has_aged(set(self._gone), self._now):
+        elif self._state.has_aged(self._gone, self._now):
             yield self._renew_state()
         for name in self._reminders.take_due(self._now):
             yield Publish(self._words.boundary[name], name)
@@ -189,7 +190,7 @@ class AreaProtocol:
         if estimate is not None and self._is_to_be_told(estimate):
             self._estimate_told = estimate
             yield from self._tell_boundaries(estimate)
-        yield from self._show_state(estimate, notes, doubts=bool(notes))
+        yield from self._show_state(estimate, notes)
 
     def _check_reasonable(self, estimate: Estimate | None) -> None:
         """Raise ``ArithmeticError`` if no grid can be in this state."""
@@ -234,36 +235,20 @@ class AreaProtocol:
             if not self._strategy.awaits_answer(n):
                 self._reminders.stop(n.area)
 
-    def _show_state(self, estimate: Estimate | None, notes: Sequence[str], doubts: bool = False) -> list[Action]:
+    def _show_state(self, estimate: Estimate | None, notes: Sequence[str]) -> list[Action]:
         sent = (self._words.loads, self._words.boundary)
-        notes = (*notes, *self._what_is_missing())
-        state = self._state.change(estimate, notes, doubts, sent, set(self._gone), self._all_refused, self._now)
+        silent = self._readings.silent if self._hearing.telemetry is not None else ()
+        remarks = (*find_refused_clocks(self._ahead), *find_silent_meters(silent))
+        state = self._state.change(estimate, notes, remarks, sent, self._gone, self._all_refused, self._now)
         return [Publish(state, None)] if state else []
 
     def _renew_state(self) -> Publish:
-        return Publish(self._state.renew(set(self._gone), self._all_refused, self._now), None)
+        return Publish(self._state.renew(self._gone, self._all_refused, self._now), None)
 
     @property
     def _all_refused(self) -> Mapping[str, int]:
         """By the protocol and at the door."""
         return self._refused + Counter(self._not_let_in) if self._not_let_in else self._refused
-
-    def _what_is_missing(self) -> list[str]:
-        notes = [
-            f"neighbour {name} has left: {farewell}" if farewell else f"neighbour {name} is gone"
-            for name, farewell in sorted(self._gone.items())
-        ]
-        headers = [m.header for kept in (self._hearing.loads, self._hearing.boundary) for m in kept.values()]
-        stale = {header.sender for header in headers if header.scan != self._scan}
-        notes += [f"news from {name} is of another scan" for name in sorted(stale)]
-        for name, lead in sorted(self._ahead.items()):
-            notes.append(
-                f"{name or 'telemetry'} is refused, from {lead:.0f} s in the future: the clock of this area is behind, "
-                "or that of the sender ahead; set it, then start its process again"
-            )
-        if self._hearing.telemetry is not None and (silent := self._readings.silent):
-            notes.append(f"no reading from {len(silent)} meters, the first is {silent[0]}")
-        return notes
 
     def _repeat(self, just_done: Sequence[Action]) -> list[Publish]:
         """The last message to each neighbour and the last state, except those sent this very moment."""

@@ -1,29 +1,150 @@
-"""What a published state is worth, in one word. docs/quality.md says what each promises."""
+"""What a published state is worth, in one word and why. docs/quality.md says what each word promises.
+
+Whoever says anything of an estimate says it as a ``Finding``: a sentence, and the best word that it leaves. The word
+of a state is the worst of its findings, and its notes are their sentences, the worst first. So neither can be without
+the other: a state that is not good has a note that says why, and one without such a note is good.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
 
 from agents.hearing import Hearing
+from agents.messages import StateMessage
 from agents.strategies.interface import Estimate
+from agents.wire_checks import limit_notes
+from dsse_core.measurement import Meter, Source
+from dsse_core.state_limits import StateLimits
 
 GOOD, DEGRADED, RELATIVE_ANGLE, STALE, NONE = "good", "degraded", "relative-angle", "stale", "none"
 UNOBSERVABLE = "unobservable"
+WORDS = (GOOD, DEGRADED, RELATIVE_ANGLE, STALE, NONE, UNOBSERVABLE)  # from the best to the worst
 
 
-def judge_quality(
-    estimate: Estimate | None, doubts: bool, hearing: Hearing, neighbours: Sequence[str], gone: set[str], now: float
-) -> str:
-    """The worst that holds at time ``now``.
+class Finding(NamedTuple):
+    """``note``: a sentence about an estimate. ``word``: the best that the estimate can be; good for a mere remark."""
 
-    ``doubts``: the strategy says that something is missing, or that a neighbour contradicts. ``gone``: the neighbours
-    whose processes have ended.
+    word: str
+    note: str
+
+
+class Worth(NamedTuple):
+    """``word``: what a state is worth. ``notes``: the first of a state that is not good says why."""
+
+    word: str
+    notes: tuple[str, ...]
+
+
+def weigh(findings: Iterable[Finding]) -> Worth:
+    """The worst word, and all notes, the worst first; a note that is found twice is said once."""
+    ordered = sorted(findings, key=lambda finding: -WORDS.index(finding.word))
+    word = ordered[0].word if ordered else GOOD
+    return Worth(word, limit_notes(tuple(dict.fromkeys(finding.note for finding in ordered))))
+
+
+def weigh_from_outside(said: StateMessage | None, silence: str) -> Worth:
+    """What the last state that was heard of an area is worth to who hears it.
+
+    ``silence``: why the area says nothing more, empty if it does. What was right once is stale then.
     """
+    if said is None:
+        return Worth(NONE, (silence or "never heard of",))
+    if not silence:
+        return Worth(said.quality, said.notes)
+    return Worth(said.quality if said.quality == NONE else STALE, (silence, *said.notes))
+
+
+class EstimateLimits:
+    """What an estimate of an area must keep: voltages within ``limits``, most of ``meters`` in use."""
+
+    def __init__(self, limits: StateLimits, buses: Sequence[int], meters: Iterable[Meter]) -> None:
+        self._limits = limits
+        self._buses = np.array(buses)
+        self._n_meters = sum(meter.source is not Source.VIRTUAL for meter in meters)
+
+    def find_breaches(self, estimate: Estimate) -> Iterator[Finding]:
+        """Where ``estimate`` leaves them."""
+        limits, vm = self._limits, estimate.vm
+        outside = np.flatnonzero((vm < limits.lowest_vm) | (vm > limits.highest_vm))
+        if outside.size:
+            worst = outside[np.argmax(abs(vm[outside] - (limits.lowest_vm + limits.highest_vm) / 2))]
+            band = f"{limits.lowest_vm:g} to {limits.highest_vm:g} p.u."
+            yield Finding(
+                DEGRADED,
+                f"voltages of {outside.size} buses are outside {band}, the farthest is {vm[worst]:.3g} p.u. at bus "
+                f"{self._buses[worst]}",
+            )
+        if len(estimate.removed) > limits.most_removed * self._n_meters:
+            yield Finding(
+                DEGRADED,
+                f"{len(estimate.removed)} of {self._n_meters} meters are removed, more than "
+                f"{100 * limits.most_removed:g} %: which of them are wrong is not clear",
+            )
+
+
+def find_missing_side(name: str) -> Finding:
+    """That a neighbour says that not all on its side is heard and fresh."""
+    return Finding(DEGRADED, f"behind {name} something is missing or old")
+
+
+def find_gone(name: str, farewell: str) -> Finding:
+    """That the process of a neighbour has ended."""
+    return Finding(DEGRADED, f"neighbour {name} has left: {farewell}" if farewell else f"neighbour {name} is gone")
+
+
+def find_refused_clocks(ahead: Mapping[str, float]) -> Iterator[Finding]:
+    """Senders refused as from the future, "" for the plant -> by how much, s; who is missed is said elsewhere."""
+    for name, lead in sorted(ahead.items()):
+        yield Finding(
+            GOOD,
+            f"{name or 'telemetry'} is refused, from {lead:.0f} s in the future: the clock of this area is behind, "
+            "or that of the sender ahead; set it, then start its process again",
+        )
+
+
+def find_silent_meters(silent: Sequence[str]) -> Iterator[Finding]:
+    """Meters without a reading; the standard deviations of the estimate say what that means."""
+    if silent:
+        yield Finding(GOOD, f"no reading from {len(silent)} meters, the first is {silent[0]}")
+
+
+def find_doubts(
+    estimate: Estimate | None,
+    notes: Iterable[str],
+    hearing: Hearing,
+    neighbours: Sequence[str],
+    gone: Mapping[str, str],
+    now: float,
+) -> Iterator[Finding]:
+    """Of an area under an asynchronous strategy at time ``now``.
+
+    ``notes``: what the strategy says is missing or contradicts. ``gone``: the neighbours whose processes have ended,
+    with their farewells.
+    """
+    yield from (Finding(DEGRADED if estimate else NONE, note) for note in notes)
     if estimate is None:
-        return NONE
+        yield Finding(NONE, "no telemetry yet" if hearing.telemetry is None else "there is no estimate")
+        return
     if hearing.is_late(now):
-        return STALE
+        yield Finding(STALE, "telemetry is no longer heard")
     if not estimate.referenced:
-        return RELATIVE_ANGLE
-    sound = estimate.checked and estimate.settled and not doubts
-    return GOOD if sound and not gone and not hearing.find_old(neighbours, now) else DEGRADED
+        yield Finding(RELATIVE_ANGLE, "angles do not count from the substation")
+    if not estimate.checked:
+        yield Finding(DEGRADED, "bad data have not been looked for in the whole feeder")
+    if not estimate.settled:
+        yield Finding(DEGRADED, "the iteration is under way")
+    for name in sorted(gone):
+        yield find_gone(name, gone[name])
+    for name in sorted(hearing.find_old(neighbours, now) - gone.keys()):
+        message = hearing.boundary.get(name)
+        if message is None:
+            yield Finding(DEGRADED, f"no boundary message from {name}")
+        elif message.header.scan != hearing.scan:
+            yield Finding(DEGRADED, f"news from {name} is of another scan")
+        elif not message.fresh:
+            yield find_missing_side(name)
+        else:
+            yield Finding(DEGRADED, f"{name} is not heard")

@@ -75,7 +75,7 @@ class RoundsProtocol:
         self._not_let_in: dict[str, int] = {}
         self._ahead: dict[str, float] = {}  # sender refused as from the future, "" for the plant -> by how much, s
         self._next_beat = now + content.beat_s
-        self._state = RoundsState(content.area, self._peers, self._round, self._scan)
+        self._state = RoundsState(content, self._peers, self._round, self._scan)
 
     # The interface of a protocol
 

@@ -6,18 +6,32 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 
+from agents.area_file import AreaFile
 from agents.area_round import AreaRound, Outcome
 from agents.hearing import PASSED_ON_BEATS
 from agents.messages import Header, Message, StateMessage, content_of
 from agents.peer_table import PeerTable
 from agents.peers import Term
-from agents.quality import DEGRADED, GOOD, NONE, RELATIVE_ANGLE, STALE, UNOBSERVABLE
+from agents.quality import (
+    DEGRADED,
+    NONE,
+    RELATIVE_ANGLE,
+    STALE,
+    UNOBSERVABLE,
+    EstimateLimits,
+    Finding,
+    Worth,
+    find_gone,
+    find_missing_side,
+    find_refused_clocks,
+    find_silent_meters,
+    weigh,
+)
 from agents.scan_readings import ScanReadings
 from agents.shown_state import describe_estimate
 from agents.strategies.interface import Estimate
 from dsse_core.area_estimation import FAILURES
 from dsse_core.bad_data import chi_square_limit
-from dsse_core.partition import Area
 from dsse_core.verdict import UNOBSERVABLE as NOT_OBSERVABLE
 from dsse_core.verdict import Totals
 
@@ -30,17 +44,18 @@ Counts = Callable[[], tuple[Mapping[str, int], Mapping[str, int], Mapping[str, i
 class RoundsState:
     """The state as last published, and what it rests on."""
 
-    def __init__(self, area: Area, peers: PeerTable, round: AreaRound, scan: ScanReadings) -> None:
-        self._area = area
+    def __init__(self, content: AreaFile, peers: PeerTable, round: AreaRound, scan: ScanReadings) -> None:
+        self._area = content.area
         self._peers = peers
         self._round = round
         self._scan = scan
-        self._buses = tuple(bus.id for bus in area.network.buses)
+        self._buses = tuple(bus.id for bus in content.area.network.buses)
+        self._limits = EstimateLimits(content.limits, self._buses, content.meters)
         self._message: StateMessage | None = None
         self._estimate: Estimate | None = None
         self._outcome: Outcome | None = None  # which the estimate is of
         self._of_scan = 0
-        self._notes: tuple[str, ...] = ()
+        self._findings: tuple[Finding, ...] = ()  # of the outcome
         self._gaps: dict[str, tuple[Outcome, tuple[float, ...], tuple[float, float]]] = {}  # as _find_gap found them
 
     def show(
@@ -61,7 +76,7 @@ class RoundsState:
         outcome = self._round.outcome
         if outcome is not None and outcome is not self._outcome:
             self._outcome, self._of_scan = outcome, term[0]
-            self._estimate, self._notes = self._read(outcome)
+            self._estimate, self._findings = self._read(outcome)
         elif not is_beat and self._message is not None and self._is_as_shown(term, now, ahead):
             return None
         elif self._message is None and term[0] and outcome is None:
@@ -74,24 +89,28 @@ class RoundsState:
         return state
 
     def _is_as_shown(self, term: Term, now: float, ahead: Mapping[str, float]) -> bool:
+        """What has changed besides is told with the next beat."""
         assert self._message is not None
         return (
-            self._message.quality == self._quality(term, now)
+            self._message.quality == self._weigh(term, now, ahead).word
             and (not ahead) == (not any("in the future" in note for note in self._message.notes))
             and self._message.old_sides == self._old_sides(term, now)
         )
 
-    def _read(self, outcome: Outcome) -> tuple[Estimate | None, tuple[str, ...]]:
-        """What the term has ended with, and in words what is missing or wrong."""
-        estimation, notes = self._round.estimation, list(self._notes_on(outcome))
+    def _read(self, outcome: Outcome) -> tuple[Estimate | None, tuple[Finding, ...]]:
+        """What the term has ended with, and what that leaves to be said until the next one."""
+        estimation, estimate = self._round.estimation, None
         if not estimation.failure and outcome.verdict.reason != NOT_OBSERVABLE:
             try:
-                return self._read_estimate(outcome), tuple(notes)
+                estimate = self._read_estimate(outcome)
             except FAILURES as error:
                 estimation.fail(error)
+        findings = [*self._findings_of(outcome)]
         if estimation.failure:
-            notes.insert(0, f"no estimate: {estimation.failure}")
-        return None, tuple(notes)
+            findings.insert(0, Finding(NONE, f"no estimate: {estimation.failure}"))
+        if estimate is not None:
+            findings += self._limits.find_breaches(estimate)
+        return estimate, tuple(findings)
 
     def _read_estimate(self, outcome: Outcome) -> Estimate:
         estimation = self._round.estimation
@@ -118,45 +137,84 @@ class RoundsState:
         totals = outcome.totals
         return totals.areas == self._area.n_areas and not totals.silent and not outcome.verdict.reason
 
-    def _notes_on(self, outcome: Outcome) -> Iterator[str]:
-        """What the end of a term leaves to be said; it stays until the next one."""
+    def _findings_of(self, outcome: Outcome) -> Iterator[Finding]:
+        """What the end of a term says of the estimate that it leaves, and of the readings."""
         totals = outcome.totals
-        if outcome.verdict.reason == NOT_OBSERVABLE:
-            dead = self._round.estimation.dead_voltmeters
-            left_out = f"; left out as dead: {', '.join(dead)}" if dead else ""
-            yield f"not observable: no reading of this scan determines buses {', '.join(totals.unobservable)}{left_out}"
-        elif totals.failed:
-            yield f"no estimate in {', '.join(totals.failed)}"
-        elif outcome.verdict.reason:
-            yield f"the iteration has not converged: last step {totals.step:.3g} p.u. or rad"
-        elif _exceeds_limit(totals):
-            yield (
-                f"readings contradict each other (J {totals.objective:.4g} with {totals.degrees_of_freedom} degrees of "
-                "freedom), and no meter stands out that can be spared"
-            )
+        yield from self._findings_of_end(outcome)
+        if not totals.referenced:
+            yield Finding(RELATIVE_ANGLE, "no area that is counted sees the substation or has an angle meter")
         for n in self._area.neighbours:
             if n.area in self._peers.distrusted:
-                yield f"{n.area} is not believed: {self._peers.distrusted[n.area]}"
+                yield Finding(DEGRADED, f"{n.area} is not believed: {self._peers.distrusted[n.area]}")
             elif n.area not in self._round.links:
-                yield f"no information from {n.area}"
-        if self._scan.stale:
-            yield "no readings of this scan; the last ones stand in"
+                yield Finding(DEGRADED, f"no information from {n.area}")
         if others := [name for name in totals.stale if name != self._area.name]:
-            yield f"no readings of this scan in {', '.join(others)}"
+            yield Finding(DEGRADED, f"no readings of this scan in {', '.join(others)}")
+        elif totals.stale:
+            yield Finding(DEGRADED, "this area counts as one without readings of this scan")
         if totals.areas != self._area.n_areas:
-            yield f"{totals.areas} of {self._area.n_areas} areas are counted"
+            yield Finding(DEGRADED, f"{totals.areas} of {self._area.n_areas} areas are counted")
+        elif totals.silent:
+            yield Finding(DEGRADED, f"not heard by a neighbour: {', '.join(totals.silent)}")
 
-    def _passing_notes(self, term: Term, ahead: Mapping[str, float]) -> Iterator[str]:
-        yield from self._mismatches(term)
-        for name, farewell in sorted(self._peers.gone.items()):
-            yield f"neighbour {name} has left: {farewell}" if farewell else f"neighbour {name} is gone"
-        for name, lead in sorted(ahead.items()):
-            yield (
-                f"{name or 'telemetry'} is refused, from {lead:.0f} s in the future: the clock of this area is behind, "
-                "or that of the sender ahead; set it, then start its process again"
+    def _findings_of_end(self, outcome: Outcome) -> Iterator[Finding]:
+        """How the iteration has ended, where that leaves something to be said."""
+        totals, reason = outcome.totals, outcome.verdict.reason
+        if reason == NOT_OBSERVABLE:
+            dead = self._round.estimation.dead_voltmeters
+            left_out = f"; left out as dead: {', '.join(dead)}" if dead else ""
+            buses = ", ".join(totals.unobservable)
+            yield Finding(UNOBSERVABLE, f"not observable: no reading of this scan determines buses {buses}{left_out}")
+        elif totals.failed:
+            yield Finding(DEGRADED, f"no estimate in {', '.join(totals.failed)}")
+        elif reason:
+            yield Finding(DEGRADED, f"the iteration has not converged: last step {totals.step:.3g} p.u. or rad")
+        elif _exceeds_limit(totals):
+            yield Finding(
+                DEGRADED,
+                f"readings contradict each other (J {totals.objective:.4g} with {totals.degrees_of_freedom} degrees of "
+                "freedom), and no meter stands out that can be spared",
             )
-        if self._scan.has_been_read and (silent := self._scan.readings.silent):
-            yield f"no reading from {len(silent)} meters, the first is {silent[0]}"
+
+    def _weigh(self, term: Term, now: float, ahead: Mapping[str, float]) -> Worth:
+        """What the estimate is worth now, and why."""
+        return weigh([*self._findings, *self._passing_findings(term, now, ahead)])
+
+    def _passing_findings(self, term: Term, now: float, ahead: Mapping[str, float]) -> Iterator[Finding]:
+        """What holds now, and may not at the next moment."""
+        if self._outcome is None:
+            is_waiting = not self._scan.has_been_read and not term[0]
+            yield Finding(NONE, "no telemetry yet" if is_waiting else "the first estimate is under way")
+        yield from (Finding(DEGRADED, note) for note in self._mismatches(term))
+        if self._outcome is not None:
+            yield from self._aging(term, now)
+        for name, farewell in sorted(self._peers.gone.items()):
+            yield find_gone(name, farewell)
+        yield from find_refused_clocks(ahead)
+        if self._scan.has_been_read:
+            yield from find_silent_meters(self._scan.readings.silent)
+
+    def _aging(self, term: Term, now: float) -> Iterator[Finding]:
+        """What has grown old since the outcome, or is being replaced."""
+        if self._scan.is_late(now):
+            yield Finding(STALE, "telemetry is not heard")
+        if self._scan.stale:
+            yield Finding(STALE, "no readings of this scan; the last ones stand in")
+        if self._scan.are_outdated:
+            yield Finding(DEGRADED, "other readings of this scan wait for the next term")
+        if self._outcome is not self._round.outcome:
+            yield Finding(DEGRADED, f"a newer estimate, of scan {term[0]}, is under way")
+            return
+        for name in sorted(self._peers.find_old(term, self._round.links, now) - self._peers.gone.keys()):
+            peer = self._peers[name]
+            if name not in self._round.links:
+                yield Finding(DEGRADED, f"no information from {name}")
+            elif peer.term != term or not peer.final:
+                yield Finding(DEGRADED, f"{name} has not come to the end of this term")
+            elif not peer.complete:
+                yield find_missing_side(name)
+            else:
+                yield Finding(DEGRADED, f"{name} is not heard")
 
     def _mismatches(self, term: Term) -> Iterator[str]:
         """Neighbours whose final voltage at the boundary is another than ours: somebody on that side says false things.
@@ -184,22 +242,6 @@ class RoundsState:
             gap = abs(vm - theirs[2]), abs(math.remainder(va - theirs[3], 2 * math.pi))
             self._gaps[name] = kept = outcome, theirs, gap
         return kept[2]
-
-    def _quality(self, term: Term, now: float) -> str:
-        """The worst that holds now."""
-        outcome, estimate = self._outcome, self._estimate
-        if outcome is not None and outcome.verdict.reason == NOT_OBSERVABLE:
-            return UNOBSERVABLE
-        if outcome is None or estimate is None:
-            return NONE
-        if self._scan.is_late(now) or self._scan.stale:
-            return STALE
-        if not estimate.referenced:
-            return RELATIVE_ANGLE
-        is_sound = outcome is self._round.outcome and self._counts_all(outcome) and not outcome.totals.stale
-        is_sound = is_sound and not self._scan.are_outdated and not _exceeds_limit(outcome.totals)
-        is_sound = is_sound and not any(self._mismatches(term))
-        return GOOD if is_sound and not self._peers.find_old(term, self._round.links, now) else DEGRADED
 
     def is_side_complete(self, name: str, term: Term, now: float) -> bool:
         """Whether all on this side of neighbour ``name`` is heard, fresh, at the end of this term and agrees."""
@@ -230,7 +272,7 @@ class RoundsState:
     ) -> StateMessage:
         loads, heard_loads, refused = counts()
         peers = sorted(self._peers.items())
-        waiting = () if self._scan.has_been_read or term[0] else ("no telemetry yet",)
+        worth = self._weigh(term, now, ahead)
         return StateMessage(
             header=replace(header_for(self._message), scan=self._of_scan or term[0]),
             **describe_estimate(self._estimate_now(term), self._buses),
@@ -239,9 +281,9 @@ class RoundsState:
             messages=0,
             bytes=0,
             lost=0,
-            notes=(*waiting, *self._notes, *self._passing_notes(term, ahead)),
+            notes=worth.notes,
             faults={},
-            quality=self._quality(term, now),
+            quality=worth.word,
             telemetry_age=self._scan.age(now),
             ages={name: now - peer.heard_at for name, peer in peers if peer.heard_at > -math.inf},
             scans={name: peer.term[0] for name, peer in peers if peer.incarnation is not None},

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from agents.area_file import AreaFile
 from agents.hearing import Hearing
 from agents.messages import Header, Message, StateMessage, content_of
-from agents.quality import judge_quality
+from agents.quality import DEGRADED, EstimateLimits, Finding, Worth, find_doubts, weigh
 from agents.strategies.interface import Estimate
-from agents.wire_checks import limit_notes
-from dsse_core.partition import Area
 
 Sent = Mapping[str, Message]
 
@@ -23,36 +22,40 @@ class ShownState:
         header_for: the header of a message that follows the given one.
     """
 
-    def __init__(self, area: Area, hearing: Hearing, header_for: Callable[[Message | None], Header]) -> None:
+    def __init__(self, content: AreaFile, hearing: Hearing, header_for: Callable[[Message | None], Header]) -> None:
         self.message: StateMessage | None = None
-        self._buses = tuple(bus.id for bus in area.network.buses)
-        self._neighbours = [n.area for n in area.neighbours]
+        self._buses = tuple(bus.id for bus in content.area.network.buses)
+        self._limits = EstimateLimits(content.limits, self._buses, content.meters)
+        self._neighbours = [n.area for n in content.area.neighbours]
         self._hearing = hearing
         self._header_for = header_for
         self._estimate: Estimate | None = None
-        self._doubts = False
+        self._findings: tuple[Finding, ...] = ()  # that hold until the next estimate
+        self._notes: tuple[str, ...] = ()
         self._scan = 0
 
     def change(
         self,
         estimate: Estimate | None,
         notes: Sequence[str],
-        doubts: bool,
+        remarks: Iterable[Finding],
         sent: tuple[Sent, Sent],
-        gone: set[str],
+        gone: Mapping[str, str],
         refused: Mapping[str, int],
         now: float,
     ) -> StateMessage | None:
         """Show ``estimate`` as things are at time ``now``; the state to be published, None if it says nothing new.
 
-        ``sent``: the last load and boundary message to each neighbour. Under the number of the last state
-        only its quality, ages and counts may change.
+        ``notes``: what is missing or contradicts. ``remarks``: what else is to be told. ``sent``: the last load and
+        boundary message to each neighbour. Under the number of the last state only its quality, notes, ages and counts
+        may change.
         """
         last, scan = self.message, self._hearing.scan
-        self._estimate, self._doubts, self._scan = estimate, doubts, scan
-        state = self._compose(estimate, notes, sent, gone, refused, now)
+        self._estimate, self._notes, self._scan = estimate, tuple(notes), scan
+        self._findings = (*remarks, *(self._limits.find_breaches(estimate) if estimate else ()))
+        state = self._compose(estimate, sent, gone, refused, now)
         if last is not None and content_of(last) == content_of(state):
-            if (last.quality, last.header.scan) == (state.quality, scan):
+            if (last.quality, last.notes, last.header.scan) == (state.quality, state.notes, scan):
                 return None
             if last.header.scan == scan:
                 state = replace(state, header=replace(last.header, time=state.header.time))
@@ -62,9 +65,8 @@ class ShownState:
     def _compose(
         self,
         estimate: Estimate | None,
-        notes: Sequence[str],
         sent: tuple[Sent, Sent],
-        gone: set[str],
+        gone: Mapping[str, str],
         refused: Mapping[str, int],
         now: float,
     ) -> StateMessage:
@@ -78,22 +80,23 @@ class ShownState:
             messages=0,
             bytes=0,
             lost=0,
-            notes=limit_notes(notes),
             faults={},
             **self._passing(gone, refused, now),
         )
 
-    def renew(self, gone: set[str], refused: Mapping[str, int], now: float) -> StateMessage:
-        """The state with the quality, the ages and the counts of time ``now``."""
+    def renew(self, gone: Mapping[str, str], refused: Mapping[str, int], now: float) -> StateMessage:
+        """The state with the quality, the notes, the ages and the counts of time ``now``."""
         assert self.message is not None
         header = replace(self.message.header, time=self._header_for(None).time)
         self.message = replace(self.message, header=header, **self._passing(gone, refused, now))
         return self.message
 
-    def _passing(self, gone: set[str], refused: Mapping[str, int], now: float) -> dict[str, Any]:
+    def _passing(self, gone: Mapping[str, str], refused: Mapping[str, int], now: float) -> dict[str, Any]:
         """The fields that are renewed at every beat."""
+        worth = self._weigh(gone, now)
         return {
-            "quality": self.quality(gone, now),
+            "quality": worth.word,
+            "notes": worth.notes,
             "telemetry_age": self._hearing.telemetry_age(now),
             "ages": self._hearing.ages(now),
             "scans": self._hearing.scans(),
@@ -101,14 +104,19 @@ class ShownState:
             "refused": dict(refused),
         }
 
-    def has_aged(self, gone: set[str], now: float) -> bool:
+    def has_aged(self, gone: Mapping[str, str], now: float) -> bool:
         """Whether the quality of the state is no longer what it was when it was shown."""
-        return self.message is not None and self.message.quality != self.quality(gone, now)
+        return self.message is not None and self.message.quality != self._weigh(gone, now).word
 
-    def quality(self, gone: set[str], now: float) -> str:
-        """Of the state as last shown; new readings leave it behind until they have been worked in."""
-        doubts = self._doubts or self._scan != self._hearing.scan
-        return judge_quality(self._estimate, doubts, self._hearing, self._neighbours, gone, now)
+    def _weigh(self, gone: Mapping[str, str], now: float) -> Worth:
+        """The state as last shown; new readings leave it behind until they have been worked in."""
+        findings = [
+            *find_doubts(self._estimate, self._notes, self._hearing, self._neighbours, gone, now),
+            *self._findings,
+        ]
+        if self._estimate is not None and self._scan != self._hearing.scan:
+            findings.append(Finding(DEGRADED, "newer readings have not been worked in"))
+        return weigh(findings)
 
 
 def describe_estimate(estimate: Estimate | None, buses: tuple[int, ...]) -> dict[str, Any]:

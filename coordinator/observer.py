@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 
 from agents.hearing import FRESH_BEATS, OVER_BEATS, is_old
 from agents.messages import StateMessage
-from agents.quality import GOOD, NONE, STALE, UNOBSERVABLE
+from agents.quality import GOOD, NONE, STALE, UNOBSERVABLE, Worth, weigh_from_outside
 from dsse_core.partition import Partition
 from dsse_core.printable import printable
 
@@ -146,12 +146,19 @@ class Observer:
         self._disturbed_at = now
         self._note_change(now)
 
-    def quality_of(self, area: str, now: float) -> str:
+    def worth_of(self, area: str, now: float) -> Worth:
         """What the area's last state is worth at time ``now``: stale once it is gone or has not been heard for long."""
         watched = self._watched[area]
-        said = watched.state.quality if watched.state else NONE
-        is_heard = watched.alive and now - watched.heard_at < FRESH_BEATS * self.beat_s
-        return said if is_heard or said == NONE else STALE
+        if watched.state is None:
+            return weigh_from_outside(None, "")
+        silence = "" if watched.alive else f"{area} is not on the bus"
+        if not silence and now - watched.heard_at >= FRESH_BEATS * self.beat_s:
+            silence = f"{area} has not been heard for {now - watched.heard_at:.1f} s"
+        return weigh_from_outside(watched.state, silence)
+
+    def quality_of(self, area: str, now: float) -> str:
+        """The word alone."""
+        return self.worth_of(area, now).word
 
     def standing(self, now: float) -> Standing:
         """What is missing to consensus at time ``now``, and whether it can still come."""

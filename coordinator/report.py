@@ -71,15 +71,17 @@ def _figures(of: AreaResult | Verdict, with_errors: bool) -> tuple[str, ...]:
 
 
 def _format_findings(result: RunResult) -> list[str]:
-    """Degraded areas and removed meters, one line each; nothing where all is well."""
+    """Why areas are not good, remarks, refusals and removed meters, one line each; nothing where all is well."""
     lines = []
     if result.faults:
         lines.append("faults: " + ", ".join(f"{count} {kind}" for kind, count in sorted(result.faults.items())))
     lines += [f"warning: {double}" for double in result.doubles]
     for area in result.areas:
-        if area.degraded:
-            refused = [f"{count} messages refused: {reason}" for reason, count in area.refused.items()]
-            lines.append(f"degraded: {area.name}: " + "; ".join([*area.notes, *refused]))
+        if area.notes:
+            lines.append(f"{area.quality if area.degraded else 'note'}: {area.name}: {'; '.join(area.notes)}")
+        if area.refused:
+            refused = [f"{count} messages ({reason})" for reason, count in area.refused.items()]
+            lines.append(f"refused by {area.name}: {', '.join(refused)}")
         if area.removed:
             lines.append(f"removed as bad data by {area.name}: {', '.join(area.removed)}")
     if result.centralised is None:

@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from agents.quality import GOOD
 from coordinator.comparison import Comparison
 from coordinator.doubles import Double
 from coordinator.observer import Observer, Sample, count_exchanges
@@ -47,9 +48,10 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True)
 class AreaResult:
-    """One area at the verdict; gaps and errors over every bus that it sees. ``notes``: what it has to do without.
+    """One area at the verdict; gaps and errors over every bus that it sees.
 
-    ``quality``: what its last state is worth at the verdict (docs/quality.md).
+    ``quality``: what its last state is worth at the verdict (docs/quality.md). ``notes``: why, the worst first; of a
+    state that is good, remarks.
     """
 
     name: str
@@ -72,8 +74,8 @@ class AreaResult:
 
     @property
     def degraded(self) -> bool:
-        """Whether the area works with less than it should have."""
-        return bool(self.notes or self.refused)
+        """Whether the state is worth less than it should be."""
+        return self.quality != GOOD
 
 
 @dataclass(frozen=True)
@@ -141,6 +143,7 @@ def _make_area_result(name: str, observer: Observer, comparison: Comparison, now
     state = observer.states.get(name)
     gap, error = comparison.gap_of(name), comparison.error_of(name)
     estimated = state is not None and bool(state.buses)
+    worth = observer.worth_of(name, now)
     return AreaResult(
         name=name,
         buses=len(observer.partition.area(name).network.buses),
@@ -157,8 +160,8 @@ def _make_area_result(name: str, observer: Observer, comparison: Comparison, now
         degrees_of_freedom=state.degrees_of_freedom if state and estimated else None,
         removed=state.removed if state else (),
         critical=state.critical if state else (),
-        notes=state.notes if state else ("never heard of",),
-        quality=observer.quality_of(name, now),
+        notes=worth.notes,
+        quality=worth.word,
     )
 
 

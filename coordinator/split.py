@@ -43,6 +43,7 @@ def area_files(
             links={n.area: scenario.faults.links[area.name, n.area] for n in area.neighbours},
             seed=scenario.seed,
             penalty=scenario.admm_penalty,
+            limits=scenario.limits,
         )
         for area in partition.areas
     ]

@@ -10,7 +10,7 @@ from agents.hearing import is_old
 from agents.keys import name_of_live, version_of
 from agents.messages import WIRE_VERSION, StateMessage, describe_other_version
 from agents.presence import MAX_NAMES, Presence
-from agents.quality import NONE, STALE
+from agents.quality import NONE, weigh_from_outside
 from coordinator.doubles import NOUNS, describe_double
 from coordinator.observer import count_exchanges
 from dsse_core.printable import listed
@@ -164,13 +164,17 @@ class Watcher:
         at, state = self._heard[name]
         is_silent = now - at > max(OVER_S, SILENT_GAPS * self._longest_gap.get(name, 0.0))
         gaps = [gap for other in state.sent if (gap := self._gap(state, other))]
+        silence = f"has not been heard for {now - at:.1f} s" if is_silent else ""
+        if not present:
+            silence = f"has left: {farewell}" if farewell else "is gone"
+        worth = weigh_from_outside(state, silence)
         return AreaView(
             name=name,
             present=present,
             age_s=round(now - at, 3),
             farewell=farewell,
             scan=state.header.scan,
-            quality=state.quality if (present and not is_silent) or state.quality == NONE else STALE,
+            quality=worth.word,
             said_quality=state.quality,
             silent=is_silent,
             telemetry_age_s=round(state.telemetry_age + now - at, 3),
@@ -187,7 +191,7 @@ class Watcher:
             lost=state.lost,
             removed=state.removed,
             refused=state.refused,
-            notes=(*state.notes, *(f"behind {name} something is missing or old" for name in state.old_sides)),
+            notes=worth.notes,
         )
 
     def _gap(self, state: StateMessage, other: str) -> tuple[float, float] | None:

@@ -15,6 +15,7 @@ from dsse_core.measurement import Measurement, Meter, Source
 from dsse_core.network import Network
 from dsse_core.partition import Partition
 from dsse_core.printable import printable
+from dsse_core.state_limits import StateLimits
 from scenarios.cutting import cut_at, cut_into
 from scenarios.fault_order import find_order_problems, find_time_problems
 from scenarios.faults import Faults, build_faults, find_link_problems, find_name_problems
@@ -98,6 +99,7 @@ class Scenario:
     tolerances: Tolerances
     run: RunSettings
     transport: TransportSettings
+    limits: StateLimits
 
 
 def list_scenarios() -> tuple[tuple[str, str], ...]:
@@ -307,4 +309,9 @@ def _build_scenario(
         ),
         run=RunSettings(beat_s=file.run.beat_s, timeout_s=file.run.timeout_s),
         transport=TransportSettings(**file.transport.model_dump()),
+        limits=StateLimits(
+            lowest_vm=file.quality.lowest_vm_pu,
+            highest_vm=file.quality.highest_vm_pu,
+            most_removed=file.quality.most_removed,
+        ),
     )

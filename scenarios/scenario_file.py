@@ -7,7 +7,8 @@ from typing import Annotated, Literal, Self
 from pydantic import BeforeValidator, Discriminator, Field, PlainValidator, StringConstraints, Tag, model_validator
 
 from dsse_core.limits import LARGEST_SIGMA, LONGEST_NAME, SMALLEST_SIGMA
-from scenarios.fault_tables import FaultsTable, Positive, Seconds
+from dsse_core.state_limits import DEFAULT_LIMITS
+from scenarios.fault_tables import FaultsTable, Positive, Probability, Seconds
 from scenarios.strict_toml import Table
 
 Sigma = Annotated[float, Field(ge=SMALLEST_SIGMA, le=LARGEST_SIGMA)]
@@ -197,6 +198,22 @@ class AdmmTable(Table):
     penalty: Annotated[float, Field(ge=1e-6, le=1e6)] = 1.0
 
 
+class QualityTable(Table):
+    """``[quality]``."""
+
+    lowest_vm_pu: Annotated[float, Field(ge=0)] = DEFAULT_LIMITS.lowest_vm
+    highest_vm_pu: Positive = DEFAULT_LIMITS.highest_vm
+    most_removed: Probability = DEFAULT_LIMITS.most_removed
+
+    @model_validator(mode="after")
+    def _is_a_band(self) -> Self:
+        if self.lowest_vm_pu >= self.highest_vm_pu:
+            raise ValueError(
+                f"lowest_vm_pu is {self.lowest_vm_pu}; it must be below highest_vm_pu, {self.highest_vm_pu}"
+            )
+        return self
+
+
 class TolerancesTable(Table):
     """``[tolerances]``."""
 
@@ -257,6 +274,7 @@ class ScenarioFile(Table):
     load_messages: LoadMessagesTable = LoadMessagesTable()
     admm: AdmmTable = AdmmTable()
     faults: FaultsTable = FaultsTable()
+    quality: QualityTable = QualityTable()
     tolerances: TolerancesTable = TolerancesTable()
     run: RunTable = RunTable()
     transport: TransportTable = TransportTable()

@@ -154,8 +154,9 @@ def test_a_lying_neighbour_is_told_from_a_bad_meter():
         "area2": "degraded",
         "area3": "degraded",
     }
-    (note,) = bus.states["area2"].notes
-    assert note.startswith("boundary mismatch with area1 at bus 6: its final voltage differs by ")
+    mismatch, *others = bus.states["area2"].notes
+    assert mismatch.startswith("boundary mismatch with area1 at bus 6: its final voltage differs by ")
+    assert others == ["behind area1 something is missing or old"]
 
 
 @pytest.mark.usefixtures("each_back_end")
@@ -189,9 +190,11 @@ def test_before_the_side_of_the_reference_has_spoken_angles_are_relative():
     bus.run(3.0)
     assert {name for name, state in bus.states.items() if not state.referenced} == {"c", "d", "e"}
     notes = {name: state.notes for name, state in bus.states.items()}
-    assert notes["a"] == ("2 of 5 areas are counted",)
+    behind = "behind {} something is missing or old"
+    assert notes["a"] == ("2 of 5 areas are counted", behind.format("b"))
     assert notes["b"] == ("no information from c", "2 of 5 areas are counted")
-    assert notes["d"] == ("3 of 5 areas are counted",)
+    assert set(notes["d"]) > {"3 of 5 areas are counted", behind.format("c")}
+    assert "no area that is counted sees the substation" in notes["d"][0]
     bus.heal("b", "c")
     bus.run_until_settled()
     assert not any(state.notes for state in bus.states.values())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from agents.peer_table import PATIENCE_BEATS
 from coordinator.simulation import Simulation
 from dsse_core.bad_data import process_bad_data
 from dsse_core.link_faults import LinkFaults
+from dsse_core.measurement import Measurement, MeasurementKind, Source
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 
@@ -251,3 +253,94 @@ def test_a_dead_only_voltmeter_is_not_believed():
     assert set(qualities(bus).values()) == {"unobservable"}
     assert any("left out as dead: vm@1" in note for note in bus.states["area1"].notes)
     assert not any(state.removed for state in bus.states.values())
+
+
+def _cut(bus: SimulatedBus) -> None:
+    bus.cut("area1", "area2")
+
+
+def _kill(bus: SimulatedBus) -> None:
+    bus.kill("area2")
+
+
+def _pause(bus: SimulatedBus) -> None:
+    bus.pause("area3")
+
+
+def _silence_plant(bus: SimulatedBus) -> None:
+    bus.plant_speaks = False
+
+
+def _begin_scan_late(bus: SimulatedBus) -> None:
+    bus.next_scan(second_scan(), late_s={"area2": 2.0})
+
+
+def _lack_readings(bus: SimulatedBus) -> None:
+    telemetry = second_scan()
+    bus.next_scan(telemetry | {"area2": [m for m in telemetry["area2"] if m.meter.branch != "7-8"]})
+
+
+def _be_unobservable(bus: SimulatedBus) -> None:
+    telemetry = second_scan()
+    bus.next_scan(
+        {area: [m for m in read if m.meter.kind is not MeasurementKind.VM] for area, read in telemetry.items()}
+    )
+
+
+DISTURBANCES = (_cut, _kill, _pause, _silence_plant, _begin_scan_late, _lack_readings, _be_unobservable)
+REMARKS = ("no reading from ",)  # they do not take good away
+
+
+@pytest.mark.parametrize("strategy", ["information", "angle-offset", "admm"])
+@pytest.mark.parametrize("disturb", DISTURBANCES, ids=lambda disturb: disturb.__name__.strip("_"))
+def test_no_state_is_less_than_good_without_a_reason_nor_good_with_one(strategy: str, disturb):
+    scenario, shown = load_scenario("ieee33"), []
+    bus = SimulatedBus(
+        area_files_of(scenario, strategy=strategy),
+        make_telemetry(scenario).by_area,
+        on_state=lambda at, state: shown.append(state),
+    )
+    bus.run(1.0)
+    disturb(bus)
+    bus.run(3.0)
+    assert {"good"} < {state.quality for state in shown}
+    for state in shown:
+        reasons = [note for note in state.notes if not note.startswith(REMARKS)]
+        assert (state.quality == "good") == (not reasons), (state.quality, state.notes)
+        assert (state.quality in ("none", "unobservable")) == (not state.buses)
+        assert state.quality in ("none", "unobservable", "stale") or state.referenced == (
+            state.quality != "relative-angle"
+        )
+
+
+def with_readings(change: Callable[[Measurement], float]) -> SimulatedBus:
+    """The areas of ieee33 at rest with other readings."""
+    scenario = load_scenario("ieee33")
+    read = make_telemetry(scenario).by_area
+    changed = {area: [replace(m, value=change(m)) for m in found] for area, found in read.items()}
+    bus = SimulatedBus(area_files_of(scenario, strategy="information"), changed)
+    bus.run(2.0)
+    return bus
+
+
+def test_an_area_that_had_to_remove_a_large_share_of_its_meters_is_degraded_and_says_how_many():
+    wrong = {f"{kind}@{bus}:{bus}-{bus + 1}" for kind in ("p_flow", "q_flow") for bus in range(7, 15)}
+    bus = with_readings(lambda m: m.value + 50 * m.sigma * (m.meter.id in wrong))
+    for name, state in bus.states.items():
+        meters = [m for m in bus.files[name].meters if m.source is not Source.VIRTUAL]
+        is_much = len(state.removed) > 0.2 * len(meters)
+        assert is_much == any("meters are removed, more than 20 %" in note for note in state.notes)
+        assert state.quality != "good" or not is_much
+    assert any("meters are removed" in note for note in bus.states["area2"].notes)
+
+
+def test_voltages_outside_the_band_of_the_scenario_are_degraded_and_named():
+    scenario = load_scenario("ieee33", changes={"quality.lowest_vm_pu": 0.92})
+    bus = SimulatedBus(area_files_of(scenario, strategy="information"), make_telemetry(scenario).by_area)
+    bus.run(1.0)
+    for state in bus.states.values():
+        low = [bus_id for bus_id, vm in zip(state.buses, state.vm, strict=True) if vm < 0.92]
+        assert (state.quality == "degraded") == bool(low)
+        if low:
+            assert state.notes[0].startswith(f"voltages of {len(low)} buses are outside 0.92 to 1.5 p.u., the farthest")
+    assert {state.quality for state in bus.states.values()} == {"good", "degraded"}

@@ -49,6 +49,7 @@ def a_state_of(area, central, va_shift: float = 0.0) -> StateMessage:
         heard=said,
         lost=1,
         notes=("neighbour area3 is gone",) if area.name == "area1" else (),
+        quality="degraded" if area.name == "area1" else "good",
         telemetry_age=0.0,
         ages={},
     )
@@ -61,6 +62,7 @@ def a_result(folder: Path, missing: str | None = None, relative: str | None = No
     observer = Observer(scenario.partition, 1e-6, 1e-6, 0.2, False)
     for area in scenario.partition.areas:
         state = a_state_of(area, central.result, SHIFT if area.name == "area2" else 0.0)
+        observer.take_presence(area.name, True, 0.0)
         if area.name != missing:
             observer.take_state(replace(state, referenced=area.name != relative), 0.5)
     comparison = compare(scenario.partition, observer.states, telemetry.truth, central)

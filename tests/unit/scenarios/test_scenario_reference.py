@@ -34,6 +34,7 @@ TABLE_OF_HEADING: dict[str, list[type[Table]]] = {
     "`[faults.load_error.NAME]`": [fault_tables.LoadErrorTable],
     "`[faults.telemetry]`": [fault_tables.TelemetryFaultsTable],
     "`[[faults.events]]`": [fault_tables.EventTable],
+    "`[quality]`": [scenario_file.QualityTable],
     "`[tolerances]`": [scenario_file.TolerancesTable],
     "`[run]`": [scenario_file.RunTable],
     "`[transport]`": [scenario_file.TransportTable],

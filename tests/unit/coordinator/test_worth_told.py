@@ -1,0 +1,110 @@
+"""Word, notes, `degraded`, report, watcher and exit code never contradict each other, whatever is found."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from shown_states import said_by
+
+from agents.messages import Incarnation, StateMessage
+from agents.quality import DEGRADED, GOOD, NONE, RELATIVE_ANGLE, STALE, UNOBSERVABLE, WORDS, Finding, weigh
+from coordinator.judging import Centralised, judge, make_observer
+from coordinator.report import format_verdict
+from coordinator.result import RunResult, as_json
+from coordinator.watch import Watcher
+from scenarios.scenario import load_scenario
+from scenarios.telemetry import make_telemetry
+
+SCENARIO = load_scenario("industrial13")
+TELEMETRY = make_telemetry(SCENARIO)
+FINDINGS = [Finding(word, f"it is {word}") for word in WORDS] + [Finding(DEGRADED, "a second reason")]
+SETS = [found for n in range(len(FINDINGS) + 1) for found in itertools.combinations(FINDINGS, n)]
+LIFE = Incarnation(1, 1)
+
+
+def a_state_with(area, found: tuple[Finding, ...]) -> StateMessage:
+    """As an area publishes it that has found this."""
+    word, notes = weigh(found)
+    words = {finding.word for finding in found}
+    numbers = {"buses": (), "vm": (), "va": (), "sigma_vm": (), "sigma_va": ()}
+    if not words & {NONE, UNOBSERVABLE}:
+        n = len(area.network.buses)
+        numbers = {"buses": tuple(b.id for b in area.network.buses), "vm": (1.0,) * n, "va": (0.0,) * n}
+        numbers |= {"sigma_vm": (0.001,) * n, "sigma_va": (0.001,) * n}
+    said = {neighbour.area: (1, 1) for neighbour in area.neighbours}
+    changes = {"quality": word, "notes": notes, "referenced": RELATIVE_ANGLE not in words, "sent": said, "heard": said}
+    return said_by(area.name, LIFE, **numbers, **changes, telemetry_age=0.0)
+
+
+def results(found: tuple[Finding, ...], *, is_gone: bool) -> Iterator[tuple[RunResult, Watcher]]:
+    """What a run and a watcher say, soon and long after the last change, with these findings in area1."""
+    observer, watcher = make_observer(SCENARIO), Watcher("run")
+    for area in SCENARIO.partition.areas:
+        observer.take_presence(area.name, True, 0.0)
+        watcher.take_presence(f"dsse/v1/run/live/area/{area.name}/{LIFE}", True)
+    states = [a_state_with(area, found if area.name == "area1" else ()) for area in SCENARIO.partition.areas]
+    for now in (1.0, 100.0):
+        for state in states:
+            observer.take_state(state, now)
+            watcher.take_state(replace(state, header=replace(state.header, run="run")), now)
+        if is_gone:
+            observer.take_presence("area1", False, now)
+            watcher.take_presence(f"dsse/v1/run/live/area/area1/{LIFE}", False)
+        standing = observer.standing(now)
+        reason = "; ".join(standing.obstacles) or standing.dead_end
+        outcome = judge(
+            SCENARIO,
+            "run",
+            observer,
+            TELEMETRY,
+            Centralised(None, "not asked for"),
+            reason or None,
+            started=0.0,
+            wall_s=1.0,
+            virtual_s=now,
+            timing_s={},
+            faults={},
+        )
+        yield outcome.in_folder(Path("nowhere")), watcher
+
+
+def test_a_word_has_its_reason_first_and_a_good_state_has_none():
+    for found in SETS:
+        word, notes = weigh(found)
+        assert set(notes) == {finding.note for finding in found}
+        reasons = [finding.note for finding in found if finding.word == word != GOOD]
+        assert (word == GOOD) == (not reasons)
+        assert word == GOOD or notes[0] in reasons
+
+
+@pytest.mark.parametrize("is_gone", [False, True], ids=["there", "gone"])
+def test_run_report_and_watcher_say_the_same_of_every_combination_of_findings(is_gone: bool):
+    for found in SETS:
+        for result, watcher in results(found, is_gone=is_gone):
+            (area,) = [area for area in result.areas if area.name == "area1"]
+            (view,) = [view for view in watcher.look(1.0).areas if view.name == "area1"]
+            told = as_json(result)["areas"]["area1"]
+            assert told["degraded"] == (told["quality"] != GOOD)
+            assert area.quality == view.quality
+            assert area.quality == GOOD or area.notes
+            lines = format_verdict(result).splitlines()
+            told_of = [line for line in lines if ": area1: " in line]
+            assert told_of == [f"{area.quality if area.degraded else 'note'}: area1: {'; '.join(area.notes)}"] * bool(
+                area.notes
+            )
+            assert any(line.startswith("area1 ") and line.endswith(f" {area.quality}") for line in lines)
+            if is_gone:
+                assert area.quality in (STALE, NONE)
+                assert "area1 is not on the bus" in area.notes[0]
+            else:
+                assert (area.quality, area.notes) == weigh(found)
+                assert view.notes == area.notes
+            if result.verdict.consensus:  # exit code 0
+                assert area.quality in (GOOD, DEGRADED)
+                assert lines[0].startswith("consensus")
+            else:
+                assert result.verdict.reason
