@@ -1,8 +1,8 @@
 """How messages are packed, and what is refused of what comes: an array in MessagePack, then its CRC-32.
 
 ``[wire version, kind, header, ...body]``: the fields of ``agents/message_types.py`` in their order, dataclasses as
-arrays of their fields, maps as arrays of pairs. The type of this array follows from the class; msgspec checks all of
-it while it reads, so nothing but what a message may hold is ever made of a payload.
+arrays of their fields, maps as arrays of pairs. msgpack packs. The type of this array follows from the class; msgspec
+checks all of it while it reads, so nothing but what a message may hold is ever made of a payload.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from collections.abc import Callable, Mapping
 from operator import attrgetter
 from typing import Any
 
+import msgpack
 import msgspec
 import numpy as np
 
@@ -150,16 +151,13 @@ def _plain(number: object) -> Any:
     raise TypeError(f"{type(number).__name__} has no place in a message")
 
 
-_encoder = msgspec.msgpack.Encoder(enc_hook=_plain)
-
-
 def encode(message: Message) -> bytes:
     """The payload of ``message``."""
     packing = _PACKINGS[message.kind]
     places = [WIRE_VERSION, message.kind, *packing.values(message)]
     for k, form in packing.forms:
         places[2 + k] = _PACK[form](places[2 + k])
-    return seal(_encoder.encode(places))
+    return seal(msgpack.packb(places, default=_plain))
 
 
 def seal(packed: bytes) -> bytes:
@@ -178,7 +176,7 @@ class _Beginning(msgspec.Struct, array_like=True):
 
 
 _beginning = msgspec.msgpack.Decoder(_Beginning)
-_BY_KIND = {_encoder.encode(kind): packing for kind, packing in _PACKINGS.items()}
+_BY_KIND = {msgpack.packb(kind): packing for kind, packing in _PACKINGS.items()}
 
 
 def decode(payload: bytes, largest: int = MAX_BYTES) -> Message:
