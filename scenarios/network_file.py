@@ -15,6 +15,7 @@ from pydantic import Field, model_validator
 from dsse_core.errors import InvalidInputError
 from dsse_core.limits import LONGEST_NAME
 from dsse_core.network import Branch, Bus, Control, Generator, Network
+from scenarios.physical_ranges import find_base_problems, find_range_problems
 from scenarios.shipped_files import find_shipped
 from scenarios.strict_toml import Table, load_strict
 from scenarios.wording import suggest
@@ -128,12 +129,14 @@ def load_network(path: Path) -> Network:
         InvalidInputError: listing every problem of the file, with key paths.
     """
     file = load_strict(path, NetworkFile)
+    if problems := list(find_base_problems(file.base_mva, _base_kv_by_bus(file))):
+        raise InvalidInputError(str(path), problems)
     problems = list(_find_unit_problems(file))
     try:
         network = _to_per_unit(file)
     except InvalidInputError as error:
         raise InvalidInputError(str(path), [*problems, *error.problems]) from None
-    if problems := [*problems, *find_zero_impedance_problems(network)]:
+    if problems := [*problems, *find_range_problems(network), *find_zero_impedance_problems(network)]:
         raise InvalidInputError(str(path), problems)
     return network
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.network import ZERO_IMPEDANCE, Network
+from scenarios.physical_ranges import find_range_problems
 
 
 def find_zero_impedance_problems(
@@ -28,7 +29,7 @@ def refuse_zero_impedances(network: Network, names: Mapping[str, str], cure: str
     """Refuse a whole ``network`` of another project's file for them; see ``find_zero_impedance_problems``.
 
     Raises:
-        InvalidInputError: a problem for each.
+        InvalidInputError: a problem for each; or, as the median counts, for each number that no grid has.
     """
-    if problems := list(find_zero_impedance_problems(network, names, cure)):
+    if problems := list(find_range_problems(network)) or list(find_zero_impedance_problems(network, names, cure)):
         raise InvalidInputError(f"network {network.name!r}", problems)

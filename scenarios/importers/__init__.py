@@ -10,6 +10,7 @@ from dsse_core.bounded_parsing import parse_json
 from dsse_core.errors import InvalidInputError
 from dsse_core.printable import printable
 from scenarios.importers.imported import Imported
+from scenarios.physical_ranges import find_range_problems
 
 __all__ = ["Imported", "import_grid"]
 
@@ -22,9 +23,16 @@ def import_grid(path: Path, *, name: str | None = None, frequency_hz: float = 50
     not hold it.
 
     Raises:
-        InvalidInputError: unknown format, missing optional package, or everything that the network model cannot hold.
+        InvalidInputError: unknown format, missing optional package, everything that the network model cannot hold, and
+            every number that no grid has.
     """
-    imported = _read(path, frequency_hz)
+    try:
+        imported = _read(path, frequency_hz)
+    except ArithmeticError as error:  # of numbers that stand for no grid, before there is a network to look at
+        problem = f"it has numbers that cannot be computed with ({type(error).__name__}); look for zeros and huge ones"
+        raise InvalidInputError(str(path), [problem]) from None
+    if problems := list(find_range_problems(imported.network)):
+        raise InvalidInputError(str(path), problems)
     network = replace(imported.network, name=printable(imported.network.name if name is None else name))
     return replace(imported, network=network, data_source=printable(imported.data_source))
 

@@ -11,6 +11,7 @@ from dsse_core.network import Branch, Bus, Network
 from dsse_core.printable import listed
 from scenarios.importers.imported import Remark, add_shunts, fuse, fused_remarks
 from scenarios.network_file import default_branch_id
+from scenarios.physical_ranges import find_range_problems
 
 
 def fuse_zero_impedances(network: Network) -> tuple[Network, list[Remark]]:
@@ -20,8 +21,11 @@ def fuse_zero_impedances(network: Network) -> tuple[Network, list[Remark]]:
     and is left out; its charging stays as a shunt. The others get the ids that their new ends give.
 
     Raises:
-        InvalidInputError: a transformer would be fused, or left out, whose ratio keeps the two voltages apart.
+        InvalidInputError: a transformer would be fused, or left out, whose ratio keeps the two voltages apart;
+            or a number is one that no grid has.
     """
+    if problems := list(find_range_problems(network)):
+        raise InvalidInputError(f"network {network.name!r}", problems)
     zero = network.find_zero_impedances()
     if not zero:
         return network, []

@@ -38,6 +38,7 @@ from scenarios.importers.power_grid_model_data import (
     working_sources,
 )
 from scenarios.network_file import default_branch_id
+from scenarios.physical_ranges import find_base_problems
 from scenarios.zero_impedances import refuse_zero_impedances
 
 BASE_VA = 1e6
@@ -112,9 +113,9 @@ def _kind_of(data: Data, component: int) -> str:
 
 
 def _convert(name: str, data: Data, frequency_hz: float, *, measured: bool) -> tuple[Conversion, list[Remark]]:
-    if problems := list(_find_problems(data, measured=measured)):
-        raise InvalidInputError(name, problems)
     kv = {int(node["id"]): float(node["u_rated"]) / 1000 for node in rows(data, "node")}
+    if problems := [*find_base_problems(BASE_VA / 1e6, kv), *_find_problems(data, measured=measured)]:
+        raise InvalidInputError(name, problems)
     closed = [link for link in rows(data, "link") if link["from_status"] and link["to_status"]]
     bus_of = fuse(kv, ((int(link["from_node"]), int(link["to_node"])) for link in closed))
     branches, branch_of, shunts = _build_branches(data, kv, bus_of, frequency_hz)
