@@ -20,6 +20,7 @@ from agents.credentials import AUTHORITY, check_credentials, credentials_in
 from coordinator.run_folder import folder_error
 from dsse_core.errors import InvalidInputError
 from dsse_core.partition import Partition
+from scenarios.whole_folder import written_whole
 
 HERE = ("localhost", "127.0.0.1", "::1")
 LONGEST_HOST = 253  # letters of a name in the DNS, RFC 1035
@@ -69,6 +70,7 @@ def create_keys(folder: Path, access: Access, days: float, hosts: Sequence[str] 
 
     Raises:
         InvalidInputError: ``folder`` holds something already, or a name does not fit into a certificate.
+        OSError: ``folder`` cannot be made or written; then it is as before.
     """
     problems = [
         f"area {name!r} is longer than the {LONGEST_NAME} letters of a certificate's common name; shorten it"
@@ -82,12 +84,16 @@ def create_keys(folder: Path, access: Access, days: float, hosts: Sequence[str] 
     if problems:
         raise InvalidInputError("keys", problems)
     try:
-        make_private_folder(folder)
-        occupied = any(folder.iterdir())
+        occupied = folder.exists() and any(folder.iterdir())
     except OSError as error:
         raise folder_error(f"keys {folder}", error) from None
     if occupied:
         raise InvalidInputError(f"keys {folder}", ["is not empty; keys are never overwritten: choose a new folder"])
+    with written_whole(folder, make_private_folder) as new:
+        _write_keys(new, access, days, hosts, listeners)
+
+
+def _write_keys(folder: Path, access: Access, days: float, hosts: Sequence[str], listeners: Sequence[str]) -> None:
     authority = credentials_in(folder, AUTHORITY)
     signing_key = ec.generate_private_key(ec.SECP256R1())
     issuer = _name(f"authority of {access.run}"[:LONGEST_NAME])

@@ -46,13 +46,17 @@ def split(
     from coordinator.judging import prepare_scenario
     from coordinator.places import choose_places
     from coordinator.split import choose_run_id, write_area_files
+    from scenarios.whole_folder import written_whole
 
     prepared = prepare_scenario(scenario, seed)
     endpoints = choose_endpoints(endpoints, secure)
     direct = prepared.transport.kind == "neighbours"
     places = choose_places(prepared, "tls" if secure else "tcp") if direct else {}
-    for path in dict(write_area_files(prepared, choose_run_id(prepared, run_id), endpoints, out, places)).values():
-        show(printable(path))
+    run = choose_run_id(prepared, run_id)
+    with written_whole(out) as new:
+        names = [path.name for _, path in write_area_files(prepared, run, endpoints, new, places)]
+    for name in names:
+        show(printable(out / name))
 
 
 @click.command(
@@ -153,7 +157,9 @@ def stop(folder: Path) -> None:
     from coordinator.stop_run import stop_run
 
     run, count = stop_run(folder)
-    if count:
+    if run is None:
+        show(printable(f"{folder}: nothing to stop; the run was killed before it had started a process"))
+    elif count:
         print(f"run {run.id}: {count} process{'es' * (count > 1)} ended")
     else:
         print(f"run {run.id}: no process of it is left on this host")

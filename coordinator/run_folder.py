@@ -8,6 +8,9 @@ from pathlib import Path
 
 from dsse_core.errors import InvalidInputError
 
+PARTS = ("areas", "logs")
+EVENTS = "events.jsonl"
+
 
 def make_run_folder(out: str | Path | None, name: str, inside: Sequence[str] = ()) -> Path:
     """Make folder ``out``, or ``runs/<name>-<time>``, and the folders ``inside`` it.

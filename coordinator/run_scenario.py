@@ -17,10 +17,10 @@ from coordinator.events import EventLog
 from coordinator.judging import choose_scenario, judge, make_observer, no_consensus_within
 from coordinator.observer import Observer
 from coordinator.process_faults import do_to_processes
-from coordinator.processes import Launcher
+from coordinator.processes import Launcher, LaunchError
 from coordinator.progress import UPDATE_S, Progress, describe_progress
 from coordinator.result import RunResult, write_files
-from coordinator.run_folder import make_run_folder
+from coordinator.run_folder import EVENTS, PARTS, make_run_folder
 from coordinator.run_news import (
     RunUnderWay,
     listen,
@@ -61,14 +61,16 @@ def run_scenario(
     scenario = choose_scenario(scenario, seed, strategy, timeout_s)
     launcher.preload(*_find_solvers(scenario))  # beside the check, which in a large grid takes as long
     check_scenario(scenario)
-    folder = make_run_folder(out, default_run_id(scenario), ("areas", "logs"))
-    with ExitStack() as at_the_end, EventLog(folder / "events.jsonl", started) as events:
+    folder = make_run_folder(out, default_run_id(scenario), PARTS)
+    with ExitStack() as at_the_end, EventLog(folder / EVENTS, started) as events:
         run_id = f"{default_run_id(scenario)}-{secrets.token_hex(4)}"
         keys = _find_keys(scenario, run_id, at_the_end, secure, keys)
         system = System(launcher, scenario, run_id, folder, keys=keys)
         run = RunUnderWay(scenario, run_id, folder, system, events, started)
         parent = {"parent_pid": launcher.pid, "mark": launcher.mark}
         events.write("run started", None, run=run_id, scenario=scenario.name, seed=scenario.seed, **parent)
+        if events.failure:  # by this event `dsse stop` finds the processes, which so are not started
+            raise LaunchError(f"{events.failure}; no process is started; choose another place, or make room there")
         listen_to_processes(run)
         run.note_time("scenario_loaded")
         try:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from coordinator.run_folder import EVENTS, PARTS
 from coordinator.zygote import MODULE, STOP_S
 from dsse_core.bounded_file import read_text
 from dsse_core.errors import DsseError, InvalidInputError
@@ -36,16 +37,19 @@ class StartedRun:
     mark: str
 
 
-def stop_run(folder: Path) -> tuple[StartedRun, int]:
+def stop_run(folder: Path) -> tuple[StartedRun | None, int]:
     """End what is left on this host of the run in ``folder``; the run, and how many processes that were.
 
-    The parent of all is asked to stop all of them in order; what is left after its time is up is asked itself, and then
-    killed. A process is known by its command line: its number may be another's by now.
+    None for a run that was killed before it started a process. The parent of all is asked to stop all of them in order;
+    what is left after its time is up is asked itself, and then killed. A process is known by its command line: its
+    number may be another's by now.
 
     Raises:
         InvalidInputError: ``folder`` is not that of a run of processes.
         StopError: processes are still there.
     """
+    if _is_of_no_process(folder):
+        return None, 0
     run = read_started_run(folder)
     found = set(find_marked(run.mark))
     if run.parent_pid in found:
@@ -62,13 +66,26 @@ def stop_run(folder: Path) -> tuple[StartedRun, int]:
     return run, len(found)
 
 
+def _is_of_no_process(folder: Path) -> bool:
+    """Whether ``folder`` is what a run leaves that was killed before its first event, which no process precedes."""
+    try:
+        entries = list(folder.iterdir())
+        log = folder / EVENTS
+        begun = log in entries and log.stat().st_size > 0
+        return (
+            bool(entries) and not begun and all(e == log or (e.name in PARTS and not any(e.iterdir())) for e in entries)
+        )
+    except OSError:
+        return False  # as is said when the log is read
+
+
 def read_started_run(folder: Path) -> StartedRun:
     """The run that ``folder`` is of, from the first line of its ``events.jsonl``.
 
     Raises:
         InvalidInputError: it cannot be read, or is not that of a run of processes.
     """
-    path = folder / "events.jsonl"
+    path = folder / EVENTS
     try:
         event: dict[str, Any] = json.loads((read_text(path).splitlines() or [""])[0])
         run = StartedRun(str(event["run"]), int(event["parent_pid"]), str(event["mark"]))

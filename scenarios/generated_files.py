@@ -11,9 +11,11 @@ from dsse_core.errors import InvalidInputError
 from dsse_core.network import Network
 from scenarios.generator import Tree, generate_feeder
 from scenarios.network_file import save_network
+from scenarios.whole_folder import written_whole
 
 METERS_STREAM = 1  # of the seed; the network has stream 0, so that it is the same whatever the meters are
 VOLTMETER_EVERY = {"standard": 10, "sparse": 50}  # buses
+SCENARIO_FILE = "scenario.toml"
 MOST_BUSES_IN_TOML = 5000  # larger networks become JSON, which is read much faster
 
 SCENARIO = """\
@@ -59,6 +61,7 @@ def write_generated(
 
     Raises:
         InvalidInputError: more areas than branches, or as ``generate_feeder``.
+        OSError: ``folder`` cannot be made or written; then it is as before.
     """
     if n_area >= n_bus:
         problem = f"{n_area} areas are asked for, but {n_bus} buses have {n_bus - 1} branches; ask for fewer"
@@ -66,11 +69,11 @@ def write_generated(
     network, tree = generate_feeder(n_bus, np.random.default_rng([seed, 0]), lowest_vm=lowest_vm, n_pv=n_pv)
     command = f"dsse generate --buses {n_bus} --seed {seed} --areas {n_area} --lowest-vm {lowest_vm} --meters {meters}"
     command += f" --pv {n_pv}" if n_pv else ""
-    folder.mkdir(parents=True, exist_ok=True)
-    save_network(folder / name_network_file(n_bus), network, f"made up by: {command}")
-    path = folder / "scenario.toml"
-    path.write_text(_format_scenario(command, network, tree, seed, n_area, meters), encoding="utf-8")
-    return path
+    scenario = _format_scenario(command, network, tree, seed, n_area, meters)
+    with written_whole(folder) as new:
+        save_network(new / name_network_file(n_bus), network, f"made up by: {command}")
+        (new / SCENARIO_FILE).write_text(scenario, encoding="utf-8")
+    return folder / SCENARIO_FILE
 
 
 def name_network_file(n_bus: int) -> str:

@@ -11,6 +11,7 @@ import psutil
 import pytest
 
 from coordinator import stop_run as stopping
+from coordinator.cli import run_command
 from coordinator.processes import Launcher
 from coordinator.stop_run import find_marked, read_started_run, stop_run
 from dsse_core.errors import InvalidInputError
@@ -56,3 +57,24 @@ def test_a_folder_of_no_run_is_refused(tmp_path: Path, about: dict[str, object])
 def test_a_folder_without_events_is_refused(tmp_path: Path):
     with pytest.raises(InvalidInputError, match=r"events\.jsonl: 1 problem\n  - cannot be read: No such file"):
         read_started_run(tmp_path)
+
+
+@pytest.mark.parametrize("parts", [("areas",), ("areas", "logs"), ("areas", "logs", "events.jsonl")])
+def test_a_run_that_was_killed_before_its_first_event_has_nothing_to_stop(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], parts: tuple[str, ...]
+):
+    for part in parts:
+        (tmp_path / part).touch() if "." in part else (tmp_path / part).mkdir()
+    assert run_command(["stop", str(tmp_path)]) == 0
+    said = capsys.readouterr()
+    assert said.out == f"{tmp_path}: nothing to stop; the run was killed before it had started a process\n"
+
+
+def test_a_folder_with_other_things_and_no_events_is_still_refused(tmp_path: Path):
+    (tmp_path / "areas").mkdir()
+    (tmp_path / "areas" / "area1.toml").touch()
+    with pytest.raises(InvalidInputError, match="cannot be read: No such file"):
+        stop_run(tmp_path)
+    (tmp_path / "events.jsonl").touch()
+    with pytest.raises(InvalidInputError, match="does not begin with the start of a run"):
+        stop_run(tmp_path)

@@ -1,0 +1,39 @@
+"""Files that belong together come into a folder all at once, or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+
+def _make(folder: Path) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+
+
+@contextmanager
+def written_whole(folder: Path, make: Callable[[Path], None] = _make) -> Iterator[Path]:
+    """A folder to write into; at the end of the block the files in it stand in ``folder``, in place of others there.
+
+    After any error ``folder`` is as before, and gone with what was missing above it if it was not there. ``make`` makes
+    it and what is missing above.
+
+    Raises:
+        OSError: naming ``folder``, where it cannot be made or written, or a disk is full.
+    """
+    made = [place for place in (folder, *folder.parents) if not place.exists()]
+    try:
+        make(folder)
+        with tempfile.TemporaryDirectory(prefix=".new-", dir=folder) as new:
+            yield Path(new)
+            for file in sorted(Path(new).iterdir()):
+                file.replace(folder / file.name)
+    except BaseException as error:
+        for place in made:
+            with contextlib.suppress(OSError):  # never made, or something else stands in it by now
+                place.rmdir()
+        if isinstance(error, OSError):
+            raise OSError(error.errno, error.strerror or str(error), str(folder)) from None
+        raise
