@@ -22,11 +22,12 @@ def compile_ahead() -> CompiledAhead:
 
     Raises:
         InvalidInputError: numba is not installed, or there is no safe folder to keep the code in.
+        OSError: code could not be written there.
     """
     if importlib.util.find_spec("numba") is None:
         problem = "numba is not installed, and nothing is compiled without it; pip install 'consensus-dsse[fast]'"
         raise InvalidInputError("dsse compile", [problem])
-    from dsse_core.code_cache import find_folder_to_keep_in, find_places
+    from dsse_core.code_cache import find_folder_to_keep_in, find_places, not_kept
 
     if find_folder_to_keep_in() is None:
         faults = [f"{place.folder}: {place.fault or 'cannot be written'}" for place in find_places()]
@@ -37,5 +38,7 @@ def compile_ahead() -> CompiledAhead:
     compiling.listen(lambda begins, folder: folders.append(folder) if begins else None)
     warm_up()
     warm_up_estimate()
+    if not_kept:
+        raise OSError(not_kept[0].errno, not_kept[0].strerror, folders[0] if folders else None)
     looked_in = tuple(str(place.folder) for place in find_places() if place.fault is None)
     return CompiledAhead(folders[0] if folders else None, looked_in)

@@ -28,6 +28,8 @@ from dsse_core.errors import InvalidInputError
 BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 SOURCES = Path(__file__).resolve().parent
 CODE = (".nbi", ".nbc")  # numba's index and data files
+not_kept: list[OSError] = []
+"""Why code of this process could not be written."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,8 +160,11 @@ class KeptCode:
     def save_overload(self, sig: Any, data: Any) -> None:
         folder = find_folder_to_keep_in()
         if folder is not None and folder in self._caches:
-            with contextlib.suppress(OSError), _for_owner_to_write():  # a full disk: the next process compiles anew
-                self._caches[folder].save_overload(sig, data)
+            try:
+                with _for_owner_to_write():
+                    self._caches[folder].save_overload(sig, data)
+            except OSError as error:  # a full disk: the next process compiles anew
+                not_kept.append(error)
 
     def enable(self) -> None: ...
 

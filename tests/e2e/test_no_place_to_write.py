@@ -4,22 +4,23 @@ from __future__ import annotations
 
 import os
 import resource
+import shutil
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from dsse_command import COMMAND, ENVIRONMENT, ROOT
+from dsse_command import COMMAND, ENVIRONMENT
 from waiting import DEADLINE_S
 
 NOBODY = 65534
-CASE = str(ROOT / "tests" / "data" / "feeder.m")
+CAN_DROP = os.geteuid() != 0 or shutil.which("setpriv") is not None
 COMMANDS = {
     "import": ["import", "feeder.m", "--out"],
     "generate": ["generate", "--buses", "40", "--out"],
     "split": ["split", "ieee33", "--out"],
     "keys": ["keys", "create", "ieee33", "--out"],
-    "sweep": ["sweep", "ieee33", "--vary", "seed=1,2", "--seeds", "1", "--strategies", "information", "--out"],
+    "sweep": ["sweep", "ieee33", "--vary", "faults.loss=0,0.1", "--seeds", "1", "--strategies", "information", "--out"],
     "compare": ["compare", "ieee33", "--strategies", "information", "--out"],
     "simulate": ["simulate", "ieee33", "--no-plots", "--out"],
     "run": ["run", "ieee33", "--no-plots", "--out"],
@@ -34,14 +35,32 @@ mpc.branch = [ 1 2 0.01 0.02 0 0 0 0 0 0 1 ];
 """
 
 
+def lock(folder: Path) -> None:
+    """Make a folder that only another user may write, or that nobody may where we are nobody special."""
+    folder.mkdir(mode=0o555)
+    if os.geteuid() == 0:
+        os.chown(folder, NOBODY, NOBODY)
+
+
 def run_there(
-    folder: Path, arguments: list[str], prepare: Callable[[], None], **environment: str
+    folder: Path,
+    arguments: list[str],
+    prepare: Callable[[], None] | None = None,
+    *,
+    kept_out: bool = False,
+    without_home: bool = False,
+    **environment: str,
 ) -> subprocess.CompletedProcess[str]:
+    """``dsse`` in ``folder``; ``kept_out``: without root's right to write everywhere."""
     (folder / "feeder.m").write_text(FEEDER)
+    without = ["setpriv", "--bounding-set", "-dac_override,-dac_read_search,-fowner"]
+    variables = ENVIRONMENT | environment
+    if without_home:
+        del variables["HOME"]
     return subprocess.run(
-        [*COMMAND, *arguments],
+        [*(without if kept_out and os.geteuid() == 0 else []), *COMMAND, *arguments],
         cwd=folder,
-        env=ENVIRONMENT | environment,
+        env=variables,
         capture_output=True,
         text=True,
         timeout=DEADLINE_S,
@@ -68,17 +87,44 @@ def test_a_full_disk_is_one_error_and_leaves_nothing_half_written(tmp_path: Path
         assert [path.name for path in tmp_path.iterdir()] == ["feeder.m"]
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="to become another user takes root")
+@pytest.mark.skipif(not CAN_DROP, reason="to be kept out of a folder, root needs setpriv")
 @pytest.mark.parametrize("command", COMMANDS)
-def test_a_folder_that_cannot_be_written_is_one_error(open_folder: Path, command: str) -> None:
-    (open_folder / "locked").mkdir(mode=0o755)
-    done = run_there(open_folder, [*COMMANDS[command], "locked/out"], become_nobody)
+def test_a_folder_that_cannot_be_written_is_one_error(tmp_path: Path, command: str) -> None:
+    lock(tmp_path / "locked")
+    done = run_there(tmp_path, [*COMMANDS[command], "locked/out"], kept_out=True)
     check_one_error(done)
     assert "locked/out" in done.stderr
-    assert list((open_folder / "locked").iterdir()) == []
+    assert list((tmp_path / "locked").iterdir()) == []
 
 
-def become_nobody() -> None:
-    os.setgroups([])
-    os.setgid(NOBODY)
-    os.setuid(NOBODY)
+@pytest.mark.skipif(not CAN_DROP, reason="to be kept out of a folder, root needs setpriv")
+def test_compiled_code_that_can_be_kept_nowhere_is_one_error(tmp_path: Path) -> None:
+    pytest.importorskip("numba")
+    lock(tmp_path / "locked")
+    done = run_there(tmp_path, ["compile"], kept_out=True, NUMBA_CACHE_DIR=str(tmp_path / "locked" / "out"))
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith("error: ")
+    assert str(tmp_path / "locked") in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.skipif(not CAN_DROP, reason="to be kept out of a folder, root needs setpriv")
+@pytest.mark.parametrize("home", ["locked", "nowhere", ""])
+def test_without_a_home_that_can_be_written_a_run_is_as_ever(tmp_path: Path, home: str) -> None:
+    lock(tmp_path / "locked")
+    environment = {"HOME": str(tmp_path / home) if home else "", "TMPDIR": str(tmp_path / "nowhere")}
+    done = run_there(tmp_path, ["run", "ieee33", "--out", "out"], kept_out=True, without_home=not home, **environment)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("consensus after ")
+    assert "Traceback" not in done.stderr
+    assert list((tmp_path / "locked").iterdir()) == []
+
+
+def test_a_folder_that_another_run_uses_is_one_error(tmp_path: Path) -> None:
+    (tmp_path / "out" / "areas").mkdir(parents=True)
+    (tmp_path / "out" / "events.jsonl").write_text("{}")
+    done = run_there(tmp_path, ["run", "ieee33", "--out", "out"])
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == (
+        "error: run folder out: 1 problem\n  - is not empty; choose a new one, or remove what it holds\n"
+    )

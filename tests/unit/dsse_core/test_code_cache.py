@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -90,3 +92,63 @@ def test_without_a_choice_an_administrators_place_comes_before_the_users(monkeyp
     beside, of_user = (found.folder for found in find_places.__wrapped__())
     assert beside == code_cache.SOURCES / "__pycache__"
     assert of_user.parent == place / "dsse"
+
+
+def faults_seen_by(user: int, folders: list[Path]) -> list[str | None]:
+    """What ``find_fault`` tells an unprivileged process of ``user``."""
+    reader, writer = os.pipe()
+    child = os.fork()
+    if child == 0:
+        try:
+            os.setgroups([])
+            os.setgid(user)
+            os.setuid(user)
+            os.write(writer, json.dumps([find_fault(folder) for folder in folders]).encode())
+        finally:
+            os._exit(0)
+    os.close(writer)
+    with os.fdopen(reader, "rb") as file:
+        told = file.read()
+    os.waitpid(child, 0)
+    faults: list[str | None] = json.loads(told)
+    return faults
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="to become other users takes root")
+def test_a_user_loads_code_of_his_own_and_of_root_and_of_nobody_else():
+    with tempfile.TemporaryDirectory(dir="/tmp") as name:
+        top = Path(name)
+        top.chmod(0o755)
+        places = {}
+        for whose, owner in {"mine": STRANGER, "root's": 0, "another's": STRANGER + 1}.items():
+            places[whose] = top / whose
+            places[whose].mkdir(mode=0o755)
+            os.chown(places[whose], owner, owner)
+        for what, mode in {"of my group": 0o775, "of all": 0o757, "sticky": 0o1777}.items():
+            places[what] = top / what
+            places[what].mkdir()
+            places[what].chmod(mode)
+            os.chown(places[what], STRANGER, STRANGER)
+        places["below another's"] = places["another's"] / "mine"
+        places["below another's"].mkdir()
+        os.chown(places["below another's"], STRANGER, STRANGER)
+        places["a link to another's"] = places["mine"] / "link"
+        places["a link to another's"].symlink_to(places["another's"])
+        faults = dict(zip(places, faults_seen_by(STRANGER, list(places.values())), strict=True))
+    assert (faults.pop("mine"), faults.pop("root's")) == (None, None)
+    assert all(faults.values()), faults
+    assert f"belongs to user {STRANGER + 1}" in (faults["below another's"] or "")
+    assert f"belongs to user {STRANGER + 1}" in (faults["a link to another's"] or "")
+
+
+def test_code_that_finds_no_room_is_not_said_to_be_kept(place: Path, monkeypatch: pytest.MonkeyPatch):
+    class Full:
+        def save_overload(self, sig: object, data: object) -> None:
+            raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(code_cache, "find_folder_to_keep_in", lambda: place)
+    monkeypatch.setattr(code_cache, "not_kept", [])
+    kept = code_cache.KeptCode(find_fault)
+    monkeypatch.setattr(kept, "_caches", {place: Full()})
+    kept.save_overload("", None)
+    assert [error.strerror for error in code_cache.not_kept] == ["No space left on device"]
