@@ -89,8 +89,11 @@ def create_keys(folder: Path, access: Access, days: float, hosts: Sequence[str] 
         raise folder_error(f"keys {folder}", error) from None
     if occupied:
         raise InvalidInputError(f"keys {folder}", ["is not empty; keys are never overwritten: choose a new folder"])
-    with written_whole(folder, make_private_folder) as new:
-        _write_keys(new, access, days, hosts, listeners)
+    try:
+        with written_whole(folder, make_private_folder) as new:
+            _write_keys(new, access, days, hosts, listeners)
+    except (FileExistsError, NotADirectoryError) as error:
+        raise folder_error(f"keys {folder}", error) from None
 
 
 def _write_keys(folder: Path, access: Access, days: float, hosts: Sequence[str], listeners: Sequence[str]) -> None:

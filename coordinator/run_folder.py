@@ -25,13 +25,21 @@ def make_run_folder(out: str | Path | None, name: str, inside: Sequence[str] = (
         folder.mkdir(parents=True, exist_ok=True)
         occupied = any(folder.iterdir())
         if not occupied:
-            for part in inside:
-                (folder / part).mkdir()
+            occupied = not all(_is_made(folder / part) for part in inside)
     except OSError as error:
         raise folder_error(f"run folder {folder}", error) from None
     if occupied:
         raise InvalidInputError(f"run folder {folder}", ["is not empty; choose a new one, or remove what it holds"])
     return folder
+
+
+def _is_made(folder: Path) -> bool:
+    """Make ``folder``; False where somebody else just has."""
+    try:
+        folder.mkdir()
+    except FileExistsError:
+        return False
+    return True
 
 
 def folder_error(what: str, error: OSError) -> InvalidInputError:

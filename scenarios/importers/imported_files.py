@@ -46,6 +46,7 @@ def write_imported(
 
     Raises:
         InvalidInputError: one of the files is there already, or the network cannot be cut into ``n_area`` areas.
+        OSError: ``folder`` cannot be made or written.
     """
     if present := [name for name in FILES if (folder / name).exists()]:
         problems = [f"{name} is there already; choose another folder" for name in present]
@@ -56,12 +57,15 @@ def write_imported(
         folder.mkdir(parents=True, exist_ok=True)
         path = _write_files(folder, imported, n_area)
         check(path)
-    except BaseException:
+    except BaseException as error:
         for name in FILES:
-            (folder / name).unlink(missing_ok=True)
+            with contextlib.suppress(OSError):  # never made, where the folder cannot be
+                (folder / name).unlink(missing_ok=True)
         for parent in made:
             with contextlib.suppress(OSError):  # never made, or something else stands in it by now
                 parent.rmdir()
+        if isinstance(error, OSError):  # of a full disk it does not say where
+            raise OSError(error.errno, error.strerror, str(folder)) from None
         raise
     return path, summarise(imported, full=False)
 

@@ -84,6 +84,7 @@ def test_a_full_disk_is_one_error_and_leaves_nothing_half_written(tmp_path: Path
     done = run_there(tmp_path, [*COMMANDS[command], "deep/out"], fill)
     check_one_error(done)
     if command in LEAVES_NOTHING:
+        assert done.stderr.startswith("error: deep/out: File too large; ")
         assert [path.name for path in tmp_path.iterdir()] == ["feeder.m"]
 
 
