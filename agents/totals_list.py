@@ -1,4 +1,4 @@
-"""Totals as messages carry them: a list of (kind, value), the kinds being the fields of ``Totals`` in their order.
+"""Totals as messages carry them: a list of (kind, value), a kind for each field of ``Totals``, in their order.
 
 What is left out is zero, false or empty, which adds nothing to any total. So a later version can add a kind without a
 new wire version: it leaves it out where it says nothing. Who does not know a kind that is there refuses the message,
@@ -25,15 +25,16 @@ _CHECKED: Mapping[Any, Any] = {
     tuple[str, ...]: Names,
     tuple[tuple[str, float], ...]: tuple[tuple[Name, Number], ...],
 }
+SHORT = {"objective": "J", "degrees_of_freedom": "dof", "held_back": "held", "areas": "n", "referenced": "ref"}
 _TYPES = get_type_hints(Totals)
-_KINDS = [(f.name, f.default) for f in dataclasses.fields(Totals)]
-_READERS = {kind: msgspec.msgpack.Decoder(_CHECKED[_TYPES[kind]]) for kind, _ in _KINDS}
-_PLACES = {kind: place for place, (kind, _) in enumerate(_KINDS)}
+_KINDS = [(SHORT.get(f.name, f.name), f.name, f.default) for f in dataclasses.fields(Totals)]
+_READERS = {kind: msgspec.msgpack.Decoder(_CHECKED[_TYPES[name]]) for kind, name, _ in _KINDS}
+_PLACES = {kind: (place, name) for place, (kind, name, _) in enumerate(_KINDS)}
 
 
 def list_totals(totals: Totals) -> list[tuple[str, Any]]:
     """``totals`` as a message carries them."""
-    return [(kind, value) for kind, nothing in _KINDS if (value := getattr(totals, kind)) != nothing]
+    return [(kind, value) for kind, name, nothing in _KINDS if (value := getattr(totals, name)) != nothing]
 
 
 def read_totals(parts: Sequence[tuple[str, msgspec.Raw]]) -> Totals:
@@ -46,12 +47,12 @@ def read_totals(parts: Sequence[tuple[str, msgspec.Raw]]) -> Totals:
     values: dict[str, Any] = {}
     last = -1
     for kind, value in parts:
-        place = _PLACES.get(kind)
-        if place is None:
+        if kind not in _PLACES:
             if not kind.endswith("?"):
                 raise MessageError("malformed", f"totals of the unknown kind {shown(kind)}")
             continue
+        place, name = _PLACES[kind]
         if place <= last:
             raise MessageError("malformed", f"totals of kind {kind} out of order or twice")
-        last, values[kind] = place, _READERS[kind].decode(value)
+        last, values[name] = place, _READERS[kind].decode(value)
     return Totals(**values)
