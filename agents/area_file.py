@@ -35,6 +35,7 @@ class AreaFile:
             of an area that listens itself, neighbours.
         listen: where neighbours, plant and watchers link with this area directly; empty if they meet at a router.
         beat_s: interval at which the last messages are repeated, s.
+        scan_s: time between two scans, s; None where it is not known.
         tolerance: the local estimate stops at max |dx| below it, p.u. and rad.
         generation: load messages count the "telemetered" injection of substation and generators, or the
             "scheduled" one.
@@ -52,6 +53,7 @@ class AreaFile:
     endpoints: tuple[str, ...]
     listen: tuple[str, ...] = ()
     beat_s: float = 0.2
+    scan_s: float | None = None
     tolerance: float = 1e-6
     generation: str = "telemetered"
     load_error: complex = 0j
@@ -78,6 +80,7 @@ def save_area_file(path: Path, content: AreaFile) -> None:
         "endpoints": list(content.endpoints),
         **({"listen": list(content.listen)} if content.listen else {}),
         "beat_s": content.beat_s,
+        **({"scan_s": content.scan_s} if content.scan_s is not None else {}),
         "tolerance": content.tolerance,
         "seed": content.seed,
         "admm": {"penalty": content.penalty},

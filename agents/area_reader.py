@@ -19,7 +19,7 @@ from agents.keys import NAME
 from dsse_core.bounded_file import LARGEST_JSON, LARGEST_TOML, read_text
 from dsse_core.bounded_parsing import parse_json, parse_toml
 from dsse_core.errors import InvalidInputError
-from dsse_core.limits import LONGEST_S
+from dsse_core.limits import LONGEST_S, SHORTEST_SCAN_S
 from dsse_core.link_faults import LinkFaults
 from dsse_core.measurement import Meter, find_meter_problems
 from dsse_core.network import Branch, Bus, Generator, Network
@@ -63,6 +63,7 @@ def load_area_file(path: Path) -> AreaFile:
         endpoints=tuple(t.endpoints),
         listen=tuple(t.listen),
         beat_s=t.beat_s,
+        scan_s=t.scan_s,
         tolerance=t.tolerance,
         generation=t.load_messages.generation,
         load_error=complex(t.load_messages.p_error, t.load_messages.q_error),
@@ -251,6 +252,7 @@ def _file_like(all_like: Any) -> Any:
         endpoints=(list[str], ...),
         listen=(list[str], []),
         beat_s=(float, Field(0.2, gt=0, le=LONGEST_S)),
+        scan_s=(Annotated[float, Field(ge=SHORTEST_SCAN_S, le=LONGEST_S)] | None, None),
         tolerance=(float, Field(1e-6, gt=0)),
         seed=(int, 0),
         local_slack=(_Slack, ...),

@@ -197,7 +197,10 @@ class DownMessage(RoundMessage):
 
 @dataclass(frozen=True, slots=True)
 class TelemetryMessage:
-    """One scan of an area's meters: ids, values and sigmas, p.u. and rad."""
+    """One scan of an area's meters, for each reading: id, value and sigma, p.u. and rad.
+
+    ``times``: when it was measured, s since 1970 UTC. ``valid``: whether its source vouches for it.
+    """
 
     kind: ClassVar[str] = "telemetry"
     header: Header
@@ -205,9 +208,11 @@ class TelemetryMessage:
     meters: Names
     values: Numbers
     sigmas: Numbers
+    times: Numbers
+    valid: tuple[bool, ...]
 
     def find_misfit(self) -> str:
-        return _find_unequal(self, "meters", "values", "sigmas")
+        return _find_unequal(self, "meters", "values", "sigmas", "times", "valid")
 
 
 @dataclass(frozen=True, slots=True)

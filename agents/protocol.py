@@ -29,7 +29,7 @@ from agents.messages import (
     Message,
     TelemetryMessage,
 )
-from agents.quality import find_refused_clocks, find_silent_meters
+from agents.quality import find_missing_readings, find_refused_clocks
 from agents.readings import Readings
 from agents.refusals import FUTURE, find_lead, find_refusal, find_unreasonable
 from agents.reminders import Reminders
@@ -237,8 +237,9 @@ class AreaProtocol:
 
     def _show_state(self, estimate: Estimate | None, notes: Sequence[str]) -> list[Action]:
         sent = (self._words.loads, self._words.boundary)
-        silent = self._readings.silent if self._hearing.telemetry is not None else ()
-        remarks = (*find_refused_clocks(self._ahead), *find_silent_meters(silent))
+        remarks = list(find_refused_clocks(self._ahead))
+        if self._hearing.telemetry is not None:
+            remarks += find_missing_readings(self._readings.silent, self._readings.invalid)
         state = self._state.change(estimate, notes, remarks, sent, self._gone, self._all_refused, self._now)
         return [Publish(state, None)] if state else []
 

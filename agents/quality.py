@@ -105,8 +105,10 @@ def find_refused_clocks(ahead: Mapping[str, float]) -> Iterator[Finding]:
         )
 
 
-def find_silent_meters(silent: Sequence[str]) -> Iterator[Finding]:
-    """Meters without a reading; the standard deviations of the estimate say what that means."""
+def find_missing_readings(silent: Sequence[str], invalid: Sequence[str]) -> Iterator[Finding]:
+    """Meters without a reading that can be used; the standard deviations of the estimate say what that means."""
+    if invalid:
+        yield Finding(GOOD, f"{len(invalid)} readings are marked invalid, the first is of {invalid[0]}")
     if silent:
         yield Finding(GOOD, f"no reading from {len(silent)} meters, the first is {silent[0]}")
 

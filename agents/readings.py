@@ -12,7 +12,10 @@ from dsse_core.measurement import Measurement, Source
 
 
 class Readings:
-    """``measurements``: those of the scan, virtual ones included. ``silent``: ids of the meters without a reading."""
+    """``measurements``: those of the scan, virtual ones included. ``silent``: ids of the meters without a reading.
+
+    ``invalid``: of those whose reading its source has marked as not valid.
+    """
 
     def __init__(self, content: AreaFile) -> None:
         self._content = content
@@ -22,22 +25,28 @@ class Readings:
         }
         self.measurements: tuple[Measurement, ...] = tuple(self._virtual.values())
         self.silent = [meter_id for meter_id in self._meters if meter_id not in self._virtual]
+        self.invalid: list[str] = []
         self._net_load: NetLoad | None = None  # of these measurements, once asked for
 
     def take(self, message: TelemetryMessage) -> Iterator[str]:
         """Take over a scan; for each reading that is refused, the reason."""
         readings: dict[str, Measurement] = {}
-        for meter_id, value, sigma in zip(message.meters, message.values, message.sigmas, strict=True):
+        self.invalid = []
+        columns = message.meters, message.values, message.sigmas, message.valid
+        for meter_id, value, sigma, is_valid in zip(*columns, strict=True):
             meter = self._meters.get(meter_id)
             if meter is None or meter.source is Source.VIRTUAL:
                 yield "unknown meter"
+            elif not is_valid:
+                self.invalid.append(meter_id)
+                yield "marked invalid"
             elif reason := find_reading_refusal(value, sigma):
                 yield reason
             else:
                 readings[meter_id] = Measurement(meter, value, sigma)
         read = readings | self._virtual
         self.measurements = tuple(read.values())
-        self.silent = [meter_id for meter_id in self._meters if meter_id not in read]
+        self.silent = [meter_id for meter_id in self._meters if meter_id not in read and meter_id not in self.invalid]
         self._net_load = None
 
     @property

@@ -22,9 +22,9 @@ from agents.quality import (
     Finding,
     Worth,
     find_gone,
+    find_missing_readings,
     find_missing_side,
     find_refused_clocks,
-    find_silent_meters,
     weigh,
 )
 from agents.scan_readings import ScanReadings
@@ -192,7 +192,7 @@ class RoundsState:
             yield find_gone(name, farewell)
         yield from find_refused_clocks(ahead)
         if self._scan.has_been_read:
-            yield from find_silent_meters(self._scan.readings.silent)
+            yield from find_missing_readings(self._scan.readings.silent, self._scan.readings.invalid)
 
     def _aging(self, term: Term, now: float) -> Iterator[Finding]:
         """What has grown old since the outcome, or is being replaced."""

@@ -11,7 +11,8 @@ from agents.messages import TelemetryMessage
 from agents.readings import Readings
 
 MOST_AHEAD = 10  # scans by which a neighbour may be ahead of the own telemetry; with more, one of the two is wrong
-DEADLINE_BEATS = 5  # after which an area goes on without its own readings
+DEADLINE_BEATS = 5  # after which an area goes on without its own readings; or
+DEADLINE_SHARE = 1 / 4  # of the time between two scans, where that is known
 
 
 class News(Enum):
@@ -35,6 +36,7 @@ class ScanReadings:
         self.entered_at = now
         self.refused: Counter[str] = Counter()
         self._beat_s = content.beat_s
+        self._deadline_s = DEADLINE_SHARE * content.scan_s if content.scan_s else DEADLINE_BEATS * content.beat_s
         self._last: TelemetryMessage | None = None
         self._heard_at = now
         self._later: dict[int, TelemetryMessage] = {}
@@ -69,7 +71,7 @@ class ScanReadings:
     @property
     def deadline(self) -> float:
         """When the scan goes on without its readings; infinity if they are there."""
-        return float("inf") if self.are_there or not self.scan else self.entered_at + DEADLINE_BEATS * self._beat_s
+        return float("inf") if self.are_there or not self.scan else self.entered_at + self._deadline_s
 
     @property
     def has_been_read(self) -> bool:
@@ -129,4 +131,4 @@ class ScanReadings:
 
 
 def _says(message: TelemetryMessage) -> tuple[object, ...]:
-    return message.meters, message.values, message.sigmas
+    return message.meters, message.values, message.sigmas, message.valid

@@ -20,10 +20,9 @@ from coordinator.terminal import (
     seed_option,
     show,
 )
-from dsse_core.limits import LONGEST_S
+from dsse_core.limits import LONGEST_S, SHORTEST_SCAN_S
 from dsse_core.printable import printable
 
-SHORTEST_SCAN_S = 0.001
 SCAN_SECONDS = Number(min=SHORTEST_SCAN_S, max=LONGEST_S)
 
 
@@ -108,7 +107,10 @@ def router(endpoints: tuple[str, ...], others: tuple[str, ...], keys: Path | Non
 @bus_timeout_option
 @seed_option
 @click.option(
-    "--every", type=SCAN_SECONDS, metavar="S", help="Make a new scan every so many seconds.  [default: one only]"
+    "--every",
+    type=SCAN_SECONDS,
+    metavar="S",
+    help="Make a new scan every so many seconds.  [default: the scenario's run.scan_s, else one only]",
 )
 def plant(
     scenario: str,
@@ -130,6 +132,7 @@ def plant(
     from coordinator.split import choose_run_id
 
     prepared = prepare_scenario(scenario, seed)
+    every = every or prepared.run.scan_s
     # a plant that is started anew has new readings: the clock is ahead of all numbers of its last life
     scan = int(time.time() / SHORTEST_SCAN_S)
     endpoints = choose_endpoints(endpoints, keys is not None)

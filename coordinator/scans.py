@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
@@ -68,7 +69,8 @@ class MadeScan:
     @classmethod
     def of(cls, scenario: Scenario, telemetry: Telemetry) -> MadeScan:
         """``telemetry`` of the only scan of ``scenario``."""
-        readings = {area: pickle.dumps(read(measurements)) for area, measurements in telemetry.by_area.items()}
+        now = time.time()
+        readings = {area: pickle.dumps(read(part, now)) for area, part in telemetry.by_area.items()}
         return cls(readings, find_lateness(scenario, DRAW), scenario.seed, scenario.run.beat_s)
 
     def payloads(self, run: str, life: Incarnation, scan: int) -> dict[str, bytes]:

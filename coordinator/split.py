@@ -37,6 +37,7 @@ def area_files(
             endpoints=tuple(places[n.area] for n in area.neighbours if n.is_parent) if places else tuple(endpoints),
             listen=(places[area.name],) if places else (),
             beat_s=scenario.run.beat_s,
+            scan_s=scenario.run.scan_s,
             tolerance=scenario.tolerances.estimator,
             generation=scenario.generation,
             load_error=scenario.load_error[area.name],

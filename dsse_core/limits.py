@@ -1,5 +1,6 @@
 """What a user may state at most, the same wherever it is stated: in a file, on the command line or to a function."""
 
 LONGEST_S = 86400  # of any time: a day
+SHORTEST_SCAN_S = 0.001  # between two scans
 LONGEST_NAME = 64  # letters of the name of an area, a run or a branch; so many has a name in a certificate
 SMALLEST_SIGMA, LARGEST_SIGMA = 1e-9, 1e6  # p.u. or rad

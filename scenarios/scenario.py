@@ -55,10 +55,14 @@ class Tolerances:
 
 @dataclass(frozen=True, slots=True)
 class RunSettings:
-    """``beat_s``: time between repeats of a message; ``timeout_s``: when a run without consensus ends."""
+    """``beat_s``: time between repeats of a message; ``timeout_s``: when a run without consensus ends.
+
+    ``scan_s``: time between two scans, None where there is one only.
+    """
 
     beat_s: float
     timeout_s: float
+    scan_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -307,7 +311,7 @@ def _build_scenario(
             consensus_vm=file.tolerances.consensus_vm_pu,
             estimator=file.tolerances.estimator,
         ),
-        run=RunSettings(beat_s=file.run.beat_s, timeout_s=file.run.timeout_s),
+        run=RunSettings(beat_s=file.run.beat_s, timeout_s=file.run.timeout_s, scan_s=file.run.scan_s),
         transport=TransportSettings(**file.transport.model_dump()),
         limits=StateLimits(
             lowest_vm=file.quality.lowest_vm_pu,

@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BeforeValidator, Discriminator, Field, PlainValidator, StringConstraints, Tag, model_validator
 
-from dsse_core.limits import LARGEST_SIGMA, LONGEST_NAME, SMALLEST_SIGMA
+from dsse_core.limits import LARGEST_SIGMA, LONGEST_NAME, LONGEST_S, SHORTEST_SCAN_S, SMALLEST_SIGMA
 from dsse_core.state_limits import DEFAULT_LIMITS
 from scenarios.fault_tables import FaultsTable, Positive, Probability, Seconds
 from scenarios.strict_toml import Table
@@ -226,6 +226,7 @@ class RunTable(Table):
     """``[run]``."""
 
     beat_s: Seconds = 0.2
+    scan_s: Annotated[float, Field(ge=SHORTEST_SCAN_S, le=LONGEST_S)] | None = None
     timeout_s: Seconds = 30.0
 
     @model_validator(mode="after")

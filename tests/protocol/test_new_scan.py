@@ -1,5 +1,7 @@
 """Rounds when a new scan begins: how many messages it takes, who waits for whom, and what is shown."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from exact_exchange import settle_bus
@@ -8,6 +10,8 @@ from simulated_bus import SimulatedBus, area_files_of
 
 from agents.messages import DownMessage, UpMessage
 from agents.scan_readings import DEADLINE_BEATS
+from coordinator import twin
+from coordinator.telemetry_messages import make_message
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 
@@ -72,3 +76,45 @@ def test_who_gets_its_readings_after_the_deadline_is_first_done_without_and_then
     assert "no readings of this scan in area3" in bus.states["area1"].notes
     bus.run(DEADLINE_BEATS * BEAT)
     assert {(state.header.scan, state.quality) for state in bus.states.values()} == {(2, "good")}
+
+
+def test_where_the_time_between_scans_is_known_nobody_is_waited_for_longer_than_a_quarter_of_it():
+    scan_s = 2 * DEADLINE_BEATS * BEAT
+    files = [replace(f, scan_s=scan_s) for f in area_files_of(load_scenario("ieee33"), strategy="information")]
+    telemetry = make_telemetry(load_scenario("ieee33")).by_area
+    bus = SimulatedBus(files, telemetry)
+    settle_bus(bus)
+    bus.next_scan(telemetry, late_s={"area3": 0.6 * scan_s})
+    bus.run(0.2 * scan_s)
+    assert bus.states["area1"].header.scan == 1
+    bus.run(0.1 * scan_s)
+    qualities = {name: state.quality for name, state in bus.states.items()}
+    assert qualities == {"area1": "degraded", "area2": "degraded", "area3": "stale"}
+    bus.run(0.5 * scan_s)
+    assert {(state.header.scan, state.quality) for state in bus.states.values()} == {(2, "good")}
+
+
+@pytest.mark.parametrize("strategy", ["information", "angle-offset", "admm"])
+def test_a_reading_that_is_marked_invalid_moves_no_estimate_and_is_named(strategy, monkeypatch):
+    files = area_files_of(load_scenario("ieee33"), strategy=strategy)
+    telemetry = make_telemetry(load_scenario("ieee33")).by_area
+    bad = next(m.meter.id for m in telemetry["area2"] if m.meter.id.startswith("p_inj"))
+    without = telemetry | {"area2": [m for m in telemetry["area2"] if m.meter.id != bad]}
+    expected = SimulatedBus(files, without)
+    expected.run_until_settled()
+
+    def mark(header, area, measurements):
+        message = make_message(header, area, measurements)
+        values = tuple(
+            9.0 if name == bad else value for name, value in zip(message.meters, message.values, strict=True)
+        )
+        return replace(message, values=values, valid=tuple(name != bad for name in message.meters))
+
+    monkeypatch.setattr(twin, "make_message", mark)
+    bus = SimulatedBus(files, telemetry)
+    bus.run_until_settled()
+    for name, state in bus.states.items():
+        np.testing.assert_allclose(state.vm, expected.states[name].vm, atol=1e-9)
+    assert f"1 readings are marked invalid, the first is of {bad}" in bus.states["area2"].notes
+    assert bus.states["area2"].refused["marked invalid"] >= 1
+    assert not any("no reading from" in note for note in bus.states["area2"].notes)

@@ -56,7 +56,7 @@ def test_an_old_word_of_the_same_life_is_never_taken_however_long_it_was_silent(
 
 def test_a_plant_whose_clock_was_set_back_is_heard_once_its_former_life_is_over():
     hearing = Hearing(BEAT_S)
-    telemetry = TelemetryMessage(header(FIRST, 5), "area1", (), (), ())
+    telemetry = TelemetryMessage(header(FIRST, 5), "area1", (), (), (), (), ())
     set_back = replace(telemetry, header=header(SET_BACK))
     assert hearing.take_telemetry(telemetry, 0.0)
     assert not hearing.take_telemetry(set_back, 0.9 * OVER_S)
@@ -66,7 +66,7 @@ def test_a_plant_whose_clock_was_set_back_is_heard_once_its_former_life_is_over(
 
 def test_information_of_a_later_scan_is_used_only_as_long_as_it_is_heard():
     hearing = Hearing(BEAT_S)
-    own = TelemetryMessage(replace(header(FIRST), sender="plant"), "area1", (), (), ())
+    own = TelemetryMessage(replace(header(FIRST), sender="plant"), "area1", (), (), (), (), ())
     hearing.take_telemetry(own, 0.0)
     ahead = BoundaryMessage(replace(header(FIRST), scan=2), 6, 1.0, 0.0, True)
     hearing.take(ahead, 1.0)
@@ -90,7 +90,7 @@ def test_of_two_repeats_the_later_one_says_whether_all_is_fresh_and_nothing_else
 
 def test_what_is_passed_on_may_be_half_a_beat_older():
     hearing = Hearing(BEAT_S)
-    own = TelemetryMessage(replace(header(FIRST), sender="plant"), "area1", (), (), ())
+    own = TelemetryMessage(replace(header(FIRST), sender="plant"), "area1", (), (), (), (), ())
     hearing.take_telemetry(own, 0.0)
     hearing.take(boundary(0.0, True), 0.0)
     now = 3.2 * BEAT_S

@@ -83,7 +83,7 @@ MESSAGES = [
     HeartbeatMessage(HEADER, 6, 1, 3, True, 1.7e9, -1, True, False, (0.1, 0.2, 1.0, -0.1)),
     UP,
     DownMessage(**{**vars(UP), "power": ()}, verdict="judge", decider="area1", life=(1, 2)),
-    TelemetryMessage(HEADER, "area1", ("vm@1",), (1.0,), (0.002,)),
+    TelemetryMessage(HEADER, "area1", ("vm@1",), (1.0,), (0.002,), (1.7952e9,), (False,)),
     ClockMessage(HEADER, 12.5),
     STATE,
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -80,6 +81,29 @@ def test_the_penalty_of_the_scenario_reaches_every_area(tmp_path: Path):
     assert [load_area_file(path).penalty for path in files.values()] == [2.5] * 3
 
 
+def test_the_time_between_scans_reaches_every_area_and_no_other_scenario_has_one(tmp_path: Path):
+    scenario = load_scenario("ieee33", changes={"run.scan_s": 4.0})
+    for folder, prepared, expected in (("with", scenario, 4.0), ("without", load_scenario("ieee33"), None)):
+        (tmp_path / folder).mkdir()
+        files = dict(write_area_files(prepared, "run", ["tcp/127.0.0.1:7447"], tmp_path / folder))
+        assert [load_area_file(path).scan_s for path in files.values()] == [expected] * 3
+
+
+@pytest.mark.parametrize("scan_s", [0.0, -1.0, 1e-4, 1e6])
+def test_a_time_between_scans_that_cannot_be_is_refused(scan_s: float):
+    with pytest.raises(InvalidInputError, match="scan_s"):
+        load_scenario("ieee33", changes={"run.scan_s": scan_s})
+
+
+def test_a_plant_states_when_every_reading_was_measured_and_that_it_is_valid():
+    started = time.time()
+    message = decode(make_payloads(load_scenario("ieee33"), "run", Incarnation(1, 1))["area1"])
+    assert isinstance(message, TelemetryMessage)
+    assert set(message.times) == {message.times[0]}
+    assert started <= message.times[0] <= message.header.time
+    assert message.valid == (True,) * len(message.meters)
+
+
 def test_a_run_id_is_made_of_what_a_key_may_contain():
     assert default_run_id(replace(load_scenario("ieee33"), name="My Grid (2)")) == "my-grid-2"
     with pytest.raises(InvalidInputError, match="My/Run"):
@@ -119,7 +143,10 @@ def test_a_scan_that_was_made_elsewhere_is_published_as_the_plant_would_make_it(
         assert scans.beat_s == scenario.run.beat_s
         assert scans.late_s(1) == find_lateness(scenario, 1)
     contents = [
-        {area: replace(decode(payload), header=None) for area, payload in scans.payloads("run", life, 1).items()}  # type: ignore[arg-type, type-var]
+        {
+            area: replace(decode(payload), header=None, times=())
+            for area, payload in scans.payloads("run", life, 1).items()
+        }  # type: ignore[arg-type, type-var]
         for scans in (own, made)
     ]
     assert contents[0] == contents[1]
