@@ -51,16 +51,20 @@ def test_every_shipped_file_is_commented(name: str) -> None:
 
 
 @pytest.mark.parametrize("case", ["industrial13", "ieee33"])
-def test_the_variants_of_a_case_differ_in_their_fault_only(case: str) -> None:
+def test_the_variants_of_a_case_differ_in_their_fault_and_where_load_messages_matter_in_their_meters_only(
+    case: str,
+) -> None:
     plain = load_scenario(case)
-    for variant in ("load-error", "lossy"):
-        other = load_scenario(f"{case}-{variant}")
-        assert (other.meters, other.sigma_rule, other.telemetry, other.partition) == (
-            plain.meters,
+    lossy, wrong = load_scenario(f"{case}-lossy"), load_scenario(f"{case}-load-error")
+    for other in (lossy, wrong):
+        assert (other.sigma_rule, other.telemetry, other.partition) == (
             plain.sigma_rule,
             plain.telemetry,
             plain.partition,
         )
+    assert lossy.meters == plain.meters
+    assert set(wrong.meters) < set(plain.meters)  # with all of them, the load message would hardly count
+    assert wrong.strategy == "angle-offset"  # which alone uses load messages as measurements
     assert {link.loss for link in load_scenario(f"{case}-lossy").faults.links.values()} == {0.3}
     assert set(load_scenario(f"{case}-load-error").load_error.values()) == {0.03 + 0.03j}  # 10 MVA base
     assert set(plain.faults.links.values()) == {LinkFaults()}

@@ -164,7 +164,9 @@ def test_area_power_flow_readings_come_from_the_areas_own_power_flow() -> None:
 
 
 def test_readings_of_the_network_ignore_the_load_error() -> None:
-    assert make_telemetry(load_scenario("ieee33")).by_area == make_telemetry(load_scenario("ieee33-load-error")).by_area
+    wrong = load_scenario("ieee33-load-error")
+    right = replace(wrong, load_error=dict.fromkeys(wrong.load_error, 0j))
+    assert make_telemetry(wrong).by_area == make_telemetry(right).by_area
 
 
 def test_area_power_flow_without_a_local_slack_voltage_names_the_area_and_the_keys() -> None:
