@@ -228,6 +228,7 @@ _FaultsTable: Any = _table_like(
     LinkFaults,
     **{key: (float, Field(getattr(LinkFaults(), key), ge=0, le=1)) for key in _PROBABILITIES},
     **{key: (float, Field(0.0, ge=0, le=LONGEST_S)) for key in _TIMES},
+    lie_scale=(float, Field(1.0, gt=0)),
 )
 
 

@@ -9,18 +9,8 @@ import hashlib
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
-import numpy as np
-
-from agents.messages import (
-    AdmmMessage,
-    BoundaryMessage,
-    DownMessage,
-    HeartbeatMessage,
-    LoadMessage,
-    Message,
-    UpMessage,
-)
-from agents.triangle import read_triangle
+from agents.lies import Liar
+from agents.messages import LoadMessage, Message
 from dsse_core.link_faults import LinkFaults
 
 LOST, BURST, CUT = "lost", "lost in a burst", "lost in a cut"
@@ -50,6 +40,10 @@ class LinkFate:
     bad: bool = False
     _first_load: LoadMessage | None = field(default=None, repr=False)
 
+    def __post_init__(self) -> None:
+        f = self.faults
+        self._liar = Liar(f) if f.lies_of_boundary or f.lies_of_totals or f.lie_verdict else None
+
     @cached_property
     def is_sound(self) -> bool:
         """Whether nothing ever befalls a message."""
@@ -77,9 +71,7 @@ class LinkFate:
                 return message, ""
             changed = self._change_load(message)
             return changed, LOAD_CHANGED if changed != message else ""
-        if (f.lie_vm, f.lie_va, f.lie_scale) == (0.0, 0.0, 1.0):
-            return message, ""
-        lie = _tell_lie(message, f)
+        lie = self._liar.falsify(message) if self._liar else message
         return lie, LIED if lie != message else ""
 
     def copies(self, payload: bytes) -> list[tuple[float, bytes, bool]]:
@@ -111,20 +103,3 @@ class LinkFate:
 
     def _draw(self, what: str) -> float:
         return draw_fate(self.seed, self.sender, self.receiver, self.number, what)
-
-
-def _tell_lie(message: Message, f: LinkFaults) -> Message:
-    """What a sender would say whose y = (p, q, vm, va) were ``lie_scale`` times as large, plus the offsets."""
-    offset = np.array([0.0, 0.0, f.lie_vm, f.lie_va])
-    match message:
-        case UpMessage() | DownMessage() if message.R:  # z = R y
-            z = f.lie_scale * np.array(message.z) + read_triangle(message.R) @ offset
-            return replace(message, z=tuple(z.tolist()), power=tuple(f.lie_scale * p for p in message.power))
-        case HeartbeatMessage() if message.y:
-            return replace(message, y=tuple((f.lie_scale * np.array(message.y) + offset).tolist()))
-        case BoundaryMessage():
-            return replace(message, vm=f.lie_scale * message.vm + f.lie_vm, va=f.lie_scale * message.va + f.lie_va)
-        case AdmmMessage():
-            told, before = ((f.lie_scale * np.array(r) + offset).tolist() for r in (message.r, message.r_before))
-            return replace(message, r=tuple(told), r_before=tuple(before))
-    return message

@@ -21,7 +21,11 @@ class LinkFaults:
         corrupt: probability that the bytes of a message are damaged, flipped or cut short.
         load_p, load_q: added to what a load message says. load_scale: multiplies it. load_frozen: every load message
             says what the first said.
-        lie_vm, lie_va, lie_scale: a boundary message tells a voltage that is off by so much, all of it scaled.
+        lie_p, lie_q, lie_vm, lie_va, lie_scale: all that messages say of y = (p, q, vm, va) at the boundary is said of
+            ``lie_scale`` y plus these.
+        lie_objective: multiplies J in totals. lie_areas: how many areas totals count, none of them silent or stale, and
+            the side is complete; 0 leaves that as it is. lie_worst: the meter that totals name as the worst; empty for
+            none. Verdicts follow from the totals that are told. lie_verdict: what a verdict says instead.
         until_s: all of these end then, s since the start of the run; None is never.
         cuts: windows in which nothing passes.
     """
@@ -38,9 +42,15 @@ class LinkFaults:
     load_q: float = 0.0
     load_scale: float = 1.0
     load_frozen: bool = False
+    lie_p: float = 0.0
+    lie_q: float = 0.0
     lie_vm: float = 0.0
     lie_va: float = 0.0
     lie_scale: float = 1.0
+    lie_objective: float = 1.0
+    lie_areas: int = 0
+    lie_worst: str = ""
+    lie_verdict: str = ""
     until_s: float | None = None
     cuts: tuple[Window, ...] = ()
 
@@ -48,6 +58,21 @@ class LinkFaults:
     def has_windows(self) -> bool:
         """Whether they depend on how long the run has lasted."""
         return self.until_s is not None or bool(self.cuts)
+
+    @property
+    def lie_offset(self) -> tuple[float, float, float, float]:
+        """What is added to y."""
+        return self.lie_p, self.lie_q, self.lie_vm, self.lie_va
+
+    @property
+    def lies_of_boundary(self) -> bool:
+        """Whether messages tell of another y than the sender knows."""
+        return any(self.lie_offset) or self.lie_scale != 1.0
+
+    @property
+    def lies_of_totals(self) -> bool:
+        """Whether messages tell of other totals than the sender knows."""
+        return self.lie_objective != 1.0 or bool(self.lie_areas or self.lie_worst)
 
     @property
     def changes_loads(self) -> bool:

@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from dsse_core.limits import LONGEST_S
+from dsse_core.limits import LONGEST_NAME, LONGEST_S
 from scenarios.strict_toml import Table
 
 Positive = Annotated[float, Field(gt=0)]
@@ -39,11 +39,18 @@ class LoadFaultTable(Table):
 
 
 class LieTable(Table):
-    """``lie``: what boundary messages say is changed on the way."""
+    """``lie``: what messages of a strategy say is changed on the way."""
 
+    p_mw: float = 0.0
+    q_mvar: float = 0.0
     vm_pu: float = 0.0
     va_deg: float = 0.0
     scale: Positive = 1.0
+    both_ways: bool = False
+    objective: Annotated[float, Field(ge=0)] = 1.0
+    areas: Annotated[int, Field(ge=1)] | None = None
+    worst: str | None = Field(default=None, min_length=1, max_length=LONGEST_NAME)
+    verdict: str | None = Field(default=None, min_length=1, max_length=LONGEST_NAME)
 
 
 class LinkTable(Table):

@@ -77,12 +77,13 @@ def build_faults(table: FaultsTable, partition: Partition) -> Faults:
     """The faults of a table that ``find_name_problems`` and ``find_link_problems`` find no fault with."""
     base_mva = partition.network.base_mva
     own = {(link.from_, link.to): link for link in table.link}
+    told_back = {(link.to, link.from_): link.lie for link in table.link if link.lie.both_ways}
     cuts: dict[frozenset[str], list[tuple[float, float]]] = {}
     for event in table.events:
         if event.cut is not None:
             cuts.setdefault(frozenset(event.cut), []).append((event.at_s, event.at_s + (event.for_s or 0.0)))
     links = {
-        link: _build_link(table, own.get(link), sorted(cuts.get(frozenset(link), [])), base_mva)
+        link: _build_link(table, own.get(link), told_back.get(link), sorted(cuts.get(frozenset(link), [])), base_mva)
         for link in find_links(partition)
     }
     events = [FaultEvent(e.at_s, e.kind, e.names, e.for_s or 0.0) for e in table.events]  # type: ignore[arg-type]
@@ -94,9 +95,15 @@ def build_faults(table: FaultsTable, partition: Partition) -> Faults:
 
 
 def _build_link(
-    table: FaultsTable, own: LinkTable | None, cuts: Sequence[tuple[float, float]], base_mva: float
+    table: FaultsTable,
+    own: LinkTable | None,
+    told_back: LieTable | None,
+    cuts: Sequence[tuple[float, float]],
+    base_mva: float,
 ) -> LinkFaults:
-    """``own``: the keys that the link has for itself instead of those of every link."""
+    """``own``: the keys that the link has for itself instead of those of every link. ``told_back``: the lie of the
+    other direction, which this one takes back.
+    """
 
     def value_of(key: str) -> Any:
         value = getattr(own, key, None)
@@ -104,6 +111,8 @@ def _build_link(
 
     burst = value_of("burst") or BurstTable(enter=0.0, leave=1.0)
     load, lie = (own.load, own.lie) if own else (LoadFaultTable(), LieTable())
+    if told_back is not None:
+        lie = _invert(told_back)
     return LinkFaults(
         loss=value_of("loss"),
         burst_enter=burst.enter,
@@ -117,12 +126,35 @@ def _build_link(
         load_q=load.q_mvar / base_mva,
         load_scale=load.scale,
         load_frozen=load.frozen,
+        lie_p=lie.p_mw / base_mva,
+        lie_q=lie.q_mvar / base_mva,
         lie_vm=lie.vm_pu,
         lie_va=math.radians(lie.va_deg),
         lie_scale=lie.scale,
+        lie_objective=lie.objective,
+        lie_areas=lie.areas or 0,
+        lie_worst=lie.worst or "",
+        lie_verdict=lie.verdict or "",
         until_s=table.until_s,
         cuts=tuple(cuts),
     )
+
+
+def _find_lie_problems(links: Sequence[LinkTable]) -> Iterable[str]:
+    """A direction that takes the lie of the other one back can tell none of its own."""
+    liars = {(link.from_, link.to): i for i, link in enumerate(links, 1) if link.lie != LieTable()}
+    for i, link in enumerate(links, 1):
+        if link.lie.both_ways and (back := liars.get((link.to, link.from_))):
+            yield (
+                f"faults.link[{i}].lie.both_ways: faults.link[{back}] gives the other direction a lie of its own; "
+                "remove one of the two"
+            )
+
+
+def _invert(lie: LieTable) -> LieTable:
+    """What makes a value of who has believed ``lie`` one that agrees with the truth again."""
+    offsets = {key: -getattr(lie, key) / lie.scale for key in ("p_mw", "q_mvar", "vm_pu", "va_deg")}
+    return LieTable(**offsets, scale=1 / lie.scale)
 
 
 def change_links(faults: Faults, changes: LinkChanges) -> Faults:
@@ -176,6 +208,7 @@ def find_link_problems(table: FaultsTable, partition: Partition) -> Iterable[str
         if link in given:
             yield f"faults.link[{i}]: the link from {link[0]} to {link[1]} is given twice; keep one"
         given.add(link)
+    yield from _find_lie_problems(table.link)
     for i, event in enumerate(table.events, 1):
         if event.kind == "cut" and set(event.names) <= areas and event.names not in links:
             yield f"faults.events[{i}].cut: {' and '.join(event.names)} are not neighbours; links: {pairs}"
