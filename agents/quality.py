@@ -45,16 +45,20 @@ def weigh(findings: Iterable[Finding]) -> Worth:
     return Worth(word, limit_notes(tuple(dict.fromkeys(finding.note for finding in ordered))))
 
 
-def weigh_from_outside(said: StateMessage | None, silence: str) -> Worth:
+def weigh_from_outside(said: StateMessage | None, silence: str, disputes: Sequence[str] = ()) -> Worth:
     """What the last state that was heard of an area is worth to who hears it.
 
-    ``silence``: why the area says nothing more, empty if it does. What was right once is stale then.
+    ``silence``: why the area says nothing more, empty if it does: what was right once is stale then. ``disputes``: what
+    other areas contradict, which it may not know.
     """
     if said is None:
         return Worth(NONE, (silence or "never heard of",))
-    if not silence:
-        return Worth(said.quality, said.notes)
-    return Worth(said.quality if said.quality == NONE else STALE, (silence, *said.notes))
+    word, notes = Worth(said.quality, said.notes)
+    if disputes:
+        word, notes = DEGRADED if word == GOOD else word, (*disputes, *notes) if word == GOOD else (*notes, *disputes)
+    if silence:
+        word, notes = word if word == NONE else STALE, (silence, *notes)
+    return Worth(word, limit_notes(notes))
 
 
 class EstimateLimits:

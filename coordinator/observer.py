@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from agents.hearing import FRESH_BEATS, OVER_BEATS, is_old
@@ -154,7 +154,20 @@ class Observer:
         silence = "" if watched.alive else f"{area} is not on the bus"
         if not silence and now - watched.heard_at >= FRESH_BEATS * self.beat_s:
             silence = f"{area} has not been heard for {now - watched.heard_at:.1f} s"
-        return weigh_from_outside(watched.state, silence)
+        return weigh_from_outside(watched.state, silence, tuple(self._find_disputes(area)))
+
+    def _find_disputes(self, area: str) -> Iterator[str]:
+        """Where neighbours publish another voltage for the same scan: somebody has told one of them false things."""
+        for bus, names in self.partition.boundaries.items():
+            if area not in names:
+                continue
+            others = names[1:] if area == names[0] else names[:1]
+            for other in others:
+                one, two = self._states.get(area), self._states.get(other)
+                if one is None or two is None or not (one.buses and two.buses and one.referenced and two.referenced):
+                    continue
+                if one.header.scan == two.header.scan:
+                    yield from self._find_disagreements(bus, [area, other])
 
     def quality_of(self, area: str, now: float) -> str:
         """The word alone."""

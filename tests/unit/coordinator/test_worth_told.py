@@ -108,3 +108,19 @@ def test_run_report_and_watcher_say_the_same_of_every_combination_of_findings(is
                 assert lines[0].startswith("consensus")
             else:
                 assert result.verdict.reason
+
+
+@pytest.mark.parametrize("found", [found for found in SETS if not {f.word for f in found} & {NONE, UNOBSERVABLE}])
+def test_an_area_whose_neighbour_publishes_another_voltage_is_not_good_even_if_it_says_so(found: tuple[Finding, ...]):
+    observer = make_observer(SCENARIO)
+    for area in SCENARIO.partition.areas:
+        observer.take_presence(area.name, True, 0.0)
+        state = a_state_with(area, found)
+        observer.take_state(replace(state, vm=tuple(vm + 0.01 * (area.name == "area2") for vm in state.vm)), 1.0)
+    is_compared = RELATIVE_ANGLE not in {f.word for f in found}
+    for area in SCENARIO.partition.areas:
+        word, notes = observer.worth_of(area.name, 1.0)
+        assert any("differ by 0.01 p.u. at bus 3" in note for note in notes) == is_compared
+        said = weigh(found).word
+        assert word == (DEGRADED if said == GOOD else said)
+    assert observer.standing(1.0).obstacles
