@@ -31,7 +31,7 @@ from agents.scan_readings import ScanReadings
 from agents.shown_state import describe_estimate
 from agents.strategies.interface import Estimate
 from dsse_core.area_estimation import FAILURES
-from dsse_core.bad_data import chi_square_limit
+from dsse_core.residuals import chi_square_limit
 from dsse_core.verdict import UNOBSERVABLE as NOT_OBSERVABLE
 from dsse_core.verdict import Totals
 

@@ -7,13 +7,14 @@ from dataclasses import replace
 import numpy as np
 
 from dsse_core.area_model import build_area_model
-from dsse_core.bad_data import chi_square_limit, process_bad_data
+from dsse_core.bad_data import process_bad_data
 from dsse_core.division import build_partition
 from dsse_core.estimation import estimate_state
 from dsse_core.exchange import compute_information, find_variances, solve_whole_step
 from dsse_core.measurement import Measurement, MeasurementKind, Meter
 from dsse_core.network import Branch, Bus, Control, Generator, Network
 from dsse_core.power_flow import solve_power_flow
+from dsse_core.residuals import chi_square_limit
 
 SIGMA = 0.01
 NETWORK = Network(

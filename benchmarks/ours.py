@@ -8,12 +8,13 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.cases import Case
-from benchmarks.method import MAX_ITERATIONS, TOLERANCE, State
-from dsse_core.bad_data import chi_square_limit, normalized_residuals
+from benchmarks.method import TOLERANCE, State
+from dsse_core.bad_data import normalized_residuals
 from dsse_core.estimation import EstimationResult, estimate_with_plan
 from dsse_core.estimation_plan import Backend, EstimationPlan, build_estimation_plan
 from dsse_core.measurement import Meter
 from dsse_core.network import Network
+from dsse_core.residuals import chi_square_limit
 
 PACKAGE = "consensus-dsse"
 
@@ -45,7 +46,7 @@ class Ours:
 
     def solve(self, model: tuple[EstimationPlan, Scan]) -> EstimationResult:
         plan, scan = model
-        result = estimate_with_plan(plan, scan.values, scan.sigmas, tolerance=TOLERANCE, max_iterations=MAX_ITERATIONS)
+        result = estimate_with_plan(plan, scan.values, scan.sigmas, tolerance=TOLERANCE)
         if self.with_residuals:
             normalized_residuals(result)
             chi_square_limit(result.degrees_of_freedom, 0.99)

@@ -16,7 +16,6 @@ import numpy as np
 
 from dsse_core.admittance import walk_unloaded
 from dsse_core.area_model import AreaModel, build_area_model
-from dsse_core.bad_data import CRITICAL_REDUNDANCY, DEAD_VM
 from dsse_core.boundary_information import BoundaryInformation
 from dsse_core.boundary_load import NetLoad
 from dsse_core.errors import DsseError
@@ -24,6 +23,7 @@ from dsse_core.exchange import compute_information, find_variances, solve_whole_
 from dsse_core.feeder_bad_data import NoLoadModel, build_no_load_model, count_freedom, find_objective, find_suspects
 from dsse_core.measurement import Measurement, MeasurementKind, Source
 from dsse_core.partition import Area, Neighbour
+from dsse_core.residuals import CRITICAL_REDUNDANCY, find_dead
 from dsse_core.verdict import MOST_NAMED, Decision, Memory, Totals, Verdict
 
 AGED = 0.1  # of the weight of what a neighbour that is no longer heard has last said; its sigmas grow tenfold
@@ -111,7 +111,8 @@ class AreaEstimation:
     @property
     def dead_voltmeters(self) -> tuple[str, ...]:
         """Ids of those that are left out because no grid works at what they read."""
-        return tuple(m.meter.id for m in self._readings if _is_dead(m))
+        rows = find_dead([m.meter for m in self._readings], [m.value for m in self._readings])
+        return tuple(self._readings[k].meter.id for k in rows)
 
     def _in_use(self, currents: bool) -> list[Measurement]:
         out = {*self.removed, *self.dead_voltmeters}
@@ -317,10 +318,6 @@ def _stand_in_of(neighbour: Neighbour, load: NetLoad) -> BoundaryInformation:
     weight = 1 / (load.variance**0.5 + UNSURE_OF_LOAD * abs(load.s) + LEAST_LOAD)
     R = np.diag([weight, weight, 0.0, 0.0])
     return BoundaryInformation(R, R @ np.array([power.real, power.imag, 0.0, 0.0]))
-
-
-def _is_dead(measurement: Measurement) -> bool:
-    return measurement.meter.kind is MeasurementKind.VM and measurement.value < DEAD_VM
 
 
 def _as_ranges(buses: Sequence[int]) -> tuple[str, ...]:

@@ -23,7 +23,7 @@ from dsse_core.selected_inverse import find_inverse_diagonal
 
 PIVOT_SCALE = 1e-3  # median of the scaled a R; anything from 1 to 1e-6 works, with fewer digits at the ends
 LARGEST_DAMPING = 1e-6  # of the scaled tableau
-NEARBY = 1e-5  # relative accuracy of a step on the factor of a state nearby
+NEARBY = 1e-7  # relative accuracy of a step on the factor of a state nearby
 ROUND_OFF = 1e-14  # p.u. and rad; no step need be more accurate
 CONTRACTION = 0.3  # of a correction to the one before; where they shrink less a new factor costs less
 MOST_REFINEMENTS = 5

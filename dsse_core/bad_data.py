@@ -2,25 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
-from dsse_core.errors import EstimationDivergedError, InvalidInputError, NotObservableError
+from dsse_core.errors import EstimationDivergedError, NotObservableError
 from dsse_core.estimation import EstimationResult, estimate_with_plan, plan_scan
 from dsse_core.estimation_plan import BackendChoice, EstimationPlan
 from dsse_core.gauss_newton import LAST_STEP
-from dsse_core.measurement import Measurement, MeasurementKind, Meter
+from dsse_core.measurement import Measurement, Meter
 from dsse_core.network import Network
-
-# Omega_ii / R_ii below which a residual says nothing about its measurement: what meters 1e6 times coarser leave.
-CRITICAL_REDUNDANCY = 1e-12
-DEAD_VM = 0.5  # p.u.; no grid works below it, and weighted squares find states that almost would
-CONFIDENCE = 0.99  # of the chi-square test
-THRESHOLD = 3.0  # of normalised residuals
-TIE = 1e-6  # relative difference of normalised residuals that are equal in exact arithmetic
+from dsse_core.residuals import (
+    CONFIDENCE,
+    CRITICAL_REDUNDANCY,
+    DEAD_VM,
+    THRESHOLD,
+    TIE,
+    chi_square_limit,
+    find_dead,
+    keep_tied,
+    normalize_residuals,
+)
+from dsse_core.verdict import Decision, Memory, Totals, decide
 
 
 @dataclass(frozen=True)
@@ -59,13 +64,6 @@ class BadDataReport:
     suspect: SuspectKept | None
 
 
-def chi_square_limit(degrees_of_freedom: int, confidence: float) -> float:
-    """The value that J exceeds with probability 1 - ``confidence`` under noise alone; inf without redundancy."""
-    from scipy.special import chdtri  # 0.1 s, which an agent without bad-data processing need not wait for
-
-    return float(chdtri(degrees_of_freedom, 1 - confidence)) if degrees_of_freedom > 0 else float("inf")
-
-
 def find_critical(result: EstimationResult) -> tuple[str, ...]:
     """Ids of the measurements without redundancy, in the order of ``result``.
 
@@ -82,12 +80,6 @@ def normalized_residuals(result: EstimationResult) -> np.ndarray:
     return normalize_residuals(result.residual, result.residual_variance, result.sigmas, ~result.plan.virtual)
 
 
-def normalize_residuals(residual: np.ndarray, variance: np.ndarray, sigmas: np.ndarray, real: np.ndarray) -> np.ndarray:
-    """The same of ``residual`` z - h(x) with ``variance`` diag(Omega); ``real``: not virtual; (n_meas,) each."""
-    telling = real & (variance > CRITICAL_REDUNDANCY * sigmas**2)
-    return np.where(telling, abs(residual) / np.sqrt(np.where(telling, variance, 1.0)), 0.0)
-
-
 def process_bad_data(
     network: Network,
     measurements: Sequence[Measurement],
@@ -95,7 +87,6 @@ def process_bad_data(
     reference: int | None = None,
     start: tuple[np.ndarray, np.ndarray] | None = None,
     tolerance: float = LAST_STEP,
-    confidence: float = CONFIDENCE,
     threshold: float = THRESHOLD,
     backend: BackendChoice = "auto",
 ) -> BadDataReport:
@@ -105,8 +96,7 @@ def process_bad_data(
         As ``estimate_state``.
     """
     plan, values, sigmas = plan_scan(network, measurements, reference=reference, backend=backend)
-    options = {"tolerance": tolerance, "confidence": confidence, "threshold": threshold}
-    return process_bad_data_with_plan(plan, values, sigmas, start=start, **options)
+    return process_bad_data_with_plan(plan, values, sigmas, start=start, tolerance=tolerance, threshold=threshold)
 
 
 def process_bad_data_with_plan(
@@ -116,148 +106,106 @@ def process_bad_data_with_plan(
     *,
     start: tuple[np.ndarray, np.ndarray] | None = None,
     tolerance: float = LAST_STEP,
-    confidence: float = CONFIDENCE,
     threshold: float = THRESHOLD,
 ) -> BadDataReport:
     """Estimate; while J exceeds the chi-square limit, remove the largest normalised residual and repeat.
 
-    Voltmeters that read less than DEAD_VM are judged first, by the estimate without them; where that does not exist
-    because nothing else determines the state, the scan is not observable, unless they confirm each other.
-    Stops when the test passes or when no normalised residual exceeds ``threshold``. Equal residuals are
-    broken by meter id; the others of the tie are reported as indistinguishable. A measurement without which
-    the state is not observable is critical: it stays, and the next largest residual is looked at. If without
-    a measurement the estimation diverges, the last good estimate stands, and ``detected`` with it.
+    The verdicts are those of ``verdict.decide``, to which the whole grid is one area without neighbours. It stops when
+    the test passes or when no normalised residual exceeds ``threshold``. Equal residuals are broken by meter id; the
+    others of the tie are reported as indistinguishable. A critical measurement stays, and the next largest residual is
+    looked at. If without a measurement the estimation diverges, the last good estimate stands, and ``detected`` with
+    it. Dead voltmeters (``find_dead``) are left out from the start and stand first among the removed ones.
 
     Raises:
-        NotObservableError: without voltmeters that read less than DEAD_VM, which it names.
-        As ``estimate_with_plan``, about all readings.
+        NotObservableError: without dead voltmeters, which it names.
+        As ``estimate_with_plan``.
     """
-
-    def estimate(plan: EstimationPlan, values: np.ndarray, sigmas: np.ndarray) -> EstimationResult:
-        return estimate_with_plan(plan, values, sigmas, start=start, tolerance=tolerance)
-
-    def estimate_without(rows: Sequence[int], plan: EstimationPlan, *scan: np.ndarray) -> EstimationResult:
-        return estimate(plan.without(rows), *(np.delete(readings, rows) for readings in scan))
-
-    low = _find_low_voltmeters(plan, values)
-    try:
-        dead, removed = _find_dead_voltmeters(low, plan, values, sigmas, estimate_without, threshold)
-        result = estimate_without(dead, plan, values, sigmas) if dead else estimate(plan, values, sigmas)
-    except NotObservableError as gap:
-        result, removed = _confirm_low_voltages(low, plan, values, sigmas, estimate, confidence, gap), []
-    kept: set[str] = set()  # critical, found out by trying
-    while _exceeds_limit(result, confidence) and (found := _find_worst(result, threshold, kept)):
-        row, worst = found
+    plan, values, sigmas, dead = _leave_out_dead(plan, np.asarray(values, dtype=float), np.asarray(sigmas, dtype=float))
+    result = estimate_with_plan(plan, values, sigmas, start=start, tolerance=tolerance)
+    removed: list[RemovedMeasurement] = []
+    while result.memory.judging:
+        worst = _find_worst(result, threshold)
+        memory, verdict = decide(result.memory, _totals_of(result, worst))
+        if verdict.decision is Decision.FINAL:
+            break
+        row = [meter.id for meter in result.plan.meters].index(memory.removed[-1])
         try:
-            result = estimate_without([row], result.plan, result.values, result.sigmas)
-            removed.append(worst)
-        except NotObservableError:
-            kept.add(worst.measurement.meter.id)
+            following = _estimate_without(row, result, start, tolerance, memory)
         except EstimationDivergedError:
             break
-    critical = kept.union(find_critical(result))
-    detected = _exceeds_limit(result, confidence)
+        removed.append(_describe(row, result))
+        result = following
+    return _report(result, [*(_describe_dead(m, result) for m in dead), *removed], threshold)
+
+
+def _leave_out_dead(
+    plan: EstimationPlan, values: np.ndarray, sigmas: np.ndarray
+) -> tuple[EstimationPlan, np.ndarray, np.ndarray, list[Measurement]]:
+    """Plan and readings without dead voltmeters, and these.
+
+    Raises:
+        NotObservableError: the others do not determine the state.
+    """
+    if not (rows := find_dead(plan.meters, values)):
+        return plan, values, sigmas, []
+    dead = [Measurement(plan.meters[k], float(values[k]), float(sigmas[k])) for k in rows]
+    try:
+        plan = plan.without(rows)
+    except NotObservableError as gap:
+        left_out = [f"{m.meter} reads {m.value:.3g} p.u., below {DEAD_VM:g}" for m in dead]
+        raise NotObservableError(gap.buses, gap.cures, left_out) from None
+    return plan, np.delete(values, rows), np.delete(sigmas, rows), dead
+
+
+def _estimate_without(
+    row: int, result: EstimationResult, start: tuple[np.ndarray, np.ndarray] | None, tolerance: float, memory: Memory
+) -> EstimationResult:
+    readings = np.delete(result.values, row), np.delete(result.sigmas, row)
+    return estimate_with_plan(result.plan.without([row]), *readings, start=start, tolerance=tolerance, memory=memory)
+
+
+def _totals_of(result: EstimationResult, worst: dict[str, float]) -> Totals:
+    """What is to be judged."""
+    objective, freedom = result.objective, result.degrees_of_freedom
+    return Totals(objective, freedom, worst=tuple(worst.items()), areas=1, referenced=True)
+
+
+def _find_worst(result: EstimationResult, threshold: float) -> dict[str, float]:
+    """Id -> normalised residual, the largest above ``threshold`` and those that equal it, without critical meters."""
+    normalized, meters, critical = normalized_residuals(result), result.plan.meters, set(find_critical(result))
+    above = {meters[k].id: float(normalized[k]) for k in np.flatnonzero(normalized > threshold).tolist()}
+    return keep_tied({meter: value for meter, value in above.items() if meter not in critical})
+
+
+def _describe(row: int, result: EstimationResult) -> RemovedMeasurement:
+    """The measurement that goes, with those whose residuals equal its own."""
+    normalized = normalized_residuals(result)
+    own = float(normalized[row])
+    equal = np.flatnonzero(abs(normalized - own) <= TIE * own).tolist()
+    others = tuple(sorted(result.plan.meters[k].id for k in equal if k != row))
+    return RemovedMeasurement(result.measurements[row], own, others)
+
+
+def _describe_dead(m: Measurement, result: EstimationResult) -> RemovedMeasurement:
+    """(z - vm) / sqrt(sigma^2 + sigma_vm^2), its normalised residual in the linear model, of the state without it."""
+    row, (sigma_vm, _) = result.network.row[m.meter.bus], result.state_sigma()
+    normalized = float(abs(m.value - result.vm[row]) / np.hypot(m.sigma, sigma_vm[row]))
+    return RemovedMeasurement(m, normalized, ())
+
+
+def _report(result: EstimationResult, removed: Sequence[RemovedMeasurement], threshold: float) -> BadDataReport:
+    critical = find_critical(result)
+    limit = chi_square_limit(result.degrees_of_freedom, CONFIDENCE)
+    detected = result.objective >= limit
     return BadDataReport(
         result=result,
         removed=tuple(removed),
-        critical=tuple(meter.id for meter in result.plan.meters if meter.id in critical),
+        critical=critical,
         detected=detected,
         objective=result.objective,
-        chi_square_limit=chi_square_limit(result.degrees_of_freedom, confidence),
+        chi_square_limit=limit,
         degrees_of_freedom=result.degrees_of_freedom,
         suspect=_find_suspect(result, threshold, critical) if detected else None,
-    )
-
-
-def _find_low_voltmeters(plan: EstimationPlan, values: np.ndarray) -> list[int]:
-    """Positions of the voltmeters that read less than DEAD_VM."""
-    low = np.flatnonzero(np.asarray(values) < DEAD_VM).tolist()
-    return [k for k in low if plan.meters[k].kind is MeasurementKind.VM]
-
-
-def _find_dead_voltmeters(
-    low: Sequence[int],
-    plan: EstimationPlan,
-    values: np.ndarray,
-    sigmas: np.ndarray,
-    estimate_without: Callable[[Sequence[int], EstimationPlan, np.ndarray, np.ndarray], EstimationResult],
-    threshold: float,
-) -> tuple[list[int], list[RemovedMeasurement]]:
-    """Voltmeters ``low`` that the estimate without them contradicts, with their positions; none where it diverges.
-
-    (z - vm) / sqrt(sigma^2 + sigma_vm^2) is the normalised residual of the meter in the linear model, but taken
-    at a state that the reading has not moved.
-
-    Raises:
-        NotObservableError: the other meters do not determine the state.
-    """
-    if not low:
-        return [], []
-    try:
-        result = estimate_without(low, plan, values, sigmas)
-    except (InvalidInputError, EstimationDivergedError):
-        return [], []  # the estimate with all of them says what is wrong
-    sigma_vm, _ = result.state_sigma()
-    rows, dead = [], []
-    for k in low:
-        m = Measurement(plan.meters[k], float(values[k]), float(sigmas[k]))
-        row = plan.network.row[m.meter.bus]
-        normalized = float(abs(m.value - result.vm[row]) / np.hypot(m.sigma, sigma_vm[row]))
-        if normalized > threshold:
-            rows.append(k)
-            dead.append(RemovedMeasurement(m, normalized, ()))
-    return rows, dead
-
-
-def _confirm_low_voltages(
-    low: Sequence[int],
-    plan: EstimationPlan,
-    values: np.ndarray,
-    sigmas: np.ndarray,
-    estimate: Callable[[EstimationPlan, np.ndarray, np.ndarray], EstimationResult],
-    confidence: float,
-    gap: NotObservableError,
-) -> EstimationResult:
-    """The estimate with voltmeters ``low``, without which there is a ``gap``, where they confirm each other.
-
-    Each must be one that the others could replace, and all readings together must pass the chi-square test: else
-    the state would follow a dead meter, and good meters would be removed until nothing contradicts it.
-
-    Raises:
-        NotObservableError: they do not.
-    """
-    if not plan.indispensable[list(low)].any():
-        try:
-            result = estimate(plan, values, sigmas)
-        except EstimationDivergedError:
-            pass
-        else:
-            if not _exceeds_limit(result, confidence):
-                return result
-    left_out = [f"{plan.meters[k]} reads {float(values[k]):.3g} p.u., below {DEAD_VM:g}" for k in low]
-    raise NotObservableError(gap.buses, gap.cures, left_out) from None
-
-
-def _exceeds_limit(result: EstimationResult, confidence: float) -> bool:
-    return result.objective >= chi_square_limit(result.degrees_of_freedom, confidence)
-
-
-def _find_worst(
-    result: EstimationResult, threshold: float, kept: Collection[str]
-) -> tuple[int, RemovedMeasurement] | None:
-    """The largest normalised residual above ``threshold`` but for the meters ``kept``, with those that equal it."""
-    normalized, meters = normalized_residuals(result), result.plan.meters
-    candidates = [k for k in np.flatnonzero(normalized > threshold).tolist() if meters[k].id not in kept]
-    largest = max((normalized[k] for k in candidates), default=0.0)
-    tied = sorted((k for k in candidates if normalized[k] >= largest * (1 - TIE)), key=lambda k: meters[k].id)
-    if not tied:
-        return None
-    first = tied[0]
-    equal = np.flatnonzero(abs(normalized - largest) <= TIE * largest).tolist()
-    return first, RemovedMeasurement(
-        measurement=result.measurements[first],
-        normalized_residual=float(normalized[first]),
-        indistinguishable_from=tuple(sorted(meters[k].id for k in equal if k != first)),
     )
 
 

@@ -12,11 +12,14 @@ import scipy.sparse as sp
 from dsse_core.augmented import AugmentedFactor
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation_plan import Backend, BackendChoice, EstimationPlan, build_estimation_plan
-from dsse_core.gauss_newton import LAST_STEP, MOST_STEPS
+from dsse_core.gauss_newton import LAST_STEP
 from dsse_core.measurement import Measurement, Source, check_measurements, check_readings
 from dsse_core.network import Network
 from dsse_core.sparse_estimation import estimate_sparse
 from dsse_core.tree_estimation import estimate_on_tree, find_variances_on_tree
+from dsse_core.verdict import Memory
+
+NO_MEMORY = Memory()
 
 
 @dataclass(frozen=True)
@@ -27,11 +30,14 @@ class EstimationResult:
     ``objective`` is J(x) (eq. 3.9), which under the model's assumptions is chi-square distributed with
     ``degrees_of_freedom`` = measurements + constraints - state variables. What is not stored is computed when it is
     asked for, on the tree where that is the back end, and else, or where it does not tell, by sparse factorisation.
+    ``iterations``: steps since the start that it ended from. ``memory``: what later verdicts rest on; ``judging`` where
+    J has exceeded the chi-square limit.
     """
 
     plan: EstimationPlan
     values: np.ndarray
     sigmas: np.ndarray
+    memory: Memory
     vm: np.ndarray
     va: np.ndarray
     residual: np.ndarray
@@ -114,7 +120,6 @@ def estimate_state(
     reference: int | None = None,
     start: tuple[np.ndarray, np.ndarray] | None = None,
     tolerance: float = LAST_STEP,
-    max_iterations: int = MOST_STEPS,
     backend: BackendChoice = "auto",
 ) -> EstimationResult:
     """The estimate of one scan: ``build_estimation_plan``, which says what ``reference`` and ``backend`` are, and
@@ -126,7 +131,7 @@ def estimate_state(
         EstimationDivergedError: names the measurement with the largest weighted residual.
     """
     plan, values, sigmas = plan_scan(network, measurements, reference=reference, backend=backend)
-    return estimate_with_plan(plan, values, sigmas, start=start, tolerance=tolerance, max_iterations=max_iterations)
+    return estimate_with_plan(plan, values, sigmas, start=start, tolerance=tolerance)
 
 
 def plan_scan(
@@ -148,19 +153,20 @@ def estimate_with_plan(
     *,
     start: tuple[np.ndarray, np.ndarray] | None = None,
     tolerance: float = LAST_STEP,
-    max_iterations: int = MOST_STEPS,
+    memory: Memory = NO_MEMORY,
 ) -> EstimationResult:
     """Find the state that minimises J(x) = (z - h(x))' W (z - h(x)), W = diag(1 / sigma^2) (eqs. 3.8-3.14).
 
     ``values``, ``sigmas`` (n_meas,): the readings of the plan's meters. Virtual ones hold exactly; their sigma does
-    not count. Gauss-Newton until the steps taken say that the next one is the last (``gauss_newton.is_last``); no step
-    moves a voltage by more than MAX_DVM and MAX_DVA. From the flat start current magnitudes enter once the others have
-    told where flows go: before, they have several minima.
+    not count. Gauss-Newton as ``verdict.decide`` says, until it is final or normalised residuals are wanted: no step
+    moves a voltage by more than MAX_DVM and MAX_DVA, and current magnitudes enter once the others have told where flows
+    go: before, they have several minima.
 
     Args:
         start: (vm, va) in network order, such as the last scan's; its angle of the reference is kept. By default the
-            flat start, and there the set-point of the slack bus, 0 elsewhere.
+            flat start, and there the set-point of the slack bus, 0 elsewhere; so too where the start leads to no end.
         tolerance: what the last step may move, p.u. and rad, where steps shrink no faster than by one rate.
+        memory: what has been removed, and whether a start has led to no end before.
 
     Raises:
         InvalidInputError: readings that cannot be.
@@ -170,15 +176,15 @@ def estimate_with_plan(
     if not values.shape == sigmas.shape == (len(plan.meters),):
         problem = f"the plan has {len(plan.meters)} meters; given are values {values.shape} and sigmas {sigmas.shape}"
         raise InvalidInputError(f"readings of network {plan.network.name!r}", [problem])
-    options = start, tolerance, max_iterations
+    options = start, tolerance, memory
     if isinstance(plan.tree, str):
         sigmas[plan.virtual] = 0.0
         if not _are_usable(values, sigmas, plan.virtual):
             check_readings(plan.network, plan.meters, values, sigmas)
-        found = estimate_sparse(plan.sparse, values, sigmas, *options)
+        memory, found = estimate_sparse(plan.sparse, values, sigmas, *options)
     else:
-        found = estimate_on_tree(plan.tree, plan.virtual, values, sigmas, *options)
-    return EstimationResult(plan, values, sigmas, *found)
+        memory, found = estimate_on_tree(plan.tree, plan.virtual, values, sigmas, *options)
+    return EstimationResult(plan, values, sigmas, memory, *found)
 
 
 def _are_usable(values: np.ndarray, sigmas: np.ndarray, virtual: np.ndarray) -> bool:

@@ -1,7 +1,7 @@
 """Bad data of the whole feeder from what each area knows: the centralised test, added up along the tree of areas.
 
 At the end of the exact exchange J, degrees of freedom and normalised residuals of the areas are those of the
-centralised estimate, so that a sum and a maximum along the tree make the same decisions (``verdict``, ``bad_data``).
+centralised estimate, so that a sum and a maximum along the tree make the same decisions (``verdict``).
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ import numpy as np
 
 from dsse_core.admittance import flat_start
 from dsse_core.area_model import AreaModel, build_area_model
-from dsse_core.bad_data import THRESHOLD, TIE, normalize_residuals
 from dsse_core.boundary_information import BoundaryInformation
 from dsse_core.exchange import compute_information
 from dsse_core.exchange_sparse import sample_redundancy, variances
 from dsse_core.measurement import Measurement, MeasurementKind, Meter
 from dsse_core.partition import Area, Neighbour
+from dsse_core.residuals import THRESHOLD, keep_tied, normalize_residuals
 
 # Below it an indispensable meter. Rounding and NO_LOAD_NOT_YET leave one 1e-15; a meter that another one replaces only
 # through an impedance of 3e-7 p.u. has 3e-10, a voltmeter that only the sum of 5,000 injections in a row checks 2e-11.
@@ -56,12 +56,6 @@ def count_freedom(model: AreaModel) -> int:
     """The area's part of the degrees of freedom."""
     owned = len(model.area.network.buses) - (model.area.parent is not None)
     return len(model.meters) - 2 * owned + model.area.is_reference
-
-
-def keep_tied(suspects: Mapping[str, float]) -> dict[str, float]:
-    """The largest, and those that equal it."""
-    least = max(suspects.values(), default=0.0) * (1 - TIE)
-    return {meter: suspects[meter] for meter in sorted(suspects) if suspects[meter] >= least}
 
 
 @dataclass(frozen=True)

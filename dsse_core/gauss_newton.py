@@ -1,4 +1,4 @@
-"""What all back ends of the estimate share: which steps are shortened, and when the iteration has ended."""
+"""The numbers of a Gauss-Newton iteration that ``verdict`` decides by, and the compiled iteration on a tree, too."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ import numpy as np
 # Gauss-Newton needs 3 to 6 steps; what takes longer swings around the answer, as current magnitudes make it
 # do that are as uncertain as they are large, and half steps settle it.
 FULL_STEPS = 10
-MOST_STEPS = 100  # half steps may shrink by a rate of 0.8 only, and NO_STEP is then 60 away
+MOST_STEPS = 25  # of one iteration; then it begins anew at the flat start, where
+MOST_STEPS_ANEW = 100  # are taken: half steps may shrink by a rate of 0.8 only, and NO_STEP is then 60 away
 FLOWS_KNOWN = 1e-4  # p.u. and rad; after a smaller step current magnitudes are used
 LARGEST_STEP = 1e6  # p.u. or rad; beyond it the iteration has left every state of interest
 # A longer step is shortened: a dead voltmeter must not throw all voltages to zero, where nothing converges.
@@ -21,9 +22,10 @@ SLOWEST_RATE = 0.1  # a rate says what is to come only where it is small
 # Without it 3 of 1000 grids with gross errors were left 2e-8 from the minimum.
 LEAST_RATE = 0.01
 NO_STEP = 1e-10  # after a smaller step nothing is to come, whatever the one before was
-NOT_YET = np.inf, 0.0, 0.0  # the last step, the one before and the share taken of the last, where there is none
+NEAR_LIMIT = 0.01  # of the chi-square limit: J so near to it is found more exactly first
+SURE_STEP = 1e-9  # p.u. and rad: after a smaller step J is as exact as it gets
 
-# vm and va in network order, the residuals z - h(x), (n_meas,), J(x), and how many steps it took.
+# vm and va in network order, the residuals z - h(x), (n_meas,), J(x), and how many steps the iteration took.
 Solution = tuple[np.ndarray, np.ndarray, np.ndarray, float, int]
 
 

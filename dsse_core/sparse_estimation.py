@@ -11,20 +11,12 @@ import scipy.sparse as sp
 from dsse_core.admittance import build_admittance, flat_start
 from dsse_core.augmented import AugmentedFactor, AugmentedPattern
 from dsse_core.errors import EstimationDivergedError
-from dsse_core.gauss_newton import (
-    FLOWS_KNOWN,
-    FULL_STEPS,
-    LARGEST_STEP,
-    MAX_DVA,
-    MAX_DVM,
-    NOT_YET,
-    Solution,
-    is_last,
-)
+from dsse_core.gauss_newton import LARGEST_STEP, Solution
 from dsse_core.measurement import MeasurementKind, Meter
 from dsse_core.measurement_model import MeasurementModel, build_measurement_model
 from dsse_core.network import Network
 from dsse_core.radial import find_tree, order_tableau
+from dsse_core.verdict import Decision, Memory, Totals, Verdict, decide
 
 SMALL_STEP = 0.02  # p.u. and rad; after a smaller one the last factor may serve once more
 
@@ -76,73 +68,134 @@ def estimate_sparse(
     sigmas: np.ndarray,
     start: tuple[np.ndarray, np.ndarray] | None,
     tolerance: float,
-    max_iterations: int,
-) -> Solution:
-    """Gauss-Newton with the tableau of ``augmented``; ``sigmas`` (n_meas,) are 0 where a reading holds exactly.
+    memory: Memory,
+) -> tuple[Memory, Solution]:
+    """Gauss-Newton until it is final or to be judged; ``sigmas`` (n_meas,) are 0 where a reading holds exactly.
 
     Raises:
         EstimationDivergedError: names the measurement with the largest weighted residual.
     """
-    steps = _Steps(plan, sigmas)
-    x = plan.start if start is None else np.concatenate([start[1], start[0]])
-    flows_known = start is not None or not len(steps.currents)
-    step, before, share = NOT_YET
-    for iteration in range(1, max_iterations + 1):
-        last = flows_known and is_last(step, before, len(steps.currents) > 0, tolerance)
-        h, H = plan.linearize(x)
-        r = plan.model.subtract(values, h)
-        try:
-            dx = steps.solve(H, r, flows_known, nearby=step < SMALL_STEP, at_start=x is plan.start, last=last)
-        except RuntimeError:  # SuperLU: singular away from the no-load state, where the rank was full
-            raise _diverged(plan, sigmas, r, iteration, np.inf) from None
-        taken, share_before = step, share
-        step, share = _measure(dx, len(x) // 2 - 1, 1.0 if iteration <= FULL_STEPS else 0.5)
-        before = taken if share == share_before else 0.0
-        if not step <= LARGEST_STEP:
-            raise _diverged(plan, sigmas, r, iteration, step)
-        x = x.copy()
-        x[plan.free] += share * dx
-        if last:
-            va, vm = np.split(x, 2)
-            r = plan.model.subtract(values, plan.model.predict(x))
-            return vm, va, r, steps.objective(r), iteration
-        if not flows_known and step < FLOWS_KNOWN:
-            flows_known, (step, before, share) = True, NOT_YET
-    raise _diverged(plan, sigmas, r, max_iterations, step)
+    grid = SparseIteration(plan, values, sigmas, start, from_flat_start=memory.from_flat_start)
+    while True:
+        memory, verdict = decide(memory, grid.totals(), tolerance)
+        if verdict.reason:
+            raise grid.diverged()
+        grid.carry_out(verdict)
+        if verdict.decision in (Decision.JUDGE, Decision.FINAL):
+            return memory, grid.solution()
 
 
-class _Steps:
-    """Solves one step after the other, on the last factor where that serves."""
+class SparseIteration:
+    """The whole grid as one area without neighbours: its totals, and its part of what is decided, which is all of it.
 
-    def __init__(self, plan: SparsePlan, sigmas: np.ndarray) -> None:
-        self.currents = np.flatnonzero(plan.model.kinds == MeasurementKind.CURRENT)
-        self._plan = plan
-        self._sigmas = sigmas
+    ``x``: the state x_k = [va; vm], (2 n_bus,), p.u. and rad. Steps are solved with the tableau of ``augmented``, on
+    the last factor where that serves.
+    """
+
+    def __init__(
+        self,
+        plan: SparsePlan,
+        values: np.ndarray,
+        sigmas: np.ndarray,
+        start: tuple[np.ndarray, np.ndarray] | None,
+        *,
+        from_flat_start: bool = False,
+    ) -> None:
+        self._plan, self._values, self._sigmas = plan, values, sigmas
+        self._start = plan.start if start is None or from_flat_start else np.concatenate([start[1], start[0]])
         self._weight = np.where(sigmas > 0, 1 / np.where(sigmas > 0, sigmas, 1.0), 0.0)
-        self._of_currents = np.flatnonzero(np.isin(plan.pattern.row, self.currents))
+        self._currents = np.flatnonzero(plan.model.kinds == MeasurementKind.CURRENT)
+        self._of_currents = np.flatnonzero(np.isin(plan.pattern.row, self._currents))
         self._factor: AugmentedFactor | None = None
-        self._multipliers = np.zeros(len(sigmas))
-        self._with_currents = False
+        self._size = 0.0, 0.0  # the largest entries of the last step, dva and dvm
+        self._begin()
 
-    def solve(
-        self, H: sp.csr_array, r: np.ndarray, with_currents: bool, *, nearby: bool, at_start: bool, last: bool
-    ) -> np.ndarray:
-        """The step dx, (n_free,); without currents: rows of 0. What is not the ``last`` one the next one corrects."""
-        if not with_currents:
-            H.data[self._of_currents] = 0.0
-            r = r.copy()
-            r[self.currents] = 0.0
+    def _begin(self) -> None:
+        self.x = self._before = self._start
+        self._forget_step()
+        self._steps = 0
+        self._held_back = len(self._currents)
+        self._multipliers = np.zeros(len(self._sigmas))
+        self._linearized: tuple[np.ndarray, sp.csr_array] | None = None  # r and H at x
+
+    def totals(self) -> Totals:
+        is_lost = not max(self._size) <= LARGEST_STEP
+        dva, dvm = self._size
+        return Totals(
+            objective=np.inf if is_lost else self._find_objective(self._linearize()[0]),
+            degrees_of_freedom=len(self._values) - self._held_back - len(self._plan.free),
+            dvm=dvm,
+            dva=dva,
+            held_back=self._held_back,
+            areas=1,
+            referenced=True,
+        )
+
+    def _linearize(self) -> tuple[np.ndarray, sp.csr_array]:
+        """Residual and H at x of the meters in use; rows of 0 of the others."""
+        if self._linearized is None:
+            h, H = self._plan.linearize(self.x)
+            r = self._plan.model.subtract(self._values, h)
+            if self._held_back:
+                H.data[self._of_currents] = 0.0
+                r[self._currents] = 0.0
+            self._linearized = r, H
+        return self._linearized
+
+    def _find_objective(self, r: np.ndarray) -> float:
+        """J of residuals r, (n_meas,); what holds exactly does not count."""
+        weighted = r * self._weight
+        return float(weighted @ weighted)
+
+    def carry_out(self, verdict: Verdict) -> None:
+        if verdict.takes_step:
+            self._take_step(verdict.share, last=verdict.with_step)
+        match verdict.decision:
+            case Decision.SHORTEN:
+                self._move(verdict.share)
+                self._forget_step()
+            case Decision.USE_CURRENTS:
+                self._held_back, self._linearized = 0, None
+                self._forget_step()
+            case Decision.ANEW:
+                self._start = self._plan.start
+                self._begin()
+
+    def _take_step(self, share: float, *, last: bool) -> None:
+        try:
+            self._step = self._solve(last)
+        except RuntimeError:  # SuperLU: singular away from the no-load state, where the rank was full
+            self._size = np.inf, np.inf
+            raise self.diverged() from None
+        size, n_angles = abs(self._step), len(self.x) // 2 - 1
+        self._size = float(size[:n_angles].max(initial=0.0)), float(size[n_angles:].max(initial=0.0))
+        self._steps, self._before = self._steps + 1, self.x
+        self._move(share)
+
+    def _forget_step(self) -> None:
+        """What follows is not told from it; nor does its factor serve."""
+        self._step, self._size, self._factor = np.zeros(len(self._plan.free)), (0.0, 0.0), None
+
+    def _move(self, share: float) -> None:
+        """Take ``share`` of the step from where it was begun."""
+        self.x, self._linearized = self._before.copy(), None
+        self.x[self._plan.free] += share * self._step
+
+    def _solve(self, last: bool) -> np.ndarray:
+        """The step dx, (n_free,). What is not the ``last`` one the next one corrects."""
+        r, H = self._linearize()
         found = None
-        if self._factor and nearby and with_currents == self._with_currents:
+        if self._factor and max(self._size) < SMALL_STEP:
             found = self._factor.solve_nearby(H, r, self._multipliers)
         if found is None:
-            self._factor, self._with_currents = self._find_factor(H, at_start), with_currents
+            self._factor = self._find_factor(H)
             found = self._factor.solve(r, np.zeros(H.shape[1]), refined=last)
         self._multipliers, dx = found
         return dx
 
-    def _find_factor(self, H: sp.csr_array, at_start: bool) -> AugmentedFactor:
+    def _find_factor(self, H: sp.csr_array) -> AugmentedFactor:
         kept, sigmas = self._plan.at_start, self._sigmas.tobytes()
+        at_start = self.x is self._plan.start
         if at_start and (found := kept.get(sigmas)):
             return found
         factor = AugmentedFactor(H, self._sigmas, pattern=self._plan.pattern)
@@ -151,21 +204,16 @@ class _Steps:
             kept[sigmas] = factor
         return factor
 
-    def objective(self, r: np.ndarray) -> float:
-        """J of residuals r, (n_meas,); what holds exactly does not count."""
-        weighted = r * self._weight
-        return float(weighted @ weighted)
+    def solution(self) -> Solution:
+        va, vm = np.split(self.x, 2)
+        r = self._plan.model.subtract(self._values, self._plan.model.predict(self.x))
+        return vm, va, r, self._find_objective(r), self._steps
 
-
-def _measure(dx: np.ndarray, n_angles: int, largest_share: float) -> tuple[float, float]:
-    """The largest entry of the step [dva; dvm], and the part of it that MAX_DVA and MAX_DVM allow."""
-    dva, dvm = (float(abs(part).max(initial=0.0)) for part in (dx[:n_angles], dx[n_angles:]))
-    return max(dva, dvm), 1.0 / max(1.0 / largest_share, dva / MAX_DVA, dvm / MAX_DVM)
-
-
-def _diverged(
-    plan: SparsePlan, sigmas: np.ndarray, r: np.ndarray, iterations: int, step: float
-) -> EstimationDivergedError:
-    weighted = abs(r) / np.where(sigmas > 0, sigmas, np.inf)
-    worst = int(np.argmax(weighted))
-    return EstimationDivergedError(iterations, step, str(plan.meters[worst]), float(weighted[worst]))
+    def diverged(self) -> EstimationDivergedError:
+        """The error that names the measurement with the largest weighted residual."""
+        r = self._plan.model.subtract(self._values, self._plan.model.predict(self._before))
+        weighted = abs(r) * self._weight
+        worst = int(np.argmax(weighted))
+        return EstimationDivergedError(
+            self._steps, max(self._size), str(self._plan.meters[worst]), float(weighted[worst])
+        )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from types import ModuleType
 
@@ -10,7 +11,9 @@ import numpy as np
 from dsse_core.errors import EstimationDivergedError
 from dsse_core.gauss_newton import Solution
 from dsse_core.measurement import check_readings
+from dsse_core.residuals import CONFIDENCE, chi_square_limit
 from dsse_core.tree_plan import N_SLOT, TreePlan
+from dsse_core.verdict import Memory, most_steps
 
 
 def estimate_on_tree(
@@ -20,31 +23,46 @@ def estimate_on_tree(
     sigmas: np.ndarray,
     start: tuple[np.ndarray, np.ndarray] | None,
     tolerance: float,
-    max_iterations: int,
-) -> Solution:
-    """The iteration of ``estimate_sparse``, step by step. ``sigmas`` (n_meas,) become 0 where a reading is ``exact``.
+    memory: Memory,
+) -> tuple[Memory, Solution]:
+    """What ``estimate_sparse`` finds. ``sigmas`` (n_meas,) become 0 where a reading is ``exact``.
+
+    For small networks calls made in Python take longer than solving, so that what ``decide`` says between two steps is
+    compiled with them; that both come to the same is tested.
 
     Raises:
         InvalidInputError: readings that cannot be.
         EstimationDivergedError: names the measurement with the largest weighted residual.
     """
     compiled, n = _load_compiled(), len(plan.order)
-    v, va = plan.start, plan.start_va
-    if start is not None:
-        va = np.array(start[1], dtype=float)[plan.order]
-        v = np.asarray(start[0])[plan.order] * np.exp(1j * va)
     state, residual = np.empty((2, n)), np.empty(len(values))
-    end, iterations, step, objective = compiled.estimate(
-        plan.parent, plan.admittance, plan.order, plan.slot, exact, v, va, start is not None, plan.has_currents,
-        float(tolerance), max_iterations, values, sigmas, state, residual,
-    )  # fmt: skip
-    if end == compiled.UNUSABLE:
-        check_readings(plan.network, plan.meters, values, sigmas)
-    if end != compiled.CONVERGED:
+    limit = chi_square_limit(len(values) - (2 * n - 1), CONFIDENCE)
+    while True:
+        v, va = _begin_at(plan, None if memory.from_flat_start else start)
+        end, steps, step, objective = compiled.estimate(
+            plan.parent, plan.admittance, plan.order, plan.slot, exact, v, va, plan.has_currents,
+            float(tolerance), most_steps(memory), limit, values, sigmas, state, residual,
+        )  # fmt: skip
+        if end == compiled.UNUSABLE:
+            check_readings(plan.network, plan.meters, values, sigmas)
+        if end != compiled.LOST or memory.from_flat_start:
+            break
+        memory = Memory(removed=memory.removed, from_flat_start=True)
+    if end == compiled.LOST:
         weighted = abs(residual) / np.where(sigmas > 0, sigmas, np.inf)
         worst = int(np.argmax(weighted))
-        raise EstimationDivergedError(iterations, step, str(plan.meters[worst]), float(weighted[worst]))
-    return state[0], state[1], residual, objective, iterations
+        raise EstimationDivergedError(steps, step, str(plan.meters[worst]), float(weighted[worst]))
+    if end == compiled.JUDGE:
+        memory = replace(memory, judging=True)
+    return memory, (state[0], state[1], residual, objective, steps)
+
+
+def _begin_at(plan: TreePlan, start: tuple[np.ndarray, np.ndarray] | None) -> tuple[np.ndarray, np.ndarray]:
+    """Voltages and their angles in tree order, (n_bus,); the flat start without ``start``."""
+    if start is None:
+        return plan.start, plan.start_va
+    va = np.array(start[1], dtype=float)[plan.order]
+    return np.asarray(start[0])[plan.order] * np.exp(1j * va), va
 
 
 @cache

@@ -1,4 +1,4 @@
-"""Gauss-Newton on a tree, compiled: the iteration of ``estimate_state`` with the steps of ``tree_kernel``."""
+"""Gauss-Newton on a tree, compiled: the steps of ``tree_kernel``, and what ``verdict.decide`` says between them."""
 
 from __future__ import annotations
 
@@ -7,23 +7,25 @@ import math
 import numpy as np
 
 from dsse_core import gauss_newton
-from dsse_core.gauss_newton import FLOWS_KNOWN, FULL_STEPS, LARGEST_STEP, MAX_DVA, MAX_DVM, NOT_YET
+from dsse_core.gauss_newton import FLOWS_KNOWN, FULL_STEPS, LARGEST_STEP, MAX_DVA, MAX_DVM, NEAR_LIMIT, SURE_STEP
 from dsse_core.tree_block import N_INVERSE, compiled, modulus, scaled, wrap
 from dsse_core.tree_kernel import N_FACTOR, N_MORE, SMALL_ANGLE, STEP, eliminate, substitute
 
-CONVERGED, TOO_MANY, LEFT, UNUSABLE = 0, 1, 2, 3
+FINAL, JUDGE, LOST, UNUSABLE = 0, 1, 2, 3
 is_last = compiled(gauss_newton.is_last)
 
 
 @compiled
 def estimate(
-    parent, Y, order, slot, exact, start, start_va, flows_known, has_currents,
-    tolerance, max_iterations, values, sigmas, state, residual,
+    parent, Y, order, slot, exact, start, start_va, has_currents,
+    tolerance, most_steps, limit, values, sigmas, state, residual,
 ):  # fmt: skip
-    """The whole estimate in one call: for small networks, calls and arrays made in Python take longer than solving.
+    """The whole iteration in one call, from the first step to the last one, or to the end of patience.
 
     Fills ``state`` (2, n_bus), vm and va in network order, and ``residual`` (n_meas,), makes ``sigmas`` 0 where a
-    reading is ``exact``, and returns how it ended, iterations, last step and J. UNUSABLE: readings that cannot be.
+    reading is ``exact``, and returns how it ended, steps, the last one and J. FINAL, JUDGE: the verdict that the last
+    step was taken along with, ``limit`` being that of J. LOST: ``most_steps`` or LARGEST_STEP. UNUSABLE: readings that
+    cannot be.
     """
     if not _are_usable(exact, values, sigmas):
         return UNUSABLE, 0, np.inf, np.inf
@@ -33,30 +35,34 @@ def estimate(
     store(slot, values, sigmas, z, w)
     above, factor, more = np.zeros((n, 16)), np.empty((n, N_FACTOR)), np.empty((n, N_MORE))
     block, step = np.empty((4, N_INVERSE)), np.empty((n, 4))
-    flows_known = flows_known or not has_currents
-    end, iteration, (largest, before, share) = TOO_MANY, 0, NOT_YET
-    while end == TOO_MANY and iteration < max_iterations:
-        iteration += 1
-        last = flows_known and is_last(largest, before, has_currents, tolerance)
+    flows_known, stepped, last = not has_currents, False, False
+    end, steps, largest, before = LOST, 0, np.inf, 0.0
+    while not last:
+        if stepped and flows_known and is_last(largest, before, has_currents, tolerance):
+            J = _find_objective(parent, Y, z, w, v, va, has_currents, step)  # which is found anew after it
+            last = largest <= SURE_STEP or abs(J - limit) >= NEAR_LIMIT * limit
+            if last:
+                end = JUDGE if limit <= J else FINAL
+        if not last and steps >= most_steps:
+            break
         eliminate(parent, Y, z, w, v, va, flows_known, STEP, above, factor, more, block, step)
         substitute(parent, factor, step)
         dva, dvm, finite = _largest(v, step)
-        taken, share_before = largest, share
-        largest = max(dva, dvm) if finite else np.inf
-        share = 1.0 / max(max(2.0 if iteration > FULL_STEPS else 1.0, dva / MAX_DVA), dvm / MAX_DVM)
-        before = taken if share == share_before else 0.0
+        at_most = 1.0 if last or steps < FULL_STEPS else 0.5
+        before = largest if stepped and steps != FULL_STEPS else 0.0
+        largest, steps = max(dva, dvm) if finite else np.inf, steps + 1
         if not largest <= LARGEST_STEP:
-            end = LEFT
+            end = LOST
             break
+        share = at_most if last else 1.0 / max(max(1.0 / at_most, dva / MAX_DVA), dvm / MAX_DVM)
         _move(v, va, step, share, dva)
-        if last:
-            end = CONVERGED
-        if not flows_known and largest < FLOWS_KNOWN:
-            flows_known, (largest, before, share) = True, NOT_YET
+        stepped = share == at_most
+        if stepped and not flows_known and largest < FLOWS_KNOWN:
+            flows_known, stepped = True, False
     predict(parent, Y, v, va, has_currents, z)
     for i in range(n):
         state[0, order[i]], state[1, order[i]] = modulus(v[i]), va[i]
-    return end, iteration, largest, _subtract(slot, values, sigmas, z, residual)
+    return end, steps, largest, _subtract(slot, values, sigmas, z, residual)
 
 
 @compiled
@@ -99,6 +105,36 @@ def _subtract(slot, values, sigmas, h, residual):
         residual[k] = wrap(r) if column == 0 else r
         if sigmas[k] > 0.0:
             J += (residual[k] / sigmas[k]) ** 2
+    return J
+
+
+@compiled
+def _find_objective(parent, Y, z, w, v, va, has_currents, power):
+    """J from readings and weights by slot, without a row for every meter; ``power`` (n, 4) is overwritten."""
+    J = 0.0
+    for i in range(len(parent)):
+        square = v[i].real ** 2 + v[i].imag ** 2
+        power[i, 0], power[i, 1] = Y[i, 7].real * square, Y[i, 7].imag * square
+        if w[i, 0] > 0.0:
+            J += w[i, 0] * wrap(z[i, 0] - va[i]) ** 2
+        if w[i, 1] > 0.0:
+            J += w[i, 1] * (z[i, 1] - math.sqrt(square)) ** 2
+    for i in range(1, len(parent)):
+        p = parent[i]
+        own, at_parent = branch_powers(i, p, Y, v)
+        power[i, 0] += own.real
+        power[i, 1] += own.imag
+        power[p, 0] += at_parent.real
+        power[p, 1] += at_parent.imag
+        J += w[i, 4] * (z[i, 4] - at_parent.real) ** 2 + w[i, 5] * (z[i, 5] - at_parent.imag) ** 2
+        J += w[i, 7] * (z[i, 7] - own.real) ** 2 + w[i, 8] * (z[i, 8] - own.imag) ** 2
+        if has_currents:
+            J += w[i, 6] * (z[i, 6] - modulus(at_parent) / modulus(v[p])) ** 2
+            J += w[i, 9] * (z[i, 9] - modulus(own) / modulus(v[i])) ** 2
+    for i in range(len(parent)):
+        for k in range(2):
+            if w[i, 2 + k] > 0.0:
+                J += (z[i, 2 + k] - power[i, k]) ** 2 / w[i, 2 + k]
     return J
 
 

@@ -1,7 +1,8 @@
 """What all areas do next, from the totals of all areas: one pure function of what has been and what is.
 
 The areas together take the Gauss-Newton steps of the whole grid. Step control, the end of the iteration and bad data
-are decided here, without a clock, so that everybody who knows the totals comes to the same verdict.
+are decided here, without a clock, so that everybody who knows the totals comes to the same verdict. The centralised
+estimator is one area without neighbours.
 """
 
 from __future__ import annotations
@@ -10,14 +11,21 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
-from dsse_core.bad_data import CONFIDENCE, chi_square_limit
-from dsse_core.feeder_bad_data import keep_tied
-from dsse_core.gauss_newton import FLOWS_KNOWN, FULL_STEPS, LAST_STEP, MAX_DVA, MAX_DVM, is_last
+from dsse_core.gauss_newton import (
+    FLOWS_KNOWN,
+    FULL_STEPS,
+    LARGEST_STEP,
+    LAST_STEP,
+    MAX_DVA,
+    MAX_DVM,
+    MOST_STEPS,
+    MOST_STEPS_ANEW,
+    NEAR_LIMIT,
+    SURE_STEP,
+    is_last,
+)
+from dsse_core.residuals import CONFIDENCE, chi_square_limit, keep_tied
 
-MOST_STEPS = 25  # of one iteration; then it begins anew at the flat start, where
-MOST_STEPS_ANEW = 60  # are taken before the scan is given up
-NEAR_LIMIT = 0.01  # of the chi-square limit: J so near to it is found more exactly first
-SURE_STEP = 1e-9  # p.u. and rad: after a smaller step J is as exact as it gets
 MOST_REMOVED = 1000  # meters of one scan; more are made up by somebody who would do so for ever
 MOST_NAMED = 20  # areas or ranges of buses that totals name
 
@@ -134,45 +142,63 @@ class Verdict:
         return self.decision is Decision.STEP or self.with_step
 
 
-def decide(memory: Memory, totals: Totals) -> tuple[Memory, Verdict]:
-    """The verdict on ``totals``, and what the next one rests on."""
+def decide(memory: Memory, totals: Totals, tolerance: float = LAST_STEP) -> tuple[Memory, Verdict]:
+    """The verdict on ``totals``, and what the next one rests on; ``tolerance``: see ``is_last``."""
     if totals.unobservable:
         return memory, Verdict(Decision.FINAL, reason=UNOBSERVABLE)
     if totals.failed:
         return memory, Verdict(Decision.FINAL, reason=NO_ESTIMATE)
     if memory.judging:
         return _remove_worst(memory, totals)
-    if memory.stepped:
-        share = 1 / max(1.0, totals.dva / MAX_DVA, totals.dvm / MAX_DVM)
-        if share < 1:
+    taken, is_lost = _share_of(memory.steps), not totals.step <= LARGEST_STEP
+    if memory.stepped and not is_lost:
+        share = 1 / max(1 / taken, totals.dva / MAX_DVA, totals.dvm / MAX_DVM)
+        if share < taken:
             return replace(memory, stepped=False, before=0.0), Verdict(Decision.SHORTEN, share)
         if totals.held_back and not memory.uses_currents and totals.step < FLOWS_KNOWN:
             return replace(memory, stepped=False, before=0.0, uses_currents=True), Verdict(Decision.USE_CURRENTS)
-        if (memory.uses_currents or not totals.held_back) and _comes_last(memory, totals):
-            if totals.objective >= chi_square_limit(totals.degrees_of_freedom, CONFIDENCE):
+        if (memory.uses_currents or not totals.held_back) and _comes_last(memory, totals, tolerance):
+            if _exceeds_limit(totals):
                 return replace(memory, judging=True), Verdict(Decision.JUDGE, with_step=True)
             return memory, Verdict(Decision.FINAL, with_step=True)
-    if memory.steps >= (MOST_STEPS_ANEW if memory.from_flat_start else MOST_STEPS):
+    if is_lost or memory.steps >= most_steps(memory):
         if memory.from_flat_start:
             return memory, Verdict(Decision.FINAL, reason=DIVERGED)
         return Memory(removed=memory.removed, from_flat_start=True), Verdict(Decision.ANEW)
-    before = totals.step if memory.stepped else 0.0
-    share = 1.0 if memory.steps < FULL_STEPS else 0.5
+    share = _share_of(memory.steps + 1)
+    before = totals.step if memory.stepped and share == taken else 0.0
     return replace(memory, steps=memory.steps + 1, before=before, stepped=True), Verdict(Decision.STEP, share)
 
 
+def _share_of(step: int) -> float:
+    """How much is taken of the step of this number, from 1 on."""
+    return 1.0 if step <= FULL_STEPS else 0.5
+
+
+def most_steps(memory: Memory) -> int:
+    """How many steps since the start are taken at most."""
+    return MOST_STEPS_ANEW if memory.from_flat_start else MOST_STEPS
+
+
 def _remove_worst(memory: Memory, totals: Totals) -> tuple[Memory, Verdict]:
-    """After judging: the largest normalised residual goes, of equal ones the first by id, or nothing stands out."""
-    if not totals.worst or len(memory.removed) >= MOST_REMOVED:
+    """After judging: the largest normalised residual goes, of equal ones the first by id, or nothing stands out.
+
+    Nothing has to go where the step that was taken along has brought J below the limit.
+    """
+    if not totals.worst or not _exceeds_limit(totals) or len(memory.removed) >= MOST_REMOVED:
         return replace(memory, judging=False), Verdict(Decision.FINAL)
     removed = (*memory.removed, totals.worst[0][0])
     return Memory(removed=removed, from_flat_start=memory.from_flat_start), Verdict(Decision.ANEW)
 
 
-def _comes_last(memory: Memory, totals: Totals) -> bool:
+def _comes_last(memory: Memory, totals: Totals, tolerance: float) -> bool:
     """Whether the coming step is the last, judged by the steps that were taken: a gain would lie below rounding."""
     step = totals.step
-    if not is_last(step, memory.before, memory.uses_currents, LAST_STEP):
+    if not is_last(step, memory.before, memory.uses_currents, tolerance):
         return False
     limit = chi_square_limit(totals.degrees_of_freedom, CONFIDENCE)
     return step <= SURE_STEP or abs(totals.objective - limit) >= NEAR_LIMIT * limit
+
+
+def _exceeds_limit(totals: Totals) -> bool:
+    return totals.objective >= chi_square_limit(totals.degrees_of_freedom, CONFIDENCE)

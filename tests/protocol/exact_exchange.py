@@ -7,8 +7,9 @@ from feeders import Feeder
 from simulated_bus import SimulatedBus, area_files_of, with_links
 
 from agents.rounds import RoundsProtocol
-from dsse_core.bad_data import CRITICAL_REDUNDANCY, BadDataReport, process_bad_data
+from dsse_core.bad_data import BadDataReport, process_bad_data
 from dsse_core.link_faults import LinkFaults
+from dsse_core.residuals import CRITICAL_REDUNDANCY
 from scenarios.scenario import Scenario
 from scenarios.telemetry import make_telemetry
 

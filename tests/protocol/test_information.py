@@ -14,10 +14,10 @@ from tree_of_areas import tree_scenario
 
 from agents.events import Received
 from agents.messages import DownMessage, UpMessage, decode, encode
-from dsse_core.bad_data import chi_square_limit
 from dsse_core.link_faults import LinkFaults
 from dsse_core.measurement import Source
 from dsse_core.power_flow import solve_power_flow
+from dsse_core.residuals import chi_square_limit
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 
