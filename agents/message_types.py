@@ -28,6 +28,9 @@ class Incarnation:
         return f"{self.start_ms:x}-{self.random:08x}"
 
 
+NO_LIFE = Incarnation(0, 0)
+
+
 @dataclass(frozen=True, slots=True)
 class Header:
     """Who says it, in which life, about which scan. ``sequence`` grows with every changed content."""
@@ -116,7 +119,8 @@ class HeartbeatMessage:
     ``hears``: it hears the receiver. ``answers``: send time of the receiver's newest message plus the time it has lain
     here, from which the receiver finds the round trip; 0 without one. ``received``: round of the receiver's newest
     message of this term, -1 without one. ``complete``: at rest, its side is heard and fresh. ``y``: at rest, the d
-    ``variables`` of the boundary in its final state, or none.
+    ``variables`` of the boundary in its final state, or none. ``plant``, ``offset``: the scan of terms is the number
+    that this life of the plant gives it, plus so much (``agents/scan_readings.py``).
     """
 
     kind: ClassVar[str] = "heartbeat"
@@ -131,6 +135,8 @@ class HeartbeatMessage:
     final: bool
     complete: bool
     y: Numbers
+    plant: Incarnation = NO_LIFE
+    offset: Count = 0
 
     def find_misfit(self) -> str:
         lengths = {"y": (len(self.y), (0, len(self.variables)))}

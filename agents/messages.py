@@ -20,6 +20,7 @@ import msgspec
 import numpy as np
 
 from agents.message_types import (
+    NO_LIFE,
     AdmmMessage,
     BoundaryMessage,
     ClockMessage,
@@ -38,6 +39,7 @@ from agents.wire_checks import MessageError, shown
 from dsse_core.verdict import Totals
 
 __all__ = [
+    "NO_LIFE",
     "AdmmMessage",
     "BoundaryMessage",
     "ClockMessage",
@@ -85,13 +87,21 @@ _CONTENT: Mapping[str, Callable[[Any], Any]] = {
 # Packing
 
 
+def _pack_life(life: Incarnation) -> tuple[int, int]:
+    return life.start_ms, life.random
+
+
+def _read_life(places: tuple[int, int]) -> Incarnation:
+    return Incarnation(*places)
+
+
 def _pack_header(h: Header) -> tuple[Any, ...]:
-    return h.run, h.sender, (h.incarnation.start_ms, h.incarnation.random), h.scan, h.sequence, h.time
+    return h.run, h.sender, _pack_life(h.incarnation), h.scan, h.sequence, h.time
 
 
 def _read_header(places: tuple[Any, ...]) -> Header:
-    run, sender, (start_ms, random), scan, sequence, time = places
-    return Header(run, sender, Incarnation(start_ms, random), scan, sequence, time)
+    run, sender, life, scan, sequence, time = places
+    return Header(run, sender, _read_life(life), scan, sequence, time)
 
 
 def _read_map(pairs: tuple[tuple[str, Any], ...]) -> dict[str, Any]:
@@ -101,8 +111,18 @@ def _read_map(pairs: tuple[tuple[str, Any], ...]) -> dict[str, Any]:
     return content
 
 
-_PACK: Mapping[Any, Callable[[Any], Any]] = {Header: _pack_header, Totals: list_totals, dict: lambda m: list(m.items())}
-_READ: Mapping[Any, Callable[[Any], Any]] = {Header: _read_header, Totals: read_totals, dict: _read_map}
+_PACK: Mapping[Any, Callable[[Any], Any]] = {
+    Header: _pack_header,
+    Incarnation: _pack_life,
+    Totals: list_totals,
+    dict: lambda m: list(m.items()),
+}
+_READ: Mapping[Any, Callable[[Any], Any]] = {
+    Header: _read_header,
+    Incarnation: _read_life,
+    Totals: read_totals,
+    dict: _read_map,
+}
 
 
 def _form_of(hint: Any) -> Any:

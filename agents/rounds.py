@@ -152,6 +152,8 @@ class RoundsProtocol:
         reason = find_refusal(message, key_sender, self._content, wall)
         if not reason and not isinstance(message, TelemetryMessage | LoadMessage | RoundsMessage):
             reason = "other strategy"
+        if not reason and isinstance(message, HeartbeatMessage):
+            yield from self._act_on(self._scan.take_numbering(key_sender, message.plant, message.offset))
         if not reason and isinstance(message, RoundsMessage) and not self._scan.may_enter(message.header.scan):
             reason = "scan far ahead of the telemetry"
         if reason:
@@ -162,7 +164,7 @@ class RoundsProtocol:
         self._ahead.pop(key_sender, None)
         match message:
             case TelemetryMessage():
-                yield from self._take_telemetry(message)
+                yield from self._act_on(self._scan.take(message, self._now))
             case LoadMessage():
                 last = self._heard_loads.get(key_sender)
                 if last is None or message.header.order > last.header.order:
@@ -172,8 +174,9 @@ class RoundsProtocol:
             case HeartbeatMessage() | UpMessage() | DownMessage():
                 yield from self._hear(key_sender, message)
 
-    def _take_telemetry(self, message: TelemetryMessage) -> Iterator[Action]:
-        match self._scan.take(message, self._now):
+    def _act_on(self, news: News) -> Iterator[Action]:
+        """Use new readings, or readings that belong to another scan than was thought."""
+        match news:
             case News.NEXT_SCAN:
                 yield from self._enter_next_scan()
             case News.AWAITED:
@@ -205,7 +208,8 @@ class RoundsProtocol:
                 self._revision = max(self._revision, term[1])
             yield from self._change()
         if term < self.term:
-            peer.is_owed_word |= peer.repeat is None  # a message that is being repeated shows our term as well
+            # a message that is being repeated shows our term as well, but not how scans are numbered
+            peer.is_owed_word |= peer.repeat is None or term[0] < self.scan
         elif name in self._round.links:
             yield from self._take_in_term(name, peer, message)
 
@@ -371,6 +375,7 @@ class RoundsProtocol:
 
     def _heartbeat(self, name: str) -> Publish:
         peer, outcome = self._peers[name], self._round.outcome
+        plant, offset = self._scan.numbering
         has_y = outcome is not None and name in self._round.links and not self._round.estimation.failure
         message = HeartbeatMessage(
             header=self._header(None),
@@ -383,6 +388,8 @@ class RoundsProtocol:
             final=outcome is not None,
             complete=self._state.is_side_complete(name, self.term, self._now),
             y=self._round.estimation.boundary_values(name) if has_y else (),
+            plant=plant,
+            offset=offset,
         )
         return Publish(self._peers.stamp(name, message, self._now), name)
 

@@ -1,4 +1,9 @@
-"""The readings that an area has of its current scan and of later ones, and whether they are late."""
+"""The readings that an area has of its current scan and of later ones, and whether they are late.
+
+The scan of terms is the number that the plant gives it plus an *offset*, of which each life of the plant has one: 0, or
+what is needed so that no term goes back where a plant numbers lower than the one before, its clock having been set
+back. Areas may find different offsets needed. They tell each other theirs, and the largest counts for all.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +12,15 @@ from enum import Enum, auto
 
 from agents.area_file import AreaFile
 from agents.hearing import FRESH_BEATS, OVER_BEATS, is_old
-from agents.messages import TelemetryMessage
+from agents.messages import NO_LIFE, Incarnation, TelemetryMessage
 from agents.readings import Readings
 
 MOST_AHEAD = 10  # scans by which a neighbour may be ahead of the own telemetry; with more, one of the two is wrong
 DEADLINE_BEATS = 5  # after which an area goes on without its own readings; or
 DEADLINE_SHARE = 1 / 4  # of the time between two scans, where that is known
+
+
+MOST_OFFSET = 2**51  # that is believed of a neighbour: far above any time in ms, far below any limit of a message
 
 
 class News(Enum):
@@ -40,7 +48,9 @@ class ScanReadings:
         self._last: TelemetryMessage | None = None
         self._heard_at = now
         self._later: dict[int, TelemetryMessage] = {}
-        self._offset = 0  # from the plant's numbers to the scans of terms
+        self._used: TelemetryMessage | None = None  # the newest that has been read
+        self._offset = 0  # of the life of the plant that was last heard
+        self._told: dict[str, tuple[Incarnation, int]] = {}  # neighbour -> life and offset of its plant
 
     @property
     def next_scan(self) -> int:
@@ -86,8 +96,33 @@ class ScanReadings:
         self._heard_at = now
         if last is not None and message.header.order == last.header.order:
             return News.NONE
-        scan = self._number_of(message)
+        life, number = message.header.incarnation, message.header.scan
+        if last is None or life != last.header.incarnation:
+            self._offset = max((offset for its_life, offset in self._told.values() if its_life == life), default=0)
+            if last is not None and number + self._offset < self.scan:
+                self._offset = self.scan + self.are_there - number
         self._last = message
+        return self._file(message)
+
+    @property
+    def numbering(self) -> tuple[Incarnation, int]:
+        """The life of the plant that was last heard, and the offset of its scans."""
+        return (self._last.header.incarnation, self._offset) if self._last else (NO_LIFE, 0)
+
+    def take_numbering(self, name: str, life: Incarnation, offset: int) -> News:
+        """Follow neighbour ``name`` where it has found a larger ``offset`` needed for a ``life`` of the plant."""
+        if offset > MOST_OFFSET:
+            return News.NONE
+        self._told[name] = life, offset
+        if self._last is None or life != self._last.header.incarnation or offset <= self._offset:
+            return News.NONE
+        self._offset = offset
+        self._later.clear()  # all else is older
+        return self._file(self._last)
+
+    def _file(self, message: TelemetryMessage) -> News:
+        """Keep the newest readings for their scan."""
+        scan = message.header.scan + self._offset
         if scan > self.scan:
             self._later[scan] = message
             return News.NEXT_SCAN
@@ -96,22 +131,11 @@ class ScanReadings:
         if not self.are_there:
             self._read(message)
             return News.AWAITED
-        if self.stale or last is None or _says(message) != _says(last):
+        known = self._later.get(scan, self._used)
+        if self.stale or known is None or _says(message) != _says(known):
             self._later[scan] = message  # what is under way goes on with what there is until the next term
             return News.LATE
         return News.NONE
-
-    def _number_of(self, message: TelemetryMessage) -> int:
-        """The scan of terms that telemetry belongs to: its own number, but terms never go back.
-
-        A plant that begins anew with its clock set back numbers scans lower than the last one did.
-        """
-        is_of_new_plant = self._last is not None and message.header.incarnation != self._last.header.incarnation
-        scan = message.header.scan + self._offset
-        if is_of_new_plant and scan < self.scan:
-            scan = self.scan + self.are_there
-            self._offset = scan - message.header.scan
-        return scan
 
     def enter(self, scan: int, now: float) -> None:
         """Begin a term of ``scan``, with the readings that there are."""
@@ -126,6 +150,7 @@ class ScanReadings:
         self.are_there = self.stale = True
 
     def _read(self, message: TelemetryMessage) -> None:
+        self._used = message
         self.refused.update(self.readings.take(message))
         self.are_there, self.stale = True, False
 

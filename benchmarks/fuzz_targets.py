@@ -78,6 +78,7 @@ def _make_value(rng: random.Random, kind: Any, length: int) -> Any:
         int: rng.randrange(100),
         float: rng.gauss(0, 1),
         str: _make_text(rng),
+        messages.Incarnation: messages.Incarnation(rng.randrange(10**12), rng.randrange(2**32)),
     }
     return made[kind]
 

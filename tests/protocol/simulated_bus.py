@@ -9,6 +9,7 @@ import numpy as np
 
 from agents.area_file import AreaFile
 from agents.messages import Message, decode
+from agents.rounds import RoundsProtocol
 from agents.wire_checks import MessageError
 from coordinator import twin
 from coordinator.split import area_files
@@ -42,13 +43,19 @@ class SimulatedBus(twin.SimulatedBus):
 
     @property
     def settled(self) -> bool:
-        """Every area is referenced and has heard the last word of its neighbours."""
+        """Every area is referenced, of the plant's scan, and has heard the last word of its neighbours."""
+        scans = {self.scan + self.offset_of(name) for name in self.protocols}
         return self.states.keys() == self.files.keys() and all(
             state.referenced
-            and state.header.scan == self.scan
+            and {state.header.scan} == scans
             and all(self.states[n].sent[name] == heard != (0, 0) for n, heard in state.heard.items())
             for name, state in self.states.items()
         )
+
+    def offset_of(self, name: str) -> int:
+        """From the plant's numbers of scans to those that an area counts; not 0 only if somebody has lied of it."""
+        protocol = self.protocols[name]
+        return protocol._scan.numbering[1] if isinstance(protocol, RoundsProtocol) else 0
 
     def run_until_settled(self, limit_s: float = 120.0) -> None:
         deadline = self.now + limit_s

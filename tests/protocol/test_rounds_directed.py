@@ -12,7 +12,7 @@ from toy_history import MOST_CHATTER
 from toy_rounds import BEAT_S, TRAVEL_S, ToyBus
 
 from agents.events import PresenceChanged, Received
-from agents.messages import DownMessage, HeartbeatMessage, UpMessage
+from agents.messages import DownMessage, HeartbeatMessage, Incarnation, UpMessage
 from agents.quality import GOOD
 from dsse_core.verdict import Decision, Memory, Totals, decide
 
@@ -193,3 +193,80 @@ def test_whatever_totals_say_the_verdicts_come_to_an_end():
         if verdict.decision is Decision.FINAL:
             return
     pytest.fail(f"{judged} judgements, {len(memory.removed)} meters removed")
+
+
+def scan_numbers(bus):
+    """Area -> the scan it works on, the plant's number of its readings, and how many areas with readings it counts."""
+    found = {}
+    for name, protocol in bus.protocols.items():
+        outcome = protocol.outcome
+        counted = outcome.totals.areas - len(outcome.totals.stale) if outcome else 0
+        used = protocol._scan._used
+        found[name] = protocol.scan, used.header.scan if used else 0, counted
+    return found
+
+
+def start_plant_again(bus, number):
+    """Scan ``number`` of a plant whose clock was set back, in all areas that are there."""
+    for name in bus.files:
+        bus.read(name, number, 1.5 + 1e-3 * number, life=1)
+    bus.run(BEAT_S)
+
+
+def agree(bus):
+    found = set(scan_numbers(bus).values())
+    return len(found) == 1 and next(iter(found))[2] == len(bus.files)
+
+
+def wait_until_agreed(bus, limit_s=LIMIT_S):
+    end = bus.now + limit_s
+    while not agree(bus):
+        assert bus.now < end, scan_numbers(bus)
+        bus.run(BEAT_S)
+
+
+def test_areas_in_different_scans_do_not_number_those_of_a_plant_that_was_set_back_differently():
+    bus = ToyBus(ROW)
+    for _ in range(8):
+        bus.next_scan()
+        bus.run(1.0)
+    bus.cut(("b", "c"), ("c", "b"))
+    bus.next_scan(without=["c"])
+    bus.run(5.0)
+    assert {name: protocol.scan for name, protocol in bus.protocols.items()} == {"a": 10, "b": 10, "c": 9}
+    start_plant_again(bus, 1)
+    bus.run(5.0)
+    assert {name: protocol.scan for name, protocol in bus.protocols.items()} == {"a": 11, "b": 11, "c": 10}
+    bus.heal(("b", "c"), ("c", "b"))
+    wait_until_agreed(bus)
+    for number in (2, 3):
+        before = bus.protocols["a"].scan
+        start_plant_again(bus, number)
+        wait_until_agreed(bus)
+        assert bus.protocols["a"].scan == before + 1
+
+
+def test_an_area_that_starts_after_a_plant_was_set_back_does_not_number_scans_by_itself():
+    bus = ToyBus(ROW)
+    for _ in range(40):
+        bus.next_scan()
+        bus.run(0.2)
+    bus.kill("c")
+    bus.run(1.0)
+    start_plant_again(bus, 1)
+    bus.run(1.0)
+    bus.start("c")
+    wait_until_agreed(bus)
+    start_plant_again(bus, 2)
+    wait_until_agreed(bus)
+
+
+def test_what_a_liar_says_of_the_numbers_of_scans_leads_to_no_scan_that_others_lack():
+    bus = at_rest()
+    for offset in (7, 2**40, 2**60):
+        said = bus.protocols["b"]._scan.take_numbering("c", Incarnation(0, 0), offset)
+        list(bus.protocols["b"]._act_on(said))
+        wait_until_agreed(bus)
+    assert 2**40 < bus.protocols["a"].scan < 2**41
+    bus.next_scan()
+    wait_until_agreed(bus)
