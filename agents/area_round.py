@@ -179,6 +179,12 @@ class AreaRound:
             return f"it takes out {memory.removed[-1]}, which does not stand out here"
         return ""
 
+    def find_other_end(self, k: int, is_final: bool) -> str:
+        """What is wrong with a neighbour in round ``k`` of this term: one end follows from all verdicts of a term."""
+        if not is_final or self.outcome is not None or k > self.k:
+            return ""  # not at its end, or at one that we have yet to hear of
+        return f"it is at the end after round {k - 1}, which for us was not the last"
+
     def descend(
         self, verdict: Verdict, totals: Totals, decider: Decider, down: DownMessage | None
     ) -> Iterator[tuple[str, Content]]:

@@ -224,7 +224,9 @@ class RoundsProtocol:
         if peer.sent is not None and message.received >= peer.sent.k:
             peer.take_answer()
         if isinstance(message, HeartbeatMessage):
-            if peer.sent is not None and peer.repeat is None and message.received < peer.sent.k:
+            if why := self._round.find_other_end(message.k, message.final):
+                yield from self._distrust(name, why)
+            elif peer.sent is not None and peer.repeat is None and message.received < peer.sent.k:
                 yield self._send_again(name)  # it was cut off before it had it
         elif not self._is_change_due and isinstance(message, DownMessage) == (name == self._area.towards_hub):
             yield from self._take_round(name, peer, message)
@@ -313,11 +315,15 @@ class RoundsProtocol:
     def _take_down(self, name: str, message: DownMessage) -> Iterator[Action]:
         """Follow the side of the hub, unless its message contradicts itself: then go on without it in this scan."""
         if why := self._round.find_lie(message):
-            self._peers.distrusted[name] = why
-            yield from self._change()
+            yield from self._distrust(name, why)
             return
         yield from self._descend(message.totals, Decider(message.decider, message.life), message)
         yield from self._go_on()
+
+    def _distrust(self, name: str, why: str) -> Iterator[Action]:
+        """Go on without a neighbour in this scan: what it says contradicts itself, or what it was told."""
+        self._peers.distrusted[name] = why
+        yield from self._change()
 
     def _descend(self, totals: Totals, decider: Decider, down: DownMessage | None) -> Iterator[Action]:
         """Decide on the totals of all, or follow who has, and pass that on."""

@@ -245,9 +245,10 @@ class RoundsState:
 
     def is_side_complete(self, name: str, term: Term, now: float) -> bool:
         """Whether all on this side of neighbour ``name`` is heard, fresh, at the end of this term and agrees."""
-        if self._round.outcome is None or self._scan.is_late(now, PASSED_ON_BEATS) or self._scan.are_outdated:
+        outcome = self._round.outcome
+        if outcome is None or self._scan.is_late(now, PASSED_ON_BEATS) or self._scan.are_outdated:
             return False
-        if any(self._mismatches(term)):
+        if not self._counts_all(outcome) or any(self._mismatches(term)):
             return False
         return not self._peers.find_old(term, self._round.links, now, PASSED_ON_BEATS) - {name}
 
