@@ -136,6 +136,17 @@ def test_a_consistent_lie_in_both_directions_that_moves_a_shared_voltage_is_seen
         assert areas[one].notes == (f"{one} and {other} differ by 0.5 deg at bus 6",)
 
 
+@pytest.mark.parametrize(("vm_pu", "removed"), [(0.005, ()), (0.05, ("vm@16",))])
+def test_a_voltage_told_consistently_in_both_directions_costs_good_meters_where_it_is_large(vm_pu: float, removed):
+    outcome = told("area1", "area2", {"vm_pu": vm_pu, "both_ways": True}, NO_READING_WRONG)
+    areas = areas_of(outcome)
+    assert not outcome.verdict.consensus
+    assert areas["area2"].removed == removed
+    for one, other in (("area1", "area2"), ("area2", "area1")):
+        assert areas[one].quality == "degraded"
+        assert areas[one].notes[0] == f"{one} and {other} differ by {vm_pu:g} p.u. at bus 6"
+
+
 # Not detected in principle: for each a reason in docs/quality.md
 
 

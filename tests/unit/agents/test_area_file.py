@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,8 @@ from agents.area_file import AreaFile, save_area_file
 from agents.area_reader import load_area_file
 from coordinator.split import area_files
 from dsse_core.errors import InvalidInputError
+from dsse_core.link_faults import LinkFaults
+from dsse_core.state_limits import StateLimits
 from scenarios.scenario import load_scenario
 
 
@@ -99,3 +102,19 @@ def test_a_key_that_is_given_twice_in_json_is_refused_as_in_toml(tmp_path: Path,
     path.write_text(path.read_text().replace('"run":', '"run":"other","run":', 1))
     with pytest.raises(InvalidInputError, match="is not JSON: key 'run' is given twice; keep one of them"):
         load_area_file(path)
+
+
+def test_a_band_of_voltages_that_is_empty_is_refused(tmp_path: Path, content: AreaFile):
+    def change(table: dict[str, Any]) -> None:
+        table["quality"]["lowest_vm"] = 1.5
+
+    (problem,) = spoilt(tmp_path / "area.json", content, change)
+    assert problem == "quality.lowest_vm: is 1.5; it must be below highest_vm, 1.5"
+
+
+@pytest.mark.parametrize("suffix", [".toml", ".json"])
+def test_limits_and_lies_are_read_back(tmp_path: Path, content: AreaFile, suffix: str):
+    lie = LinkFaults(lie_p=0.1, lie_scale=1.1, lie_objective=0.0, lie_areas=3, lie_worst="vm@1", lie_verdict="final")
+    changed = replace(content, links=content.links | {"area2": lie}, limits=StateLimits(0.8, 1.1, 0.05))
+    save_area_file(tmp_path / f"area{suffix}", changed)
+    assert load_area_file(tmp_path / f"area{suffix}") == changed

@@ -144,3 +144,29 @@ def test_a_link_takes_what_it_does_not_say_from_all_links_and_cuts_from_events(t
     assert faults.links["area2", "area1"] == replace(everywhere, cuts=cuts)
     assert faults.links["area1", "area3"] == everywhere
     assert faults.over_s == 5.0
+
+
+def test_a_lie_told_both_ways_is_taken_back_in_the_other_direction() -> None:
+    """Who believes y' = scale y + offset is told in return (y' - offset) / scale of what it says."""
+    lie = {"p_mw": 0.3, "vm_pu": 0.02, "va_deg": -1.0, "scale": 1.25, "both_ways": True}
+    links = load_scenario(
+        "ieee33", changes={"faults.link": [{"from": "area1", "to": "area2", "lie": lie}]}
+    ).faults.links
+    there, back = links["area1", "area2"], links["area2", "area1"]
+    assert there.lie_scale * back.lie_scale == 1.0
+    for offset, taken_back in zip(there.lie_offset, back.lie_offset, strict=True):
+        assert back.lie_scale * offset + taken_back == pytest.approx(0.0, abs=1e-15)
+    assert links["area1", "area3"] == LinkFaults()
+
+
+def test_a_lie_both_ways_beside_a_lie_of_the_other_direction_is_refused(tmp_path: Path) -> None:
+    text = GOOD + link("area1", "area2") + "lie = { vm_pu = 0.1, both_ways = true }\n"
+    text += link("area2", "area1") + "lie = { va_deg = 1.0 }\n"
+    assert the_only(problems_of(tmp_path, text)) == (
+        "faults.link[1].lie.both_ways: faults.link[2] gives the other direction a lie of its own; remove one of the two"
+    )
+
+
+def test_a_band_of_voltages_that_is_empty_is_refused(tmp_path: Path) -> None:
+    problem = the_only(problems_of(tmp_path, GOOD + "\n[quality]\nlowest_vm_pu = 1.6\n"))
+    assert "lowest_vm_pu is 1.6; it must be below highest_vm_pu, 1.5" in problem
