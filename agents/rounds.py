@@ -40,7 +40,6 @@ from agents.refusals import FUTURE, find_lead, find_refusal
 from agents.rounds_state import RoundsState
 from agents.scan_readings import News, ScanReadings
 from agents.triangle import write_triangle
-from dsse_core.area_model import choose_backend
 from dsse_core.verdict import Totals
 
 STILL_BEATS = 2  # between two calls: the process has stood still, and how long messages took is not known
@@ -80,10 +79,8 @@ class RoundsProtocol:
     # The interface of a protocol
 
     def describe_backend(self) -> str:
-        """For the log: what computes the exchange, and how often something else had to."""
-        chosen, declined = choose_backend(self._area), self._round.estimation.declined
-        left = [f"{count} for {why}" for why, count in declined.most_common()]
-        return f"{chosen}, calls left to sparse matrices: {', '.join(left)}" if left else chosen
+        """For the log: what computes, and how often something else had to."""
+        return self._round.estimation.describe_backend()
 
     @property
     def scan(self) -> int:

@@ -19,7 +19,7 @@ from rich.console import Console  # noqa: E402
 from rich.progress import track  # noqa: E402
 
 from benchmarks.fault_history import GAP, HistoryOutcome, run_history  # noqa: E402
-from dsse_core import area_model  # noqa: E402
+from dsse_core.linear import choose  # noqa: E402
 
 COLUMNS = tuple(field.name for field in fields(HistoryOutcome))
 
@@ -93,7 +93,7 @@ def _run(seeds: Sequence[int], jobs: int) -> Iterator[HistoryOutcome]:
 
 def _start_worker() -> None:
     """In a process of its own, small areas too are solved by the compiled tree, where there is one: it is faster."""
-    area_model.TREE_FROM = 0
+    choose.TREE_FROM = 0
 
 
 if __name__ == "__main__":

@@ -33,8 +33,8 @@ from coordinator.run_news import (
 from coordinator.split import default_run_id
 from coordinator.system import System
 from coordinator.yardstick import start_yardstick
-from dsse_core.area_model import choose_backend
 from dsse_core.estimation_plan import FEWEST_BUSES_OF_TREE
+from dsse_core.linear import needs_compiled_code
 from scenarios.check import check_scenario
 from scenarios.scenario import Scenario
 from scenarios.telemetry import make_telemetry
@@ -86,7 +86,7 @@ def run_scenario(
 def _find_solvers(scenario: Scenario) -> tuple[str, ...]:
     """What of the compiled solvers the areas need, as targets of ``Launcher.preload``."""
     areas = scenario.partition.areas
-    exchange = any(choose_backend(area) == "tree" for area in areas)
+    exchange = any(needs_compiled_code(area) for area in areas)
     largest = max((len(area.network.buses) for area in areas), default=0)
     estimate = scenario.strategy == "angle-offset" and largest >= FEWEST_BUSES_OF_TREE  # of each area by itself
     return ("agents.warm_up:warm_up",) * exchange + ("agents.warm_up:warm_up_estimate",) * (exchange and estimate)

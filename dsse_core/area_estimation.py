@@ -7,7 +7,6 @@ centralised estimate.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import TypeVar, cast
@@ -19,8 +18,8 @@ from dsse_core.area_model import AreaModel, build_area_model
 from dsse_core.boundary_information import BoundaryInformation
 from dsse_core.boundary_load import NetLoad
 from dsse_core.errors import DsseError
-from dsse_core.exchange import compute_information, find_variances, solve_whole_step
 from dsse_core.feeder_bad_data import NoLoadModel, build_no_load_model, count_freedom, find_objective, find_suspects
+from dsse_core.linear import choose_backend
 from dsse_core.measurement import Measurement, MeasurementKind, Source
 from dsse_core.partition import Area, Neighbour
 from dsse_core.residuals import CRITICAL_REDUNDANCY, find_dead
@@ -71,11 +70,13 @@ class AreaEstimation:
         assert self._model is not None  # ``begin`` was called
         return self._model
 
-    @property
-    def declined(self) -> Counter[str]:
-        """What the tree, where it is the back end, has left to sparse matrices, by reason."""
-        tree = self._model.tree if self._model else None
-        return tree.declined if tree else Counter()
+    def describe_backend(self) -> str:
+        """For the log: what computes, and how often something else had to."""
+        linear = self._model.linear if self._model else None
+        if linear is None:
+            return choose_backend(self.area)
+        left = [f"{count} for {why}" for why, count in linear.declined.most_common()]
+        return f"{linear.name}, calls left to sparse matrices: {', '.join(left)}" if left else linear.name
 
     # A term
 
@@ -169,7 +170,7 @@ class AreaEstimation:
         Raises:
             FAILURES: numbers that no estimate can have.
         """
-        return compute_information(self.model, self.x, self._by_name[neighbour], self._with_aged(heard))
+        return self.model.linear.information(self.x, self._by_name[neighbour], self._with_aged(heard))
 
     def no_load_for(self, neighbour: str, heard: Mapping[str, BoundaryInformation]) -> BoundaryInformation | None:
         """The same of no-load information; None where some of this side is missing."""
@@ -228,7 +229,7 @@ class AreaEstimation:
             self._check_no_load(no_load)
             if verdict.takes_step:
                 self._heard = self._with_aged(heard)
-                self._before, self._step = self.x, solve_whole_step(self.model, self.x, self._heard)
+                self._before, self._step = self.x, self.model.linear.step(self.x, self._heard)
                 self.x = self.x + verdict.share * self._step
                 self._check()
             match verdict.decision:
@@ -278,7 +279,7 @@ class AreaEstimation:
     def _judge(self) -> None:
         """Which meters are critical, and the largest normalised residual of the others."""
         model = self.model
-        _, variance = find_variances(model, self.x, self._heard)
+        _, variance = model.linear.variances(self.x, self._heard)
         self.critical = self._find_critical(variance)
         worst = find_suspects(model, self.x, variance, self.critical)
         self._worst = tuple(sorted(worst.items()))[:MOST_NAMED]
@@ -290,7 +291,7 @@ class AreaEstimation:
         Raises:
             FAILURES: numbers that no estimate can have.
         """
-        of_state, variance = find_variances(self.model, self.x, self._heard)
+        of_state, variance = self.model.linear.variances(self.x, self._heard)
         sigma = np.sqrt(np.maximum(of_state, 0.0))
         return sigma[self._n : 2 * self._n], sigma[: self._n], self._find_critical(variance)
 

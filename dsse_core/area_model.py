@@ -6,24 +6,17 @@ import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, TypeAlias
 
 import numpy as np
 import scipy.sparse as sp
 
 from dsse_core.admittance import build_admittance
-from dsse_core.area_tree import AreaTree, find_no_tree
 from dsse_core.boundary_information import EXACT_SIGMA
-from dsse_core.dense_rows import DenseRows
+from dsse_core.linear import Backend, LinearArea, Matrix, Rows, make_linear, make_rows
 from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.measurement_model import MeasurementModel, build_measurement_model
 from dsse_core.partition import Area, Neighbour
 
-Backend = Literal["auto", "tree", "sparse", "dense"]
-Matrix: TypeAlias = sp.csr_array | np.ndarray
-TREE_FROM = 60  # buses of an area, from which the tree repays the loading of numba
-PRIOR_SIGMA = 0.3  # p.u. and rad: a voltage lies that near to what it was, whatever happens
-DENSE_BELOW = 40  # buses of an area, below which dense matrices cost less than sparse ones
 _POWER = (MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION)
 
 
@@ -31,9 +24,7 @@ _POWER = (MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION)
 class AreaModel:
     """The measurements of one area as functions of ``x = [va; vm; p_1, q_1, p_2, q_2, ...]``, one pair per child.
 
-    ``free``: the variables that are unknown, all but a reference angle. ``no_load``: the weights say nothing of how
-    well powers and voltages are known. ``backend``: "tree" takes the tree wherever there is one, "auto" from
-    TREE_FROM buses on, and dense matrices below DENSE_BELOW.
+    ``free``: the variables that are unknown, all but a reference angle. ``backend``: see ``linear.choose_backend``.
     ``prior``: a state, shape (size,), whose voltages count as measured with PRIOR_SIGMA, where neighbours or readings
     are missing; the tree cannot serve then.
     """
@@ -47,7 +38,6 @@ class AreaModel:
     free: np.ndarray
     meters: tuple[Meter, ...]
     reference: int | None
-    no_load: bool = False
     backend: Backend = "auto"
     prior: np.ndarray | None = None
 
@@ -65,37 +55,22 @@ class AreaModel:
         return len(self.area.network.buses)
 
     @cached_property
-    def tree(self) -> AreaTree | None:
-        """Its measurements on the tree of its buses, if that is the back end; without it the exchange is sparse."""
-        if self.no_load or self.prior is not None or choose_backend(self.area, self.backend) != "tree":
-            return None
-        return AreaTree(self.area, self.meters, self.z, self.sigma, self.reference)
+    def rows(self) -> Rows:
+        """h, H and those of the boundaries."""
+        return make_rows(self)
 
     @cached_property
-    def dense(self) -> DenseRows | None:
-        """Its rows in dense arrays, if that is the back end."""
-        if choose_backend(self.area, self.backend) != "dense":
-            return None
-        columns = [column for n in self._boundaries for column in self.boundary_columns(n)]
-        return DenseRows(self.model, self.into_children, self.into_area, columns)
-
-    @cached_property
-    def _boundaries(self) -> list[Neighbour]:
-        """As dense rows have them, the parent's first."""
-        return sorted(self.area.neighbours, key=lambda n: not n.is_parent)
-
-    @cached_property
-    def _place(self) -> dict[str, int]:
-        """Of each neighbour among the boundaries."""
-        return {n.area: k for k, n in enumerate(self._boundaries)}
+    def linear(self) -> LinearArea:
+        """What computes steps, variances and information of boundaries."""
+        return make_linear(self)
 
     def with_readings(self, measurements: Sequence[Measurement]) -> AreaModel:
         """The same meters, read anew: what rests on topology and meters is kept."""
         other = copy.copy(self)  # with all that is cached
         sigma = _sigmas_of(measurements)
         other.__dict__.update(z=_values_of(measurements), sigma=self.sigma if (sigma == self.sigma).all() else sigma)
-        if (tree := self.__dict__.get("tree")) is not None:
-            other.__dict__.update(tree=tree.with_readings(other.z, other.sigma))
+        if (linear := self.__dict__.get("linear")) is not None:
+            other.__dict__.update(linear=linear.with_readings(other))
         return other
 
     @property
@@ -125,9 +100,7 @@ class AreaModel:
 
     def predict(self, x: np.ndarray) -> np.ndarray:
         """h(x), shape (n_meas,)."""
-        if self.dense:
-            return self.dense.linearize(x)[0]
-        return np.asarray(self.model.predict(x[: 2 * self._n]) + self.into_children @ x[2 * self._n :])
+        return self.rows.predict(x)
 
     def residual(self, x: np.ndarray) -> np.ndarray:
         """z - h(x), shape (n_meas,); angles wrapped to (-pi, pi]."""
@@ -135,46 +108,15 @@ class AreaModel:
 
     def jacobian(self, x: np.ndarray) -> Matrix:
         """H(x), shape (n_meas, size)."""
-        if self.dense:
-            return self.dense.linearize(x)[1]
-        return sp.csr_array(sp.hstack([self.model.jacobian(x[: 2 * self._n]), self.into_children], format="csr"))
+        return self.rows.jacobian(x)
 
     def boundary(self, x: np.ndarray, neighbour: Neighbour) -> tuple[np.ndarray, Matrix]:
         """y, shape (4,), and T = dy/dx, shape (4, size), at the boundary to ``neighbour``."""
-        if self.dense:
-            return self.dense.linearize_boundary(x, self._place[neighbour.area])
-        columns = self.boundary_columns(neighbour)
-        if not neighbour.is_parent:
-            return x[columns], self._select(columns)
-        assert self.into_area is not None  # there is a parent
-        flows = self.into_area.predict(x[: 2 * self._n])
-        C = sp.csr_array(self.into_area.jacobian(x[: 2 * self._n]))
-        C = sp.csr_array((C.data, C.indices, C.indptr), shape=(2, self.size))
-        T = sp.vstack([C, self._select(columns)], format="csr")
-        return np.concatenate([flows, x[columns]]), sp.csr_array(T)
+        return self.rows.boundary(x, neighbour)
 
     def boundary_values(self, x: np.ndarray, neighbour: Neighbour) -> np.ndarray:
         """y of ``boundary`` alone."""
-        if self.dense:
-            return self.dense.linearize_boundary(x, self._place[neighbour.area])[0]
-        if not neighbour.is_parent:
-            return np.asarray(x[self.boundary_columns(neighbour)])
-        bus, there, own, mutual = self._branches_at_parent
-        va, vm = x[there], x[self._n + there]
-        v = float(x[self._n + bus])
-        s = (own * v * v).sum() + (mutual * (v * vm * np.exp(1j * (x[bus] - va)))).sum()
-        return np.array([s.real, s.imag, v, x[bus]])
-
-    @cached_property
-    def _branches_at_parent(self) -> tuple[int, np.ndarray, np.ndarray, np.ndarray]:
-        """Row of the parent's bus; of the branches there: row of the other end, conj of own and mutual admittance."""
-        assert self.area.parent is not None
-        assert self.into_area is not None
-        bus = self.area.network.row[self.area.parent.bus]
-        y = self.into_area.y[[0], :].tocoo()
-        columns, values = y.coords[1], y.data.conj()
-        at_bus = columns == bus
-        return bus, columns[~at_bus], values[at_bus], values[~at_bus]
+        return self.rows.boundary_values(x, neighbour)
 
     def voltage_columns(self, neighbour: Neighbour) -> list[int]:
         row = self.area.network.row[neighbour.bus]
@@ -191,20 +133,6 @@ class AreaModel:
     def _first_power(self) -> dict[str, int]:
         children = [n.area for n in self.area.neighbours if not n.is_parent]
         return {area: 2 * (self._n + k) for k, area in enumerate(children)}
-
-    def _select(self, columns: Sequence[int]) -> sp.csr_array:
-        shape = (len(columns), self.size)
-        return sp.csr_array((np.ones(len(columns)), np.array(columns), np.arange(len(columns) + 1)), shape=shape)
-
-
-def choose_backend(area: Area, backend: Backend = "auto") -> Literal["tree", "sparse", "dense"]:
-    """What computes the exchange of ``area`` if ``backend`` is asked for; the tree, for which numba is loaded, where
-    it can serve.
-    """
-    n_bus = len(area.network.buses)
-    if backend == "tree" or (backend == "auto" and n_bus >= TREE_FROM):
-        return "sparse" if find_no_tree(area.network) else "tree"
-    return "dense" if backend == "dense" or (backend == "auto" and n_bus < DENSE_BELOW) else "sparse"
 
 
 def build_area_model(

@@ -14,8 +14,7 @@ import numpy as np
 from dsse_core.admittance import flat_start
 from dsse_core.area_model import AreaModel, build_area_model
 from dsse_core.boundary_information import BoundaryInformation
-from dsse_core.exchange import compute_information
-from dsse_core.exchange_sparse import sample_redundancy, variances
+from dsse_core.linear import NoLoadSolver, make_no_load
 from dsse_core.measurement import Measurement, MeasurementKind, Meter
 from dsse_core.partition import Area, Neighbour
 from dsse_core.residuals import THRESHOLD, keep_tied, normalize_residuals
@@ -68,12 +67,13 @@ class NoLoadModel:
     """
 
     model: AreaModel
+    linear: NoLoadSolver
     x: np.ndarray
     ids: tuple[str, ...]
     typical: float  # the median admittance
 
     def information_for(self, neighbour: Neighbour, heard: Mapping[str, BoundaryInformation]) -> BoundaryInformation:
-        told = compute_information(self.model, self.x, neighbour, self._at_own_voltage(heard))
+        told = self.linear.information(self.x, neighbour, self._at_own_voltage(heard))
         turn = np.eye(4)
         for rows, unit in ((slice(2), self.typical), (slice(2, 4), 1.0)):  # of powers given the voltage, of the voltage
             U, size, _ = np.linalg.svd(told.R[rows, rows])
@@ -84,12 +84,12 @@ class NoLoadModel:
 
     def find_indispensable(self, heard: Mapping[str, BoundaryInformation]) -> set[str]:
         """Ids of the meters, virtual ones included, without any one of which the state is not observable."""
-        redundancy = sample_redundancy(self.model, self.x, self._at_own_voltage(heard), np.random.default_rng(0))
+        redundancy = self.linear.sample_redundancy(self.x, self._at_own_voltage(heard), np.random.default_rng(0))
         return {self.ids[k] for k in np.flatnonzero(redundancy < NO_LOAD_REDUNDANCY)}
 
     def find_unobservable(self, heard: Mapping[str, BoundaryInformation]) -> tuple[int, ...]:
         """Ids of the buses whose voltage neither the area's meters nor what neighbours tell determine."""
-        variance, _ = variances(self.model, self.x, self._at_own_voltage(heard))
+        variance, _ = self.linear.variances(self.x, self._at_own_voltage(heard))
         n = len(self.model.area.network.buses)
         known = np.maximum(variance[:n], variance[n : 2 * n]) < NOTHING_KNOWN
         return tuple(bus.id for bus, is_known in zip(self.model.area.network.buses, known, strict=True) if not is_known)
@@ -120,5 +120,5 @@ def build_no_load_model(area: Area, measurements: Sequence[Measurement], referen
     x = np.concatenate([va, vm, np.zeros(model.size - 2 * len(vm))])
     of_power = ~np.isin(model.kinds, (MeasurementKind.VM, MeasurementKind.VA))
     typical = np.median([1 / abs(complex(b.r, b.x)) for b in area.network.active_branches])
-    model = replace(model, z=model.predict(x), sigma=np.where(of_power, typical, 1.0), no_load=True)
-    return NoLoadModel(model, x, tuple(m.meter.id for m in unit), float(typical))
+    model = replace(model, z=model.predict(x), sigma=np.where(of_power, typical, 1.0))
+    return NoLoadModel(model, make_no_load(model), x, tuple(m.meter.id for m in unit), float(typical))

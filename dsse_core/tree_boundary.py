@@ -24,13 +24,13 @@ LARGEST_LOSS = 1e-4  # of a variance that is a difference, relative to what it i
 
 @compiled
 def pass_upward(
-    order, parent, Y, z, w, at, column, role, R, told_z, x, start, damping, least_of_flow, least_spread,
+    order, parent, Y, z, w, at, column, role, R, told_z, x, damping, least_of_flow, least_spread,
     v, va, told, above, factor, more, block, step,
 ):  # fmt: skip
     """Leaves to root with all messages; whether digits enough are left. What is known of the root is in ``above[0]``.
 
     ``at`` (k,): bus of each neighbour; ``column`` (k,): where x has the power into it, -1 for the parent. ``damping``:
-    information about voltages and powers near ``start``. ``w`` is changed where the parent speaks.
+    information about the change of voltages and powers. ``w`` is changed where the parent speaks.
     """
     n = len(order)
     for i in range(n):
@@ -40,8 +40,6 @@ def pass_upward(
         v[i] = vm * complex(math.cos(va[i]), math.sin(va[i]))
         above[i, :] = 0.0
         above[i, 7], above[i, 9] = damping[0], damping[0] * vm * vm
-        above[i, 12] = -damping[0] * (va[i] - start[row])
-        above[i, 13] = -damping[0] * vm * (vm - start[n + row])
     for k in range(len(at)):
         if role[k] == ADDRESSEE or (column[k] < 0 and role[k] == SILENT):
             continue
@@ -49,11 +47,11 @@ def pass_upward(
         if c < 0:
             w[i, 2] = w[i, 3] = 0.0
             p, q = _powers_from(i, parent, Y, v)
-            sign, d, pull0, pull1 = -1.0, least_of_flow, 0.0, 0.0
+            sign, d = -1.0, least_of_flow
         else:
             p, q = x[c], x[c + 1]
-            sign, d, pull0, pull1 = 1.0, damping[1], p - start[c], q - start[c + 1]
-        _add_message(above[i], told[k], R[k], told_z[k], p, q, abs(v[i]), va[i], sign, d, pull0, pull1)
+            sign, d = 1.0, damping[1]
+        _add_message(above[i], told[k], R[k], told_z[k], p, q, abs(v[i]), va[i], sign, d)
         if (w[i, 2] >= 0.0 or w[i, 3] >= 0.0) and not _is_spread(told[k, 0], told[k, 1], told[k, 2], least_spread):
             return False
     eliminate(parent, Y, z, w, v, va, True, UPWARD, above, factor, more, block, step, least_of_flow)
@@ -81,7 +79,7 @@ def _powers_from(bus, parent, Y, v):
 
 
 @compiled
-def _add_message(M, T, R, z, p, q, vm, va, sign, d, pull0, pull1):
+def _add_message(M, T, R, z, p, q, vm, va, sign, d):
     """Add a neighbour's message to ``M``, what else is known of a bus, and keep in ``T`` how its power follows.
 
     With ``G = P'P + d`` and ``K = (P P' + d)^-1``: ``V = G^-1``, ``V P' = P' K`` and ``1 - P V P' = d K``, written out
@@ -98,8 +96,8 @@ def _add_message(M, T, R, z, p, q, vm, va, sign, d, pull0, pull1):
     V00, V01, V11 = (b2 + c2 + d) * over, -a * b * over, (a2 + d) * over
     g00, g01, g10, g11 = a * (c2 + d) * over, -a * b * c * over, b * d * over, c * (a2 + d) * over
     A00, A01, A10, A11 = g00 * x00 + g01 * x10, g00 * x01 + g01 * x11, g10 * x00 + g11 * x10, g10 * x01 + g11 * x11
-    y0 = g00 * r0 + g01 * r1 - d * (V00 * pull0 + V01 * pull1)
-    y1 = g10 * r0 + g11 * r1 - d * (V01 * pull0 + V11 * pull1)
+    y0 = g00 * r0 + g01 * r1
+    y1 = g10 * r0 + g11 * r1
     k00, k01, k11 = d * (c2 + d) * over, -d * b * c * over, d * (a2 + b2 + d) * over
     h00, h01 = k00 * x00 + k01 * x10, k00 * x01 + k01 * x11
     h10, h11 = k01 * x00 + k11 * x10, k01 * x01 + k11 * x11
@@ -116,8 +114,8 @@ def _add_message(M, T, R, z, p, q, vm, va, sign, d, pull0, pull1):
     M[9] += n1 * n1 + x01 * h01 + x11 * h11
     M[10] -= y0
     M[11] -= y1
-    M[12] += n0 * r2 + n2 * r3 + h00 * r0 + h10 * r1 + d * (A00 * pull0 + A10 * pull1)
-    M[13] += n1 * r2 + h01 * r0 + h11 * r1 + d * (A01 * pull0 + A11 * pull1)
+    M[12] += n0 * r2 + n2 * r3 + h00 * r0 + h10 * r1
+    M[13] += n1 * r2 + h01 * r0 + h11 * r1
     M[14] += sign * p
     M[15] += sign * q
     T[0], T[1], T[2], T[3], T[4], T[5], T[6], T[7], T[8] = V00, V01, V11, A00, A01, A10, A11, y0, y1

@@ -16,8 +16,7 @@ from agents.strategies.interface import Estimate, Knowledge, Strategy
 from agents.strategies.start import start_state
 from dsse_core.area_model import AreaModel, build_area_model
 from dsse_core.boundary_information import BEYOND_REASON, EXACT_SIGMA, VA
-from dsse_core.consensus_admm import compute_weight, pull
-from dsse_core.exchange import solve_damped_step, state_variance
+from dsse_core.consensus_admm import compute_weight, pull, solve_damped_step
 from dsse_core.measurement import Measurement, MeasurementKind
 from dsse_core.partition import Neighbour
 
@@ -146,7 +145,7 @@ class Admm(Strategy):
         given = {}
         if self._area.parent and not self._has_own_angle:
             given[self._area.parent.area] = pull(np.where(ANGLE, EXACT_SIGMA**-2.0, 0.0), np.zeros(4))
-        sigma: np.ndarray = np.sqrt(np.maximum(state_variance(model, self._x, given), 0.0))
+        sigma: np.ndarray = np.sqrt(np.maximum(model.linear.variances(self._x, given)[0], 0.0))
         return sigma
 
     def _estimate(self, model: AreaModel) -> Estimate:

@@ -5,7 +5,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from dsse_core import area_model
+from dsse_core.linear import choose
 
 BACK_ENDS = ("sparse", "tree", "dense")
 
@@ -16,6 +16,6 @@ def back_end(name: str) -> Iterator[None]:
     if name == "tree":
         pytest.importorskip("numba", reason="the tree back end needs numba: pip install 'consensus-dsse[fast]'")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(area_model, "TREE_FROM", 0 if name == "tree" else 10**9)
-        patch.setattr(area_model, "DENSE_BELOW", 10**9 if name == "dense" else 0)
+        patch.setattr(choose, "TREE_FROM", 0 if name == "tree" else 10**9)
+        patch.setattr(choose, "DENSE_BELOW", 10**9 if name == "dense" else 0)
         yield

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from agents.warm_up import warm_up
-from dsse_core.area_tree import AreaTree
+from dsse_core.linear.radial import RadialSolver
 
 
 def test_warming_up_goes_through_every_pass_of_the_tree(monkeypatch: pytest.MonkeyPatch):
@@ -13,7 +13,7 @@ def test_warming_up_goes_through_every_pass_of_the_tree(monkeypatch: pytest.Monk
     from dsse_core import tree_boundary, tree_root
 
     declined: list[str] = []
-    monkeypatch.setattr(AreaTree, "_decline", lambda self, reason: declined.append(reason))
+    monkeypatch.setattr(RadialSolver, "_decline", lambda self, reason: declined.append(reason))
     warm_up()
     assert not declined
     for kernel in (

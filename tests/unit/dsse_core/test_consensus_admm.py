@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from dsse_core.area_model import build_area_model
-from dsse_core.consensus_admm import POWER_METER_SIGMA, SPREAD, VOLTMETER_SIGMA, compute_weight, pull
+from dsse_core.consensus_admm import POWER_METER_SIGMA, SPREAD, VOLTMETER_SIGMA, compute_weight, pull, solve_damped_step
 from dsse_core.division import build_partition
-from dsse_core.exchange import compute_information, solve_damped_step
 from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.network import Branch, Bus, Control, Generator, Network
 
@@ -36,7 +35,7 @@ def test_the_weight_is_the_information_of_the_areas_own_meters():
     weight = weight_of(CHILD, voltage, *flow(0.02))
     np.testing.assert_allclose(weight, [0.02**-2, 0.02**-2, 0.004**-2, 0.004**-2], rtol=0.01)
     model = build_area_model(CHILD, [voltage, *flow(0.02)], None)
-    R = compute_information(model, FLAT[4], CHILD.neighbours[0], {}).R
+    R = model.linear.information(FLAT[4], CHILD.neighbours[0], {}).R
     np.testing.assert_allclose(weight[:3], (R**2).sum(axis=0)[:3], rtol=1e-9)
 
 

@@ -10,9 +10,9 @@ from boundary_marginal import marginal_of
 from feeders import Feeder, make_feeder, make_star
 from grids import MeterShares, make_grid
 
-from dsse_core.area_model import AreaModel, Backend, build_area_model, choose_backend
+from dsse_core.area_model import AreaModel, build_area_model
 from dsse_core.boundary_information import BoundaryInformation
-from dsse_core.exchange import compute_information, find_variances, solve_whole_step, state_variance
+from dsse_core.linear import Backend, choose_backend
 from dsse_core.partition import Neighbour
 from dsse_core.power_flow import solve_power_flow
 
@@ -52,7 +52,7 @@ def cases_of(feeder: Feeder, rng: np.random.Generator, backend: Backend = "tree"
         told = {name: dict(messages) for name, messages in heard.items()}
         for name, model in models.items():
             for n in model.area.neighbours:
-                told[n.area][name] = compute_information(model, states[name], n, heard[name])
+                told[n.area][name] = model.linear.information(states[name], n, heard[name])
         heard = told
     for name, model in models.items():
         yield Case(model, replace(model, backend=backend), states[name], heard[name])
@@ -62,21 +62,21 @@ def assert_same(case: Case) -> int:
     """All functions agree; how many of them the tree left to the sparse path."""
     sparse, fast, x, heard = case.sparse, case.other, case.x, case.heard
     voltages = slice(0, 2 * len(sparse.area.network.buses))
-    one, other = (solve_whole_step(m, x, heard)[voltages] for m in (sparse, fast))
+    one, other = (m.linear.step(x, heard)[voltages] for m in (sparse, fast))
     np.testing.assert_allclose(other, one, rtol=0, atol=CLOSE * max(abs(one).max(), 1e-3))
-    one, other = (state_variance(m, x, heard) for m in (sparse, fast))
+    one, other = (m.linear.variances(x, heard)[0] for m in (sparse, fast))
     np.testing.assert_allclose(other, one, rtol=CLOSE, atol=1e-20)
-    one, other = (find_variances(m, x, heard)[1] / sparse.sigma**2 for m in (sparse, fast))
+    one, other = (m.linear.variances(x, heard)[1] / sparse.sigma**2 for m in (sparse, fast))
     np.testing.assert_allclose(other, one, rtol=0, atol=CLOSE)
     for neighbour in sparse.area.neighbours:
         assert_same_information(case, neighbour)
-    assert fast.tree or fast.dense
-    return fast.tree.declined.total() if fast.tree else 0
+    assert fast.linear.name == fast.backend
+    return fast.linear.declined.total()
 
 
 def assert_same_information(case: Case, neighbour: Neighbour) -> None:
     """What both sides together then know of the boundary is the same, and so is what a message tells alone."""
-    one, other = (compute_information(m, case.x, neighbour, case.heard) for m in (case.sparse, case.other))
+    one, other = (m.linear.information(case.x, neighbour, case.heard) for m in (case.sparse, case.other))
     y, _ = case.sparse.boundary(case.x, neighbour)
     theirs = case.heard[neighbour.area]
     (mean, sigma), (other_mean, other_sigma) = (marginal_of(y, told, theirs) for told in (one, other))
@@ -142,9 +142,9 @@ def test_the_back_end_is_the_tree_for_large_radial_areas_only():
 
 def test_small_areas_are_dense_unless_asked_otherwise():
     small, large = (make_feeder(1, n_bus=n_bus, n_area=1).partition.areas[0] for n_bus in (20, 80))
-    assert build_area_model(small, (), None).dense
-    assert build_area_model(small, (), None, backend="sparse").dense is None
-    assert build_area_model(large, (), None).dense is None
+    assert build_area_model(small, (), None).linear.name == "dense"
+    assert build_area_model(small, (), None, backend="sparse").linear.name == "sparse"
+    assert build_area_model(large, (), None).linear.name != "dense"
 
 
 @pytest.mark.parametrize("backend", [pytest.param("tree", marks=needs_numba), "sparse", "dense"])
@@ -156,7 +156,7 @@ def test_the_same_meters_read_anew_give_what_a_new_model_gives(backend):
     reference = area.reference[0]
     built, old = (build_area_model(area, readings, reference, backend=backend) for readings in (second, first))
     x = np.r_[np.zeros(20), np.ones(20)]
-    before = solve_whole_step(old, x, {})
-    np.testing.assert_array_equal(solve_whole_step(old.with_readings(second), x, {}), solve_whole_step(built, x, {}))
-    np.testing.assert_array_equal(solve_whole_step(old, x, {}), before)
-    assert abs(solve_whole_step(built, x, {}) - before).max() > 1e-6
+    before = old.linear.step(x, {})
+    np.testing.assert_array_equal(old.with_readings(second).linear.step(x, {}), built.linear.step(x, {}))
+    np.testing.assert_array_equal(old.linear.step(x, {}), before)
+    assert abs(built.linear.step(x, {}) - before).max() > 1e-6

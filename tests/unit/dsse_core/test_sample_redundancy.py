@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from grids import MeterShares, make_grid
 
-from dsse_core.exchange_sparse import sample_redundancy, variances
 from dsse_core.feeder_bad_data import build_no_load_model
+from dsse_core.linear import make_no_load
 from dsse_core.observability import find_indispensable
 
 LEAST, MOST = 0.2, 3.0  # of a mean square of 32 normal numbers: outside with a probability of 3e-7
@@ -38,8 +38,8 @@ def test_a_sampled_redundancy_is_the_exact_one_to_a_factor_and_of_what_cannot_be
         (to_us,) = sides[other].model.area.neighbours
         heard = {other: sides[other].information_for(to_us, {})}
         model = replace(side.model, backend=backend)
-        sampled = sample_redundancy(model, side.x, heard, np.random.default_rng(seed))
-        exact = variances(model, side.x, heard)[1] / model.sigma**2
+        sampled = make_no_load(model).sample_redundancy(side.x, heard, np.random.default_rng(seed))
+        exact = make_no_load(model).variances(side.x, heard)[1] / model.sigma**2
         is_needed = np.array([meter in needed for meter in side.ids])
         assert (sampled[is_needed] < ROUND_OFF**2).all()
         ratio = sampled[~is_needed] / exact[~is_needed]

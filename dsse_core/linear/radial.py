@@ -1,17 +1,16 @@
-"""One area's measurements on the tree of its buses: the numbers of the exact exchange by ``tree_boundary``.
+"""Back end for radial areas: the numbers follow from one compiled elimination over the tree of buses.
 
 Where digits would be lost on the way, as where of (p, q) somewhere one combination is as good as unknown and the other
-is not, the answer is None, and the sparse path has to find it.
+is not, the rows take the call.
 """
 
 from __future__ import annotations
 
 import copy
 from collections import Counter
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
@@ -22,9 +21,9 @@ from dsse_core.boundary_information import (
     factor_inverse,
     put_together,
 )
-from dsse_core.measurement import Meter
+from dsse_core.linear.interface import NOT_YET, NOT_YET_OF_POWER, Heard, LinearArea
 from dsse_core.network import Network
-from dsse_core.partition import Area, Neighbour
+from dsse_core.partition import Neighbour
 from dsse_core.tree_plan import (
     N_SLOT,
     TreeLayout,
@@ -36,6 +35,7 @@ from dsse_core.tree_plan import (
 )
 
 if TYPE_CHECKING:
+    from dsse_core.area_model import AreaModel
     from dsse_core.tree_kernel import Work
 
 LEAST_OF_FLOW = 1e-12  # information given to powers through branches that nothing determines yet
@@ -43,7 +43,6 @@ LEAST_OF_POWER = 1e-8  # the same of powers into children
 # Determinant of a covariance of (p, q) over the product of its diagonal. Below it one combination of p and q is known
 # so much better than the other that in two numbers and their product it has drowned.
 LEAST_SPREAD = 1e-5
-LEAST_SPREAD_NEAR = 1e-8  # of steps that a start guides: what they miss, the next one finds
 
 
 def find_no_tree(network: Network) -> str:
@@ -71,30 +70,25 @@ class _Rooted:
     role: np.ndarray
 
 
-class AreaTree:
-    """The measurements ``z``, ``sigma`` of ``meters`` in a radial ``area``; ``reference``: bus of the given angle."""
+class RadialSolver(LinearArea):
+    """The measurements of a radial ``model``; ``by_rows`` takes what is declined."""
 
-    def __init__(
-        self, area: Area, meters: Sequence[Meter], z: np.ndarray, sigma: np.ndarray, reference: int | None
-    ) -> None:
-        self._area = area
-        self._meters = meters
-        self._z, self._sigma = z, sigma
-        self._reference = reference
+    name = "tree"
+
+    def __init__(self, model: AreaModel, by_rows: LinearArea) -> None:
+        self.declined = Counter()
+        self._model, self._by_rows = model, by_rows
+        self._area, self._reference = model.area, model.reference
         self._rooted: dict[int, _Rooted] = {}
-        self.declined: Counter[str] = Counter()
-        children = [n.area for n in area.neighbours if not n.is_parent]
-        first = 2 * len(area.network.buses)
         self._column = np.array(
-            [-1 if n.is_parent else first + 2 * children.index(n.area) for n in area.neighbours], dtype=np.int64
+            [-1 if n.is_parent else model.boundary_columns(n)[0] for n in self._area.neighbours], dtype=np.int64
         )
-        self._size = first + 2 * len(children)
 
-    def with_readings(self, z: np.ndarray, sigma: np.ndarray) -> AreaTree:
-        """The same meters, read anew: trees and the memory of the passes are shared."""
+    def with_readings(self, model: AreaModel) -> Self:
+        """Trees and the memory of the passes are shared."""
         other = copy.copy(self)
-        other._z, other._sigma = z, sigma
-        other._rooted = {bus: other._read_into(rooted) for bus, rooted in self._rooted.items()}
+        other._model, other._by_rows = model, self._by_rows.with_readings(model)
+        other._rooted = {at: other._read_into(rooted) for at, rooted in self._rooted.items()}
         return other
 
     @cached_property
@@ -104,17 +98,26 @@ class AreaTree:
             return self._reference
         return self._area.parent.bus if self._area.parent else self._area.network.buses[0].id
 
-    def step(
-        self, x: np.ndarray, heard: Mapping[str, BoundaryInformation], damping: tuple[float, float], start: np.ndarray
-    ) -> np.ndarray | None:
-        """The step of ``(G + D) dx = b - D (x - start)``, shape (size,); ``damping``: D of voltages and of powers."""
+    def step(self, x: np.ndarray, heard: Heard, damping: float = 0.0) -> np.ndarray:
+        found = self._find_step(x, heard, (max(NOT_YET, damping), max(NOT_YET_OF_POWER, damping)))
+        return self._by_rows.step(x, heard, damping) if found is None else found
+
+    def variances(self, x: np.ndarray, heard: Heard) -> tuple[np.ndarray, np.ndarray]:
+        found = self._find_variances(x, heard, (NOT_YET, NOT_YET_OF_POWER))
+        return self._by_rows.variances(x, heard) if found is None else found
+
+    def information(self, x: np.ndarray, neighbour: Neighbour, heard: Heard) -> BoundaryInformation:
+        found = self._find_information(x, neighbour, heard)
+        return self._by_rows.information(x, neighbour, heard) if found is None else found
+
+    def _find_step(self, x: np.ndarray, heard: Heard, damping: tuple[float, float]) -> np.ndarray | None:
+        """``damping``: of voltages and of powers."""
         from dsse_core import tree_boundary as tree
 
-        spread = LEAST_SPREAD if start is x else LEAST_SPREAD_NEAR
-        t = self._pass(self._top, x, heard, damping, start, 0.0, least_spread=spread)
+        t = self._pass(self._top, x, heard, damping, 0.0)
         if t is None:
             return None
-        dx = np.empty(self._size)
+        dx = np.empty(self._model.size)
         finite = tree.step_downward(
             t.layout.order, t.layout.parent, t.admittance, t.z, t.w, t.at, self._column, t.v, t.va, t.told,
             t.work.above, t.work.factor, t.work.block, t.work.step, self._reference is not None, dx,
@@ -124,16 +127,15 @@ class AreaTree:
             return None
         return dx
 
-    def variances(
-        self, x: np.ndarray, heard: Mapping[str, BoundaryInformation], damping: tuple[float, float]
+    def _find_variances(
+        self, x: np.ndarray, heard: Heard, damping: tuple[float, float]
     ) -> tuple[np.ndarray, np.ndarray] | None:
-        """diag(G^-1), shape (size,), and diag(Omega), shape (n_meas,)."""
         from dsse_core import tree_boundary as tree
 
-        t = self._pass(self._top, x, heard, damping, x, 0.0)
+        t = self._pass(self._top, x, heard, damping, 0.0)
         if t is None:
             return None
-        variance = np.empty(self._size)
+        variance = np.empty(self._model.size)
         omega, enough = tree.variances_downward(
             t.layout.order, t.layout.parent, t.admittance, t.z, t.w, t.at, self._column, t.v, t.va, t.told,
             t.work.above, t.work.factor, t.work.more, t.work.block, self._reference is not None, variance,
@@ -143,10 +145,7 @@ class AreaTree:
             return None
         return variance, omega.ravel()[t.slot]
 
-    def information(
-        self, x: np.ndarray, neighbour: Neighbour, heard: Mapping[str, BoundaryInformation]
-    ) -> BoundaryInformation | None:
-        """What ``neighbour`` is to hear, see ``exchange.compute_information``."""
+    def _find_information(self, x: np.ndarray, neighbour: Neighbour, heard: Heard) -> BoundaryInformation | None:
         from dsse_core import tree_root
 
         others_there = sum(n.bus == neighbour.bus for n in self._area.neighbours) > 1
@@ -157,7 +156,7 @@ class AreaTree:
         if self._reference is not None and not angle_given:
             self._decline("a boundary away from the reference")
             return None
-        t = self._pass(neighbour.bus, x, heard, (0.0, LEAST_OF_POWER), x, LEAST_OF_FLOW, addressee=neighbour.area)
+        t = self._pass(neighbour.bus, x, heard, (0.0, LEAST_OF_POWER), LEAST_OF_FLOW, addressee=neighbour.area)
         if t is None:
             return None
         K = np.empty(tree_root.N_KNOWN)
@@ -186,12 +185,10 @@ class AreaTree:
         self,
         root: int,
         x: np.ndarray,
-        heard: Mapping[str, BoundaryInformation],
+        heard: Heard,
         damping: tuple[float, float],
-        start: np.ndarray,
         least_of_flow: float,
         addressee: str = "",
-        least_spread: float = LEAST_SPREAD,
     ) -> _Rooted | None:
         from dsse_core import tree_boundary as tree
 
@@ -204,8 +201,7 @@ class AreaTree:
                 t.w[t.at[k], 2:4] = -1.0
         enough = tree.pass_upward(
             t.layout.order, t.layout.parent, t.admittance, t.z, t.w, t.at, self._column, t.role, t.R, t.told_z,
-            np.asarray(x, dtype=float), np.asarray(start, dtype=float), damping, least_of_flow,
-            least_spread, t.v, t.va, t.told, *t.work,
+            np.asarray(x, dtype=float), damping, least_of_flow, LEAST_SPREAD, t.v, t.va, t.told, *t.work,
         )  # fmt: skip
         if not enough:
             self._decline("an open combination of p and q")
@@ -226,7 +222,7 @@ class AreaTree:
         rooted = _Rooted(
             layout=layout,
             admittance=stack_admittances(*read_branches(network), read_shunts(network, layout), layout),
-            slot=find_slots(network, self._meters, layout),
+            slot=find_slots(network, self._model.meters, layout),
             z=np.zeros((n, N_SLOT)),
             w=tree_kernel.absent(n),
             at=np.array([layout.number[network.row[n.bus]] for n in neighbours], dtype=np.int64),
@@ -245,8 +241,9 @@ class AreaTree:
         """``t`` with the readings."""
         z, w = t.z.copy(), t.w.copy()
         of_injection = np.isin(t.slot % N_SLOT, (2, 3))
-        z.ravel()[t.slot] = self._z
-        w.ravel()[t.slot] = np.where(of_injection, self._sigma**2.0, self._sigma**-2.0)
+        z.ravel()[t.slot] = self._model.z
+        sigma = self._model.sigma
+        w.ravel()[t.slot] = np.where(of_injection, sigma**2.0, sigma**-2.0)
         return replace(t, z=z, w=w)
 
 

@@ -1,0 +1,49 @@
+"""Which back end an area's numerics have: the one place that knows of all."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal
+
+from dsse_core.linear.dense import DenseRows
+from dsse_core.linear.interface import LinearArea, Rows
+from dsse_core.linear.no_load import NoLoadSolver
+from dsse_core.linear.radial import RadialSolver, find_no_tree
+from dsse_core.linear.rows import RowSolver
+from dsse_core.linear.sparse import SparseRows
+from dsse_core.partition import Area
+
+if TYPE_CHECKING:
+    from dsse_core.area_model import AreaModel
+
+Backend = Literal["auto", "tree", "sparse", "dense"]
+TREE_FROM = 60  # buses of an area, from which the tree repays the loading of numba
+DENSE_BELOW = 40  # buses of an area, below which dense matrices cost less than sparse ones
+
+
+def choose_backend(area: Area, backend: Backend = "auto") -> Literal["tree", "sparse", "dense"]:
+    """What computes if ``backend`` is asked for; the tree, for which numba is loaded, where it can serve."""
+    n_bus = len(area.network.buses)
+    if backend == "tree" or (backend == "auto" and n_bus >= TREE_FROM):
+        return "sparse" if find_no_tree(area.network) else "tree"
+    return "dense" if backend == "dense" or (backend == "auto" and n_bus < DENSE_BELOW) else "sparse"
+
+
+def needs_compiled_code(area: Area) -> bool:
+    """Whether an agent of ``area`` goes faster where the compiled solvers are loaded before."""
+    return choose_backend(area) == "tree"
+
+
+def make_rows(model: AreaModel) -> Rows:
+    return DenseRows(model) if choose_backend(model.area, model.backend) == "dense" else SparseRows(model)
+
+
+def make_linear(model: AreaModel) -> LinearArea:
+    """The numerics of ``model``: compiled where its area and meters allow, else by rows."""
+    chosen = choose_backend(model.area, model.backend)
+    by_rows = RowSolver(model, model.rows, "sparse" if chosen == "tree" else chosen)
+    return RadialSolver(model, by_rows) if chosen == "tree" and model.prior is None else by_rows
+
+
+def make_no_load(model: AreaModel) -> NoLoadSolver:
+    """The numerics of a model without load."""
+    return NoLoadSolver(model, model.rows, "no load")

@@ -1,0 +1,99 @@
+"""Back end for small areas: h(x) and H(x) in dense arrays, those of the boundaries included."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+
+from dsse_core.augmented_dense import DenseFactor
+from dsse_core.boundary_information import ROUNDING
+from dsse_core.linear.interface import Heard, Matrix, Rows
+from dsse_core.measurement_model import stack_models
+from dsse_core.partition import Neighbour
+
+if TYPE_CHECKING:
+    from dsse_core.area_model import AreaModel
+
+
+class DenseRows(Rows):
+    """The rows of the meters, then the four of each boundary's y, the parent's first.
+
+    The first two of the parent's are P and Q into the area's own branches; all others read one variable of x.
+    """
+
+    def __init__(self, area: AreaModel) -> None:
+        model, into_area, into_children = area.model, area.into_area, area.into_children
+        boundaries = sorted(area.area.neighbours, key=lambda n: not n.is_parent)
+        picked = [column for n in boundaries for column in area.boundary_columns(n)]
+        self._neighbours = area.area.neighbours
+        self._place = {n.area: k for k, n in enumerate(boundaries)}
+        self._n_meas, self._n = model.y.shape
+        self._rows = model if into_area is None else stack_models(model, into_area)
+        self._y = self._rows.y.toarray()
+        self._each = np.arange(len(self._y))
+        self._into_children = into_children.toarray()
+        self._picked = np.array(picked, dtype=int)
+        n_computed, size = len(self._y), 2 * self._n + self._into_children.shape[1]
+        self._h = np.zeros(n_computed + len(picked))
+        self._H = np.zeros((len(self._h), size))
+        self._H[: self._n_meas, 2 * self._n :] = self._into_children
+        self._H[n_computed + np.arange(len(picked)), self._picked] = 1.0
+        self._at = b""  # the x of h and H
+
+    def predict(self, x: np.ndarray) -> np.ndarray:
+        """See ``Rows``; not to be changed."""
+        self._move_to(x)
+        return self._h[: self._n_meas]
+
+    def jacobian(self, x: np.ndarray) -> np.ndarray:
+        """See ``Rows``; not to be changed."""
+        self._move_to(x)
+        return self._H[: self._n_meas]
+
+    def boundary(self, x: np.ndarray, neighbour: Neighbour) -> tuple[np.ndarray, np.ndarray]:
+        """See ``Rows``; not to be changed."""
+        self._move_to(x)
+        first = self._n_meas + 4 * self._place[neighbour.area]
+        return self._h[first : first + 4], self._H[first : first + 4]
+
+    def boundary_values(self, x: np.ndarray, neighbour: Neighbour) -> np.ndarray:
+        return self.boundary(x, neighbour)[0]
+
+    def messages(self, x: np.ndarray, heard: Heard) -> tuple[list[Matrix], list[np.ndarray]]:
+        told = [(*heard[n.area].rows, *self.boundary(x, n)) for n in self._neighbours if n.area in heard]
+        return [R @ T for R, _, _, T in told], [z - R @ y for R, z, y, _ in told]
+
+    def voltages(self) -> np.ndarray:
+        return np.eye(2 * self._n, self._H.shape[1])
+
+    def join(self, parts: list[Matrix]) -> np.ndarray:
+        return np.concatenate(parts)
+
+    def without_rounding(self, H: Matrix) -> np.ndarray:
+        size = abs(cast("np.ndarray", H))
+        return np.where(size > ROUNDING * size.max(axis=1, keepdims=True, initial=0.0), H, 0.0)
+
+    def factor(self, H: Matrix, sigma: np.ndarray, damping: np.ndarray) -> DenseFactor:
+        return DenseFactor(cast("np.ndarray", H), sigma, damping)
+
+    def full(self, C: Matrix) -> np.ndarray:
+        return cast("np.ndarray", C)
+
+    def _move_to(self, x: np.ndarray) -> None:
+        """Have h and H of ``x``: steps, messages and variances ask for those of one state in turn."""
+        if (at := x.tobytes()) == self._at:
+            return
+        n, m, computed = self._n, self._n_meas, slice(len(self._y))
+        vm, phase = x[n : 2 * n], np.exp(1j * x[:n])
+        v = vm * phase
+        u, i = v[self._rows.bus_row], self._y @ v
+        of_u, of_i = self._rows.weigh(u, i)
+        along = of_i[:, None] * self._y  # see MeasurementModel.linearize
+        along[self._each, self._rows.bus_row] += of_u
+        along *= phase
+        h, H = self._h.copy(), self._H.copy()  # what was given away stays as it is
+        h[computed], h[len(self._y) :] = self._rows.read(u, i), x[self._picked]
+        h[:m] += self._into_children @ x[2 * n :]
+        H[computed, :n], H[computed, n : 2 * n] = along.imag * -vm, along.real
+        self._h, self._H, self._at = h, H, at

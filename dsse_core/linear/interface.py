@@ -1,0 +1,100 @@
+"""What every back end of an area's numerics answers; which one it is nobody else asks."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections import Counter
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Protocol, Self, TypeAlias
+
+import numpy as np
+import scipy.sparse as sp
+
+from dsse_core.boundary_information import BoundaryInformation
+from dsse_core.partition import Neighbour
+
+if TYPE_CHECKING:
+    from dsse_core.area_model import AreaModel
+
+Matrix: TypeAlias = sp.csr_array | np.ndarray
+Heard: TypeAlias = Mapping[str, BoundaryInformation]
+NOT_YET = 1e-6  # information given to eliminated voltages that nothing determines yet
+NOT_YET_OF_POWER = 1e-8  # the same of powers, which may be large
+
+
+class LinearArea(ABC):
+    """The linearised area at a state x, shape (size,), with the information ``heard`` of its neighbours.
+
+    ``name``: of the back end. ``declined``: how often another one had to take a call, by reason.
+    """
+
+    name: str
+    declined: Counter[str]
+
+    @abstractmethod
+    def step(self, x: np.ndarray, heard: Heard, damping: float = 0.0) -> np.ndarray:
+        """The Gauss-Newton step, shape (size,), ``(G + damping) dx = b``: of the whole grid, where all is ``heard``."""
+
+    @abstractmethod
+    def information(self, x: np.ndarray, neighbour: Neighbour, heard: Heard) -> BoundaryInformation:
+        """What ``neighbour`` is to hear: everything but y eliminated, its own message left out."""
+
+    @abstractmethod
+    def variances(self, x: np.ndarray, heard: Heard) -> tuple[np.ndarray, np.ndarray]:
+        """diag(G^-1), shape (size,), and diag(Omega) of the area's own measurements, shape (n_meas,) (eq. 3.22)."""
+
+    @abstractmethod
+    def with_readings(self, model: AreaModel) -> Self:
+        """The same meters read anew, as ``model`` has them: what rests on topology and meters is kept."""
+
+
+class Factor(Protocol):
+    """A factorised tableau, see ``augmented.AugmentedFactor``."""
+
+    def solve(self, above: np.ndarray, below: np.ndarray) -> tuple[np.ndarray, np.ndarray]: ...
+    def state_variance(self) -> np.ndarray: ...
+    def residual_variance(self) -> np.ndarray: ...
+
+
+class Rows(ABC):
+    """h(x) and H(x) of an area's meters and boundaries, and what else is done with matrices of their kind."""
+
+    @abstractmethod
+    def predict(self, x: np.ndarray) -> np.ndarray:
+        """h(x), shape (n_meas,)."""
+
+    @abstractmethod
+    def jacobian(self, x: np.ndarray) -> Matrix:
+        """H(x), shape (n_meas, size)."""
+
+    @abstractmethod
+    def boundary(self, x: np.ndarray, neighbour: Neighbour) -> tuple[np.ndarray, Matrix]:
+        """y, shape (4,), and T = dy/dx, shape (4, size), at the boundary to ``neighbour``."""
+
+    @abstractmethod
+    def boundary_values(self, x: np.ndarray, neighbour: Neighbour) -> np.ndarray:
+        """y of ``boundary`` alone."""
+
+    @abstractmethod
+    def messages(self, x: np.ndarray, heard: Heard) -> tuple[list[Matrix], list[np.ndarray]]:
+        """Rows R T and residuals z - R y of what neighbours have said, each of variance 1, in the area's order."""
+
+    @abstractmethod
+    def voltages(self) -> Matrix:
+        """A row for each voltage, angles first, which reads it."""
+
+    @abstractmethod
+    def join(self, parts: list[Matrix]) -> Matrix:
+        """The rows of ``parts`` below each other."""
+
+    @abstractmethod
+    def without_rounding(self, H: Matrix) -> Matrix:
+        """H with entries of 0 where rounding has left something of a derivative that is nothing."""
+
+    @abstractmethod
+    def factor(self, H: Matrix, sigma: np.ndarray, damping: np.ndarray) -> Factor:
+        """The tableau of rows H with ``sigma`` and the ``damping`` of each column."""
+
+    @abstractmethod
+    def full(self, C: Matrix) -> np.ndarray:
+        """A small matrix in an array."""

@@ -1,0 +1,160 @@
+"""The numbers of an area from its rows, dense or sparse, by one factor of the augmented system each."""
+
+from __future__ import annotations
+
+import copy
+from collections import Counter
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+
+from dsse_core.boundary_information import (
+    NOTHING_OF_VOLTAGE,
+    VA,
+    BoundaryInformation,
+    factor_information,
+    factor_inverse,
+    put_together,
+)
+from dsse_core.linear.interface import NOT_YET, NOT_YET_OF_POWER, Factor, Heard, LinearArea, Matrix, Rows
+from dsse_core.partition import Neighbour
+
+if TYPE_CHECKING:
+    from dsse_core.area_model import AreaModel
+
+PRIOR_SIGMA = 0.3  # p.u. and rad: a voltage lies that near to what it was, whatever happens
+MOST_TURNS = 4  # of the axes of (p, q)
+DEGREES_OF_BOUNDARY = np.array([2.0, 2.0, 1.0, 0.0])  # the power k for which y grows as c^k, see AreaModel.degrees
+
+
+class RowSolver(LinearArea):
+    """``rows``: those of ``model``, see ``Rows``."""
+
+    nothing_of_voltage = NOTHING_OF_VOLTAGE
+
+    def __init__(self, model: AreaModel, rows: Rows, name: str) -> None:
+        self.name = name
+        self.declined = Counter()
+        self.model, self.rows = model, rows
+
+    def with_readings(self, model: AreaModel) -> Self:
+        other = copy.copy(self)
+        other.model = model
+        return other
+
+    def step(self, x: np.ndarray, heard: Heard, damping: float = 0.0) -> np.ndarray:
+        H, r, sigma = self.stack(x, heard)
+        free = self.model.free
+        least = np.maximum(self.least_information(free), damping)
+        dx = np.zeros(self.model.size)
+        dx[free] = self.rows.factor(H[:, free], sigma, least).solve(r, np.zeros(len(free)))[1]
+        return dx
+
+    def variances(self, x: np.ndarray, heard: Heard) -> tuple[np.ndarray, np.ndarray]:
+        H, _, sigma = self.stack(x, heard)
+        factor = self.factor(H, sigma, self.model.free)
+        of_state = np.zeros(self.model.size)
+        of_state[self.model.free] = factor.state_variance()
+        return of_state, factor.residual_variance()[: len(self.model.z)]
+
+    def information(self, x: np.ndarray, neighbour: Neighbour, heard: Heard) -> BoundaryInformation:
+        """What ``neighbour`` is to hear: everything but y eliminated, its own message left out.
+
+        Two parts, each a 2x2 matrix that no rounding of the other can spoil. What this side knows of the boundary's
+        voltage v = (vm_b, va_b), whatever power flows: with u all variables but v and
+        ``K = [[R, H_u], [H_u', -d]]``, ``M = B' s`` and ``g = B' s_r``, from ``K [s, .] = [B, 0]`` and
+        ``K [s_r, .] = [r, 0]``. And what it knows of the power given v: ``(p, q) = y_p + C du_r + (dp - C du_B) dv`` with covariance
+        ``C G_uu^-1 C'`` (``_find_power``). ``B`` and ``dp`` are the responses of measurements and power when v moves
+        and takes the whole area along (``_responses_to_shift``).
+        """
+        heard = {name: message for name, message in heard.items() if name != neighbour.area}
+        H, r, sigma = self.stack(x, heard)
+        B, dp = _responses_to_shift(self.model, x, neighbour, heard, H)
+        y, T = self.rows.boundary(x, neighbour)
+        u = self.model.eliminated[neighbour.area]
+        C = T[:2, u]
+        factor = self.factor(H, sigma, u)
+        above, below = np.zeros((len(r), 5)), np.zeros((len(u), 5))
+        above[:, :2], above[:, 2], below[:, 3:] = B, r, self.rows.full(C).T
+        s, du = factor.solve(above, below)
+        information = B.T @ s[:, :3]
+        N, told_v = factor_information(information[:, :2], information[:, 2], self.nothing_of_voltage)
+        W, S, A = _find_power(factor, C, s[:, 3:], du[:, 3:])
+        P = factor_inverse(S)
+        return put_together(y, P @ W.T, P @ (A.T @ B - W.T @ dp), P @ (A.T @ r), (N, told_v))
+
+    def factor(self, H: Matrix, sigma: np.ndarray, columns: np.ndarray) -> Factor:
+        """The factor of some columns of H, damped only where nothing determines a variable yet."""
+        return self.rows.factor(H[:, columns], sigma, self.least_information(columns))
+
+    def least_information(self, columns: np.ndarray) -> np.ndarray:
+        """The damping of variables that nothing determines yet, shape of ``columns``."""
+        return np.where(columns < 2 * len(self.model.area.network.buses), NOT_YET, NOT_YET_OF_POWER)
+
+    def stack(self, x: np.ndarray, heard: Heard) -> tuple[Matrix, np.ndarray, np.ndarray]:
+        """H, residual and sigma of the area's own measurements, of the messages ``heard``, up to four rows each, and
+        of the model's prior, a row for each voltage.
+        """
+        model, rows = self.model, self.rows
+        told, of_told = rows.messages(x, heard)
+        parts, of_parts = [rows.jacobian(x), *told], [model.residual(x), *of_told]
+        if model.prior is not None:
+            parts.append(rows.voltages())
+            of_parts.append((model.prior - x)[: 2 * len(model.area.network.buses)])
+        r = np.concatenate(of_parts)
+        sigma = np.ones(len(r))
+        sigma[: len(model.z)] = model.sigma
+        if model.prior is not None:
+            sigma[-len(of_parts[-1]) :] = PRIOR_SIGMA
+        return (rows.join(parts) if len(parts) > 1 else parts[0]), r, sigma
+
+
+def _find_power(factor: Factor, C: Matrix, A: np.ndarray, du: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What is known of (p, q), with v given: W, S, (2, 2), and A, (rows, 2).
+
+    S is the covariance of ``W'(p, q)``, and ``W'C du = A'r`` for residuals r. W turns the axes: beside a combination
+    that is as good as unknown the other one would drown in rounding, so both are solved for by themselves. ``A``,
+    ``du``: the solution for W = 1.
+    """
+    W = np.eye(2)
+    for turn in range(MOST_TURNS):
+        S = -(W.T @ (C @ du))
+        S = (S + S.T) / 2
+        if turn == MOST_TURNS - 1 or S[0, 1] ** 2 <= abs(S[0, 0] * S[1, 1]) / 2:
+            break
+        W = W @ np.linalg.svd(S)[0]
+        A, du = factor.solve(np.zeros(A.shape), C.T @ W)
+    return W, S, A
+
+
+def _responses_to_shift(
+    model: AreaModel, x: np.ndarray, neighbour: Neighbour, heard: Heard, H: Matrix
+) -> tuple[np.ndarray, np.ndarray]:
+    """How all rows H of ``stack_rows``, shape (rows, 2), and (p, q) at the boundary, shape (2, 2), answer to dv.
+
+    dvm scales all voltages of the area alike, dva turns all its angles (but a reference): then powers answer with
+    2 s / vm_b and 0 exactly. Moving bus b alone would change flows by dv / z and leave M, a difference of such
+    changes, to rounding.
+    """
+    (vm_column, va_column), fixed, m = model.voltage_columns(neighbour), model.fixed, len(model.z)
+    vm_b = float(x[vm_column])
+    B = np.zeros((H.shape[0], 2))
+    B[:m, 0], B[model.angles, 1] = model.degrees * model.predict(x) / vm_b, 1.0
+    dy, dp = np.zeros((4, 2)), np.zeros((2, 2))
+    dy[VA, 1] = 1.0
+    end = m
+    for n in model.area.neighbours:
+        dy[:, 0] = model.boundary_values(x, n) * DEGREES_OF_BOUNDARY / vm_b
+        if n.area == neighbour.area:
+            dp[:, 0], dp[:, 1] = dy[:2, 0], -model.boundary(x, n)[1][:2, fixed].sum(axis=1)
+        elif (message := heard.get(n.area)) is not None:
+            first, end = end, end + len(message.rows[0])
+            B[first:end] = message.rows[0] @ dy
+    if model.prior is not None:
+        n_bus = len(model.area.network.buses)
+        B[end : end + n_bus, 1], B[end + n_bus :, 0] = 1.0, x[n_bus : 2 * n_bus] / vm_b
+    if fixed.size:
+        B[:, 1] -= H[:, fixed].sum(axis=1)
+        if va_column in fixed:  # the reference itself: it does not move
+            B[:, 1] = dp[:, 1] = 0.0
+    return B, dp

@@ -1,0 +1,114 @@
+"""Back end for areas of any size and shape: h(x) and H(x) in sparse matrices."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+import scipy.sparse as sp
+
+from dsse_core.augmented import AugmentedFactor
+from dsse_core.boundary_information import ROUNDING
+from dsse_core.linear.interface import Heard, Matrix, Rows
+from dsse_core.partition import Neighbour
+
+if TYPE_CHECKING:
+    from dsse_core.area_model import AreaModel
+
+
+class SparseRows(Rows):
+    """The rows of the meters, and of each boundary when they are asked for."""
+
+    def __init__(self, area: AreaModel) -> None:
+        self._area = area
+        self._n = len(area.area.network.buses)
+
+    def predict(self, x: np.ndarray) -> np.ndarray:
+        return np.asarray(self._area.model.predict(x[: 2 * self._n]) + self._area.into_children @ x[2 * self._n :])
+
+    def jacobian(self, x: np.ndarray) -> sp.csr_array:
+        own = self._area.model.jacobian(x[: 2 * self._n])
+        return sp.csr_array(sp.hstack([own, self._area.into_children], format="csr"))
+
+    def boundary(self, x: np.ndarray, neighbour: Neighbour) -> tuple[np.ndarray, sp.csr_array]:
+        columns = self._area.boundary_columns(neighbour)
+        if not neighbour.is_parent:
+            return x[columns], self._select(columns)
+        into_area = self._area.into_area
+        assert into_area is not None  # there is a parent
+        flows = into_area.predict(x[: 2 * self._n])
+        C = sp.csr_array(into_area.jacobian(x[: 2 * self._n]))
+        C = sp.csr_array((C.data, C.indices, C.indptr), shape=(2, self._area.size))
+        T = sp.vstack([C, self._select(columns)], format="csr")
+        return np.concatenate([flows, x[columns]]), sp.csr_array(T)
+
+    def boundary_values(self, x: np.ndarray, neighbour: Neighbour) -> np.ndarray:
+        if not neighbour.is_parent:
+            return np.asarray(x[self._area.boundary_columns(neighbour)])
+        bus, there, own, mutual = self._branches_at_parent
+        va, vm = x[there], x[self._n + there]
+        v = float(x[self._n + bus])
+        s = (own * v * v).sum() + (mutual * (v * vm * np.exp(1j * (x[bus] - va)))).sum()
+        return np.array([s.real, s.imag, v, x[bus]])
+
+    @cached_property
+    def _branches_at_parent(self) -> tuple[int, np.ndarray, np.ndarray, np.ndarray]:
+        """Row of the parent's bus; of the branches there: row of the other end, conj of own and mutual admittance."""
+        assert self._area.area.parent is not None
+        assert self._area.into_area is not None
+        bus = self._area.area.network.row[self._area.area.parent.bus]
+        y = self._area.into_area.y[[0], :].tocoo()
+        columns, values = y.coords[1], y.data.conj()
+        at_bus = columns == bus
+        return bus, columns[~at_bus], values[at_bus], values[~at_bus]
+
+    def _select(self, columns: Sequence[int]) -> sp.csr_array:
+        shape = (len(columns), self._area.size)
+        return sp.csr_array((np.ones(len(columns)), np.array(columns), np.arange(len(columns) + 1)), shape=shape)
+
+    def messages(self, x: np.ndarray, heard: Heard) -> tuple[list[Matrix], list[np.ndarray]]:
+        """All rows at once, as an area may have many children."""
+        rows: list[tuple[np.ndarray, np.ndarray]] = []  # numbers, and the columns that they belong to
+        r: list[np.ndarray] = []
+        for n in self._area.area.neighbours:
+            if (message := heard.get(n.area)) is None:
+                continue
+            R, z = message.rows
+            if n.is_parent:
+                y, T = self.boundary(x, n)
+                rows.append((np.asarray(R @ T), np.arange(self._area.size)))
+            else:
+                columns = np.array(self._area.boundary_columns(n))
+                y = x[columns]
+                rows.append((R, columns))
+            r.append(z - R @ y)
+        if not rows:
+            return [], []
+        told = [part != 0 for part, _ in rows]
+        data = np.concatenate([part[is_told] for (part, _), is_told in zip(rows, told, strict=True)])
+        at = np.concatenate([np.broadcast_to(columns, k.shape)[k] for (_, columns), k in zip(rows, told, strict=True)])
+        ends = np.cumsum(np.concatenate([[0], *(is_told.sum(axis=1) for is_told in told)]))
+        of_all = sp.csr_array((data, at, ends), shape=(len(ends) - 1, self._area.size))
+        return [of_all], r
+
+    def voltages(self) -> sp.csr_array:
+        return sp.csr_array(sp.eye_array(2 * self._n, self._area.size, format="csr"))
+
+    def join(self, parts: list[Matrix]) -> sp.csr_array:
+        return sp.csr_array(sp.vstack(parts, format="csr"))
+
+    def without_rounding(self, H: Matrix) -> sp.csr_array:
+        H = cast("sp.csr_array", H)
+        row = np.repeat(np.arange(H.shape[0]), np.diff(H.indptr))
+        size = abs(H.data)
+        largest = np.zeros(H.shape[0])
+        np.maximum.at(largest, row, size)
+        return sp.csr_array((np.where(size > ROUNDING * largest[row], H.data, 0.0), H.indices, H.indptr), shape=H.shape)
+
+    def factor(self, H: Matrix, sigma: np.ndarray, damping: np.ndarray) -> AugmentedFactor:
+        return AugmentedFactor(sp.csr_array(H), sigma, damping)
+
+    def full(self, C: Matrix) -> np.ndarray:
+        return np.asarray(cast("sp.csr_array", C).toarray())
