@@ -16,18 +16,29 @@ from dsse_core.network import Network
 class Admittance:
     """``ybus`` (n, n), ``yf`` and ``yt`` (n_branch, n): currents ``ybus v``, ``yf v``, ``yt v`` for voltages ``v``.
 
+    ``stacked`` (n + 2 n_branch, n) has them below each other.
+
     Rows of ``ybus`` follow ``network.buses``, rows of ``yf`` and ``yt`` follow ``network.active_branches``.
     Every row stores an entry, be it zero, for its own bus.
     """
 
-    ybus: sp.csr_array
-    yf: sp.csr_array
-    yt: sp.csr_array
+    stacked: sp.csr_array
 
     @cached_property
-    def stacked(self) -> sp.csr_array:
-        """``ybus``, ``yf`` and ``yt`` below each other, shape (n + 2 n_branch, n)."""
-        return sp.csr_array(sp.vstack([self.ybus, self.yf, self.yt], format="csr"))
+    def ybus(self) -> sp.csr_array:
+        return sp.csr_array(self.stacked[: self.stacked.shape[1]])
+
+    @cached_property
+    def yf(self) -> sp.csr_array:
+        return sp.csr_array(self._of_branches[: self._of_branches.shape[0] // 2])
+
+    @cached_property
+    def yt(self) -> sp.csr_array:
+        return sp.csr_array(self._of_branches[self._of_branches.shape[0] // 2 :])
+
+    @cached_property
+    def _of_branches(self) -> sp.csr_array:
+        return sp.csr_array(self.stacked[self.stacked.shape[1] :])
 
 
 def build_admittance(network: Network, *, with_shunts: bool = True) -> Admittance:
@@ -48,13 +59,11 @@ def build_admittance(network: Network, *, with_shunts: bool = True) -> Admittanc
     ytf = -ys / ratio
     shunt = np.array([complex(bus.g_shunt, bus.b_shunt) * with_shunts for bus in network.buses], dtype=complex)
 
-    branch, bus = np.arange(n_branch), np.arange(n)
-    yf = sp.coo_array((np.r_[yff, yft], (np.r_[branch, branch], np.r_[f, t])), shape=(n_branch, n))
-    yt = sp.coo_array((np.r_[ytf, ytt], (np.r_[branch, branch], np.r_[f, t])), shape=(n_branch, n))
-    ybus = sp.coo_array(
-        (np.r_[yff, yft, ytf, ytt, shunt], (np.r_[f, f, t, t, bus], np.r_[f, t, f, t, bus])), shape=(n, n)
-    )
-    return Admittance(ybus.tocsr(), yf.tocsr(), yt.tocsr())
+    bus, at_from, at_to = np.arange(n), n + np.arange(n_branch), n + n_branch + np.arange(n_branch)
+    entries = np.concatenate([yff, yft, ytf, ytt, shunt, yff, yft, ytf, ytt])
+    rows = np.concatenate([f, f, t, t, bus, at_from, at_from, at_to, at_to])
+    columns = np.concatenate([f, t, f, t, bus, f, t, f, t])
+    return Admittance(sp.coo_array((entries, (rows, columns)), shape=(n + 2 * n_branch, n)).tocsr())
 
 
 def flat_start(network: Network, reference: int) -> tuple[np.ndarray, np.ndarray]:

@@ -58,6 +58,7 @@ class AreaEstimation:
         self._before, self._step = self.x, np.zeros_like(self.x)
         self._worst: tuple[tuple[str, float], ...] = ()
         self._uses_currents = False
+        self._n_current = 0  # current meters that can be used
         self._heard: Heard = {}  # at the last step that was taken
         self._aged: dict[str, BoundaryInformation] = {}
         self._stand_ins: dict[str, BoundaryInformation] = {}
@@ -130,7 +131,9 @@ class AreaEstimation:
 
     def _build(self) -> None:
         """The models of the meters in use; other readings of the same ones change neither rows nor no-load model."""
-        in_use = self._in_use(self._uses_currents)
+        with_currents, without = self._in_use(currents=True), self._in_use(currents=False)
+        self._n_current = len(with_currents) - len(without)
+        in_use = with_currents if self._uses_currents else without
         prior = self._start if self._silent or self._is_blank else None
         meters = tuple(m.meter for m in in_use)
         if self._model is not None and self._model.meters == meters and self._model.prior is prior is None:
@@ -138,7 +141,7 @@ class AreaEstimation:
         else:
             self._model = replace(build_area_model(self.area, in_use, self._reference), prior=prior)
         if self.is_first:
-            self._build_no_load(self._in_use(currents=False))
+            self._build_no_load(without)
 
     def _build_no_load(self, in_use: Sequence[Measurement]) -> None:
         ids = tuple(m.meter.id for m in in_use)
@@ -217,7 +220,7 @@ class AreaEstimation:
             degrees_of_freedom=count_freedom(model),
             dva=float(size[:n].max()),
             dvm=float(size[n : 2 * n].max()),
-            held_back=0 if self._uses_currents else len(self._in_use(True)) - len(self._in_use(False)),
+            held_back=0 if self._uses_currents else self._n_current,
             worst=self._worst,
         )
 
@@ -270,11 +273,10 @@ class AreaEstimation:
             return
         assert self._no_load is not None  # ``begin`` was called
         no_load = self._no_load
-        self.unobservable = self._keep(("unobservable",), heard, lambda: no_load.find_unobservable(heard)) or ()
+        self.unobservable, found = self._keep((), heard, lambda: no_load.examine(heard)) or ((), frozenset())
         if not self.unobservable:
-            found = self._keep(("indispensable",), heard, lambda: no_load.find_indispensable(heard))
             real = {m.id for m in self.model.meters if m.source is not Source.VIRTUAL}
-            self.critical = tuple(sorted((found or set()) & real))
+            self.critical = tuple(sorted(found & real))
 
     def _judge(self) -> None:
         """Which meters are critical, and the largest normalised residual of the others."""

@@ -82,17 +82,16 @@ class NoLoadModel:
                 turn[rows, rows] = is_something[:, None] * U.T
         return BoundaryInformation(np.triu(turn @ told.R) * self._voltage_of(neighbour), turn @ told.z)
 
-    def find_indispensable(self, heard: Mapping[str, BoundaryInformation]) -> set[str]:
-        """Ids of the meters, virtual ones included, without any one of which the state is not observable."""
-        redundancy = self.linear.sample_redundancy(self.x, self._at_own_voltage(heard), np.random.default_rng(0))
-        return {self.ids[k] for k in np.flatnonzero(redundancy < NO_LOAD_REDUNDANCY)}
-
-    def find_unobservable(self, heard: Mapping[str, BoundaryInformation]) -> tuple[int, ...]:
-        """Ids of the buses whose voltage neither the area's meters nor what neighbours tell determine."""
-        variance, _ = self.linear.variances(self.x, self._at_own_voltage(heard))
-        n = len(self.model.area.network.buses)
-        known = np.maximum(variance[:n], variance[n : 2 * n]) < NOTHING_KNOWN
-        return tuple(bus.id for bus, is_known in zip(self.model.area.network.buses, known, strict=True) if not is_known)
+    def examine(self, heard: Mapping[str, BoundaryInformation]) -> tuple[tuple[int, ...], frozenset[str]]:
+        """Ids of the buses whose voltage neither the area's meters nor what neighbours tell determine, and of the
+        meters, virtual ones included, without any one of which the state is not observable.
+        """
+        rng = np.random.default_rng(0)
+        variance, redundancy = self.linear.sample(self.x, self._at_own_voltage(heard), rng)
+        buses = self.model.area.network.buses
+        is_known = np.maximum(variance[: len(buses)], variance[len(buses) : 2 * len(buses)]) < NOTHING_KNOWN
+        unobservable = tuple(buses[k].id for k in np.flatnonzero(~is_known))
+        return unobservable, frozenset(self.ids[k] for k in np.flatnonzero(redundancy < NO_LOAD_REDUNDANCY))
 
     def _at_own_voltage(self, heard: Mapping[str, BoundaryInformation]) -> dict[str, BoundaryInformation]:
         """What neighbours have told of relative numbers as information about y."""

@@ -20,7 +20,7 @@ def find_no_load(area: Area) -> tuple[np.ndarray, np.ndarray]:
 
 
 def start_state(content: AreaFile, heard: Mapping[str, NetLoad]) -> np.ndarray:
-    """``x`` of ``dsse_core.exchange.AreaModel``: the local power flow once load messages allow one, else flat."""
+    """``x`` of ``dsse_core.area_model.AreaModel``: the local power flow once load messages allow one, else flat."""
     area, network = content.area, content.area.network
     vm, va = find_no_load(area)
     loads = boundary_loads(area, heard, content.load_error)

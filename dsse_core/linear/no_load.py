@@ -18,21 +18,35 @@ class NoLoadSolver(RowSolver):
     nothing_of_voltage = 0.0
 
     def factor(self, H: Matrix, sigma: np.ndarray, columns: np.ndarray) -> Factor:
-        """An angle meter must not seem to tell a magnitude: undetermined variables would be damped by 1e22 times less
+        H, damping = self._damp(H, sigma, columns)
+        return self.rows.factor(H, sigma, damping)
+
+    def _damp(self, H: Matrix, sigma: np.ndarray, columns: np.ndarray) -> tuple[Matrix, np.ndarray]:
+        """Some columns of H, and their damping.
+
+        An angle meter must not seem to tell a magnitude: undetermined variables would be damped by 1e22 times less
         than others, and beside such an uncertainty whatever else is known of (p, q) drowns.
         """
         H = self.rows.without_rounding(H[:, columns])
         told = np.asarray((H * H).T @ sigma**-2.0)
-        return self.rows.factor(H, sigma, np.where(told > 0, NO_LOAD_NOT_YET * np.minimum(told, 1.0), NOTHING))
+        return H, np.where(told > 0, NO_LOAD_NOT_YET * np.minimum(told, 1.0), NOTHING)
 
-    def sample_redundancy(self, x: np.ndarray, heard: Heard, rng: np.random.Generator) -> np.ndarray:
-        """diag(Omega) / sigma^2 of the area's own measurements, shape (n_meas,), from residuals of random readings.
+    def sample(self, x: np.ndarray, heard: Heard, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        """diag(G^-1), shape (size,), and diag(Omega) / sigma^2 of the area's own measurements, shape (n_meas,), each
+        to a factor of two or so, from what random readings lead to: on one factor, and without its inverse.
 
-        With S = Omega / (sigma sigma') a projection, readings of variance 1 leave residuals of variance S_ii: as the
-        mean square of DRAWS of them it is found to a factor of two or so, and 0 to the square of round-off.
+        With S = Omega / (sigma sigma') a projection, readings of variance 1 leave residuals of variance S_ii, here the
+        mean square of DRAWS of them, and 0 to the square of round-off. With random readings of the damping, too, the
+        states that follow have the covariance G^-1.
         """
         H, _, sigma = self.stack(x, heard)
         free, model = self.model.free, self.model
-        readings = sigma[:, None] * rng.standard_normal((len(sigma), DRAWS))
-        s = self.factor(H, sigma, free).solve(readings, np.zeros((len(free), DRAWS)))[0][: len(model.z)]
-        return np.asarray(((model.sigma[:, None] * s) ** 2).mean(axis=1))
+        H, damping = self._damp(H, sigma, free)
+        above = sigma[:, None] * rng.standard_normal((len(sigma), DRAWS))
+        below = np.sqrt(damping)[:, None] * rng.standard_normal((len(free), DRAWS))
+        columns = np.zeros((len(free), 2 * DRAWS))
+        columns[:, DRAWS:] = below
+        s, dx = self.rows.factor(H, sigma, damping).solve(np.hstack([above, above]), columns)
+        variance = np.zeros(model.size)
+        variance[free] = (dx[:, DRAWS:] ** 2).mean(axis=1)
+        return variance, ((model.sigma[:, None] * s[: len(model.z), :DRAWS]) ** 2).mean(axis=1)

@@ -63,9 +63,9 @@ class RowSolver(LinearArea):
         Two parts, each a 2x2 matrix that no rounding of the other can spoil. What this side knows of the boundary's
         voltage v = (vm_b, va_b), whatever power flows: with u all variables but v and
         ``K = [[R, H_u], [H_u', -d]]``, ``M = B' s`` and ``g = B' s_r``, from ``K [s, .] = [B, 0]`` and
-        ``K [s_r, .] = [r, 0]``. And what it knows of the power given v: ``(p, q) = y_p + C du_r + (dp - C du_B) dv`` with covariance
-        ``C G_uu^-1 C'`` (``_find_power``). ``B`` and ``dp`` are the responses of measurements and power when v moves
-        and takes the whole area along (``_responses_to_shift``).
+        ``K [s_r, .] = [r, 0]``. And what it knows of the power given v: ``(p, q) = y_p + C du_r + (dp - C du_B) dv``
+        with covariance ``C G_uu^-1 C'`` (``_find_power``). ``B`` and ``dp`` are the responses of measurements and power
+        when v moves and takes the whole area along (``_responses_to_shift``).
         """
         heard = {name: message for name, message in heard.items() if name != neighbour.area}
         H, r, sigma = self.stack(x, heard)
