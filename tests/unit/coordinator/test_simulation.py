@@ -12,6 +12,7 @@ from coordinator.cli import run_command
 from coordinator.report import format_verdict
 from dsse_core.errors import InvalidInputError
 from scenarios.scenario import load_scenario
+from scenarios.shipped_files import find_shipped
 
 
 def simulate(folder: Path, name: str = "ieee33-lossy", **options: object) -> coordinator.result.RunResult:
@@ -134,3 +135,20 @@ def test_on_the_twin_too_a_frozen_router_holds_up_those_who_are_linked_to_it_unt
     assert len(agreed) == 3
     assert (max(agreed) < 0.5) == passes
     assert max(agreed) < 3.0
+
+
+def test_a_scan_that_does_not_determine_the_state_ends_with_exit_code_1_and_says_why(tmp_path: Path, dsse):
+    """The only voltmeter is among the missing readings."""
+    text = find_shipped("shipped")["ieee33"].read_text(encoding="utf-8")
+    text = text.replace("voltage = { buses = [1, 16, 22, 30]", "voltage = { buses = [1]")
+    scenario = tmp_path / "unobservable.toml"
+    scenario.write_text(text + "\n[faults.telemetry]\nmissing = 0.02\n", encoding="utf-8")
+    code, out, _ = dsse("simulate", scenario, "--seed", 14, "--out", tmp_path / "out", "--no-plots")
+    assert code == 1
+    assert out.startswith("NO CONSENSUS")
+    assert "do not determine the state: not observable: no reading of this scan determines buses 1-6, 7-18" in out
+    areas = json.loads((tmp_path / "out" / "result.json").read_text())["areas"]
+    assert {(area["quality"], area["degraded"], bool(area["notes"])) for area in areas.values()} == {
+        ("unobservable", True, True)
+    }
+    assert sum(line.startswith("unobservable: area") for line in out.splitlines()) == 3
