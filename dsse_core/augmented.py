@@ -147,9 +147,9 @@ class AugmentedFactor:
             last = size
         return None
 
-    def solve(self, above: np.ndarray, below: np.ndarray, *, refined: bool = True) -> tuple[np.ndarray, np.ndarray]:
+    def solve(self, above: np.ndarray, below: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(s, dx) of ``R s + H dx = above``, ``H's - damping dx = below``; vectors or columns."""
-        solution = self._solve(np.concatenate([above, below / self._a]), refined)
+        solution = self._solve(np.concatenate([above, below / self._a]))
         return self._a * solution[: self._n_meas], solution[self._n_meas :]
 
     def covariance_times(self, B: np.ndarray) -> np.ndarray:
@@ -185,12 +185,11 @@ class AugmentedFactor:
             diagonal[block] = self._solve(unit)[first + block, block - k]
         return diagonal
 
-    def _solve(self, b: np.ndarray, refined: bool = True) -> np.ndarray:
+    def _solve(self, b: np.ndarray) -> np.ndarray:
         scale = self._scale.reshape(-1, *(1,) * (b.ndim - 1))
         b = self._pattern.permute(scale * b)
         scaled = self._lu.solve(b)
-        if refined:  # information is a difference
-            scaled = scaled + self._lu.solve(b - self._tableau @ scaled)
+        scaled = scaled + self._lu.solve(b - self._tableau @ scaled)  # information is a difference
         solution: np.ndarray = scale * self._pattern.permute_back(scaled)
         return solution
 

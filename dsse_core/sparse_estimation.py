@@ -149,7 +149,7 @@ class SparseIteration:
 
     def carry_out(self, verdict: Verdict) -> None:
         if verdict.takes_step:
-            self._take_step(verdict.share, last=verdict.with_step)
+            self._take_step(verdict.share)
         match verdict.decision:
             case Decision.SHORTEN:
                 self._move(verdict.share)
@@ -161,13 +161,13 @@ class SparseIteration:
                 self._start = self._plan.start
                 self._begin()
 
-    def _take_step(self, share: float, *, last: bool) -> None:
+    def _take_step(self, share: float) -> None:
         try:
-            self._step = self._solve(last)
+            self._step = self._solve()
         except RuntimeError:  # SuperLU: singular away from the no-load state, where the rank was full
             self._size = np.inf, np.inf
             raise self.diverged() from None
-        size, n_angles = abs(self._step), len(self.x) // 2 - 1
+        size, n_angles = np.nan_to_num(abs(self._step), nan=np.inf), len(self.x) // 2 - 1
         self._size = float(size[:n_angles].max(initial=0.0)), float(size[n_angles:].max(initial=0.0))
         self._steps, self._before = self._steps + 1, self.x
         self._move(share)
@@ -181,15 +181,15 @@ class SparseIteration:
         self.x, self._linearized = self._before.copy(), None
         self.x[self._plan.free] += share * self._step
 
-    def _solve(self, last: bool) -> np.ndarray:
-        """The step dx, (n_free,). What is not the ``last`` one the next one corrects."""
+    def _solve(self) -> np.ndarray:
+        """The step dx, (n_free,)."""
         r, H = self._linearize()
         found = None
         if self._factor and max(self._size) < SMALL_STEP:
             found = self._factor.solve_nearby(H, r, self._multipliers)
         if found is None:
             self._factor = self._find_factor(H)
-            found = self._factor.solve(r, np.zeros(H.shape[1]), refined=last)
+            found = self._factor.solve(r, np.zeros(H.shape[1]))
         self._multipliers, dx = found
         return dx
 

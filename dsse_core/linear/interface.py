@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 Matrix: TypeAlias = sp.csr_array | np.ndarray
 Heard: TypeAlias = Mapping[str, BoundaryInformation]
 NOT_YET = 1e-6  # information given to eliminated voltages that nothing determines yet
-NOT_YET_OF_POWER = 1e-8  # the same of powers, which may be large
+NOT_YET_OF_POWER = 1e-11  # the same of powers, which may be large
 
 
 class LinearArea(ABC):

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from dsse_core.tree_kernel import Work
 
 LEAST_OF_FLOW = 1e-12  # information given to powers through branches that nothing determines yet
-LEAST_OF_POWER = 1e-8  # the same of powers into children
+LEAST_OF_POWER = 1e-11  # the same of powers into children
 # Determinant of a covariance of (p, q) over the product of its diagonal. Below it one combination of p and q is known
 # so much better than the other that in two numbers and their product it has drowned.
 LEAST_SPREAD = 1e-5

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from exact_exchange import assert_equals_centralised, settle_bus
 from simulated_bus import SimulatedBus, area_files_of, with_links
 from tree_of_areas import tree_scenario
 
@@ -15,8 +16,9 @@ from agents.messages import HeartbeatMessage
 from agents.peer_table import PATIENCE_BEATS
 from coordinator.simulation import Simulation
 from dsse_core.bad_data import process_bad_data
+from dsse_core.errors import NotObservableError
 from dsse_core.link_faults import LinkFaults
-from dsse_core.measurement import Measurement, MeasurementKind, Source
+from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 
@@ -344,3 +346,34 @@ def test_voltages_outside_the_band_of_the_scenario_are_degraded_and_named():
         if low:
             assert state.notes[0].startswith(f"voltages of {len(low)} buses are outside 0.92 to 1.5 p.u., the farthest")
     assert {state.quality for state in bus.states.values()} == {"good", "degraded"}
+
+
+@pytest.mark.parametrize(
+    "dead", [{"vm@1": 0.45}, {"vm@16": 0.0}, {"vm@6": 0.3, "vm@33": 0.499}, {"vm@1": 0.0, "vm@6": 0.2, "vm@16": 0.4}]
+)
+@pytest.mark.parametrize("voltmeters", [[1, 6, 16, 33], [1, 6], [1]])
+def test_dead_voltmeters_are_left_out_by_areas_and_centre_alike_or_it_is_not_observable(dead, voltmeters):
+    """Bus 6 lies between two areas. The centre and the areas name the same meters, and find the same state."""
+    scenario = tree_scenario()
+    others = [meter for meter in scenario.meters if meter.kind is not MeasurementKind.VM]
+    scenario = replace(scenario, meters=(*others, *(Meter(MeasurementKind.VM, k) for k in voltmeters)))
+    telemetry = make_telemetry(scenario)
+    readings = [replace(m, value=dead.get(m.meter.id, m.value)) for m in telemetry.union]
+    left_out = {m.meter.id for m in readings} & dead.keys()
+    by_area = {
+        name: [replace(m, value=dead.get(m.meter.id, m.value)) for m in own] for name, own in telemetry.by_area.items()
+    }
+    bus = SimulatedBus(area_files_of(scenario, strategy="information"), by_area)
+    if left_out == {f"vm@{k}" for k in voltmeters}:
+        bus.run(1.0)
+        with pytest.raises(NotObservableError) as caught:
+            process_bad_data(scenario.network, readings)
+        assert {text.split()[0] for text in caught.value.left_out} == left_out
+        assert set(qualities(bus).values()) == {"unobservable"}
+        notes = " ".join(note for state in bus.states.values() for note in state.notes)
+        assert all(meter in notes for meter in left_out)
+        return
+    settle_bus(bus)
+    report = process_bad_data(scenario.network, readings, tolerance=1e-11)
+    assert {removed.measurement.meter.id for removed in report.removed} == left_out
+    assert_equals_centralised(bus, report)

@@ -1,0 +1,176 @@
+"""The areas' iterates are the centre's: the same verdicts, x_k at every k, and the same meters taken out."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+from unittest import mock
+
+import numpy as np
+import pytest
+from back_ends import BACK_ENDS, back_end
+from exact_exchange import assert_equals_centralised, settle_bus
+from feeders import Feeder, make_feeder
+from grids import MeterShares, make_grid, with_gross_errors
+from loaded_feeders import make_loaded_feeder
+from oracle_cases import Drawn, draw_examples, draw_feeders, draw_grids
+from simulated_bus import SimulatedBus
+
+from dsse_core.area_estimation import AreaEstimation
+from dsse_core.bad_data import BadDataReport, process_bad_data
+from dsse_core.errors import EstimationDivergedError, NotObservableError
+from dsse_core.sparse_estimation import SparseIteration
+from dsse_core.verdict import Decision, Verdict
+
+MOST_OF_ALL, ALL, AT_THE_END = 1e-9, 1e-7, 1e-8  # p.u. and rad
+MOST = 0.95  # of all x_k
+SAME_FIT = 1e-6  # of J, relative, where rounding decides which of two equal residuals is the largest
+
+
+@dataclass
+class Trace:
+    """What has been carried out, and x after it: the state that the next verdict is on."""
+
+    verdicts: list[str] = field(default_factory=list)
+    states: list[np.ndarray] = field(default_factory=list)
+
+    def add(self, verdict: Verdict, x: np.ndarray) -> None:
+        if verdict.takes_step or verdict.decision in (Decision.SHORTEN, Decision.USE_CURRENTS):
+            self.verdicts.append(str(verdict))
+            self.states.append(x.copy())
+
+
+@contextmanager
+def traced(carries_out: type, trace_of: Callable[[Any], Trace]) -> Iterator[None]:
+    """Whatever objects of the class ``carries_out`` carry out goes into the trace of each."""
+    original = carries_out.carry_out
+
+    def carry_out(self, verdict: Verdict, *rest: Any) -> None:
+        original(self, verdict, *rest)
+        trace_of(self).add(verdict, self.x)
+
+    with mock.patch.object(carries_out, "carry_out", carry_out):
+        yield
+
+
+def trace_centre(feeder: Feeder) -> tuple[Trace, BadDataReport]:
+    trace = Trace()
+    with traced(SparseIteration, lambda _: trace):
+        return trace, process_bad_data(feeder.network, feeder.measurements, backend="sparse")
+
+
+def trace_areas(feeder: Feeder) -> tuple[dict[str, Trace], SimulatedBus]:
+    traces = {area.name: Trace() for area in feeder.partition.areas}
+    with traced(AreaEstimation, lambda estimation: traces[estimation.area.name]):
+        bus = SimulatedBus(feeder.area_files(0.0, 0), feeder.telemetry())
+        settle_bus(bus)
+    return traces, bus
+
+
+def feeder_of(drawn: Drawn) -> Feeder:
+    arguments = drawn["arguments"]
+    if drawn["kind"] == "grid":
+        feeder = make_grid(**arguments | {"shares": MeterShares(**arguments["shares"])})
+    else:
+        feeder = make_feeder(**arguments)
+    if drawn["gross_errors"] is not None:
+        feeder = with_gross_errors(np.random.default_rng(drawn["gross_errors"]), feeder)
+    return feeder
+
+
+def find_gaps(feeder: Feeder, traces: dict[str, Trace], centre: Trace) -> list[float]:
+    """Between areas and centre at each k: the largest of any voltage, p.u. or rad."""
+    row, n = feeder.network.row, len(feeder.network.buses)
+    gaps = []
+    for k, x in enumerate(centre.states):
+        gap = 0.0
+        for area in feeder.partition.areas:
+            own, n_own = traces[area.name].states[k], len(area.network.buses)
+            rows = [row[bus.id] for bus in area.network.buses]
+            gap = max(gap, float(abs(own[n_own : 2 * n_own] - x[n:][rows]).max()))
+            gap = max(gap, float(abs(np.angle(np.exp(1j * (own[:n_own] - x[:n][rows])))).max()))
+        gaps.append(gap)
+    return gaps
+
+
+@dataclass
+class Compared:
+    gaps: list[float] = field(default_factory=list)
+    ends: list[float] = field(default_factory=list)
+    ties: list[str] = field(default_factory=list)
+
+    def compare(self, feeder: Feeder, name: str) -> None:
+        try:
+            centre, report = trace_centre(feeder)
+        except (NotObservableError, EstimationDivergedError):
+            return
+        traces, bus = trace_areas(feeder)
+        removed = tuple(removed.measurement.meter.id for removed in report.removed)
+        by_areas = {protocol.removed for protocol in bus.protocols.values()}
+        assert len(by_areas) == 1, name
+        if by_areas != {removed}:
+            objective = sum(state.objective for state in bus.states.values())
+            assert objective == pytest.approx(report.objective, rel=SAME_FIT), (name, removed, by_areas)
+            self.ties.append(name)
+            return
+        for trace in traces.values():
+            assert trace.verdicts == centre.verdicts, name
+        gaps = find_gaps(feeder, traces, centre)
+        self.gaps += gaps
+        self.ends.append(gaps[-1])
+
+
+def has_load(feeder: Feeder) -> bool:
+    return any(b.p_load for b in feeder.network.buses if b.id != feeder.network.slack.bus)
+
+
+def compare_all(drawn: Iterator[Drawn]) -> Compared:
+    """Each grid with one of the back ends of areas."""
+    compared = Compared()
+    for k, one in enumerate(drawn):
+        with back_end(BACK_ENDS[k % len(BACK_ENDS)]):
+            if has_load(feeder := feeder_of(one)):
+                compared.compare(feeder, f"{k}: {one}")
+    return compared
+
+
+def assert_are_the_centres(compared: Compared, ties: int) -> None:
+    assert len(compared.ties) <= ties, compared.ties
+    assert max(compared.gaps) < ALL
+    assert max(compared.ends) < AT_THE_END
+    assert np.quantile(compared.gaps, MOST) < MOST_OF_ALL
+
+
+def test_on_the_examples_of_any_grid():
+    assert_are_the_centres(compare_all(draw_examples()), ties=0)
+
+
+@pytest.mark.random_cases(few=1, many=10)
+def test_on_random_grids(random_seed):
+    few = 25
+    drawn = itertools.islice(draw_grids(), few * random_seed, few * (random_seed + 1))
+    assert_are_the_centres(compare_all(drawn), ties=1)
+
+
+@pytest.mark.random_cases(few=1, many=16)
+def test_on_random_feeders_sound_and_with_gross_errors(random_seed):
+    every = 16
+    drawn = itertools.islice(draw_feeders(), random_seed, None, every)
+    assert_are_the_centres(compare_all(drawn), ties=1)
+
+
+@pytest.mark.random_cases(few=3, many=50)
+@pytest.mark.parametrize("full", [True, False])
+def test_near_the_limit_of_loading_undamped_steps_end_in_areas_and_centre_alike(random_seed, full):
+    """At 90 to 99 % of the largest load: no step control is needed, and none is there."""
+    feeder = make_loaded_feeder(random_seed, full=full)
+    centre, report = trace_centre(feeder)
+    assert not report.result.memory.from_flat_start
+    with back_end(BACK_ENDS[random_seed % len(BACK_ENDS)]):
+        traces, bus = trace_areas(feeder)
+    assert {trace.verdicts == centre.verdicts for trace in traces.values()} == {True}
+    assert_equals_centralised(bus, report)
+    assert max(find_gaps(feeder, traces, centre)) < ALL

@@ -1,0 +1,115 @@
+"""The compiled iteration on a tree comes to what ``decide`` says: k, share, use of currents, restart, end, removals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from grids import MeterShares, make_grid, with_gross_errors
+
+from dsse_core import verdict
+from dsse_core.bad_data import process_bad_data
+from dsse_core.errors import DsseError, EstimationDivergedError, InvalidInputError
+from dsse_core.estimation import estimate_state
+from dsse_core.gauss_newton import FULL_STEPS, LARGEST_STEP, MAX_DVA, MAX_DVM
+from dsse_core.residuals import CONFIDENCE, chi_square_limit
+from dsse_core.verdict import Decision, Memory, Totals, decide
+
+LIMIT = chi_square_limit(9, CONFIDENCE)
+
+
+def totals(step: float = 0.0, **changes: object) -> Totals:
+    return Totals(**{"degrees_of_freedom": 9, "dva": step, "areas": 1} | changes)
+
+
+def decisions(*steps: float, memory: Memory = Memory()) -> list[str]:  # noqa: B008 - frozen
+    """The verdicts on states that steps of these sizes have led to."""
+    said = []
+    for step in steps:
+        memory, found = decide(memory, totals(step))
+        said.append(str(found))
+    return said
+
+
+def test_a_half_step_is_not_made_longer_by_shortening_it():
+    memory = Memory(steps=FULL_STEPS + 1, stepped=True)
+    assert decide(memory, totals(1.5 * MAX_DVA))[1].decision is Decision.STEP
+    assert decide(memory, totals(4 * MAX_DVA))[1] == verdict.Verdict(Decision.SHORTEN, 0.25)
+
+
+def test_a_full_step_and_a_half_one_tell_no_rate():
+    last_full = Memory(steps=FULL_STEPS, stepped=True)
+    memory, said = decide(last_full, totals(1e-3))
+    assert (said.share, memory.before) == (0.5, 0.0)
+
+
+def test_a_step_beyond_all_states_begins_anew_at_the_flat_start_and_then_ends():
+    memory, said = decide(Memory(removed=("a",), steps=3, stepped=True), totals(2 * LARGEST_STEP))
+    assert (said.decision, memory) == (Decision.ANEW, Memory(removed=("a",), from_flat_start=True))
+    _, said = decide(Memory(steps=3, stepped=True, from_flat_start=True), totals(float("inf")))
+    assert said == verdict.Verdict(Decision.FINAL, reason=verdict.DIVERGED)
+
+
+def test_nothing_is_removed_where_the_last_step_has_brought_j_below_the_limit():
+    memory, said = decide(Memory(steps=3, before=1e-3, stepped=True), totals(1e-6, objective=2 * LIMIT))
+    assert said.decision is Decision.JUDGE
+    worst = (("p_flow@1:1-2", 5.0),)
+    assert decide(memory, totals(1e-9, objective=LIMIT / 2, worst=worst))[1].decision is Decision.FINAL
+    assert decide(memory, totals(1e-9, objective=2 * LIMIT, worst=worst))[1].decision is Decision.ANEW
+
+
+def draw_grid(seed: int):
+    rng = np.random.default_rng([seed, 8])
+    shares = MeterShares(
+        voltage=float(rng.choice([0.1, 0.5])),
+        angle=float(rng.choice([0, 0.3])),
+        flow=float(rng.choice([0.6, 1.0])),
+        current=float(rng.choice([0, 0.3, 0.6])),
+    )
+    grid = make_grid(
+        seed,
+        n_bus=int(rng.integers(3, 40)),
+        n_area=1,
+        chain=rng.random(),
+        decades=float(rng.choice([0, 1])),
+        loops=0,
+        transformers=float(rng.choice([0, 0.3])),
+        short=None,
+        slack_at_root=True,
+        shares=shares,
+    )
+    return with_gross_errors(rng, grid) if rng.random() < 0.7 else grid
+
+
+def outcome(network, measurements, backend: str):
+    """All that has been decided: how often, what is taken out, how it ends."""
+    try:
+        report = process_bad_data(network, measurements, backend=backend)
+    except EstimationDivergedError as error:
+        return "diverged", error.iterations
+    removed = [removed.measurement.meter.id for removed in report.removed]
+    return removed, report.result.iterations, report.result.memory.from_flat_start, report.detected
+
+
+@pytest.mark.random_cases(few=25, many=1000)
+def test_the_compiled_iteration_decides_the_same(random_seed):
+    pytest.importorskip("numba", reason="the tree back end needs numba: pip install 'consensus-dsse[fast]'")
+    grid = draw_grid(random_seed)
+    try:
+        compiled = outcome(grid.network, grid.measurements, "tree")
+    except (InvalidInputError, DsseError):
+        pytest.skip("the tree cannot serve, or the state is not observable")
+    assert compiled == outcome(grid.network, grid.measurements, "sparse")
+
+
+@pytest.mark.parametrize("most", [1, 2, 3, 4])
+def test_it_begins_anew_after_as_many_steps(most, monkeypatch, backend):
+    """From a start that is far off, the flat start needs as many steps as it does alone."""
+    monkeypatch.setattr(verdict, "MOST_STEPS", most)
+    grid = draw_grid(1)
+    n = len(grid.network.buses)
+    alone = estimate_state(grid.network, grid.measurements, backend=backend)
+    start = (np.full(n, 1 + 2 * MAX_DVM), np.zeros(n))
+    begun = estimate_state(grid.network, grid.measurements, start=start, backend=backend)
+    assert begun.memory.from_flat_start == alone.memory.from_flat_start
+    assert begun.iterations == (alone.iterations if begun.memory.from_flat_start else begun.iterations)
+    np.testing.assert_allclose(begun.vm, alone.vm, atol=1e-9)
