@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 from unittest import mock
 
@@ -39,7 +39,7 @@ class Trace:
 
     def add(self, verdict: Verdict, x: np.ndarray) -> None:
         if verdict.takes_step or verdict.decision in (Decision.SHORTEN, Decision.USE_CURRENTS):
-            self.verdicts.append(str(verdict))
+            self.verdicts.append(str(replace(verdict, share=round(verdict.share, 6))))
             self.states.append(x.copy())
 
 
@@ -144,25 +144,27 @@ def assert_are_the_centres(compared: Compared, ties: int) -> None:
     assert np.quantile(compared.gaps, MOST) < MOST_OF_ALL
 
 
+@pytest.fixture
+def thorough(request: pytest.FixtureRequest) -> bool:
+    """Shares of all x_k are of one collection, not of many small ones."""
+    return bool(request.config.getoption("--thorough"))
+
+
 def test_on_the_examples_of_any_grid():
     assert_are_the_centres(compare_all(draw_examples()), ties=0)
 
 
-@pytest.mark.random_cases(few=1, many=10)
-def test_on_random_grids(random_seed):
-    few = 25
-    drawn = itertools.islice(draw_grids(), few * random_seed, few * (random_seed + 1))
-    assert_are_the_centres(compare_all(drawn), ties=1)
+def test_on_random_grids(thorough):
+    assert_are_the_centres(
+        compare_all(itertools.islice(draw_grids(), 300 if thorough else 12)), ties=3 if thorough else 0
+    )
 
 
-@pytest.mark.random_cases(few=1, many=16)
-def test_on_random_feeders_sound_and_with_gross_errors(random_seed):
-    every = 16
-    drawn = itertools.islice(draw_feeders(), random_seed, None, every)
-    assert_are_the_centres(compare_all(drawn), ties=1)
+def test_on_random_feeders_sound_and_with_gross_errors(thorough):
+    assert_are_the_centres(compare_all(itertools.islice(draw_feeders(), 0, None, 1 if thorough else 40)), ties=0)
 
 
-@pytest.mark.random_cases(few=3, many=50)
+@pytest.mark.random_cases(few=2, many=50)
 @pytest.mark.parametrize("full", [True, False])
 def test_near_the_limit_of_loading_undamped_steps_end_in_areas_and_centre_alike(random_seed, full):
     """At 90 to 99 % of the largest load: no step control is needed, and none is there."""
