@@ -78,23 +78,23 @@ class PeerTable:
     def stamp(self, name: str, message: M, now: float) -> M:
         """``message`` as it is sent to ``name`` now."""
         peer = self._peers[name]
-        peer.said_at, peer.is_owed_word = now, False
+        peer.note_said(now)
         is_complete = isinstance(message, HeartbeatMessage) and message.complete
         term = (message.header.scan, message.revision)
         if (peer.told_term, peer.told_complete) != (term, is_complete):  # a message of a round takes the latter back
             peer.told_term, peer.told_complete, peer.changed_at = term, is_complete, now
         return replace(
             message,
-            header=replace(message.header, time=now + self._clock_offset),
+            header=replace(message.header, time=peer.next_time(now + self._clock_offset)),
             hears=self.hears(name, now) and name not in self.distrusted,  # else it would wait for us
             answers=peer.answers(now),
             received=peer.received.k if peer.received else -1,
         )
 
-    def due_times(self, is_final: bool) -> Iterator[float]:
+    def due_times(self, now: float, is_final: bool) -> Iterator[float]:
         """When heartbeats and repeats are due; ``is_final``: the scan is at its end."""
-        for peer in self._peers.values():
-            yield peer.said_at + self._quiet_s(peer, is_final)
+        for name, peer in self._peers.items():
+            yield peer.said_at + self._quiet_s(name, now, is_final)
             if peer.repeat is not None:
                 yield peer.repeat.at
 
@@ -116,15 +116,19 @@ class PeerTable:
 
     def owes_heartbeat(self, name: str, now: float, is_final: bool) -> bool:
         """Whether nothing has been said for too long."""
-        peer = self._peers[name]
-        return now >= peer.said_at + self._quiet_s(peer, is_final)
+        return now >= self._peers[name].said_at + self._quiet_s(name, now, is_final)
 
-    def _quiet_s(self, peer: Peer, is_final: bool) -> float:
-        """How long nothing is said: ever longer since what heartbeats say has changed, as one may be lost; at rest a
-        beat at most, before no longer than patience allows.
+    def _quiet_s(self, name: str, now: float, is_final: bool) -> float:
+        """How long nothing is said: ever longer since what heartbeats say has changed, as one may be lost, or on this
+        link several; at rest a beat at most, before no longer than patience allows. At rest a word to a neighbour that is
+        there is repeated until that is heard.
         """
+        peer = self._peers[name]
         longest_s = self._beat_s if is_final else min(self._beat_s, self._patience_s(peer) / peer.patience_messages)
-        return min(longest_s, max(peer.round_trip.longest_wait_s, peer.said_at - peer.changed_at))
+        unchanged_s = (peer.said_at - peer.changed_at) / math.sqrt(peer.mean_count)
+        if is_final and peer.awaits_word and self.is_present(name, now):
+            unchanged_s = 0.0
+        return min(longest_s, max(peer.round_trip.longest_wait_s, unchanged_s))
 
     def begin_term(self) -> None:
         """Messages of former rounds count no more; everybody is to hear of the term."""

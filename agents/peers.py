@@ -13,6 +13,7 @@ from agents.messages import DownMessage, Header, HeartbeatMessage, Incarnation, 
 
 FIRST_WAIT_S = 0.05  # until a message is repeated, before the round trip of the link has been measured
 LEAST_WAIT_S = 0.005
+CLOCK_STEP_S = 1e-6  # between the send times of two messages of one moment; seconds since 1970 are exact to 2e-7
 LEAST_LONGEST_WAIT_S = 0.02
 LONGEST_WAIT_TRIPS = 4.0  # round trips
 DEVIATIONS = 4.0  # of the round trip, added to it for the first wait (RFC 6298)
@@ -66,6 +67,7 @@ class Peer:
     bus: int
     present_at: float
     said_at: float = -math.inf
+    asked_at: float = -math.inf  # when it was first spoken to since it was heard
     heard_at: float = -math.inf
     incarnation: Incarnation | None = None
     term: Term = (0, 0)
@@ -75,6 +77,7 @@ class Peer:
     told_term: Term = (0, 0)
     told_complete: bool = False
     changed_at: float = -math.inf  # when it was last told other ones
+    told_time: float = 0.0  # send time of the last message to it, as that states it
     is_owed_word: bool = False  # what it has sent, or what has changed, is to be answered at once
     sequence: int = 0  # of the last message of a round to it
     heard_sequence: int = 0
@@ -134,6 +137,26 @@ class Peer:
     def patience_s(self, least_s: float) -> float:
         """How long it may be silent before it counts as gone: ``least_s``, or as long as so many messages take."""
         return max(least_s, self.round_trip.longest_wait_s * self.patience_messages)
+
+    def note_said(self, now: float) -> None:
+        """It is spoken to now."""
+        if not self.awaits_word:
+            self.asked_at = now
+        self.said_at, self.is_owed_word = now, False
+
+    def next_time(self, wall: float) -> float:
+        """The send time of a message that is sent at ``wall``: later than that of the one before, which it replaces."""
+        self.told_time = max(wall, self.told_time + CLOCK_STEP_S)
+        return self.told_time
+
+    @property
+    def awaits_word(self) -> bool:
+        """Whether it has not been heard since it was spoken to."""
+        return self.asked_at > self.heard_at
+
+    def has_been_left_alone(self, now: float) -> bool:
+        """Whether it has not been spoken to for so long, two round trips at least, that what it says is no answer."""
+        return now >= self.said_at + self.round_trip.longest_wait_s / 2
 
     def await_answer(self, message: UpMessage | DownMessage, now: float) -> None:
         """``message`` has just been sent for the first time."""

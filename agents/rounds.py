@@ -108,7 +108,7 @@ class RoundsProtocol:
 
     def _due_times(self) -> Iterator[float]:
         yield self._next_beat
-        yield from self._peers.due_times(self._is_final)
+        yield from self._peers.due_times(self._now, self._is_final)
         yield self._scan.deadline
         if self._is_change_due:
             yield self._raised_at + self._beat_s
@@ -189,6 +189,7 @@ class RoundsProtocol:
         is_restart = peer.incarnation not in (None, message.header.incarnation)
         peer.is_owed_word |= is_restart or not self._peers.hears(name, self._now)  # that it is heard
         peer.take(message, self._now, self._now + self._clock_offset, is_awake=self._is_awake)
+        peer.is_owed_word |= self._is_final and peer.has_been_left_alone(self._now)  # it repeats until it hears us
         if is_restart and self._is_load_of_other_life(name, message.header.incarnation):
             del self._heard_loads[name]
         if message.hears:

@@ -172,6 +172,34 @@ def test_a_repeat_at_rest_takes_good_from_nobody_for_longer_than_round_trips():
     assert not bus.find_missing()
 
 
+def test_of_two_heartbeats_of_one_moment_the_second_counts():
+    bus = at_rest()
+    first, second = (bus.protocols["a"]._heartbeat("b").message for _ in range(2))
+    for heartbeat in (replace(first, complete=False), second):
+        bus._push(bus.now, "b", Received(heartbeat, "a"))
+    bus.run(TRAVEL_S / 2)
+    assert bus.protocols["b"]._peers["a"].complete
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_at_rest_loss_takes_good_from_nobody(seed: int):
+    rng, loss = np.random.default_rng(seed), 0.0
+    bus = at_rest(fate=lambda *_: None if rng.random() < loss else TRAVEL_S)
+    loss = 0.3
+    for _ in range(500):
+        bus.run(0.02)
+        assert {state.quality for state in bus.states.values()} == {GOOD}
+
+
+def test_at_rest_a_sound_link_carries_two_heartbeats_a_beat():
+    bus = at_rest()
+    bus.run(5 * BEAT_S)
+    before = bus.sent.total()
+    beats, links = 50, 2
+    bus.run(beats * BEAT_S)
+    assert bus.sent.total() - before <= 2 * links * (beats + 1)
+
+
 def test_a_scan_that_no_plant_has_made_is_forgotten_when_its_author_is_gone():
     bus = at_rest()
     lie = bus.protocols["a"]._heartbeat("b").message
