@@ -1,7 +1,7 @@
 # What takes minutes and is therefore not among the tests. Everything else: CONTRIBUTING.md.
 PYTHON ?= .venv/bin/python
 
-.PHONY: soak soak-short recovery freeze-oracle
+.PHONY: soak soak-short recovery exchange freeze-oracle
 soak:  ## ten minutes of faults, then whole again
 	$(PYTHON) -m benchmarks.soak --minutes 10
 
@@ -10,6 +10,9 @@ soak-short:  ## the same in one minute
 
 recovery:  ## how long deaths take to be noticed and made good
 	$(PYTHON) -m benchmarks.recovery
+
+exchange:  ## messages and virtual times of scans: feeders, rows, loss, long hops
+	$(PYTHON) -m benchmarks.exchange
 
 freeze-oracle:  ## golden answers of the centralised estimator, from the one of today: tests/golden/centralised/README.md
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=.:tests/protocol:tests/golden/centralised $(PYTHON) -m freeze

@@ -25,7 +25,8 @@ COLUMNS = tuple(field.name for field in fields(HistoryOutcome))
 
 
 @click.command(context_settings={"show_default": True})
-@click.option("--count", type=click.IntRange(1), default=1000, help="Histories: seeds 0 to COUNT - 1.")
+@click.option("--count", type=click.IntRange(1), default=1000, help="Histories: so many seeds.")
+@click.option("--first", type=click.IntRange(0), default=0, help="The first seed.")
 @click.option("--jobs", type=click.IntRange(1), default=2, help="Processes at a time.")
 @click.option(
     "--out",
@@ -33,11 +34,12 @@ COLUMNS = tuple(field.name for field in fields(HistoryOutcome))
     default=Path("runs/fault-histories.csv"),
     help="Table, a row for each seed; seeds that it has are not run again.",
 )
-def main(count: int, jobs: int, out: Path) -> None:
+def main(count: int, first: int, jobs: int, out: Path) -> None:
     """Run histories of faults and say how many ended at the fixed point and how many good states were wrong."""
     out.parent.mkdir(parents=True, exist_ok=True)
     done = read_table(out)
-    missing = [seed for seed in range(count) if seed not in done]
+    seeds = range(first, first + count)
+    missing = [seed for seed in seeds if seed not in done]
     with out.open("a", newline="", encoding="utf-8") as file:
         table = csv.writer(file)
         if not file.tell():
@@ -47,7 +49,7 @@ def main(count: int, jobs: int, out: Path) -> None:
             table.writerow(astuple(outcome))
             file.flush()
             done[outcome.seed] = outcome
-    click.echo(summarise([done[seed] for seed in range(count)]))
+    click.echo(summarise([done[seed] for seed in seeds]))
 
 
 def read_table(path: Path) -> dict[int, HistoryOutcome]:

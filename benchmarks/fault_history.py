@@ -68,7 +68,9 @@ class World:
     telemetry: tuple[dict[str, list[Measurement]], ...]
     central: tuple[BadDataReport, ...]
 
-    def files(self, links: Mapping[Link, LinkFaults], seed: int) -> list[AreaFile]:
+    def files(
+        self, links: Mapping[Link, LinkFaults], seed: int, strategy: str = "information", beat_s: float = BEAT_S
+    ) -> list[AreaFile]:
         """What every area's agent reads; it knows every meter that has ever been read."""
         meters = {
             name: list(dict.fromkeys(m.meter for scan in self.telemetry for m in scan[name]))
@@ -79,9 +81,9 @@ class World:
                 run="history",
                 area=area,
                 meters=tuple(meters[area.name]),
-                strategy="information",
+                strategy=strategy,
                 endpoints=("tcp/127.0.0.1:0",),
-                beat_s=BEAT_S,
+                beat_s=beat_s,
                 links={n.area: links[area.name, n.area] for n in area.neighbours},
                 seed=seed,
             )
@@ -124,7 +126,7 @@ def draw_world(rng: np.random.Generator) -> World:
     n_area = int(rng.choice([3, 4, 5, 6], p=[0.5, 0.25, 0.15, 0.1]))
     network, _ = generate_feeder(n_area * int(rng.integers(3, 9)), rng, lowest_vm=float(rng.uniform(0.92, 0.98)))
     partition = build_partition(network, cut_into(network, n_area))
-    meters = _draw_meters(rng, network)
+    meters = draw_meters(rng, network)
     missing = float(rng.choice([0.0, 0.0, 0.05]))
     voltmeter = next(m for m in meters if m.kind is MeasurementKind.VM)  # without any there is no estimate
     telemetry, central = [], []
@@ -132,7 +134,7 @@ def draw_world(rng: np.random.Generator) -> World:
         flow = solve_power_flow(_with_other_loads(rng, network))
         lasting = [m.source is Source.VIRTUAL or m.kind.of_injection for m in meters]
         spared = [lasts or rng.random() >= missing or m == voltmeter for m, lasts in zip(meters, lasting, strict=True)]
-        kept = [m for m, stays in zip(_read(rng, meters, flow), spared, strict=True) if stays]
+        kept = [m for m, stays in zip(read_meters(rng, meters, flow), spared, strict=True) if stays]
         central.append(process_bad_data(network, kept, tolerance=1e-11))
         by_area: dict[str, list[Measurement]] = {area.name: [] for area in partition.areas}
         for measurement in kept:
@@ -182,7 +184,8 @@ def _distance(world: World, state: StateMessage) -> tuple[np.ndarray, np.ndarray
     return abs(np.array(state.vm) - central.vm[rows]), abs((turned + np.pi) % (2 * np.pi) - np.pi)
 
 
-def _draw_meters(rng: np.random.Generator, network: Network) -> list[Meter]:
+def draw_meters(rng: np.random.Generator, network: Network) -> list[Meter]:
+    """At the substation and 40 % of the buses |V|, on 60 % of the branches flows, everywhere injections."""
     assert network.slack is not None
     meters = [Meter(KIND.VM, b.id) for b in network.buses if b.id == network.slack.bus or rng.random() < 0.4]
     for branch in network.active_branches:
@@ -204,7 +207,7 @@ def _with_other_loads(rng: np.random.Generator, network: Network) -> Network:
     return replace(network, buses=tuple(buses))
 
 
-def _read(rng: np.random.Generator, meters: Sequence[Meter], flow: PowerFlowResult) -> list[Measurement]:
+def read_meters(rng: np.random.Generator, meters: Sequence[Meter], flow: PowerFlowResult) -> list[Measurement]:
     """0.2 % of voltages, 1 % of flows, 10 % of injections."""
     readings = []
     for meter, value in zip(meters, flow.read_all(meters).tolist(), strict=True):
