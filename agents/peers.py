@@ -13,7 +13,6 @@ from agents.messages import DownMessage, Header, HeartbeatMessage, Incarnation, 
 
 FIRST_WAIT_S = 0.05  # until a message is repeated, before the round trip of the link has been measured
 LEAST_WAIT_S = 0.005
-CLOCK_STEP_S = 1e-6  # between the send times of two messages of one moment; seconds since 1970 are exact to 2e-7
 LEAST_LONGEST_WAIT_S = 0.02
 LONGEST_WAIT_TRIPS = 4.0  # round trips
 DEVIATIONS = 4.0  # of the round trip, added to it for the first wait (RFC 6298)
@@ -146,7 +145,7 @@ class Peer:
 
     def next_time(self, wall: float) -> float:
         """The send time of a message that is sent at ``wall``: later than that of the one before, which it replaces."""
-        self.told_time = max(wall, self.told_time + CLOCK_STEP_S)
+        self.told_time = max(wall, math.nextafter(self.told_time, math.inf))
         return self.told_time
 
     @property
