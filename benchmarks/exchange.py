@@ -24,6 +24,7 @@ ASYNCHRONOUS = "admm", "angle-offset"
 LIMIT_S = 60.0  # of virtual time, for a scan
 HOP_S, LONG_HOP_S = 0.001, 0.05
 LONGEST_PATH = 4  # of the eight areas, edges: the hub is in the middle
+REST_AREAS, REST_RUNS = 12, 3
 PACKAGES = ("consensus-dsse", "numpy", "scipy", "numba")
 
 
@@ -38,10 +39,12 @@ class Extent:
     lossy_row: int = 100
     row_losses: tuple[float, ...] = (0.1, 0.3)
     row_runs: int = 5
+    rest_losses: tuple[float, ...] = (0.0, 0.1, 0.3, 0.5)
+    rest_s: float = 20.0  # virtual, of each of REST_RUNS
     worst_asynchronous: float = 0.6  # beyond, strategies that repeat at the beat take minutes
 
 
-QUICK = Extent(2, (6,), (0.0, 0.3), 3, 6, (0.3,), 2, 0.0)
+QUICK = Extent(2, (6,), (0.0, 0.3), 3, 6, (0.3,), 2, (0.3,), 2.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -62,10 +65,16 @@ class Row:
     good_s: tuple[float, float]
     predicted_s: float
     gap: float
+    good_share: float  # of the time of all areas, at rest
 
 
 def summarise(
-    case: str, strategy: str, scan: str, figures: Sequence[ScanFigures], predicted_s: float = math.nan
+    case: str,
+    strategy: str,
+    scan: str,
+    figures: Sequence[ScanFigures],
+    predicted_s: float = math.nan,
+    good_share: float = math.nan,
 ) -> Row:
     """One line of several scans; who never agrees or is never good makes the most infinite."""
 
@@ -91,6 +100,7 @@ def summarise(
         spread(f.good_s for f in figures),
         predicted_s,
         max(f.gap for f in figures),
+        good_share,
     )
 
 
@@ -102,6 +112,7 @@ def measure(extent: Extent) -> Iterator[Row]:
     yield from _measure_loss("ieee33", ieee33, EXACT, extent.losses, extent.runs)
     for n_area in extent.rows:
         yield from _measure_scans(f"{n_area} areas in a row", draw_row(n_area), HOP_S)
+    yield from _measure_rest(extent)
     row = draw_row(extent.lossy_row)
     yield from _measure_loss(f"{extent.lossy_row} areas in a row", row, EXACT, extent.row_losses, extent.row_runs)
     for strategy in ASYNCHRONOUS:
@@ -144,6 +155,16 @@ def _measure_loss(grid: str, world: World, strategy: str, losses: Sequence[float
         yield summarise(f"{grid}, {loss:.0%} lost", strategy, "cold", figures)
 
 
+def _measure_rest(extent: Extent) -> Iterator[Row]:
+    """The first scan, and how long areas are good while nothing happens but loss."""
+    world = read_ieee33(REST_AREAS)
+    for loss in extent.rest_losses:
+        buses = [WatchedBus(world, EXACT, loss=loss, seed=seed) for seed in range(REST_RUNS)]
+        figures = [bus.watch(LIMIT_S) for bus in buses]
+        share = statistics.mean(bus.share_good(extent.rest_s) for bus in buses)
+        yield summarise(f"ieee33 in {REST_AREAS} areas, {loss:.0%} lost", EXACT, "cold", figures, good_share=share)
+
+
 def _run_scans(world: World, strategy: str, hop_s: float) -> list[ScanFigures]:
     bus = WatchedBus(world, strategy, hop_s=hop_s)
     figures = [bus.watch(LIMIT_S)]
@@ -172,6 +193,7 @@ COLUMNS = (
     "all agree, s: median, most",
     "all good, s: median, most",
     "rounds x path, s",
+    "good at rest",
     "gap",
 )
 
@@ -181,8 +203,12 @@ def write_line(row: Row) -> str:
     cells = (row.case, row.strategy, row.scan, str(row.runs), _pair(row.boundary))
     counts = [f"{n:.1f}" for n in (row.repeats, row.acknowledgements, row.heartbeats, row.loads)]
     rounds = _pair(row.rounds) if row.rounds[1] else "-"
-    times = (_pair(row.agree_s), _pair(row.good_s), "-" if math.isnan(row.predicted_s) else f"{row.predicted_s:.3g}")
+    times = (_pair(row.agree_s), _pair(row.good_s), _number(row.predicted_s), _number(row.good_share))
     return "| " + " | ".join((*cells, *counts, rounds, *times, f"{row.gap:.0e}")) + " |"
+
+
+def _number(value: float) -> str:
+    return "-" if math.isnan(value) else f"{value:.3g}"
 
 
 def _pair(values: tuple[float, float]) -> str:
@@ -193,7 +219,7 @@ def _pair(values: tuple[float, float]) -> str:
 @click.option("--quick", is_flag=True, help="Small sizes, to see that it runs.")
 @click.option("--json", "as_json", is_flag=True, help="JSON in place of the table; infinite times are null.")
 def main(quick: bool, as_json: bool) -> None:
-    """Count messages and take virtual times of scans: random feeders, rows, loss, long hops. Some ten minutes."""
+    """Count messages and take virtual times of scans: random feeders, rows, loss, long hops. Ten minutes and more."""
     machine = describe_machine(PACKAGES)
     rows = measure(QUICK if quick else Extent())
     if as_json:

@@ -16,6 +16,7 @@ from dsse_core.link_faults import LinkFaults
 LOAD, HEARTBEAT = "load", "heartbeat"  # kinds that say nothing of a boundary
 AGREE = 1e-8  # p.u. and rad, between the voltages of neighbours
 ANGLES_ONLY = "angle-offset"
+SAMPLE_S = 0.01
 REST_S = 1.0  # without a new boundary message: five beats
 BETWEEN_S = 1.5  # at rest, before the next scan
 
@@ -99,6 +100,15 @@ class WatchedBus(SimulatedBus):
         self.run(BETWEEN_S)
         self._begin()
         self.next_scan(self._world.telemetry[self.scan])
+
+    def share_good(self, duration_s: float) -> float:
+        """The share of the time of all areas in which they are good, from now on."""
+        samples = round(duration_s / SAMPLE_S)
+        good = 0
+        for _ in range(samples):
+            self.run(SAMPLE_S)
+            good += sum(state.quality == GOOD for state in self.states.values())
+        return good / (samples * len(self.files))
 
     def _is_at_rest(self) -> bool:
         is_done = not math.isnan(self._agree_at) and not math.isnan(self._good_at)

@@ -20,6 +20,7 @@ from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 
 SCANS = 3
+SHIPPED_AREAS = 3  # of ieee33
 DRIFT = 0.1  # of every load from scan to scan, standard deviation
 AREA_BRANCHES = 2  # of each area in a row
 DROP = 0.05  # p.u., of the voltage along a row, without losses
@@ -48,9 +49,9 @@ def _draw_row(n_area: int, seed: int) -> World:
     return _draw_scans(rng, network, build_partition(network, areas))
 
 
-def read_ieee33() -> World:
-    """The shipped scenario."""
-    scenario = load_scenario("ieee33")
+def read_ieee33(areas: int = SHIPPED_AREAS) -> World:
+    """The shipped scenario, in so many areas."""
+    scenario = load_scenario("ieee33", changes={"areas": {"count": areas}} if areas != SHIPPED_AREAS else {})
     telemetry = [make_telemetry(scenario, scan) for scan in range(1, SCANS + 1)]
     central = [process_bad_data(scenario.network, list(t.union), tolerance=EXACT) for t in telemetry]
     by_area = [{name: list(readings) for name, readings in t.by_area.items()} for t in telemetry]

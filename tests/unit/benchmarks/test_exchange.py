@@ -56,6 +56,12 @@ def test_areas_agree_after_rounds_times_the_path(rows):
         assert row["agree_s"][1] == pytest.approx(row["predicted_s"], abs=ROUNDING_S), row["case"]
 
 
+def test_at_rest_loss_leaves_areas_good(rows):
+    (rest,) = (row for row in rows if row["good_share"] is not None)
+    assert rest["case"] == "ieee33 in 12 areas, 30% lost"
+    assert rest["good_share"] > 0.99
+
+
 def test_all_are_good_one_longest_path_after_they_agree():
     hop_s, world = 0.05, draw_feeder(7, areas=8)
     bus = WatchedBus(world, EXACT, hop_s=hop_s)
