@@ -120,8 +120,8 @@ class PeerTable:
 
     def _quiet_s(self, name: str, now: float, is_final: bool) -> float:
         """How long nothing is said: ever longer since what heartbeats say has changed, as one may be lost, or on this
-        link several; at rest a beat at most, before no longer than patience allows. At rest a word to a neighbour that is
-        there is repeated until that is heard.
+        link several; at rest a beat at most, before no longer than patience allows. At rest a word to a neighbour that
+        is there is repeated until that is heard.
         """
         peer = self._peers[name]
         longest_s = self._beat_s if is_final else min(self._beat_s, self._patience_s(peer) / peer.patience_messages)
