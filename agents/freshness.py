@@ -1,31 +1,22 @@
-"""Whether all that a word to a neighbour rests on is fresh: said along with it, so that it is known in the whole tree.
+"""How long what was last heard counts as fresh, and which of two messages of a sender is the newer one.
 
-It says nothing of the numbers, which stay as true as they were, and makes nobody solve. A change is told at once at
-rest, under the number of the word that it belongs to, and with each repeat; what repeats tell is told until it holds
-no more.
+Ages are by the area's own clock, from the moment of arrival: what a paused process or a slow link brings late is not
+young because it says so.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from agents.messages import Header
 
-from agents.hearing import PASSED_ON_BEATS, Hearing
-from agents.messages import BoundaryNews
+FRESH_BEATS = 3  # younger is fresh: at rest there is a heartbeat every beat, and two in a row may be lost
+PASSED_ON_BEATS = 3.5  # older is not passed on as fresh; the third heartbeat, just after three beats, may be
+PATIENCE_BEATS = 8  # of silence after which a process counts as gone, and its incarnation as over, at least
 
 
-def find_fresh(hearing: Hearing, neighbours: Sequence[str], gone: set[str], now: float) -> dict[str, bool]:
-    """Neighbour -> whether the own telemetry, and all that is behind the other neighbours, is of the scan and fresh.
+def is_old(header: Header, last: Header, silence_s: float, over_s: float) -> bool:
+    """Whether ``last``, not heard for ``silence_s``, is newer: a later message of its incarnation, or of a later one.
 
-    ``gone``: the neighbours whose processes have ended. None of the neighbours' words comes back to the one who said
-    it, and the areas are a tree: nobody stays fresh, or old, because he hears so of himself.
+    An incarnation that was silent for more than ``over_s`` is over; the clock of the next one may have been set back.
     """
-    if hearing.is_late(now, PASSED_ON_BEATS):
-        return dict.fromkeys(neighbours, False)
-    old = hearing.find_old(neighbours, now, PASSED_ON_BEATS) | gone
-    return {name: old <= {name} for name in neighbours}
-
-
-def renew(message: BoundaryNews, fresh: bool, time: float) -> BoundaryNews:
-    """``message`` under its number, with what holds at ``time``."""
-    return replace(message, header=replace(message.header, time=time), fresh=fresh)
+    is_over = header.incarnation != last.incarnation and silence_s > over_s
+    return header.order < last.order and not is_over

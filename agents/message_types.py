@@ -71,9 +71,8 @@ class LoadMessage:
 class BoundaryMessage:
     """The sender's corrected state at a boundary bus, p.u. and rad.
 
-    ``referenced``: its angle counts from the substation. ``fresh``, in every boundary message: all that the sender's
-    side rests on is of its scan and was heard lately (agents/freshness.py). Alone of the body it holds since
-    ``header.time``, and may differ between two messages of one sequence number.
+    ``referenced``: its angle counts from the substation. ``hears``, ``answers``, ``received``, ``complete``, in every
+    boundary message: as in a heartbeat. They hold at ``header.time`` and may differ between two messages of one number.
     """
 
     kind: ClassVar[str] = "boundary"
@@ -82,7 +81,10 @@ class BoundaryMessage:
     vm: Number
     va: Number
     referenced: bool
-    fresh: bool = False
+    hears: bool = False
+    answers: Number = 0.0
+    received: tuple[Count, Count] = (0, 0)
+    complete: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +106,10 @@ class AdmmMessage:
     weight: Numbers
     unsettled: bool
     referenced: bool
-    fresh: bool = False
+    hears: bool = False
+    answers: Number = 0.0
+    received: tuple[Count, Count] = (0, 0)
+    complete: bool = False
 
     def find_misfit(self) -> str:
         d = len(self.variables)
@@ -116,11 +121,13 @@ class AdmmMessage:
 class HeartbeatMessage:
     """Where the sender stands: in (scan, ``revision``) it has come to round ``k``, and whether that is ``final``.
 
+    Asynchronous strategies have no rounds: there ``k`` is the number of the newest boundary message to the receiver.
     ``hears``: it hears the receiver. ``answers``: send time of the receiver's newest message plus the time it has lain
-    here, from which the receiver finds the round trip; 0 without one. ``received``: round of the receiver's newest
-    message of this term, -1 without one. ``complete``: at rest, its side is heard and fresh. ``y``: at rest, the d
-    ``variables`` of the boundary in its final state, or none. ``plant``, ``offset``: the scan of terms is the number
-    that this life of the plant gives it, plus so much (``agents/scan_readings.py``).
+    here, from which the receiver finds the round trip; 0 without one. ``received``: numbers of the newest load message
+    and of the newest message of the strategy that it has accepted of the receiver, 0 without one. ``complete``: all on
+    its side is of this scan, heard and fresh. ``y``: at rest, the d ``variables`` of the boundary in its final state.
+    ``plant``, ``offset``: the scan of terms is the number that this life of the plant gives it, plus so much
+    (``agents/scan_readings.py``).
     """
 
     kind: ClassVar[str] = "heartbeat"
@@ -131,7 +138,7 @@ class HeartbeatMessage:
     k: Count
     hears: bool
     answers: Number
-    received: Integer
+    received: tuple[Count, Count]
     final: bool
     complete: bool
     y: Numbers
@@ -160,7 +167,7 @@ class RoundMessage:
     k: Count
     hears: bool
     answers: Number
-    received: Integer
+    received: tuple[Count, Count]
     R: Numbers
     z: Numbers
     no_load: Numbers

@@ -57,23 +57,16 @@ __all__ = [
 WIRE_VERSION = 2
 MAX_BYTES = 8 * 1024 * 1024
 MAX_NEIGHBOUR_BYTES = 256 * 1024  # of what neighbours say; only telemetry and states grow with the area
-UNNUMBERED = {"header", "fresh", "quality", "notes", "telemetry_age", "ages", "scans", "old_sides", "refused"}
+UNNUMBERED = {"header", "quality", "notes", "telemetry_age", "ages", "scans", "old_sides", "refused"}
 
 BoundaryNews = BoundaryMessage | AdmmMessage
-Message = (
-    LoadMessage
-    | BoundaryNews
-    | HeartbeatMessage
-    | UpMessage
-    | DownMessage
-    | TelemetryMessage
-    | ClockMessage
-    | StateMessage
-)
+ExchangeMessage = UpMessage | DownMessage | BoundaryNews  # of a strategy
+LinkMessage = HeartbeatMessage | ExchangeMessage  # tells of the link that it comes on, see HeartbeatMessage
+Message = LoadMessage | LinkMessage | TelemetryMessage | ClockMessage | StateMessage
 MESSAGE_TYPES: Mapping[str, type[Any]] = {cls.kind: cls for cls in typing.get_args(Message)}
 
 
-def content_of(message: LoadMessage | BoundaryNews | StateMessage) -> tuple[Any, ...]:
+def content_of(message: StateMessage) -> tuple[Any, ...]:
     """What a sequence number stands for: all but the header and what may differ between two messages of one number."""
     content: tuple[Any, ...] = _CONTENT[message.kind](message)
     return content

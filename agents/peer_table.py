@@ -1,20 +1,18 @@
-"""The neighbours of an area under rounds: who is there, what was last sent to whom, and what is due."""
+"""The neighbours of an area: who is there, what was last sent to whom, and what is due."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
-from agents.hearing import FRESH_BEATS, OVER_BEATS, PASSED_ON_BEATS
-from agents.messages import DownMessage, Header, HeartbeatMessage, UpMessage
-from agents.peers import Peer, Term
+from agents.freshness import FRESH_BEATS, PASSED_ON_BEATS, PATIENCE_BEATS
+from agents.messages import BoundaryNews, Header, HeartbeatMessage, LinkMessage
+from agents.peers import Peer, Term, term_of
 from dsse_core.partition import Neighbour
 
-PATIENCE_BEATS = 8  # of silence after which a neighbour is left out, at least
-
-M = TypeVar("M", HeartbeatMessage, UpMessage, DownMessage, UpMessage | DownMessage)
+M = TypeVar("M", bound=LinkMessage)
 
 
 class PeerTable:
@@ -28,7 +26,7 @@ class PeerTable:
     def __init__(self, neighbours: Sequence[Neighbour], beat_s: float, now: float, clock_offset: float) -> None:
         self.gone: dict[str, str] = {}
         self.distrusted: dict[str, str] = {}
-        self._peers = {n.area: Peer(n.bus, present_at=now) for n in neighbours}
+        self._peers = {n.area: Peer(n.bus, present_at=now, since=now + clock_offset) for n in neighbours}
         self._beat_s = beat_s
         self._clock_offset = clock_offset
 
@@ -50,12 +48,16 @@ class PeerTable:
         return name not in self.gone and self.silent_at(name) > now
 
     def present(self, now: float) -> frozenset[str]:
-        """The neighbours that rounds may use."""
+        """The neighbours that may be used."""
         return frozenset(name for name in self._peers if self.is_present(name, now)) - self.distrusted.keys()
 
     def is_of_former_life(self, header: Header, now: float) -> bool:
-        """Whether a message comes from a process that has ended since."""
-        return self._peers[header.sender].is_of_former_life(header, now, OVER_BEATS * self._beat_s)
+        """Whether a message comes from a process that has ended since.
+
+        If the later one is heard no more, it may be that the clock of one that began still later was set back.
+        """
+        newest = self._peers[header.sender].incarnation
+        return newest is not None and header.incarnation < newest and self.hears(header.sender, now)
 
     def hears(self, name: str, now: float) -> bool:
         """Whether we hear a neighbour."""
@@ -75,58 +77,59 @@ class PeerTable:
         self.gone[name] = farewell
         self._peers[name].present_at = -math.inf
 
-    def stamp(self, name: str, message: M, now: float) -> M:
-        """``message`` as it is sent to ``name`` now."""
-        peer = self._peers[name]
+    def stamp(self, name: str, message: M, now: float, *, is_complete: bool) -> M:
+        """``message`` as it is sent to ``name`` now; ``is_complete``: what is to be said of the own side."""
+        peer, tells = self._peers[name], isinstance(message, HeartbeatMessage | BoundaryNews)
         peer.note_said(now)
-        is_complete = isinstance(message, HeartbeatMessage) and message.complete
-        term = (message.header.scan, message.revision)
-        if (peer.told_term, peer.told_complete) != (term, is_complete):  # a message of a round takes the latter back
-            peer.told_term, peer.told_complete, peer.changed_at = term, is_complete, now
+        told = term_of(message), tells and is_complete  # a message of a round takes the latter back
+        if (peer.told_term, peer.told_complete) != told:
+            (peer.told_term, peer.told_complete), peer.changed_at = told, now
+        link: dict[str, Any] = {"complete": is_complete} if tells else {}
         return replace(
             message,
             header=replace(message.header, time=peer.next_time(now + self._clock_offset)),
             hears=self.hears(name, now) and name not in self.distrusted,  # else it would wait for us
             answers=peer.answers(now),
-            received=peer.received.k if peer.received else -1,
+            received=peer.received,
+            **link,
         )
 
-    def due_times(self, now: float, is_final: bool) -> Iterator[float]:
-        """When heartbeats and repeats are due; ``is_final``: the scan is at its end."""
+    def due_times(self, now: float, is_at_rest: bool) -> Iterator[float]:
+        """When heartbeats and repeats are due."""
         for name, peer in self._peers.items():
-            yield peer.said_at + self._quiet_s(name, now, is_final)
-            if peer.repeat is not None:
-                yield peer.repeat.at
+            yield peer.said_at + self._quiet_s(name, now, is_at_rest)
+            for sent in peer.outgoing:
+                if sent.repeat is not None:
+                    yield sent.repeat.at
 
-    def take_due_repeats(self, now: float) -> list[str]:
-        """To whom the last message of a round is to be sent again now.
+    def take_due_repeats(self, now: float) -> Iterator[tuple[str, Any]]:
+        """Which messages are to be sent again now, and to whom.
 
-        Who is not there needs none: when it is back, its heartbeat says that it lacks the message.
+        A neighbour that is not there needs none: when it is back, its heartbeat says that it lacks the message.
         """
-        due = []
         for name, peer in self._peers.items():
-            if peer.repeat is None or peer.repeat.at > now:
-                continue
-            if self.is_present(name, now):
-                peer.wait_longer(now, self._beat_s)
-                due.append(name)
-            else:
-                peer.repeat = None
-        return due
+            for sent in peer.outgoing:
+                if sent.repeat is None or sent.repeat.at > now:
+                    continue
+                if self.is_present(name, now):
+                    sent.repeat = peer.wait_longer(sent.repeat, now, self._beat_s)
+                    yield name, sent.message
+                else:
+                    sent.repeat = None
 
-    def owes_heartbeat(self, name: str, now: float, is_final: bool) -> bool:
+    def owes_heartbeat(self, name: str, now: float, is_at_rest: bool) -> bool:
         """Whether nothing has been said for too long."""
-        return now >= self._peers[name].said_at + self._quiet_s(name, now, is_final)
+        return now >= self._peers[name].said_at + self._quiet_s(name, now, is_at_rest)
 
-    def _quiet_s(self, name: str, now: float, is_final: bool) -> float:
+    def _quiet_s(self, name: str, now: float, is_at_rest: bool) -> float:
         """How long nothing is said: ever longer since what heartbeats say has changed, as one may be lost, or on this
         link several; at rest a beat at most, before no longer than patience allows. At rest a word to a neighbour that
         is there is repeated until that is heard.
         """
         peer = self._peers[name]
-        longest_s = self._beat_s if is_final else min(self._beat_s, self._patience_s(peer) / peer.patience_messages)
+        longest_s = self._beat_s if is_at_rest else min(self._beat_s, self._patience_s(peer) / peer.patience_messages)
         unchanged_s = (peer.said_at - peer.changed_at) / math.sqrt(peer.mean_count)
-        if is_final and peer.awaits_word and self.is_present(name, now):
+        if is_at_rest and peer.awaits_word and self.is_present(name, now):
             unchanged_s = 0.0
         return min(longest_s, max(peer.round_trip.longest_wait_s, unchanged_s))
 
@@ -136,12 +139,12 @@ class PeerTable:
             peer.begin_term()
 
     def find_old(self, term: Term, links: frozenset[str], now: float, beats: float = FRESH_BEATS) -> set[str]:
-        """Neighbours that are not heard, in another term, or say that their side is not complete."""
+        """Neighbours not heard, that do not hear us, in another term, or with a side that they say is not complete."""
         return {
             name
             for name, peer in self._peers.items()
-            if name in self.gone
-            or name not in links
+            if name not in links
+            or not self.is_present(name, now)
             or now >= peer.heard_at + beats * self._beat_s
             or peer.term != term
             or not peer.complete

@@ -8,8 +8,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Any, Generic, TypeVar
 
-from agents.messages import DownMessage, Header, HeartbeatMessage, Incarnation, UpMessage
+from agents.messages import (
+    BoundaryNews,
+    ExchangeMessage,
+    HeartbeatMessage,
+    Incarnation,
+    LinkMessage,
+    LoadMessage,
+)
 
 FIRST_WAIT_S = 0.05  # until a message is repeated, before the round trip of the link has been measured
 LEAST_WAIT_S = 0.005
@@ -20,6 +28,12 @@ MEAN_GAIN, DEVIATION_GAIN = 1 / 8, 1 / 4  # of a new sample (RFC 6298)
 PATIENCE_WAITS = 20  # messages, one each longest wait, that should have come through: none does once in 5e8 times
 
 Term = tuple[int, int]  # scan, revision
+M = TypeVar("M", LoadMessage, ExchangeMessage)
+
+
+def term_of(message: LinkMessage) -> Term:
+    """Where the sender stands; asynchronous strategies know no revisions."""
+    return message.header.scan, 0 if isinstance(message, BoundaryNews) else message.revision
 
 
 @dataclass
@@ -47,7 +61,7 @@ class RoundTrip:
 
 @dataclass
 class Repeat:
-    """When a message is sent again if it is not answered; ``wait_s``: since the ``count``-th time that it was sent."""
+    """When a message is sent again if it is not acknowledged; ``wait_s``: since the ``count``-th time it was sent."""
 
     at: float
     wait_s: float
@@ -55,71 +69,108 @@ class Repeat:
 
 
 @dataclass
+class Outgoing(Generic[M]):
+    """The last message of one sort to a neighbour; ``repeat``: whether and when it is sent again.
+
+    ``sequence``: its number, which goes on where the message is forgotten. An older one need not be kept: messages are
+    absolute.
+    """
+
+    message: M | None = None
+    repeat: Repeat | None = None
+    sequence: int = 0
+
+
+@dataclass
 class Peer:
     """One neighbour. Times are of the own monotonic clock, s; -inf for never.
 
     ``present_at``: when it last said that it hears us, as far as that is believed; ``heard_at``: when it was last
-    heard. ``term``, ``final``, ``complete``, ``y``: where it stood then. ``sent``: the last message of a round
-    to it in the present term, ``repeat``: whether and when that is sent again.
+    heard. ``term``, ``k``, ``final``, ``complete``, ``y``: where it stood then. ``load``, ``exchange``: the last load
+    message and the last message of the strategy to it; ``heard_load``, ``boundary``: its newest ones, the latter of
+    asynchronous strategies; ``heard_sequence``: number of its newest message of the strategy in this incarnation.
     """
 
     bus: int
     present_at: float
+    since: float  # wall-clock time at which the own process began: nothing of before is answered
     said_at: float = -math.inf
     asked_at: float = -math.inf  # when it was first spoken to since it was heard
     heard_at: float = -math.inf
     incarnation: Incarnation | None = None
     term: Term = (0, 0)
+    k: int = 0
     final: bool = False
     complete: bool = False
     y: tuple[float, ...] = ()
     told_term: Term = (0, 0)
     told_complete: bool = False
-    changed_at: float = -math.inf  # when it was last told other ones
+    changed_at: float = -math.inf  # when it was last told anything new
     told_time: float = 0.0  # send time of the last message to it, as that states it
     is_owed_word: bool = False  # what it has sent, or what has changed, is to be answered at once
-    sequence: int = 0  # of the last message of a round to it
+    load: Outgoing[LoadMessage] = field(default_factory=Outgoing)
+    exchange: Outgoing[ExchangeMessage] = field(default_factory=Outgoing)
+    heard_load: LoadMessage | None = None
+    boundary: BoundaryNews | None = None
     heard_sequence: int = 0
-    sent: UpMessage | DownMessage | None = None
-    repeat: Repeat | None = None
     mean_count: float = 1.0  # of sendings until an answer comes
-    received: UpMessage | DownMessage | None = None  # its newest of the present term
     round_trip: RoundTrip = field(default_factory=RoundTrip)
     _newest: tuple[float, float] = (0.0, 0.0)  # send time by its clock, and when it arrived here
 
-    def is_of_former_life(self, header: Header, now: float, over_s: float) -> bool:
-        """A life not heard for ``over_s`` is over; the clock of the next one may have been set back."""
-        is_over = now - self.heard_at > over_s
-        return self.incarnation is not None and header.incarnation < self.incarnation and not is_over
-
-    def take(
-        self, message: HeartbeatMessage | UpMessage | DownMessage, now: float, wall: float, *, is_awake: bool
-    ) -> None:
+    def take(self, message: LinkMessage, now: float, wall: float, *, is_awake: bool) -> None:
         """Note what any message says of the process and the link; ``wall``: ``now`` as own messages state it.
 
         ``is_awake``: it was taken in as it came, so that it tells how long messages take.
         """
         header = message.header
         if header.incarnation != self.incarnation:
-            self.term, self.received, self._newest, self.heard_sequence = (0, 0), None, (0.0, 0.0), 0
+            self.term, self._newest, self.heard_sequence = (0, 0), (0.0, 0.0), 0
             self.round_trip, self.final, self.complete, self.y = RoundTrip(), False, False, ()
+            if self.incarnation is not None:
+                self.load.repeat = self.exchange.repeat = None  # the new process says what it lacks
         self.incarnation, self.heard_at = header.incarnation, now
         if message.hears:
             self.present_at = now
         if header.time > self._newest[0]:
             self._newest = (header.time, now)
-            self.term = (header.scan, message.revision)
-            self.final, self.complete, self.y = False, False, ()
-            if isinstance(message, HeartbeatMessage):
-                self.final, self.complete, self.y = message.final, message.complete, message.y
-        if is_awake and 0 < message.answers <= wall:
+            self._note_standing(message)
+        if is_awake and message.answers > 0 and self.since <= message.answers <= wall:
             self.round_trip.take(wall - message.answers)
+        for sent, number in zip(self.outgoing, message.received, strict=True):
+            if number == sent.sequence:  # a higher one was said to a former incarnation of this area
+                self.take_answer(sent)
 
-    def take_round(self, message: UpMessage | DownMessage) -> None:
-        """Keep the newest message of a round of this term, which acknowledgements name."""
-        if self.received is None or message.k > self.received.k:
-            self.received = message
-            self.heard_sequence = max(self.heard_sequence, message.header.sequence)
+    def _note_standing(self, message: LinkMessage) -> None:
+        self.final, self.complete, self.y = False, False, ()
+        self.term = term_of(message)
+        if isinstance(message, BoundaryNews):
+            self.k, self.complete = message.header.sequence, message.complete
+            return
+        self.k = message.k
+        if isinstance(message, HeartbeatMessage):
+            self.final, self.complete, self.y = message.final, message.complete, message.y
+
+    @property
+    def outgoing(self) -> tuple[Outgoing[Any], ...]:
+        """In the order of ``received``."""
+        return self.load, self.exchange
+
+    def take_load(self, message: LoadMessage) -> bool:
+        """Keep a load message of the present incarnation; whether it is newer than the last one."""
+        last, header = self.heard_load, message.header
+        is_new = last is None or header.order > last.header.order
+        if last is not None and header.incarnation != last.header.incarnation:
+            is_new |= header.incarnation == self.incarnation  # its clock may have been set back
+        if is_new:
+            self.heard_load = message
+        return is_new
+
+    @property
+    def received(self) -> tuple[int, int]:
+        """The numbers of its newest load message and message of the strategy, which acknowledge them; 0 without one."""
+        load = self.heard_load
+        of_this_life = load is not None and load.header.incarnation == self.incarnation
+        return load.header.sequence if load and of_this_life else 0, self.heard_sequence
 
     def answers(self, now: float) -> float:
         """The send time of its newest message plus the time that this has lain here; 0 without one."""
@@ -157,28 +208,27 @@ class Peer:
         """Whether it has not been spoken to for so long, two round trips at least, that what it says is no answer."""
         return now >= self.said_at + self.round_trip.longest_wait_s / 2
 
-    def await_answer(self, message: UpMessage | DownMessage, now: float) -> None:
-        """``message`` has just been sent for the first time."""
+    def await_answer(self, sent: Outgoing[M], message: M, now: float) -> None:
+        """``message`` is just being sent, for the first time or after it had been acknowledged."""
         wait = self.round_trip.wait_s
-        self.sent, self.repeat = message, Repeat(now + wait, wait)
+        sent.message, sent.sequence, sent.repeat = message, message.header.sequence, Repeat(now + wait, wait)
 
-    def wait_longer(self, now: float, most_s: float) -> None:
-        """It has just been repeated; ``most_s``: how long is waited at most."""
-        assert self.repeat is not None
-        wait = min(2 * self.repeat.wait_s, self.round_trip.longest_wait_s, max(most_s, self.round_trip.wait_s))
-        self.repeat = Repeat(now + wait, wait, self.repeat.count + 1)
+    def wait_longer(self, repeat: Repeat, now: float, most_s: float) -> Repeat:
+        """What follows ``repeat``, which is just being carried out; ``most_s``: how long is waited at most."""
+        wait = min(2 * repeat.wait_s, self.round_trip.longest_wait_s, max(most_s, self.round_trip.wait_s))
+        return Repeat(now + wait, wait, repeat.count + 1)
 
-    def take_answer(self) -> None:
-        """The last message of a round has been answered or acknowledged."""
-        if self.repeat is not None:
-            self.mean_count += MEAN_GAIN * (self.repeat.count - self.mean_count)
-            self.repeat = None
+    def take_answer(self, sent: Outgoing[Any]) -> None:
+        """The last message has been answered or acknowledged."""
+        if sent.repeat is not None:
+            self.mean_count += MEAN_GAIN * (sent.repeat.count - self.mean_count)
+            sent.repeat = None
 
     def has_waited_for_trip(self, now: float) -> bool:
-        """Whether an answer to ``sent`` could be here by now."""
+        """Whether an answer to what was said last could be here by now."""
         return math.isnan(self.round_trip.mean) or now - self.said_at >= self.round_trip.mean
 
     def begin_term(self) -> None:
         """Messages of rounds of a former term count no more; it is to hear of the new one."""
-        self.sent = self.repeat = self.received = None
+        self.exchange.message = self.exchange.repeat = None
         self.is_owed_word = True

@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.hearing import Hearing
 from agents.messages import StateMessage
 from agents.strategies.interface import Estimate
 from agents.wire_checks import limit_notes
@@ -115,42 +114,3 @@ def find_missing_readings(silent: Sequence[str], invalid: Sequence[str]) -> Iter
         yield Finding(GOOD, f"{len(invalid)} readings are marked invalid, the first is of {invalid[0]}")
     if silent:
         yield Finding(GOOD, f"no reading from {len(silent)} meters, the first is {silent[0]}")
-
-
-def find_doubts(
-    estimate: Estimate | None,
-    notes: Iterable[str],
-    hearing: Hearing,
-    neighbours: Sequence[str],
-    gone: Mapping[str, str],
-    now: float,
-) -> Iterator[Finding]:
-    """Of an area under an asynchronous strategy at time ``now``.
-
-    ``notes``: what the strategy says is missing or contradicts. ``gone``: the neighbours whose processes have ended,
-    with their farewells.
-    """
-    yield from (Finding(DEGRADED if estimate else NONE, note) for note in notes)
-    if estimate is None:
-        yield Finding(NONE, "no telemetry yet" if hearing.telemetry is None else "there is no estimate")
-        return
-    if hearing.is_late(now):
-        yield Finding(STALE, "telemetry is no longer heard")
-    if not estimate.referenced:
-        yield Finding(RELATIVE_ANGLE, "angles do not count from the substation")
-    if not estimate.checked:
-        yield Finding(DEGRADED, "bad data have not been looked for in the whole feeder")
-    if not estimate.settled:
-        yield Finding(DEGRADED, "the iteration is under way")
-    for name in sorted(gone):
-        yield find_gone(name, gone[name])
-    for name in sorted(hearing.find_old(neighbours, now) - gone.keys()):
-        message = hearing.boundary.get(name)
-        if message is None:
-            yield Finding(DEGRADED, f"no boundary message from {name}")
-        elif message.header.scan != hearing.scan:
-            yield Finding(DEGRADED, f"news from {name} is of another scan")
-        elif not message.fresh:
-            yield find_missing_side(name)
-        else:
-            yield Finding(DEGRADED, f"{name} is not heard")

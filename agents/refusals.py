@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Mapping
+
 from agents.area_file import AreaFile
 from agents.boundary_variables import ONE_PHASE
 from agents.messages import (
@@ -22,6 +25,34 @@ from dsse_core.boundary_information import BEYOND_REASON, are_within_reason
 LONGEST_LEAD_S = 600.0  # by which the sender's clock may be ahead of ours
 MOST_REVISIONS = 10**6  # of one scan; each takes a beat at least
 FUTURE = "time in the future"  # a reason of refusal
+
+
+class Rejections:
+    """What an area has refused. ``ahead``: sender refused as from the future, "" for the plant -> by how much, s."""
+
+    def __init__(self) -> None:
+        self.ahead: dict[str, float] = {}
+        self._refused: Counter[str] = Counter()
+        self._not_let_in: dict[str, int] = {}
+
+    def refuse(self, message: Message, key_sender: str, reason: str, now: float) -> None:
+        """Count a message that is refused for ``reason`` at ``now``, s since 1970."""
+        self.count(reason)
+        if reason == FUTURE:
+            self.ahead.setdefault(key_sender, find_lead(message.header, now))
+
+    def count(self, reason: str) -> None:
+        """One more for ``reason``."""
+        self._refused[reason] += 1
+
+    def note_not_let_in(self, reason: str, count: int) -> None:
+        """So many payloads have been refused at the door so far."""
+        self._not_let_in[reason] = max(count, self._not_let_in.get(reason, 0))
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """By reason."""
+        return self._refused + Counter(self._not_let_in)
 
 
 def find_refusal(message: Message, key_sender: str, content: AreaFile, now: float) -> str:

@@ -14,78 +14,47 @@ round 0 with the state so far.
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Collection, Iterator
 from typing import Any
 
 from agents.area_file import AreaFile
 from agents.area_round import AreaRound, Content, Decider, Outcome
-from agents.events import Action, Event, Finish, PresenceChanged, Publish, Received, Refused, StopRequested
-from agents.hearing import FRESH_BEATS, PASSED_ON_BEATS
-from agents.last_words import LastWords
+from agents.events import Action, Publish
 from agents.messages import (
     DownMessage,
-    Header,
     HeartbeatMessage,
     Incarnation,
-    LoadMessage,
+    LinkMessage,
     Message,
     TelemetryMessage,
     UpMessage,
 )
-from agents.peer_table import PeerTable
 from agents.peers import Peer, Term
-from agents.refusals import FUTURE, find_lead, find_refusal
+from agents.protocol import AreaProtocol
 from agents.rounds_state import RoundsState
-from agents.scan_readings import News, ScanReadings
+from agents.scan_readings import News
 from agents.triangle import write_triangle
 from dsse_core.verdict import Totals
-
-STILL_BEATS = 2  # between two calls: the process has stood still, and how long messages took is not known
 
 RoundsMessage = HeartbeatMessage | UpMessage | DownMessage
 
 
-class RoundsProtocol:
-    """One area's part: events and time in, actions out; no bus, no clock, no randomness.
+class RoundsProtocol(AreaProtocol):
+    """One area's part in rounds; for the arguments see ``AreaProtocol``."""
 
-    Args:
-        started_at: wall-clock time, s since 1970, at monotonic time ``now``; only stamps messages.
-    """
+    kinds = (UpMessage.kind, DownMessage.kind)
 
     def __init__(self, content: AreaFile, incarnation: Incarnation, *, now: float, started_at: float) -> None:
-        self._content = content
-        self._area = content.area
-        self._incarnation = incarnation
-        self._clock_offset = started_at - now
-        self._now = now
-        self._is_awake = True  # since it was last left alone: else messages have lain unheard
-        self._beat_s = content.beat_s
-        self._peers = PeerTable(content.area.neighbours, content.beat_s, now, self._clock_offset)
+        super().__init__(content, self.kinds, incarnation, now=now, started_at=started_at)
         self._round = AreaRound(content.area)
-        self._scan = ScanReadings(content, now)
         self._revision = 0
         self._is_change_due = False
         self._raised_at = -math.inf  # when this area itself last raised the revision
-        self._heard_loads: dict[str, LoadMessage] = {}
-        self._loads = LastWords(content.area.neighbours, self, self._header)
-        self._refused: Counter[str] = Counter()
-        self._not_let_in: dict[str, int] = {}
-        self._ahead: dict[str, float] = {}  # sender refused as from the future, "" for the plant -> by how much, s
-        self._next_beat = now + content.beat_s
-        self._state = RoundsState(content, self._peers, self._round, self._scan)
-
-    # The interface of a protocol
+        self._state = RoundsState(content, self._peers, self._round, self._scan, self._rejections, self._published)
 
     def describe_backend(self) -> str:
         """For the log: what computes, and how often something else had to."""
         return self._round.estimation.describe_backend()
-
-    @property
-    def scan(self) -> int:
-        """The scan that the area works on; 0 before telemetry."""
-        return self._scan.scan
 
     @property
     def term(self) -> Term:
@@ -102,74 +71,31 @@ class RoundsProtocol:
         """The meters of all areas that this term has taken out as bad data, in order."""
         return self._round.removed
 
-    def wait_s(self, now: float) -> float:
-        """How long the protocol may be left alone, s."""
-        return max(0.0, min(self._due_times()) - now)
+    @property
+    def _is_at_rest(self) -> bool:
+        return self._round.outcome is not None or self.scan == 0
 
     def _due_times(self) -> Iterator[float]:
-        yield self._next_beat
-        yield from self._peers.due_times(self._now, self._is_final)
+        yield from super()._due_times()
         yield self._scan.deadline
         if self._is_change_due:
             yield self._raised_at + self._beat_s
-        elif not self._is_final:
+        elif not self._is_at_rest:
             yield from map(self._peers.silent_at, self._round.links)
         if self._scan.next_scan:
             yield self._leaves_at if self._leaves_at > self._now else math.inf
-        for at in self._peers.aging_times(self._now):
-            yield at
-        yield from (at for beats in (FRESH_BEATS, PASSED_ON_BEATS) if (at := self._scan.fresh_until(beats)) > self._now)
-
-    def handle(self, events: Sequence[Event], now: float) -> Iterator[Action]:
-        """Take in ``events``, all that arrived since the last call, and say what to do, one by one as it is known."""
-        self._is_awake = now - self._now < STILL_BEATS * self._beat_s
-        self._now = now
-        for event in events:
-            match event:
-                case StopRequested(reason):
-                    yield Finish(reason)
-                    return
-                case Received(message, key_sender):
-                    yield from self._take(message, key_sender)
-                case Refused(reason, count):
-                    self._not_let_in[reason] = max(count, self._not_let_in.get(reason, 0))
-                case PresenceChanged(area, True):
-                    self._peers.gone.pop(area, None)
-                    self._peers[area].is_owed_word = True
-                case PresenceChanged(area, False, farewell):
-                    self._peers.note_gone(area, farewell)
-        yield from self._act_in_time()
-        yield from self._answer()
-        yield from self._show()
 
     # What comes in
 
-    def _take(self, message: Message, key_sender: str) -> Iterator[Action]:
-        wall = self._now + self._clock_offset
-        reason = find_refusal(message, key_sender, self._content, wall)
-        if not reason and not isinstance(message, TelemetryMessage | LoadMessage | RoundsMessage):
-            reason = "other strategy"
-        if not reason and isinstance(message, HeartbeatMessage):
-            yield from self._act_on(self._scan.take_numbering(key_sender, message.plant, message.offset))
-        if not reason and isinstance(message, RoundsMessage) and not self._scan.may_enter(message.header.scan):
-            reason = "scan far ahead of the telemetry"
-        if reason:
-            self._refused[reason] += 1
-            if reason == FUTURE:
-                self._ahead.setdefault(key_sender, find_lead(message.header, wall))
-            return
-        self._ahead.pop(key_sender, None)
-        match message:
-            case TelemetryMessage():
-                yield from self._act_on(self._scan.take(message, self._now))
-            case LoadMessage():
-                last = self._heard_loads.get(key_sender)
-                if last is None or message.header.order > last.header.order:
-                    self._heard_loads[key_sender] = message
-                    if self._scan.are_there:
-                        yield from self._tell_loads()
-            case HeartbeatMessage() | UpMessage() | DownMessage():
-                yield from self._hear(key_sender, message)
+    def _find_refusal(self, message: Message) -> str:
+        is_far = isinstance(message, RoundsMessage) and not self._scan.may_enter(message.header.scan)
+        return "scan far ahead of the telemetry" if is_far else ""
+
+    def _take_numbering(self, name: str, message: HeartbeatMessage) -> Iterator[Action]:
+        yield from self._act_on(self._scan.take_numbering(name, message.plant, message.offset))
+
+    def _take_telemetry(self, message: TelemetryMessage) -> Iterator[Action]:
+        yield from self._act_on(self._scan.take(message, self._now))
 
     def _act_on(self, news: News) -> Iterator[Action]:
         """Use new readings, or readings that belong to another scan than was thought."""
@@ -181,22 +107,18 @@ class RoundsProtocol:
             case News.LATE:
                 yield from self._change()
 
-    def _hear(self, name: str, message: RoundsMessage) -> Iterator[Action]:
-        """What a message of any kind says of its sender: its life, its term, whether it hears us."""
+    def _take_load(self) -> Iterator[Action]:
+        if self._scan.are_there:
+            yield from self._tell_loads()
+
+    def _hear(self, name: str, message: LinkMessage) -> Iterator[Action]:
+        assert isinstance(message, RoundsMessage)
         peer = self._peers[name]
-        if self._peers.is_of_former_life(message.header, self._now):
-            return
-        is_restart = peer.incarnation not in (None, message.header.incarnation)
-        peer.is_owed_word |= is_restart or not self._peers.hears(name, self._now)  # that it is heard
-        peer.take(message, self._now, self._now + self._clock_offset, is_awake=self._is_awake)
-        peer.is_owed_word |= self._is_final and peer.has_been_left_alone(self._now)  # it repeats until it hears us
-        if is_restart and self._is_load_of_other_life(name, message.header.incarnation):
-            del self._heard_loads[name]
-        if message.hears:
-            self._peers.gone.pop(name, None)  # the token was lost, not the process
+        is_restart = self._note(name, message)
+        yield from self._send_if_lacking(name, peer.load, message.received[0])
         term = (message.header.scan, message.revision)
         if term[0] > self.scan:
-            peer.take_answer()  # it has moved on, and lacks nothing
+            peer.take_answer(peer.exchange)  # it has moved on, and lacks nothing
             if self._owes_final():
                 return
         if term > self.term:
@@ -207,25 +129,20 @@ class RoundsProtocol:
             yield from self._change()
         if term < self.term:
             # a message that is being repeated shows our term as well, but not how scans are numbered
-            peer.is_owed_word |= peer.repeat is None or term[0] < self.scan
+            peer.is_owed_word |= peer.exchange.repeat is None or term[0] < self.scan
         elif name in self._round.links:
             yield from self._take_in_term(name, peer, message)
-
-    def _is_load_of_other_life(self, name: str, life: Incarnation) -> bool:
-        return name in self._heard_loads and self._heard_loads[name].header.incarnation != life
 
     def _must_change_for(self, name: str, message: RoundsMessage, is_restart: bool) -> bool:
         """Whether a neighbour is back that is not in use, or begins anew."""
         return is_restart or (name not in self._round.links and message.hears)
 
     def _take_in_term(self, name: str, peer: Peer, message: RoundsMessage) -> Iterator[Action]:
-        if peer.sent is not None and message.received >= peer.sent.k:
-            peer.take_answer()
         if isinstance(message, HeartbeatMessage):
             if why := self._round.find_other_end(message.k, message.final):
                 yield from self._distrust(name, why)
-            elif peer.sent is not None and peer.repeat is None and message.received < peer.sent.k:
-                yield self._send_again(name)  # it was cut off before it had it
+            else:
+                yield from self._send_if_lacking(name, peer.exchange, message.received[1])
         elif not self._is_change_due and isinstance(message, DownMessage) == (name == self._area.towards_hub):
             yield from self._take_round(name, peer, message)
 
@@ -234,23 +151,19 @@ class RoundsProtocol:
         if message.k > self._round.k:
             return  # said to a former life of this area
         peer.is_owed_word = True
-        peer.take_round(message)
+        peer.heard_sequence = max(peer.heard_sequence, message.header.sequence)
         if message.k < self._round.k:
-            if peer.sent is not None and message.received < peer.sent.k and peer.has_waited_for_trip(self._now):
-                yield self._send_again(name)  # it lacks our answer
+            if peer.has_waited_for_trip(self._now):  # it lacks our answer
+                yield from self._send_if_lacking(name, peer.exchange, message.received[1], even_if_repeated=True)
         elif isinstance(message, UpMessage):
             if self._round.take_up(name, message):
-                peer.take_answer()
+                peer.take_answer(peer.exchange)
                 yield from self._go_on()
         elif self._round.is_waited_for():
-            peer.take_answer()
+            peer.take_answer(peer.exchange)
             yield from self._take_down(name, message)
 
     # Terms
-
-    @property
-    def _is_final(self) -> bool:
-        return self._round.outcome is not None or self.scan == 0
 
     @property
     def _leaves_at(self) -> float:
@@ -262,13 +175,14 @@ class RoundsProtocol:
         if self._round.outcome is None or self._now >= self._leaves_at:
             return False
         lower = self._round.lower
-        return any(self._peers[name].repeat is not None and self._peers.is_present(name, self._now) for name in lower)
+        unheard = (name for name in lower if self._peers[name].exchange.repeat is not None)
+        return any(self._peers.is_present(name, self._now) for name in unheard)
 
     def _enter_next_scan(self) -> Iterator[Action]:
         """Leave this scan for a later one with readings: at its end, or when it has taken too long."""
         if not self._scan.next_scan or self._owes_final():
             return
-        if self._is_final or self._now >= self._leaves_at:
+        if self._is_at_rest or self._now >= self._leaves_at:
             yield from self._enter((self._scan.next_scan, 0))
 
     def _change(self) -> Iterator[Action]:
@@ -294,7 +208,7 @@ class RoundsProtocol:
     def _begin(self) -> Iterator[Action]:
         """Round 0 with the readings."""
         yield from self._tell_loads()
-        loads = {name: message.load for name, message in self._heard_loads.items()}
+        loads = self._heard_loads()
         self._round.begin(self._scan.readings.measurements, stale=self._scan.stale, loads=loads)
         yield from self._go_on()
 
@@ -305,7 +219,9 @@ class RoundsProtocol:
         while self._round.may_go_on and not self._is_change_due:
             totals = self._round.add_up()
             if name := self._round.towards_hub:
-                yield self._send(name, UpMessage(**self._fields_of(name, self._round.find_up(totals), self._round.k)))
+                yield self._send_round(
+                    name, UpMessage(**self._fields_of(name, self._round.find_up(totals), self._round.k))
+                )
                 return
             life = (self._incarnation.start_ms, self._incarnation.random)
             yield from self._descend(totals, Decider(self._area.name, life), None)
@@ -329,35 +245,23 @@ class RoundsProtocol:
         for name, content in self._round.descend(verdict, totals, decider, down):
             fields = self._fields_of(name, content, k)
             message = DownMessage(**fields, verdict=str(verdict), decider=decider.name, life=decider.life)
-            yield self._send(name, message)
+            yield self._send_round(name, message)
         if self._round.outcome is not None:
             yield from self._enter_next_scan()
 
     # What goes out
 
-    def _header(self, last: Message | None) -> Header:
-        return Header(
-            run=self._content.run,
-            sender=self._area.name,
-            incarnation=self._incarnation,
-            scan=self.scan,
-            sequence=last.header.sequence + 1 if last else 1,
-            time=self._now + self._clock_offset,
-        )
-
     def _fields_of(self, name: str, content: Content, k: int) -> dict[str, Any]:
-        """Of a message of round ``k``; what is stamped as it is sent is left open."""
-        peer = self._peers[name]
-        peer.sequence += 1
-        told, no_load = content.information, content.no_load
+        """Of a message of round ``k``; what holds of the link is filled in as it is sent."""
+        peer, told, no_load = self._peers[name], content.information, content.no_load
         return {
-            "header": replace(self._header(None), sequence=peer.sequence),
+            "header": self._header(peer.exchange.sequence + 1),
             "bus": peer.bus,
             "revision": self._revision,
             "k": k,
             "hears": False,
             "answers": 0.0,
-            "received": -1,
+            "received": (0, 0),
             "R": write_triangle(told.R) if told else (),
             "z": tuple(told.z.tolist()) if told else (),
             "no_load": write_triangle(no_load.R) if no_load else (),
@@ -365,74 +269,31 @@ class RoundsProtocol:
             "totals": content.totals,
         }
 
-    def _send(self, name: str, message: UpMessage | DownMessage) -> Publish:
-        """A message of a round for the first time."""
-        self._peers[name].await_answer(message, self._now)
-        return Publish(self._peers.stamp(name, message, self._now), name)
+    def _send_round(self, name: str, message: UpMessage | DownMessage) -> Publish:
+        return self._send(name, self._peers[name].exchange, message)
 
-    def _send_again(self, name: str) -> Publish:
-        peer = self._peers[name]
-        assert isinstance(peer.sent, UpMessage | DownMessage)
-        if peer.repeat is None:
-            peer.await_answer(peer.sent, self._now)
-        return Publish(self._peers.stamp(name, peer.sent, self._now), name)
+    def _describe_standing(self, name: str) -> dict[str, Any]:
+        outcome, estimation = self._round.outcome, self._round.estimation
+        has_y = outcome is not None and name in self._round.links and not estimation.failure
+        y = estimation.boundary_values(name) if has_y else ()
+        return {"revision": self._revision, "k": self._round.k, "final": outcome is not None, "y": y}
 
-    def _heartbeat(self, name: str) -> Publish:
-        peer, outcome = self._peers[name], self._round.outcome
-        plant, offset = self._scan.numbering
-        has_y = outcome is not None and name in self._round.links and not self._round.estimation.failure
-        message = HeartbeatMessage(
-            header=self._header(None),
-            bus=peer.bus,
-            revision=self._revision,
-            k=self._round.k,
-            hears=False,
-            answers=0.0,
-            received=-1,
-            final=outcome is not None,
-            complete=self._state.is_side_complete(name, self.term, self._now),
-            y=self._round.estimation.boundary_values(name) if has_y else (),
-            plant=plant,
-            offset=offset,
-        )
-        return Publish(self._peers.stamp(name, message, self._now), name)
-
-    def _tell_loads(self) -> list[Publish]:
-        heard = {name: message.load for name, message in sorted(self._heard_loads.items())}
-        return self._loads.tell_loads(self._scan.readings.net_load, heard)
+    def _is_side_complete(self, name: str) -> bool:
+        return self._state.is_side_complete(name, self.term, self._now)
 
     # What time brings
 
-    def _act_in_time(self) -> Iterator[Action]:
+    def _act(self, *, is_beat: bool) -> Iterator[Action]:
         if self._now >= self._scan.deadline:
             self._scan.go_on_without()
             yield from self._begin()
         is_someone_silent = any(not self._peers.is_present(name, self._now) for name in self._round.links)
-        if self._is_change_due or (is_someone_silent and not self._is_final):
+        if self._is_change_due or (is_someone_silent and not self._is_at_rest):
             yield from self._change()
         yield from self._enter_next_scan()
-        for name in self._peers.take_due_repeats(self._now):
-            yield self._send_again(name)
 
-    def _answer(self) -> Iterator[Publish]:
-        """A heartbeat to whom is owed one, or has not been spoken to for a beat."""
-        for name, peer in self._peers.items():
-            is_changed = peer.told_complete != self._state.is_side_complete(name, self.term, self._now)
-            if peer.is_owed_word or is_changed or self._peers.owes_heartbeat(name, self._now, self._is_final):
-                yield self._heartbeat(name)
-
-    def _show(self) -> Iterator[Publish]:
+    def _show(self, *, is_beat: bool) -> Iterator[Publish]:
         """The state once a scan at rest, anew at every beat, and when its quality changes."""
-        is_beat = self._now >= self._next_beat
-        if is_beat:
-            self._next_beat = self._now + self._beat_s
-            yield from (Publish(message, name) for name, message in self._loads.loads.items())
-        state = self._state.show(self.term, self._now, self._ahead, self._count, self._header, is_beat=is_beat)
+        state = self._state.show(self.term, self._now, is_beat=is_beat)
         if state is not None:
             yield Publish(state, None)
-
-    def _count(self) -> tuple[Mapping[str, int], Mapping[str, int], Mapping[str, int]]:
-        """Sequence numbers of load messages sent and heard by neighbour, and what was refused by reason."""
-        loads = {name: m.header.sequence for name, m in self._loads.loads.items()}
-        heard_loads = {name: m.header.sequence for name, m in self._heard_loads.items()}
-        return loads, heard_loads, self._refused + self._scan.refused + Counter(self._not_let_in)

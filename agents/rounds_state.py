@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 
 from agents.area_file import AreaFile
 from agents.area_round import AreaRound, Outcome
-from agents.hearing import PASSED_ON_BEATS
-from agents.messages import Header, Message, StateMessage, content_of
+from agents.freshness import PASSED_ON_BEATS
+from agents.messages import StateMessage
 from agents.peer_table import PeerTable
 from agents.peers import Term
+from agents.published_state import PublishedState
 from agents.quality import (
     DEGRADED,
     NONE,
@@ -27,8 +28,8 @@ from agents.quality import (
     find_refused_clocks,
     weigh,
 )
+from agents.refusals import Rejections
 from agents.scan_readings import ScanReadings
-from agents.shown_state import describe_estimate
 from agents.strategies.interface import Estimate
 from dsse_core.area_estimation import FAILURES
 from dsse_core.residuals import chi_square_limit
@@ -38,64 +39,45 @@ from dsse_core.verdict import Totals
 CONTRADICTION = 0.9999  # confidence of the chi-square test of what is shown; bad data are looked for at a lower one
 MISMATCH = 1e-6  # p.u. and rad, of the final voltages that two sides of a boundary have; rounding leaves 1e-8
 
-Counts = Callable[[], tuple[Mapping[str, int], Mapping[str, int], Mapping[str, int]]]
-
 
 class RoundsState:
     """The state as last published, and what it rests on."""
 
-    def __init__(self, content: AreaFile, peers: PeerTable, round: AreaRound, scan: ScanReadings) -> None:
+    def __init__(
+        self,
+        content: AreaFile,
+        peers: PeerTable,
+        round: AreaRound,
+        scan: ScanReadings,
+        rejections: Rejections,
+        published: PublishedState,
+    ) -> None:
         self._area = content.area
         self._peers = peers
         self._round = round
         self._scan = scan
-        self._buses = tuple(bus.id for bus in content.area.network.buses)
-        self._limits = EstimateLimits(content.limits, self._buses, content.meters)
-        self._message: StateMessage | None = None
+        self._rejections = rejections
+        self._published = published
+        buses = [bus.id for bus in content.area.network.buses]
+        self._limits = EstimateLimits(content.limits, buses, content.meters)
         self._estimate: Estimate | None = None
         self._outcome: Outcome | None = None  # which the estimate is of
         self._of_scan = 0
         self._findings: tuple[Finding, ...] = ()  # of the outcome
         self._gaps: dict[str, tuple[Outcome, tuple[float, ...], tuple[float, float]]] = {}  # as _find_gap found them
 
-    def show(
-        self,
-        term: Term,
-        now: float,
-        ahead: Mapping[str, float],
-        counts: Counts,
-        header_for: Callable[[Message | None], Header],
-        *,
-        is_beat: bool,
-    ) -> StateMessage | None:
-        """The state to be published at time ``now``, if any is.
-
-        ``ahead``: senders refused as from the future -> by how much, s. ``counts()``: sequence numbers of load messages
-        sent and heard by neighbour, and what was refused by reason.
-        """
+    def show(self, term: Term, now: float, *, is_beat: bool) -> StateMessage | None:
+        """The state to be published at time ``now``, if any is; passing notes alone wait for the beat."""
         outcome = self._round.outcome
         if outcome is not None and outcome is not self._outcome:
             self._outcome, self._of_scan = outcome, term[0]
             self._estimate, self._findings = self._read(outcome)
-        elif not is_beat and self._message is not None and self._is_as_shown(term, now, ahead):
-            return None
-        elif self._message is None and term[0] and outcome is None:
+        elif self._published.message is None and term[0] and outcome is None and not is_beat:
             return None  # the first estimate is under way
-        state = self._compose(term, now, ahead, counts, header_for)
-        last = self._message
-        if last is not None and content_of(last) == content_of(state) and last.header.scan == state.header.scan:
-            state = replace(state, header=replace(state.header, sequence=last.header.sequence))
-        self._message = state
-        return state
-
-    def _is_as_shown(self, term: Term, now: float, ahead: Mapping[str, float]) -> bool:
-        """What has changed besides is told with the next beat."""
-        assert self._message is not None
-        return (
-            self._message.quality == self._weigh(term, now, ahead).word
-            and (not ahead) == (not any("in the future" in note for note in self._message.notes))
-            and self._message.old_sides == self._old_sides(term, now)
-        )
+        elif not is_beat and self._published.is_as_shown(self._weigh(term, now).word, self._old_sides(term, now)):
+            return None
+        worth, old_sides, scan = self._weigh(term, now), self._old_sides(term, now), self._of_scan or term[0]
+        return self._published.compose(self._estimate_now(term), worth, old_sides, scan, now)
 
     def _read(self, outcome: Outcome) -> tuple[Estimate | None, tuple[Finding, ...]]:
         """What the term has ended with, and what that leaves to be said until the next one."""
@@ -176,11 +158,11 @@ class RoundsState:
                 "freedom), and no meter stands out that can be spared",
             )
 
-    def _weigh(self, term: Term, now: float, ahead: Mapping[str, float]) -> Worth:
+    def _weigh(self, term: Term, now: float) -> Worth:
         """What the estimate is worth now, and why."""
-        return weigh([*self._findings, *self._passing_findings(term, now, ahead)])
+        return weigh([*self._findings, *self._passing_findings(term, now)])
 
-    def _passing_findings(self, term: Term, now: float, ahead: Mapping[str, float]) -> Iterator[Finding]:
+    def _passing_findings(self, term: Term, now: float) -> Iterator[Finding]:
         """What holds now, and may not at the next moment."""
         if self._outcome is None:
             is_waiting = not self._scan.has_been_read and not term[0]
@@ -190,7 +172,7 @@ class RoundsState:
             yield from self._aging(term, now)
         for name, farewell in sorted(self._peers.gone.items()):
             yield find_gone(name, farewell)
-        yield from find_refused_clocks(ahead)
+        yield from find_refused_clocks(self._rejections.ahead)
         if self._scan.has_been_read:
             yield from find_missing_readings(self._scan.readings.silent, self._scan.readings.invalid)
 
@@ -214,7 +196,7 @@ class RoundsState:
             elif not peer.complete:
                 yield find_missing_side(name)
             else:
-                yield Finding(DEGRADED, f"{name} is not heard")
+                yield Finding(DEGRADED, f"{name} is not heard, or does not hear this area")
 
     def _mismatches(self, term: Term) -> Iterator[str]:
         """Neighbours whose final voltage at the boundary is another than ours: somebody on that side says false things.
@@ -262,35 +244,6 @@ class RoundsState:
         if self._estimate is None or not any(self._mismatches(term)):
             return self._estimate
         return replace(self._estimate, checked=False)
-
-    def _compose(
-        self,
-        term: Term,
-        now: float,
-        ahead: Mapping[str, float],
-        counts: Counts,
-        header_for: Callable[[Message | None], Header],
-    ) -> StateMessage:
-        loads, heard_loads, refused = counts()
-        peers = sorted(self._peers.items())
-        worth = self._weigh(term, now, ahead)
-        return StateMessage(
-            header=replace(header_for(self._message), scan=self._of_scan or term[0]),
-            **describe_estimate(self._estimate_now(term), self._buses),
-            sent={name: (loads.get(name, 0), peer.sequence) for name, peer in peers},
-            heard={name: (heard_loads.get(name, 0), peer.heard_sequence) for name, peer in peers},
-            messages=0,
-            bytes=0,
-            lost=0,
-            notes=worth.notes,
-            faults={},
-            quality=worth.word,
-            telemetry_age=self._scan.age(now),
-            ages={name: now - peer.heard_at for name, peer in peers if peer.heard_at > -math.inf},
-            scans={name: peer.term[0] for name, peer in peers if peer.incarnation is not None},
-            old_sides=self._old_sides(term, now),
-            refused=dict(refused),
-        )
 
 
 def _exceeds_limit(totals: Totals) -> bool:

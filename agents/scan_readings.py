@@ -11,7 +11,7 @@ from collections import Counter
 from enum import Enum, auto
 
 from agents.area_file import AreaFile
-from agents.hearing import FRESH_BEATS, OVER_BEATS, is_old
+from agents.freshness import FRESH_BEATS, PATIENCE_BEATS, is_old
 from agents.messages import NO_LIFE, Incarnation, TelemetryMessage
 from agents.readings import Readings
 
@@ -88,21 +88,40 @@ class ScanReadings:
         """Whether there has ever been telemetry."""
         return self._last is not None
 
+    def _is_newer(self, message: TelemetryMessage, now: float) -> bool:
+        """Note that telemetry is heard; whether it is newer than what there is."""
+        last = self._last
+        patience_s = PATIENCE_BEATS * self._beat_s
+        if last is not None and is_old(message.header, last.header, now - self._heard_at, patience_s):
+            return False
+        self._heard_at = now
+        return last is None or message.header.order != last.header.order
+
+    def take_at_once(self, message: TelemetryMessage, now: float) -> bool:
+        """Asynchronous: work with telemetry at once if it is newer, whatever its scan; whether it is."""
+        if not self._is_newer(message, now):
+            return False
+        if message.header.scan != self.scan:
+            self.scan, self.entered_at = message.header.scan, now
+        self._last = message
+        self._read(message)
+        return True
+
     def take(self, message: TelemetryMessage, now: float) -> News:
         """Keep telemetry if it is newer than what there is."""
-        last = self._last
-        if last is not None and is_old(message.header, last.header, now - self._heard_at, OVER_BEATS * self._beat_s):
+        if not self._is_newer(message, now):
             return News.NONE
-        self._heard_at = now
-        if last is not None and message.header.order == last.header.order:
-            return News.NONE
-        life, number = message.header.incarnation, message.header.scan
+        self._renumber(message)
+        self._last = message
+        return self._file(message)
+
+    def _renumber(self, message: TelemetryMessage) -> None:
+        """Find the offset of a life of the plant that is heard for the first time, or again."""
+        last, life, number = self._last, message.header.incarnation, message.header.scan
         if last is None or life != last.header.incarnation:
             self._offset = max((offset for its_life, offset in self._told.values() if its_life == life), default=0)
             if last is not None and number + self._offset < self.scan:
                 self._offset = self.scan + self.are_there - number
-        self._last = message
-        return self._file(message)
 
     @property
     def numbering(self) -> tuple[Incarnation, int]:

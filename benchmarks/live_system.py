@@ -12,7 +12,7 @@ from typing import Self
 import numpy as np
 
 from agents.access import COORDINATOR
-from agents.hearing import OVER_BEATS, is_old
+from agents.freshness import PATIENCE_BEATS, is_old
 from agents.keys import all_states, clock_key
 from agents.messages import StateMessage, decode
 from agents.presence import begin_life
@@ -148,7 +148,9 @@ class LiveSystem:
             silence = at - self.heard_at.get(state.header.sender, at)
             self.heard_at[state.header.sender] = at
             self._silence = max(self._silence, silence)
-            if last is None or not is_old(state.header, last.header, silence, OVER_BEATS * self.scenario.run.beat_s):
+            if last is None or not is_old(
+                state.header, last.header, silence, PATIENCE_BEATS * self.scenario.run.beat_s
+            ):
                 self.states[state.header.sender] = state
 
     def _estimate(self, scan: int) -> tuple[np.ndarray, np.ndarray]:

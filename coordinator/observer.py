@@ -15,7 +15,7 @@ from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from agents.hearing import FRESH_BEATS, OVER_BEATS, is_old
+from agents.freshness import FRESH_BEATS, PATIENCE_BEATS, is_old
 from agents.messages import StateMessage
 from agents.quality import GOOD, NONE, STALE, UNOBSERVABLE, Worth, weigh_from_outside
 from dsse_core.partition import Partition
@@ -109,7 +109,7 @@ class Observer:
         if watched is None or not self._is_of_its_area(state):
             return False
         last = watched.state
-        if last is not None and is_old(state.header, last.header, now - watched.heard_at, OVER_BEATS * self.beat_s):
+        if last is not None and is_old(state.header, last.header, now - watched.heard_at, PATIENCE_BEATS * self.beat_s):
             return False
         if last is not None and state.header.incarnation != last.header.incarnation:
             self._disturbed_at = now
@@ -196,7 +196,7 @@ class Observer:
     @property
     def _longest_wait_s(self) -> float:
         """After which waiting helps no more."""
-        return max(OVER_BEATS * self.beat_s, LEAST_DEAD_END_S)
+        return max(PATIENCE_BEATS * self.beat_s, LEAST_DEAD_END_S)
 
     def _find_dead_end(self, ages: Mapping[str, float]) -> str | None:
         """Why waiting helps no more, if it does not: the areas agree, on estimates that have been stale for long."""

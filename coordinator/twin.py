@@ -16,10 +16,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from agents.area_file import AreaFile
-from agents.choose_protocol import AgentProtocol, make_protocol
+from agents.choose_protocol import make_protocol
 from agents.events import Event, Finish, PresenceChanged, Publish, Received, Refused
 from agents.link import FaultyLinks
 from agents.messages import Header, Incarnation, Message, StateMessage, TelemetryMessage, decode
+from agents.protocol import AreaProtocol
 from agents.wire_checks import MessageError
 from coordinator.telemetry_messages import make_message
 from dsse_core.measurement import Measurement
@@ -66,7 +67,7 @@ class SimulatedBus:
         self.files = {content.area.name: content for content in files}
         self.states: dict[str, StateMessage] = {}
         self._refused: Counter[tuple[str, str]] = Counter()  # receiver, reason
-        self.protocols: dict[str, AgentProtocol] = {}
+        self.protocols: dict[str, AreaProtocol] = {}
         self.links: dict[str, FaultyLinks] = {}
         self.plant_speaks = True
         self._on_state = on_state

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
-from agents.hearing import is_old
+from agents.freshness import is_old
 from agents.keys import name_of_live, version_of
 from agents.messages import WIRE_VERSION, StateMessage, describe_other_version
 from agents.presence import MAX_NAMES, Presence

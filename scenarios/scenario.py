@@ -55,7 +55,7 @@ class Tolerances:
 
 @dataclass(frozen=True, slots=True)
 class RunSettings:
-    """``beat_s``: time between repeats of a message; ``timeout_s``: when a run without consensus ends.
+    """``beat_s``: time between two heartbeats at rest; ``timeout_s``: when a run without consensus ends.
 
     ``scan_s``: time between two scans, None where there is one only.
     """

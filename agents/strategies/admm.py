@@ -81,9 +81,6 @@ class Admm(Strategy):
         assert isinstance(last, AdmmMessage)
         return (message.iteration, message.weight, message.referenced) != (last.iteration, last.weight, last.referenced)
 
-    def awaits_answer(self, neighbour: Neighbour) -> bool:
-        return self._boundaries[neighbour.area].awaits_answer
-
     def find_refusal(self, message: BoundaryNews) -> str:
         assert isinstance(message, AdmmMessage)
         possible = (np.abs([message.r, message.r_before]) < LARGEST_R).all()

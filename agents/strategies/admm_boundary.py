@@ -64,10 +64,6 @@ class BoundaryIteration:
         """Whether it is the turn of the neighbour, which has spoken before."""
         return self.heard is not None and self.heard.iteration < self.k + self._defers
 
-    @property
-    def awaits_answer(self) -> bool:
-        return self.heard is None or self.is_owed
-
     def pull(self, penalty: float) -> BoundaryInformation | None:
         """The penalty on the area's y; None before anything is heard."""
         if self.heard is None or self.z is None:

@@ -27,7 +27,7 @@ class Knowledge:
 
     ``measurements``: its telemetry of the current scan, virtual measurements included. ``loads``: neighbour ->
     load message; ``boundary``: neighbour -> its newest boundary message; silent neighbours are absent from both.
-    ``present``: the neighbours that are on the bus.
+    ``present``: the neighbours that are there and hear this area.
     """
 
     measurements: tuple[Measurement, ...]
@@ -81,10 +81,6 @@ class Strategy(ABC):
     @abstractmethod
     def solve(self, known: Knowledge) -> tuple[Estimate | None, tuple[str, ...]]:
         """The estimate that ``known`` allows, None if it allows none, and in words what is missing."""
-
-    def awaits_answer(self, neighbour: Neighbour) -> bool:
-        """Whether nothing more can be done at this boundary until ``neighbour`` has answered the last message."""
-        return False
 
     def describe_backend(self) -> str:
         """For the log: what computes the exchange, and how often something else had to; empty without such a choice."""

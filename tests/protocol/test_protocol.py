@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from simulated_bus import SimulatedBus, area_files_of, bus_of
 
+from agents.choose_protocol import make_protocol
 from agents.events import Finish, PresenceChanged, Publish, Received, Refused, StopRequested
-from agents.messages import BoundaryMessage, Header, HeartbeatMessage, Incarnation, LoadMessage
-from agents.protocol import AreaProtocol
-from agents.strategies import make_strategy
+from agents.messages import AdmmMessage, BoundaryMessage, Header, HeartbeatMessage, Incarnation, LoadMessage
 from coordinator.twin import STARTED_AT
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
@@ -121,8 +120,8 @@ def area1():
     scenario = load_scenario("ieee33")
     content = area_files_of(scenario, strategy="angle-offset")[0]
     bus = SimulatedBus([content], {"area1": make_telemetry(scenario).by_area["area1"]})
-    (_, _, _, telemetry), *_ = [entry for entry in bus._queue if entry[2] == "area1"]
-    protocol = AreaProtocol(content, make_strategy(content), Incarnation(1, 1), now=0.0, started_at=STARTED_AT)
+    telemetry = next(e for _, _, name, e in bus._queue if name == "area1" and isinstance(e, Received))
+    protocol = make_protocol(content, Incarnation(1, 1), now=0.0, started_at=STARTED_AT)
     return protocol, telemetry, content
 
 
@@ -130,6 +129,10 @@ def load_from_area2(sequence=1, **changes):
     fields = {"run": "sim", "sender": "area2", "incarnation": Incarnation(5, 5), "scan": 1, "time": 0.0}
     bus = changes.pop("bus", 6)
     return LoadMessage(Header(sequence=sequence, **(fields | changes)), bus, 0.08 + sequence / 1000, 0.05, 0.001)
+
+
+def heartbeat_from_area2(received=(0, 0)):
+    return HeartbeatMessage(load_from_area2().header, 6, 0, 0, True, 0.0, received, False, False, ())
 
 
 def act(protocol, events, now):
@@ -152,21 +155,39 @@ def test_before_any_telemetry_an_area_says_that_it_has_none(area1):
     assert last_state(act(protocol, [], 0.0)).notes == ("no telemetry yet",)
 
 
-def test_nothing_new_means_nothing_said_until_the_beat(area1):
+def act_until(protocol, start, end):
+    """What it does by itself between two times."""
+    done, now = [], start
+    while (now := now + protocol.wait_s(now)) < end:
+        done += act(protocol, [], now)
+    return done
+
+
+def test_without_news_an_area_only_repeats_itself_until_the_beat(area1):
     protocol, telemetry, content = area1
-    assert act(protocol, [telemetry], 0.0)
+    first = [a.message for a in act(protocol, [telemetry], 0.0)]
     assert act(protocol, [telemetry], 0.01) == []
-    assert protocol.wait_s(0.01) == pytest.approx(content.beat_s - 0.01)
-    repeated = act(protocol, [], content.beat_s)
-    assert repeated
-    assert act(protocol, [], content.beat_s + 0.01) == []
+    told = {(m.kind, m.header.order) for m in first if m.kind != "state"}
+    quiet = {(m.kind, m.header.order) for m in (a.message for a in act_until(protocol, 0.01, content.beat_s))}
+    assert told <= quiet | {("heartbeat", (Incarnation(1, 1), 1))}
+    assert quiet <= told | {("heartbeat", (Incarnation(1, 1), 1))}
+    assert last_state(act(protocol, [], content.beat_s)).header.order == first[-1].header.order
 
 
-def test_a_repeat_is_the_same_message_with_the_same_sequence(area1):
+def test_a_repeat_is_the_same_message_with_the_same_number_and_stops_when_it_is_acknowledged(area1):
     protocol, telemetry, content = area1
     first = {a.to: a.message for a in act(protocol, [telemetry], 0.0) if a.message.kind == "boundary"}
-    again = {a.to: a.message for a in act(protocol, [], content.beat_s) if a.message.kind == "boundary"}
-    assert first == again != {}
+    again = [a for a in act_until(protocol, 0.0, 0.5 * content.beat_s) if a.message.kind == "boundary"]
+    assert {a.to for a in again} == first.keys() == {"area2", "area3"}
+    for action in again:
+        said = first[action.to]
+        assert action.message.header.order == said.header.order
+        assert (action.message.vm, action.message.va) == (said.vm, said.va)
+    now = 0.5 * content.beat_s
+    heard = Received(heartbeat_from_area2(received=(0, first["area2"].header.sequence)), "area2")
+    assert act(protocol, [heard], now)
+    later = [a.to for a in act_until(protocol, now, 2 * content.beat_s) if a.message.kind == "boundary"]
+    assert set(later) == {"area3"}
 
 
 @pytest.mark.parametrize(
@@ -188,11 +209,7 @@ def test_a_repeat_is_the_same_message_with_the_same_sequence(area1):
         (replace(load_from_area2(), p=1e300), "area2", "numbers beyond reason"),
         (replace(load_from_area2(), sigma=-0.1), "area2", "numbers beyond reason"),
         (BoundaryMessage(load_from_area2().header, 6, 0.0, 0.0, True), "area2", "numbers beyond reason"),
-        (
-            HeartbeatMessage(load_from_area2().header, 6, 0, 0, True, 0.0, -1, False, False, ()),
-            "area2",
-            "other strategy",
-        ),
+        (AdmmMessage(load_from_area2().header, 6, 1, (), (), (), True, True), "area2", "other strategy"),
     ],
 )
 def test_what_should_not_have_come_is_refused_and_counted(area1, message, key_sender, reason):
@@ -235,14 +252,17 @@ def test_payloads_that_cannot_be_decoded_are_counted_by_reason(area1):
 def test_an_overtaken_message_changes_nothing(area1):
     protocol, telemetry, _ = area1
     act(protocol, [telemetry, Received(load_from_area2(3), "area2")], 0.0)
-    assert act(protocol, [Received(load_from_area2(2), "area2")], 0.01) == []
+    said = act(protocol, [Received(load_from_area2(2), "area2")], 0.01)
+    assert [a.message.kind for a in said] == ["heartbeat"]  # which acknowledges the newest
 
 
 def test_a_message_of_a_former_life_changes_nothing(area1):
-    protocol, telemetry, _ = area1
+    protocol, telemetry, content = area1
     act(protocol, [telemetry, Received(load_from_area2(1), "area2")], 0.0)
     late = load_from_area2(99, incarnation=Incarnation(4, 9))
-    assert act(protocol, [Received(late, "area2")], 0.01) == []
+    assert {a.message.kind for a in act(protocol, [Received(late, "area2")], 0.01)} <= {"heartbeat"}
+    assert last_state(act(protocol, [], content.beat_s)).refused == {}
+    assert protocol._heard_loads() == {"area2": load_from_area2(1).load}
 
 
 def test_a_gone_neighbour_is_named(area1):

@@ -11,9 +11,8 @@ from exact_exchange import assert_equals_centralised, settle_bus
 from simulated_bus import SimulatedBus, area_files_of, with_links
 from tree_of_areas import tree_scenario
 
-from agents.hearing import FRESH_BEATS
+from agents.freshness import FRESH_BEATS, PATIENCE_BEATS
 from agents.messages import HeartbeatMessage
-from agents.peer_table import PATIENCE_BEATS
 from coordinator.simulation import Simulation
 from dsse_core.bad_data import process_bad_data
 from dsse_core.errors import NotObservableError
@@ -95,6 +94,18 @@ def test_a_cut_link_degrades_the_whole_feeder_after_three_beats(strategy: str):
     assert set(qualities(bus).values()) == {"degraded"}
     bus.heal("a", "b")
     bus.run(BEAT + 0.02)
+    assert set(qualities(bus).values()) == {"good"}
+
+
+@pytest.mark.parametrize("strategy", ["information", "angle-offset", "admm"])
+@pytest.mark.parametrize("direction", [("a", "b"), ("b", "a")])
+def test_a_link_that_passes_messages_one_way_only_leaves_no_area_good(strategy: str, direction: tuple[str, str]):
+    bus = five_areas_at_rest(strategy)
+    bus._cut = {direction}
+    bus.run((2 * PATIENCE_BEATS + FRESH_BEATS) * BEAT)  # one side falls silent for the other, which then hears so
+    assert "good" not in set(qualities(bus).values())
+    bus._cut = set()
+    bus.run(2 * BEAT)
     assert set(qualities(bus).values()) == {"good"}
 
 

@@ -35,12 +35,14 @@ def at_rest(tree: str = ROW, **changes: object) -> ToyBus:
 def lose_an_acknowledgement(seed: int) -> ToyBus:
     """At rest when b ends scan 2 with its neighbours and the answer of a is lost."""
     rng = np.random.default_rng(seed)
-    is_lost = False
+    is_lost, final = False, None
 
     def lose_one(sender, receiver, message):
-        nonlocal is_lost
+        nonlocal is_lost, final
+        if isinstance(message, DownMessage) and receiver == "a" and message.header.scan == 2 and message.k == 1:
+            final = message.header.sequence
         is_answer = sender == "a" and message.header.scan == 2 and isinstance(message, HeartbeatMessage)
-        if is_answer and message.received == 1 and not is_lost:
+        if is_answer and message.received[1] == final and not is_lost:
             is_lost = True
             return None
         return TRAVEL_S * float(rng.uniform(1.0, 1.5))

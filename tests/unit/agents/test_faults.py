@@ -175,7 +175,7 @@ def test_load_messages_are_biased_scaled_or_frozen_and_nothing_else_is():
     assert [(m.p, m.header.sequence) for m in frozen] == [(0.1, 1), (0.1, 2)]
 
 
-OF_ROUND = {"revision": 0, "k": 1, "hears": True, "answers": 0.0, "received": 0}
+OF_ROUND = {"revision": 0, "k": 1, "hears": True, "answers": 0.0, "received": (0, 0)}
 R = np.triu(np.arange(1.0, 17.0).reshape(4, 4))
 Y = np.array([0.2, 0.1, 0.98, 0.05])
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 from shown_states import said_by
 
-from agents.hearing import OVER_BEATS
+from agents.freshness import PATIENCE_BEATS
 from agents.messages import Header, Incarnation, StateMessage
 from coordinator.observer import Observer, Standing
 from coordinator.progress import describe_progress
@@ -181,8 +181,8 @@ def test_an_area_restarted_with_its_clock_set_back_is_heard_once_its_former_life
     last_heard = 3 * BEAT
     earlier = a_state(AREAS[0], vm=(1.01,) * len(a_state(AREAS[0]).buses))
     earlier = replace(earlier, header=replace(earlier.header, incarnation=Incarnation(0, 7)))
-    assert not observer.take_state(earlier, last_heard + OVER_BEATS * BEAT)
-    assert observer.take_state(earlier, last_heard + (OVER_BEATS + 1) * BEAT)
+    assert not observer.take_state(earlier, last_heard + PATIENCE_BEATS * BEAT)
+    assert observer.take_state(earlier, last_heard + (PATIENCE_BEATS + 1) * BEAT)
     assert observer.states[AREAS[0]].vm[0] == 1.01
 
 
@@ -232,7 +232,7 @@ def test_areas_that_agree_on_stale_estimates_are_no_consensus_and_after_long_a_d
     observer = watch(a_state("area2", quality="stale", telemetry_age=1.0))
     assert obstacles(observer) == "area2 has heard no telemetry for 1.0 s"
     assert observer.standing(3 * BEAT).dead_end is None
-    assert observer.standing((3 + OVER_BEATS) * BEAT).dead_end is None, "the plant may be slow"
+    assert observer.standing((3 + PATIENCE_BEATS) * BEAT).dead_end is None, "the plant may be slow"
     later = 5.0
     for state in (a_state("area1"), a_state("area3")):
         observer.take_state(state, later)
