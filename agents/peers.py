@@ -105,7 +105,7 @@ class Peer:
     y: tuple[float, ...] = ()
     told_term: Term = (0, 0)
     told_complete: bool = False
-    changed_at: float = -math.inf  # when it was last told anything new
+    changed_at: float = -math.inf  # when it was last told other ones
     told_time: float = 0.0  # send time of the last message to it, as that states it
     is_owed_word: bool = False  # what it has sent, or what has changed, is to be answered at once
     load: Outgoing[LoadMessage] = field(default_factory=Outgoing)

@@ -209,7 +209,6 @@ class AreaProtocol(ABC):
         """A new message, which is repeated until it is acknowledged."""
         peer = self._peers[name]
         peer.await_answer(sent, message, self._now)
-        peer.changed_at = self._now
         return self._publish(name, message)
 
     def _send_if_lacking(
