@@ -11,17 +11,17 @@ from dataclasses import replace
 from pathlib import Path
 from types import FrameType
 
-from agents.area_file import AreaFile
-from agents.area_reader import load_area_file
-from agents.choose_protocol import STRATEGIES
-from agents.credentials import load_keys
-from agents.events import StopRequested
-from agents.inbox import Inbox
-from agents.log_format import start_log
-from agents.loop import run_agent
-from agents.renewal import Renewal, on_hangup
-from agents.succession import REPLACED_CODE, ReplacedError
-from agents.transport import Session
+from agents.area_files.area_file import AreaFile
+from agents.area_files.reader import load_area_file
+from agents.protocol.choose import STRATEGIES
+from agents.protocol.events import StopRequested
+from agents.runtime.duplicate_guard import REPLACED_CODE, ReplacedError
+from agents.runtime.inbox import Inbox
+from agents.runtime.log_format import start_log
+from agents.runtime.loop import run_agent
+from agents.runtime.renewal import Renewal, on_hangup
+from agents.security.credentials import load_keys
+from agents.transport.zenoh_bus import Session
 from dsse_core import compiling
 from dsse_core.errors import DsseError, InvalidInputError
 from dsse_core.limits import LONGEST_S

@@ -7,13 +7,13 @@ from functools import cached_property
 
 import numpy as np
 
-from dsse_core.admittance import build_admittance
-from dsse_core.measurement import Measurement, MeasurementKind, Meter
-from dsse_core.measurement_model import build_measurement_model
-from dsse_core.network import Network
-from dsse_core.power_flow import PowerFlowResult, solve_power_flow
-from scenarios.generator import generate_feeder
-from scenarios.network_file import load_case
+from dsse_core.grid.admittance import build_admittance
+from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter
+from dsse_core.grid.measurement_model import build_measurement_model
+from dsse_core.grid.network import Network
+from dsse_core.power_flow.newton_raphson import PowerFlowResult, solve_power_flow
+from scenarios.files.network_file import load_case
+from scenarios.generate.feeder import generate_feeder
 
 IEEE33_BUSES = 33
 SEED = 7

@@ -7,10 +7,10 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from agents.messages import Message, StateMessage, decode
-from agents.quality import GOOD
+from agents.messages.packing import Message, StateMessage, decode
+from agents.protocol.quality import GOOD
 from benchmarks.fault_history import World
-from coordinator.twin import SimulatedBus
+from coordinator.simulator.simulator import SimulatedBus
 from dsse_core.link_faults import LinkFaults
 
 LOAD, HEARTBEAT = "load", "heartbeat"  # kinds that say nothing of a boundary

@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.fault_history import World, draw_meters, read_meters
-from dsse_core.bad_data import process_bad_data
-from dsse_core.division import build_partition
-from dsse_core.measurement import Measurement, Meter
-from dsse_core.network import Branch, Bus, Control, Generator, Network
-from dsse_core.partition import Partition
-from dsse_core.power_flow import solve_power_flow
-from scenarios.cutting import cut_into
-from scenarios.generator import generate_feeder
+from dsse_core.estimation.bad_data import process_bad_data
+from dsse_core.grid.division import build_partition
+from dsse_core.grid.measurement import Measurement, Meter
+from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
+from dsse_core.grid.partition import Partition
+from dsse_core.power_flow.newton_raphson import solve_power_flow
+from scenarios.generate.cutting import cut_into
+from scenarios.generate.feeder import generate_feeder
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 

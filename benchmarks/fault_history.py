@@ -14,19 +14,19 @@ from functools import partial
 
 import numpy as np
 
-from agents.area_file import AreaFile
-from agents.messages import StateMessage
-from agents.quality import GOOD
-from coordinator.twin import SimulatedBus
-from dsse_core.bad_data import BadDataReport, process_bad_data
-from dsse_core.division import build_partition
+from agents.area_files.area_file import AreaFile
+from agents.messages.packing import StateMessage
+from agents.protocol.quality import GOOD
+from coordinator.simulator.simulator import SimulatedBus
+from dsse_core.estimation.bad_data import BadDataReport, process_bad_data
+from dsse_core.grid.division import build_partition
+from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
+from dsse_core.grid.network import Network
+from dsse_core.grid.partition import Partition
 from dsse_core.link_faults import LinkFaults, Window
-from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
-from dsse_core.network import Network
-from dsse_core.partition import Partition
-from dsse_core.power_flow import PowerFlowResult, solve_power_flow
-from scenarios.cutting import cut_into
-from scenarios.generator import generate_feeder
+from dsse_core.power_flow.newton_raphson import PowerFlowResult, solve_power_flow
+from scenarios.generate.cutting import cut_into
+from scenarios.generate.feeder import generate_feeder
 
 Link = tuple[str, str]
 KIND = MeasurementKind

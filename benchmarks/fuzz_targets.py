@@ -19,23 +19,23 @@ from typing import Any
 import msgspec
 import tomli_w
 
-from agents import messages
-from agents.area_file import save_area_file
-from agents.area_reader import load_area_file
-from agents.boundary_variables import ONE_PHASE
-from agents.wire_checks import MessageError
+from agents.area_files.area_file import save_area_file
+from agents.area_files.reader import load_area_file
+from agents.messages import packing as messages
+from agents.messages.boundary_variables import ONE_PHASE
+from agents.messages.checks import MessageError
 from benchmarks import fuzz_parsing
 from benchmarks.fuzz_mutations import STEERING, spoil_bytes, spoil_text, spoil_tree
-from coordinator.live import format_view
-from coordinator.split import area_files
-from coordinator.watch import Watcher
+from coordinator.deployment.split import area_files
+from coordinator.observe.live import format_view
+from coordinator.observe.watch import Watcher
 from dsse_core.errors import InvalidInputError
-from dsse_core.verdict import Totals
+from dsse_core.estimation.verdict import Totals
+from scenarios.files.network_file import load_case, load_network
+from scenarios.files.readings_file import load_readings, save_readings
+from scenarios.files.shipped_files import find_shipped
 from scenarios.importers import import_grid
-from scenarios.network_file import load_case, load_network
-from scenarios.readings_file import load_readings, save_readings
 from scenarios.scenario import load_scenario
-from scenarios.shipped_files import find_shipped
 from scenarios.telemetry import make_telemetry
 
 

@@ -18,17 +18,17 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import click
 import numpy as np
 
-from agents.keys import all_lives, all_states, telemetry_key
-from agents.messages import StateMessage, decode
-from agents.presence import begin_life
-from agents.transport import Session
+from agents.messages.keys import all_lives, all_states, telemetry_key
+from agents.messages.packing import StateMessage, decode
+from agents.runtime.presence import begin_life
+from agents.transport.zenoh_bus import Session
 from benchmarks.helics_round_trip import time_helics_round_trips
 from benchmarks.machine import describe_machine
 from benchmarks.timed_agent import PING, PONG
-from coordinator.judging import estimate_centralised, prepare_scenario
-from coordinator.processes import Launcher
-from coordinator.split import write_area_files
-from coordinator.telemetry_messages import make_payloads
+from coordinator.deployment.split import write_area_files
+from coordinator.evaluation.evaluation import estimate_centralised, prepare_scenario
+from coordinator.plant.telemetry_messages import make_payloads
+from coordinator.process_run.processes import Launcher
 from dsse_core.errors import DsseError
 from scenarios.scenario import Scenario
 from scenarios.telemetry import make_telemetry
@@ -89,10 +89,12 @@ def _make_scan(scenario: Scenario, payloads: dict[str, bytes], draw: int) -> Sca
 @contextmanager
 def _start(scenario: Scenario, launcher: Launcher, folder: Path) -> Iterator[Session]:
     """Router, echo and agents as processes, and a session of ours; all are there."""
-    launcher.preload("coordinator.router_process", "benchmarks.timed_agent")
+    launcher.preload("coordinator.process_run.router_process", "benchmarks.timed_agent")
     said = folder / "router.endpoints"
     arguments = ["--listen", "tcp/127.0.0.1:0", "--endpoints-file", str(said)]
-    launcher.start("router", "coordinator.router_process:main", arguments, log=folder / "router.log", stop_last=True)
+    launcher.start(
+        "router", "coordinator.process_run.router_process:main", arguments, log=folder / "router.log", stop_last=True
+    )
     _wait(said.exists)
     endpoint = said.read_text().split()[0]
     launcher.start("echo", "benchmarks.timed_agent:run_echo", endpoint, log=folder / "echo.log")

@@ -11,17 +11,17 @@ from typing import Self
 
 import numpy as np
 
-from agents.access import COORDINATOR
-from agents.freshness import PATIENCE_BEATS, is_old
-from agents.keys import all_states, clock_key
-from agents.messages import StateMessage, decode
-from agents.presence import begin_life
-from coordinator.comparison import rows_of
-from coordinator.judging import estimate_centralised
-from coordinator.processes import Launcher, News
-from coordinator.run_clock import RunClock
-from coordinator.system import System
-from coordinator.zygote import Ended, Started
+from agents.messages.keys import all_states, clock_key
+from agents.messages.packing import StateMessage, decode
+from agents.protocol.freshness import PATIENCE_BEATS, is_old
+from agents.runtime.presence import begin_life
+from agents.security.access import COORDINATOR
+from coordinator.evaluation.comparison import rows_of
+from coordinator.evaluation.evaluation import estimate_centralised
+from coordinator.process_run.fork_server import Ended, Started
+from coordinator.process_run.processes import Launcher, News
+from coordinator.process_run.run_clock import RunClock
+from coordinator.process_run.system import System
 from scenarios.scenario import Scenario
 from scenarios.telemetry import make_telemetry
 
@@ -60,7 +60,9 @@ class LiveSystem:
 
     def __enter__(self) -> Self:
         try:
-            self._launcher.preload("coordinator.router_process", "agents.__main__", "coordinator.plant")
+            self._launcher.preload(
+                "coordinator.process_run.router_process", "agents.__main__", "coordinator.plant.plant"
+            )
             self.system.start_bus(lambda: self.take(LOOK_S) or None)
             self.system.start_agents()
             self.system.start_plant()

@@ -9,12 +9,12 @@ import numpy as np
 
 from benchmarks.cases import Case
 from benchmarks.method import TOLERANCE, State
-from dsse_core.bad_data import normalized_residuals
-from dsse_core.estimation import EstimationResult, estimate_with_plan
-from dsse_core.estimation_plan import Backend, EstimationPlan, build_estimation_plan
-from dsse_core.measurement import Meter
-from dsse_core.network import Network
-from dsse_core.residuals import chi_square_limit
+from dsse_core.estimation.bad_data import normalized_residuals
+from dsse_core.estimation.estimator import EstimationResult, estimate_with_plan
+from dsse_core.estimation.plan import Backend, EstimationPlan, build_estimation_plan
+from dsse_core.estimation.residuals import chi_square_limit
+from dsse_core.grid.measurement import Meter
+from dsse_core.grid.network import Network
 
 PACKAGE = "consensus-dsse"
 

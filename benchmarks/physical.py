@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dsse_core.errors import InvalidInputError
-from dsse_core.network import Network
+from dsse_core.grid.network import Network
 
 
 @dataclass(frozen=True)

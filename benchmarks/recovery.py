@@ -19,11 +19,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before anything loads nump
 
 import click
 
-from agents.access import ROUTER, SECOND_ROUTER
-from agents.quality import GOOD
+from agents.protocol.quality import GOOD
+from agents.security.access import ROUTER, SECOND_ROUTER
 from benchmarks.live_system import GAP, LiveSystem, States
 from benchmarks.machine import describe_machine
-from coordinator.judging import prepare_scenario
+from coordinator.evaluation.evaluation import prepare_scenario
 from scenarios.scenario import Scenario, load_scenario
 
 AREAS = 12

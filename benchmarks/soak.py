@@ -25,11 +25,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before anything loads nump
 import click
 import psutil
 
-from agents.access import PLANT, ROUTER
-from agents.quality import GOOD
+from agents.protocol.quality import GOOD
+from agents.security.access import PLANT, ROUTER
 from benchmarks.live_system import GAP, LiveSystem
 from benchmarks.machine import describe_machine
-from coordinator.judging import prepare_scenario
+from coordinator.evaluation.evaluation import prepare_scenario
 from scenarios.scenario import Scenario, load_scenario
 
 AREAS = 12

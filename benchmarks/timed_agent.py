@@ -11,12 +11,12 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import agents.doorkeeper
-import agents.link
+import agents.runtime.ingress_filter
+import agents.runtime.link
 from agents.__main__ import main as run_agent
-from agents.events import Action
-from agents.rounds import RoundsProtocol
-from agents.transport import Session
+from agents.protocol.events import Action
+from agents.protocol.rounds import RoundsProtocol
+from agents.transport.zenoh_bus import Session
 
 PING, PONG = "dsse/v2/latency/ping", "dsse/v2/latency/pong"
 
@@ -37,8 +37,8 @@ def run_timed_agent(area_file: str, out: str) -> int:
 
         return call
 
-    agents.doorkeeper.decode = timed("decode", agents.doorkeeper.decode)  # type: ignore[attr-defined]
-    agents.link.encode = timed("encode", agents.link.encode)  # type: ignore[attr-defined]
+    agents.runtime.ingress_filter.decode = timed("decode", agents.runtime.ingress_filter.decode)  # type: ignore[attr-defined]
+    agents.runtime.link.encode = timed("encode", agents.runtime.link.encode)  # type: ignore[attr-defined]
     handle = RoundsProtocol.handle
 
     def timed_handle(*arguments: Any) -> Iterator[Action]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks.cases import Case, build_case
 from benchmarks.method import Method, NotConvergedError, State
-from dsse_core.network import Network
+from dsse_core.grid.network import Network
 
 FEWEST_RUNS = 3
 

@@ -14,9 +14,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from coordinator.progress import Progress
-    from coordinator.result import RunResult
-    from scenarios.faults import LinkChanges
+    from coordinator.evaluation.result import RunResult
+    from coordinator.observe.progress import Progress
+    from scenarios.faults.faults import LinkChanges
     from scenarios.scenario import Scenario
 
 __all__ = ["run", "simulate"]
@@ -51,17 +51,17 @@ def run(
         TransportError: the router cannot listen where the scenario says.
     """
     started = time.monotonic()
-    from coordinator.processes import Launcher
+    from coordinator.process_run.processes import Launcher
 
     with Launcher() as launcher:  # the other processes' imports run beside ours
-        launcher.preload("coordinator.router_process", "agents.__main__", "coordinator.plant")
+        launcher.preload("coordinator.process_run.router_process", "agents.__main__", "coordinator.plant.plant")
         if secure or keys is not None:
-            launcher.preload("agents.access_file", "agents.certificate_checks")
-        from coordinator.run_scenario import run_scenario
+            launcher.preload("agents.security.access_file", "agents.security.certificate_checks")
+        from coordinator.process_run.run_scenario import run_scenario
 
         result = run_scenario(launcher, scenario, started, out, seed, strategy, timeout_s, on_update, secure, keys)
     if plots:
-        from coordinator.plots import draw_plots
+        from coordinator.report.plots import draw_plots
 
         draw_plots(result)
     return result
@@ -88,11 +88,11 @@ def simulate(
     Raises:
         InvalidInputError: the scenario, the folder or a link fault cannot be used.
     """
-    from coordinator.simulation import simulate_scenario
+    from coordinator.simulator.simulate import simulate_scenario
 
     result = simulate_scenario(scenario, out, seed, strategy, timeout_s, on_update, links or {})
     if plots:
-        from coordinator.plots import draw_plots
+        from coordinator.report.plots import draw_plots
 
         draw_plots(result)
     return result

@@ -36,10 +36,10 @@ def _run_agent(arguments: Sequence[str]) -> int:
 
 
 def _run_command(arguments: Sequence[str]) -> int:
-    from agents.heap import keep_small
-    from coordinator.cli import run_command, say_interrupted
-    from coordinator.compile_clock import clock
-    from coordinator.terminal import say
+    from agents.runtime.heap import keep_small
+    from coordinator.cli.main import run_command, say_interrupted
+    from coordinator.cli.terminal import say
+    from coordinator.process_run.compile_clock import clock
 
     keep_small()
     clock.say = say

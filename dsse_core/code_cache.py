@@ -130,8 +130,8 @@ def _for_owner_to_write() -> Iterator[None]:
 def _hash_of_sources() -> str:
     """Of all sources: compiled code holds what it calls and the constants that it uses, from other files, too."""
     digest = hashlib.sha256()
-    for path in sorted(SOURCES.glob("*.py")):
-        digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
+    for path in sorted(SOURCES.rglob("*.py")):
+        digest.update(str(path.relative_to(SOURCES)).encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()
 
 

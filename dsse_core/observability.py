@@ -14,13 +14,13 @@ import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
-from dsse_core.admittance import build_admittance, flat_start
-from dsse_core.augmented import AugmentedFactor, AugmentedPattern, reciprocal_row_lengths, scale_rows
 from dsse_core.errors import InvalidInputError, NotObservableError
-from dsse_core.measurement import MeasurementKind, Meter, find_meter_problems
-from dsse_core.measurement_model import MeasurementModel, build_measurement_model
-from dsse_core.network import Network
-from dsse_core.radial import find_tree, order_tableau
+from dsse_core.grid.admittance import build_admittance, flat_start
+from dsse_core.grid.measurement import MeasurementKind, Meter, find_meter_problems
+from dsse_core.grid.measurement_model import MeasurementModel, build_measurement_model
+from dsse_core.grid.network import Network
+from dsse_core.grid.radial_order import find_tree, order_tableau
+from dsse_core.matrices.augmented import AugmentedFactor, AugmentedPattern, reciprocal_row_lengths, scale_rows
 
 # Of the Jacobian with rows scaled to length 1. A feeder of 5,000 buses in a row with injection meters alone
 # has 1e-7, an impedance of 1e-5 p.u. among ordinary ones takes another 1e-3, round-off is 1e-15.

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from dsse_core.errors import InvalidInputError, NotObservableError
-from dsse_core.estimation_plan import build_estimation_plan
-from dsse_core.measurement import MeasurementKind, Meter, Source
-from dsse_core.network import Network
+from dsse_core.estimation.plan import build_estimation_plan
+from dsse_core.grid.measurement import MeasurementKind, Meter, Source
+from dsse_core.grid.network import Network
+from dsse_core.grid.partition import Area
 from dsse_core.observability import check_observable
-from dsse_core.partition import Area
 from scenarios.scenario import Scenario
 from scenarios.telemetry import find_missing_local_slacks
 

@@ -10,9 +10,9 @@ from typing import TypeVar
 
 import numpy as np
 
-from dsse_core.measurement import MeasurementKind, Meter, Source
-from dsse_core.network import Network
-from scenarios.scenario_file import MeasurementsTable, SigmaTable
+from dsse_core.grid.measurement import MeasurementKind, Meter, Source
+from dsse_core.grid.network import Network
+from scenarios.files.scenario_file import MeasurementsTable, SigmaTable
 
 KIND = MeasurementKind
 Place = TypeVar("Place", int, str)

@@ -9,23 +9,23 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from dsse_core.division import build_partition
 from dsse_core.errors import InvalidInputError
-from dsse_core.measurement import Measurement, Meter, Source
-from dsse_core.network import Network
-from dsse_core.partition import Partition
+from dsse_core.estimation.state_limits import StateLimits
+from dsse_core.grid.division import build_partition
+from dsse_core.grid.measurement import Measurement, Meter, Source
+from dsse_core.grid.network import Network
+from dsse_core.grid.partition import Partition
 from dsse_core.printable import printable
-from dsse_core.state_limits import StateLimits
-from scenarios.cutting import cut_at, cut_into
-from scenarios.fault_order import find_order_problems, find_time_problems
-from scenarios.faults import Faults, build_faults, find_link_problems, find_name_problems
+from scenarios.faults.faults import Faults, build_faults, find_link_problems, find_name_problems
+from scenarios.faults.order import find_order_problems, find_time_problems
+from scenarios.files.network_file import load_case, load_network
+from scenarios.files.readings_file import load_readings
+from scenarios.files.scenario_file import CountTable, ScenarioFile, SwitchesTable
+from scenarios.files.shipped_files import find_shipped
+from scenarios.files.strict_toml import load_strict
+from scenarios.files.wording import Suggestions, suggest
+from scenarios.generate.cutting import cut_at, cut_into
 from scenarios.meters import SigmaRule, build_meters, build_sigma_rule, find_place_problems, find_virtual_buses
-from scenarios.network_file import load_case, load_network
-from scenarios.readings_file import load_readings
-from scenarios.scenario_file import CountTable, ScenarioFile, SwitchesTable
-from scenarios.shipped_files import find_shipped
-from scenarios.strict_toml import load_strict
-from scenarios.wording import Suggestions, suggest
 
 AreaBuses = Mapping[str, Sequence[int]]
 RESERVED = {"all", "coordinator", "plant", "router", "router2"}

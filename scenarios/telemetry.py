@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dsse_core.boundary_load import boundary_loads, scheduled_load_messages
 from dsse_core.errors import InvalidInputError
-from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
-from dsse_core.power_flow import PowerFlowResult, solve_power_flow
+from dsse_core.exchange.boundary_load import boundary_loads, scheduled_load_messages
+from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
+from dsse_core.power_flow.newton_raphson import PowerFlowResult, solve_power_flow
 from scenarios.meter_noise import draw_noise
 from scenarios.meters import OTHER_POWER
 from scenarios.scenario import Scenario

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from agents.area_file import AreaFile
+from agents.area_files.area_file import AreaFile
 from agents.strategies.admm import Admm
 from agents.strategies.angle_offset import AngleOffset
 from agents.strategies.interface import Strategy

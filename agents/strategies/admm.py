@@ -1,4 +1,4 @@
-"""``admm``: consensus ADMM (``dsse_core.consensus_admm``), for comparison; its fixed point is the centralised estimate.
+"""``admm``: consensus ADMM (``dsse_core.exchange``), for comparison; its fixed point is the centralised estimate.
 
 An area waits for those of its neighbours whose turn it is, takes one step on its own telemetry and what its
 boundaries pull it to, and tells the neighbours (``admm_boundary``). Load messages and the local power flow only
@@ -9,16 +9,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from agents.area_file import AreaFile
-from agents.messages import AdmmMessage, BoundaryNews, Header
+from agents.area_files.area_file import AreaFile
+from agents.messages.packing import AdmmMessage, BoundaryNews, Header
 from agents.strategies.admm_boundary import ANGLE, MOVED, BoundaryIteration
 from agents.strategies.interface import Estimate, Knowledge, Strategy
 from agents.strategies.start import start_state
-from dsse_core.area_model import AreaModel, build_area_model
-from dsse_core.boundary_information import BEYOND_REASON, EXACT_SIGMA, VA
-from dsse_core.consensus_admm import compute_weight, pull, solve_damped_step
-from dsse_core.measurement import Measurement, MeasurementKind
-from dsse_core.partition import Neighbour
+from dsse_core.exchange.consensus_admm import compute_weight, pull, solve_damped_step
+from dsse_core.grid.measurement import Measurement, MeasurementKind
+from dsse_core.grid.partition import Neighbour
+from dsse_core.linear.area_model import AreaModel, build_area_model
+from dsse_core.linear.boundary_information import BEYOND_REASON, EXACT_SIGMA, VA
 
 MOST_STEPS = 50  # between two messages
 LARGEST_R = np.array([1e6, 1e6, 1e3, 1e3])  # p.u. and rad; from farther away z would not come back with all digits

@@ -14,10 +14,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from agents.messages import AdmmMessage
-from dsse_core.boundary_information import VA, BoundaryInformation
-from dsse_core.consensus_admm import RELAXATION, pull
-from dsse_core.partition import Neighbour
+from agents.messages.packing import AdmmMessage
+from dsse_core.exchange.consensus_admm import RELAXATION, pull
+from dsse_core.grid.partition import Neighbour
+from dsse_core.linear.boundary_information import VA, BoundaryInformation
 
 MOVED = 1e-10  # p.u., rad: what of z or r is worth another iteration
 ANGLE = np.arange(4) == VA

@@ -11,15 +11,15 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from agents.area_file import AreaFile
-from agents.messages import BoundaryMessage, BoundaryNews, Header
+from agents.area_files.area_file import AreaFile
+from agents.messages.packing import BoundaryMessage, BoundaryNews, Header
 from agents.strategies.interface import Estimate, Knowledge, Strategy
-from dsse_core.bad_data import BadDataReport, process_bad_data
-from dsse_core.boundary_load import NetLoad, add_loads, boundary_loads, measured_net_loads
 from dsse_core.errors import DsseError
-from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
-from dsse_core.partition import Neighbour
-from dsse_core.power_flow import solve_power_flow
+from dsse_core.estimation.bad_data import BadDataReport, process_bad_data
+from dsse_core.exchange.boundary_load import NetLoad, add_loads, boundary_loads, measured_net_loads
+from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
+from dsse_core.grid.partition import Neighbour
+from dsse_core.power_flow.newton_raphson import solve_power_flow
 
 BOUNDARY_INJECTION_SIGMA = 0.10  # of |S|: losses beyond are neglected, loads there are forecasts
 FLOOR_MVA = 1e-3

@@ -10,11 +10,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from agents.area_file import AreaFile
-from agents.messages import BoundaryNews, Header
-from dsse_core.boundary_load import NetLoad
-from dsse_core.measurement import Measurement
-from dsse_core.partition import Neighbour
+from agents.area_files.area_file import AreaFile
+from agents.messages.packing import BoundaryNews, Header
+from dsse_core.exchange.boundary_load import NetLoad
+from dsse_core.grid.measurement import Measurement
+from dsse_core.grid.partition import Neighbour
 
 LARGEST_VM = 10.0  # p.u.; an iteration that goes there wanders for long before it comes back, if it does
 LARGEST_VA = 1e3  # rad; digits are lost beyond

@@ -6,12 +6,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from agents.area_file import AreaFile
-from dsse_core.admittance import flat_start
-from dsse_core.boundary_load import NetLoad, boundary_loads
+from agents.area_files.area_file import AreaFile
 from dsse_core.errors import DsseError
-from dsse_core.partition import Area
-from dsse_core.power_flow import solve_power_flow
+from dsse_core.exchange.boundary_load import NetLoad, boundary_loads
+from dsse_core.grid.admittance import flat_start
+from dsse_core.grid.partition import Area
+from dsse_core.power_flow.newton_raphson import solve_power_flow
 
 
 def find_no_load(area: Area) -> tuple[np.ndarray, np.ndarray]:
@@ -20,7 +20,7 @@ def find_no_load(area: Area) -> tuple[np.ndarray, np.ndarray]:
 
 
 def start_state(content: AreaFile, heard: Mapping[str, NetLoad]) -> np.ndarray:
-    """``x`` of ``dsse_core.area_model.AreaModel``: the local power flow once load messages allow one, else flat."""
+    """``x`` of ``AreaModel``: the local power flow once load messages allow one, else flat."""
     area, network = content.area, content.area.network
     vm, va = find_no_load(area)
     loads = boundary_loads(area, heard, content.load_error)

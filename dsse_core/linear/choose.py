@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal
 
+from dsse_core.grid.partition import Area
 from dsse_core.linear.dense import DenseRows
 from dsse_core.linear.interface import LinearArea, Rows
 from dsse_core.linear.no_load import NoLoadSolver
 from dsse_core.linear.radial import RadialSolver, find_no_tree
 from dsse_core.linear.rows import RowSolver
 from dsse_core.linear.sparse import SparseRows
-from dsse_core.partition import Area
 
 if TYPE_CHECKING:
-    from dsse_core.area_model import AreaModel
+    from dsse_core.linear.area_model import AreaModel
 
 Backend = Literal["auto", "tree", "sparse", "dense"]
 TREE_FROM = 60  # buses of an area, from which the tree repays the loading of numba

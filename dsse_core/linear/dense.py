@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from dsse_core.augmented_dense import DenseFactor
-from dsse_core.boundary_information import ROUNDING
+from dsse_core.grid.measurement_model import stack_models
+from dsse_core.grid.partition import Neighbour
+from dsse_core.linear.boundary_information import ROUNDING
 from dsse_core.linear.interface import Heard, Matrix, Rows
-from dsse_core.measurement_model import stack_models
-from dsse_core.partition import Neighbour
+from dsse_core.matrices.augmented_dense import DenseFactor
 
 if TYPE_CHECKING:
-    from dsse_core.area_model import AreaModel
+    from dsse_core.linear.area_model import AreaModel
 
 
 class DenseRows(Rows):

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Protocol, Self, TypeAlias
 import numpy as np
 import scipy.sparse as sp
 
-from dsse_core.boundary_information import BoundaryInformation
-from dsse_core.partition import Neighbour
+from dsse_core.grid.partition import Neighbour
+from dsse_core.linear.boundary_information import BoundaryInformation
 
 if TYPE_CHECKING:
-    from dsse_core.area_model import AreaModel
+    from dsse_core.linear.area_model import AreaModel
 
 Matrix: TypeAlias = sp.csr_array | np.ndarray
 Heard: TypeAlias = Mapping[str, BoundaryInformation]

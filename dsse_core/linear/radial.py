@@ -14,7 +14,9 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from dsse_core.boundary_information import (
+from dsse_core.grid.network import Network
+from dsse_core.grid.partition import Neighbour
+from dsse_core.linear.boundary_information import (
     NOTHING_OF_VOLTAGE,
     BoundaryInformation,
     factor_information,
@@ -22,9 +24,7 @@ from dsse_core.boundary_information import (
     put_together,
 )
 from dsse_core.linear.interface import NOT_YET, NOT_YET_OF_POWER, Heard, LinearArea
-from dsse_core.network import Network
-from dsse_core.partition import Neighbour
-from dsse_core.tree_plan import (
+from dsse_core.radial.plan import (
     N_SLOT,
     TreeLayout,
     find_slots,
@@ -35,8 +35,8 @@ from dsse_core.tree_plan import (
 )
 
 if TYPE_CHECKING:
-    from dsse_core.area_model import AreaModel
-    from dsse_core.tree_kernel import Work
+    from dsse_core.linear.area_model import AreaModel
+    from dsse_core.radial.kernel import Work
 
 LEAST_OF_FLOW = 1e-12  # information given to powers through branches that nothing determines yet
 LEAST_OF_POWER = 1e-11  # the same of powers into children
@@ -112,7 +112,7 @@ class RadialSolver(LinearArea):
 
     def _find_step(self, x: np.ndarray, heard: Heard, damping: tuple[float, float]) -> np.ndarray | None:
         """``damping``: of voltages and of powers."""
-        from dsse_core import tree_boundary as tree
+        from dsse_core.radial import boundary as tree
 
         t = self._pass(self._top, x, heard, damping, 0.0)
         if t is None:
@@ -130,7 +130,7 @@ class RadialSolver(LinearArea):
     def _find_variances(
         self, x: np.ndarray, heard: Heard, damping: tuple[float, float]
     ) -> tuple[np.ndarray, np.ndarray] | None:
-        from dsse_core import tree_boundary as tree
+        from dsse_core.radial import boundary as tree
 
         t = self._pass(self._top, x, heard, damping, 0.0)
         if t is None:
@@ -146,7 +146,7 @@ class RadialSolver(LinearArea):
         return variance, omega.ravel()[t.slot]
 
     def _find_information(self, x: np.ndarray, neighbour: Neighbour, heard: Heard) -> BoundaryInformation | None:
-        from dsse_core import tree_root
+        from dsse_core.radial import root as tree_root
 
         others_there = sum(n.bus == neighbour.bus for n in self._area.neighbours) > 1
         if neighbour.is_parent and others_there:
@@ -190,7 +190,7 @@ class RadialSolver(LinearArea):
         least_of_flow: float,
         addressee: str = "",
     ) -> _Rooted | None:
-        from dsse_core import tree_boundary as tree
+        from dsse_core.radial import boundary as tree
 
         t = self._rooted.get(root) or self._root_at(root)
         for k, n in enumerate(self._area.neighbours):
@@ -212,8 +212,8 @@ class RadialSolver(LinearArea):
         self.declined[why] += 1
 
     def _root_at(self, bus: int) -> _Rooted:
-        from dsse_core import tree_kernel
-        from dsse_core.tree_boundary import N_TOLD
+        from dsse_core.radial import kernel as tree_kernel
+        from dsse_core.radial.boundary import N_TOLD
 
         network, neighbours = self._area.network, self._area.neighbours
         layout = lay_out_tree(network, bus)

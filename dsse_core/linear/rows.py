@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from dsse_core.boundary_information import (
+from dsse_core.grid.partition import Neighbour
+from dsse_core.linear.boundary_information import (
     NOTHING_OF_VOLTAGE,
     VA,
     BoundaryInformation,
@@ -17,10 +18,9 @@ from dsse_core.boundary_information import (
     put_together,
 )
 from dsse_core.linear.interface import NOT_YET, NOT_YET_OF_POWER, Factor, Heard, LinearArea, Matrix, Rows
-from dsse_core.partition import Neighbour
 
 if TYPE_CHECKING:
-    from dsse_core.area_model import AreaModel
+    from dsse_core.linear.area_model import AreaModel
 
 PRIOR_SIGMA = 0.3  # p.u. and rad: a voltage lies that near to what it was, whatever happens
 MOST_TURNS = 4  # of the axes of (p, q)

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 import scipy.sparse as sp
 
-from dsse_core.augmented import AugmentedFactor
-from dsse_core.boundary_information import ROUNDING
+from dsse_core.grid.partition import Neighbour
+from dsse_core.linear.boundary_information import ROUNDING
 from dsse_core.linear.interface import Heard, Matrix, Rows
-from dsse_core.partition import Neighbour
+from dsse_core.matrices.augmented import AugmentedFactor
 
 if TYPE_CHECKING:
-    from dsse_core.area_model import AreaModel
+    from dsse_core.linear.area_model import AreaModel
 
 
 class SparseRows(Rows):

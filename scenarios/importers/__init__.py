@@ -9,8 +9,8 @@ from dsse_core.bounded_file import read_text
 from dsse_core.bounded_parsing import parse_json
 from dsse_core.errors import InvalidInputError
 from dsse_core.printable import printable
+from scenarios.files.physical_ranges import find_range_problems
 from scenarios.importers.imported import Imported
-from scenarios.physical_ranges import find_range_problems
 
 __all__ = ["Imported", "import_grid"]
 

@@ -7,11 +7,11 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from dsse_core.errors import InvalidInputError
-from dsse_core.network import Branch, Bus, Network
+from dsse_core.grid.network import Branch, Bus, Network
 from dsse_core.printable import listed
+from scenarios.files.network_file import default_branch_id
+from scenarios.files.physical_ranges import find_range_problems
 from scenarios.importers.imported import Remark, add_shunts, fuse, fused_remarks
-from scenarios.network_file import default_branch_id
-from scenarios.physical_ranges import find_range_problems
 
 
 def fuse_zero_impedances(network: Network) -> tuple[Network, list[Remark]]:

@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import Literal
 
-from dsse_core.admittance import build_admittance
 from dsse_core.errors import InvalidInputError
+from dsse_core.grid.admittance import build_admittance
+from dsse_core.grid.measurement import Measurement, Meter
+from dsse_core.grid.network import Branch, Bus, Control, Network
 from dsse_core.limits import LARGEST_SIGMA
-from dsse_core.measurement import Measurement, Meter
-from dsse_core.network import Branch, Bus, Control, Network
 from dsse_core.printable import listed
 
 SAYS_NOTHING = f"with a standard deviation above {LARGEST_SIGMA:g} p.u., infinite ones included, which says nothing"

@@ -8,10 +8,10 @@ from pathlib import Path
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.limits import LONGEST_NAME
-from scenarios.cutting import cut_into
+from scenarios.files.network_file import format_toml, save_network
+from scenarios.files.readings_file import save_readings
+from scenarios.generate.cutting import cut_into
 from scenarios.importers.imported import Imported
-from scenarios.network_file import format_toml, save_network
-from scenarios.readings_file import save_readings
 
 FILES = ("network.toml", "scenario.toml", "readings.csv", "import.txt")
 LONGEST_KIND = 8

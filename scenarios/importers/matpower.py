@@ -7,8 +7,9 @@ from pathlib import Path
 
 from dsse_core.bounded_file import read_text
 from dsse_core.errors import InvalidInputError
-from dsse_core.network import Branch, Bus, Control, Generator, Network
+from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from dsse_core.printable import listed
+from scenarios.files.network_file import default_branch_id
 from scenarios.importers.fused_branches import fuse_zero_impedances
 from scenarios.importers.imported import (
     Imported,
@@ -19,7 +20,6 @@ from scenarios.importers.imported import (
     without_buses,
 )
 from scenarios.importers.matpower_program import BASE_KV, BR_R, BR_X, PD, QD, Case, Matrix, run_program
-from scenarios.network_file import default_branch_id
 
 BUS_I, BUS_TYPE, GS, BS, VA_BUS = 0, 1, 4, 5, 8
 F_BUS, T_BUS, BR_B, TAP, SHIFT, BR_STATUS = 0, 1, 4, 8, 9, 10

@@ -14,8 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from dsse_core.errors import InvalidInputError
-from dsse_core.network import Branch, Bus, Control, Generator, Network
+from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from dsse_core.printable import listed, on_one_line
+from scenarios.files.network_file import default_branch_id
+from scenarios.files.zero_impedances import refuse_zero_impedances
 from scenarios.importers.imported import (
     Imported,
     Remark,
@@ -30,8 +32,6 @@ from scenarios.importers.matpower_program import BASE_KV, BR_R, BR_X, PD, QD
 from scenarios.importers.pandapower_checks import find_broken, find_constant_currents, find_unsupported
 from scenarios.importers.pandapower_objects import write_anew
 from scenarios.importers.pandapower_unread import find_unread
-from scenarios.network_file import default_branch_id
-from scenarios.zero_impedances import refuse_zero_impedances
 
 BRANCHES = ("line", "trafo", "impedance", "switch")
 COUNTED = ("line", "trafo", "impedance", "load", "gen", "shunt", "ward", "motor", "storage")

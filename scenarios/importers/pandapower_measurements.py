@@ -10,8 +10,8 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from dsse_core.errors import InvalidInputError
+from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter
 from dsse_core.limits import LARGEST_SIGMA
-from dsse_core.measurement import Measurement, MeasurementKind, Meter
 from dsse_core.printable import listed
 from scenarios.importers.imported import SAYS_NOTHING, Remark, combine_readings, sum_readings
 

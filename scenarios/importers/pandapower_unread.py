@@ -11,9 +11,9 @@ from collections.abc import Iterator
 from typing import Any
 
 from dsse_core.printable import listed, shortened
+from scenarios.files.wording import Suggestions
 from scenarios.importers.imported import Remark
 from scenarios.importers.pandapower_checks import ALL_COLUMNS
-from scenarios.wording import Suggestions
 
 LONGEST_SHOWN = 80  # characters of a name
 NOT_NEEDED = {"bus_geodata", "line_geodata", "characteristic", "poly_cost", "pwl_cost", "group", "measurement"}

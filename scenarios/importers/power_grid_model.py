@@ -13,7 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from dsse_core.errors import InvalidInputError
-from dsse_core.network import Branch, Bus, Control, Generator, Network
+from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
+from scenarios.files.network_file import default_branch_id
+from scenarios.files.physical_ranges import find_base_problems
+from scenarios.files.zero_impedances import refuse_zero_impedances
 from scenarios.importers.imported import (
     Imported,
     Remark,
@@ -37,9 +40,6 @@ from scenarios.importers.power_grid_model_data import (
     rows,
     working_sources,
 )
-from scenarios.network_file import default_branch_id
-from scenarios.physical_ranges import find_base_problems
-from scenarios.zero_impedances import refuse_zero_impedances
 
 BASE_VA = 1e6
 IN_PARALLEL = "links join its two ends, it carries nothing; what it draws stays as a shunt"

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from dsse_core.printable import listed, shortened
+from scenarios.files.wording import Suggestions
 from scenarios.importers.imported import Remark
-from scenarios.wording import Suggestions
 
 DESCRIPTION = "extra"
 """Where power-grid-model-io puts what a component is called in its source; nothing electric."""

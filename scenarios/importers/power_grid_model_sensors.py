@@ -13,8 +13,8 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from dsse_core.errors import InvalidInputError
+from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter
 from dsse_core.limits import LARGEST_SIGMA
-from dsse_core.measurement import Measurement, MeasurementKind, Meter
 from dsse_core.printable import listed
 from scenarios.importers.imported import SAYS_NOTHING, Remark, combine_readings, sum_readings
 from scenarios.importers.power_grid_model_data import APPLIANCES, rows

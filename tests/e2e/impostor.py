@@ -13,10 +13,10 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
-from agents.access import Access
-from agents.bus_config import at_once, bus_config, in_the_background
-from agents.credentials import Keys, credentials_in
-from coordinator.certificates import HERE, _host
+from agents.security.access import Access
+from agents.security.credentials import Keys, credentials_in
+from agents.transport.bus_config import at_once, bus_config, in_the_background
+from coordinator.deployment.certificates import HERE, _host
 
 DEADLINE_S = 30.0
 

@@ -9,13 +9,13 @@ from pathlib import Path
 from dsse_command import free_endpoint
 from system_by_hand import SystemByHand
 
-from agents.access import Access
-from agents.keys import telemetry_key
-from agents.presence import begin_life
-from coordinator.certificates import access_of, create_keys
-from coordinator.places import choose_places
-from coordinator.split import write_area_files
-from coordinator.telemetry_messages import make_payloads
+from agents.messages.keys import telemetry_key
+from agents.runtime.presence import begin_life
+from agents.security.access import Access
+from coordinator.deployment.certificates import access_of, create_keys
+from coordinator.deployment.endpoints import choose_places
+from coordinator.deployment.split import write_area_files
+from coordinator.plant.telemetry_messages import make_payloads
 from scenarios.scenario import load_scenario
 
 RUN = "ieee33"

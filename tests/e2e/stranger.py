@@ -19,12 +19,12 @@ from pathlib import Path
 
 from impostor import Impostor
 
-from agents.access import Access
-from agents.credentials import Keys
-from agents.keys import all_from_neighbours, all_lives, neighbour_key, state_key, telemetry_key
-from agents.presence import begin_life
-from agents.transport import Session, TransportError
-from coordinator.telemetry_messages import make_payloads
+from agents.messages.keys import all_from_neighbours, all_lives, neighbour_key, state_key, telemetry_key
+from agents.runtime.presence import begin_life
+from agents.security.access import Access
+from agents.security.credentials import Keys
+from agents.transport.zenoh_bus import Session, TransportError
+from coordinator.plant.telemetry_messages import make_payloads
 from scenarios.scenario import load_scenario
 
 RUN = "ieee33"

@@ -15,14 +15,14 @@ from typing import Self
 from dsse_command import COMMAND, ENVIRONMENT, free_endpoint
 from waiting import DEADLINE_S
 
-from agents.credentials import load_keys
-from agents.keys import all_live, all_states, name_of_live
-from agents.messages import StateMessage, decode
-from agents.presence import Presence
-from agents.transport import Session
-from agents.wire_checks import MessageError
-from coordinator.comparison import Gap, compare
-from coordinator.judging import estimate_centralised, make_observer
+from agents.messages.checks import MessageError
+from agents.messages.keys import all_live, all_states, name_of_live
+from agents.messages.packing import StateMessage, decode
+from agents.runtime.presence import Presence
+from agents.security.credentials import load_keys
+from agents.transport.zenoh_bus import Session
+from coordinator.evaluation.comparison import Gap, compare
+from coordinator.evaluation.evaluation import estimate_centralised, make_observer
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 

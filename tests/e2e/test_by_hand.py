@@ -11,9 +11,9 @@ from pathlib import Path
 
 from dsse_command import COMMAND, ENVIRONMENT, free_endpoint
 
-from agents.keys import all_states
-from agents.messages import StateMessage, decode
-from agents.transport import Session
+from agents.messages.keys import all_states
+from agents.messages.packing import StateMessage, decode
+from agents.transport.zenoh_bus import Session
 
 DEADLINE_S = 30.0
 
@@ -22,7 +22,7 @@ def test_agents_started_by_hand_agree_and_end_with_exit_code_0(dsse, tmp_path: P
     endpoint = free_endpoint()
     assert dsse("split", "industrial13", "--out", "areas", "--connect", endpoint).returncode == 0
     commands = [
-        [sys.executable, "-m", "coordinator.router_process", "--listen", endpoint],
+        [sys.executable, "-m", "coordinator.process_run.router_process", "--listen", endpoint],
         [*COMMAND, "agent", str(tmp_path / "areas" / "area1.toml")],
         [sys.executable, "-m", "agents", str(tmp_path / "areas" / "area2.toml")],
         [*COMMAND, "plant", "industrial13", "--connect", endpoint],

@@ -21,7 +21,7 @@ import os, sys
 os.access = lambda *_: False  # as in an administrator's folder; root may write everywhere
 from dsse_core import compiling
 from dsse_core.code_cache import find_folder_to_keep_in
-from agents.warm_up import warm_up, warm_up_estimate
+from agents.runtime.warm_up import warm_up, warm_up_estimate
 compiling.listen(lambda begins, folder: sys.exit("compiles"))
 assert find_folder_to_keep_in() is None
 warm_up()

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 import coordinator
-from coordinator.report import format_verdict
-from coordinator.result import RunResult
+from coordinator.evaluation.result import RunResult
+from coordinator.report.text import format_verdict
 
 KINDS = {
     "ieee33-bursts": {"lost in a burst"},

@@ -16,8 +16,8 @@ from system_by_hand import SystemByHand, Watcher
 from tcp_fault_proxy import TcpFaultProxy
 from waiting import DEADLINE_S, wait_until
 
-from coordinator.comparison import Gap
-from coordinator.split import write_area_files
+from coordinator.deployment.split import write_area_files
+from coordinator.evaluation.comparison import Gap
 from scenarios.scenario import load_scenario
 
 RUN = "ieee33"

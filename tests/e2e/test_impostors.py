@@ -17,11 +17,11 @@ from shown_states import a_state
 from system_by_hand import Watcher
 from waiting import wait_until
 
-from agents.access import Access, find_rights
-from agents.keys import all_live, all_lives, state_key, telemetry_key
-from agents.messages import Header, encode
-from agents.presence import begin_life
-from coordinator.certificates import create_keys
+from agents.messages.keys import all_live, all_lives, state_key, telemetry_key
+from agents.messages.packing import Header, encode
+from agents.runtime.presence import begin_life
+from agents.security.access import Access, find_rights
+from coordinator.deployment.certificates import create_keys
 
 ROUNDS = 200
 

@@ -50,14 +50,14 @@ def interrupted_at(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[
     ("command", "module"),
     [
         ("check ieee33", "click"),
-        ("check ieee33", "coordinator.cli"),
+        ("check ieee33", "coordinator.cli.main"),
         ("check ieee33", "numpy"),
         ("check ieee33", "numpy._core.multiarray"),
         ("check ieee33", "numpy._core._exceptions"),  # by compiled code, which makes an ImportError of it
         ("estimate ieee33", "scipy.sparse"),
-        ("agent areas/area1.toml", "agents.transport"),
+        ("agent areas/area1.toml", "agents.transport.zenoh_bus"),
         ("plant ieee33", "numpy"),
-        ("run ieee33 --out out", "coordinator.run_scenario"),
+        ("run ieee33 --out out", "coordinator.process_run.run_scenario"),
         ("run ieee33 --out out", "numpy"),
         ("run ieee33 --out out", "zenoh"),
         ("run ieee33 --out out", "scenarios.telemetry"),

@@ -14,7 +14,7 @@ import pytest
 from dsse_command import COMMAND, ENVIRONMENT
 from waiting import DEADLINE_S
 
-from coordinator.events import EventLog
+from coordinator.observe.events import EventLog
 
 
 def run_limited(folder: Path, limit: int, value: int, *arguments: str) -> subprocess.CompletedProcess[str]:

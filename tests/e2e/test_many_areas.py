@@ -11,7 +11,7 @@ import coordinator
 
 
 def test_where_areas_are_many_the_plant_starts_when_all_are_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("coordinator.run_scenario.MANY_AREAS", 2)
+    monkeypatch.setattr("coordinator.process_run.run_scenario.MANY_AREAS", 2)
     result = coordinator.run("industrial13", out=tmp_path / "out", plots=False)
     assert result.verdict.consensus, result.verdict.reason
     events = [json.loads(line) for line in (tmp_path / "out" / "events.jsonl").read_text().splitlines()]
@@ -22,8 +22,8 @@ def test_where_areas_are_many_the_plant_starts_when_all_are_there(tmp_path: Path
 
 
 def test_who_is_there_begins_when_others_have_not_joined_in_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("coordinator.run_scenario.MANY_AREAS", 2)
-    monkeypatch.setattr("coordinator.run_scenario.JOIN_SHARE", 0.0)
+    monkeypatch.setattr("coordinator.process_run.run_scenario.MANY_AREAS", 2)
+    monkeypatch.setattr("coordinator.process_run.run_scenario.JOIN_SHARE", 0.0)
     result = coordinator.run("industrial13", out=tmp_path / "out", plots=False)
     assert result.verdict.consensus, result.verdict.reason
 
@@ -32,8 +32,8 @@ def test_an_interrupt_before_all_have_joined_leaves_a_result(tmp_path: Path, mon
     def interrupt(_: object) -> bool:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("coordinator.run_scenario.MANY_AREAS", 2)
-    monkeypatch.setattr("coordinator.run_scenario._is_time_to_begin", interrupt)
+    monkeypatch.setattr("coordinator.process_run.run_scenario.MANY_AREAS", 2)
+    monkeypatch.setattr("coordinator.process_run.run_scenario._is_time_to_begin", interrupt)
     with pytest.raises(KeyboardInterrupt):
         coordinator.run("industrial13", out=tmp_path / "out", plots=False)
     assert json.loads((tmp_path / "out" / "result.json").read_text())["verdict"]["reason"] == "interrupted"

@@ -17,12 +17,12 @@ from dsse_command import ROOT
 from waiting import DEADLINE_S, wait_until
 
 import coordinator
-from agents.inbox import Inbox
-from agents.keys import all_states
-from agents.messages import decode
-from agents.transport import Session
-from coordinator.compile_clock import clock
-from coordinator.progress import Progress
+from agents.messages.keys import all_states
+from agents.messages.packing import decode
+from agents.runtime.inbox import Inbox
+from agents.transport.zenoh_bus import Session
+from coordinator.observe.progress import Progress
+from coordinator.process_run.compile_clock import clock
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])

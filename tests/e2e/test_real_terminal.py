@@ -19,10 +19,10 @@ from dsse_command import COMMAND, ENVIRONMENT, ROOT, free_endpoint
 from system_by_hand import SystemByHand
 from waiting import DEADLINE_S, wait_until
 
-from agents.keys import live_key, state_key
-from agents.messages import Header, StateMessage, encode
-from agents.presence import begin_life
-from agents.transport import Session
+from agents.messages.keys import live_key, state_key
+from agents.messages.packing import Header, StateMessage, encode
+from agents.runtime.presence import begin_life
+from agents.transport.zenoh_bus import Session
 
 NOTE = "[/nope] \x1b]0;owned\x07 \x1b[2J \x9b2J \rconsensus\n [bold]$\\frac$ \u202e"
 SHOWN = r"[/nope] \x1b]0;owned\x07 \x1b[2J \x9b2J \rconsensus\n [bold]$\frac$ \u202e"

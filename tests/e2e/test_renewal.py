@@ -16,11 +16,11 @@ from keys_by_hand import AREAS, RUN, KeysByHand, scenario_of
 from system_by_hand import Watcher
 from waiting import wait_until
 
-from agents.access_file import ACCESS_FILE, load_access, save_access
-from agents.credentials import load_keys
-from agents.keys import all_from_neighbours, all_live, state_key, telemetry_key
-from agents.transport import Session, TransportError
-from coordinator.certificates import create_keys
+from agents.messages.keys import all_from_neighbours, all_live, state_key, telemetry_key
+from agents.security.access_file import ACCESS_FILE, load_access, save_access
+from agents.security.credentials import load_keys
+from agents.transport.zenoh_bus import Session, TransportError
+from coordinator.deployment.certificates import create_keys
 
 OPEN_AGAIN = "open again with the keys of now, after "
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import coordinator
-from agents.faults import draw_fate
-from coordinator.result import RunResult
+from agents.runtime.link_faults import draw_fate
+from coordinator.evaluation.result import RunResult
 from scenarios.scenario import Scenario, load_scenario
 
 GOLDEN = Path(__file__).parents[1] / "golden"

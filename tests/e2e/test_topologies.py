@@ -12,7 +12,7 @@ from dsse_command import COMMAND, ENVIRONMENT
 from verdicts import assert_centralised
 from waiting import DEADLINE_S, wait_until
 
-from agents.area_reader import load_area_file
+from agents.area_files.reader import load_area_file
 
 RESTARTS = """
 [[faults.events]]

@@ -11,7 +11,7 @@ from dsse_command import COMMAND, ENVIRONMENT
 from system_by_hand import SystemByHand, Watcher, prepare_by_hand
 from waiting import DEADLINE_S, wait_until
 
-from agents.succession import REPLACED_CODE
+from agents.runtime.duplicate_guard import REPLACED_CODE
 
 
 @pytest.mark.parametrize("secured", [False, True], ids=["open", "secured"])

@@ -107,7 +107,7 @@ def test_a_bus_without_a_run_and_a_bus_that_is_not_there_are_told_apart(dsse):
     done = dsse("watch", "--connect", endpoint, "--timeout", "0.3")
     assert done.returncode == 2
     assert f"cannot reach {endpoint}" in done.stderr
-    router = subprocess.Popen([sys.executable, "-m", "coordinator.router_process", "--listen", endpoint])
+    router = subprocess.Popen([sys.executable, "-m", "coordinator.process_run.router_process", "--listen", endpoint])
     try:
         done = dsse("watch", "--connect", endpoint, "--timeout", "3")
         assert done.returncode == 2

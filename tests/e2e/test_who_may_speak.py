@@ -21,8 +21,8 @@ from stranger import RUN
 from system_by_hand import SystemByHand, Watcher
 from waiting import DEADLINE_S, wait_until
 
-from coordinator.certificates import access_of, create_keys
-from coordinator.split import write_area_files
+from coordinator.deployment.certificates import access_of, create_keys
+from coordinator.deployment.split import write_area_files
 from scenarios.scenario import load_scenario
 
 AREAS = ("area1", "area2", "area3")

@@ -12,7 +12,7 @@ import pytest
 from dsse_command import ROOT, free_endpoint
 
 import coordinator
-import coordinator.system
+import coordinator.process_run.system
 
 AREA1 = "buses = [1, 2, 3, 4, 5, 6, 19, 20, 21, 22, 23, 24, 25]"
 AREA2 = "buses = [16, 17, 18, 15, 14, 13, 12, 11, 10, 9, 8, 7, 6]"
@@ -178,7 +178,7 @@ def test_a_run_says_which_agent_died_with_the_end_of_its_log(start_run, deaf_sce
 
 
 def test_a_run_says_which_agent_refused_its_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    write = coordinator.system.write_area_files
+    write = coordinator.process_run.system.write_area_files
 
     def spoil(*arguments: object) -> Iterator[tuple[str, Path]]:
         for name, path in write(*arguments):  # type: ignore[arg-type]
@@ -186,7 +186,7 @@ def test_a_run_says_which_agent_refused_its_file(tmp_path: Path, monkeypatch: py
                 path.write_text("nonsense")
             yield name, path
 
-    monkeypatch.setattr(coordinator.system, "write_area_files", spoil)
+    monkeypatch.setattr(coordinator.process_run.system, "write_area_files", spoil)
     result = coordinator.run("industrial13", out=tmp_path / "out", plots=False)
     assert not result.verdict.consensus
     assert result.verdict.reason is not None

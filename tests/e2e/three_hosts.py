@@ -17,10 +17,10 @@ from pathlib import Path
 from system_by_hand import SystemByHand, Watcher
 from units import DEPLOY, command_of, read_host_file
 
-from agents.messages import StateMessage
-from coordinator.certificates import access_of, create_keys
-from coordinator.comparison import Gap
-from coordinator.split import write_area_files
+from agents.messages.packing import StateMessage
+from coordinator.deployment.certificates import access_of, create_keys
+from coordinator.deployment.split import write_area_files
+from coordinator.evaluation.comparison import Gap
 from scenarios.scenario import load_scenario
 
 RUN = "ieee33"

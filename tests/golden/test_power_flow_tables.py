@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dsse_core.power_flow import PowerFlowResult, solve_power_flow
-from scenarios.network_file import load_case
+from dsse_core.power_flow.newton_raphson import PowerFlowResult, solve_power_flow
+from scenarios.files.network_file import load_case
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 

@@ -8,10 +8,10 @@ from contextlib import AbstractContextManager
 from typing import Any
 from unittest import mock
 
-from agents.peer_table import PeerTable
-from agents.peers import Peer
-from agents.rounds import RoundsProtocol
-from agents.scan_readings import News, ScanReadings
+from agents.protocol.peer_table import PeerTable
+from agents.protocol.peers import Peer
+from agents.protocol.rounds import RoundsProtocol
+from agents.protocol.scan_readings import News, ScanReadings
 
 _take, _stamp = ScanReadings.take, PeerTable.stamp
 _go_on, _take_in_term = RoundsProtocol._go_on, RoundsProtocol._take_in_term

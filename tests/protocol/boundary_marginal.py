@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg.lapack import dgeqp3, dormqr, dtrtri, dtrtrs
 
-from dsse_core.boundary_information import BoundaryInformation
+from dsse_core.linear.boundary_information import BoundaryInformation
 
 SINGULAR = 1e-14  # scaled pivots below it leave a direction of y open
 UPPER = np.triu(np.ones((4, 4)))

@@ -6,10 +6,10 @@ import numpy as np
 from feeders import Feeder
 from simulated_bus import SimulatedBus, area_files_of, with_links
 
-from agents.rounds import RoundsProtocol
-from dsse_core.bad_data import BadDataReport, process_bad_data
+from agents.protocol.rounds import RoundsProtocol
+from dsse_core.estimation.bad_data import BadDataReport, process_bad_data
+from dsse_core.estimation.residuals import CRITICAL_REDUNDANCY
 from dsse_core.link_faults import LinkFaults
-from dsse_core.residuals import CRITICAL_REDUNDANCY
 from scenarios.scenario import Scenario
 from scenarios.telemetry import make_telemetry
 

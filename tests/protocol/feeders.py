@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agents.area_file import AreaFile
-from dsse_core.division import build_partition
+from agents.area_files.area_file import AreaFile
+from dsse_core.grid.division import build_partition
+from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
+from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
+from dsse_core.grid.partition import Partition
 from dsse_core.link_faults import LinkFaults
-from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
-from dsse_core.network import Branch, Bus, Control, Generator, Network
-from dsse_core.partition import Partition
-from dsse_core.power_flow import PowerFlowResult, solve_power_flow
+from dsse_core.power_flow.newton_raphson import PowerFlowResult, solve_power_flow
 
 KIND = MeasurementKind
 LOWEST_VM = 0.94

@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from feeders import Feeder, load_to, read_with_noise
 
-from dsse_core.blocks import find_blocks
-from dsse_core.division import build_partition
-from dsse_core.measurement import MeasurementKind, Meter, Source
-from dsse_core.network import Branch, Bus, Control, Generator, Network
-from dsse_core.power_flow import solve_power_flow
-from scenarios.cutting import cut_into
+from dsse_core.grid.biconnected import find_blocks
+from dsse_core.grid.division import build_partition
+from dsse_core.grid.measurement import MeasurementKind, Meter, Source
+from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
+from dsse_core.power_flow.newton_raphson import solve_power_flow
+from scenarios.generate.cutting import cut_into
 
 KIND = MeasurementKind
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 from feeders import KIND, Feeder, make_feeder, read_with_noise
 
-from dsse_core.division import build_partition
 from dsse_core.errors import PowerFlowDivergedError
-from dsse_core.measurement import Meter, Source
-from dsse_core.network import Network
-from dsse_core.power_flow import solve_power_flow
+from dsse_core.grid.division import build_partition
+from dsse_core.grid.measurement import Meter, Source
+from dsse_core.grid.network import Network
+from dsse_core.power_flow.newton_raphson import solve_power_flow
 
 HALVINGS = 12  # of the interval that holds the largest load
 

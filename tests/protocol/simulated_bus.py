@@ -7,14 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from agents.area_file import AreaFile
-from agents.messages import Message, decode
-from agents.rounds import RoundsProtocol
-from agents.wire_checks import MessageError
-from coordinator import twin
-from coordinator.split import area_files
+from agents.area_files.area_file import AreaFile
+from agents.messages.checks import MessageError
+from agents.messages.packing import Message, decode
+from agents.protocol.rounds import RoundsProtocol
+from coordinator.deployment.split import area_files
+from coordinator.simulator import simulator as twin
+from dsse_core.grid.measurement import Measurement
 from dsse_core.link_faults import LinkFaults
-from dsse_core.measurement import Measurement
 from scenarios.scenario import Scenario, load_scenario
 from scenarios.telemetry import Telemetry, make_telemetry
 

@@ -8,12 +8,12 @@ from feeders import make_feeder
 from simulated_bus import SimulatedBus, area_files_of, with_links
 from tree_of_areas import tree_scenario, with_angle_meters
 
-from agents.events import Received
-from agents.messages import AdmmMessage, encode
-from dsse_core.division import build_partition
-from dsse_core.estimation import EstimationResult, estimate_state
+from agents.messages.packing import AdmmMessage, encode
+from agents.protocol.events import Received
+from dsse_core.estimation.estimator import EstimationResult, estimate_state
+from dsse_core.grid.division import build_partition
 from dsse_core.link_faults import LinkFaults
-from scenarios.faults import Faults
+from scenarios.faults.faults import Faults
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 

@@ -8,15 +8,15 @@ import pytest
 from simulated_bus import SimulatedBus, area_files_of, bus_of
 from tree_of_areas import TREE, sound_links, tree_scenario, with_angle_meters
 
-from agents.messages import LoadMessage
+from agents.messages.packing import LoadMessage
 from agents.strategies import angle_offset
-from dsse_core.bad_data import process_bad_data
-from dsse_core.boundary_load import boundary_loads
-from dsse_core.division import build_partition
+from dsse_core.estimation.bad_data import process_bad_data
+from dsse_core.exchange.boundary_load import boundary_loads
+from dsse_core.grid.division import build_partition
+from dsse_core.grid.measurement import Source
+from dsse_core.grid.network import Control
 from dsse_core.link_faults import LinkFaults
-from dsse_core.measurement import Source
-from dsse_core.network import Control
-from dsse_core.power_flow import solve_power_flow
+from dsse_core.power_flow.newton_raphson import solve_power_flow
 from scenarios.scenario import load_scenario as load
 from scenarios.telemetry import make_telemetry
 

@@ -9,9 +9,9 @@ from grids import MeterShares, make_grid, with_gross_errors
 from hypothesis import event, example, given, reject, seed
 from hypothesis import strategies as st
 
-from dsse_core.bad_data import normalized_residuals, process_bad_data
 from dsse_core.errors import EstimationDivergedError, NotObservableError
-from dsse_core.residuals import THRESHOLD
+from dsse_core.estimation.bad_data import normalized_residuals, process_bad_data
+from dsse_core.estimation.residuals import THRESHOLD
 
 GRIDS = st.fixed_dictionaries(
     dict(

@@ -8,9 +8,9 @@ import pytest
 from simulated_bus import SimulatedBus, area_files_of
 from tree_of_areas import tree_scenario
 
-from agents.messages import DownMessage, StateMessage, UpMessage
-from agents.quality import GOOD
-from dsse_core.bad_data import BadDataReport, process_bad_data
+from agents.messages.packing import DownMessage, StateMessage, UpMessage
+from agents.protocol.quality import GOOD
+from dsse_core.estimation.bad_data import BadDataReport, process_bad_data
 from scenarios.scenario import Scenario, load_scenario
 from scenarios.telemetry import make_telemetry
 

@@ -12,12 +12,12 @@ from grids import with_gross_errors
 from simulated_bus import SimulatedBus, area_files_of
 from tree_of_areas import tree_scenario
 
-from agents.events import Received
-from agents.messages import DownMessage, UpMessage, decode, encode
+from agents.messages.packing import DownMessage, UpMessage, decode, encode
+from agents.protocol.events import Received
+from dsse_core.estimation.residuals import chi_square_limit
+from dsse_core.grid.measurement import Source
 from dsse_core.link_faults import LinkFaults
-from dsse_core.measurement import Source
-from dsse_core.power_flow import solve_power_flow
-from dsse_core.residuals import chi_square_limit
+from dsse_core.power_flow.newton_raphson import solve_power_flow
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 

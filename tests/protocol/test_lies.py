@@ -13,10 +13,10 @@ import pytest
 from simulated_bus import SimulatedBus, area_files_of
 from tree_of_areas import tree_scenario
 
-from agents.messages import HeartbeatMessage, decode, encode
-from coordinator.result import AreaResult, RunOutcome
-from coordinator.simulation import Simulation
-from dsse_core.bad_data import process_bad_data
+from agents.messages.packing import HeartbeatMessage, decode, encode
+from coordinator.evaluation.result import AreaResult, RunOutcome
+from coordinator.simulator.simulate import Simulation
+from dsse_core.estimation.bad_data import process_bad_data
 from dsse_core.link_faults import LinkFaults
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from coordinator.result import RunOutcome
-from coordinator.simulation import Simulation
+from coordinator.evaluation.result import RunOutcome
+from coordinator.simulator.simulate import Simulation
 from scenarios.scenario import Scenario, load_scenario
 
 # What the error of 0.03 p.u. does to the area that must take its drawn power from the load message: magnitudes move by

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from simulated_bus import SimulatedBus, area_files_of, with_links
 
-from coordinator.twin import TRAVEL_S
+from coordinator.simulator.simulator import TRAVEL_S
 from dsse_core.link_faults import LinkFaults
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry

@@ -8,10 +8,10 @@ from exact_exchange import settle_bus
 from feeders import make_feeder
 from simulated_bus import SimulatedBus, area_files_of
 
-from agents.messages import DownMessage, UpMessage
-from agents.scan_readings import DEADLINE_BEATS
-from coordinator import twin
-from coordinator.telemetry_messages import make_message
+from agents.messages.packing import DownMessage, UpMessage
+from agents.protocol.scan_readings import DEADLINE_BEATS
+from coordinator.plant.telemetry_messages import make_message
+from coordinator.simulator import simulator as twin
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 

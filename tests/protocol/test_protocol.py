@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from simulated_bus import SimulatedBus, area_files_of, bus_of
 
-from agents.choose_protocol import make_protocol
-from agents.events import Finish, PresenceChanged, Publish, Received, Refused, StopRequested
-from agents.messages import AdmmMessage, BoundaryMessage, Header, HeartbeatMessage, Incarnation, LoadMessage
-from coordinator.twin import STARTED_AT
+from agents.messages.packing import AdmmMessage, BoundaryMessage, Header, HeartbeatMessage, Incarnation, LoadMessage
+from agents.protocol.choose import make_protocol
+from agents.protocol.events import Finish, PresenceChanged, Publish, Received, Refused, StopRequested
+from coordinator.simulator.simulator import STARTED_AT
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 

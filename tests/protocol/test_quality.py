@@ -11,13 +11,13 @@ from exact_exchange import assert_equals_centralised, settle_bus
 from simulated_bus import SimulatedBus, area_files_of, with_links
 from tree_of_areas import tree_scenario
 
-from agents.freshness import FRESH_BEATS, PATIENCE_BEATS
-from agents.messages import HeartbeatMessage
-from coordinator.simulation import Simulation
-from dsse_core.bad_data import process_bad_data
+from agents.messages.packing import HeartbeatMessage
+from agents.protocol.freshness import FRESH_BEATS, PATIENCE_BEATS
+from coordinator.simulator.simulate import Simulation
 from dsse_core.errors import NotObservableError
+from dsse_core.estimation.bad_data import process_bad_data
+from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.link_faults import LinkFaults
-from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 

@@ -11,10 +11,10 @@ from toy_estimation import toy_numbers
 from toy_history import MOST_CHATTER
 from toy_rounds import BEAT_S, TRAVEL_S, ToyBus
 
-from agents.events import PresenceChanged, Received
-from agents.messages import DownMessage, HeartbeatMessage, Incarnation, UpMessage
-from agents.quality import GOOD
-from dsse_core.verdict import Decision, Memory, Totals, decide
+from agents.messages.packing import DownMessage, HeartbeatMessage, Incarnation, UpMessage
+from agents.protocol.events import PresenceChanged, Received
+from agents.protocol.quality import GOOD
+from dsse_core.estimation.verdict import Decision, Memory, Totals, decide
 
 ROW, LONG_ROW = "three in a row", "four in a row"
 LIMIT_S = 15.0

@@ -12,8 +12,8 @@ from simulated_bus import SimulatedBus, area_files_of, with_links
 from toy_estimation import toy_numbers
 from toy_rounds import BEAT_S, TREES, ToyBus
 
-from agents.quality import GOOD
-from agents.rounds import RoundsProtocol
+from agents.protocol.quality import GOOD
+from agents.protocol.rounds import RoundsProtocol
 from dsse_core.link_faults import LinkFaults
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry

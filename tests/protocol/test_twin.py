@@ -10,11 +10,11 @@ import pytest
 from simulated_bus import SimulatedBus, area_files_of, with_links
 from tree_of_areas import tree_scenario
 
-from agents.messages import StateMessage
+from agents.messages.packing import StateMessage
 from dsse_core.errors import InvalidInputError
-from dsse_core.estimation import estimate_state
+from dsse_core.estimation.estimator import estimate_state
 from dsse_core.link_faults import LinkFaults
-from scenarios.faults import change_links
+from scenarios.faults.faults import change_links
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 

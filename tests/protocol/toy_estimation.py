@@ -12,9 +12,9 @@ from unittest import mock
 
 import numpy as np
 
-from dsse_core.boundary_information import BoundaryInformation
-from dsse_core.partition import Area
-from dsse_core.verdict import Decision, Totals
+from dsse_core.estimation.verdict import Decision, Totals
+from dsse_core.grid.partition import Area
+from dsse_core.linear.boundary_information import BoundaryInformation
 
 Part = tuple[str, tuple[int, int], int]  # area, term, k
 
@@ -100,5 +100,5 @@ class ToyEstimation:
 def toy_numbers() -> Iterator[None]:
     """Areas begun meanwhile have the numbers of the toy."""
     ToyEstimation.told = []
-    with mock.patch("agents.area_round.AreaEstimation", ToyEstimation):
+    with mock.patch("agents.protocol.area_round.AreaEstimation", ToyEstimation):
         yield

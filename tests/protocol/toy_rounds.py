@@ -8,9 +8,8 @@ import itertools
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 
-from agents.area_file import AreaFile
-from agents.events import Event, PresenceChanged, Publish, Received
-from agents.messages import (
+from agents.area_files.area_file import AreaFile
+from agents.messages.packing import (
     DownMessage,
     Header,
     HeartbeatMessage,
@@ -20,10 +19,11 @@ from agents.messages import (
     TelemetryMessage,
     UpMessage,
 )
-from agents.quality import GOOD
-from agents.rounds import RoundsProtocol
-from dsse_core.division import build_partition
-from dsse_core.measurement import MeasurementKind, Meter
+from agents.protocol.events import Event, PresenceChanged, Publish, Received
+from agents.protocol.quality import GOOD
+from agents.protocol.rounds import RoundsProtocol
+from dsse_core.grid.division import build_partition
+from dsse_core.grid.measurement import MeasurementKind, Meter
 from scenarios.scenario import load_scenario
 
 BEAT_S = 0.2

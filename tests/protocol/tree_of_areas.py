@@ -6,11 +6,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-from dsse_core.division import build_partition
+from dsse_core.grid.division import build_partition
+from dsse_core.grid.measurement import MeasurementKind, Meter
+from dsse_core.grid.partition import Partition
 from dsse_core.link_faults import LinkFaults
-from dsse_core.measurement import MeasurementKind, Meter
-from dsse_core.partition import Partition
-from scenarios.faults import Faults, find_links
+from scenarios.faults.faults import Faults, find_links
 from scenarios.scenario import Scenario, load_scenario
 
 TREE = {  # four areas deep, three areas at bus 6, areas b and c without voltmeter and generator

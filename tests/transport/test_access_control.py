@@ -12,10 +12,10 @@ import pytest
 from expiring import let_expire
 from waiting import wait_until
 
-from agents.access import Access
-from agents.credentials import load_keys
-from agents.transport import Router, Session, TransportError
-from coordinator.certificates import create_keys
+from agents.security.access import Access
+from agents.security.credentials import load_keys
+from agents.transport.zenoh_bus import Router, Session, TransportError
+from coordinator.deployment.certificates import create_keys
 
 CHAIN = Access("run", {"a": ("b",), "b": ("a", "c"), "c": ("b",)})
 NAMES = ("a", "b", "c", "plant", "coordinator")

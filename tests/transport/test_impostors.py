@@ -13,10 +13,10 @@ import pytest
 from impostor import Impostor, let_listen
 from waiting import wait_until
 
-from agents.access import Access
-from agents.credentials import load_keys
-from agents.transport import Router, Session, TransportError
-from coordinator.certificates import create_keys
+from agents.security.access import Access
+from agents.security.credentials import load_keys
+from agents.transport.zenoh_bus import Router, Session, TransportError
+from coordinator.deployment.certificates import create_keys
 
 CHAIN = Access("run", {"a": ("b",), "b": ("a", "c"), "c": ("b",)})
 ALL = CHAIN.names

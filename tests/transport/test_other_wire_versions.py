@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from agents.messages import WIRE_VERSION
-from agents.transport import Router, Session, TransportError
-from coordinator.watch_session import attach
+from agents.messages.packing import WIRE_VERSION
+from agents.transport.zenoh_bus import Router, Session, TransportError
+from coordinator.cli.watch_session import attach
 
 FORMER, LATER = WIRE_VERSION - 1, WIRE_VERSION + 1
 

@@ -6,7 +6,7 @@ import socket
 import pytest
 from waiting import wait_until
 
-from agents.transport import Router, Session, TransportError
+from agents.transport.zenoh_bus import Router, Session, TransportError
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from agents.transport import Router, Session, TransportError
+from agents.transport.zenoh_bus import Router, Session, TransportError
 
 DEADLINE_S = 20.0
 
@@ -92,7 +92,7 @@ def test_an_unreachable_endpoint_is_named():
 @pytest.mark.parametrize("end", ["pass", "raise SystemExit(3)", "raise RuntimeError('boom')"])
 def test_a_process_with_a_subscriber_ends_however_its_block_ends(router, end):
     code = f"""
-    from agents.transport import Session
+    from agents.transport.zenoh_bus import Session
     with Session.connect({list(router.endpoints)!r}) as session:
         session.subscribe("dsse/**", lambda key, payload: None)
         session.declare_presence("dsse/live/x")

@@ -22,10 +22,10 @@ import scipy.linalg
 import scipy.sparse as sp
 from scipy.stats import chi2
 
-from dsse_core.admittance import build_admittance
-from dsse_core.measurement import Measurement, MeasurementKind, Source
-from dsse_core.measurement_model import build_measurement_model
-from dsse_core.network import Network
+from dsse_core.grid.admittance import build_admittance
+from dsse_core.grid.measurement import Measurement, MeasurementKind, Source
+from dsse_core.grid.measurement_model import build_measurement_model
+from dsse_core.grid.network import Network
 
 EXTENDED = np.longdouble
 PI = 4 * np.arctan(EXTENDED(1))

@@ -15,9 +15,9 @@ import numpy as np
 from oracle import FILE, Frozen, hash_of, name_of, numbers_of, save_oracle
 from oracle_cases import Drawn, draw_examples, draw_feeders, draw_grids, draw_imported, read_again
 
-from dsse_core.bad_data import BadDataReport, normalized_residuals, process_bad_data
 from dsse_core.errors import EstimationDivergedError, NotObservableError
-from dsse_core.residuals import THRESHOLD
+from dsse_core.estimation.bad_data import BadDataReport, normalized_residuals, process_bad_data
+from dsse_core.estimation.residuals import THRESHOLD
 
 GRIDS = 300
 TOLERANCE = 1e-11  # p.u. and rad

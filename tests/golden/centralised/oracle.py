@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from oracle_cases import Drawn, Readings
 
-from dsse_core.network import Network
+from dsse_core.grid.network import Network
 
 FILE = Path(__file__).parent / "oracle.npz"
 PER_BUS = ("vm", "va", "sigma_vm", "sigma_va")

@@ -14,8 +14,8 @@ from feeders import make_feeder
 from grids import MeterShares, make_grid, with_gross_errors
 from test_imported_cases import MATPOWER, PANDAPOWER, make_pandapower, scenario_of
 
-from dsse_core.measurement import Measurement
-from dsse_core.network import Network
+from dsse_core.grid.measurement import Measurement
+from dsse_core.grid.network import Network
 from scenarios.scenario import Scenario, load_scenario
 from scenarios.telemetry import make_telemetry
 

@@ -16,9 +16,9 @@ from oracle import Frozen, hash_of, load_oracle, numbers_of
 from oracle_cases import Readings, read_again
 from test_imported_cases import MATPOWER, PANDAPOWER
 
-from dsse_core.bad_data import process_bad_data
 from dsse_core.errors import InvalidInputError
-from dsse_core.estimation_plan import BackendChoice
+from dsse_core.estimation.bad_data import process_bad_data
+from dsse_core.estimation.plan import BackendChoice
 
 pytestmark = pytest.mark.filterwarnings("ignore::Warning:pandapower", "ignore::Warning:pandas")
 

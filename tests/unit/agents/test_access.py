@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from agents.access import Access, zenoh_access_control
-from agents.access_file import load_access, save_access
+from agents.security.access import Access, zenoh_access_control
+from agents.security.access_file import load_access, save_access
 from dsse_core.errors import InvalidInputError
 
 CHAIN = Access("run", {"a": ("b",), "b": ("a", "c"), "c": ("b",)})

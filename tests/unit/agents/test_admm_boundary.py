@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from agents.messages import AdmmMessage, Header, Incarnation
+from agents.messages.packing import AdmmMessage, Header, Incarnation
 from agents.strategies.admm_boundary import BoundaryIteration
-from dsse_core.consensus_admm import RELAXATION
-from dsse_core.partition import Neighbour
+from dsse_core.exchange.consensus_admm import RELAXATION
+from dsse_core.grid.partition import Neighbour
 
 HEADER = Header("r", "a", Incarnation(1, 1), 1, 1, 0.0)
 

@@ -9,12 +9,12 @@ from typing import Any
 
 import pytest
 
-from agents.area_file import AreaFile, save_area_file
-from agents.area_reader import load_area_file
-from coordinator.split import area_files
+from agents.area_files.area_file import AreaFile, save_area_file
+from agents.area_files.reader import load_area_file
+from coordinator.deployment.split import area_files
 from dsse_core.errors import InvalidInputError
+from dsse_core.estimation.state_limits import StateLimits
 from dsse_core.link_faults import LinkFaults
-from dsse_core.state_limits import StateLimits
 from scenarios.scenario import load_scenario
 
 

@@ -7,8 +7,8 @@ from back_ends import back_end
 from feeders import make_feeder
 from simulated_bus import SimulatedBus
 
-from agents.choose_protocol import make_protocol
-from agents.messages import Incarnation
+from agents.messages.packing import Incarnation
+from agents.protocol.choose import make_protocol
 
 
 @pytest.mark.parametrize(("n_bus", "expected"), [(20, "dense"), (50, "sparse"), (80, "tree")])

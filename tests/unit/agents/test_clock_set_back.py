@@ -10,14 +10,14 @@ from dataclasses import replace
 import pytest
 from waiting import wait_until
 
-from agents.events import StopRequested
-from agents.inbox import Inbox
-from agents.keys import state_key, telemetry_key
-from agents.loop import run_agent
-from agents.messages import StateMessage, decode
-from agents.presence import begin_life
-from coordinator.split import area_files
-from coordinator.telemetry_messages import make_payloads
+from agents.messages.keys import state_key, telemetry_key
+from agents.messages.packing import StateMessage, decode
+from agents.protocol.events import StopRequested
+from agents.runtime.inbox import Inbox
+from agents.runtime.loop import run_agent
+from agents.runtime.presence import begin_life
+from coordinator.deployment.split import area_files
+from coordinator.plant.telemetry_messages import make_payloads
 from scenarios.scenario import load_scenario
 
 A_DAY_S = 86400

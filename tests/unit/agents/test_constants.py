@@ -11,44 +11,20 @@ import pytest
 
 ROOT = Path(__file__).parents[3]
 SOURCES = (
-    "agents/*.py",
+    "agents/protocol/*.py",
     "agents/strategies/*.py",
-    *(
-        f"dsse_core/{name}.py"
-        for name in ("area_*", "bad_data", "boundary_*", "consensus_admm", "feeder_bad_data", "residuals")
-    ),
-    "dsse_core/gauss_newton.py",
     "dsse_core/linear/*.py",
-    "dsse_core/verdict.py",
+    "dsse_core/exchange/*.py",
+    "dsse_core/gauss_newton.py",
+    *(f"dsse_core/estimation/{name}.py" for name in ("verdict", "residuals", "bad_data")),
 )
-NO_PROTOCOL = {  # module -> what its constants are of instead
-    "__main__": "the process",
-    "area_file": "a file format",
-    "boundary_variables": "the wire",
-    "bus_config": "links of Zenoh",
-    "certificate_checks": "keys",
-    "credential_files": "keys",
-    "expiry": "keys",
-    "faults": "injected faults",
-    "heap": "memory of a process",
-    "inbox": "memory of a process",
-    "lies": "injected faults",
-    "loop": "the process",
-    "messages": "the wire: docs/protocol.md, what is refused",
-    "presence": "memory of a process",
-    "renewable_bus": "links of Zenoh",
-    "succession": "two processes of one name: docs/protocol.md, loss, death, restart",
-    "transport": "links of Zenoh",
-    "warm_up": "compiling ahead",
-    "wire_checks": "the wire: docs/protocol.md, what is refused",
-}
 NO_PARAMETERS = {"boundary_information.VA", "boundary_information.BEYOND_REASON"}  # a place; a limit of the wire
 UNITS = {"%": 0.01, "ms": 1e-3}
 
 
 def find_constants() -> dict[str, float]:
     """Module.NAME of every number that a module of protocol or exchange begins with."""
-    paths = [path for source in SOURCES for path in sorted(ROOT.glob(source)) if path.stem not in NO_PROTOCOL]
+    paths = [path for source in SOURCES for path in sorted(ROOT.glob(source))]
     found = {f"{path.stem}.{name}": value for path in paths for name, value in numbers_of(path.read_text())}
     return {name: value for name, value in found.items() if name not in NO_PARAMETERS}
 

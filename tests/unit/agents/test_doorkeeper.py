@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import pytest
 
-from agents.doorkeeper import Doorkeeper
-from agents.events import Received, Refused
-from agents.inbox import Inbox
-from agents.messages import MAX_NEIGHBOUR_BYTES, Header, Incarnation, LoadMessage, encode
+from agents.messages.packing import MAX_NEIGHBOUR_BYTES, Header, Incarnation, LoadMessage, encode
+from agents.protocol.events import Received, Refused
+from agents.runtime.inbox import Inbox
+from agents.runtime.ingress_filter import Doorkeeper
 
 KEY, TELEMETRY = "dsse/v2/r/area/area2/load/area1", "dsse/v2/r/telemetry/area1"
 LOAD = LoadMessage(Header("r", "area2", Incarnation(1, 1), 1, 1, 0.0), 6, 0.1, 0.0, 0.01)

@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 from waiting import wait_until
 
-from agents import expiry
-from agents.access import Access
-from agents.credentials import Credentials, credentials_in
-from agents.expiry import ExpiryWatch, describe_expiry
-from coordinator.certificates import create_keys
+from agents.security import expiry
+from agents.security.access import Access
+from agents.security.credentials import Credentials, credentials_in
+from agents.security.expiry import ExpiryWatch, describe_expiry
+from coordinator.deployment.certificates import create_keys
 
 
 def keys_for(folder: Path, days: float) -> Credentials:

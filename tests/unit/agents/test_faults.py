@@ -10,9 +10,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from agents.faults import LinkFate
-from agents.link import FaultyLinks
-from agents.messages import (
+from agents.messages.packing import (
     AdmmMessage,
     BoundaryMessage,
     DownMessage,
@@ -25,9 +23,11 @@ from agents.messages import (
     decode,
     encode,
 )
-from agents.triangle import read_triangle
+from agents.messages.triangle import read_triangle
+from agents.runtime.link import FaultyLinks
+from agents.runtime.link_faults import LinkFate
+from dsse_core.estimation.verdict import Memory, Totals, decide
 from dsse_core.link_faults import LinkFaults
-from dsse_core.verdict import Memory, Totals, decide
 
 COUNT = 4000
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from agents.access_file import load_access
-from agents.area_reader import load_area_file
-from agents.credentials import load_keys
+from agents.area_files.reader import load_area_file
+from agents.security.access_file import load_access
+from agents.security.credentials import load_keys
 from dsse_core.bounded_file import LARGEST_PEM, LARGEST_TOML
 from dsse_core.errors import InvalidInputError
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents import heap
+from agents.runtime import heap
 
 PIECE, N_PIECE = 64 * 2**10, 1000  # bytes; too small for a mapping of their own
 

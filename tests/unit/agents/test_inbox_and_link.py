@@ -5,10 +5,10 @@ import time
 
 import pytest
 
-from agents.faults import draw_fate
-from agents.inbox import MAX_WAITING, Inbox
-from agents.link import FaultyLinks
-from agents.messages import BoundaryMessage, Header, Incarnation, StateMessage, decode
+from agents.messages.packing import BoundaryMessage, Header, Incarnation, StateMessage, decode
+from agents.runtime.inbox import MAX_WAITING, Inbox
+from agents.runtime.link import FaultyLinks
+from agents.runtime.link_faults import draw_fate
 from dsse_core.link_faults import LinkFaults
 
 

@@ -11,8 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agents.boundary_variables import ONE_PHASE
-from agents.messages import (
+from agents.messages.boundary_variables import ONE_PHASE
+from agents.messages.checks import LONGEST_NAME, LONGEST_NOTE, MOST_NOTES, MessageError, limit_notes
+from agents.messages.packing import (
     MESSAGE_TYPES,
     WIRE_VERSION,
     AdmmMessage,
@@ -30,9 +31,8 @@ from agents.messages import (
     encode,
     seal,
 )
-from agents.triangle import read_triangle, write_triangle
-from agents.wire_checks import LONGEST_NAME, LONGEST_NOTE, MOST_NOTES, MessageError, limit_notes
-from dsse_core.verdict import Totals
+from agents.messages.triangle import read_triangle, write_triangle
+from dsse_core.estimation.verdict import Totals
 
 HEADER = Header("run-1", "area1", Incarnation(1_795_200_000_000, 2**32 - 1), 7, 3, 1_795_200_000.25)
 STATE = StateMessage(

@@ -5,9 +5,9 @@ import logging
 import pytest
 import zenoh
 
-from agents import transport
-from agents.bus_config import find_open_endpoints
-from agents.transport import Router, Session, TransportError
+from agents.transport import zenoh_bus as transport
+from agents.transport.bus_config import find_open_endpoints
+from agents.transport.zenoh_bus import Router, Session, TransportError
 
 OPEN = ["tcp/0.0.0.0:7447", "tcp/[::]:7447", "tcp/192.0.2.7:7447", "tcp/grid-a.example:7447", "tcp/[::%eth0]:0"]
 PRIVATE = ["tcp/127.0.0.1:7447", "tcp/127.3.2.1:0", "tcp/[::1]:7447", "tcp/localhost:7447"]

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import pytest
 
-from agents.freshness import PATIENCE_BEATS
-from agents.messages import BoundaryMessage, Header, HeartbeatMessage, Incarnation, LoadMessage
-from agents.peer_table import PeerTable
-from agents.peers import FIRST_WAIT_S, LEAST_LONGEST_WAIT_S, Peer
-from dsse_core.partition import Neighbour
+from agents.messages.packing import BoundaryMessage, Header, HeartbeatMessage, Incarnation, LoadMessage
+from agents.protocol.freshness import PATIENCE_BEATS
+from agents.protocol.peer_table import PeerTable
+from agents.protocol.peers import FIRST_WAIT_S, LEAST_LONGEST_WAIT_S, Peer
+from dsse_core.grid.partition import Neighbour
 
 BEAT_S = 0.2
 OVER_S = PATIENCE_BEATS * BEAT_S

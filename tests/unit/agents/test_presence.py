@@ -1,8 +1,8 @@
 """A name is present as long as any of its lives shows a token."""
 
-from agents.keys import live_key, name_of_live
-from agents.messages import Incarnation
-from agents.presence import Presence, begin_life, read_farewell
+from agents.messages.keys import live_key, name_of_live
+from agents.messages.packing import Incarnation
+from agents.runtime.presence import Presence, begin_life, read_farewell
 
 OLD, NEW = (live_key("r", "area", "area1", Incarnation(start, 7)) for start in (1_000, 2_000))
 

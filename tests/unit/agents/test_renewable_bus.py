@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 from waiting import wait_until
 
-from agents.access import Access
-from agents.access_file import ACCESS_FILE, load_access, save_access
-from agents.credentials import Keys, load_keys
-from agents.renewable_bus import RenewableBus
-from coordinator.certificates import create_keys
+from agents.security.access import Access
+from agents.security.access_file import ACCESS_FILE, load_access, save_access
+from agents.security.credentials import Keys, load_keys
+from agents.transport.renewable_bus import RenewableBus
+from coordinator.deployment.certificates import create_keys
 from dsse_core.errors import DsseError
 
 ACCESS = Access("run", {"a": ("b",), "b": ("a",)})

@@ -16,7 +16,7 @@ from waiting import is_gone, wait_until
 LISTENER = """
 import signal, sys, time
 from pathlib import Path
-from agents.renewal import on_hangup
+from agents.runtime.renewal import on_hangup
 said = Path(sys.argv[1])
 def say(what):
     with said.open("a") as file:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from agents.keys import live_key
-from agents.messages import Incarnation
-from agents.refusals import LONGEST_LEAD_S
-from agents.succession import OVERLAP_S, ReplacedError, Succession
+from agents.messages.keys import live_key
+from agents.messages.packing import Incarnation
+from agents.protocol.rejections import LONGEST_LEAD_S
+from agents.runtime.duplicate_guard import OVERLAP_S, ReplacedError, Succession
 
 START_MS = 1_700_000_000_000
 OWN = Incarnation(START_MS, 7)

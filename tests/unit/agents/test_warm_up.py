@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from agents.warm_up import warm_up
+from agents.runtime.warm_up import warm_up
 from dsse_core.linear.radial import RadialSolver
 
 
 def test_warming_up_goes_through_every_pass_of_the_tree(monkeypatch: pytest.MonkeyPatch):
     pytest.importorskip("numba")
-    from dsse_core import tree_boundary, tree_root
+    from dsse_core.radial import boundary as tree_boundary
+    from dsse_core.radial import root as tree_root
 
     declined: list[str] = []
     monkeypatch.setattr(RadialSolver, "_decline", lambda self, reason: declined.append(reason))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from coordinator.cli import run_command
+from coordinator.cli.main import run_command
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from agents.messages import Header, Incarnation, StateMessage
+from agents.messages.packing import Header, Incarnation, StateMessage
 
 
 def a_state(**changes: object) -> StateMessage:

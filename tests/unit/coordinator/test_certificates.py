@@ -11,11 +11,11 @@ import pytest
 from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
-from agents.access import Access
-from agents.access_file import ACCESS_FILE, load_access, save_access
-from agents.credentials import credentials_in, load_keys
-from coordinator.certificates import HERE, access_of, check_keys, create_keys
-from coordinator.cli import run_command
+from agents.security.access import Access
+from agents.security.access_file import ACCESS_FILE, load_access, save_access
+from agents.security.credentials import credentials_in, load_keys
+from coordinator.cli.main import run_command
+from coordinator.deployment.certificates import HERE, access_of, check_keys, create_keys
 from dsse_core.errors import InvalidInputError
 from scenarios.scenario import load_scenario
 

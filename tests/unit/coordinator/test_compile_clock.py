@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from coordinator import compile_clock
-from coordinator.compile_clock import CompileClock
+from coordinator.process_run import compile_clock
+from coordinator.process_run.compile_clock import CompileClock
 
 
 class Time:

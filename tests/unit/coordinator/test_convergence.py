@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from coordinator.convergence import find_time_below, gap_history
-from coordinator.judging import choose_scenario
-from coordinator.simulation import Simulation
+from coordinator.evaluation.convergence import find_time_below, gap_history
+from coordinator.evaluation.evaluation import choose_scenario
+from coordinator.simulator.simulate import Simulation
 
 NAN = float("nan")
 

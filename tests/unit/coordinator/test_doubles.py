@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from agents.keys import live_key
-from agents.messages import Incarnation
-from agents.succession import GIVES_WAY, OVERLAP_S
-from coordinator.doubles import SURE_S, Double, Doubles
+from agents.messages.keys import live_key
+from agents.messages.packing import Incarnation
+from agents.runtime.duplicate_guard import GIVES_WAY, OVERLAP_S
+from coordinator.observe.duplicates import SURE_S, Double, Doubles
 
 LIVES = [Incarnation(start, 1) for start in (1, 2)]
 

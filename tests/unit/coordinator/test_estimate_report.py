@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 
-from coordinator.report import format_estimate
-from dsse_core.bad_data import SuspectKept, process_bad_data
-from dsse_core.measurement import MeasurementKind, Meter
+from coordinator.report.text import format_estimate
+from dsse_core.estimation.bad_data import SuspectKept, process_bad_data
+from dsse_core.grid.measurement import MeasurementKind, Meter
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 

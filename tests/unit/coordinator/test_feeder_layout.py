@@ -8,8 +8,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from coordinator.feeder_layout import lay_out
-from dsse_core.network import Branch, Bus, Control, Generator, Network
+from coordinator.report.feeder_layout import lay_out
+from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 
 
 def grid(upstream: list[int]) -> Network:

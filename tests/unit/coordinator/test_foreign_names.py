@@ -10,16 +10,16 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from agents.log_format import PrintableFormatter
-from coordinator.draw_areas import draw_areas
-from coordinator.live import build_table
-from coordinator.plots import draw_plots
-from coordinator.progress import AreaProgress, Progress
-from coordinator.report import format_check, format_verdict
-from coordinator.result import RunResult
-from coordinator.simulation import simulate_scenario
+from agents.runtime.log_format import PrintableFormatter
+from coordinator.evaluation.result import RunResult
+from coordinator.observe.live import build_table
+from coordinator.observe.progress import AreaProgress, Progress
+from coordinator.report.draw_areas import draw_areas
+from coordinator.report.plots import draw_plots
+from coordinator.report.text import format_check, format_verdict
+from coordinator.simulator.simulate import simulate_scenario
 from dsse_core.printable import printable
-from scenarios.network_file import load_network
+from scenarios.files.network_file import load_network
 from scenarios.scenario import Scenario, load_scenario
 
 CASE = """function mpc = feeder

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from coordinator.split import default_run_id
-from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
-from scenarios.network_file import load_case
-from scenarios.readings_file import save_readings
+from coordinator.deployment.split import default_run_id
+from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
+from scenarios.files.network_file import load_case
+from scenarios.files.readings_file import save_readings
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 

@@ -8,10 +8,10 @@ from dataclasses import replace
 import pytest
 from shown_states import said_by
 
-from agents.freshness import PATIENCE_BEATS
-from agents.messages import Header, Incarnation, StateMessage
-from coordinator.observer import Observer, Standing
-from coordinator.progress import describe_progress
+from agents.messages.packing import Header, Incarnation, StateMessage
+from agents.protocol.freshness import PATIENCE_BEATS
+from coordinator.observe.observer import Observer, Standing
+from coordinator.observe.progress import describe_progress
 from scenarios.scenario import load_scenario
 
 PARTITION = load_scenario("ieee33").partition

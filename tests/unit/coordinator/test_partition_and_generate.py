@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from coordinator.area_table import format_area_tables
-from dsse_core.division import build_partition
+from coordinator.report.area_table import format_area_tables
+from dsse_core.grid.division import build_partition
 from scenarios.scenario import load_scenario
 
 PNG = b"\x89PNG"

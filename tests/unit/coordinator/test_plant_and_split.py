@@ -9,19 +9,19 @@ from pathlib import Path
 
 import pytest
 
-from agents.area_reader import load_area_file
-from agents.inbox import Inbox
-from agents.messages import Incarnation, TelemetryMessage, decode
-from agents.renewable_bus import RenewableBus
-from agents.succession import Succession
-from coordinator.plant import BURST, _Voice
-from coordinator.scans import MadeScan, OwnScans
-from coordinator.split import choose_run_id, default_run_id, write_area_files
-from coordinator.telemetry_messages import make_payloads
+from agents.area_files.reader import load_area_file
+from agents.messages.packing import Incarnation, TelemetryMessage, decode
+from agents.runtime.duplicate_guard import Succession
+from agents.runtime.inbox import Inbox
+from agents.transport.renewable_bus import RenewableBus
+from coordinator.deployment.split import choose_run_id, default_run_id, write_area_files
+from coordinator.plant.plant import BURST, _Voice
+from coordinator.plant.scans import MadeScan, OwnScans
+from coordinator.plant.telemetry_messages import make_payloads
 from dsse_core.errors import InvalidInputError
+from dsse_core.grid.measurement import Source
 from dsse_core.limits import LONGEST_S
 from dsse_core.link_faults import LinkFaults
-from dsse_core.measurement import Source
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import find_lateness, make_telemetry
 

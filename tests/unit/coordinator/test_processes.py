@@ -10,8 +10,8 @@ from pathlib import Path
 import psutil
 import pytest
 
-from coordinator.processes import Launcher, LaunchError, News, describe_end, read_end
-from coordinator.zygote import IO_ERROR_CODE, Ended, Started
+from coordinator.process_run.fork_server import IO_ERROR_CODE, Ended, Started
+from coordinator.process_run.processes import Launcher, LaunchError, News, describe_end, read_end
 
 DEADLINE_S = 20.0
 

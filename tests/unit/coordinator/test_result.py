@@ -14,14 +14,14 @@ import pytest
 from matplotlib.axes import Axes
 from shown_states import said_by
 
-from agents.messages import Incarnation, StateMessage
-from coordinator.comparison import Voltages, compare, largest_gap
-from coordinator.observer import Observer
-from coordinator.plots import draw_plots
-from coordinator.report import format_verdict
-from coordinator.result import BUS_COLUMNS, RunResult, as_json, make_area_results, make_verdict, write_result
-from coordinator.simulation import simulate_scenario
-from dsse_core.bad_data import process_bad_data
+from agents.messages.packing import Incarnation, StateMessage
+from coordinator.evaluation.comparison import Voltages, compare, largest_gap
+from coordinator.evaluation.result import BUS_COLUMNS, RunResult, as_json, make_area_results, make_verdict, write_result
+from coordinator.observe.observer import Observer
+from coordinator.report.plots import draw_plots
+from coordinator.report.text import format_verdict
+from coordinator.simulator.simulate import simulate_scenario
+from dsse_core.estimation.bad_data import process_bad_data
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 

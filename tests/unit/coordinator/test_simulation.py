@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 
 import coordinator
-from coordinator.cli import run_command
-from coordinator.report import format_verdict
+from coordinator.cli.main import run_command
+from coordinator.report.text import format_verdict
 from dsse_core.errors import InvalidInputError
+from scenarios.files.shipped_files import find_shipped
 from scenarios.scenario import load_scenario
-from scenarios.shipped_files import find_shipped
 
 
-def simulate(folder: Path, name: str = "ieee33-lossy", **options: object) -> coordinator.result.RunResult:
+def simulate(folder: Path, name: str = "ieee33-lossy", **options: object) -> coordinator.evaluation.result.RunResult:
     return coordinator.simulate(name, out=folder, plots=False, **options)
 
 

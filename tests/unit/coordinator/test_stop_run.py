@@ -10,10 +10,10 @@ from pathlib import Path
 import psutil
 import pytest
 
-from coordinator import stop_run as stopping
-from coordinator.cli import run_command
-from coordinator.processes import Launcher
-from coordinator.stop_run import find_marked, read_started_run, stop_run
+from coordinator.cli.main import run_command
+from coordinator.process_run import stop_run as stopping
+from coordinator.process_run.processes import Launcher
+from coordinator.process_run.stop_run import find_marked, read_started_run, stop_run
 from dsse_core.errors import InvalidInputError
 
 

@@ -9,17 +9,18 @@ from types import SimpleNamespace
 import pytest
 from shown_states import a_state, said_by
 
-from agents import presence
-from agents.faults import LOST
-from agents.keys import live_key
-from agents.messages import Header, Incarnation
-from agents.presence import MAX_LIVES, Presence
-from agents.wire_checks import LONGEST_NAME
-from coordinator import processes, watch
-from coordinator.processes import News
-from coordinator.run_news import listen
-from coordinator.state_log import StateLog
-from coordinator.watch import Watcher
+from agents.messages.checks import LONGEST_NAME
+from agents.messages.keys import live_key
+from agents.messages.packing import Header, Incarnation
+from agents.runtime import presence
+from agents.runtime.link_faults import LOST
+from agents.runtime.presence import MAX_LIVES, Presence
+from coordinator.observe import watch
+from coordinator.observe.state_log import StateLog
+from coordinator.observe.watch import Watcher
+from coordinator.process_run import processes
+from coordinator.process_run.processes import News
+from coordinator.process_run.run_status import listen
 from scenarios.scenario import load_scenario
 
 LIFE = Incarnation(1, 1)

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from agents.choose_protocol import STRATEGIES
-from coordinator.cli import run_command
-from coordinator.strategy_comparison import choose_strategies
-from coordinator.study_row import COLUMNS, from_cells, to_cells
+from agents.protocol.choose import STRATEGIES
+from coordinator.cli.main import run_command
+from coordinator.studies.strategy_comparison import choose_strategies
+from coordinator.studies.study_row import COLUMNS, from_cells, to_cells
 from dsse_core.errors import InvalidInputError
-from scenarios.shipped_files import find_shipped
+from scenarios.files.shipped_files import find_shipped
 
 
 def read_rows(path: Path) -> dict[str, dict[str, str]]:

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from coordinator import sweep as sweep_module
-from coordinator.cli import run_command
-from coordinator.study_row import COLUMNS
-from coordinator.sweep_plan import Task, make_plan, parse_vary
-from coordinator.sweep_table import SweepTable
-from scenarios.shipped_files import find_shipped
+from coordinator.cli.main import run_command
+from coordinator.studies import sweep as sweep_module
+from coordinator.studies.study_row import COLUMNS
+from coordinator.studies.sweep_plan import Task, make_plan, parse_vary
+from coordinator.studies.sweep_table import SweepTable
+from scenarios.files.shipped_files import find_shipped
 
 SMALL = ["industrial13", "--vary", "faults.loss=0,0.3", "--strategies", "information", "--quiet"]
 

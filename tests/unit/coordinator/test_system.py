@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 
-from agents.transport import TransportError
-from coordinator import system
-from coordinator.system import System
-from coordinator.zygote import Started
+from agents.transport.zenoh_bus import TransportError
+from coordinator.process_run import system
+from coordinator.process_run.fork_server import Started
+from coordinator.process_run.system import System
 from scenarios.scenario import load_scenario
 
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 import pytest
 from shown_states import a_state, said_by
 
-from agents.keys import live_key
-from agents.messages import Incarnation
-from coordinator.live import format_view
-from coordinator.split import check_run_id
-from coordinator.watch import OVER_S, AreaView, Watcher
+from agents.messages.keys import live_key
+from agents.messages.packing import Incarnation
+from coordinator.deployment.split import check_run_id
+from coordinator.observe.live import format_view
+from coordinator.observe.watch import OVER_S, AreaView, Watcher
 from dsse_core.errors import InvalidInputError
 
 ONE, OTHER = (live_key("run", "area", "area1", Incarnation(start, 1)) for start in (1, 2))

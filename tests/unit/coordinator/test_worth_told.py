@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 from shown_states import said_by
 
-from agents.messages import Incarnation, StateMessage
-from agents.quality import DEGRADED, GOOD, NONE, RELATIVE_ANGLE, STALE, UNOBSERVABLE, WORDS, Finding, weigh
-from coordinator.judging import Centralised, judge, make_observer
-from coordinator.report import format_verdict
-from coordinator.result import RunResult, as_json
-from coordinator.watch import Watcher
+from agents.messages.packing import Incarnation, StateMessage
+from agents.protocol.quality import DEGRADED, GOOD, NONE, RELATIVE_ANGLE, STALE, UNOBSERVABLE, WORDS, Finding, weigh
+from coordinator.evaluation.evaluation import Centralised, judge, make_observer
+from coordinator.evaluation.result import RunResult, as_json
+from coordinator.observe.watch import Watcher
+from coordinator.report.text import format_verdict
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 

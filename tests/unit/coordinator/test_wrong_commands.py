@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from coordinator.cli import run_command
-from scenarios.shipped_files import find_shipped
+from coordinator.cli.main import run_command
+from scenarios.files.shipped_files import find_shipped
 
 NETWORK, SCENARIO = find_shipped("cases")["ieee33"], find_shipped("shipped")["ieee33"]
 

@@ -8,14 +8,14 @@ from functools import partial
 import numpy as np
 import pytest
 
-from dsse_core.admittance import build_admittance
-from dsse_core.bad_data import BadDataReport, process_bad_data
-from dsse_core.estimation import EstimationResult, estimate_state
-from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
-from dsse_core.measurement_model import build_measurement_model
-from dsse_core.network import Branch, Bus, Control, Generator, Network
-from dsse_core.power_flow import PowerFlowResult
-from scenarios.network_file import load_case
+from dsse_core.estimation.bad_data import BadDataReport, process_bad_data
+from dsse_core.estimation.estimator import EstimationResult, estimate_state
+from dsse_core.grid.admittance import build_admittance
+from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
+from dsse_core.grid.measurement_model import build_measurement_model
+from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
+from dsse_core.power_flow.newton_raphson import PowerFlowResult
+from scenarios.files.network_file import load_case
 
 Kind = MeasurementKind
 

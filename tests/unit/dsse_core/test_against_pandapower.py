@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from dsse_core.estimation import estimate_state
-from dsse_core.measurement import MeasurementKind, Meter
-from dsse_core.network import Control
-from dsse_core.power_flow import solve_power_flow
+from dsse_core.estimation.estimator import estimate_state
+from dsse_core.grid.measurement import MeasurementKind, Meter
+from dsse_core.grid.network import Control
+from dsse_core.power_flow.newton_raphson import solve_power_flow
 
 pandapower = pytest.importorskip("pandapower")
 Kind = MeasurementKind

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from dsse_core.bad_data import find_critical, normalized_residuals
 from dsse_core.errors import EstimationDivergedError, NotObservableError
-from dsse_core.estimation import estimate_with_plan
-from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
-from dsse_core.network import Control, Generator
-from dsse_core.power_flow import solve_power_flow
-from dsse_core.residuals import chi_square_limit
+from dsse_core.estimation.bad_data import find_critical, normalized_residuals
+from dsse_core.estimation.estimator import estimate_with_plan
+from dsse_core.estimation.residuals import chi_square_limit
+from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
+from dsse_core.grid.network import Control, Generator
+from dsse_core.power_flow.newton_raphson import solve_power_flow
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 
@@ -189,7 +189,7 @@ def test_where_a_removal_makes_the_estimation_diverge_the_last_good_estimate_sta
             raise EstimationDivergedError(50, 1.0, "vm@2", 30.0)
         return estimate_with_plan(plan, values, sigmas, **options)
 
-    monkeypatch.setattr("dsse_core.bad_data.estimate_with_plan", diverge_after_a_removal)
+    monkeypatch.setattr("dsse_core.estimation.bad_data.estimate_with_plan", diverge_after_a_removal)
     report = process(network, wrong)
     assert report.detected
     assert report.removed == ()

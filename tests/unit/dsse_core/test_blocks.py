@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dsse_core.blocks import find_blocks
 from dsse_core.errors import InvalidInputError
-from dsse_core.network import Branch, Bus, Control, Generator, Network
+from dsse_core.grid.biconnected import find_blocks
+from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 
 
 def grid(*ends, slack=1, open_branches=()):

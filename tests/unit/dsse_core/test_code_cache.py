@@ -152,3 +152,14 @@ def test_code_that_finds_no_room_is_not_said_to_be_kept(place: Path, monkeypatch
     monkeypatch.setattr(kept, "_caches", {place: Full()})
     kept.save_overload("", None)
     assert [error.strerror for error in code_cache.not_kept] == ["No space left on device"]
+
+
+def test_code_is_compiled_anew_when_a_source_in_any_room_changes(tmp_path, monkeypatch):
+    monkeypatch.setattr(code_cache, "SOURCES", tmp_path)
+    source = tmp_path / "radial" / "kernel.py"
+    source.parent.mkdir()
+    hashes = []
+    for text in ("UPWARD = 1\n", "UPWARD = 2\n"):
+        source.write_text(text)
+        hashes.append(code_cache._hash_of_sources.__wrapped__())
+    assert hashes[0] != hashes[1]

@@ -3,11 +3,18 @@
 import numpy as np
 import pytest
 
-from dsse_core.area_model import build_area_model
-from dsse_core.consensus_admm import POWER_METER_SIGMA, SPREAD, VOLTMETER_SIGMA, compute_weight, pull, solve_damped_step
-from dsse_core.division import build_partition
-from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
-from dsse_core.network import Branch, Bus, Control, Generator, Network
+from dsse_core.exchange.consensus_admm import (
+    POWER_METER_SIGMA,
+    SPREAD,
+    VOLTMETER_SIGMA,
+    compute_weight,
+    pull,
+    solve_damped_step,
+)
+from dsse_core.grid.division import build_partition
+from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
+from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
+from dsse_core.linear.area_model import build_area_model
 
 KIND = MeasurementKind
 NETWORK = Network(

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dsse_core import verdict
 from dsse_core.errors import EstimationDivergedError, InvalidInputError
+from dsse_core.estimation import verdict
 from dsse_core.gauss_newton import MOST_STEPS_ANEW
-from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
-from dsse_core.network import Branch, Bus, Control, Generator, Network
-from dsse_core.power_flow import solve_power_flow
+from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
+from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
+from dsse_core.power_flow.newton_raphson import solve_power_flow
 from scenarios.importers import import_grid
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry

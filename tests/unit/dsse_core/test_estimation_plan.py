@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from dsse_core.errors import EstimationDivergedError, InvalidInputError, NotObservableError
-from dsse_core.estimation import estimate_state, estimate_with_plan
-from dsse_core.estimation_plan import FEWEST_BUSES_OF_TREE, build_estimation_plan
-from dsse_core.measurement import MeasurementKind, Meter
-from dsse_core.power_flow import solve_power_flow
+from dsse_core.estimation.estimator import estimate_state, estimate_with_plan
+from dsse_core.estimation.plan import FEWEST_BUSES_OF_TREE, build_estimation_plan
+from dsse_core.grid.measurement import MeasurementKind, Meter
+from dsse_core.power_flow.newton_raphson import solve_power_flow
 
 Kind = MeasurementKind
 FLOWS = (Kind.P_FLOW, Kind.Q_FLOW)
@@ -87,7 +87,7 @@ def test_the_choice_is_told_with_its_reason(case, meshed, meters_of):
 
 def test_from_a_number_of_buses_on_the_tree_is_chosen_where_it_can_serve(chain, meters_of, monkeypatch):
     pytest.importorskip("numba", reason="the tree back end needs numba: pip install 'consensus-dsse[fast]'")
-    monkeypatch.setattr("dsse_core.estimation_plan.FEWEST_BUSES_OF_TREE", 20)
+    monkeypatch.setattr("dsse_core.estimation.plan.FEWEST_BUSES_OF_TREE", 20)
     assert build_estimation_plan(chain(20), meters_of(chain(20), Kind.VM, *FLOWS)).backend == "tree"
     assert build_estimation_plan(chain(19), meters_of(chain(19), Kind.VM, *FLOWS)).backend == "sparse"
     monkeypatch.setattr("importlib.util.find_spec", lambda name, *rest: None)
@@ -105,7 +105,8 @@ def test_a_back_end_that_cannot_serve_or_does_not_exist_is_refused_with_the_reas
 
 def test_numba_is_not_imported_for_small_networks():
     code = (
-        "import sys; from dsse_core.estimation import estimate_state; from scenarios.scenario import load_scenario;"
+        "import sys; from dsse_core.estimation.estimator import estimate_state;"
+        "from scenarios.scenario import load_scenario;"
         "from scenarios.telemetry import make_telemetry; s = load_scenario('ieee33');"
         "estimate_state(s.network, make_telemetry(s).union); sys.exit('numba' in sys.modules)"
     )

@@ -10,11 +10,11 @@ from boundary_marginal import marginal_of
 from feeders import Feeder, make_feeder, make_star
 from grids import MeterShares, make_grid
 
-from dsse_core.area_model import AreaModel, build_area_model
-from dsse_core.boundary_information import BoundaryInformation
+from dsse_core.grid.partition import Neighbour
 from dsse_core.linear import Backend, choose_backend
-from dsse_core.partition import Neighbour
-from dsse_core.power_flow import solve_power_flow
+from dsse_core.linear.area_model import AreaModel, build_area_model
+from dsse_core.linear.boundary_information import BoundaryInformation
+from dsse_core.power_flow.newton_raphson import solve_power_flow
 
 has_numba = importlib.util.find_spec("numba") is not None
 needs_numba = pytest.mark.skipif(not has_numba, reason="the tree needs numba: pip install 'consensus-dsse[fast]'")

@@ -5,9 +5,9 @@ import cmath
 import numpy as np
 import pytest
 
-from dsse_core.admittance import build_admittance, flat_start
-from dsse_core.measurement import MeasurementKind, Meter
-from dsse_core.measurement_model import build_measurement_model
+from dsse_core.grid.admittance import build_admittance, flat_start
+from dsse_core.grid.measurement import MeasurementKind, Meter
+from dsse_core.grid.measurement_model import build_measurement_model
 
 Kind = MeasurementKind
 

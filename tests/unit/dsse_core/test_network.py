@@ -5,7 +5,7 @@ import math
 import pytest
 
 from dsse_core.errors import InvalidInputError
-from dsse_core.network import Branch, Bus, Control, Generator, Network
+from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 
 
 def test_every_problem_is_reported_at_once():

@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dsse_core.admittance import build_admittance, flat_start
 from dsse_core.errors import InvalidInputError, NotObservableError
-from dsse_core.estimation_plan import build_estimation_plan
-from dsse_core.measurement import MeasurementKind, Meter, Source
-from dsse_core.measurement_model import build_measurement_model
-from dsse_core.network import Branch, Bus, Control, Generator, Network
+from dsse_core.estimation.plan import build_estimation_plan
+from dsse_core.grid.admittance import build_admittance, flat_start
+from dsse_core.grid.measurement import MeasurementKind, Meter, Source
+from dsse_core.grid.measurement_model import build_measurement_model
+from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from dsse_core.observability import check_observable, find_indispensable
 
 Kind = MeasurementKind

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dsse_core.boundary_load import NetLoad, boundary_loads, own_net_load, scheduled_load_messages
-from dsse_core.division import build_partition
 from dsse_core.errors import InvalidInputError
-from dsse_core.measurement import MeasurementKind, Meter
-from dsse_core.network import Branch, Bus, Control, Generator, Network
+from dsse_core.exchange.boundary_load import NetLoad, boundary_loads, own_net_load, scheduled_load_messages
+from dsse_core.grid.division import build_partition
+from dsse_core.grid.measurement import MeasurementKind, Meter
+from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 
 Kind = MeasurementKind
 

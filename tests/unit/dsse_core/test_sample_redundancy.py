@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from grids import MeterShares, make_grid
 
-from dsse_core.feeder_bad_data import build_no_load_model
+from dsse_core.exchange.feeder_bad_data import build_no_load_model
 from dsse_core.linear import make_no_load
 from dsse_core.observability import find_indispensable
 

@@ -7,9 +7,9 @@ import pytest
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
-from dsse_core import augmented, selected_inverse
-from dsse_core.augmented import AugmentedFactor
-from dsse_core.selected_inverse import find_inverse_diagonal
+from dsse_core.matrices import augmented, selected_inverse
+from dsse_core.matrices.augmented import AugmentedFactor
+from dsse_core.matrices.selected_inverse import find_inverse_diagonal
 
 
 def make_matrix(seed: int, n: int = 60, density: float = 0.05) -> sp.csc_array:

@@ -13,13 +13,13 @@ import pytest
 from grids import MeterShares, make_grid
 
 from dsse_core.errors import EstimationDivergedError
-from dsse_core.estimation import EstimationResult, estimate_state, estimate_with_plan
-from dsse_core.estimation_plan import build_estimation_plan
-from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
-from dsse_core.network import Branch, Bus, Control, Generator, Network
-from dsse_core.power_flow import solve_power_flow
-from dsse_core.tree_plan import build_tree_plan
-from scenarios.generator import generate_feeder
+from dsse_core.estimation.estimator import EstimationResult, estimate_state, estimate_with_plan
+from dsse_core.estimation.plan import build_estimation_plan
+from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
+from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
+from dsse_core.power_flow.newton_raphson import solve_power_flow
+from dsse_core.radial.plan import build_tree_plan
+from scenarios.generate.feeder import generate_feeder
 
 pytest.importorskip("numba", reason="the tree back end needs numba: pip install 'consensus-dsse[fast]'")
 

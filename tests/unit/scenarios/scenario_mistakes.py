@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from dsse_core.errors import InvalidInputError
+from scenarios.files.shipped_files import find_shipped
 from scenarios.scenario import load_scenario
-from scenarios.shipped_files import find_shipped
 
 GOOD = find_shipped("shipped")["ieee33"].read_text(encoding="utf-8")
 

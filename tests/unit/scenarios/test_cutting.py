@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dsse_core.blocks import Block, find_blocks
-from dsse_core.division import build_partition
 from dsse_core.errors import InvalidInputError
-from dsse_core.network import Branch, Bus, Control, Generator, Network
-from scenarios.cutting import cut_at, cut_into
+from dsse_core.grid.biconnected import Block, find_blocks
+from dsse_core.grid.division import build_partition
+from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
+from scenarios.generate.cutting import cut_at, cut_into
 
 
 def grid(*ends: tuple[int, int], slack: int = 1, open_ids: Sequence[str] = ()) -> Network:

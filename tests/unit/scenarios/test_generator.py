@@ -11,13 +11,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from dsse_core.errors import InvalidInputError
-from dsse_core.network import Control
-from dsse_core.power_flow import solve_power_flow
-from scenarios import generated_files
+from dsse_core.grid.network import Control
+from dsse_core.power_flow.newton_raphson import solve_power_flow
 from scenarios.check import check_scenario
-from scenarios.generated_files import write_generated
-from scenarios.generator import BUSES_OF_A_FEEDER, PV_SHARE, VM_TOLERANCE, generate_feeder
-from scenarios.network_file import load_network
+from scenarios.files.network_file import load_network
+from scenarios.generate import generated_files
+from scenarios.generate.feeder import BUSES_OF_A_FEEDER, PV_SHARE, VM_TOLERANCE, generate_feeder
+from scenarios.generate.generated_files import write_generated
 from scenarios.scenario import load_scenario
 
 

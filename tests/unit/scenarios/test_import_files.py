@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from dsse_core.errors import InvalidInputError
-from dsse_core.measurement import Measurement, MeasurementKind, Meter
-from dsse_core.network import Branch, Bus, Control, Generator, Network
+from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter
+from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from scenarios.check import check_scenario
 from scenarios.importers import Imported, import_grid
 from scenarios.importers.imported import Remark, combine_readings, open_end_shunt

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from dsse_core.errors import InvalidInputError
-from dsse_core.network import Control
-from dsse_core.power_flow import solve_power_flow
+from dsse_core.grid.network import Control
+from dsse_core.power_flow.newton_raphson import solve_power_flow
 from scenarios.importers import Imported, import_grid
 
 MESHED = """

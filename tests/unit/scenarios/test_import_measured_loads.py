@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from dsse_core.errors import InvalidInputError
-from dsse_core.estimation import estimate_state
-from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
+from dsse_core.estimation.estimator import estimate_state
+from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from scenarios.importers import Imported, import_grid
 
 pp: Any = pytest.importorskip("pandapower")

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from dsse_core.errors import InvalidInputError
-from dsse_core.estimation import estimate_state
-from dsse_core.power_flow import solve_power_flow
+from dsse_core.estimation.estimator import estimate_state
+from dsse_core.power_flow.newton_raphson import solve_power_flow
 from scenarios.importers import Imported, import_grid
 
 pp: Any = pytest.importorskip("pandapower")

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from dsse_core.errors import InvalidInputError
-from dsse_core.estimation import estimate_state
-from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
-from dsse_core.power_flow import solve_power_flow
+from dsse_core.estimation.estimator import estimate_state
+from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
+from dsse_core.power_flow.newton_raphson import solve_power_flow
 from scenarios.importers import Imported, import_grid
 
 pgm: Any = pytest.importorskip("power_grid_model")

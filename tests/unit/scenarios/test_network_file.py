@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from dsse_core.errors import InvalidInputError
-from dsse_core.network import Branch, Bus, Control, Network
-from dsse_core.power_flow import solve_power_flow
-from scenarios.network_file import load_case, load_network, save_network
+from dsse_core.grid.network import Branch, Bus, Control, Network
+from dsse_core.power_flow.newton_raphson import solve_power_flow
+from scenarios.files.network_file import load_case, load_network, save_network
 
 GOOD = """
 name = "two"

@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from dsse_core.errors import InvalidInputError
+from scenarios.files.network_file import load_network
+from scenarios.files.shipped_files import find_shipped
 from scenarios.importers import import_grid
-from scenarios.network_file import load_network
-from scenarios.shipped_files import find_shipped
 
 CASE = """function mpc = feeder
 mpc.version = '2';

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from dsse_core.errors import InvalidInputError
-from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source
+from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from scenarios.check import check_scenario
-from scenarios.network_file import load_case
-from scenarios.readings_file import load_readings, save_readings
+from scenarios.files.network_file import load_case
+from scenarios.files.readings_file import load_readings, save_readings
 from scenarios.scenario import Scenario, load_scenario
 from scenarios.telemetry import make_telemetry
 

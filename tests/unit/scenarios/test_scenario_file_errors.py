@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 from scenario_mistakes import GOOD, link, problems_of, the_only
 
-from coordinator.split import default_run_id
+from coordinator.deployment.split import default_run_id
 from dsse_core.errors import InvalidInputError
+from scenarios.files.shipped_files import find_shipped
 from scenarios.scenario import load_scenario
-from scenarios.shipped_files import find_shipped
 
 
 def changed(old: str, new: str) -> str:

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from pydantic.fields import FieldInfo
 
-from scenarios import fault_tables, network_file, scenario_file
-from scenarios.strict_toml import Table
+from scenarios.files import fault_tables, network_file, scenario_file
+from scenarios.files.strict_toml import Table
 
 REFERENCE = Path(__file__).parents[3] / "docs" / "scenario-reference.md"
 

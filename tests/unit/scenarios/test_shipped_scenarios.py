@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 from dsse_core.errors import InvalidInputError
+from dsse_core.grid.measurement import MeasurementKind, Meter, Source
 from dsse_core.link_faults import LinkFaults
-from dsse_core.measurement import MeasurementKind, Meter, Source
 from scenarios.check import check_scenario, meters_in_area
+from scenarios.files.shipped_files import find_shipped
 from scenarios.scenario import list_scenarios, load_scenario
-from scenarios.shipped_files import find_shipped
 
 NAMES = [
     "ieee33",

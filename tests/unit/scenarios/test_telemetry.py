@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from dsse_core.errors import InvalidInputError
-from dsse_core.estimation import estimate_state
-from dsse_core.measurement import Measurement, MeasurementKind, Meter, Source, check_measurements
+from dsse_core.estimation.estimator import estimate_state
+from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source, check_measurements
 from scenarios.check import check_scenario
+from scenarios.files.shipped_files import find_shipped
 from scenarios.meters import SigmaRule
 from scenarios.scenario import Scenario, TelemetrySettings, load_scenario
-from scenarios.shipped_files import find_shipped
 from scenarios.telemetry import make_telemetry
 
 KIND = MeasurementKind

@@ -1,0 +1,1 @@
+"""The area file: all that one agent reads."""

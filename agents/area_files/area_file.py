@@ -1,0 +1,152 @@
+"""The area file: all that one agent reads, per unit and radians. ``dsse split`` and ``dsse run`` write it."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from operator import attrgetter
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+from pydantic_core import to_json
+
+from dsse_core.estimation.state_limits import DEFAULT_LIMITS, StateLimits
+from dsse_core.grid.measurement import Meter
+from dsse_core.grid.network import Branch, Bus, Generator
+from dsse_core.grid.partition import Area, Neighbour
+from dsse_core.link_faults import LinkFaults
+
+FORMAT = 1
+
+
+@dataclass(frozen=True)
+class AreaFile:
+    """One area as its agent knows it.
+
+    Args:
+        run: name of the system that the area belongs to; a part of every key.
+        meters: the area's meters, virtual ones included; readings come by telemetry.
+        strategy: name of the boundary-exchange strategy.
+        endpoints: Zenoh endpoints to connect to, e.g. ``tcp/127.0.0.1:7447``: routers of which one is enough, or,
+            of an area that listens itself, neighbours.
+        listen: where neighbours, plant and watchers link with this area directly; empty if they meet at a router.
+        beat_s: interval at which the last messages are repeated, s.
+        scan_s: time between two scans, s; None where it is not known.
+        tolerance: the local estimate stops at max |dx| below it, p.u. and rad.
+        generation: load messages count the "telemetered" injection of substation and generators, or the
+            "scheduled" one.
+        load_error: added to the load at each boundary bus (eqs. 5.4, 5.5), p.u.
+        links: neighbour -> what goes wrong on the link to it; a neighbour that is not there has a sound link.
+        seed: of what goes wrong.
+        penalty: of strategy ``admm``.
+        limits: what an estimate must keep to be relied on.
+    """
+
+    run: str
+    area: Area
+    meters: tuple[Meter, ...]
+    strategy: str
+    endpoints: tuple[str, ...]
+    listen: tuple[str, ...] = ()
+    beat_s: float = 0.2
+    scan_s: float | None = None
+    tolerance: float = 1e-6
+    generation: str = "telemetered"
+    load_error: complex = 0j
+    links: dict[str, LinkFaults] = field(default_factory=dict)
+    seed: int = 0
+    penalty: float = 1.0
+    limits: StateLimits = DEFAULT_LIMITS
+
+
+def save_area_file(path: Path, content: AreaFile) -> None:
+    """Write ``content`` to ``path`` as TOML or, if its name ends so, as JSON, which is written and read much faster.
+
+    Of buses, branches, generators and meters TOML has a table each, JSON the same keys with a list of all values each.
+    """
+    area, network = content.area, content.area.network
+    is_json = path.suffix == ".json"
+    all_of = _columns_of if is_json else _all_rows_of
+    slack = {"bus": area.slack_bus} | ({} if area.slack_vm is None else {"vm": area.slack_vm})
+    table = {
+        "format": FORMAT,
+        "run": content.run,
+        "area": area.name,
+        "strategy": content.strategy,
+        "endpoints": list(content.endpoints),
+        **({"listen": list(content.listen)} if content.listen else {}),
+        "beat_s": content.beat_s,
+        **({"scan_s": content.scan_s} if content.scan_s is not None else {}),
+        "tolerance": content.tolerance,
+        "seed": content.seed,
+        "admm": {"penalty": content.penalty},
+        "quality": dataclasses.asdict(content.limits),
+        "local_slack": slack,
+        "exchange": {
+            **({"towards_hub": area.towards_hub} if area.towards_hub else {}),
+            "areas": area.n_areas,
+            "entry_vm": area.entry_voltage[0],
+            "entry_va": area.entry_voltage[1],
+        },
+        **({"reference": dict(zip(("bus", "va"), area.reference, strict=True))} if area.reference else {}),
+        "load_messages": {
+            "generation": content.generation,
+            "p_error": content.load_error.real,
+            "q_error": content.load_error.imag,
+        },
+        "neighbour": [_neighbour_row(n, content.links.get(n.area, LinkFaults())) for n in area.neighbours],
+        "network": {
+            "base_mva": network.base_mva,
+            "bus": all_of(Bus, network.buses),
+            "branch": all_of(Branch, network.branches),
+            "generator": all_of(Generator, network.generators),
+        },
+        "meter": all_of(Meter, content.meters),
+    }
+    if is_json:
+        path.write_bytes(to_json(table))
+        return
+    comment = f"# Area {area.name}: all that its agent reads. Per unit on base_mva, and radians.\n"
+    path.write_text(comment + tomli_w.dumps(table), encoding="utf-8")
+
+
+def _columns_of(cls: Any, items: Sequence[Any]) -> dict[str, Any]:
+    """Dataclasses as one table with a list for each key; a key of defaults only is left out."""
+    columns = ((key, _column_of(key, items), default) for key, default in keys_of(cls))
+    return {
+        key: column
+        for key, column, default in columns
+        if default is dataclasses.MISSING or any(value != default for value in column)
+    }
+
+
+def _column_of(key: str, items: Sequence[Any]) -> list[Any]:
+    column = list(map(attrgetter(key), items))
+    is_enumeration = bool(column) and isinstance(column[0], StrEnum)
+    return list(map(str, column)) if is_enumeration else column  # plain text is written in a fraction of the time
+
+
+def _all_rows_of(_: Any, items: Sequence[Any]) -> list[dict[str, Any]]:
+    return [_row_of(item) for item in items]
+
+
+def _row_of(item: Any) -> dict[str, Any]:
+    """A dataclass as a table: values that equal their default are left out, and so is None."""
+    values = ((key, getattr(item, key), default) for key, default in _known_keys_of(item.__class__))
+    return {key: value for key, value, default in values if default is dataclasses.MISSING or value != default}
+
+
+def keys_of(cls: Any) -> list[tuple[str, Any]]:
+    """Name and default of every field of a dataclass."""
+    return [(f.name, f.default) for f in dataclasses.fields(cls)]
+
+
+_known_keys_of = functools.cache(keys_of)
+
+
+def _neighbour_row(neighbour: Neighbour, faults: LinkFaults) -> dict[str, Any]:
+    return _row_of(neighbour) | ({"faults": _row_of(faults)} if faults != LinkFaults() else {})

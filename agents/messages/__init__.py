@@ -1,0 +1,1 @@
+"""What crosses the bus: messages, their keys, how they are packed and checked."""

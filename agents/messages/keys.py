@@ -1,0 +1,103 @@
+"""Key expressions on the bus, all below ``dsse/v<wire version>/<run>/``; every chunk is made of ``[a-z0-9_-]``.
+
+==============================  ====================================================
+``area/<i>/boundary/<j>``       boundary messages of area i for neighbour j, angle-offset
+``area/<i>/up/<j>``, ``down``   messages of rounds of strategy information, towards the hub and from it
+``area/<i>/heartbeat/<j>``      where area i stands in its rounds, and that it hears neighbour j
+``area/<i>/admm/<j>``           the same of strategy admm
+``area/<i>/load/<j>``           load messages of area i for neighbour j
+``area/<i>/state``              what area i knows, for whoever watches
+``telemetry/<i>``               meter readings for area i, from the plant or a gateway
+``clock``                       how long the run has lasted, from the coordinator; only injected faults count by it
+``live/<role>/<name>/<life>``   presence tokens of areas, plant and coordinator, one for each life of a process
+==============================  ====================================================
+"""
+
+import re
+
+from agents.messages.packing import WIRE_VERSION, Incarnation
+from dsse_core.limits import LONGEST_NAME
+
+NAME = re.compile(rf"[a-z0-9_-]{{1,{LONGEST_NAME}}}")
+VERSION = re.compile(r"v([0-9]{1,9})")
+LIFE = re.compile(r"([0-9a-f]{1,14})-([0-9a-f]{8})")
+
+
+def _root(run: str) -> str:
+    return f"dsse/v{WIRE_VERSION}/{run}"
+
+
+def all_of_run(run: str) -> str:
+    return f"{_root(run)}/**"
+
+
+def neighbour_key(run: str, sender: str, kind: str, receiver: str) -> str:
+    return f"{_root(run)}/area/{sender}/{kind}/{receiver}"
+
+
+def all_from_neighbours(run: str, receiver: str) -> str:
+    """What neighbours say to ``receiver``: messages of every kind."""
+    return f"{_root(run)}/area/*/*/{receiver}"
+
+
+def state_key(run: str, area: str) -> str:
+    return f"{_root(run)}/area/{area}/state"
+
+
+def all_states(run: str) -> str:
+    return state_key(run, "*")
+
+
+def telemetry_key(run: str, area: str) -> str:
+    return f"{_root(run)}/telemetry/{area}"
+
+
+def clock_key(run: str) -> str:
+    return f"{_root(run)}/clock"
+
+
+def live_key(run: str, role: str, name: str, life: Incarnation) -> str:
+    return f"{_root(run)}/live/{role}/{name}/{life}"
+
+
+def all_lives(run: str, role: str, name: str) -> str:
+    """The tokens of every life of ``name``."""
+    return f"{_root(run)}/live/{role}/{name}/*"
+
+
+def all_live(run: str) -> str:
+    return all_lives(run, "*", "*")
+
+
+def all_live_of_any_version(run: str) -> str:
+    """The same of programs that speak another wire version, which can only be named."""
+    return f"dsse/*/{run}/live/*/*/*"
+
+
+def version_of(key: str) -> int:
+    """The wire version that a key belongs to; 0 if it is not written as versions are."""
+    found = VERSION.fullmatch(key.split("/")[1])
+    return int(found[1]) if found else 0
+
+
+def run_of(key: str) -> str:
+    """The run that a key belongs to."""
+    return key.split("/")[2]
+
+
+def sender_of(key: str) -> str:
+    """The area that a key of an area's own belongs to; empty for other keys."""
+    chunks = key.split("/")
+    return chunks[4] if len(chunks) > 4 and chunks[3] == "area" else ""
+
+
+def name_of_live(key: str) -> tuple[str, str]:
+    """(role, name) of a presence token."""
+    chunks = key.split("/")
+    return chunks[4], chunks[5]
+
+
+def life_of(key: str) -> Incarnation | None:
+    """The life that a presence token stands for; None if it is not written as lives are."""
+    found = LIFE.fullmatch(key.rpartition("/")[2])
+    return Incarnation(int(found[1], 16), int(found[2], 16)) if found else None

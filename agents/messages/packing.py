@@ -1,0 +1,247 @@
+"""How messages are packed, and what is refused of what comes: an array in MessagePack, then its CRC-32.
+
+``[wire version, kind, header, ...body]``: the fields of ``agents/messages/types.py`` in their order, dataclasses as
+arrays of their fields, maps as arrays of pairs. msgpack packs. The type of this array follows from the class; msgspec
+checks all of it while it reads, so nothing but what a message may hold is ever made of a payload.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import typing
+import zlib
+from collections.abc import Callable, Mapping
+from operator import attrgetter
+from typing import Any
+
+import msgpack
+import msgspec
+import numpy as np
+
+from agents.messages.checks import MessageError, shown
+from agents.messages.totals_list import WireTotals, list_totals, read_totals
+from agents.messages.types import (
+    NO_LIFE,
+    AdmmMessage,
+    BoundaryMessage,
+    ClockMessage,
+    DownMessage,
+    Header,
+    HeartbeatMessage,
+    Incarnation,
+    LoadMessage,
+    RoundMessage,
+    StateMessage,
+    TelemetryMessage,
+    UpMessage,
+)
+from dsse_core.estimation.verdict import Totals
+
+__all__ = [
+    "NO_LIFE",
+    "AdmmMessage",
+    "BoundaryMessage",
+    "ClockMessage",
+    "DownMessage",
+    "Header",
+    "HeartbeatMessage",
+    "Incarnation",
+    "LoadMessage",
+    "RoundMessage",
+    "StateMessage",
+    "TelemetryMessage",
+    "UpMessage",
+]
+
+WIRE_VERSION = 2
+MAX_BYTES = 8 * 1024 * 1024
+MAX_NEIGHBOUR_BYTES = 256 * 1024  # of what neighbours say; only telemetry and states grow with the area
+UNNUMBERED = {"header", "quality", "notes", "telemetry_age", "ages", "scans", "old_sides", "refused"}
+
+BoundaryNews = BoundaryMessage | AdmmMessage
+ExchangeMessage = UpMessage | DownMessage | BoundaryNews  # of a strategy
+LinkMessage = HeartbeatMessage | ExchangeMessage  # tells of the link that it comes on, see HeartbeatMessage
+Message = LoadMessage | LinkMessage | TelemetryMessage | ClockMessage | StateMessage
+MESSAGE_TYPES: Mapping[str, type[Any]] = {cls.kind: cls for cls in typing.get_args(Message)}
+
+
+def content_of(message: StateMessage) -> tuple[Any, ...]:
+    """What a sequence number stands for: all but the header and what may differ between two messages of one number."""
+    content: tuple[Any, ...] = _CONTENT[message.kind](message)
+    return content
+
+
+_CONTENT: Mapping[str, Callable[[Any], Any]] = {
+    kind: attrgetter(*(field.name for field in dataclasses.fields(cls) if field.name not in UNNUMBERED))
+    for kind, cls in MESSAGE_TYPES.items()
+}
+
+# Packing
+
+
+def _pack_life(life: Incarnation) -> tuple[int, int]:
+    return life.start_ms, life.random
+
+
+def _read_life(places: tuple[int, int]) -> Incarnation:
+    return Incarnation(*places)
+
+
+def _pack_header(h: Header) -> tuple[Any, ...]:
+    return h.run, h.sender, _pack_life(h.incarnation), h.scan, h.sequence, h.time
+
+
+def _read_header(places: tuple[Any, ...]) -> Header:
+    run, sender, life, scan, sequence, time = places
+    return Header(run, sender, _read_life(life), scan, sequence, time)
+
+
+def _read_map(pairs: tuple[tuple[str, Any], ...]) -> dict[str, Any]:
+    content = dict(pairs)
+    if len(content) < len(pairs):
+        raise MessageError("malformed", "a key given twice")
+    return content
+
+
+_PACK: Mapping[Any, Callable[[Any], Any]] = {
+    Header: _pack_header,
+    Incarnation: _pack_life,
+    Totals: list_totals,
+    dict: lambda m: list(m.items()),
+}
+_READ: Mapping[Any, Callable[[Any], Any]] = {
+    Header: _read_header,
+    Incarnation: _read_life,
+    Totals: read_totals,
+    dict: _read_map,
+}
+
+
+def _form_of(hint: Any) -> Any:
+    """What of a type needs more than msgspec: one of the keys of ``_PACK``; None if nothing does."""
+    form = typing.get_origin(hint) or hint
+    return form if form in _PACK else None
+
+
+def _array_type(hint: Any) -> Any:
+    """The type of what stands in a message for a value of type ``hint``."""
+    if hint is Totals:
+        return WireTotals
+    if dataclasses.is_dataclass(hint):
+        return tuple[tuple(_array_type(place) for place in _hints_of(hint).values())]  # type: ignore[misc]
+    if typing.get_origin(hint) is dict:
+        return tuple[tuple[typing.get_args(hint)], ...]  # type: ignore[misc]
+    return hint
+
+
+def _hints_of(cls: Any) -> dict[str, Any]:
+    hints = typing.get_type_hints(cls, include_extras=True)
+    return {field.name: hints[field.name] for field in dataclasses.fields(cls)}
+
+
+class _Packing:
+    """How the messages of one class are packed and read."""
+
+    def __init__(self, cls: type[Any]) -> None:
+        hints = _hints_of(cls)
+        self.cls = cls
+        self.names = tuple(hints)
+        self.values = attrgetter(*self.names)
+        self.forms = [(k, form) for k, hint in enumerate(hints.values()) if (form := _form_of(hint))]
+        places = (int, str, *map(_array_type, hints.values()))
+        self.decoder = msgspec.msgpack.Decoder(tuple[places])  # type: ignore[valid-type]
+        self.has_misfits = hasattr(cls, "find_misfit")
+
+
+_PACKINGS = {kind: _Packing(cls) for kind, cls in MESSAGE_TYPES.items()}
+
+
+def _plain(number: object) -> Any:
+    """A number of numpy's as one of Python's."""
+    if isinstance(number, np.generic):
+        return number.item()
+    raise TypeError(f"{type(number).__name__} has no place in a message")
+
+
+def encode(message: Message) -> bytes:
+    """The payload of ``message``."""
+    packing = _PACKINGS[message.kind]
+    places = [WIRE_VERSION, message.kind, *packing.values(message)]
+    for k, form in packing.forms:
+        places[2 + k] = _PACK[form](places[2 + k])
+    return seal(msgpack.packb(places, default=_plain))
+
+
+def seal(packed: bytes) -> bytes:
+    """``packed`` with its checksum, without which damaged numbers could not be told from others."""
+    return packed + zlib.crc32(packed).to_bytes(4, "big")
+
+
+# Reading
+
+
+class _Beginning(msgspec.Struct, array_like=True):
+    """By what every message of any version begins; what follows is only looked through."""
+
+    version: int
+    kind: msgspec.Raw
+
+
+_beginning = msgspec.msgpack.Decoder(_Beginning)
+_BY_KIND = {msgpack.packb(kind): packing for kind, packing in _PACKINGS.items()}
+
+
+def decode(payload: bytes, largest: int = MAX_BYTES) -> Message:
+    """The message in ``payload``, which may have ``largest`` bytes.
+
+    Raises:
+        MessageError: anything that is not a well-formed message of this wire version.
+    """
+    if len(payload) > largest:
+        raise MessageError("too large", f"{len(payload)} bytes, the limit is {largest}")
+    packed, checksum = payload[:-4], payload[-4:]
+    if zlib.crc32(packed).to_bytes(4, "big") != checksum:
+        raise MessageError("damaged", "the checksum does not fit")
+    packing = None
+    try:
+        beginning = _beginning.decode(packed)
+        if beginning.version != WIRE_VERSION:
+            raise MessageError("wire version", describe_other_version(beginning.version))
+        packing = _BY_KIND.get(bytes(beginning.kind))
+        if packing is None:
+            raise MessageError("malformed", f"unknown kind {shown(bytes(beginning.kind)[:80])}")
+        return _build(packing, packing.decoder.decode(packed))
+    except msgspec.ValidationError as error:
+        raise _refusal_of(error, packing) from None
+    except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:
+        raise MessageError("not MessagePack", shown(str(error))) from None
+
+
+def describe_other_version(version: int, who_speaks: str = "it speaks") -> str:
+    """What to do about somebody who speaks another wire version."""
+    older = "the other side" if version < WIRE_VERSION else "this program"
+    return f"{who_speaks} wire version {version:.6g}, this is version {WIRE_VERSION}: upgrade {older}"
+
+
+def _build(packing: _Packing, places: tuple[Any, ...]) -> Message:
+    values = list(places[2:])
+    for k, form in packing.forms:
+        values[k] = _READ[form](values[k])
+    message: Any = packing.cls(**dict(zip(packing.names, values, strict=True)))
+    if packing.has_misfits and (misfit := message.find_misfit()):
+        raise MessageError("malformed", misfit)
+    found: Message = message
+    return found
+
+
+_INFINITE = re.compile(r"Expected `float` [<>]=")  # finiteness is the only bound that a number has
+_PLACE = re.compile(r"^(.*) - at `\$\[([0-9]+)\](.*)`$", re.DOTALL)
+
+
+def _refusal_of(error: msgspec.ValidationError, packing: _Packing | None) -> MessageError:
+    """``error`` with the name of the field in which it is."""
+    text = str(error)
+    if packing is not None and (found := _PLACE.match(text)) and int(found[2]) >= 2:
+        text = f"{packing.names[int(found[2]) - 2]}{found[3]}: {found[1]}"
+    return MessageError("not finite" if _INFINITE.search(text) else "malformed", ascii(text)[1:-1][:200])

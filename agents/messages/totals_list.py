@@ -1,0 +1,58 @@
+"""Totals as messages carry them: a list of (kind, value), a kind for each field of ``Totals``, in their order.
+
+What is left out is zero, false or empty, which adds nothing to any total. So a later version can add a kind without a
+new wire version: it leaves it out where it says nothing. Who does not know a kind that is there refuses the message,
+as the verdict follows from all totals, unless the kind ends with ``?``: nothing may follow from those, and who does
+not know them passes them over.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any, get_type_hints
+
+import msgspec
+
+from agents.messages.checks import Integer, MessageError, Name, Names, Number, shown
+from dsse_core.estimation.verdict import Totals
+
+WireTotals = tuple[tuple[Name, msgspec.Raw], ...]
+_CHECKED: Mapping[Any, Any] = {
+    bool: bool,
+    int: Integer,
+    float: Number,
+    tuple[str, ...]: Names,
+    tuple[tuple[str, float], ...]: tuple[tuple[Name, Number], ...],
+}
+SHORT = {"objective": "J", "degrees_of_freedom": "dof", "held_back": "held", "areas": "n", "referenced": "ref"}
+_TYPES = get_type_hints(Totals)
+_KINDS = [(SHORT.get(f.name, f.name), f.name, f.default) for f in dataclasses.fields(Totals)]
+_READERS = {kind: msgspec.msgpack.Decoder(_CHECKED[_TYPES[name]]) for kind, name, _ in _KINDS}
+_PLACES = {kind: (place, name) for place, (kind, name, _) in enumerate(_KINDS)}
+
+
+def list_totals(totals: Totals) -> list[tuple[str, Any]]:
+    """``totals`` as a message carries them."""
+    return [(kind, value) for kind, name, nothing in _KINDS if (value := getattr(totals, name)) != nothing]
+
+
+def read_totals(parts: Sequence[tuple[str, msgspec.Raw]]) -> Totals:
+    """The totals that a message carries.
+
+    Raises:
+        MessageError: a kind that is not known and not optional, out of order or given twice.
+        msgspec.ValidationError: a value of another type than its kind has.
+    """
+    values: dict[str, Any] = {}
+    last = -1
+    for kind, value in parts:
+        if kind not in _PLACES:
+            if not kind.endswith("?"):
+                raise MessageError("malformed", f"totals of the unknown kind {shown(kind)}")
+            continue
+        place, name = _PLACES[kind]
+        if place <= last:
+            raise MessageError("malformed", f"totals of kind {kind} out of order or twice")
+        last, values[name] = place, _READERS[kind].decode(value)
+    return Totals(**values)

@@ -1,0 +1,297 @@
+"""What crosses the bus: one typed definition of each message, from which packing, checks and documentation follow.
+
+Every message is absolute and idempotent. The fields of a class stand in a message in their order (``packing.py``),
+each as its type says (``checks.py``); ``find_misfit`` says what several of them cannot be together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+from agents.messages.boundary_variables import (
+    ONE_PHASE,
+    count_powers,
+    count_triangle,
+    find_wrong_length,
+    find_wrong_variable,
+)
+from agents.messages.checks import Count, Integer, Name, Names, Notes, Number, Numbers
+from dsse_core.estimation.verdict import Totals
+from dsse_core.exchange.boundary_load import NetLoad
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Incarnation:
+    """One life of a process: a restarted one is newer than its past."""
+
+    start_ms: Count
+    random: Count
+
+    def __str__(self) -> str:
+        """As in the key of its presence token."""
+        return f"{self.start_ms:x}-{self.random:08x}"
+
+
+NO_LIFE = Incarnation(0, 0)
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """Who says it, in which life, about which scan. ``sequence`` grows with every changed content."""
+
+    run: Name
+    sender: Name
+    incarnation: Incarnation
+    scan: Count
+    sequence: Count
+    time: Number  # s since 1970; refused from the future, and of two messages of one order the later one counts
+
+    @property
+    def order(self) -> tuple[Incarnation, int]:
+        """What makes one message of a sender newer than another."""
+        return (self.incarnation, self.sequence)
+
+
+@dataclass(frozen=True, slots=True)
+class LoadMessage:
+    """The net load, p.u., of everything on the sender's side of a boundary bus (thesis eqs. 5.1, 5.2).
+
+    ``sigma``: standard deviation of ``p`` and ``q`` that comes from the meters among what is summed.
+    """
+
+    kind: ClassVar[str] = "load"
+    header: Header
+    bus: Count
+    p: Number
+    q: Number
+    sigma: Number
+
+    @property
+    def load(self) -> NetLoad:
+        return NetLoad(complex(self.p, self.q), self.sigma * self.sigma)
+
+
+@dataclass(frozen=True, slots=True)
+class BoundaryMessage:
+    """The sender's corrected state at a boundary bus, p.u. and rad.
+
+    ``referenced``: its angle counts from the substation. ``hears``, ``answers``, ``received``, ``complete``, in every
+    boundary message: as in a heartbeat. They hold at ``header.time`` and may differ between two messages of one number.
+    """
+
+    kind: ClassVar[str] = "boundary"
+    header: Header
+    bus: Count
+    vm: Number
+    va: Number
+    referenced: bool
+    hears: bool = False
+    answers: Number = 0.0
+    received: tuple[Count, Count] = (0, 0)
+    complete: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class AdmmMessage:
+    """What the sender tells in its ``iteration`` at a boundary: ``r = 2 y - z`` of its d ``variables`` y.
+
+    ``r_before``: that of the iteration before, should its message have been lost. ``weight``: the sender's own
+    information about each of y, which the penalty is a multiple of. ``referenced``: the sender's side knows the
+    substation's angle.
+    """
+
+    kind: ClassVar[str] = "admm"
+    header: Header
+    bus: Count
+    variables: Names = field(default=ONE_PHASE, kw_only=True)
+    iteration: Count
+    r: Numbers
+    r_before: Numbers
+    weight: Numbers
+    unsettled: bool
+    referenced: bool
+    hears: bool = False
+    answers: Number = 0.0
+    received: tuple[Count, Count] = (0, 0)
+    complete: bool = False
+
+    def find_misfit(self) -> str:
+        d = len(self.variables)
+        lengths = {"r": (len(self.r), (d,)), "r_before": (len(self.r_before), (d,)), "weight": (len(self.weight), (d,))}
+        return find_wrong_variable(self.variables) or find_wrong_length(self.variables, lengths)
+
+
+@dataclass(frozen=True, slots=True)
+class HeartbeatMessage:
+    """Where the sender stands: in (scan, ``revision``) it has come to round ``k``, and whether that is ``final``.
+
+    Asynchronous strategies have no rounds: there ``k`` is the number of the newest boundary message to the receiver.
+    ``hears``: it hears the receiver. ``answers``: send time of the receiver's newest message plus the time it has lain
+    here, from which the receiver finds the round trip; 0 without one. ``received``: numbers of the newest load message
+    and of the newest message of the strategy that it has accepted of the receiver, 0 without one. ``complete``: all on
+    its side is of this scan, heard and fresh. ``y``: at rest, the d ``variables`` of the boundary in its final state.
+    ``plant``, ``offset``: the scan of terms is the number that this life of the plant gives it, plus so much
+    (``agents/protocol/scan_readings.py``).
+    """
+
+    kind: ClassVar[str] = "heartbeat"
+    header: Header
+    bus: Count
+    variables: Names = field(default=ONE_PHASE, kw_only=True)
+    revision: Count
+    k: Count
+    hears: bool
+    answers: Number
+    received: tuple[Count, Count]
+    final: bool
+    complete: bool
+    y: Numbers
+    plant: Incarnation = NO_LIFE
+    offset: Count = 0
+
+    def find_misfit(self) -> str:
+        lengths = {"y": (len(self.y), (0, len(self.variables)))}
+        return find_wrong_variable(self.variables) or find_wrong_length(self.variables, lengths)
+
+
+@dataclass(frozen=True)
+class RoundMessage:
+    """One side's part in round ``k`` of the term (scan, ``revision``): all that the sender's side knows at x_k.
+
+    ``hears``, ``answers``, ``received``: as in a heartbeat. ``R``, ``z``: the side's cost-to-go at the boundary,
+    ``1/2 |R y - z|^2`` of its d ``variables`` y, R the upper triangle of a (d, d) matrix row by row; empty where no
+    step is to come. ``no_load``: R of the no-load model in round 0, of (p, q) / vm_b^2, dvm / vm_b and dva, vm_b being
+    the sender's no-load voltage; empty where something is missing. ``power``: the powers among y, from a child.
+    """
+
+    header: Header
+    bus: Count
+    variables: Names = field(default=ONE_PHASE, kw_only=True)
+    revision: Count
+    k: Count
+    hears: bool
+    answers: Number
+    received: tuple[Count, Count]
+    R: Numbers
+    z: Numbers
+    no_load: Numbers
+    power: Numbers
+    totals: Totals
+
+    def find_misfit(self) -> str:
+        if wrong := find_wrong_variable(self.variables):
+            return wrong
+        d = len(self.variables)
+        triangle = count_triangle(d)
+        lengths = {
+            "R": (len(self.R), (0, triangle)),
+            "z": (len(self.z), (d,) if self.R else (0,)),
+            "no_load": (len(self.no_load), (0, triangle)),
+            "power": (len(self.power), (0, count_powers(self.variables))),
+        }
+        return find_wrong_length(self.variables, lengths)
+
+
+@dataclass(frozen=True)
+class UpMessage(RoundMessage):
+    """Towards the hub; the totals are those of the sender's side."""
+
+    kind: ClassVar[str] = "up"
+
+
+@dataclass(frozen=True)
+class DownMessage(RoundMessage):
+    """From the side of the hub; the totals are those of all areas, on which ``decider`` in its ``life`` decided.
+
+    ``verdict``: what follows from them, which the receiver finds out for itself, too.
+    """
+
+    kind: ClassVar[str] = "down"
+    verdict: Name
+    decider: Name
+    life: tuple[Count, Count]
+
+
+@dataclass(frozen=True, slots=True)
+class TelemetryMessage:
+    """One scan of an area's meters, for each reading: id, value and sigma, p.u. and rad.
+
+    ``times``: when it was measured, s since 1970 UTC. ``valid``: whether its source vouches for it.
+    """
+
+    kind: ClassVar[str] = "telemetry"
+    header: Header
+    area: Name
+    meters: Names
+    values: Numbers
+    sigmas: Numbers
+    times: Numbers
+    valid: tuple[bool, ...]
+
+    def find_misfit(self) -> str:
+        return _find_unequal(self, "meters", "values", "sigmas", "times", "valid")
+
+
+@dataclass(frozen=True, slots=True)
+class ClockMessage:
+    """How long the run has lasted since all areas were there, s; windows of injected faults count from then."""
+
+    kind: ClassVar[str] = "clock"
+    header: Header
+    elapsed_s: Number
+
+
+@dataclass(frozen=True, slots=True)
+class StateMessage:
+    """What an area knows and on what it rests, for whoever watches.
+
+    ``buses``, ``vm``, ``va``, ``sigma_vm``, ``sigma_va``: the estimate (empty before the first), p.u. and rad.
+    ``referenced``: angles count from the substation. ``removed``: meters taken out as bad data.
+    ``critical``: meters that cannot be spared, whatever they read. ``checked``: bad data have been looked for.
+    ``sent``, ``heard``: per neighbour the last sequence numbers of load messages and of boundary messages or those of
+    rounds; 0 before any.
+    ``messages``, ``bytes``, ``lost``: totals handed to the bus, ``lost`` of them dropped by the links; ``faults``:
+    what the links have done to them, by kind. ``refused``: received payloads by reason of refusal.
+    ``quality``: what the state is worth (docs/quality.md). ``notes``: why, the worst first, then remarks.
+    ``telemetry_age``: s since telemetry was last heard;
+    ``ages``, ``scans``: neighbour -> s since its boundary message was last heard, and the scan of the newest;
+    ``old_sides``: neighbours that say that their side rests on something old. All these hold at ``header.time`` and
+    may differ between two states of one sequence number.
+    """
+
+    kind: ClassVar[str] = "state"
+    header: Header
+    buses: tuple[Count, ...]
+    vm: Numbers
+    va: Numbers
+    sigma_vm: Numbers
+    sigma_va: Numbers
+    referenced: bool
+    objective: Number
+    degrees_of_freedom: Integer
+    removed: Names
+    critical: Names
+    checked: bool
+    sent: dict[Name, tuple[Count, Count]]
+    heard: dict[Name, tuple[Count, Count]]
+    messages: Count
+    bytes: Count
+    lost: Count
+    refused: dict[Name, Count]
+    notes: Notes
+    faults: dict[Name, Count]
+    quality: Name
+    telemetry_age: Number
+    ages: dict[Name, Number]
+    scans: dict[Name, Count]
+    old_sides: Names
+
+    def find_misfit(self) -> str:
+        return _find_unequal(self, "buses", "vm", "va", "sigma_vm", "sigma_va")
+
+
+def _find_unequal(message: object, *names: str) -> str:
+    """That arrays that belong together differ in length; empty if they do not."""
+    is_equal = len({len(getattr(message, name)) for name in names}) == 1
+    return "" if is_equal else f"{', '.join(names)} differ in length"

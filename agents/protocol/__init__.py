@@ -1,0 +1,1 @@
+"""What an area does: events and time in, actions out. No bus, no clock, no randomness."""

@@ -1,0 +1,226 @@
+"""The numbers of one area in a term of rounds: what it has heard in round k, what it passes on, what it carries out.
+
+Towards the hub goes what the area's side knows at x_k; back comes what everybody else knows, with the totals of all
+areas. Every area finds the verdict on these totals for itself. No process, link or clock is known here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from agents.messages.packing import DownMessage, RoundMessage, UpMessage
+from agents.messages.triangle import read_triangle
+from dsse_core.estimation.verdict import Decision, Memory, Totals, Verdict, add_totals, decide
+from dsse_core.exchange.area_estimation import FAILURES, AreaEstimation
+from dsse_core.exchange.boundary_load import NetLoad
+from dsse_core.grid.measurement import Measurement
+from dsse_core.grid.partition import Area
+from dsse_core.linear.boundary_information import BoundaryInformation
+
+Known = dict[str, BoundaryInformation]
+
+
+@dataclass(frozen=True)
+class Decider:
+    """Who has added up all totals: ``name`` in its ``life``."""
+
+    name: str
+    life: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a term ended. Two of one term and decider are equal."""
+
+    verdict: Verdict
+    totals: Totals
+    decider: Decider
+
+
+@dataclass(frozen=True)
+class Content:
+    """What a message of a round says, see ``RoundMessage``; None for what it leaves out."""
+
+    information: BoundaryInformation | None
+    no_load: BoundaryInformation | None
+    power: tuple[float, ...]
+    totals: Totals
+
+
+class AreaRound:
+    """``k``: the round. ``outcome``: how the term has ended, None before. ``links``: the neighbours in use."""
+
+    def __init__(self, area: Area) -> None:
+        self.estimation = AreaEstimation(area)
+        self.k = 0
+        self.links: frozenset[str] = frozenset()
+        self.outcome: Outcome | None = None
+        self._area = area
+        self._memory = Memory()
+        self._ups: dict[str, UpMessage] = {}
+        self._is_passed_on = False  # Up(k) has been sent, or decided on
+        self._has_begun = False
+
+    @property
+    def towards_hub(self) -> str | None:
+        """The neighbour in use on the way to the hub; None for who decides."""
+        return self._area.towards_hub if self._area.towards_hub in self.links else None
+
+    @property
+    def lower(self) -> list[str]:
+        """The neighbours in use that are farther from the hub."""
+        return [n.area for n in self._area.neighbours if n.area in self.links and n.area != self._area.towards_hub]
+
+    @property
+    def removed(self) -> tuple[str, ...]:
+        """The meters of all areas that this term has taken out as bad data, in order."""
+        return self._memory.removed
+
+    def enter(self, links: frozenset[str]) -> None:
+        """A new term with the neighbours ``links``; round 0 waits for ``begin``."""
+        self.links, self.outcome, self._has_begun = links, None, False
+        self._memory = Memory()
+        self._go_to(0)
+
+    def begin(self, readings: Sequence[Measurement], *, stale: bool, loads: Mapping[str, NetLoad]) -> None:
+        """The readings of the term are there; ``loads``: what neighbours have said of theirs."""
+        silent = {n.area for n in self._area.neighbours} - self.links
+        stand_ins = {name: load for name, load in loads.items() if name in silent}
+        self._has_begun = True
+        try:
+            self.estimation.begin(readings, silent=silent, stale=stale, loads=stand_ins)
+        except FAILURES as error:
+            self.estimation.fail(error)
+
+    def _go_to(self, k: int) -> None:
+        self.k, self._ups, self._is_passed_on = k, {}, False
+
+    # Towards the hub
+
+    def take_up(self, name: str, message: UpMessage) -> bool:
+        """Keep Up(k) of a neighbour; whether it is the first."""
+        if self.outcome is not None or name in self._ups:
+            return False
+        self._ups[name] = message
+        return True
+
+    @property
+    def may_go_on(self) -> bool:
+        """Whether Up(k) may be sent, or decided on."""
+        if self.outcome is not None or self._is_passed_on or not self._has_begun:
+            return False
+        return all(name in self._ups for name in self.lower)
+
+    def add_up(self) -> Totals:
+        """The totals of this side at x_k, which are now passed on, or decided on."""
+        self._is_passed_on = True
+        for name, up in self._ups.items():
+            if up.power:
+                self.estimation.set_power(name, up.power)
+        return add_totals([self.estimation.totals(), *(self._read(self._ups[name].totals) for name in self.lower)])
+
+    def _read(self, totals: Totals) -> Totals:
+        """Nobody else can name a meter of this area, nor one that is out already."""
+        unknown = self.estimation.own_meters | set(self.removed)
+        return replace(totals, worst=tuple(named for named in totals.worst if named[0] not in unknown))
+
+    def find_up(self, totals: Totals) -> Content:
+        """What Up(k) says."""
+        assert self.towards_hub is not None  # else it is decided
+        name, information, no_load = self.towards_hub, None, None
+        if not totals.failed and not self._memory.judging:
+            information = self._find_information(name, self._below())
+        if self.estimation.failure:
+            totals = replace(totals, failed=(self._area.name,))
+        elif self.estimation.is_first:
+            no_load = self.estimation.no_load_for(name, self._no_load_below())
+        return Content(information, no_load, self._find_power(name), totals)
+
+    def _below(self) -> Known:
+        return {name: information_of(up) for name, up in self._ups.items() if up.R}
+
+    def _no_load_below(self) -> Known:
+        return {name: no_load_of(up) for name, up in self._ups.items() if up.no_load}
+
+    def _find_information(self, name: str, known: Known) -> BoundaryInformation | None:
+        """For ``name``; None without numbers."""
+        if self.estimation.failure:
+            return None
+        try:
+            return self.estimation.information_for(name, {k: v for k, v in known.items() if k != name})
+        except FAILURES as error:
+            self.estimation.fail(error)
+            return None
+
+    def _find_power(self, name: str) -> tuple[float, ...]:
+        return () if self.estimation.failure else self.estimation.power_for(name)
+
+    # From the hub
+
+    def decide(self, totals: Totals) -> Verdict:
+        """The verdict on the totals of all areas."""
+        self._memory, verdict = decide(self._memory, totals)
+        return verdict
+
+    def is_waited_for(self) -> bool:
+        """Whether Down(k) may come."""
+        return self._is_passed_on and self.outcome is None
+
+    def find_lie(self, message: DownMessage) -> str:
+        """What is wrong with Down(k): a verdict that does not follow, or a meter in which nothing stands out here."""
+        memory, verdict = decide(self._memory, message.totals)
+        if str(verdict) != message.verdict:
+            return f"it says {message.verdict!r} where its totals say {str(verdict)!r}"
+        newest = set(memory.removed[-1:] if verdict.decision is Decision.ANEW else ()) - set(self._memory.removed)
+        if newest & self.estimation.own_meters - self.estimation.reported:
+            return f"it takes out {memory.removed[-1]}, which does not stand out here"
+        return ""
+
+    def find_other_end(self, k: int, is_final: bool) -> str:
+        """What is wrong with a neighbour in round ``k`` of this term: one end follows from all verdicts of a term."""
+        if not is_final or self.outcome is not None or k > self.k:
+            return ""  # not at its end, or at one that we have yet to hear of
+        return f"it is at the end after round {k - 1}, which for us was not the last"
+
+    def descend(
+        self, verdict: Verdict, totals: Totals, decider: Decider, down: DownMessage | None
+    ) -> Iterator[tuple[str, Content]]:
+        """Carry ``verdict`` out, as ``down`` brings it; what each lower neighbour is to hear, as it is known."""
+        known, no_load = self._below(), self._no_load_below()
+        if down is not None and self.towards_hub:
+            known |= {self.towards_hub: information_of(down)} if down.R else {}
+            no_load |= {self.towards_hub: no_load_of(down)} if down.no_load else {}
+        k, estimation, lower = self.k, self.estimation, self.lower
+        is_first = estimation.is_first and not estimation.failure
+        contents: dict[str, Content] = {}
+        for name in lower:
+            information = self._find_information(name, known) if verdict.takes_step else None
+            others = {n: told for n, told in no_load.items() if n != name}
+            contents[name] = Content(
+                information, estimation.no_load_for(name, others) if is_first else None, (), totals
+            )
+        parent = self._area.parent.area if self._area.parent else ""
+        for name in lower:
+            if name != parent:
+                yield name, contents[name]
+        estimation.carry_out(verdict, self._memory, known, no_load)
+        if down is not None and down.power and self.towards_hub:
+            estimation.set_power(self.towards_hub, down.power)
+        if parent in lower:  # which needs the power at x_{k+1}
+            yield parent, replace(contents[parent], power=self._find_power(parent))
+        if verdict.decision is Decision.FINAL:
+            self.outcome = Outcome(verdict, totals, decider)
+        self._go_to(k + 1)
+
+
+def information_of(message: RoundMessage) -> BoundaryInformation:
+    """R as a matrix, and z."""
+    return BoundaryInformation(read_triangle(message.R), np.array(message.z))
+
+
+def no_load_of(message: RoundMessage) -> BoundaryInformation:
+    """The no-load information, which has no z."""
+    return BoundaryInformation(read_triangle(message.no_load), np.zeros(4))

@@ -1,0 +1,56 @@
+"""What happens to one area's protocol, and what it then wants done."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from agents.messages.packing import Message
+
+
+@dataclass(frozen=True, slots=True)
+class Received:
+    """A decoded message; ``key_sender``: the area that its key belongs to, empty for telemetry."""
+
+    message: Message
+    key_sender: str
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """Payloads that were not let in for ``reason``; ``count``: how many so far."""
+
+    reason: str
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class PresenceChanged:
+    """A neighbour came or went. ``farewell``: what it said when it went in order; empty if it died or was cut off."""
+
+    area: str
+    alive: bool
+    farewell: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class StopRequested:
+    reason: str
+
+
+Event = Received | Refused | PresenceChanged | StopRequested
+
+
+@dataclass(frozen=True, slots=True)
+class Publish:
+    """Send ``message`` to neighbour ``to``, or show it to whoever watches (None)."""
+
+    message: Message
+    to: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class Finish:
+    reason: str
+
+
+Action = Publish | Finish

@@ -1,0 +1,158 @@
+"""The neighbours of an area: who is there, what was last sent to whom, and what is due."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any, TypeVar
+
+from agents.messages.packing import BoundaryNews, Header, HeartbeatMessage, LinkMessage
+from agents.protocol.freshness import FRESH_BEATS, PASSED_ON_BEATS, PATIENCE_BEATS
+from agents.protocol.peers import Peer, Term, term_of
+from dsse_core.grid.partition import Neighbour
+
+M = TypeVar("M", bound=LinkMessage)
+
+
+class PeerTable:
+    """``gone``: neighbours whose processes have ended -> their farewell. ``distrusted``: neighbour -> why its messages
+    are not used in this scan.
+
+    Args:
+        clock_offset: from monotonic to wall-clock time, s.
+    """
+
+    def __init__(self, neighbours: Sequence[Neighbour], beat_s: float, now: float, clock_offset: float) -> None:
+        self.gone: dict[str, str] = {}
+        self.distrusted: dict[str, str] = {}
+        self._peers = {n.area: Peer(n.bus, present_at=now, since=now + clock_offset) for n in neighbours}
+        self._beat_s = beat_s
+        self._clock_offset = clock_offset
+
+    def __getitem__(self, name: str) -> Peer:
+        return self._peers[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._peers)
+
+    def items(self) -> Iterator[tuple[str, Peer]]:
+        yield from self._peers.items()
+
+    def silent_at(self, name: str) -> float:
+        """When a neighbour counts as gone if it does not say until then that it hears us."""
+        return self._peers[name].present_at + self._patience_s(self._peers[name])
+
+    def is_present(self, name: str, now: float) -> bool:
+        """Whether a neighbour is there, and hears us as we hear it."""
+        return name not in self.gone and self.silent_at(name) > now
+
+    def present(self, now: float) -> frozenset[str]:
+        """The neighbours that may be used."""
+        return frozenset(name for name in self._peers if self.is_present(name, now)) - self.distrusted.keys()
+
+    def is_of_former_life(self, header: Header, now: float) -> bool:
+        """Whether a message comes from a process that has ended since.
+
+        If the later one is heard no more, it may be that the clock of one that began still later was set back.
+        """
+        newest = self._peers[header.sender].incarnation
+        return newest is not None and header.incarnation < newest and self.hears(header.sender, now)
+
+    def hears(self, name: str, now: float) -> bool:
+        """Whether we hear a neighbour."""
+        peer = self._peers[name]
+        return bool(now <= peer.heard_at + self._patience_s(peer))
+
+    def _patience_s(self, peer: Peer) -> float:
+        return peer.patience_s(PATIENCE_BEATS * self._beat_s)
+
+    @property
+    def patience_s(self) -> float:
+        """The longest of all neighbours."""
+        return max(map(self._patience_s, self._peers.values()), default=PATIENCE_BEATS * self._beat_s)
+
+    def note_gone(self, name: str, farewell: str) -> None:
+        """The process of a neighbour has ended."""
+        self.gone[name] = farewell
+        self._peers[name].present_at = -math.inf
+
+    def stamp(self, name: str, message: M, now: float, *, is_complete: bool) -> M:
+        """``message`` as it is sent to ``name`` now; ``is_complete``: what is to be said of the own side."""
+        peer, tells = self._peers[name], isinstance(message, HeartbeatMessage | BoundaryNews)
+        peer.note_said(now)
+        told = term_of(message), tells and is_complete  # a message of a round takes the latter back
+        if (peer.told_term, peer.told_complete) != told:
+            (peer.told_term, peer.told_complete), peer.changed_at = told, now
+        link: dict[str, Any] = {"complete": is_complete} if tells else {}
+        return replace(
+            message,
+            header=replace(message.header, time=peer.next_time(now + self._clock_offset)),
+            hears=self.hears(name, now) and name not in self.distrusted,  # else it would wait for us
+            answers=peer.answers(now),
+            received=peer.received,
+            **link,
+        )
+
+    def due_times(self, now: float, is_at_rest: bool) -> Iterator[float]:
+        """When heartbeats and repeats are due."""
+        for name, peer in self._peers.items():
+            yield peer.said_at + self._quiet_s(name, now, is_at_rest)
+            for sent in peer.outgoing:
+                if sent.repeat is not None:
+                    yield sent.repeat.at
+
+    def take_due_repeats(self, now: float) -> Iterator[tuple[str, Any]]:
+        """Which messages are to be sent again now, and to whom.
+
+        A neighbour that is not there needs none: when it is back, its heartbeat says that it lacks the message.
+        """
+        for name, peer in self._peers.items():
+            for sent in peer.outgoing:
+                if sent.repeat is None or sent.repeat.at > now:
+                    continue
+                if self.is_present(name, now):
+                    sent.repeat = peer.wait_longer(sent.repeat, now, self._beat_s)
+                    yield name, sent.message
+                else:
+                    sent.repeat = None
+
+    def owes_heartbeat(self, name: str, now: float, is_at_rest: bool) -> bool:
+        """Whether nothing has been said for too long."""
+        return now >= self._peers[name].said_at + self._quiet_s(name, now, is_at_rest)
+
+    def _quiet_s(self, name: str, now: float, is_at_rest: bool) -> float:
+        """How long nothing is said: ever longer since what heartbeats say has changed, as one may be lost, or on this
+        link several; at rest a beat at most, before no longer than patience allows. At rest a word to a neighbour that
+        is there is repeated until that is heard.
+        """
+        peer = self._peers[name]
+        longest_s = self._beat_s if is_at_rest else min(self._beat_s, self._patience_s(peer) / peer.patience_messages)
+        unchanged_s = (peer.said_at - peer.changed_at) / math.sqrt(peer.mean_count)
+        if is_at_rest and peer.awaits_word and self.is_present(name, now):
+            unchanged_s = 0.0
+        return min(longest_s, max(peer.round_trip.longest_wait_s, unchanged_s))
+
+    def begin_term(self) -> None:
+        """Messages of former rounds count no more; everybody is to hear of the term."""
+        for peer in self._peers.values():
+            peer.begin_term()
+
+    def find_old(self, term: Term, links: frozenset[str], now: float, beats: float = FRESH_BEATS) -> set[str]:
+        """Neighbours not heard, that do not hear us, in another term, or with a side that they say is not complete."""
+        return {
+            name
+            for name, peer in self._peers.items()
+            if name not in links
+            or not self.is_present(name, now)
+            or now >= peer.heard_at + beats * self._beat_s
+            or peer.term != term
+            or not peer.complete
+        }
+
+    def aging_times(self, now: float) -> Iterator[float]:
+        """When what is fresh now will not be, if nothing is heard until then."""
+        for peer in self._peers.values():
+            for beats in (FRESH_BEATS, PASSED_ON_BEATS):
+                if (at := peer.heard_at + beats * self._beat_s) > now:
+                    yield at

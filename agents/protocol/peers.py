@@ -1,0 +1,234 @@
+"""What an area knows of its neighbours as processes: which life, where it stands, how long a message takes.
+
+Presence is two-way: a neighbour is there only if it is heard and says that it hears us, so that both sides of a link
+that passes messages one way only come to the same conclusion.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any, Generic, TypeVar
+
+from agents.messages.packing import (
+    BoundaryNews,
+    ExchangeMessage,
+    HeartbeatMessage,
+    Incarnation,
+    LinkMessage,
+    LoadMessage,
+)
+
+FIRST_WAIT_S = 0.05  # until a message is repeated, before the round trip of the link has been measured
+LEAST_WAIT_S = 0.005
+LEAST_LONGEST_WAIT_S = 0.02
+LONGEST_WAIT_TRIPS = 4.0  # round trips
+DEVIATIONS = 4.0  # of the round trip, added to it for the first wait (RFC 6298)
+MEAN_GAIN, DEVIATION_GAIN = 1 / 8, 1 / 4  # of a new sample (RFC 6298)
+PATIENCE_WAITS = 20  # messages, one each longest wait, that should have come through: none does once in 5e8 times
+
+Term = tuple[int, int]  # scan, revision
+M = TypeVar("M", LoadMessage, ExchangeMessage)
+
+
+def term_of(message: LinkMessage) -> Term:
+    """Where the sender stands; asynchronous strategies know no revisions."""
+    return message.header.scan, 0 if isinstance(message, BoundaryNews) else message.revision
+
+
+@dataclass
+class RoundTrip:
+    """The smoothed round trip of one link and its mean deviation, s; nan before the first sample.
+
+    ``wait_s``: how long an answer is waited for before the first repeat; ``longest_wait_s``: between two of many.
+    """
+
+    mean: float = math.nan
+    deviation: float = math.nan
+    wait_s: float = FIRST_WAIT_S
+    longest_wait_s: float = max(FIRST_WAIT_S, LEAST_LONGEST_WAIT_S)
+
+    def take(self, sample: float) -> None:
+        """Take in a measured round trip, s."""
+        if math.isnan(self.mean):
+            self.mean, self.deviation = sample, sample / 2
+        else:
+            self.deviation += DEVIATION_GAIN * (abs(sample - self.mean) - self.deviation)
+            self.mean += MEAN_GAIN * (sample - self.mean)
+        self.wait_s = max(LEAST_WAIT_S, self.mean + DEVIATIONS * self.deviation)
+        self.longest_wait_s = max(LEAST_LONGEST_WAIT_S, LONGEST_WAIT_TRIPS * self.mean, self.wait_s)
+
+
+@dataclass
+class Repeat:
+    """When a message is sent again if it is not acknowledged; ``wait_s``: since the ``count``-th time it was sent."""
+
+    at: float
+    wait_s: float
+    count: int = 1
+
+
+@dataclass
+class Outgoing(Generic[M]):
+    """The last message of one sort to a neighbour; ``repeat``: whether and when it is sent again.
+
+    ``sequence``: its number, which goes on where the message is forgotten. An older one need not be kept: messages are
+    absolute.
+    """
+
+    message: M | None = None
+    repeat: Repeat | None = None
+    sequence: int = 0
+
+
+@dataclass
+class Peer:
+    """One neighbour. Times are of the own monotonic clock, s; -inf for never.
+
+    ``present_at``: when it last said that it hears us, as far as that is believed; ``heard_at``: when it was last
+    heard. ``term``, ``k``, ``final``, ``complete``, ``y``: where it stood then. ``load``, ``exchange``: the last load
+    message and the last message of the strategy to it; ``heard_load``, ``boundary``: its newest ones, the latter of
+    asynchronous strategies; ``heard_sequence``: number of its newest message of the strategy in this incarnation.
+    """
+
+    bus: int
+    present_at: float
+    since: float  # wall-clock time at which the own process began: nothing of before is answered
+    said_at: float = -math.inf
+    asked_at: float = -math.inf  # when it was first spoken to since it was heard
+    heard_at: float = -math.inf
+    incarnation: Incarnation | None = None
+    term: Term = (0, 0)
+    k: int = 0
+    final: bool = False
+    complete: bool = False
+    y: tuple[float, ...] = ()
+    told_term: Term = (0, 0)
+    told_complete: bool = False
+    changed_at: float = -math.inf  # when it was last told other ones
+    told_time: float = 0.0  # send time of the last message to it, as that states it
+    is_owed_word: bool = False  # what it has sent, or what has changed, is to be answered at once
+    load: Outgoing[LoadMessage] = field(default_factory=Outgoing)
+    exchange: Outgoing[ExchangeMessage] = field(default_factory=Outgoing)
+    heard_load: LoadMessage | None = None
+    boundary: BoundaryNews | None = None
+    heard_sequence: int = 0
+    mean_count: float = 1.0  # of sendings until an answer comes
+    round_trip: RoundTrip = field(default_factory=RoundTrip)
+    _newest: tuple[float, float] = (0.0, 0.0)  # send time by its clock, and when it arrived here
+
+    def take(self, message: LinkMessage, now: float, wall: float, *, is_awake: bool) -> None:
+        """Note what any message says of the process and the link; ``wall``: ``now`` as own messages state it.
+
+        ``is_awake``: it was taken in as it came, so that it tells how long messages take.
+        """
+        header = message.header
+        if header.incarnation != self.incarnation:
+            self.term, self._newest, self.heard_sequence = (0, 0), (0.0, 0.0), 0
+            self.round_trip, self.final, self.complete, self.y = RoundTrip(), False, False, ()
+            if self.incarnation is not None:
+                self.load.repeat = self.exchange.repeat = None  # the new process says what it lacks
+        self.incarnation, self.heard_at = header.incarnation, now
+        if message.hears:
+            self.present_at = now
+        if header.time > self._newest[0]:
+            self._newest = (header.time, now)
+            self._note_standing(message)
+        if is_awake and message.answers > 0 and self.since <= message.answers <= wall:
+            self.round_trip.take(wall - message.answers)
+        for sent, number in zip(self.outgoing, message.received, strict=True):
+            if number == sent.sequence:  # a higher one was said to a former incarnation of this area
+                self.take_answer(sent)
+
+    def _note_standing(self, message: LinkMessage) -> None:
+        self.final, self.complete, self.y = False, False, ()
+        self.term = term_of(message)
+        if isinstance(message, BoundaryNews):
+            self.k, self.complete = message.header.sequence, message.complete
+            return
+        self.k = message.k
+        if isinstance(message, HeartbeatMessage):
+            self.final, self.complete, self.y = message.final, message.complete, message.y
+
+    @property
+    def outgoing(self) -> tuple[Outgoing[Any], ...]:
+        """In the order of ``received``."""
+        return self.load, self.exchange
+
+    def take_load(self, message: LoadMessage) -> bool:
+        """Keep a load message of the present incarnation; whether it is newer than the last one."""
+        last, header = self.heard_load, message.header
+        is_new = last is None or header.order > last.header.order
+        if last is not None and header.incarnation != last.header.incarnation:
+            is_new |= header.incarnation == self.incarnation  # its clock may have been set back
+        if is_new:
+            self.heard_load = message
+        return is_new
+
+    @property
+    def received(self) -> tuple[int, int]:
+        """The numbers of its newest load message and message of the strategy, which acknowledge them; 0 without one."""
+        load = self.heard_load
+        of_this_life = load is not None and load.header.incarnation == self.incarnation
+        return load.header.sequence if load and of_this_life else 0, self.heard_sequence
+
+    def answers(self, now: float) -> float:
+        """The send time of its newest message plus the time that this has lain here; 0 without one."""
+        sent_at, arrived_at = self._newest
+        return sent_at + (now - arrived_at) if sent_at else 0.0
+
+    @property
+    def patience_messages(self) -> float:
+        """How many of its messages are lost before it counts as gone: PATIENCE_WAITS should have come through; of
+        ``mean_count`` round trips one is not lost, of its root one message.
+        """
+        return PATIENCE_WAITS * math.sqrt(self.mean_count)
+
+    def patience_s(self, least_s: float) -> float:
+        """How long it may be silent before it counts as gone: ``least_s``, or as long as so many messages take."""
+        return max(least_s, self.round_trip.longest_wait_s * self.patience_messages)
+
+    def note_said(self, now: float) -> None:
+        """It is spoken to now."""
+        if not self.awaits_word:
+            self.asked_at = now
+        self.said_at, self.is_owed_word = now, False
+
+    def next_time(self, wall: float) -> float:
+        """The send time of a message that is sent at ``wall``: later than that of the one before, which it replaces."""
+        self.told_time = max(wall, math.nextafter(self.told_time, math.inf))
+        return self.told_time
+
+    @property
+    def awaits_word(self) -> bool:
+        """Whether it has not been heard since it was spoken to."""
+        return self.asked_at > self.heard_at
+
+    def has_been_left_alone(self, now: float) -> bool:
+        """Whether it has not been spoken to for so long, two round trips at least, that what it says is no answer."""
+        return now >= self.said_at + self.round_trip.longest_wait_s / 2
+
+    def await_answer(self, sent: Outgoing[M], message: M, now: float) -> None:
+        """``message`` is just being sent, for the first time or after it had been acknowledged."""
+        wait = self.round_trip.wait_s
+        sent.message, sent.sequence, sent.repeat = message, message.header.sequence, Repeat(now + wait, wait)
+
+    def wait_longer(self, repeat: Repeat, now: float, most_s: float) -> Repeat:
+        """What follows ``repeat``, which is just being carried out; ``most_s``: how long is waited at most."""
+        wait = min(2 * repeat.wait_s, self.round_trip.longest_wait_s, max(most_s, self.round_trip.wait_s))
+        return Repeat(now + wait, wait, repeat.count + 1)
+
+    def take_answer(self, sent: Outgoing[Any]) -> None:
+        """The last message has been answered or acknowledged."""
+        if sent.repeat is not None:
+            self.mean_count += MEAN_GAIN * (sent.repeat.count - self.mean_count)
+            sent.repeat = None
+
+    def has_waited_for_trip(self, now: float) -> bool:
+        """Whether an answer to what was said last could be here by now."""
+        return math.isnan(self.round_trip.mean) or now - self.said_at >= self.round_trip.mean
+
+    def begin_term(self) -> None:
+        """Messages of rounds of a former term count no more; it is to hear of the new one."""
+        self.exchange.message = self.exchange.repeat = None
+        self.is_owed_word = True

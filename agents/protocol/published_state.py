@@ -1,0 +1,103 @@
+"""The state message of an area: composed when it is to be published, numbered anew where it says something new."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from agents.messages.packing import Header, StateMessage, content_of
+from agents.protocol.peer_table import PeerTable
+from agents.protocol.quality import Worth
+from agents.protocol.rejections import Rejections
+from agents.protocol.scan_readings import ScanReadings
+from agents.strategies.interface import Estimate
+from dsse_core.grid.partition import Area
+
+
+class PublishedState:
+    """``message``: the state as last published, None before the first.
+
+    Args:
+        header_for: the header of the message with that sequence number.
+    """
+
+    def __init__(
+        self,
+        area: Area,
+        peers: PeerTable,
+        scan: ScanReadings,
+        rejections: Rejections,
+        header_for: Callable[[int], Header],
+    ) -> None:
+        self.message: StateMessage | None = None
+        self._buses = tuple(bus.id for bus in area.network.buses)
+        self._peers = peers
+        self._scan = scan
+        self._rejections = rejections
+        self._header_for = header_for
+        self._standing: object = None  # what makes a state that stays the same worth publishing
+
+    def is_as_shown(self, quality: str, old_sides: tuple[str, ...]) -> bool:
+        """Whether the last state says what holds now beside the estimate and what the strategy notes."""
+        return self._standing == self._find_standing(quality, old_sides)
+
+    def _find_standing(self, quality: str, old_sides: tuple[str, ...]) -> object:
+        return quality, old_sides, dict(self._peers.gone), set(self._rejections.ahead)
+
+    def compose(
+        self,
+        estimate: Estimate | None,
+        worth: Worth,
+        old_sides: tuple[str, ...],
+        scan: int,
+        now: float,
+    ) -> StateMessage:
+        """The state of ``scan`` as things are at time ``now``, but for what the links have counted.
+
+        Under one number only what ``content_of`` leaves out may change.
+        """
+        peers, last = sorted(self._peers.items()), self.message
+        state = StateMessage(
+            header=replace(self._header_for(last.header.sequence + 1 if last else 1), scan=scan),
+            **describe_estimate(estimate, self._buses),
+            sent={name: (peer.load.sequence, peer.exchange.sequence) for name, peer in peers},
+            heard={name: peer.received for name, peer in peers},
+            messages=0,
+            bytes=0,
+            lost=0,
+            notes=worth.notes,
+            faults={},
+            quality=worth.word,
+            telemetry_age=self._scan.age(now),
+            ages={name: now - peer.heard_at for name, peer in peers if peer.heard_at > -math.inf},
+            scans={name: peer.term[0] for name, peer in peers if peer.incarnation is not None},
+            old_sides=old_sides,
+            refused=dict(Counter(self._rejections.counts) + self._scan.refused),
+        )
+        if last is not None and content_of(last) == content_of(state) and last.header.scan == scan:
+            state = replace(state, header=replace(state.header, sequence=last.header.sequence))
+        self.message, self._standing = state, self._find_standing(worth.word, old_sides)
+        return state
+
+
+def describe_estimate(estimate: Estimate | None, buses: tuple[int, ...]) -> dict[str, Any]:
+    """The fields of a state that ``estimate`` fills; without one all are empty."""
+    if estimate is None:
+        empty: dict[str, Any] = dict.fromkeys(("buses", "vm", "va", "sigma_vm", "sigma_va", "removed", "critical"), ())
+        return empty | {"referenced": False, "objective": 0.0, "degrees_of_freedom": 0, "checked": False}
+    return {
+        "buses": buses,
+        "vm": tuple(estimate.vm.tolist()),
+        "va": tuple(estimate.va.tolist()),
+        "sigma_vm": tuple(estimate.sigma_vm.tolist()),
+        "sigma_va": tuple(estimate.sigma_va.tolist()),
+        "referenced": estimate.referenced,
+        "objective": estimate.objective,
+        "degrees_of_freedom": estimate.degrees_of_freedom,
+        "removed": estimate.removed,
+        "critical": estimate.critical,
+        "checked": estimate.checked,
+    }

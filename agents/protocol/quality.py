@@ -1,0 +1,116 @@
+"""What a published state is worth, in one word and why. docs/quality.md says what each word promises.
+
+Whoever says anything of an estimate says it as a ``Finding``: a sentence, and the best word that it leaves. The word
+of a state is the worst of its findings, and its notes are their sentences, the worst first. So neither can be without
+the other: a state that is not good has a note that says why, and one without such a note is good.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from agents.messages.checks import limit_notes
+from agents.messages.packing import StateMessage
+from agents.strategies.interface import Estimate
+from dsse_core.estimation.state_limits import StateLimits
+from dsse_core.grid.measurement import Meter, Source
+
+GOOD, DEGRADED, RELATIVE_ANGLE, STALE, NONE = "good", "degraded", "relative-angle", "stale", "none"
+UNOBSERVABLE = "unobservable"
+WORDS = (GOOD, DEGRADED, RELATIVE_ANGLE, STALE, NONE, UNOBSERVABLE)  # from the best to the worst
+
+
+class Finding(NamedTuple):
+    """``note``: a sentence about an estimate. ``word``: the best that the estimate can be; good for a mere remark."""
+
+    word: str
+    note: str
+
+
+class Worth(NamedTuple):
+    """``word``: what a state is worth. ``notes``: the first of a state that is not good says why."""
+
+    word: str
+    notes: tuple[str, ...]
+
+
+def weigh(findings: Iterable[Finding]) -> Worth:
+    """The worst word, and all notes, the worst first; a note that is found twice is said once."""
+    ordered = sorted(findings, key=lambda finding: -WORDS.index(finding.word))
+    word = ordered[0].word if ordered else GOOD
+    return Worth(word, limit_notes(tuple(dict.fromkeys(finding.note for finding in ordered))))
+
+
+def weigh_from_outside(said: StateMessage | None, silence: str, disputes: Sequence[str] = ()) -> Worth:
+    """What the last state that was heard of an area is worth to who hears it.
+
+    ``silence``: why the area says nothing more, empty if it does: what was right once is stale then. ``disputes``: what
+    other areas contradict, which it may not know.
+    """
+    if said is None:
+        return Worth(NONE, (silence or "never heard of",))
+    word, notes = Worth(said.quality, said.notes)
+    if disputes:
+        word, notes = DEGRADED if word == GOOD else word, (*disputes, *notes) if word == GOOD else (*notes, *disputes)
+    if silence:
+        word, notes = word if word == NONE else STALE, (silence, *notes)
+    return Worth(word, limit_notes(notes))
+
+
+class EstimateLimits:
+    """What an estimate of an area must keep: voltages within ``limits``, most of ``meters`` in use."""
+
+    def __init__(self, limits: StateLimits, buses: Sequence[int], meters: Iterable[Meter]) -> None:
+        self._limits = limits
+        self._buses = np.array(buses)
+        self._n_meters = sum(meter.source is not Source.VIRTUAL for meter in meters)
+
+    def find_breaches(self, estimate: Estimate) -> Iterator[Finding]:
+        """Where ``estimate`` leaves them."""
+        limits, vm = self._limits, estimate.vm
+        outside = np.flatnonzero((vm < limits.lowest_vm) | (vm > limits.highest_vm))
+        if outside.size:
+            worst = outside[np.argmax(abs(vm[outside] - (limits.lowest_vm + limits.highest_vm) / 2))]
+            band = f"{limits.lowest_vm:g} to {limits.highest_vm:g} p.u."
+            yield Finding(
+                DEGRADED,
+                f"voltages of {outside.size} buses are outside {band}, the farthest is {vm[worst]:.3g} p.u. at bus "
+                f"{self._buses[worst]}",
+            )
+        if len(estimate.removed) > limits.most_removed * self._n_meters:
+            yield Finding(
+                DEGRADED,
+                f"{len(estimate.removed)} of {self._n_meters} meters are removed, more than "
+                f"{100 * limits.most_removed:g} %: which of them are wrong is not clear",
+            )
+
+
+def find_missing_side(name: str) -> Finding:
+    """That a neighbour says that not all on its side is heard and fresh."""
+    return Finding(DEGRADED, f"behind {name} something is missing or old")
+
+
+def find_gone(name: str, farewell: str) -> Finding:
+    """That the process of a neighbour has ended."""
+    return Finding(DEGRADED, f"neighbour {name} has left: {farewell}" if farewell else f"neighbour {name} is gone")
+
+
+def find_refused_clocks(ahead: Mapping[str, float]) -> Iterator[Finding]:
+    """Senders refused as from the future, "" for the plant -> by how much, s; who is missed is said elsewhere."""
+    for name, lead in sorted(ahead.items()):
+        yield Finding(
+            GOOD,
+            f"{name or 'telemetry'} is refused, from {lead:.0f} s in the future: the clock of this area is behind, "
+            "or that of the sender ahead; set it, then start its process again",
+        )
+
+
+def find_missing_readings(silent: Sequence[str], invalid: Sequence[str]) -> Iterator[Finding]:
+    """Meters without a reading that can be used; the standard deviations of the estimate say what that means."""
+    if invalid:
+        yield Finding(GOOD, f"{len(invalid)} readings are marked invalid, the first is of {invalid[0]}")
+    if silent:
+        yield Finding(GOOD, f"no reading from {len(silent)} meters, the first is {silent[0]}")

@@ -1,0 +1,123 @@
+"""Why a well-formed message is refused: whose it is, when it was made, and numbers that cannot be."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+
+from agents.area_files.area_file import AreaFile
+from agents.messages.boundary_variables import ONE_PHASE
+from agents.messages.packing import (
+    BoundaryMessage,
+    BoundaryNews,
+    ClockMessage,
+    DownMessage,
+    Header,
+    HeartbeatMessage,
+    LoadMessage,
+    Message,
+    StateMessage,
+    TelemetryMessage,
+    UpMessage,
+)
+from dsse_core.linear.boundary_information import BEYOND_REASON, are_within_reason
+
+LONGEST_LEAD_S = 600.0  # by which the sender's clock may be ahead of ours
+MOST_REVISIONS = 10**6  # of one scan; each takes a beat at least
+FUTURE = "time in the future"  # a reason of refusal
+
+
+class Rejections:
+    """What an area has refused. ``ahead``: sender refused as from the future, "" for the plant -> by how much, s."""
+
+    def __init__(self) -> None:
+        self.ahead: dict[str, float] = {}
+        self._refused: Counter[str] = Counter()
+        self._not_let_in: dict[str, int] = {}
+
+    def refuse(self, message: Message, key_sender: str, reason: str, now: float) -> None:
+        """Count a message that is refused for ``reason`` at ``now``, s since 1970."""
+        self.count(reason)
+        if reason == FUTURE:
+            self.ahead.setdefault(key_sender, find_lead(message.header, now))
+
+    def count(self, reason: str) -> None:
+        """One more for ``reason``."""
+        self._refused[reason] += 1
+
+    def note_not_let_in(self, reason: str, count: int) -> None:
+        """So many payloads have been refused at the door so far."""
+        self._not_let_in[reason] = max(count, self._not_let_in.get(reason, 0))
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """By reason."""
+        return self._refused + Counter(self._not_let_in)
+
+
+def find_refusal(message: Message, key_sender: str, content: AreaFile, now: float) -> str:
+    """Why the agent of ``content`` cannot take ``message``, in short; empty if it can.
+
+    ``key_sender``: as in ``events.Received``. ``now``: s since 1970. A time in the past is no reason: order
+    is a matter of incarnation and sequence. One far in the future is, because its incarnation would stay the newest.
+    """
+    header = message.header
+    if header.run != content.run:
+        return "other run"
+    if find_lead(header, now) > LONGEST_LEAD_S:
+        return FUTURE
+    if isinstance(message, TelemetryMessage):
+        return _find_telemetry_refusal(message, content)
+    bus = next((n.bus for n in content.area.neighbours if n.area == header.sender), None)
+    if isinstance(message, StateMessage | ClockMessage) or bus is None:
+        return "unknown sender"
+    if header.sender != key_sender:
+        return "sender does not own the key"
+    if message.bus != bus:
+        return "other boundary bus"
+    if getattr(message, "variables", ONE_PHASE) != ONE_PHASE:
+        return "other boundary variables"
+    return find_unreasonable(message)
+
+
+def find_lead(header: Header, now: float) -> float:
+    """By how much the clock of the sender, or the beginning of its life, is ahead of ``now``, s since 1970; in s."""
+    return max(header.time, header.incarnation.start_ms / 1000) - now
+
+
+def find_unreasonable(
+    message: LoadMessage | BoundaryNews | HeartbeatMessage | UpMessage | DownMessage,
+) -> str:
+    """That no estimate can have the numbers of ``message``; empty if one can. Strategies know more of their own."""
+    match message:
+        case LoadMessage():
+            possible = are_within_reason((message.p, message.q, message.sigma)) and message.sigma >= 0
+        case BoundaryMessage():
+            possible = are_within_reason((message.vm, message.va)) and message.vm > 0
+        case UpMessage() | DownMessage():
+            t = message.totals
+            numbers = *message.R, *message.z, *message.no_load, *message.power, t.degrees_of_freedom
+            sizes = t.objective, t.dvm, t.dva, *(value for _, value in t.worst), t.areas, t.held_back
+            possible = are_within_reason((*numbers, *sizes)) and min(sizes) >= 0
+            possible = possible and message.revision < MOST_REVISIONS
+        case HeartbeatMessage():
+            possible = are_within_reason((0.0, *message.y)) and message.revision < MOST_REVISIONS
+        case _:
+            possible = True
+    return "" if possible else "numbers beyond reason"
+
+
+def _find_telemetry_refusal(message: TelemetryMessage, content: AreaFile) -> str:
+    if message.area != content.area.name:
+        return "telemetry of another area"
+    return "meter given twice" if len(set(message.meters)) < len(message.meters) else ""
+
+
+def find_reading_refusal(value: float, sigma: float) -> str:
+    """Why a reading cannot be used, in short; p.u. or rad."""
+    if sigma <= 0:
+        return "sigma not positive"
+    weight = 1 / sigma
+    most = BEYOND_REASON  # written out, as there are thousands of readings; nan is below nothing
+    within = abs(value) < most and sigma < most and weight < most and abs(value * weight) < most
+    return "" if within else "reading beyond reason"

@@ -1,0 +1,299 @@
+"""The protocol of one area under strategy ``information``: the areas together take the centralised estimate's steps.
+
+The areas form a tree, and each knows which neighbour lies towards the hub. In round k an area waits for Up(k) of all
+other neighbours, adds its own, and sends Up(k) on; who has nobody towards the hub knows the totals and decides. Down(k)
+carries the totals and the information of everything else back; who hears it takes the step, passes Down(k) on and is
+in round k + 1. Every message says which (scan, revision, k) it belongs to, so that messages of different iterations
+never meet.
+
+A *term* is (scan, revision). The links in use are fixed when an area enters a term; whatever must change them (a
+neighbour silent, back, or begun anew; readings that come late) raises the revision, and everybody begins again at
+round 0 with the state so far.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterator
+from typing import Any
+
+from agents.area_files.area_file import AreaFile
+from agents.messages.packing import (
+    DownMessage,
+    HeartbeatMessage,
+    Incarnation,
+    LinkMessage,
+    Message,
+    TelemetryMessage,
+    UpMessage,
+)
+from agents.messages.triangle import write_triangle
+from agents.protocol.area_protocol import AreaProtocol
+from agents.protocol.area_round import AreaRound, Content, Decider, Outcome
+from agents.protocol.events import Action, Publish
+from agents.protocol.peers import Peer, Term
+from agents.protocol.rounds_state import RoundsState
+from agents.protocol.scan_readings import News
+from dsse_core.estimation.verdict import Totals
+
+RoundsMessage = HeartbeatMessage | UpMessage | DownMessage
+
+
+class RoundsProtocol(AreaProtocol):
+    """One area's part in rounds; for the arguments see ``AreaProtocol``."""
+
+    kinds = (UpMessage.kind, DownMessage.kind)
+
+    def __init__(self, content: AreaFile, incarnation: Incarnation, *, now: float, started_at: float) -> None:
+        super().__init__(content, self.kinds, incarnation, now=now, started_at=started_at)
+        self._round = AreaRound(content.area)
+        self._revision = 0
+        self._is_change_due = False
+        self._raised_at = -math.inf  # when this area itself last raised the revision
+        self._state = RoundsState(content, self._peers, self._round, self._scan, self._rejections, self._published)
+
+    def describe_backend(self) -> str:
+        """For the log: what computes, and how often something else had to."""
+        return self._round.estimation.describe_backend()
+
+    @property
+    def term(self) -> Term:
+        """(scan, revision)."""
+        return self._scan.scan, self._revision
+
+    @property
+    def outcome(self) -> Outcome | None:
+        """How the present term has ended; None while it has not."""
+        return self._round.outcome
+
+    @property
+    def removed(self) -> tuple[str, ...]:
+        """The meters of all areas that this term has taken out as bad data, in order."""
+        return self._round.removed
+
+    @property
+    def _is_at_rest(self) -> bool:
+        return self._round.outcome is not None or self.scan == 0
+
+    def _due_times(self) -> Iterator[float]:
+        yield from super()._due_times()
+        yield self._scan.deadline
+        if self._is_change_due:
+            yield self._raised_at + self._beat_s
+        elif not self._is_at_rest:
+            yield from map(self._peers.silent_at, self._round.links)
+        if self._scan.next_scan:
+            yield self._leaves_at if self._leaves_at > self._now else math.inf
+
+    # What comes in
+
+    def _find_refusal(self, message: Message) -> str:
+        is_far = isinstance(message, RoundsMessage) and not self._scan.may_enter(message.header.scan)
+        return "scan far ahead of the telemetry" if is_far else ""
+
+    def _take_numbering(self, name: str, message: HeartbeatMessage) -> Iterator[Action]:
+        yield from self._act_on(self._scan.take_numbering(name, message.plant, message.offset))
+
+    def _take_telemetry(self, message: TelemetryMessage) -> Iterator[Action]:
+        yield from self._act_on(self._scan.take(message, self._now))
+
+    def _act_on(self, news: News) -> Iterator[Action]:
+        """Use new readings, or readings that belong to another scan than was thought."""
+        match news:
+            case News.NEXT_SCAN:
+                yield from self._enter_next_scan()
+            case News.AWAITED:
+                yield from self._begin()
+            case News.LATE:
+                yield from self._change()
+
+    def _take_load(self) -> Iterator[Action]:
+        if self._scan.are_there:
+            yield from self._tell_loads()
+
+    def _hear(self, name: str, message: LinkMessage) -> Iterator[Action]:
+        assert isinstance(message, RoundsMessage)
+        peer = self._peers[name]
+        is_restart = self._note(name, message)
+        yield from self._send_if_lacking(name, peer.load, message.received[0])
+        term = (message.header.scan, message.revision)
+        if term[0] > self.scan:
+            peer.take_answer(peer.exchange)  # it has moved on, and lacks nothing
+            if self._owes_final():
+                return
+        if term > self.term:
+            yield from self._enter(term, {name} if message.hears else ())
+        elif self.scan and name not in self._peers.distrusted and self._must_change_for(name, message, is_restart):
+            if term[0] == self.scan:
+                self._revision = max(self._revision, term[1])
+            yield from self._change()
+        if term < self.term:
+            # a message that is being repeated shows our term as well, but not how scans are numbered
+            peer.is_owed_word |= peer.exchange.repeat is None or term[0] < self.scan
+        elif name in self._round.links:
+            yield from self._take_in_term(name, peer, message)
+
+    def _must_change_for(self, name: str, message: RoundsMessage, is_restart: bool) -> bool:
+        """Whether a neighbour is back that is not in use, or begins anew."""
+        return is_restart or (name not in self._round.links and message.hears)
+
+    def _take_in_term(self, name: str, peer: Peer, message: RoundsMessage) -> Iterator[Action]:
+        if isinstance(message, HeartbeatMessage):
+            if why := self._round.find_other_end(message.k, message.final):
+                yield from self._distrust(name, why)
+            else:
+                yield from self._send_if_lacking(name, peer.exchange, message.received[1])
+        elif not self._is_change_due and isinstance(message, DownMessage) == (name == self._area.towards_hub):
+            yield from self._take_round(name, peer, message)
+
+    def _take_round(self, name: str, peer: Peer, message: UpMessage | DownMessage) -> Iterator[Action]:
+        """A message of a round from a neighbour in use: what is not answered at once is acknowledged at once."""
+        if message.k > self._round.k:
+            return  # said to a former life of this area
+        peer.is_owed_word = True
+        peer.heard_sequence = max(peer.heard_sequence, message.header.sequence)
+        if message.k < self._round.k:
+            if peer.has_waited_for_trip(self._now):  # it lacks our answer
+                yield from self._send_if_lacking(name, peer.exchange, message.received[1], even_if_repeated=True)
+        elif isinstance(message, UpMessage):
+            if self._round.take_up(name, message):
+                peer.take_answer(peer.exchange)
+                yield from self._go_on()
+        elif self._round.is_waited_for():
+            peer.take_answer(peer.exchange)
+            yield from self._take_down(name, message)
+
+    # Terms
+
+    @property
+    def _leaves_at(self) -> float:
+        """When a scan has taken too long."""
+        return self._scan.entered_at + 2 * self._peers.patience_s
+
+    def _owes_final(self) -> bool:
+        """Whether a neighbour may not yet have the final message of this scan: leaving would starve it."""
+        if self._round.outcome is None or self._now >= self._leaves_at:
+            return False
+        lower = self._round.lower
+        unheard = (name for name in lower if self._peers[name].exchange.repeat is not None)
+        return any(self._peers.is_present(name, self._now) for name in unheard)
+
+    def _enter_next_scan(self) -> Iterator[Action]:
+        """Leave this scan for a later one with readings: at its end, or when it has taken too long."""
+        if not self._scan.next_scan or self._owes_final():
+            return
+        if self._is_at_rest or self._now >= self._leaves_at:
+            yield from self._enter((self._scan.next_scan, 0))
+
+    def _change(self) -> Iterator[Action]:
+        """The links in use must change: the next revision; no more than one of an area's own per beat."""
+        if self._now < self._raised_at + self._beat_s:
+            self._is_change_due = True
+            return
+        self._raised_at = self._now
+        yield from self._enter((self.scan, self._revision + 1))
+
+    def _enter(self, term: Term, also: Collection[str] = ()) -> Iterator[Action]:
+        """Begin ``term`` with all present neighbours, and those in ``also``; forget the former one."""
+        scan, self._revision = term
+        if scan != self.scan:
+            self._peers.distrusted = {}
+        self._is_change_due = False
+        self._scan.enter(scan, self._now)
+        self._peers.begin_term()
+        self._round.enter(self._peers.present(self._now) | (set(also) - self._peers.distrusted.keys()))
+        if self._scan.are_there:
+            yield from self._begin()
+
+    def _begin(self) -> Iterator[Action]:
+        """Round 0 with the readings."""
+        yield from self._tell_loads()
+        loads = self._heard_loads()
+        self._round.begin(self._scan.readings.measurements, stale=self._scan.stale, loads=loads)
+        yield from self._go_on()
+
+    # Rounds
+
+    def _go_on(self) -> Iterator[Action]:
+        """Send Up(k) as soon as all others have, or decide; alone, until the end."""
+        while self._round.may_go_on and not self._is_change_due:
+            totals = self._round.add_up()
+            if name := self._round.towards_hub:
+                yield self._send_round(
+                    name, UpMessage(**self._fields_of(name, self._round.find_up(totals), self._round.k))
+                )
+                return
+            life = (self._incarnation.start_ms, self._incarnation.random)
+            yield from self._descend(totals, Decider(self._area.name, life), None)
+
+    def _take_down(self, name: str, message: DownMessage) -> Iterator[Action]:
+        """Follow the side of the hub, unless its message contradicts itself: then go on without it in this scan."""
+        if why := self._round.find_lie(message):
+            yield from self._distrust(name, why)
+            return
+        yield from self._descend(message.totals, Decider(message.decider, message.life), message)
+        yield from self._go_on()
+
+    def _distrust(self, name: str, why: str) -> Iterator[Action]:
+        """Go on without a neighbour in this scan: what it says contradicts itself, or what it was told."""
+        self._peers.distrusted[name] = why
+        yield from self._change()
+
+    def _descend(self, totals: Totals, decider: Decider, down: DownMessage | None) -> Iterator[Action]:
+        """Decide on the totals of all, or follow who has, and pass that on."""
+        verdict, k = self._round.decide(totals), self._round.k
+        for name, content in self._round.descend(verdict, totals, decider, down):
+            fields = self._fields_of(name, content, k)
+            message = DownMessage(**fields, verdict=str(verdict), decider=decider.name, life=decider.life)
+            yield self._send_round(name, message)
+        if self._round.outcome is not None:
+            yield from self._enter_next_scan()
+
+    # What goes out
+
+    def _fields_of(self, name: str, content: Content, k: int) -> dict[str, Any]:
+        """Of a message of round ``k``; what holds of the link is filled in as it is sent."""
+        peer, told, no_load = self._peers[name], content.information, content.no_load
+        return {
+            "header": self._header(peer.exchange.sequence + 1),
+            "bus": peer.bus,
+            "revision": self._revision,
+            "k": k,
+            "hears": False,
+            "answers": 0.0,
+            "received": (0, 0),
+            "R": write_triangle(told.R) if told else (),
+            "z": tuple(told.z.tolist()) if told else (),
+            "no_load": write_triangle(no_load.R) if no_load else (),
+            "power": content.power,
+            "totals": content.totals,
+        }
+
+    def _send_round(self, name: str, message: UpMessage | DownMessage) -> Publish:
+        return self._send(name, self._peers[name].exchange, message)
+
+    def _describe_standing(self, name: str) -> dict[str, Any]:
+        outcome, estimation = self._round.outcome, self._round.estimation
+        has_y = outcome is not None and name in self._round.links and not estimation.failure
+        y = estimation.boundary_values(name) if has_y else ()
+        return {"revision": self._revision, "k": self._round.k, "final": outcome is not None, "y": y}
+
+    def _is_side_complete(self, name: str) -> bool:
+        return self._state.is_side_complete(name, self.term, self._now)
+
+    # What time brings
+
+    def _act(self, *, is_beat: bool) -> Iterator[Action]:
+        if self._now >= self._scan.deadline:
+            self._scan.go_on_without()
+            yield from self._begin()
+        is_someone_silent = any(not self._peers.is_present(name, self._now) for name in self._round.links)
+        if self._is_change_due or (is_someone_silent and not self._is_at_rest):
+            yield from self._change()
+        yield from self._enter_next_scan()
+
+    def _show(self, *, is_beat: bool) -> Iterator[Publish]:
+        """The state once a scan at rest, anew at every beat, and when its quality changes."""
+        state = self._state.show(self.term, self._now, is_beat=is_beat)
+        if state is not None:
+            yield Publish(state, None)

@@ -1,0 +1,251 @@
+"""What an area publishes under rounds: its state once a scan at rest, what that is worth, and what is missing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+from agents.area_files.area_file import AreaFile
+from agents.messages.packing import StateMessage
+from agents.protocol.area_round import AreaRound, Outcome
+from agents.protocol.freshness import PASSED_ON_BEATS
+from agents.protocol.peer_table import PeerTable
+from agents.protocol.peers import Term
+from agents.protocol.published_state import PublishedState
+from agents.protocol.quality import (
+    DEGRADED,
+    NONE,
+    RELATIVE_ANGLE,
+    STALE,
+    UNOBSERVABLE,
+    EstimateLimits,
+    Finding,
+    Worth,
+    find_gone,
+    find_missing_readings,
+    find_missing_side,
+    find_refused_clocks,
+    weigh,
+)
+from agents.protocol.rejections import Rejections
+from agents.protocol.scan_readings import ScanReadings
+from agents.strategies.interface import Estimate
+from dsse_core.estimation.residuals import chi_square_limit
+from dsse_core.estimation.verdict import UNOBSERVABLE as NOT_OBSERVABLE
+from dsse_core.estimation.verdict import Totals
+from dsse_core.exchange.area_estimation import FAILURES
+
+CONTRADICTION = 0.9999  # confidence of the chi-square test of what is shown; bad data are looked for at a lower one
+MISMATCH = 1e-6  # p.u. and rad, of the final voltages that two sides of a boundary have; rounding leaves 1e-8
+
+
+class RoundsState:
+    """The state as last published, and what it rests on."""
+
+    def __init__(
+        self,
+        content: AreaFile,
+        peers: PeerTable,
+        round: AreaRound,
+        scan: ScanReadings,
+        rejections: Rejections,
+        published: PublishedState,
+    ) -> None:
+        self._area = content.area
+        self._peers = peers
+        self._round = round
+        self._scan = scan
+        self._rejections = rejections
+        self._published = published
+        buses = [bus.id for bus in content.area.network.buses]
+        self._limits = EstimateLimits(content.limits, buses, content.meters)
+        self._estimate: Estimate | None = None
+        self._outcome: Outcome | None = None  # which the estimate is of
+        self._of_scan = 0
+        self._findings: tuple[Finding, ...] = ()  # of the outcome
+        self._gaps: dict[str, tuple[Outcome, tuple[float, ...], tuple[float, float]]] = {}  # as _find_gap found them
+
+    def show(self, term: Term, now: float, *, is_beat: bool) -> StateMessage | None:
+        """The state to be published at time ``now``, if any is; passing notes alone wait for the beat."""
+        outcome = self._round.outcome
+        if outcome is not None and outcome is not self._outcome:
+            self._outcome, self._of_scan = outcome, term[0]
+            self._estimate, self._findings = self._read(outcome)
+        elif self._published.message is None and term[0] and outcome is None and not is_beat:
+            return None  # the first estimate is under way
+        elif not is_beat and self._published.is_as_shown(self._weigh(term, now).word, self._old_sides(term, now)):
+            return None
+        worth, old_sides, scan = self._weigh(term, now), self._old_sides(term, now), self._of_scan or term[0]
+        return self._published.compose(self._estimate_now(term), worth, old_sides, scan, now)
+
+    def _read(self, outcome: Outcome) -> tuple[Estimate | None, tuple[Finding, ...]]:
+        """What the term has ended with, and what that leaves to be said until the next one."""
+        estimation, estimate = self._round.estimation, None
+        if not estimation.failure and outcome.verdict.reason != NOT_OBSERVABLE:
+            try:
+                estimate = self._read_estimate(outcome)
+            except FAILURES as error:
+                estimation.fail(error)
+        findings = [*self._findings_of(outcome)]
+        if estimation.failure:
+            findings.insert(0, Finding(NONE, f"no estimate: {estimation.failure}"))
+        if estimate is not None:
+            findings += self._limits.find_breaches(estimate)
+        return estimate, tuple(findings)
+
+    def _read_estimate(self, outcome: Outcome) -> Estimate:
+        estimation = self._round.estimation
+        sigma_vm, sigma_va, critical = estimation.find_sigmas()
+        (vm, va), totals = estimation.voltages, estimation.totals()
+        estimate = Estimate(
+            vm=vm,
+            va=va,
+            sigma_vm=sigma_vm,
+            sigma_va=sigma_va,
+            referenced=outcome.totals.referenced,
+            objective=totals.objective,
+            degrees_of_freedom=totals.degrees_of_freedom,
+            removed=(*estimation.dead_voltmeters, *estimation.removed),
+            critical=critical,
+            checked=self._counts_all(outcome),
+        )
+        if not estimate.is_reasonable(estimation.no_load_va):
+            raise ArithmeticError("it is beyond reason")
+        return estimate
+
+    def _counts_all(self, outcome: Outcome) -> bool:
+        """Whether the verdict rests on every area of the grid."""
+        totals = outcome.totals
+        return totals.areas == self._area.n_areas and not totals.silent and not outcome.verdict.reason
+
+    def _findings_of(self, outcome: Outcome) -> Iterator[Finding]:
+        """What the end of a term says of the estimate that it leaves, and of the readings."""
+        totals = outcome.totals
+        yield from self._findings_of_end(outcome)
+        if not totals.referenced:
+            yield Finding(RELATIVE_ANGLE, "no area that is counted sees the substation or has an angle meter")
+        for n in self._area.neighbours:
+            if n.area in self._peers.distrusted:
+                yield Finding(DEGRADED, f"{n.area} is not believed: {self._peers.distrusted[n.area]}")
+            elif n.area not in self._round.links:
+                yield Finding(DEGRADED, f"no information from {n.area}")
+        if others := [name for name in totals.stale if name != self._area.name]:
+            yield Finding(DEGRADED, f"no readings of this scan in {', '.join(others)}")
+        elif totals.stale:
+            yield Finding(DEGRADED, "this area counts as one without readings of this scan")
+        if totals.areas != self._area.n_areas:
+            yield Finding(DEGRADED, f"{totals.areas} of {self._area.n_areas} areas are counted")
+        elif totals.silent:
+            yield Finding(DEGRADED, f"not heard by a neighbour: {', '.join(totals.silent)}")
+
+    def _findings_of_end(self, outcome: Outcome) -> Iterator[Finding]:
+        """How the iteration has ended, where that leaves something to be said."""
+        totals, reason = outcome.totals, outcome.verdict.reason
+        if reason == NOT_OBSERVABLE:
+            dead = self._round.estimation.dead_voltmeters
+            left_out = f"; left out as dead: {', '.join(dead)}" if dead else ""
+            buses = ", ".join(totals.unobservable)
+            yield Finding(UNOBSERVABLE, f"not observable: no reading of this scan determines buses {buses}{left_out}")
+        elif totals.failed:
+            yield Finding(DEGRADED, f"no estimate in {', '.join(totals.failed)}")
+        elif reason:
+            yield Finding(DEGRADED, f"the iteration has not converged: last step {totals.step:.3g} p.u. or rad")
+        elif _exceeds_limit(totals):
+            yield Finding(
+                DEGRADED,
+                f"readings contradict each other (J {totals.objective:.4g} with {totals.degrees_of_freedom} degrees of "
+                "freedom), and no meter stands out that can be spared",
+            )
+
+    def _weigh(self, term: Term, now: float) -> Worth:
+        """What the estimate is worth now, and why."""
+        return weigh([*self._findings, *self._passing_findings(term, now)])
+
+    def _passing_findings(self, term: Term, now: float) -> Iterator[Finding]:
+        """What holds now, and may not at the next moment."""
+        if self._outcome is None:
+            is_waiting = not self._scan.has_been_read and not term[0]
+            yield Finding(NONE, "no telemetry yet" if is_waiting else "the first estimate is under way")
+        yield from (Finding(DEGRADED, note) for note in self._mismatches(term))
+        if self._outcome is not None:
+            yield from self._aging(term, now)
+        for name, farewell in sorted(self._peers.gone.items()):
+            yield find_gone(name, farewell)
+        yield from find_refused_clocks(self._rejections.ahead)
+        if self._scan.has_been_read:
+            yield from find_missing_readings(self._scan.readings.silent, self._scan.readings.invalid)
+
+    def _aging(self, term: Term, now: float) -> Iterator[Finding]:
+        """What has grown old since the outcome, or is being replaced."""
+        if self._scan.is_late(now):
+            yield Finding(STALE, "telemetry is not heard")
+        if self._scan.stale:
+            yield Finding(STALE, "no readings of this scan; the last ones stand in")
+        if self._scan.are_outdated:
+            yield Finding(DEGRADED, "other readings of this scan wait for the next term")
+        if self._outcome is not self._round.outcome:
+            yield Finding(DEGRADED, f"a newer estimate, of scan {term[0]}, is under way")
+            return
+        for name in sorted(self._peers.find_old(term, self._round.links, now) - self._peers.gone.keys()):
+            peer = self._peers[name]
+            if name not in self._round.links:
+                yield Finding(DEGRADED, f"no information from {name}")
+            elif peer.term != term or not peer.final:
+                yield Finding(DEGRADED, f"{name} has not come to the end of this term")
+            elif not peer.complete:
+                yield find_missing_side(name)
+            else:
+                yield Finding(DEGRADED, f"{name} is not heard, or does not hear this area")
+
+    def _mismatches(self, term: Term) -> Iterator[str]:
+        """Neighbours whose final voltage at the boundary is another than ours: somebody on that side says false things.
+
+        Rounding leaves less, and without a lie both sides take the same steps.
+        """
+        outcome, estimation = self._round.outcome, self._round.estimation
+        if outcome is None or outcome.verdict.reason or estimation.failure:
+            return
+        for name, peer in sorted(self._peers.items()):
+            if peer.term != term or not peer.final or not peer.y or name not in self._round.links:
+                continue
+            dvm, dva = self._find_gap(name, outcome, peer.y)
+            if max(dvm, dva) > MISMATCH:
+                yield (
+                    f"boundary mismatch with {name} at bus {peer.bus}: its final voltage differs by {dvm:.3g} p.u. and "
+                    f"{math.degrees(dva):.3g} deg; one of the two sides says false things"
+                )
+
+    def _find_gap(self, name: str, outcome: Outcome, theirs: tuple[float, ...]) -> tuple[float, float]:
+        """By how much (vm, va) at a boundary differ, p.u. and rad; asked for at every event, found once."""
+        kept = self._gaps.get(name)
+        if kept is None or kept[0] is not outcome or kept[1] != theirs:
+            _, _, vm, va = self._round.estimation.boundary_values(name)
+            gap = abs(vm - theirs[2]), abs(math.remainder(va - theirs[3], 2 * math.pi))
+            self._gaps[name] = kept = outcome, theirs, gap
+        return kept[2]
+
+    def is_side_complete(self, name: str, term: Term, now: float) -> bool:
+        """Whether all on this side of neighbour ``name`` is heard, fresh, at the end of this term and agrees."""
+        outcome = self._round.outcome
+        if outcome is None or self._scan.is_late(now, PASSED_ON_BEATS) or self._scan.are_outdated:
+            return False
+        if not self._counts_all(outcome) or any(self._mismatches(term)):
+            return False
+        return not self._peers.find_old(term, self._round.links, now, PASSED_ON_BEATS) - {name}
+
+    def _old_sides(self, term: Term, now: float) -> tuple[str, ...]:
+        """Neighbours that say that their side is not complete."""
+        old = self._peers.find_old(term, self._round.links, now)
+        return tuple(sorted(name for name in old if not self._peers[name].complete))
+
+    def _estimate_now(self, term: Term) -> Estimate | None:
+        """The estimate, which has not been checked as long as a neighbour contradicts it."""
+        if self._estimate is None or not any(self._mismatches(term)):
+            return self._estimate
+        return replace(self._estimate, checked=False)
+
+
+def _exceeds_limit(totals: Totals) -> bool:
+    """Whether J at the end is more than noise alone leaves in all but one of ten thousand scans."""
+    return totals.objective >= chi_square_limit(totals.degrees_of_freedom, CONTRADICTION)

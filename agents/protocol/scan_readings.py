@@ -1,0 +1,178 @@
+"""The readings that an area has of its current scan and of later ones, and whether they are late.
+
+The scan of terms is the number that the plant gives it plus an *offset*, of which each life of the plant has one: 0, or
+what is needed so that no term goes back where a plant numbers lower than the one before, its clock having been set
+back. Areas may find different offsets needed. They tell each other theirs, and the largest counts for all.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from enum import Enum, auto
+
+from agents.area_files.area_file import AreaFile
+from agents.messages.packing import NO_LIFE, Incarnation, TelemetryMessage
+from agents.protocol.freshness import FRESH_BEATS, PATIENCE_BEATS, is_old
+from agents.protocol.readings import Readings
+
+MOST_AHEAD = 10  # scans by which a neighbour may be ahead of the own telemetry; with more, one of the two is wrong
+DEADLINE_BEATS = 5  # after which an area goes on without its own readings; or
+DEADLINE_SHARE = 1 / 4  # of the time between two scans, where that is known
+
+
+MOST_OFFSET = 2**51  # that is believed of a neighbour: far above any time in ms, far below any limit of a message
+
+
+class News(Enum):
+    """What new telemetry is: of no use, of the scan that waits for it, of a scan under way, of a later one."""
+
+    NONE = auto()
+    AWAITED = auto()
+    LATE = auto()
+    NEXT_SCAN = auto()
+
+
+class ScanReadings:
+    """``scan``: the current one, 0 before any. ``are_there``: its readings are, or it goes on without them, which is
+    ``stale``. ``refused``: readings that cannot be used, by reason.
+    """
+
+    def __init__(self, content: AreaFile, now: float) -> None:
+        self.readings = Readings(content)
+        self.scan = 0
+        self.are_there = self.stale = False
+        self.entered_at = now
+        self.refused: Counter[str] = Counter()
+        self._beat_s = content.beat_s
+        self._deadline_s = DEADLINE_SHARE * content.scan_s if content.scan_s else DEADLINE_BEATS * content.beat_s
+        self._last: TelemetryMessage | None = None
+        self._heard_at = now
+        self._later: dict[int, TelemetryMessage] = {}
+        self._used: TelemetryMessage | None = None  # the newest that has been read
+        self._offset = 0  # of the life of the plant that was last heard
+        self._told: dict[str, tuple[Incarnation, int]] = {}  # neighbour -> life and offset of its plant
+
+    @property
+    def next_scan(self) -> int:
+        """The newest later scan with readings; 0 without one."""
+        return max((scan for scan in self._later if scan > self.scan), default=0)
+
+    @property
+    def are_outdated(self) -> bool:
+        """Whether other readings of this scan wait for the next term."""
+        return self.scan in self._later
+
+    def age(self, now: float) -> float:
+        """s since telemetry was last heard; 0 before the first."""
+        return now - self._heard_at if self._last else 0.0
+
+    def is_late(self, now: float, beats: float = FRESH_BEATS) -> bool:
+        """Whether telemetry has not been heard for ``beats``."""
+        return now >= self._heard_at + beats * self._beat_s
+
+    def fresh_until(self, beats: float) -> float:
+        """When it will not have been, if none comes."""
+        return self._heard_at + beats * self._beat_s
+
+    def may_enter(self, scan: int) -> bool:
+        """Whether a neighbour can be at ``scan``: numbers come from telemetry, and terms never go back."""
+        return self._last is None or scan <= self._last.header.scan + self._offset + MOST_AHEAD
+
+    @property
+    def deadline(self) -> float:
+        """When the scan goes on without its readings; infinity if they are there."""
+        return float("inf") if self.are_there or not self.scan else self.entered_at + self._deadline_s
+
+    @property
+    def has_been_read(self) -> bool:
+        """Whether there has ever been telemetry."""
+        return self._last is not None
+
+    def _is_newer(self, message: TelemetryMessage, now: float) -> bool:
+        """Note that telemetry is heard; whether it is newer than what there is."""
+        last = self._last
+        patience_s = PATIENCE_BEATS * self._beat_s
+        if last is not None and is_old(message.header, last.header, now - self._heard_at, patience_s):
+            return False
+        self._heard_at = now
+        return last is None or message.header.order != last.header.order
+
+    def take_at_once(self, message: TelemetryMessage, now: float) -> bool:
+        """Asynchronous: work with telemetry at once if it is newer, whatever its scan; whether it is."""
+        if not self._is_newer(message, now):
+            return False
+        if message.header.scan != self.scan:
+            self.scan, self.entered_at = message.header.scan, now
+        self._last = message
+        self._read(message)
+        return True
+
+    def take(self, message: TelemetryMessage, now: float) -> News:
+        """Keep telemetry if it is newer than what there is."""
+        if not self._is_newer(message, now):
+            return News.NONE
+        self._renumber(message)
+        self._last = message
+        return self._file(message)
+
+    def _renumber(self, message: TelemetryMessage) -> None:
+        """Find the offset of a life of the plant that is heard for the first time, or again."""
+        last, life, number = self._last, message.header.incarnation, message.header.scan
+        if last is None or life != last.header.incarnation:
+            self._offset = max((offset for its_life, offset in self._told.values() if its_life == life), default=0)
+            if last is not None and number + self._offset < self.scan:
+                self._offset = self.scan + self.are_there - number
+
+    @property
+    def numbering(self) -> tuple[Incarnation, int]:
+        """The life of the plant that was last heard, and the offset of its scans."""
+        return (self._last.header.incarnation, self._offset) if self._last else (NO_LIFE, 0)
+
+    def take_numbering(self, name: str, life: Incarnation, offset: int) -> News:
+        """Follow neighbour ``name`` where it has found a larger ``offset`` needed for a ``life`` of the plant."""
+        if offset > MOST_OFFSET:
+            return News.NONE
+        self._told[name] = life, offset
+        if self._last is None or life != self._last.header.incarnation or offset <= self._offset:
+            return News.NONE
+        self._offset = offset
+        self._later.clear()  # all else is older
+        return self._file(self._last)
+
+    def _file(self, message: TelemetryMessage) -> News:
+        """Keep the newest readings for their scan."""
+        scan = message.header.scan + self._offset
+        if scan > self.scan:
+            self._later[scan] = message
+            return News.NEXT_SCAN
+        if scan < self.scan:
+            return News.NONE
+        if not self.are_there:
+            self._read(message)
+            return News.AWAITED
+        known = self._later.get(scan, self._used)
+        if self.stale or known is None or _says(message) != _says(known):
+            self._later[scan] = message  # what is under way goes on with what there is until the next term
+            return News.LATE
+        return News.NONE
+
+    def enter(self, scan: int, now: float) -> None:
+        """Begin a term of ``scan``, with the readings that there are."""
+        if scan != self.scan:
+            self.scan, self.entered_at, self.are_there, self.stale = scan, now, False, False
+        if scan in self._later:
+            self._read(self._later.pop(scan))
+        self._later = {later: message for later, message in self._later.items() if later > scan}
+
+    def go_on_without(self) -> None:
+        """The last readings stand in for those of the scan."""
+        self.are_there = self.stale = True
+
+    def _read(self, message: TelemetryMessage) -> None:
+        self._used = message
+        self.refused.update(self.readings.take(message))
+        self.are_there, self.stale = True, False
+
+
+def _says(message: TelemetryMessage) -> tuple[object, ...]:
+    return message.meters, message.values, message.sigmas, message.valid

@@ -1,0 +1,98 @@
+"""What a lying area says: one false story of a boundary, of the totals or of a verdict, told in all its messages.
+
+A story that contradicts itself is found out at once. So every number that speaks of y = (p, q, vm, va) at the boundary
+is changed as if y were another one, and a verdict follows from the totals that are told, unless the lie is about the
+verdict itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from agents.messages.packing import (
+    AdmmMessage,
+    BoundaryMessage,
+    DownMessage,
+    HeartbeatMessage,
+    Message,
+    RoundMessage,
+    UpMessage,
+)
+from agents.messages.triangle import read_triangle, write_triangle
+from dsse_core.estimation.verdict import Memory, Totals, decide
+from dsse_core.link_faults import LinkFaults
+
+WORST = 1e3  # the normalised residual that a lie about the worst meter tells
+
+
+class Liar:
+    """Falsifies the messages of one directed link, in the order of their rounds; repeats may come in between."""
+
+    def __init__(self, faults: LinkFaults) -> None:
+        self._faults = faults
+        self._offset = np.array(faults.lie_offset)
+        self._told: dict[tuple[object, int, int, int], Memory] = {}  # what verdicts of a round rest on, as told
+
+    def falsify(self, message: Message) -> Message:
+        """What the link makes ``message`` say."""
+        match message:
+            case UpMessage() | DownMessage():
+                return self._falsify_round(message)
+            case HeartbeatMessage():
+                y = self._falsify_y(message.y)
+                return replace(message, y=y, complete=message.complete or self._faults.lie_areas > 0)
+            case BoundaryMessage():
+                _, _, vm, va = self._falsify_y((0.0, 0.0, message.vm, message.va))
+                return replace(message, vm=vm, va=va)
+            case AdmmMessage():
+                return replace(message, r=self._falsify_y(message.r), r_before=self._falsify_y(message.r_before))
+        return message
+
+    def _falsify_y(self, y: tuple[float, ...]) -> tuple[float, ...]:
+        """y, or the first of it, or nothing where nothing was said."""
+        if not self._faults.lies_of_boundary:
+            return y
+        told = self._faults.lie_scale * np.array(y) + self._offset[: len(y)]
+        return tuple(told.tolist())
+
+    def _falsify_round(self, message: UpMessage | DownMessage) -> UpMessage | DownMessage:
+        message = self._falsify_information(message)
+        totals = self._falsify_totals(message)
+        if isinstance(message, UpMessage):
+            return replace(message, totals=totals)
+        return replace(message, totals=totals, verdict=self._faults.lie_verdict or self._find_verdict(message, totals))
+
+    def _falsify_information(self, message: UpMessage | DownMessage) -> UpMessage | DownMessage:
+        """|R y - z| of the true y is |R' y' - z'| of the false one: R' = R / scale, z' = z + R' offset."""
+        power = self._falsify_y(message.power)
+        if not message.R:
+            return replace(message, power=power)
+        R = read_triangle(message.R) / self._faults.lie_scale
+        return replace(
+            message, R=write_triangle(R), z=tuple((np.array(message.z) + R @ self._offset).tolist()), power=power
+        )
+
+    def _falsify_totals(self, message: RoundMessage) -> Totals:
+        f, totals = self._faults, message.totals
+        if f.lie_objective != 1.0:
+            totals = replace(totals, objective=f.lie_objective * totals.objective)
+        if f.lie_areas:
+            totals = replace(totals, areas=f.lie_areas, silent=(), stale=())
+        if f.lie_worst:
+            totals = replace(totals, worst=((f.lie_worst, WORST),))
+        return totals
+
+    def _find_verdict(self, message: DownMessage, totals: Totals) -> str:
+        """What follows from ``totals`` after all that was told in this term."""
+        if not self._faults.lies_of_totals:
+            return message.verdict
+        header = message.header
+        term = (header.incarnation, header.scan, message.revision)
+        if (memory := Memory() if message.k == 0 else self._told.get((*term, message.k))) is None:
+            return message.verdict  # the beginning of the term was not told
+        if message.k == 0:
+            self._told = {}
+        self._told[*term, message.k + 1], verdict = decide(memory, totals)
+        return str(verdict)

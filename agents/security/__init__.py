@@ -1,0 +1,1 @@
+"""Who may speak: keys, certificates and access rules."""

@@ -1,0 +1,150 @@
+"""What is wrong with the files of a process's credentials, and why another process refuses them."""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import socket
+import ssl
+from pathlib import Path
+
+from cryptography import x509
+from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
+from cryptography.hazmat.primitives import serialization
+from cryptography.hazmat.primitives.asymmetric.types import PrivateKeyTypes
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+from agents.security.credential_files import find_mode_problems
+from agents.security.credentials import Credentials
+from dsse_core.bounded_file import LARGEST_PEM, read_bounded
+
+PROBE_S = 2.0  # time for a handshake that only asks why there is no connection
+
+
+def find_credential_problems(credentials: Credentials, listens: bool) -> list[str]:
+    """Every problem: which file, what was found, what to do. ``listens``: others call the process, too."""
+    now = datetime.datetime.now(datetime.UTC)
+    problems: list[str] = []
+    authorities = _read_certificates(credentials.authority, problems)
+    chain = _read_certificates(credentials.certificate, problems)
+    key = _read_key(credentials.key, problems)
+    for path, certificates in ((credentials.authority, authorities), (credentials.certificate, chain)):
+        for certificate in certificates:
+            problems += _find_date_problems(path, certificate, now)
+    if not chain:
+        return problems
+    own = chain[0]
+    if (found := _common_name(own)) != credentials.name:
+        problems.append(
+            f"{credentials.certificate}: is the certificate of {found!r}, and {credentials.name!r} is needed; "
+            "take that process's certificate, or make one with this common name"
+        )
+    problems += _find_usage_problems(credentials.certificate, own, listens)
+    if key and key.public_key() != own.public_key():
+        problems.append(f"{credentials.key}: does not belong to {credentials.certificate}; copy both from one place")
+    if authorities and not any(_is_issued_by(c, a) for c in chain for a in authorities):
+        problems.append(
+            f"{credentials.certificate}: was issued by {own.issuer.rfc4514_string()!r}, not by the authority in "
+            f"{credentials.authority}; take certificate and authority from the same `dsse keys create`"
+        )
+    return problems
+
+
+def _read_certificates(path: Path, problems: list[str]) -> list[x509.Certificate]:
+    try:
+        content = read_bounded(path, LARGEST_PEM)
+        problems += find_mode_problems(path)
+        return x509.load_pem_x509_certificates(content)
+    except OSError as error:
+        problems.append(_describe_unreadable(path, error))
+    except ValueError:
+        problems.append(f"{path}: holds no certificate in PEM (-----BEGIN CERTIFICATE-----); copy it again")
+    return []
+
+
+def _read_key(path: Path, problems: list[str]) -> PrivateKeyTypes | None:
+    try:
+        content = read_bounded(path, LARGEST_PEM)
+        problems += find_mode_problems(path, private=True)
+        return serialization.load_pem_private_key(content, password=None)
+    except OSError as error:
+        problems.append(_describe_unreadable(path, error))
+    except TypeError:
+        problems.append(f"{path}: is protected by a password, which cannot be asked for; store it without one")
+    except (ValueError, UnsupportedAlgorithm):
+        problems.append(f"{path}: holds no private key in PEM (-----BEGIN PRIVATE KEY-----); copy it again")
+    return None
+
+
+def _describe_unreadable(path: Path, error: OSError) -> str:
+    if isinstance(error, FileNotFoundError):
+        return f"{path}: is missing; make it with `dsse keys create SCENARIO`, or copy it from where that was done"
+    return f"{path}: cannot be read: {error.strerror}"
+
+
+def _find_date_problems(path: Path, certificate: x509.Certificate, now: datetime.datetime) -> list[str]:
+    begin, end = certificate.not_valid_before_utc, certificate.not_valid_after_utc
+    if now > end:
+        return [f"{path}: expired at {end:%Y-%m-%d %H:%M} UTC; make new keys with `dsse keys create SCENARIO`"]
+    if now < begin:
+        return [f"{path}: is valid from {begin:%Y-%m-%d %H:%M} UTC on; is this host's clock right ({now:%Y-%m-%d})?"]
+    return []
+
+
+def _find_usage_problems(path: Path, certificate: x509.Certificate, listens: bool) -> list[str]:
+    try:
+        usage = certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
+    except x509.ExtensionNotFound:
+        return []  # good for everything
+    problems = []
+    if ExtendedKeyUsageOID.CLIENT_AUTH not in usage:
+        problems.append(f"{path}: its extended key usage lacks clientAuth, and this process calls others")
+    if listens and ExtendedKeyUsageOID.SERVER_AUTH not in usage:
+        problems.append(
+            f"{path}: is for a process that only calls others (its extended key usage lacks serverAuth), and this one "
+            "listens; make keys for this scenario with `dsse keys create SCENARIO`"
+        )
+    return problems
+
+
+def _common_name(certificate: x509.Certificate) -> str:
+    names = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
+    return str(names[0].value) if names else ""
+
+
+def _is_issued_by(certificate: x509.Certificate, authority: x509.Certificate) -> bool:
+    with contextlib.suppress(ValueError, TypeError, InvalidSignature):
+        certificate.verify_directly_issued_by(authority)
+        return True
+    return False
+
+
+def explain_refusal(endpoint: str, credentials: Credentials) -> str:
+    """Why ``endpoint`` (``tls/HOST:PORT``) and we do not come together, in words; empty if unknown.
+
+    Zenoh says only that time is up. A handshake of our own tells what the other side, or we, object to.
+    """
+    host, _, port = endpoint.partition("/")[2].rpartition(":")
+    context = ssl.create_default_context(cafile=str(credentials.authority))
+    context.load_cert_chain(str(credentials.certificate), str(credentials.key))
+    try:
+        with (
+            socket.create_connection((host.strip("[]"), int(port)), PROBE_S) as plain,
+            context.wrap_socket(plain, server_hostname=host.strip("[]")) as link,
+        ):
+            link.recv(1)  # where the router's verdict on our certificate arrives
+    except TimeoutError:
+        return ""
+    except ssl.SSLCertVerificationError as error:
+        return f"its certificate is refused here: {error.verify_message} (believed is {credentials.authority})"
+    except ssl.SSLError as error:
+        reason = (error.reason or str(error)).removeprefix("TLSV1_ALERT_").removeprefix("SSLV3_ALERT_")
+        return f"it refuses {credentials.certificate}: {reason.replace('_', ' ').lower()}"
+    except (OSError, ValueError) as error:
+        return str(error)
+    return ""
+
+
+def read_validity(path: Path) -> list[tuple[datetime.datetime, datetime.datetime]]:
+    """From when to when each certificate in ``path`` is valid; nothing if none can be read."""
+    return [(c.not_valid_before_utc, c.not_valid_after_utc) for c in _read_certificates(path, [])]

@@ -1,0 +1,98 @@
+"""What a process with keys shows on the bus, whom it believes, and what it lets pass on its links.
+
+A folder of keys holds ``access.toml`` and, in PEM, ``authority.crt`` and for each process named NAME that runs here
+``NAME.crt`` (common name NAME; the authorities between it and ``authority.crt`` may follow in it) and ``NAME.key``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from agents.security.access import Access
+from dsse_core.errors import InvalidInputError
+
+AUTHORITY = "authority"
+
+
+@dataclass(frozen=True, slots=True)
+class Credentials:
+    """Files in PEM: ``authority`` is whom to believe, ``certificate`` and ``key`` are one's own."""
+
+    name: str
+    authority: Path
+    certificate: Path
+    key: Path
+
+
+def credentials_in(folder: Path, name: str) -> Credentials:
+    """Where the credentials of process ``name`` are in ``folder``, whether or not they are there."""
+    return Credentials(name, folder / f"{AUTHORITY}.crt", folder / f"{name}.crt", folder / f"{name}.key")
+
+
+@dataclass(frozen=True, slots=True)
+class Keys:
+    """The credentials of a process and the rules of its run: whoever has the ones applies the others to all its links.
+
+    ``listens``: whether others call this process.
+    """
+
+    folder: Path
+    name: str
+    access: Access
+    listens: bool = False
+
+    @property
+    def credentials(self) -> Credentials:
+        """Where one's own files are."""
+        return credentials_in(self.folder, self.name)
+
+    def load_anew(self) -> Keys:
+        """The same from the files as they are now.
+
+        Raises:
+            InvalidInputError: as ``load_keys``.
+        """
+        return _load(self.folder, self.name, self.access.run, self.listens)
+
+
+def load_keys(folder: Path | None, name: str, run: str | None = None, *, listens: bool = False) -> Keys | None:
+    """The keys of process ``name`` in ``folder``, checked as far as they can be without the bus; None without.
+
+    ``run``: to apply the rules to, instead of the run that the access file names.
+
+    Raises:
+        InvalidInputError: for each file that is missing, unreadable, expired, another process's or another
+            authority's, what was found and what to do; or the rules deny ``name`` everything.
+    """
+    return None if folder is None else _load(folder, name, run, listens)
+
+
+def _load(folder: Path, name: str, run: str | None, listens: bool) -> Keys:
+    from agents.security.access_file import ACCESS_FILE, load_access  # whoever has no keys need not wait for it
+
+    check_credentials(folder, [name], [name] if listens else [])
+    access = load_access(folder / ACCESS_FILE)
+    if name in access.revoked:
+        raise InvalidInputError(
+            f"access file {folder / ACCESS_FILE}",
+            [f"revoked: names {name!r}, and this process would be {name!r}; nobody would hear it"],
+        )
+    return Keys(folder, name, replace(access, run=run) if run else access, listens)
+
+
+def check_credentials(folder: Path, names: Sequence[str], listeners: Collection[str]) -> None:
+    """Raise the InvalidInputError of ``load_keys`` with the problems of the files of all processes ``names``.
+
+    ``listeners``: those of them that others call.
+    """
+    from agents.security.certificate_checks import find_credential_problems  # whoever has no keys need not wait for it
+
+    problems = [
+        problem
+        for name in names
+        for problem in find_credential_problems(credentials_in(folder, name), name in listeners)
+    ]
+    if problems:
+        raise InvalidInputError(f"keys {folder}", list(dict.fromkeys(problems)))

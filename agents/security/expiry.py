@@ -1,0 +1,53 @@
+"""Certificates that end soon: a line in the log at the start and every day, from a month before."""
+
+from __future__ import annotations
+
+import datetime
+import logging
+import threading
+
+from agents.security.credentials import Credentials
+
+log = logging.getLogger(__name__)
+AHEAD = datetime.timedelta(days=30)
+SHARE = 3  # one that is made for a short time ends soon in its last third only
+DAY_S = 86400.0
+
+
+def describe_expiry(credentials: Credentials, now: datetime.datetime) -> list[str]:
+    """Which of the certificates in ``credentials`` end soon, and what to do; nothing of what cannot be read.
+
+    ``now``: with its time zone.
+    """
+    from agents.security.certificate_checks import read_validity  # whoever has no keys need not wait for it
+
+    lines = []
+    for path in (credentials.authority, credentials.certificate):
+        for begin, end in read_validity(path):
+            if now > end - min(AHEAD, (end - begin) / SHARE):
+                when = f"expired at {end:%Y-%m-%d %H:%M} UTC" if now > end else f"expires at {end:%Y-%m-%d %H:%M} UTC"
+                lines.append(
+                    f"{path}: {when}, and its links end then; put a new one in its place and send SIGHUP to the process"
+                )
+    return lines
+
+
+class ExpiryWatch:
+    """Logs now and every day what of ``credentials`` ends soon, until ``stop``."""
+
+    def __init__(self, credentials: Credentials) -> None:
+        self._credentials = credentials
+        self._stopped = threading.Event()
+        self._tell()
+        threading.Thread(target=self._go_on, daemon=True).start()
+
+    def stop(self) -> None:
+        self._stopped.set()
+
+    def _go_on(self) -> None:
+        while not self._stopped.wait(DAY_S):
+            self._tell()
+
+    def _tell(self) -> None:
+        for line in describe_expiry(self._credentials, datetime.datetime.now(datetime.UTC)):
+            log.warning("%s", line)

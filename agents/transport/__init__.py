@@ -1,0 +1,1 @@
+"""Zenoh: sessions, publishers, subscribers, presence. The only room that imports it."""

@@ -1,0 +1,118 @@
+"""The configuration of Zenoh, as data: no scouting, no shared memory, and with keys TLS and rules on every link."""
+
+from __future__ import annotations
+
+import ipaddress
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
+
+from agents.messages.packing import MAX_BYTES
+from agents.security.access import zenoh_access_control
+from agents.security.credentials import Credentials, Keys
+
+SHORTEST_LEASE_S = 2.0
+LEASE_BEATS = 3  # by then, what has come over the link is stale anyway; where there are many, beats are long
+RETRY = {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 2}
+
+
+def bus_config(
+    mode: str, keys: Keys | None = None, meets: Iterable[str] = (), beat_s: float = 0.0, **sections: Any
+) -> dict[str, Any]:
+    """``beat_s``: that of who speaks here; the other end waits for a sign of life as long as that allows.
+
+    ``meets``: names that may be at the other ends of links, with keys.
+    """
+    return {
+        "mode": mode,
+        "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
+        "timestamping": {"enabled": True},
+        "transport": {
+            "shared_memory": {"enabled": False},
+            "unicast": {
+                "open_timeout": 10000,
+                "accept_timeout": 10000,
+                "accept_pending": 1000,
+                "max_sessions": 2000,
+            },
+            "link": {
+                **(_tls(keys.credentials) if keys else {}),
+                "tx": {
+                    "lease": int(1000 * max(SHORTEST_LEASE_S, LEASE_BEATS * beat_s)),
+                    "keep_alive": 4,
+                    "queue": {"congestion_control": {"block": {"wait_before_close": 1_000_000}}},
+                },
+                "rx": {"max_message_size": MAX_BYTES},
+            },
+        },
+        **({"access_control": zenoh_access_control(keys.access, meets)} if keys else {}),
+        **sections,
+    }
+
+
+def _tls(credentials: Credentials) -> dict[str, Any]:
+    """Show one's own certificate in both directions, and insist on the other's."""
+    certificate, key = str(credentials.certificate), str(credentials.key)
+    tls = {
+        "root_ca_certificate": str(credentials.authority),
+        "enable_mtls": True,
+        "verify_name_on_connect": True,
+        "close_link_on_expiration": True,
+        "listen_certificate": certificate,
+        "listen_private_key": key,
+        "connect_certificate": certificate,
+        "connect_private_key": key,
+    }
+    return {"protocols": ["tls"], "tls": tls}
+
+
+def at_once(endpoints: Sequence[str], timeout_s: float) -> dict[str, Any]:
+    """Connect to the first of ``endpoints`` that answers, or fail after ``timeout_s``."""
+    return {
+        "endpoints": list(endpoints),
+        "timeout_ms": int(timeout_s * 1000),
+        "exit_on_failure": True,
+        "retry": RETRY,
+    }
+
+
+def in_turns(endpoints: Sequence[str], first_s: float) -> Iterator[tuple[Sequence[str], float]]:
+    """``endpoints``, each of them first in its turn, and how long to try that; longer in each round, for ever.
+
+    At the start Zenoh tries the first one only, whatever is wrong with it; later it goes on to the others.
+    """
+    while True:
+        for number in range(len(endpoints)):
+            yield [*endpoints[number:], *endpoints[:number]], first_s
+        first_s *= 2
+
+
+def in_the_background(endpoints: Sequence[str]) -> dict[str, Any]:
+    """Connect to each of ``endpoints``, now or whenever it is there."""
+    return {"endpoints": list(endpoints), "timeout_ms": -1, "exit_on_failure": False, "retry": RETRY}
+
+
+def find_protocol_problem(endpoints: Sequence[str], secured: bool) -> str:
+    """The first endpoint that does not fit to having keys, or having none; empty if all do."""
+    for endpoint in endpoints:
+        protocol, _, place = endpoint.partition("/")
+        if secured and protocol != "tls":
+            return f"{endpoint} is not secured, and there are keys; write tls/{place}, or give no keys"
+        if protocol == "tls" and not secured:
+            return f"{endpoint} needs a certificate and a private key; give their folder with --keys"
+    return ""
+
+
+def find_open_endpoints(endpoints: Sequence[str]) -> list[str]:
+    """Those of ``endpoints`` that other hosts reach, to listen on."""
+    return [endpoint for endpoint in endpoints if not _is_loopback(_host_of(endpoint))]
+
+
+def _host_of(endpoint: str) -> str:
+    return endpoint.partition("/")[2].rpartition(":")[0].strip("[]")
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host.partition("%")[0]).is_loopback
+    except ValueError:
+        return host == "localhost"

@@ -1,0 +1,143 @@
+"""Links to the bus that can be closed and opened again with renewed keys, and what was declared on them with them."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, Protocol, Self
+
+from agents.security.credentials import Keys
+from agents.security.expiry import ExpiryWatch
+from dsse_core.errors import DsseError, InvalidInputError
+
+log = logging.getLogger(__name__)
+REOPEN_S = 1.0  # one attempt to open links again; a process that is to end waits for its end
+PAUSE_S = 0.2  # between two attempts
+
+
+class OpenBus(Protocol):
+    """What is opened: a session of Zenoh."""
+
+    def close(self) -> Any: ...
+
+
+@dataclass(slots=True)
+class Declaration:
+    """What was declared, and how to do it again; ``entity`` is None while there are no links."""
+
+    declare: Callable[[Any], Any]
+    entity: Any = None
+
+
+class RenewableBus:
+    """Opens the bus, closes it with its block, and in between takes up renewed keys.
+
+    ``open_bus``: opens it with keys, waiting so many seconds for the other side; ``close_bus``: closes it.
+
+    Raises:
+        DsseError: of ``open_bus``.
+    """
+
+    def __init__(
+        self,
+        open_bus: Callable[[Keys | None, float], OpenBus],
+        close_bus: Callable[[Any], None],
+        keys: Keys | None = None,
+        timeout_s: float = REOPEN_S,
+    ) -> None:
+        self.keys = keys
+        self._open, self._close = open_bus, close_bus
+        self._declared: list[Declaration] = []
+        self._lock = threading.RLock()  # what is declared may call back at once
+        self._reopening: threading.Thread | None = None
+        self._given_up = threading.Event()
+        self.bus: OpenBus | None = open_bus(keys, timeout_s)
+        self._expiry = ExpiryWatch(keys.credentials) if keys else None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the bus; later calls do nothing."""
+        if self._expiry:
+            self._expiry.stop()
+        self._take_down()
+
+    def declare(self, declare: Callable[[Any], Any]) -> Declaration:
+        """Call ``declare(bus)`` now and after every renewal, and keep what it returns referenced."""
+        declared = Declaration(declare)
+        with self._lock:
+            self._declared.append(declared)
+            if self.bus:
+                declared.entity = declare(self.bus)
+        return declared
+
+    def is_open(self, bus: OpenBus) -> bool:
+        """Whether ``bus`` is the one in use; what still comes from a former one is to be ignored."""
+        return bus is self.bus
+
+    def interrupt(self) -> bool:
+        """Read the keys anew and, if they can be used, close all links until ``resume``; whether it did.
+
+        Nothing arrives any more when this returns, and what is published meanwhile is lost.
+        """
+        if self.keys is None:
+            return False
+        try:
+            self.keys = self.keys.load_anew()
+        except InvalidInputError as error:
+            log.error("the keys in use stay as they were: %s", error)
+            return False
+        self._take_down()
+        return True
+
+    def resume(self) -> None:
+        """Open the bus again in the background, until that succeeds or this closes."""
+        self._given_up.clear()
+        self._reopening = threading.Thread(target=self._reopen, daemon=True)
+        self._reopening.start()
+
+    def _take_down(self) -> None:
+        if self._reopening:
+            self._given_up.set()
+            self._reopening.join()  # when the process ends, no thread may be inside Zenoh
+            self._reopening = None
+        with self._lock:
+            bus, self.bus = self.bus, None
+            for declared in self._declared:
+                declared.entity = None
+        if bus:
+            self._close(bus)
+
+    def _reopen(self) -> None:
+        began, told = time.monotonic(), False
+        while not self._given_up.is_set():
+            try:
+                bus = self._open(self.keys, REOPEN_S)
+            except DsseError as error:
+                if not told:
+                    log.warning("not open again yet: %s", error)
+                told = True
+                self._given_up.wait(PAUSE_S)
+                continue
+            with self._lock:
+                self.bus = bus
+                for declared in self._declared:
+                    declared.entity = declared.declare(bus)
+            log.info("open again with the keys of now, after %.2f s", time.monotonic() - began)
+            self._mind_expiry()
+            return
+
+    def _mind_expiry(self) -> None:
+        if self._expiry and self.keys:
+            self._expiry.stop()
+            self._expiry = ExpiryWatch(self.keys.credentials)

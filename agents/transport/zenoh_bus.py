@@ -1,0 +1,300 @@
+"""Zenoh: sessions, publishers, subscribers, presence and the router. The only module that imports it.
+
+Endpoints are explicit: multicast scouting, gossip and shared memory are off. A session must be closed, or
+its process never exits; entities are kept referenced, or they vanish; nothing here may exist before a fork.
+With keys there are TLS links only, both ends show a certificate, and each applies the rules of access to the other.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+import time
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar, cast
+
+import zenoh
+
+from agents.security.access import ROUTER
+from agents.security.credentials import Credentials, Keys
+from agents.transport.bus_config import (
+    at_once,
+    bus_config,
+    find_open_endpoints,
+    find_protocol_problem,
+    in_the_background,
+    in_turns,
+)
+from agents.transport.renewable_bus import RenewableBus
+from dsse_core.errors import DsseError
+from dsse_core.limits import LONGEST_S
+
+log = logging.getLogger(__name__)
+FIRST_SLICE_S, LAST_SLICE_S = 0.5, 0.01  # for which one of several endpoints is tried
+MAX_TOLD = 1000  # links of names without rights that are logged
+AnyBus = TypeVar("AnyBus", bound=RenewableBus)
+News = TypeVar("News")
+
+
+class TransportError(DsseError):
+    """The bus cannot be reached or opened; names the endpoint."""
+
+
+class Session(RenewableBus):
+    """A client of one or more routers, or a peer of some others; it reconnects by itself."""
+
+    @classmethod
+    def connect(
+        cls, endpoints: Sequence[str], timeout_s: float = 10.0, keys: Keys | None = None, *, beat_s: float = 0.0
+    ) -> Session:
+        """Connect to the first of ``endpoints`` that answers within ``timeout_s``, and has a router's certificate.
+
+        Raises:
+            TransportError: none answers, or takes our certificate, or one is not a Zenoh endpoint.
+        """
+        _check_protocol(endpoints, keys)
+        if not 0 < timeout_s <= LONGEST_S:
+            raise TransportError(f"a wait of {timeout_s} s for the bus; it must be positive and at most a day")
+
+        def open_bus(keys: Keys | None, wait_s: float) -> zenoh.Session:
+            deadline = time.monotonic() + wait_s
+            for order, slice_s in in_turns(endpoints, FIRST_SLICE_S):
+                left_s = deadline - time.monotonic()
+                try:
+                    connect = at_once(order, left_s if len(endpoints) == 1 else min(slice_s, left_s))
+                    return _open(bus_config("client", keys, (ROUTER,), beat_s, connect=connect))
+                except zenoh.ZError as error:
+                    if time.monotonic() >= deadline - LAST_SLICE_S:
+                        raise _cannot_reach(endpoints, wait_s, keys, error) from None
+            raise AssertionError("turns never end")
+
+        return _with_watched_links(cls(open_bus, _close, keys, timeout_s), (ROUTER,))
+
+    @classmethod
+    def meet(
+        cls, endpoints: Sequence[str], listen: Sequence[str] = (), keys: Keys | None = None, *, beat_s: float = 0.0
+    ) -> Session:
+        """Link with each of ``endpoints`` directly, as soon and as often as it is there; no router takes part.
+
+        What passes between two others does not pass here. ``listen``: where others link with us.
+
+        Raises:
+            TransportError: an endpoint to listen on is occupied or cannot be opened.
+        """
+        _check_protocol([*endpoints, *listen], keys)
+        _log_refused_links(keys if listen else None)
+        warn_of_strangers(listen, keys is not None)
+        meets = keys.access.met_directly_by(keys.name) if keys else ()
+
+        def open_bus(keys: Keys | None, _: float) -> zenoh.Session:
+            places = {
+                "listen": {"endpoints": list(listen), "exit_on_failure": True},
+                "connect": in_the_background(endpoints),
+            }
+            try:
+                return _open(bus_config("peer", keys, meets, beat_s, **places))
+            except zenoh.ZError as error:
+                raise _cannot_listen(listen, error) from None
+
+        return _with_watched_links(cls(open_bus, _close, keys), meets)
+
+    @classmethod
+    def join(
+        cls,
+        endpoints: Sequence[str],
+        timeout_s: float = 10.0,
+        keys: Keys | None = None,
+        *,
+        beat_s: float = 0.0,
+        direct: bool = False,
+    ) -> Session:
+        """``connect`` to one of the routers at ``endpoints``, or, ``direct``, ``meet`` all areas there."""
+        if direct:
+            return cls.meet(endpoints, keys=keys, beat_s=beat_s)
+        return cls.connect(endpoints, timeout_s, keys, beat_s=beat_s)
+
+    def publisher(self, key: str) -> Callable[[bytes], None]:
+        """A function that puts a payload on ``key``; while links are closed to be opened again, nobody hears it."""
+        declared = self.declare(
+            lambda bus: bus.declare_publisher(
+                key,
+                congestion_control=zenoh.CongestionControl.DROP,
+                priority=zenoh.Priority.DATA_HIGH,
+                express=True,
+            )
+        )
+
+        def put(payload: bytes) -> None:
+            if (publisher := declared.entity) is not None:
+                publisher.put(payload)
+
+        return put
+
+    def subscribe(self, key_expression: str, callback: Callable[[str, bytes], None]) -> None:
+        """Call ``callback(key, payload)`` for every message, on the thread that receives; it must return at once."""
+
+        def declare(bus: zenoh.Session) -> Any:
+            def on_sample(sample: zenoh.Sample) -> None:
+                if self.is_open(bus):
+                    callback(str(sample.key_expr), sample.payload.to_bytes())
+
+            return bus.declare_subscriber(key_expression, _directly(on_sample))
+
+        self.declare(declare)
+
+    def declare_presence(self, key: str) -> None:
+        """Show a liveliness token on ``key`` until the session closes or the process dies."""
+        self.declare(lambda bus: bus.liveliness().declare_token(key))
+
+    def watch_presence(self, key_expression: str, callback: Callable[[str, bool], None]) -> None:
+        """Call ``callback(key, alive)`` for every token, those already there included.
+
+        After ``interrupt`` none counts until it is seen again: their ends are not told.
+        """
+
+        def declare(bus: zenoh.Session) -> Any:
+            def on_sample(sample: zenoh.Sample) -> None:
+                if self.is_open(bus):
+                    callback(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
+
+            return bus.liveliness().declare_subscriber(key_expression, _directly(on_sample), history=True)
+
+        self.declare(declare)
+
+
+class Router(RenewableBus):
+    """A Zenoh router inside this process."""
+
+    endpoints: tuple[str, ...] = ()
+
+    @classmethod
+    def listen(
+        cls, endpoints: Sequence[str], keys: Keys | None = None, others: Sequence[str] = (), *, beat_s: float = 0.0
+    ) -> Router:
+        """Open a router on ``endpoints``; port 0 takes a free one, ``Router.endpoints`` says which.
+
+        ``others``: routers to link with, as soon and as often as they are there; linked routers are one bus.
+        ``beat_s``: of those who will link with it. Without ``keys`` everybody may speak who gets a link. What is
+        refused is logged on standard output by Zenoh: links at level ``warn``, messages at
+        ``RUST_LOG=zenoh::net::routing::interceptor=trace``.
+
+        Raises:
+            TransportError: an endpoint is occupied or cannot be opened.
+        """
+        _check_protocol([*endpoints, *others], keys)
+        _log_refused_links(keys)
+        warn_of_strangers(endpoints, keys is not None)
+        places = tuple(endpoints)
+        meets = keys.access.names if keys else ()
+
+        def open_bus(keys: Keys | None, _: float) -> zenoh.Session:
+            sections = {
+                "listen": {"endpoints": list(places), "exit_on_failure": True},
+                "connect": in_the_background(others),
+                "adminspace": {"enabled": True},
+            }
+            try:
+                return _open(bus_config("router", keys, meets, beat_s, **sections))
+            except zenoh.ZError as error:
+                raise _cannot_listen(places, error) from None
+
+        router = _with_watched_links(cls(open_bus, _close, keys), meets)
+        router.endpoints = _locators(cast(zenoh.Session, router.bus))
+        if any(place.endswith(":0") for place in endpoints):
+            places = router.endpoints  # where the others look for it when it opens again
+        return router
+
+
+def _open(config: dict[str, Any]) -> zenoh.Session:
+    return zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
+
+
+def _close(session: zenoh.Session) -> None:
+    with contextlib.suppress(zenoh.ZError):  # a link that no longer answers; it is given up anyway
+        session.close()  # type: ignore[no-untyped-call]
+
+
+def _with_watched_links(bus: AnyBus, meets: Sequence[str]) -> AnyBus:
+    """Have it logged who links, or is found where somebody else was looked for, and has no rights here."""
+    if bus.keys is None:
+        return bus
+    told: set[tuple[str, str]] = set()
+
+    def on_link(event: zenoh.LinkEvent) -> None:
+        place, name = event.link.dst, event.link.auth_identifier or ""
+        has_rights = bus.keys is not None and name in meets and name not in bus.keys.access.revoked
+        if event.kind == zenoh.SampleKind.PUT and not has_rights and (place, name) not in told and len(told) < MAX_TOLD:
+            told.add((place, name))
+            log.warning("%s shows the certificate of %r, who has no rights here: nothing passes", place, name)
+
+    bus.declare(lambda opened: opened.info.declare_link_events_listener(_directly(on_link), history=True))
+    return bus
+
+
+def _directly(callback: Callable[[News], None]) -> zenoh.handlers.Callback[News]:
+    """Without a Python thread of its own for every subscriber, which costs memory and changes of threads."""
+    return zenoh.handlers.Callback(callback, indirect=False)
+
+
+def _check_protocol(endpoints: Sequence[str], keys: Keys | None) -> None:
+    """Raise TransportError for the first endpoint that does not fit to having keys, or having none."""
+    if problem := find_protocol_problem(endpoints, keys is not None):
+        raise TransportError(problem)
+
+
+def warn_of_strangers(listen: Sequence[str], secured: bool) -> None:
+    """Log which places to ``listen`` on other hosts reach, where nobody needs a key."""
+    if not secured and (open_places := find_open_endpoints(listen)):
+        log.warning(
+            "listening without keys on %s: everybody who reaches it may hear and say everything; give --keys, or "
+            "listen on 127.0.0.1",
+            ", ".join(open_places),
+        )
+
+
+def _log_refused_links(keys: Keys | None) -> None:
+    """Let Zenoh write on standard output whom it refused; not that somebody is not there yet."""
+    if keys:
+        zenoh.init_log_from_env_or("warn,zenoh::net::runtime::orchestrator=error")
+
+
+def _cannot_reach(endpoints: Sequence[str], wait_s: float, keys: Keys | None, error: Exception) -> TransportError:
+    return TransportError(
+        f"cannot reach {', '.join(endpoints)} within {wait_s:g} s: "
+        f"{_reason(endpoints, keys.credentials if keys else None) or _short(error)}; is the router running "
+        "(dsse router), is the endpoint right (e.g. tcp/127.0.0.1:7447), and have both sides keys of one "
+        "authority, or none?"
+    )
+
+
+def _cannot_listen(endpoints: Sequence[str], error: Exception) -> TransportError:
+    return TransportError(
+        f"cannot listen on {', '.join(endpoints)}: {_short(error)}; is the port taken by another "
+        "program? Choose another, or port 0 for a free one"
+    )
+
+
+def _locators(session: zenoh.Session) -> tuple[str, ...]:
+    """The endpoints that this router really listens on, from its own administration space."""
+    deadline = time.monotonic() + 5.0
+    while time.monotonic() < deadline:
+        for reply in session.get(f"@/{session.zid()}/router", timeout=1.0):
+            if reply.ok is not None and (locators := json.loads(reply.ok.payload.to_string()).get("locators")):
+                return tuple(locators)
+    raise TransportError("the router does not say where it listens; this is a defect, please report it")
+
+
+def _reason(endpoints: Sequence[str], credentials: Credentials | None) -> str:
+    """What a secured endpoint and we have against each other; empty if that is not the reason."""
+    if credentials is None:
+        return ""
+    from agents.security.certificate_checks import explain_refusal  # whoever has no keys need not wait for it
+
+    reasons = {endpoint: explain_refusal(endpoint, credentials) for endpoint in endpoints}
+    return "; ".join(f"{endpoint}: {reason}" for endpoint, reason in reasons.items() if reason)
+
+
+def _short(error: Exception) -> str:
+    """The first sentence of Zenoh's error, without its source locations."""
+    return str(error).split(" at ", 1)[0].strip().rstrip(".")

@@ -1,0 +1,202 @@
+"""The command line ``dsse``: every command in a few lines that call the package and print."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from pathlib import Path
+
+import click
+
+from coordinator.cli.keys import keys_commands
+from coordinator.cli.networks import network_commands
+from coordinator.cli.processes import process_commands
+from coordinator.cli.studies import study_commands
+from coordinator.cli.terminal import (
+    finish_run,
+    no_plots_option,
+    progress,
+    quiet_option,
+    run_folder_option,
+    say,
+    scenario_argument,
+    seed_option,
+    show,
+    strategy_option,
+    timeout_option,
+)
+from coordinator.cli.watch import watch
+from coordinator.interrupts import INTERRUPTED_CODE, end_orderly_on_signals
+from dsse_core.errors import DsseError
+from dsse_core.printable import printable
+
+DISTRIBUTION = "consensus-dsse"
+
+
+def run_command(arguments: Sequence[str]) -> int:
+    """Run ``dsse`` with ``arguments``; a user's mistake becomes one message and exit code 2."""
+    try:
+        code = commands.main(list(arguments), prog_name="dsse", standalone_mode=False)
+    except DsseError as error:
+        say(f"error: {error}")
+        return 2
+    except click.ClickException as error:
+        usage = io.StringIO()
+        error.show(usage)
+        say(usage.getvalue().rstrip())
+        return 2
+    except OSError as error:  # a full disk, a folder that cannot be written, a file that is none
+        name = f"{error.filename}: " if error.filename else ""
+        say(f"error: {name}{error.strerror or error}; choose another place, or make room there")
+        return 2
+    except (KeyboardInterrupt, click.Abort):
+        return say_interrupted()
+    return int(code or 0)
+
+
+def say_interrupted() -> int:
+    """Say that somebody has ended the command; its exit code."""
+    say("interrupted")
+    return INTERRUPTED_CODE
+
+
+def _show_version(context: click.Context, _: click.Parameter, asked: bool) -> None:
+    if asked and not context.resilient_parsing:
+        from coordinator.evaluation.result import version_of
+
+        show(f"{DISTRIBUTION} {version_of(DISTRIBUTION) or 'in a folder, not installed'}")
+        context.exit()
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.option(
+    "--version",
+    is_flag=True,
+    expose_value=False,
+    is_eager=True,
+    callback=_show_version,
+    help="Show the version and exit.",
+)
+def commands() -> None:
+    """Decentralised state estimation of power grids: one process per area, over Zenoh.
+
+    \b
+    Example:  dsse run ieee33
+    """
+
+
+@commands.command(short_help="Run a scenario as real processes and judge it.")
+@scenario_argument
+@run_folder_option
+@timeout_option
+@seed_option
+@quiet_option
+@no_plots_option
+@strategy_option
+@click.option("--secure", is_flag=True, help="Certificates, TLS and access control, with keys made for this run.")
+@click.option("--keys", type=click.Path(path_type=Path), metavar="DIR", help="The same with the keys in DIR.")
+def run(
+    scenario: str,
+    out: Path | None,
+    timeout: float | None,
+    seed: int | None,
+    quiet: bool,
+    no_plots: bool,
+    strategy: str | None,
+    secure: bool,
+    keys: Path | None,
+) -> int:
+    """Run SCENARIO, a shipped name or a file: start router, plant and one agent per area, watch, judge.
+
+    Exit code 0: the areas agree; 1: they do not; 2: wrong input.
+
+    \b
+    Examples:  dsse run ieee33
+               dsse run ieee33-lossy --strategy information
+               dsse run my/scenario.toml --seed 7 --out results
+               dsse run ieee33 --secure
+    """
+    import coordinator
+
+    end_orderly_on_signals()
+    with progress(scenario, quiet) as on_update:
+        result = coordinator.run(
+            scenario,
+            out=out,
+            seed=seed,
+            strategy=strategy,
+            timeout_s=timeout,
+            on_update=on_update,
+            plots=False,
+            secure=secure,
+            keys=keys,
+        )
+    return finish_run(result, no_plots)
+
+
+@commands.command(short_help="Check a scenario without running it.")
+@scenario_argument
+def check(scenario: str) -> None:
+    """Check SCENARIO without running it: keys, network, areas, meters, observability of the grid and each area.
+
+    \b
+    Example:  dsse check my/scenario.toml
+    """
+    from coordinator.evaluation.evaluation import prepare_scenario
+    from coordinator.report.text import format_check
+
+    show(format_check(prepare_scenario(scenario)))
+
+
+@commands.command()
+def scenarios() -> None:
+    """List the shipped scenarios.
+
+    \b
+    Example:  dsse scenarios
+    """
+    from scenarios.scenario import list_scenarios
+
+    listed = list_scenarios()
+    width = max(len(name) for name, _ in listed)
+    for name, description in listed:
+        show(f"{name:{width}}  {printable(description)}")
+
+
+@commands.command(short_help="Solve the power flow of the whole network.")
+@scenario_argument
+def powerflow(scenario: str) -> None:
+    """Solve the power flow of SCENARIO's whole network: the truth that its meters read.
+
+    \b
+    Example:  dsse powerflow industrial13
+    """
+    from coordinator.report.text import format_power_flow
+    from dsse_core.power_flow.newton_raphson import solve_power_flow
+    from scenarios.scenario import load_scenario
+
+    show(format_power_flow(solve_power_flow(load_scenario(scenario).network)))
+
+
+@commands.command(short_help="Estimate the whole grid in one place.")
+@scenario_argument
+@seed_option
+def estimate(scenario: str, seed: int | None) -> None:
+    """Estimate the whole grid of SCENARIO in one place, with bad-data processing: what a control centre would do.
+
+    \b
+    Example:  dsse estimate ieee33 --seed 7
+    """
+    from coordinator.evaluation.evaluation import prepare_scenario
+    from coordinator.report.text import format_estimate
+    from dsse_core.estimation.bad_data import process_bad_data
+    from scenarios.telemetry import make_telemetry
+
+    prepared = prepare_scenario(scenario, seed)
+    telemetry = make_telemetry(prepared)
+    report = process_bad_data(prepared.network, telemetry.union, tolerance=prepared.tolerances.estimator)
+    show(format_estimate(report, telemetry.truth))
+
+
+for command in (*process_commands, *network_commands, *study_commands, keys_commands, watch):
+    commands.add_command(command)

@@ -1,0 +1,148 @@
+"""Commands about networks: ``dsse partition``, ``dsse generate`` and ``dsse import``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import click
+
+from coordinator.cli.terminal import Number, scenario_argument, show
+from dsse_core.errors import InvalidInputError
+
+PICTURES = (".png", ".pdf", ".svg")
+BUSES_OF_AN_AREA = 10  # the areas of a generated feeder, unless a number is given
+MAX_DEFAULT_AREAS = 8
+
+
+@click.command(short_help="Show the areas of a scenario, or try others.")
+@scenario_argument
+@click.option("--count", type=click.IntRange(min=1), help="Cut into so many areas instead.")
+@click.option(
+    "--switches", multiple=True, metavar="BRANCHES", help="Cut at these branches instead: 6-7,6-26; repeatable."
+)
+@click.option("--out", type=click.Path(path_type=Path), help="Draw the areas into this file (.png, .pdf, .svg).")
+@click.option("--toml", is_flag=True, help="Print the areas as bus lists, to paste into a scenario file.")
+def partition(scenario: str, count: int | None, switches: tuple[str, ...], out: Path | None, toml: bool) -> None:
+    """Show the areas of SCENARIO, or those that another cut of its network makes: table, picture or bus lists.
+
+    \b
+    Examples:  dsse partition ieee33 --out areas.png
+               dsse partition ieee33 --count 5 --toml
+               dsse partition ieee33 --switches 6-7,6-26
+    """
+    if count is not None and switches:
+        raise click.UsageError("--count and --switches are two ways to cut; give one of them")
+    if out is not None and out.suffix.lower() not in PICTURES:
+        raise InvalidInputError("--out", [f"{out} has none of the endings {', '.join(PICTURES)}; give it one"])
+    from agents.protocol.choose import STRATEGIES
+    from coordinator.report.area_table import format_area_tables, format_areas
+    from scenarios.scenario import load_scenario
+
+    changes: dict[str, object] = {}
+    if count is not None:
+        changes = {"areas": {"count": count}, "faults": {}}
+    elif switches:
+        named = [name.strip() for text in switches for name in text.split(",") if name.strip()]
+        changes = {"areas": {"switches": named}, "faults": {}}
+    loaded = load_scenario(scenario, strategies=tuple(STRATEGIES), changes=changes)
+    show(format_area_tables(loaded.partition) if toml else format_areas(loaded))
+    if out is not None:
+        from coordinator.report.draw_areas import draw_areas
+
+        out.parent.mkdir(parents=True, exist_ok=True)
+        draw_areas(loaded.partition, out)
+        if not toml:
+            show(f"picture: {out}")
+
+
+@click.command(short_help="Make up a radial feeder and a scenario on it.")
+@click.option("--buses", "n_bus", type=click.IntRange(min=2, max=1_000_000), required=True, help="How many buses.")
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for network.toml, scenario.toml.")
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Another seed, another feeder.")
+@click.option(
+    "--areas", "n_area", type=click.IntRange(min=1), help="How many areas.  [default: one per 10 buses, up to 8]"
+)
+@click.option(
+    "--lowest-vm", type=float, default=0.94, show_default=True, metavar="PU", help="The load is scaled until this."
+)
+@click.option(
+    "--meters",
+    type=click.Choice(["standard", "sparse"]),
+    default="standard",
+    show_default=True,
+    help="standard: flows on all branches; sparse: where trunks and laterals begin.",
+)
+@click.option("--pv", "n_pv", type=click.IntRange(min=0), default=0, show_default=True, help="How many PV generators.")
+def generate(
+    n_bus: int,
+    out: Path,
+    seed: int,
+    n_area: int | None,
+    lowest_vm: float,
+    meters: Literal["standard", "sparse"],
+    n_pv: int,
+) -> None:
+    """Make up a radial medium-voltage feeder with typical values, and a scenario that runs on it.
+
+    The same options write the same files. docs/generator.md says which values are typical.
+
+    \b
+    Example:  dsse generate --buses 200 --seed 7 --areas 6 --out feeder && dsse run feeder/scenario.toml
+    """
+    from scenarios.generate.generated_files import name_network_file, write_generated
+
+    network_file = name_network_file(n_bus)
+    if present := [name for name in (network_file, "scenario.toml") if (out / name).exists()]:
+        raise InvalidInputError(
+            f"folder {out}", [f"{name} is there already; choose another folder" for name in present]
+        )
+    if n_area is None:
+        n_area = min(MAX_DEFAULT_AREAS, max(1, n_bus // BUSES_OF_AN_AREA))
+    path = write_generated(out, n_bus, seed, n_area=n_area, lowest_vm=lowest_vm, n_pv=n_pv, meters=meters)
+    show(f"{out / network_file}\n{path}\nnext: dsse run {path}")
+
+
+@click.command("import", short_help="Take over a network from MATPOWER, pandapower or power-grid-model.")
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for network.toml, scenario.toml.")
+@click.option("--areas", "n_area", type=click.IntRange(min=1), default=1, show_default=True, help="How many areas.")
+@click.option("--name", help="Name of the network.  [default: that of the file]")
+@click.option(
+    "--frequency",
+    "frequency_hz",
+    type=Number(min=0, min_open=True),
+    default=50.0,
+    show_default=True,
+    metavar="HZ",
+    help="For power-grid-model, whose files do not hold it.",
+)
+def import_file(file: Path, out: Path, n_area: int, name: str | None, frequency_hz: float) -> None:
+    """Take over FILE, a MATPOWER case (.m), pandapower network or power-grid-model input (.json), as a scenario.
+
+    Writes network.toml, scenario.toml, import.txt and, where FILE has measurements, readings.csv.
+
+    \b
+    Example:  dsse import case33bw.m --areas 4 --out bw && dsse run bw/scenario.toml
+    """
+    from scenarios.importers import import_grid
+    from scenarios.importers.imported_files import write_imported
+
+    imported = import_grid(file, name=name, frequency_hz=frequency_hz)
+    path, summary = write_imported(out, imported, n_area, lambda scenario: _check(scenario, file))
+    show(f"{summary}\nnext: dsse run {path}")
+
+
+def _check(path: Path, source: Path) -> None:
+    """Check a scenario that has just been written, which its source may make impossible to estimate."""
+    from agents.protocol.choose import STRATEGIES
+    from scenarios.check import check_scenario
+    from scenarios.scenario import load_scenario
+
+    try:
+        check_scenario(load_scenario(path, strategies=tuple(STRATEGIES)))
+    except InvalidInputError as error:
+        raise InvalidInputError(f"{source} is read, but cannot be estimated as it is", error.problems) from None
+
+
+network_commands = (partition, generate, import_file)

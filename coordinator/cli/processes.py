@@ -1,0 +1,187 @@
+"""Commands of a system that is started by hand, on one host or several: area files, agent, router, plant."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import click
+
+from coordinator.cli.terminal import (
+    DEFAULT_ENDPOINT,
+    SECURE_ENDPOINT,
+    Number,
+    bus_timeout_option,
+    choose_endpoints,
+    connect_option,
+    keys_option,
+    run_id_option,
+    scenario_argument,
+    seed_option,
+    show,
+)
+from dsse_core.limits import LONGEST_S, SHORTEST_SCAN_S
+from dsse_core.printable import printable
+
+SCAN_SECONDS = Number(min=SHORTEST_SCAN_S, max=LONGEST_S)
+
+
+@click.command(short_help="Write one file per area.")
+@scenario_argument
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for the area files.")
+@run_id_option
+@connect_option("--secure")
+@click.option("--secure", is_flag=True, help="For agents with --keys: areas that link directly do so with TLS.")
+@seed_option
+def split(
+    scenario: str, out: Path, run_id: str | None, endpoints: tuple[str, ...], secure: bool, seed: int | None
+) -> None:
+    """Write one file per area of SCENARIO: all that `dsse agent` needs, here or on another host.
+
+    \b
+    Examples:  dsse split ieee33 --out areas --connect tcp/192.0.2.7:7447
+               dsse split ieee33 --out areas --secure
+    """
+    from coordinator.deployment.endpoints import choose_places
+    from coordinator.deployment.split import choose_run_id, write_area_files
+    from coordinator.evaluation.evaluation import prepare_scenario
+    from scenarios.files.whole_folder import written_whole
+
+    prepared = prepare_scenario(scenario, seed)
+    endpoints = choose_endpoints(endpoints, secure)
+    direct = prepared.transport.kind == "neighbours"
+    places = choose_places(prepared, "tls" if secure else "tcp") if direct else {}
+    run = choose_run_id(prepared, run_id)
+    with written_whole(out) as new:
+        names = [path.name for _, path in write_area_files(prepared, run, endpoints, new, places)]
+    for name in names:
+        show(printable(out / name))
+
+
+@click.command(
+    short_help="Run the agent of one area.", context_settings={"ignore_unknown_options": True}, add_help_option=False
+)
+@click.argument("arguments", nargs=-1, type=click.UNPROCESSED)
+def agent(arguments: tuple[str, ...]) -> int:
+    """Run the agent of one area from its area file.
+
+    \b
+    Example:  dsse agent areas/area1.toml --connect tcp/192.0.2.7:7447
+    """
+    from agents.__main__ import main
+
+    return main(arguments)
+
+
+@click.command(short_help="Run the router that all the others connect to.")
+@click.option(
+    "--listen",
+    "endpoints",
+    multiple=True,
+    help=f"Where; repeatable.  [default: {DEFAULT_ENDPOINT}; with --keys {SECURE_ENDPOINT}]",
+)
+@click.option("--connect", "others", multiple=True, help="Another router to link with, now or later; repeatable.")
+@keys_option
+@click.option("--run", "run_id", help="Apply the rules of access in DIR to this run.  [default: the run named there]")
+def router(endpoints: tuple[str, ...], others: tuple[str, ...], keys: Path | None, run_id: str | None) -> int:
+    """Run the Zenoh router that agents, plant and coordinator connect to, until Ctrl-C. Linked routers are one bus.
+
+    \b
+    Examples:  dsse router --listen tcp/0.0.0.0:7447
+               dsse router --listen tls/0.0.0.0:7447 --keys keys
+               dsse router --listen tcp/0.0.0.0:7448 --connect tcp/192.0.2.7:7447
+    """
+    from coordinator.process_run.router_process import main
+
+    arguments = [part for endpoint in endpoints for part in ("--listen", endpoint)]
+    arguments += [part for other in others for part in ("--connect", other)]
+    arguments += ["--keys", str(keys)] if keys else []
+    return main([*arguments, "--run", run_id] if run_id else arguments)
+
+
+@click.command(short_help="Publish the meter readings of a scenario.")
+@scenario_argument
+@connect_option()
+@keys_option
+@run_id_option
+@bus_timeout_option
+@seed_option
+@click.option(
+    "--every",
+    type=SCAN_SECONDS,
+    metavar="S",
+    help="Make a new scan every so many seconds.  [default: the scenario's run.scan_s, else one only]",
+)
+def plant(
+    scenario: str,
+    endpoints: tuple[str, ...],
+    keys: Path | None,
+    run_id: str | None,
+    timeout: float,
+    seed: int | None,
+    every: float | None,
+) -> int:
+    """Publish the meter readings of SCENARIO on the bus until Ctrl-C; in the field a gateway does this.
+
+    \b
+    Example:  dsse plant ieee33 --connect tcp/192.0.2.7:7447
+    """
+    from coordinator.deployment.split import choose_run_id
+    from coordinator.evaluation.evaluation import prepare_scenario
+    from coordinator.plant.plant import run_plant
+    from coordinator.plant.scans import OwnScans
+
+    prepared = prepare_scenario(scenario, seed)
+    every = every or prepared.run.scan_s
+    # a plant that is started anew has new readings: the clock is ahead of all numbers of its last life
+    scan = int(time.time() / SHORTEST_SCAN_S)
+    endpoints = choose_endpoints(endpoints, keys is not None)
+    direct = prepared.transport.kind == "neighbours"
+    return run_plant(
+        OwnScans(prepared, many=bool(every)),
+        choose_run_id(prepared, run_id),
+        endpoints,
+        timeout,
+        scan,
+        every,
+        keys,
+        direct,
+    )
+
+
+@click.command(short_help="End what is left of a run.")
+@click.argument("folder", metavar="RUN_FOLDER", type=click.Path(path_type=Path))
+def stop(folder: Path) -> None:
+    """End the processes of the run in RUN_FOLDER that are left on this host, as after `kill -9` of its `dsse run`.
+
+    \b
+    Example:  dsse stop runs/ieee33-20261122-120000
+    """
+    from coordinator.process_run.stop_run import stop_run
+
+    run, count = stop_run(folder)
+    if run is None:
+        show(printable(f"{folder}: nothing to stop; the run was killed before it had started a process"))
+    elif count:
+        print(f"run {run.id}: {count} process{'es' * (count > 1)} ended")
+    else:
+        print(f"run {run.id}: no process of it is left on this host")
+
+
+@click.command("compile", short_help="Compile the solvers of large radial networks ahead.")
+def compile_() -> None:
+    """Compile the solvers of large radial networks now, so that no run has to: for an image, or by an administrator.
+
+    They are kept in the folder of NUMBA_CACHE_DIR if that is set, else beside the package if that can be written, else
+    in the cache folder of the user. A processor of another kind compiles anew.
+
+    \b
+    Example:  sudo /opt/dsse/bin/dsse compile
+    """
+    from coordinator.process_run.compile_ahead import compile_ahead
+
+    ahead = compile_ahead()
+    print(f"kept in {ahead.folder}" if ahead.folder else f"is compiled already, in {' or '.join(ahead.found_in)}")
+
+
+process_commands = (split, agent, router, plant, stop, compile_)

@@ -1,0 +1,228 @@
+"""The commands that run scenarios on the twin: ``dsse simulate``, ``dsse compare``, ``dsse sweep``."""
+
+from __future__ import annotations
+
+import functools
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from coordinator.cli.terminal import (
+    Number,
+    finish_run,
+    no_plots_option,
+    progress,
+    quiet_option,
+    run_folder_option,
+    say,
+    scenario_argument,
+    seed_option,
+    show,
+    strategy_option,
+    timeout_option,
+)
+from coordinator.interrupts import end_orderly_on_signals
+from dsse_core.printable import printable
+
+if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts fast
+    from coordinator.evaluation.result import RunOutcome
+    from coordinator.studies.sweep_plan import SweepPlan
+    from coordinator.studies.sweep_table import SweepTable
+    from scenarios.faults.faults import LinkChanges
+    from scenarios.scenario import Scenario
+
+MILLISECONDS = Number(min=0, max=86_400_000)
+strategies_option = click.option("--strategies", metavar="A,B,...", help="Only these strategies.  [default: all]")
+
+
+def link_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Faults of all links as options; the command gets those that are given as ``links``."""
+
+    @click.option("--delay-ms", type=MILLISECONDS, metavar="MS", help="Instead of the scenario's faults.delay_ms.")
+    @click.option("--jitter-ms", type=MILLISECONDS, metavar="MS", help="Instead of the scenario's faults.jitter_ms.")
+    @click.option("--duplicate", type=Number(0, 1), metavar="P", help="Instead of the scenario's faults.duplicate.")
+    @functools.wraps(command)
+    def with_links(
+        *arguments: Any, delay_ms: float | None, jitter_ms: float | None, duplicate: float | None, **options: Any
+    ) -> Any:
+        given = {
+            "delay_s": None if delay_ms is None else delay_ms / 1000,
+            "jitter_s": None if jitter_ms is None else jitter_ms / 1000,
+            "duplicate": duplicate,
+        }
+        links = {key: value for key, value in given.items() if value is not None}
+        return command(*arguments, links=links, **options)
+
+    return with_links
+
+
+@click.command(short_help="Run a scenario on the twin, in virtual time, repeatable to the bit.")
+@scenario_argument
+@run_folder_option
+@timeout_option
+@seed_option
+@strategy_option
+@link_options
+@quiet_option
+@no_plots_option
+def simulate(
+    scenario: str,
+    out: Path | None,
+    timeout: float | None,
+    seed: int | None,
+    strategy: str | None,
+    links: LinkChanges,
+    quiet: bool,
+    no_plots: bool,
+) -> int:
+    """Run SCENARIO, a shipped name or a file, on the twin: the same areas on a simulated bus, in this process.
+
+    Virtual time passes while messages travel and areas wait for their beat; computing takes none. Verdict, files and
+    exit codes are those of `dsse run`.
+
+    \b
+    Examples:  dsse simulate ieee33-lossy --strategy information
+               dsse simulate ieee33 --delay-ms 20 --jitter-ms 100 --duplicate 0.1
+    """
+    from coordinator.simulator.simulate import simulate_scenario
+
+    end_orderly_on_signals()
+    with progress(f"{scenario}, virtual time", quiet) as on_update:
+        result = simulate_scenario(scenario, out, seed, strategy, timeout, on_update, links)
+    return finish_run(result, no_plots)
+
+
+@click.command(short_help="Run the strategies side by side and print one table.")
+@scenario_argument
+@strategies_option
+@click.option("--processes", is_flag=True, help="Run real processes over Zenoh instead of the twin.")
+@click.option("--out", type=click.Path(path_type=Path), help="Keep table and run folders here, new or empty.")
+@timeout_option
+@seed_option
+@link_options
+def compare(
+    scenario: str,
+    strategies: str | None,
+    processes: bool,
+    out: Path | None,
+    timeout: float | None,
+    seed: int | None,
+    links: LinkChanges,
+) -> None:
+    """Run every strategy on the telemetry and the faults of SCENARIO and print one table.
+
+    Gaps are those to the centralised estimate at the verdict; `s to 1e-6`: the time from which on all areas stay
+    closer to it than 1e-6 p.u. and rad, `-` if never.
+
+    \b
+    Examples:  dsse compare ieee33-lossy
+               dsse compare ieee33 --strategies angle-offset,information --processes --out comparison
+    """
+    from coordinator.evaluation.evaluation import choose_scenario
+    from coordinator.studies.strategy_comparison import choose_strategies, compare_strategies, format_comparison
+
+    end_orderly_on_signals()
+    chosen = choose_strategies(strategies)
+    loaded = choose_scenario(scenario, seed, timeout_s=timeout, links=links)
+    rows = compare_strategies(loaded, chosen, _run_processes if processes else _run_on_twin, out)
+    buses, areas = len(loaded.network.buses), len(loaded.partition.areas)
+    where = "real processes" if processes else "on the twin, virtual time"
+    show(f"{printable(loaded.name)}, {buses} buses in {areas} areas, seed {loaded.seed}, {where}\n")
+    show(format_comparison(rows))
+    if out is not None:
+        show(f"\nfiles: {printable(out)}")
+
+
+def _run_processes(scenario: Scenario, folder: Path) -> RunOutcome:
+    import coordinator
+
+    say(f"{scenario.strategy} ...")
+    return coordinator.run(scenario, out=folder, plots=False)
+
+
+def _run_on_twin(scenario: Scenario, folder: Path) -> RunOutcome:
+    from coordinator.simulator.simulate import simulate_scenario
+
+    say(f"{scenario.strategy} ...")
+    return simulate_scenario(scenario, folder)
+
+
+@click.command(short_help="Run a scenario many times while one key varies; table and picture.")
+@scenario_argument
+@click.option("--vary", required=True, metavar="KEY=VALUES", help="START:STOP:N or a list, e.g. faults.loss=0:0.9:10.")
+@click.option("--seeds", type=click.IntRange(1, 100_000), default=5, show_default=True, help="Runs per value.")
+@strategies_option
+@click.option("--jobs", type=click.IntRange(1, 1024), help="Processes at a time.  [default: one per core]")
+@click.option("--out", type=click.Path(path_type=Path), help="Folder; that of an earlier sweep is gone on with.")
+@timeout_option
+@link_options
+@quiet_option
+def sweep(
+    scenario: str,
+    vary: str,
+    seeds: int,
+    strategies: str | None,
+    jobs: int | None,
+    out: Path | None,
+    timeout: float | None,
+    links: LinkChanges,
+    quiet: bool,
+) -> None:
+    """Run SCENARIO on the twin for each value of one of its keys, each strategy and each seed.
+
+    Leaves sweep.csv, one row per run, and sweep.png, gap and time against the key. Runs that the table has already
+    are not run again: after Ctrl-C the same command with the same --out goes on.
+
+    \b
+    Examples:  dsse sweep ieee33 --vary faults.loss=0:0.9:10 --seeds 20 --out sweep
+               dsse sweep ieee33 --vary measurements.voltage.sigma_percent=0.1,0.2,0.5 --strategies information
+               dsse sweep ieee33 --vary 'areas={count=2},{count=4}'
+    """
+    from coordinator.studies.strategy_comparison import choose_strategies
+    from coordinator.studies.sweep_plan import make_plan
+    from coordinator.studies.sweep_table import SweepTable
+
+    end_orderly_on_signals()
+    plan = make_plan(scenario, vary, choose_strategies(strategies), seeds, links, timeout)
+    folder = out or Path("runs") / f"sweep-{plan.base.name}-{time.strftime('%Y%m%d-%H%M%S')}"
+    with SweepTable(folder, plan.settings) as table:
+        if table.cut_off:
+            say(f"the last line of {table.path} was half written; that run is done again")
+        try:
+            _run_missing(plan, table, jobs or len(os.sched_getaffinity(0)), quiet)
+        except KeyboardInterrupt:
+            say(f"{len(table.rows)} runs are in {table.path}; the same command with --out {folder} goes on from there")
+            raise
+        finally:
+            _draw(plan, table)
+    show(printable(f"{len(table.rows)} runs in {table.path}, picture in {folder / 'sweep.png'}"))
+
+
+def _run_missing(plan: SweepPlan, table: SweepTable, jobs: int, quiet: bool) -> None:
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from coordinator.studies.sweep import run_tasks
+
+    missing = [task for task in plan.tasks if task not in table.rows]
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), disable=quiet) as bar:
+        shown = bar.add_task(printable(plan.key), total=len(plan.tasks), completed=len(plan.tasks) - len(missing))
+        for task, row in run_tasks(plan, missing, jobs):
+            table.add(task, row)
+            bar.advance(shown)
+
+
+def _draw(plan: SweepPlan, table: SweepTable) -> None:
+    if table.rows:
+        from coordinator.studies.sweep_plot import draw_sweep
+
+        title = f"{plan.base.name} on the twin"
+        draw_sweep(table.path.with_suffix(".png"), title, plan.key, table.rows)
+
+
+study_commands = (simulate, compare, sweep)

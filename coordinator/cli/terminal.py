@@ -1,0 +1,147 @@
+"""What the commands share: arguments and options, progress on the terminal, and ending on a signal."""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from coordinator.interrupts import decide
+from coordinator.process_run.compile_clock import clock
+from dsse_core.limits import LONGEST_S
+from dsse_core.printable import printable_lines
+
+if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts fast
+    from coordinator.evaluation.result import RunResult
+    from coordinator.observe.progress import Progress
+
+PROGRESS_LINE_S = 1.0
+MAX_NAMED = 12
+DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+SECURE_ENDPOINT = "tls/127.0.0.1:7447"
+
+
+class Number(click.FloatRange):
+    """A number within limits; NaN, which no limit keeps out, and infinity are none."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        number = super().convert(value, param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"{value!r} is not a finite number.", param, ctx)
+        return number
+
+
+SECONDS = Number(min=0, min_open=True, max=LONGEST_S)
+
+scenario_argument = click.argument("scenario")
+strategy_option = click.option("--strategy", help="Use this strategy instead of the scenario's.")
+seed_option = click.option("--seed", type=click.IntRange(min=0), help="Use this seed instead of the scenario's.")
+timeout_option = click.option(
+    "--timeout", type=SECONDS, metavar="S", help="Time limit in seconds instead of the scenario's."
+)
+quiet_option = click.option("--quiet", is_flag=True, help="Print the verdict only.")
+run_id_option = click.option("--run", "run_id", help="Name of the run, a part of every key.  [default: the scenario's]")
+no_plots_option = click.option("--no-plots", is_flag=True, help="Draw no pictures.")
+keys_option = click.option(
+    "--keys", type=click.Path(path_type=Path), metavar="DIR", help="Show the certificate in DIR (`dsse keys create`)."
+)
+bus_timeout_option = click.option(
+    "--timeout", type=SECONDS, default=10.0, show_default=True, metavar="S", help="Wait for the bus so long."
+)
+run_folder_option = click.option(
+    "--out", type=click.Path(path_type=Path), help="Run folder, new or empty.  [default: runs/SCENARIO-TIME]"
+)
+
+
+def connect_option(secured_by: str = "--keys") -> Callable[[Callable[..., object]], Callable[..., object]]:
+    """``--connect``; without it ``choose_endpoints`` decides. ``secured_by``: the option that asks for TLS."""
+    default = f"[default: {DEFAULT_ENDPOINT}; with {secured_by} {SECURE_ENDPOINT}]"
+    return click.option("--connect", "endpoints", multiple=True, help=f"Endpoint of the router; repeatable.  {default}")
+
+
+def choose_endpoints(given: tuple[str, ...], secured: bool) -> tuple[str, ...]:
+    """The endpoints ``given``, or that of a router on this host."""
+    return given or (SECURE_ENDPOINT if secured else DEFAULT_ENDPOINT,)
+
+
+def show(text: str) -> bool:
+    """Print in one piece, printable; whether anybody still reads: to a result it makes no difference."""
+    try:
+        sys.stdout.write(printable_lines(text) + "\n")
+        sys.stdout.flush()
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return False
+    return True
+
+
+def say(text: str) -> None:
+    """Print on standard error, printable, if anybody still reads it."""
+    with suppress(OSError):
+        print(printable_lines(text), file=sys.stderr, flush=True)
+
+
+def finish_run(result: RunResult, no_plots: bool) -> int:
+    """Print the verdict, draw the pictures, and return the exit code, which signals that come later do not change."""
+    from coordinator.report.text import format_verdict
+
+    verdict, code = format_verdict(result), 2 if result.unwritten else 0 if result.verdict.consensus else 1
+    decide(code)
+    show(verdict)
+    if result.unwritten:
+        say(f"error: files of the run are missing: {result.unwritten}; make room there, or choose another place")
+    elif not no_plots:
+        from coordinator.report.plots import draw_plots
+
+        draw_plots(result)
+    return code
+
+
+@contextmanager
+def progress(title: str, quiet: bool) -> Iterator[Callable[[Progress], None] | None]:
+    """How progress is shown: not at all, as a table that lives in the terminal, or as a line now and then."""
+    if quiet:
+        clock.say = None
+        yield None
+    elif sys.stderr.isatty():
+        with ExitStack() as stack:
+            yield _show_live(title, stack)
+    else:
+        yield _print_now_and_then()
+
+
+def _show_live(title: str, stack: ExitStack) -> Callable[[Progress], None]:
+    table: Callable[[Progress], None] | None = None
+
+    def show(progress: Progress) -> None:
+        nonlocal table
+        if table is None:
+            from coordinator.observe.live import live_table  # now, when the areas are at work and there is time
+
+            table = stack.enter_context(live_table(title))
+        table(progress)
+
+    return show
+
+
+def _print_now_and_then() -> Callable[[Progress], None]:
+    last = 0.0
+
+    def show(progress: Progress) -> None:
+        nonlocal last
+        if progress.elapsed_s - last >= PROGRESS_LINE_S:
+            last = progress.elapsed_s
+            if len(progress.areas) <= MAX_NAMED:
+                areas = [f"{area.name} {area.state}" for area in progress.areas]
+            else:
+                areas = [f"{n} {state}" for state, n in sorted(Counter(a.state for a in progress.areas).items())]
+            say(f"{progress.elapsed_s:6.1f} s  {', '.join(areas)}")
+
+    return show

@@ -1,0 +1,116 @@
+"""Attaching to a running system: which run is on the bus, and what arrives from it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from agents.messages.checks import MessageError
+from agents.messages.keys import (
+    all_live,
+    all_live_of_any_version,
+    all_states,
+    name_of_live,
+    run_of,
+    sender_of,
+    version_of,
+)
+from agents.messages.packing import WIRE_VERSION, StateMessage, decode, describe_other_version
+from agents.runtime.presence import read_farewell
+from agents.security.access import COORDINATOR
+from agents.security.credentials import load_keys
+from agents.transport.zenoh_bus import Session, TransportError
+from coordinator.deployment.split import check_run_id
+from coordinator.observe.watch import Watcher
+from coordinator.process_run.processes import News
+from dsse_core.printable import listed
+
+ANY = "*"
+SETTLE_S = 0.3  # from the first run seen to the belief that there is no other
+STEP_S = 0.05
+MOST_RUNS = 12  # that an error names
+
+Look = Callable[[float], Watcher]
+"""Take in what arrives within so many seconds, and the watcher that knows of it."""
+
+
+@contextmanager
+def attach(
+    endpoints: Sequence[str], run: str | None, timeout_s: float, keys: Path | None = None, direct: bool = False
+) -> Iterator[Look]:
+    """Join the bus at ``endpoints`` as a mere listener of ``run``, or of the only run that is there.
+
+    ``keys``: folder of the coordinator's credentials; it names the run, too, unless ``run`` is given. ``direct``:
+    ``endpoints`` are those of all areas, and there is no router.
+
+    Raises:
+        InvalidInputError: ``keys`` cannot be used, or ``run`` is no name of a run.
+        TransportError: no endpoint answers in time, no run or several are there.
+    """
+    run = check_run_id(run) if run is not None else None
+    loaded = load_keys(keys, COORDINATOR, run)
+    run = loaded.access.run if loaded else run
+    with Session.join(endpoints, timeout_s, loaded, direct=direct) as session:
+        run = run or _find_run(session, timeout_s)
+        watcher, news = Watcher(run), News()
+        session.subscribe(all_states(run), lambda key, payload: news.offer(_decoded(key, payload)))
+        session.subscribe(all_live(run), lambda key, payload: news.offer((key, read_farewell(payload)), said_once=True))
+        all_tokens = all_live(run) if loaded else all_live_of_any_version(run)  # keys let nobody see other versions
+        session.watch_presence(all_tokens, lambda key, alive: news.offer((key, alive), said_once=True))
+
+        def look(duration_s: float) -> Watcher:
+            for item in news.take(duration_s):
+                match item:
+                    case StateMessage():
+                        watcher.take_state(item, time.monotonic())
+                    case (key, bool() as alive):
+                        watcher.take_presence(key, alive)
+                    case (key, farewell) if farewell:
+                        watcher.take_farewell(key, farewell)
+            return watcher
+
+        yield look
+
+
+def wait_until_whole(look: Look, timeout_s: float) -> Watcher:
+    """Wait until every area that is there has been heard, or until time is up."""
+    deadline = time.monotonic() + timeout_s
+    while not (watcher := look(STEP_S)).is_whole() and time.monotonic() < deadline:
+        pass
+    return watcher
+
+
+def _find_run(session: Session, timeout_s: float) -> str:
+    """The only run of which an area or a plant is there."""
+    news = News()
+    others: dict[str, int] = {}  # runs of another wire version
+    session.watch_presence(all_live_of_any_version(ANY), lambda key, alive: news.offer((key, alive), said_once=True))
+    runs: set[str] = set()
+    deadline, settled = time.monotonic() + timeout_s, float("inf")
+    while (now := time.monotonic()) < min(deadline, settled):
+        for key, alive in news.take(STEP_S):
+            if alive and name_of_live(key)[0] in ("area", "plant"):
+                settled = min(settled, now + SETTLE_S)
+                if version_of(key) == WIRE_VERSION:
+                    runs.add(run_of(key))
+                elif len(others) <= MOST_RUNS:
+                    others[run_of(key)] = version_of(key)
+    if not runs and others:
+        who = f"run {listed(sorted(others), MOST_RUNS)} speaks"
+        raise TransportError(describe_other_version(max(others.values()), who))
+    if not runs:
+        raise TransportError(f"no area or plant is on this bus within {timeout_s:g} s; are agents running?")
+    if len(runs) > 1:
+        raise TransportError(f"several runs are on this bus: {listed(sorted(runs), MOST_RUNS)}; choose one with --run")
+    return runs.pop()
+
+
+def _decoded(key: str, payload: bytes) -> StateMessage | None:
+    """What the area that ``key`` belongs to says of its state; None for anything else: no watcher's business."""
+    try:
+        message = decode(payload)
+    except MessageError:
+        return None
+    return message if isinstance(message, StateMessage) and message.header.sender == sender_of(key) else None

@@ -1,0 +1,1 @@
+"""What a system on several hosts needs before it starts: area files, endpoints, keys."""

@@ -1,0 +1,89 @@
+"""``dsse split``: a scenario becomes one file per area, which is all that an agent reads."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+from agents.area_files.area_file import AreaFile, save_area_file
+from agents.messages.keys import NAME
+from dsse_core.errors import InvalidInputError
+from dsse_core.limits import LONGEST_NAME
+from scenarios.scenario import Scenario
+
+
+def default_run_id(scenario: Scenario) -> str:
+    """The scenario's name, reduced to the letters that a key may contain."""
+    return re.sub(r"[^a-z0-9_-]+", "-", scenario.name.lower())[:LONGEST_NAME].strip("-") or "run"
+
+
+def area_files(
+    scenario: Scenario, run: str, endpoints: Sequence[str], places: Mapping[str, str] | None = None
+) -> list[AreaFile]:
+    """What each area is to know, in scenario order.
+
+    ``endpoints``: of the routers. ``places``: instead, where each area listens; of two neighbours the child calls.
+    """
+    places = places or {}
+    partition = scenario.partition
+    meters = partition.meters_by_area(scenario.meters)
+    return [
+        AreaFile(
+            run=run,
+            area=area,
+            meters=tuple(meters[area.name]),
+            strategy=scenario.strategy,
+            endpoints=tuple(places[n.area] for n in area.neighbours if n.is_parent) if places else tuple(endpoints),
+            listen=(places[area.name],) if places else (),
+            beat_s=scenario.run.beat_s,
+            scan_s=scenario.run.scan_s,
+            tolerance=scenario.tolerances.estimator,
+            generation=scenario.generation,
+            load_error=scenario.load_error[area.name],
+            links={n.area: scenario.faults.links[area.name, n.area] for n in area.neighbours},
+            seed=scenario.seed,
+            penalty=scenario.admm_penalty,
+            limits=scenario.limits,
+        )
+        for area in partition.areas
+    ]
+
+
+def choose_run_id(scenario: Scenario, given: str | None) -> str:
+    """``given``, or the scenario's own.
+
+    Raises:
+        InvalidInputError: ``given`` has letters that a key may not contain.
+    """
+    return check_run_id(given) if given is not None else default_run_id(scenario)
+
+
+def check_run_id(given: str) -> str:
+    """``given``, if it may be a part of a key.
+
+    Raises:
+        InvalidInputError: it has letters that a key may not contain.
+    """
+    if not NAME.fullmatch(given):
+        raise InvalidInputError("run", [f"{given!r} may only contain a-z, 0-9, _ and -, {LONGEST_NAME} at most"])
+    return given
+
+
+def write_area_files(
+    scenario: Scenario,
+    run: str,
+    endpoints: Sequence[str],
+    folder: Path,
+    places: Mapping[str, str] | None = None,
+    suffix: str = ".toml",
+) -> Iterator[tuple[str, Path]]:
+    """Write ``<area>.toml`` (or ``suffix``) of every area into ``folder``, see ``area_files``; area, file."""
+    if strange := [e for e in endpoints if not re.fullmatch(r"[a-z-]+/.+", e)]:
+        problems = [f"{e!r} is no Zenoh endpoint; one looks like tcp/192.0.2.7:7447" for e in strange]
+        raise InvalidInputError("endpoints", problems)
+    folder.mkdir(parents=True, exist_ok=True)
+    for content in area_files(scenario, run, endpoints, places):
+        path = folder / f"{content.area.name}{suffix}"
+        save_area_file(path, content)
+        yield content.area.name, path

@@ -1,0 +1,129 @@
+"""The decentralised states beside the centralised estimate and the truth: how far apart, by bus and by area."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from agents.messages.packing import StateMessage
+from dsse_core.estimation.bad_data import BadDataReport
+from dsse_core.grid.partition import Partition
+from dsse_core.power_flow.newton_raphson import PowerFlowResult
+
+
+@dataclass(frozen=True, slots=True)
+class Voltages:
+    """``vm`` p.u., ``va`` rad: shape (n_bus,), network order; nan where nothing is known."""
+
+    vm: np.ndarray
+    va: np.ndarray
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """The largest difference of two sets of voltages, p.u. and degrees; None where one of them is incomplete."""
+
+    vm_pu: float | None
+    va_deg: float | None
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Voltages of all buses from three sources, and their differences.
+
+    ``decentralised`` takes each bus from the area that owns it. ``gap`` is to the centralised estimate of the
+    same telemetry, ``error`` to the truth; those per area run over every bus that the area sees.
+    """
+
+    partition: Partition
+    truth: Voltages
+    centralised: Voltages
+    decentralised: Voltages
+    sigma: Voltages
+    by_area: Mapping[str, Voltages]
+
+    @property
+    def knows_truth(self) -> bool:
+        """Whether there is a truth to compare with: the readings of a file have none."""
+        return not np.isnan(self.truth.vm).all()
+
+    @property
+    def gap(self) -> Gap:
+        return largest_gap(self.decentralised, self.centralised)
+
+    @property
+    def error(self) -> Gap:
+        return largest_gap(self.decentralised, self.truth)
+
+    @property
+    def centralised_error(self) -> Gap:
+        return largest_gap(self.centralised, self.truth)
+
+    def gap_of(self, area: str) -> Gap:
+        return largest_gap(self.by_area[area], self._seen_by(area, self.centralised))
+
+    def error_of(self, area: str) -> Gap:
+        return largest_gap(self.by_area[area], self._seen_by(area, self.truth))
+
+    def _seen_by(self, area: str, voltages: Voltages) -> Voltages:
+        rows = rows_of(self.partition, area)
+        return Voltages(voltages.vm[rows], voltages.va[rows])
+
+
+def compare(
+    partition: Partition,
+    states: Mapping[str, StateMessage],
+    truth: PowerFlowResult | None,
+    centralised: BadDataReport | None,
+) -> Comparison:
+    """Put the areas' published ``states`` beside ``centralised`` and ``truth``.
+
+    A truth that nobody knows (None), a centralised estimate that failed (None) and an area without estimate
+    count as nan; so do the angles of one whose angles do not count from the substation.
+    """
+    n = len(partition.network.buses)
+    whole, sigma, unknown = (Voltages(np.full(n, np.nan), np.full(n, np.nan)) for _ in range(3))
+    by_area = {}
+    for area in partition.areas:
+        state = states.get(area.name)
+        rows = rows_of(partition, area.name)
+        by_area[area.name] = _published(state, len(rows))
+        owned = np.array([partition.owner_of_bus[bus.id] == area.name for bus in area.network.buses])
+        whole.vm[rows[owned]] = by_area[area.name].vm[owned]
+        whole.va[rows[owned]] = by_area[area.name].va[owned]
+        if state is not None and state.buses:
+            sigma.vm[rows[owned]] = np.array(state.sigma_vm)[owned]
+            if state.referenced:  # else they grow without limit: nobody has told where angle 0 is
+                sigma.va[rows[owned]] = np.array(state.sigma_va)[owned]
+    return Comparison(
+        partition=partition,
+        truth=Voltages(truth.vm, truth.va) if truth else unknown,
+        centralised=Voltages(centralised.result.vm, centralised.result.va) if centralised else unknown,
+        decentralised=whole,
+        sigma=sigma,
+        by_area=by_area,
+    )
+
+
+def _published(state: StateMessage | None, n: int) -> Voltages:
+    if state is None or not state.buses:
+        return Voltages(np.full(n, np.nan), np.full(n, np.nan))
+    return Voltages(np.array(state.vm), np.array(state.va) if state.referenced else np.full(n, np.nan))
+
+
+def rows_of(partition: Partition, area: str) -> np.ndarray:
+    """Rows in the whole network of the buses that ``area`` sees, in the area's order."""
+    return np.array([partition.network.row[bus.id] for bus in partition.area(area).network.buses], dtype=int)
+
+
+def wrapped_deg(va: np.ndarray) -> np.ndarray:
+    """Angle differences in degrees, wrapped to [-180, 180)."""
+    return np.asarray((np.degrees(va) + 180.0) % 360.0 - 180.0)
+
+
+def largest_gap(one: Voltages, other: Voltages) -> Gap:
+    """The largest absolute differences; None if any voltage is nan."""
+    vm, va = abs(one.vm - other.vm).max(initial=0.0), abs(wrapped_deg(one.va - other.va)).max(initial=0.0)
+    return Gap(None if np.isnan(vm) else float(vm), None if np.isnan(va) else float(va))

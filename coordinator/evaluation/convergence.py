@@ -1,0 +1,40 @@
+"""How the areas came closer to the centralised estimate: the gap of each over time, and since when it is small."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from coordinator.evaluation.comparison import rows_of, wrapped_deg
+from coordinator.evaluation.result import RunOutcome
+
+
+def gap_history(outcome: RunOutcome) -> dict[str, np.ndarray]:
+    """Area -> array of shape (n_state, 3), one row for each state that it published.
+
+    Columns: time (s), the largest differences to the centralised estimate over all buses that the area sees in
+    magnitude (p.u.) and angle (degrees; nan while angles do not count from the substation, and both nan where
+    there is no centralised estimate).
+    """
+    central, partition = outcome.comparison.centralised, outcome.comparison.partition
+    rows = {area.name: rows_of(partition, area.name) for area in partition.areas}
+    found: dict[str, list[tuple[float, float, float]]] = {area.name: [] for area in partition.areas}
+    for sample in outcome.history:
+        at = rows[sample.area]
+        vm = abs(np.array(sample.vm) - central.vm[at]).max()
+        va = abs(wrapped_deg(np.array(sample.va) - central.va[at])).max() if sample.referenced else math.nan
+        found[sample.area].append((sample.time, float(vm), float(va)))
+    return {name: np.array(gaps).reshape(-1, 3) for name, gaps in found.items()}
+
+
+def find_time_below(gaps: Mapping[str, np.ndarray], limit: float) -> float | None:
+    """The time (s) from which on no area is farther off than ``limit`` (p.u. and rad) again; None if there is none."""
+    times = []
+    for series in gaps.values():
+        above = ~(np.maximum(series[:, 1], np.radians(series[:, 2])) <= limit)  # nan is above
+        if len(series) == 0 or above[-1]:
+            return None
+        times.append(float(series[np.flatnonzero(above)[-1] + 1 if above.any() else 0, 0]))
+    return max(times, default=None)

@@ -1,0 +1,139 @@
+"""What every run has in common, of processes or on the twin: preparing, observing, central estimate, judging."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from agents.protocol.choose import STRATEGIES
+from coordinator.evaluation.comparison import compare
+from coordinator.evaluation.result import RunOutcome, make_area_results, make_verdict
+from coordinator.observe.duplicates import Double
+from coordinator.observe.observer import Observer
+from dsse_core.errors import DsseError, InvalidInputError
+from dsse_core.estimation.bad_data import BadDataReport, process_bad_data
+from dsse_core.limits import LONGEST_S
+from scenarios.check import check_scenario
+from scenarios.faults.faults import LinkChanges, change_links
+from scenarios.scenario import Scenario, describe_unknown_strategy, load_scenario
+from scenarios.telemetry import Telemetry
+
+NO_CHANGES: LinkChanges = {}
+MAX_NAMED = 20  # obstacles
+YARDSTICK = 1e-9  # p.u. and rad: the largest last step of an estimate that others are measured against
+
+
+def prepare_scenario(
+    scenario: str | Path | Scenario,
+    seed: int | None = None,
+    strategy: str | None = None,
+    timeout_s: float | None = None,
+    links: LinkChanges = NO_CHANGES,
+) -> Scenario:
+    """Load a scenario by name or path, replace what is given, and check that it can be estimated.
+
+    Raises:
+        InvalidInputError: every problem found.
+    """
+    scenario = choose_scenario(scenario, seed, strategy, timeout_s, links)
+    check_scenario(scenario)
+    return scenario
+
+
+def choose_scenario(
+    scenario: str | Path | Scenario,
+    seed: int | None = None,
+    strategy: str | None = None,
+    timeout_s: float | None = None,
+    links: LinkChanges = NO_CHANGES,
+) -> Scenario:
+    """Load a scenario by name or path and replace what is given; whether it can be estimated is not checked.
+
+    Raises:
+        InvalidInputError: every problem found.
+    """
+    if not isinstance(scenario, Scenario):
+        scenario = load_scenario(scenario, strategies=tuple(STRATEGIES))
+    if seed is not None:
+        scenario = replace(scenario, seed=seed)
+    if strategy is not None:
+        if strategy not in STRATEGIES:
+            problem = f"strategy: {describe_unknown_strategy(strategy, STRATEGIES)}"
+            raise InvalidInputError(f"scenario {scenario.name!r}", [problem])
+        scenario = replace(scenario, strategy=strategy)
+    if timeout_s is not None:
+        if not 0 < timeout_s <= LONGEST_S:
+            raise InvalidInputError("time limit", [f"is {timeout_s} s; it must be positive and at most {LONGEST_S} s"])
+        scenario = replace(scenario, run=replace(scenario.run, timeout_s=timeout_s))
+    return replace(scenario, faults=change_links(scenario.faults, links)) if links else scenario
+
+
+def make_observer(scenario: Scenario) -> Observer:
+    """An observer that asks of the areas what ``scenario`` does."""
+    return Observer(
+        scenario.partition,
+        tolerance_va=scenario.tolerances.consensus_va,
+        tolerance_vm=scenario.tolerances.consensus_vm,
+        beat_s=scenario.run.beat_s,
+        compare_magnitudes=scenario.strategy != "angle-offset",  # which does not reconcile them
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Centralised:
+    """The centralised estimate, or why there is none: the areas go on, their consensus does not need it."""
+
+    report: BadDataReport | None
+    failure: str | None
+
+
+def estimate_centralised(scenario: Scenario, telemetry: Telemetry) -> Centralised:
+    """What a control centre would make of the telemetry of all areas."""
+    try:
+        tolerance = min(scenario.tolerances.estimator, YARDSTICK)
+        return Centralised(process_bad_data(scenario.network, telemetry.union, tolerance=tolerance), None)
+    except DsseError as error:
+        return Centralised(None, str(error))
+
+
+def no_consensus_within(scenario: Scenario, obstacles: tuple[str, ...]) -> str:
+    """The reason of a run that has reached its time limit."""
+    more = [f"and {len(obstacles) - MAX_NAMED} more"] if len(obstacles) > MAX_NAMED else []
+    return f"no consensus within {scenario.run.timeout_s:g} s: " + "; ".join([*obstacles[:MAX_NAMED], *more])
+
+
+def judge(
+    scenario: Scenario,
+    run: str,
+    observer: Observer,
+    telemetry: Telemetry,
+    centralised: Centralised,
+    reason: str | None,
+    *,
+    started: float,
+    wall_s: float,
+    virtual_s: float | None,
+    timing_s: Mapping[str, float],
+    faults: Mapping[str, int],
+    doubles: Sequence[Double] = (),
+) -> RunOutcome:
+    """Compare what the areas have published with the centralised estimate and the truth, and sum up.
+
+    ``reason``: None at consensus. ``started``: when the run began on the observer's clock, s. ``faults``: kind -> how
+    often it has happened. ``doubles``: whoever ran twice.
+    """
+    comparison = compare(scenario.partition, observer.states, telemetry.truth, centralised.report)
+    return RunOutcome(
+        scenario=scenario,
+        run=run,
+        verdict=make_verdict(observer, comparison, reason, wall_s, virtual_s),
+        areas=make_area_results(observer, comparison, started + (wall_s if virtual_s is None else virtual_s)),
+        comparison=comparison,
+        centralised=centralised.report,
+        centralised_failure=centralised.failure,
+        history=tuple(replace(sample, time=sample.time - started) for sample in observer.history),
+        timing_s=timing_s,
+        faults=faults,
+        doubles=tuple(doubles),
+    )

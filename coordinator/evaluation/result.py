@@ -1,0 +1,273 @@
+"""The result of a run, and its files ``result.json`` (docs/result.md) and ``buses.csv``."""
+
+from __future__ import annotations
+
+import csv
+import importlib.metadata
+import json
+import math
+import platform
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from agents.protocol.quality import GOOD
+from coordinator.evaluation.comparison import Comparison
+from coordinator.observe.duplicates import Double
+from coordinator.observe.observer import Observer, Sample, count_exchanges
+from dsse_core.estimation.bad_data import BadDataReport
+from scenarios.scenario import Scenario
+
+VERSION = 1
+DISTRIBUTIONS = ("consensus-dsse", "numpy", "scipy", "eclipse-zenoh", "msgspec")
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """The answer of a run. ``gap``: to the centralised estimate; ``error``: to the truth; None where not known.
+
+    ``reason`` says why there is no consensus. ``messages``, ``bytes``, ``lost``: totals of all areas up to their
+    last report, repeats included. ``wall_s``: from the call to the verdict. ``virtual_s``: time until then on the
+    twin's clock, None in a run of processes.
+    """
+
+    consensus: bool
+    reason: str | None
+    gap_vm_pu: float | None
+    gap_va_deg: float | None
+    error_vm_pu: float | None
+    error_va_deg: float | None
+    exchanges: int
+    messages: int
+    bytes: int
+    lost: int
+    wall_s: float
+    virtual_s: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class AreaResult:
+    """One area at the verdict; gaps and errors over every bus that it sees.
+
+    ``quality``: what its last state is worth at the verdict (docs/quality.md). ``notes``: why, the worst first; of a
+    state that is good, remarks.
+    """
+
+    name: str
+    buses: int
+    gap_vm_pu: float | None
+    gap_va_deg: float | None
+    error_vm_pu: float | None
+    error_va_deg: float | None
+    exchanges: int
+    messages: int
+    bytes: int
+    lost: int
+    refused: dict[str, int]
+    objective: float | None
+    degrees_of_freedom: int | None
+    removed: tuple[str, ...]
+    critical: tuple[str, ...]
+    notes: tuple[str, ...]
+    quality: str
+
+    @property
+    def degraded(self) -> bool:
+        """Whether the state is worth less than it should be."""
+        return self.quality != GOOD
+
+
+@dataclass(frozen=True)
+class RunOutcome:
+    """Everything about one run. ``timing_s``: moments in seconds since the call, on the twin in virtual time.
+
+    ``faults``: kind -> how often it has happened, to messages and to processes. ``doubles``: areas and plants that ran
+    twice at once.
+
+    ``centralised`` is None where that estimate failed; ``centralised_failure`` says why.
+    """
+
+    scenario: Scenario
+    run: str
+    verdict: Verdict
+    areas: tuple[AreaResult, ...]
+    comparison: Comparison
+    centralised: BadDataReport | None
+    centralised_failure: str | None
+    history: tuple[Sample, ...]
+    timing_s: Mapping[str, float]
+    faults: Mapping[str, int]
+    doubles: tuple[Double, ...]
+
+    def in_folder(self, folder: Path) -> RunResult:
+        return RunResult(**vars(self), folder=folder)
+
+
+@dataclass(frozen=True)
+class RunResult(RunOutcome):
+    """A run whose files lie in ``folder``; ``unwritten`` says why some of them do not, None if all do."""
+
+    folder: Path
+    unwritten: str | None = None
+
+
+def make_verdict(
+    observer: Observer, comparison: Comparison, reason: str | None, wall_s: float, virtual_s: float | None = None
+) -> Verdict:
+    """Sum up; ``reason`` is None at consensus."""
+    states = observer.states.values()
+    gap, error = comparison.gap, comparison.error
+    return Verdict(
+        consensus=reason is None,
+        reason=reason,
+        gap_vm_pu=gap.vm_pu,
+        gap_va_deg=gap.va_deg,
+        error_vm_pu=error.vm_pu,
+        error_va_deg=error.va_deg,
+        exchanges=observer.exchanges,
+        messages=sum(state.messages for state in states),
+        bytes=sum(state.bytes for state in states),
+        lost=sum(state.lost for state in states),
+        wall_s=wall_s,
+        virtual_s=virtual_s,
+    )
+
+
+def make_area_results(observer: Observer, comparison: Comparison, now: float) -> tuple[AreaResult, ...]:
+    """One row per area, in the scenario's order; ``now``: the time of the verdict on the observer's clock, s."""
+    return tuple(_make_area_result(area.name, observer, comparison, now) for area in observer.partition.areas)
+
+
+def _make_area_result(name: str, observer: Observer, comparison: Comparison, now: float) -> AreaResult:
+    state = observer.states.get(name)
+    gap, error = comparison.gap_of(name), comparison.error_of(name)
+    estimated = state is not None and bool(state.buses)
+    worth = observer.worth_of(name, now)
+    return AreaResult(
+        name=name,
+        buses=len(observer.partition.area(name).network.buses),
+        gap_vm_pu=gap.vm_pu,
+        gap_va_deg=gap.va_deg,
+        error_vm_pu=error.vm_pu,
+        error_va_deg=error.va_deg,
+        exchanges=count_exchanges(state) if state else 0,
+        messages=state.messages if state else 0,
+        bytes=state.bytes if state else 0,
+        lost=state.lost if state else 0,
+        refused=dict(state.refused) if state else {},
+        objective=state.objective if state and estimated else None,
+        degrees_of_freedom=state.degrees_of_freedom if state and estimated else None,
+        removed=state.removed if state else (),
+        critical=state.critical if state else (),
+        notes=worth.notes,
+        quality=worth.word,
+    )
+
+
+def write_files(result: RunResult, events_failure: str | None) -> RunResult:
+    """Write the result's files; a full disk is no reason to lose the result, which says then what is missing."""
+    try:
+        write_result(result)
+    except OSError as error:
+        return replace(result, unwritten=f"{error.filename or result.folder}: {error.strerror}")
+    return replace(result, unwritten=events_failure)
+
+
+def write_result(result: RunResult) -> None:
+    """Write ``result.json`` and ``buses.csv`` into the run folder."""
+    text = json.dumps(as_json(result), indent=2, allow_nan=False)
+    (result.folder / "result.json").write_text(text + "\n", encoding="utf-8")
+    with (result.folder / "buses.csv").open("w", newline="", encoding="utf-8") as file:
+        table = csv.writer(file)
+        table.writerow(BUS_COLUMNS)
+        table.writerows(_bus_rows(result.comparison))
+
+
+def as_json(result: RunOutcome) -> dict[str, Any]:
+    """The content of ``result.json``; docs/result.md explains every key."""
+    scenario = result.scenario
+    return {
+        "version": VERSION,
+        "scenario": {
+            "name": scenario.name,
+            "path": str(scenario.path),
+            "description": scenario.description,
+            "network": scenario.network.name,
+            "buses": len(scenario.network.buses),
+            "strategy": scenario.strategy,
+            "seed": scenario.seed,
+            "telemetry": scenario.telemetry.source,
+        },
+        "run": result.run,
+        "verdict": asdict(result.verdict),
+        "areas": {area.name: _area_json(area) for area in result.areas},
+        "centralised": _centralised_json(result),
+        "timing_s": dict(result.timing_s),
+        "faults": dict(result.faults),
+        "doubles": [asdict(double) for double in result.doubles],
+        "versions": {"python": platform.python_version()} | {name: version_of(name) for name in DISTRIBUTIONS},
+    }
+
+
+def _area_json(area: AreaResult) -> dict[str, Any]:
+    fields = asdict(area)
+    del fields["name"]
+    return fields | {"degraded": area.degraded}
+
+
+def _centralised_json(result: RunOutcome) -> dict[str, Any]:
+    report, error = result.centralised, result.comparison.centralised_error
+    if report is None:
+        return {"failure": result.centralised_failure}
+    return {
+        "failure": None,
+        "error_vm_pu": error.vm_pu,
+        "error_va_deg": error.va_deg,
+        "objective": report.objective,
+        "degrees_of_freedom": report.degrees_of_freedom,
+        "chi_square_limit": report.chi_square_limit if math.isfinite(report.chi_square_limit) else None,
+        "bad_data_left": report.detected,
+        "removed": [
+            {
+                "meter": removed.measurement.meter.id,
+                "normalized_residual": removed.normalized_residual,
+                "indistinguishable_from": list(removed.indistinguishable_from),
+            }
+            for removed in report.removed
+        ],
+        "critical": list(report.critical),
+    }
+
+
+def version_of(distribution: str) -> str | None:
+    """The version of an installed package, None if it is not."""
+    try:
+        return importlib.metadata.version(distribution)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+BUS_COLUMNS = (
+    "bus",
+    "area",
+    "true_vm_pu",
+    "true_va_deg",
+    "centralised_vm_pu",
+    "centralised_va_deg",
+    "decentralised_vm_pu",
+    "decentralised_va_deg",
+    "sigma_vm_pu",
+    "sigma_va_deg",
+)
+
+
+def _bus_rows(comparison: Comparison) -> list[list[object]]:
+    rows: list[list[object]] = []
+    for row, bus in enumerate(comparison.partition.network.buses):
+        cells: list[object] = [bus.id, comparison.partition.owner_of_bus[bus.id]]
+        for voltages in (comparison.truth, comparison.centralised, comparison.decentralised, comparison.sigma):
+            for value in (float(voltages.vm[row]), math.degrees(voltages.va[row])):
+                cells.append("" if math.isnan(value) else repr(value))  # which reads back as the same number
+        rows.append(cells)
+    return rows

@@ -1,0 +1,1 @@
+"""What is known of areas from outside: presence, states, events, progress."""

@@ -1,0 +1,318 @@
+"""What the coordinator knows of a run, and whether the areas agree. No bus, no clock, no centralised result.
+
+Consensus: every area is alive, has an estimate of the current scan whose angles count from the substation,
+agrees with the others at every boundary bus and has heard the last words of its neighbours. Areas show
+themselves at rest, and only news can wake them: when all words said have been heard, no more will follow.
+After a restart, whose words are numbered from one again, and after whatever else the scenario did to processes or
+links, nothing must have changed for two beats besides, of which every area was heard to repeat itself, and every
+area must have heard its telemetry since: estimates that the areas agree on may have lost their plant.
+"""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from agents.messages.packing import StateMessage
+from agents.protocol.freshness import FRESH_BEATS, PATIENCE_BEATS, is_old
+from agents.protocol.quality import GOOD, NONE, STALE, UNOBSERVABLE, Worth, weigh_from_outside
+from dsse_core.grid.partition import Partition
+from dsse_core.printable import printable
+
+QUIET_BEATS = 2
+SETTLING_BEATS = 3  # after the last change; whatever is not good then stays so, or messages are lost all the time
+MAX_NAMED = 12  # areas
+LEAST_DEAD_END_S = 5.0  # of waiting for telemetry: on a busy machine the plant may have to wait for its turn
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """How a run stands.
+
+    ``obstacles``: what is missing to consensus, in words that name areas and buses; empty at consensus.
+    ``dead_end``: why waiting helps no more, if it does not.
+    """
+
+    obstacles: tuple[str, ...]
+    dead_end: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """An area's published state at time ``time`` (s, the observer's clock): numbers of its buses, p.u. and rad.
+
+    ``referenced``: ``va`` counts from the substation.
+    """
+
+    time: float
+    area: str
+    buses: tuple[int, ...]
+    vm: Sequence[float]
+    va: Sequence[float]
+    referenced: bool
+
+
+@dataclass
+class _Watched:
+    alive: bool = False
+    state: StateMessage | None = None
+    heard_at: float = -math.inf
+    repeats: int = 0  # of the state, since change number ``change``, the last anywhere that it knows of
+    change: int = 0
+
+
+@dataclass
+class Observer:
+    """Takes in states and presence of areas with the time of their arrival.
+
+    Args:
+        tolerance_va, tolerance_vm: within which areas agree at a boundary bus, rad and p.u.
+        beat_s: interval at which areas repeat themselves.
+        compare_magnitudes: whether the strategy reconciles voltage magnitudes at all.
+    """
+
+    partition: Partition
+    tolerance_va: float
+    tolerance_vm: float
+    beat_s: float
+    compare_magnitudes: bool
+    history: list[Sample] = field(default_factory=list)
+    changed_at: float = -math.inf
+
+    def __post_init__(self) -> None:
+        self._watched = {area.name: _Watched() for area in self.partition.areas}
+        self._buses = {area.name: frozenset(area.network.row) for area in self.partition.areas}
+        self._states: dict[str, StateMessage] = {}
+        self._changes = 0
+        self._disturbed_at = -math.inf  # when the last disturbance came, if any did
+
+    @property
+    def states(self) -> Mapping[str, StateMessage]:
+        """The newest state of every area that has shown one."""
+        return self._states
+
+    @property
+    def scan(self) -> int:
+        """The current scan: the newest that any area works on; 0 before telemetry."""
+        return max((state.header.scan for state in self.states.values()), default=0)
+
+    @property
+    def exchanges(self) -> int:
+        """The most changed messages on one directed link, load and boundary messages together."""
+        return max((count_exchanges(state) for state in self.states.values()), default=0)
+
+    def take_state(self, state: StateMessage, now: float) -> bool:
+        """Keep ``state`` if it is as new as the area's last; whether it says something new."""
+        watched = self._watched.get(state.header.sender)
+        if watched is None or not self._is_of_its_area(state):
+            return False
+        last = watched.state
+        if last is not None and is_old(state.header, last.header, now - watched.heard_at, PATIENCE_BEATS * self.beat_s):
+            return False
+        if last is not None and state.header.incarnation != last.header.incarnation:
+            self._disturbed_at = now
+        watched.heard_at = now
+        watched.state = self._states[state.header.sender] = state  # a repeat carries newer message counts
+        if last is not None and state.header.order == last.header.order:
+            watched.repeats = self._repeats(watched) + 1
+            watched.change = self._changes
+            return False
+        self._note_change(now)
+        if state.buses:
+            vm, va = array("d", state.vm), array("d", state.va)  # a quarter of the memory of tuples; there are many
+            self.history.append(Sample(now, state.header.sender, state.buses, vm, va, state.referenced))
+        return True
+
+    def _is_of_its_area(self, state: StateMessage) -> bool:
+        """Whether it is about the area's own buses, or about none yet."""
+        own = self._buses.get(state.header.sender, frozenset())
+        return not state.buses or (len(state.buses) == len(own) and own.issuperset(state.buses))
+
+    def take_presence(self, area: str, alive: bool, now: float) -> bool:
+        """Note that an area's token appeared or vanished; whether that is new."""
+        watched = self._watched.get(area)
+        if watched is None or watched.alive == alive:
+            return False
+        watched.alive = alive
+        if not alive:
+            self._disturbed_at = now
+        self._note_change(now)
+        return True
+
+    def take_fault(self, now: float) -> None:
+        """Note that the scenario has done something: who was there before may be dead, which nobody has told yet."""
+        self._disturbed_at = now
+        self._note_change(now)
+
+    def worth_of(self, area: str, now: float) -> Worth:
+        """What the area's last state is worth at time ``now``: stale once it is gone or has not been heard for long."""
+        watched = self._watched[area]
+        if watched.state is None:
+            return weigh_from_outside(None, "")
+        silence = "" if watched.alive else f"{area} is not on the bus"
+        if not silence and now - watched.heard_at >= FRESH_BEATS * self.beat_s:
+            silence = f"{area} has not been heard for {now - watched.heard_at:.1f} s"
+        return weigh_from_outside(watched.state, silence, tuple(self._find_disputes(area)))
+
+    def _find_disputes(self, area: str) -> Iterator[str]:
+        """Where neighbours publish another voltage for the same scan: somebody has told one of them false things."""
+        for bus, names in self.partition.boundaries.items():
+            if area not in names:
+                continue
+            others = names[1:] if area == names[0] else names[:1]
+            for other in others:
+                one, two = self._states.get(area), self._states.get(other)
+                if one is None or two is None or not (one.buses and two.buses and one.referenced and two.referenced):
+                    continue
+                if one.header.scan == two.header.scan:
+                    yield from self._find_disagreements(bus, [area, other])
+
+    def quality_of(self, area: str, now: float) -> str:
+        """The word alone."""
+        return self.worth_of(area, now).word
+
+    def standing(self, now: float) -> Standing:
+        """What is missing to consensus at time ``now``, and whether it can still come."""
+        if disunity := self._find_disunity(now):
+            return Standing(tuple(disunity), self._find_unobservable(now))
+        ages = self._find_cut_off(now)
+        obstacles = tuple(f"{name} has heard no telemetry for {age:.1f} s" for name, age in ages.items())
+        if now - self.changed_at < SETTLING_BEATS * self.beat_s:  # in which areas hear that their neighbours are done
+            worth = {name: self.quality_of(name, now) for name in self._watched}
+            obstacles += tuple(f"{name} is {quality}" for name, quality in worth.items() if quality != GOOD)
+        return Standing(obstacles, self._find_dead_end(ages))
+
+    def _find_unobservable(self, now: float) -> str | None:
+        """That the readings of this scan do not determine the state, if all areas have found that long ago."""
+        if any(self.quality_of(name, now) != UNOBSERVABLE for name in self._watched):
+            return None
+        if now - self.changed_at < self._longest_wait_s:
+            return None
+        first = next(iter(self._states.values()))
+        return f"the readings of scan {self.scan} do not determine the state: {'; '.join(first.notes)}"
+
+    @property
+    def _longest_wait_s(self) -> float:
+        """After which waiting helps no more."""
+        return max(PATIENCE_BEATS * self.beat_s, LEAST_DEAD_END_S)
+
+    def _find_dead_end(self, ages: Mapping[str, float]) -> str | None:
+        """Why waiting helps no more, if it does not: the areas agree, on estimates that have been stale for long."""
+        if not ages or min(ages.values()) < self._longest_wait_s:
+            return None
+        named = ", ".join(list(ages)[:MAX_NAMED]) + (f" and {len(ages) - MAX_NAMED} more" * (len(ages) > MAX_NAMED))
+        return (
+            f"the areas agree, but on stale estimates: {named} heard the last telemetry, of scan {self.scan}, "
+            f"{min(ages.values()):.1f} s ago; is the plant or gateway gone?"
+        )
+
+    def _find_cut_off(self, now: float) -> dict[str, float]:
+        """Areas that are stale, or have heard no telemetry since the last disturbance -> for how long, s."""
+        found = {}
+        for name, watched in self._watched.items():
+            state = watched.state
+            if state is None or state.quality == NONE:
+                continue
+            telemetry_at = watched.heard_at - state.telemetry_age
+            if self.quality_of(name, now) == STALE or telemetry_at < self._disturbed_at:
+                found[name] = now - telemetry_at
+        return found
+
+    def _find_disunity(self, now: float) -> list[str]:
+        """What is missing to agreement, whatever the estimates are worth."""
+        states, scan, obstacles = self.states, self.scan, []
+        for name, watched in self._watched.items():
+            obstacle = self._find_area_obstacle(name, watched, scan)
+            if obstacle:
+                obstacles.append(obstacle)
+        for bus, names in self.partition.boundaries.items():
+            obstacles += self._find_disagreements(
+                bus, [name for name in names if name in states and states[name].buses]
+            )
+        obstacles += self._find_unheard()
+        if not obstacles and self._disturbed_at > -math.inf and not self._is_quiet(now):
+            obstacles.append(
+                f"something has changed within the last {QUIET_BEATS} beats, after a restart or another fault"
+            )
+        return obstacles
+
+    def _is_quiet(self, now: float) -> bool:
+        """Whether nothing has changed for so long that every area must have been heard to repeat itself."""
+        if now - self.changed_at < QUIET_BEATS * self.beat_s:
+            return False
+        return min(map(self._repeats, self._watched.values()), default=0) >= QUIET_BEATS
+
+    def find_absent(self) -> tuple[str, ...]:
+        """The areas that are not on the bus."""
+        return tuple(name for name, watched in self._watched.items() if not watched.alive)
+
+    def _note_change(self, now: float) -> None:
+        self.changed_at = now
+        self._changes += 1
+
+    def _repeats(self, watched: _Watched) -> int:
+        """How often the area has repeated its state since anything changed anywhere."""
+        return watched.repeats if watched.change == self._changes else 0
+
+    def _find_area_obstacle(self, name: str, watched: _Watched, scan: int) -> str | None:
+        state = watched.state
+        if not watched.alive:
+            return f"{name} is not on the bus"
+        if state is None:
+            return f"{name} has not shown a state"
+        notes = f": {printable('; '.join(state.notes))}" if state.notes else ""
+        if state.header.scan == 0:
+            return f"{name} has no telemetry"
+        if state.header.scan != scan:
+            return f"{name} works on scan {state.header.scan}, the current one is {scan}"
+        if not state.buses:
+            return f"{name} has no estimate{notes}"
+        if not state.referenced:
+            return f"the angles of {name} do not count from the substation yet{notes}"
+        if not state.checked:
+            return f"{name} waits until bad data have been looked for in the whole feeder{notes}"
+        return None
+
+    def _find_disagreements(self, bus: int, names: list[str]) -> list[str]:
+        found = []
+        for other in names[1:]:
+            vm, va = self.gap_at(bus, names[0], other)
+            if va > self.tolerance_va:
+                found.append(f"{names[0]} and {other} differ by {math.degrees(va):.3g} deg at bus {bus}")
+            if self.compare_magnitudes and vm > self.tolerance_vm:
+                found.append(f"{names[0]} and {other} differ by {vm:.3g} p.u. at bus {bus}")
+        return found
+
+    def gap_at(self, bus: int, one: str, other: str) -> tuple[float, float]:
+        """Differences of magnitude and (wrapped) angle that two areas publish for ``bus``, p.u. and rad."""
+        vm, va = zip(*(_voltage(self.states[name], bus) for name in (one, other)), strict=True)
+        return abs(vm[0] - vm[1]), abs(math.remainder(va[0] - va[1], 2 * math.pi))
+
+    def _find_unheard(self) -> list[str]:
+        states, found = self.states, []
+        for area in self.partition.areas:
+            for n in area.neighbours:
+                sender, receiver = states.get(area.name), states.get(n.area)
+                if sender is None or receiver is None:
+                    continue
+                sent, heard = (
+                    numbers.get(name, (0, 0)) for numbers, name in ((sender.sent, n.area), (receiver.heard, area.name))
+                )
+                for kind, said, got in zip(("load", "boundary"), sent, heard, strict=True):
+                    if said == 0:
+                        found.append(f"{area.name} has sent {n.area} no {kind} message")
+                    elif got != said:
+                        found.append(f"{n.area} has not heard the last {kind} message of {area.name}")
+        return found
+
+
+def count_exchanges(state: StateMessage) -> int:
+    """The most changed messages that an area has sent to one neighbour; they are numbered from 1."""
+    return max((load + boundary for load, boundary in state.sent.values()), default=0)
+
+
+def _voltage(state: StateMessage, bus: int) -> tuple[float, float]:
+    row = state.buses.index(bus)
+    return state.vm[row], state.va[row]

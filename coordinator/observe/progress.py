@@ -1,0 +1,75 @@
+"""A run at one moment, as the live table shows it: what each area is doing, and what stands before consensus."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from agents.messages.packing import StateMessage
+from coordinator.observe.observer import Observer, count_exchanges
+
+UPDATE_S = 0.1  # of wall time between two looks
+
+
+@dataclass(frozen=True, slots=True)
+class AreaProgress:
+    """One area; gaps are the largest to a neighbour at a boundary bus, p.u. and rad, None if there is none yet."""
+
+    name: str
+    state: str
+    scan: int
+    exchanges: int
+    gap_vm: float | None
+    gap_va: float | None
+    messages: int
+    lost: int
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """All areas after ``elapsed_s``. ``obstacles``: in words, what stands between the run and consensus."""
+
+    elapsed_s: float
+    areas: tuple[AreaProgress, ...]
+    obstacles: tuple[str, ...]
+
+
+def describe_progress(observer: Observer, elapsed_s: float, obstacles: tuple[str, ...]) -> Progress:
+    """What ``observer`` knows of every area; ``obstacles``, which take long to find, are the caller's."""
+    absent = set(observer.find_absent())
+    names = [area.name for area in observer.partition.areas]
+    return Progress(elapsed_s, tuple(_describe_area(observer, name, name not in absent) for name in names), obstacles)
+
+
+def _describe_area(observer: Observer, name: str, alive: bool) -> AreaProgress:
+    state = observer.states.get(name)
+    if state is None:
+        return AreaProgress(name, "joined" if alive else "starting", 0, 0, None, None, 0, 0)
+    gaps = _find_gaps(observer, name)
+    agrees = all(va <= observer.tolerance_va for _, va in gaps)
+    return AreaProgress(
+        name=name,
+        state=_describe_state(state, agrees) if alive else "gone",
+        scan=state.header.scan,
+        exchanges=count_exchanges(state),
+        gap_vm=max((vm for vm, _ in gaps), default=None),
+        gap_va=max((va for _, va in gaps), default=None),
+        messages=state.messages,
+        lost=state.lost,
+    )
+
+
+def _find_gaps(observer: Observer, name: str) -> list[tuple[float, float]]:
+    """Differences of magnitude and angle to each neighbour that has shown an estimate, p.u. and rad."""
+    if not observer.states[name].buses:
+        return []
+    neighbours = observer.partition.area(name).neighbours
+    shown = [n for n in neighbours if n.area in observer.states and observer.states[n.area].buses]
+    return [observer.gap_at(n.bus, name, n.area) for n in shown]
+
+
+def _describe_state(state: StateMessage, agrees: bool) -> str:
+    if not state.buses:
+        return "waits for telemetry" if state.header.scan == 0 else "no estimate"
+    if not state.referenced:
+        return "relative angles"
+    return "agrees" if agrees else "adjusts"

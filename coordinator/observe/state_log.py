@@ -1,0 +1,53 @@
+"""What states tell of the course of a run: written into ``events.jsonl``, faults of links summed up by kind."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+from agents.messages.packing import Incarnation, StateMessage
+from agents.runtime.link_faults import KINDS
+from coordinator.observe.events import EventLog
+
+
+@dataclass
+class StateLog:
+    """``events``: where to write, if anywhere; ``faults``: kind -> how many messages it has befallen, in all lives."""
+
+    events: EventLog | None
+    faults: Counter[str] = field(default_factory=Counter)
+    _quality: dict[str, str] = field(default_factory=dict)
+    _counted: dict[str, tuple[Incarnation, Counter[str]]] = field(default_factory=dict)  # of the last life
+
+    def take(self, state: StateMessage, at: float, is_new: bool) -> None:
+        """Note ``state``, an area's newest, shown at time ``at``; ``is_new``: it says more than a repeat would."""
+        area = state.header.sender
+        told = Counter({kind: state.faults[kind] for kind in KINDS if kind in state.faults})  # a liar may make up more
+        life, before = self._counted.get(area, (state.header.incarnation, Counter()))
+        before = before if life == state.header.incarnation else Counter()
+        more = told - before
+        self._counted[area] = (state.header.incarnation, before | told)
+        self.faults += more
+        if self.events is None:
+            return
+        if is_new:
+            self._write_change(self.events, state, at)
+        if more:
+            self.events.write("link faults", at, area=area, **dict(sorted(more.items())))
+        if state.quality != self._quality.get(area):
+            self._quality[area] = state.quality
+            self.events.write("quality", at, area=area, scan=state.header.scan, quality=state.quality)
+
+    def _write_change(self, events: EventLog, state: StateMessage, at: float) -> None:
+        events.write(
+            "state changed",
+            at,
+            area=state.header.sender,
+            scan=state.header.scan,
+            sequence=state.header.sequence,
+            estimated=bool(state.buses),
+            referenced=state.referenced,
+            sent=state.sent,
+            heard=state.heard,
+            notes=list(state.notes),
+        )

@@ -1,0 +1,81 @@
+"""What a plant publishes: scans that it makes itself, or one that was made for it and stays."""
+
+from __future__ import annotations
+
+import pickle
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+from agents.messages.packing import Incarnation
+from coordinator.plant.telemetry_messages import DRAW, encode_readings, make_payloads, read
+from scenarios.scenario import Scenario
+from scenarios.telemetry import Telemetry, find_lateness
+
+
+class Scans(Protocol):
+    """``seed``: of their noise; ``beat_s``: interval at which a scan is repeated."""
+
+    @property
+    def seed(self) -> int: ...
+
+    @property
+    def beat_s(self) -> float: ...
+
+    def payloads(self, run: str, life: Incarnation, scan: int) -> dict[str, bytes]:
+        """Area -> its encoded readings."""
+        ...
+
+    def late_s(self, scan: int) -> Mapping[str, float]:
+        """Area -> by how much its readings come late."""
+        ...
+
+
+@dataclass(frozen=True)
+class OwnScans:
+    """Made from ``scenario``; ``many``: each scan has noise of its own."""
+
+    scenario: Scenario
+    many: bool
+
+    @property
+    def seed(self) -> int:
+        return self.scenario.seed
+
+    @property
+    def beat_s(self) -> float:
+        return self.scenario.run.beat_s
+
+    def payloads(self, run: str, life: Incarnation, scan: int) -> dict[str, bytes]:
+        return make_payloads(self.scenario, run, life, scan, draw=scan if self.many else DRAW)
+
+    def late_s(self, scan: int) -> Mapping[str, float]:
+        return find_lateness(self.scenario, scan)
+
+
+@dataclass(frozen=True)
+class MadeScan:
+    """The readings of one scan: of a large grid they are passed on in a tenth of the time that its scenario takes.
+
+    Area -> its ``readings``, pickled: kept for a restart they take a quarter of the memory.
+    """
+
+    readings: Mapping[str, bytes]
+    lateness: Mapping[str, float]
+    seed: int
+    beat_s: float
+
+    @classmethod
+    def of(cls, scenario: Scenario, telemetry: Telemetry) -> MadeScan:
+        """``telemetry`` of the only scan of ``scenario``."""
+        now = time.time()
+        readings = {area: pickle.dumps(read(part, now)) for area, part in telemetry.by_area.items()}
+        return cls(readings, find_lateness(scenario, DRAW), scenario.seed, scenario.run.beat_s)
+
+    def payloads(self, run: str, life: Incarnation, scan: int) -> dict[str, bytes]:
+        unpacked = ((area, pickle.loads(part)) for area, part in self.readings.items())
+        return encode_readings(unpacked, run, life, scan)
+
+    def late_s(self, scan: int) -> Mapping[str, float]:
+        return self.lateness

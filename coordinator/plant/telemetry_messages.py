@@ -1,0 +1,62 @@
+"""One scan of readings as telemetry messages: of the plant's process and of the twin alike."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from agents.messages.packing import Header, Incarnation, TelemetryMessage, encode
+from agents.security.access import PLANT
+from dsse_core.grid.measurement import Measurement, Source
+from scenarios.scenario import Scenario
+from scenarios.telemetry import make_telemetry
+
+DRAW = 1  # of the noise: the same readings for the same seed
+
+
+@dataclass(frozen=True, slots=True)
+class Readings:
+    """What the meters of one area have read at ``time``, s since 1970; p.u. and rad."""
+
+    meters: tuple[str, ...]
+    values: tuple[float, ...]
+    sigmas: tuple[float, ...]
+    time: float
+
+
+def read(measurements: Sequence[Measurement], measured_at: float) -> Readings:
+    """Virtual measurements are no readings: agents know them."""
+    readings = [m for m in measurements if m.meter.source is not Source.VIRTUAL]
+    return Readings(
+        tuple(m.meter.id for m in readings),
+        tuple(float(m.value) for m in readings),
+        tuple(float(m.sigma) for m in readings),
+        measured_at,
+    )
+
+
+def make_payloads(scenario: Scenario, run: str, life: Incarnation, scan: int = 1, draw: int = DRAW) -> dict[str, bytes]:
+    """Area -> its encoded readings with noise ``draw``."""
+    by_area = make_telemetry(scenario, draw).by_area
+    now = time.time()
+    return encode_readings(((area, read(part, now)) for area, part in by_area.items()), run, life, scan)
+
+
+def encode_readings(
+    readings: Iterable[tuple[str, Readings]], run: str, life: Incarnation, scan: int
+) -> dict[str, bytes]:
+    """Area -> its ``readings`` as a life of the plant publishes them."""
+    header = Header(run=run, sender=PLANT, incarnation=life, scan=scan, sequence=scan, time=time.time())
+    return {area: encode(_message(header, area, part)) for area, part in readings}
+
+
+def make_message(header: Header, area: str, measurements: Sequence[Measurement]) -> TelemetryMessage:
+    """One scan of ``area``'s meters as a message."""
+    return _message(header, area, read(measurements, header.time))
+
+
+def _message(header: Header, area: str, readings: Readings) -> TelemetryMessage:
+    count = len(readings.meters)  # all meters of a simulated plant are sound
+    columns = readings.meters, readings.values, readings.sigmas, (readings.time,) * count, (True,) * count
+    return TelemetryMessage(header, area, *columns)

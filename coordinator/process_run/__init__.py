@@ -1,0 +1,1 @@
+"""A run of real processes: router, plant and agents started, watched, faulted and ended."""

@@ -1,0 +1,44 @@
+"""``dsse compile``: fills the place of compiled code ahead of the first run, for an image or by an administrator."""
+
+from __future__ import annotations
+
+import importlib.util
+from dataclasses import dataclass
+
+from dsse_core import compiling
+from dsse_core.errors import InvalidInputError
+
+
+@dataclass(frozen=True, slots=True)
+class CompiledAhead:
+    """``folder``: where the code was kept; None: nothing had to be compiled. ``found_in``: where it is looked for."""
+
+    folder: str | None
+    found_in: tuple[str, ...]
+
+
+def compile_ahead() -> CompiledAhead:
+    """Compile all that can be, unless it is kept already.
+
+    Raises:
+        InvalidInputError: numba is not installed, or there is no safe folder to keep the code in.
+        OSError: code could not be written there.
+    """
+    if importlib.util.find_spec("numba") is None:
+        problem = "numba is not installed, and nothing is compiled without it; pip install 'consensus-dsse[fast]'"
+        raise InvalidInputError("dsse compile", [problem])
+    from dsse_core.code_cache import find_folder_to_keep_in, find_places, not_kept
+
+    if find_folder_to_keep_in() is None:
+        faults = [f"{place.folder}: {place.fault or 'cannot be written'}" for place in find_places()]
+        raise InvalidInputError("no safe folder for compiled code; set NUMBA_CACHE_DIR to one", faults)
+    from agents.runtime.warm_up import warm_up, warm_up_estimate
+
+    folders: list[str | None] = []
+    compiling.listen(lambda begins, folder: folders.append(folder) if begins else None)
+    warm_up()
+    warm_up_estimate()
+    if not_kept:
+        raise OSError(not_kept[0].errno, not_kept[0].strerror, folders[0] if folders else None)
+    looked_in = tuple(str(place.folder) for place in find_places() if place.fault is None)
+    return CompiledAhead(folders[0] if folders else None, looked_in)

@@ -1,0 +1,260 @@
+"""The warmed parent: imports once what router, plant and agents need, then forks each of them in milliseconds.
+
+It obeys the coordinator over one socket. A coordinator that ends in order has its processes stopped; one
+that is killed stops nothing: the areas go on until SIGTERM, SIGINT or SIGHUP to this process, which then stops them;
+if this process is killed, they end by themselves. It holds no thread and no Zenoh session, so forking is safe. It
+and its children are one process group of their own, so that Ctrl-C in a terminal reaches the coordinator only.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import faulthandler
+import gc
+import importlib
+import logging
+import os
+import pickle
+import signal
+import sys
+import time
+import traceback
+from dataclasses import dataclass, field, replace
+from multiprocessing.connection import Connection, wait
+from pathlib import Path
+from typing import Any, NoReturn
+
+from coordinator.interrupts import ENDS
+from coordinator.process_run.lifeline import Lifeline
+from dsse_core import compiling
+from dsse_core.printable import printable_lines
+
+STOP_S = 3.0  # from SIGTERM to SIGKILL
+PARENT = "parent of all processes"
+MODULE = "coordinator.process_run.fork_server"
+IO_ERROR_CODE = 74  # exit code of a process that could not write or read a file, as sysexits.h has it
+
+
+@dataclass(frozen=True, slots=True)
+class Preload:
+    """Import these modules, and call what of them stands behind a colon ("module:function")."""
+
+    targets: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Fork process ``name``: it calls ``target`` ("module:function") and exits with what that returns.
+
+    ``arguments``: pickled, so that only the process itself spends time on them. ``stop_last``: it is stopped when
+    the others have ended. ``nice``: by how much it gives way to this parent and to who is less nice.
+    """
+
+    name: str
+    target: str
+    arguments: bytes
+    log: Path
+    stop_last: bool = False
+    nice: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Signal:
+    """Send signal ``number`` to process ``name``; nothing where it has ended."""
+
+    name: str
+    number: int
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """Stop all children and exit."""
+
+
+@dataclass(frozen=True, slots=True)
+class Started:
+    """To the coordinator: process ``name`` runs."""
+
+    name: str
+    pid: int
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """To the coordinator: a process is gone; ``code`` is its exit code, negative for the signal that killed it."""
+
+    name: str
+    pid: int
+    code: int
+
+
+@dataclass(frozen=True, slots=True)
+class Compiling:
+    """To the coordinator: the parent begins or ends to compile; ``folder``: where the code is kept, None: nowhere."""
+
+    begins: bool
+    folder: str | None
+
+
+@dataclass
+class Zygote:
+    """Serves the commands that arrive on ``orders``."""
+
+    orders: Connection[Any, Any]
+    children: dict[int, Start] = field(default_factory=dict)  # by pid
+    stopped: bool = False
+    signalled: int = 0  # by which signal it was told to stop, if by one
+    lifeline: Lifeline = field(default_factory=Lifeline)
+
+    def serve(self) -> None:
+        """Obey until told to stop or until a signal of ``ENDS``; without a coordinator, until no child is left."""
+        wake_read, wake_write = os.pipe()
+        os.set_blocking(wake_read, False)
+        os.set_blocking(wake_write, False)
+        signal.set_wakeup_fd(wake_write, warn_on_full_buffer=False)
+        signal.signal(signal.SIGCHLD, lambda *_: None)  # the byte on the pipe is what counts
+        for number in ENDS:
+            if signal.getsignal(number) != signal.SIG_IGN:  # as nohup has it
+                signal.signal(number, self._stop)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDS)  # which the coordinator has blocked until now
+        # inherited: orders to a process wait until it knows what to do at them; unheard of, they would end it
+        signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGUSR1, signal.SIGUSR2))
+        self._inherited = (wake_read, wake_write)
+        compiling.listen(lambda begins, folder: self._report(Compiling(begins, folder)))
+        gc.set_threshold(100_000, 50, 100)  # the plant of a large grid is millions of objects without cycles
+        try:
+            orphaned = False
+            while not self.stopped and not (orphaned and not self.children):
+                ready = wait([wake_read] if orphaned else [self.orders, wake_read])
+                if wake_read in ready:
+                    os.read(wake_read, 4096)
+                    self._reap()
+                if self.orders in ready:
+                    try:
+                        self._obey(self.orders.recv())
+                    except (EOFError, ConnectionError):
+                        orphaned = True
+                        _redirect(Path(os.devnull))  # who reads the coordinator's pipes shall see their end
+        finally:
+            if self.signalled:  # before the ends of the children, which follow from it
+                self._report(Ended(PARENT, os.getpid(), -self.signalled))
+            self._stop_children()
+
+    def _stop(self, number: int, _: object) -> None:
+        self.stopped, self.signalled = True, number
+
+    def _obey(self, order: Preload | Start | Signal | Stop) -> None:
+        match order:
+            case Preload(targets):
+                for module, _, function in (target.partition(":") for target in targets):
+                    imported = importlib.import_module(module)
+                    if function:
+                        getattr(imported, function)()
+                gc.freeze()  # the children share these pages as long as no collector touches them
+            case Start():
+                self._fork(order)
+            case Signal(name, number):
+                for pid, child in self.children.items():
+                    if child.name == name:
+                        os.kill(pid, number)
+            case Stop():
+                self.stopped = True
+
+    def _fork(self, order: Start) -> None:
+        pid = os.fork()
+        if pid == 0:
+            self._become(order)
+        self.children[pid] = replace(order, arguments=b"")  # what is forked later shall not inherit them
+        self._report(Started(order.name, pid))
+
+    def _become(self, order: Start) -> NoReturn:
+        """In the child: leave everything of the parent behind, call the target, exit."""
+        code = 1
+        try:
+            os.nice(order.nice)
+            signal.set_wakeup_fd(-1)
+            for number in (signal.SIGCHLD, *ENDS):
+                if signal.getsignal(number) != signal.SIG_IGN:
+                    signal.signal(number, signal.SIG_DFL)
+            self.orders.close()
+            compiling.forget_listeners()
+            for fd in self._inherited:
+                os.close(fd)
+            _redirect(order.log)
+            self.lifeline.hold(STOP_S if order.stop_last else 0.0, STOP_S)
+            faulthandler.enable(all_threads=False)
+            code = _call(order)
+            logging.shutdown()
+            sys.stdout.flush()
+        except OSError as error:  # if the disk is full, these words find no room either: the code says it, too
+            code = IO_ERROR_CODE
+            where = f"{error.filename}: " if error.filename else ""
+            _say_last(f"error: {where}{error.strerror or error}; make room there, or choose another place\n")
+        except BaseException:
+            _say_last(traceback.format_exc())
+        finally:
+            os._exit(code)  # nothing of the parent's stack may run here
+
+    def _reap(self) -> None:
+        while self.children:
+            pid, status = os.waitpid(-1, os.WNOHANG)
+            if pid == 0:
+                return
+            self._report(Ended(self.children.pop(pid).name, pid, os.waitstatus_to_exitcode(status)))
+
+    def _report(self, news: Started | Ended | Compiling) -> None:
+        with contextlib.suppress(OSError):  # nobody listens any more; the next receive says so
+            self.orders.send(news)
+
+    def _stop_children(self) -> None:
+        """SIGTERM to all but the routers, then to the routers, so that agents say goodbye on a bus that works."""
+        deadline = time.monotonic() + STOP_S
+        for last in (False, True):
+            group = [pid for pid, child in self.children.items() if child.stop_last == last]
+            for pid in group:
+                os.kill(pid, signal.SIGTERM)
+                os.kill(pid, signal.SIGCONT)  # one that was paused could not hear it
+            while any(pid in self.children for pid in group) and time.monotonic() < deadline:
+                self._reap()
+                time.sleep(0.002)
+        for pid in self.children:
+            os.kill(pid, signal.SIGKILL)
+        while self.children:
+            self._reap()
+            time.sleep(0.002)
+
+
+def _say_last(text: str) -> None:
+    """Write to standard error past all buffers, which may hold what could not be written."""
+    with contextlib.suppress(OSError):
+        os.write(sys.stderr.fileno(), printable_lines(text).encode(errors="backslashreplace"))
+
+
+def _redirect(log: Path) -> None:
+    """Standard output and error go to ``log``, standard input is empty."""
+    nothing = os.open(os.devnull, os.O_RDONLY)
+    file = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+    for source, target in ((nothing, 0), (file, 1), (file, 2)):
+        os.dup2(source, target)
+    os.close(nothing)
+    os.close(file)
+    for stream in (sys.stdout, sys.stderr):
+        stream.reconfigure(line_buffering=True)  # type: ignore[union-attr]
+
+
+def _call(order: Start) -> int:
+    module, function = order.target.split(":")
+    try:
+        return int(getattr(importlib.import_module(module), function)(*pickle.loads(order.arguments)) or 0)
+    except SystemExit as request:
+        if isinstance(request.code, str):
+            print(request.code, file=sys.stderr)
+            return 1
+        return request.code or 0
+
+
+if __name__ == "__main__":  # arguments: the socket; the mark by which `dsse stop` knows it and what it forks
+    from coordinator.process_run import fork_server as zygote
+
+    zygote.Zygote(Connection(int(sys.argv[1]))).serve()
+    os._exit(0)  # the coordinator waits, and there is nothing to tidy up

@@ -1,0 +1,213 @@
+"""The coordinator's end of the warmed parent: start processes, hear of their end, leave none behind."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pickle
+import queue
+import secrets
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from multiprocessing.connection import Pipe
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from coordinator.interrupts import ENDS
+from coordinator.process_run.compile_clock import clock
+from coordinator.process_run.fork_server import (
+    IO_ERROR_CODE,
+    MODULE,
+    PARENT,
+    STOP_S,
+    Compiling,
+    Ended,
+    Preload,
+    Signal,
+    Start,
+    Started,
+    Stop,
+)
+from dsse_core.errors import DsseError
+
+ONE_THREAD = {
+    name: "1" for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+}
+FILES_OF_A_PROCESS = 32  # beside one for the link of each area; measured: a router with three areas runs with 24
+# glibc's allocator: one heap for all threads, and what is free goes back to the system
+ONE_HEAP = {"MALLOC_ARENA_MAX": "1", "MALLOC_TRIM_THRESHOLD_": "131072", "MALLOC_MMAP_THRESHOLD_": "131072"}
+MAX_WAITING = 100_000  # pieces of news
+ROOT = Path(__file__).resolve().parents[2]  # where this package was imported from
+
+
+class LaunchError(DsseError):
+    """Processes cannot be started here."""
+
+
+class Launcher:
+    """Starts the processes of a run from one warmed parent; leaving its block stops all of them.
+
+    ``news``, if given, is called with every ``Started`` and ``Ended``, on a thread of its own.
+    """
+
+    def __init__(self, news: Callable[[Started | Ended], None] | None = None) -> None:
+        if not hasattr(os, "fork"):
+            raise LaunchError("this system cannot fork processes; run on Linux or macOS, or under WSL on Windows")
+        self.on_news = news or (lambda _: None)
+        self.mark = secrets.token_hex(8)  # in the command lines of all its processes
+        self._orders, theirs = Pipe()
+        path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH", "")]))
+        # inherited: until it knows what to do at them, signals that end it wait
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, ENDS)
+        try:
+            self._zygote = subprocess.Popen(
+                # -P: a folder of the user's called "agents" or "scenarios" must not stand in for ours
+                [sys.executable, "-P", "-m", MODULE, str(theirs.fileno()), self.mark],
+                pass_fds=[theirs.fileno()],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                start_new_session=True,
+                env={**os.environ, **ONE_THREAD, **ONE_HEAP, "PYTHONPATH": path},
+            )
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        theirs.close()
+        self._any_started = False
+        self._stopping = False
+        self._closed = False
+        self._reader = threading.Thread(target=self._read_news, name="process news", daemon=True)
+        self._reader.start()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def pid(self) -> int:
+        """Process id of the warmed parent, and id of the process group of all."""
+        return self._zygote.pid
+
+    def preload(self, *targets: str) -> None:
+        """Have the parent import modules ("module"), or call functions ("module:function"), now."""
+        self._send(Preload(targets))
+
+    def start(self, name: str, target: str, *arguments: Any, log: Path, stop_last: bool = False, nice: int = 0) -> None:
+        """Start process ``name``, which calls ``target`` ("module:function") and writes its output to ``log``.
+
+        ``stop_last``: on leaving, stop it after the others. ``nice``: by how much it gives way to the others.
+        """
+        self._any_started = True
+        self._send(Start(name, target, pickle.dumps(arguments), log, stop_last, nice))
+
+    def signal(self, name: str, number: int) -> None:
+        """Send a signal to process ``name``; nothing happens where it has ended."""
+        self._send(Signal(name, number))
+
+    def stop(self) -> None:
+        """Tell every process to end, and do not wait for it."""
+        if self._any_started and not self._stopping:
+            self._stopping = True
+            with contextlib.suppress(LaunchError):
+                self._send(Stop())
+
+    def close(self) -> None:
+        """Stop every process and wait for their end; later calls do nothing."""
+        if self._closed:
+            return
+        self._closed = True
+        try:
+            self.stop()
+            if self._stopping:
+                self._zygote.wait(STOP_S + 2.0)
+        except subprocess.TimeoutExpired:
+            pass
+        finally:  # also on a second Ctrl-C
+            if self._zygote.poll() != 0:
+                self._kill_group()
+            self._reader.join(1.0)
+            self._orders.close()
+
+    def _kill_group(self) -> None:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self.pid, signal.SIGKILL)
+        self._zygote.wait()
+
+    def _send(self, order: Preload | Start | Signal | Stop) -> None:
+        try:
+            self._orders.send(order)
+        except OSError:
+            raise LaunchError(
+                f"the parent of all processes has ended with {describe_end(self._zygote.wait())}"
+            ) from None
+
+    def _read_news(self) -> None:
+        said_its_end = compiles = False
+        try:
+            while True:
+                news = self._orders.recv()
+                if isinstance(news, Compiling):
+                    compiles = news.begins
+                    clock.take(news.begins, news.folder)
+                    continue
+                said_its_end |= news.name == PARENT
+                self.on_news(news)  # looked up now: it may have been set while we waited
+        except (EOFError, OSError):
+            if compiles:
+                clock.take(False, None)
+            if not (self._stopping or self._closed or said_its_end):
+                self.on_news(Ended(PARENT, self.pid, self._zygote.wait()))
+
+
+def check_open_files(areas: int) -> None:
+    """Raise LaunchError if a process may not open as many files as the links of ``areas`` need."""
+    import resource  # not on Windows, where Launcher has said so
+
+    limit, needed = resource.getrlimit(resource.RLIMIT_NOFILE)[0], FILES_OF_A_PROCESS + areas
+    if limit != resource.RLIM_INFINITY and limit < needed:
+        raise LaunchError(
+            f"a process may open {limit} files here, and {areas} areas need {needed}; "
+            f"raise the limit (ulimit -n {needed})"
+        )
+
+
+def describe_end(code: int) -> str:
+    """How a process ended, in words."""
+    if code == IO_ERROR_CODE:
+        return f"exit code {code}, as a file could not be written or read; is the disk full?"
+    return f"exit code {code}" if code >= 0 else f"signal {signal.Signals(-code).name}"
+
+
+def read_end(log: Path, lines: int = 24, width: int = 160) -> str:
+    """The last lines of a log file, long ones cut off."""
+    try:
+        last = log.read_text(encoding="utf-8", errors="replace").splitlines()[-lines:]
+    except OSError:
+        return ""
+    return "\n".join(line if len(line) <= width else line[: width - 3] + "..." for line in last)
+
+
+class News(queue.SimpleQueue[Any]):
+    """What arrives from bus and processes, in order, for the one loop of the coordinator."""
+
+    def offer(self, item: Any, *, said_once: bool = False) -> None:
+        """Leave it, or drop it where too much waits: of what is said again at every beat sooner than of the rest."""
+        if self.qsize() < MAX_WAITING * (2 if said_once else 1):
+            self.put(item)
+
+    def take(self, timeout_s: float) -> list[Any]:
+        """Wait up to ``timeout_s`` for something; everything that has arrived."""
+        items: list[Any] = []
+        try:
+            items.append(self.get(timeout=max(0.0, timeout_s)))
+            while True:
+                items.append(self.get_nowait())
+        except queue.Empty:
+            return items

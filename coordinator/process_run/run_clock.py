@@ -1,0 +1,31 @@
+"""The clock of a run: tells the agents how long it has lasted, because windows of injected faults count by it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from agents.messages.packing import ClockMessage, Header, Incarnation, encode
+from agents.security.access import COORDINATOR
+
+
+@dataclass
+class RunClock:
+    """Speaks at every beat through ``publish``; never without it. ``life``: the coordinator's."""
+
+    run: str
+    beat_s: float
+    life: Incarnation
+    publish: Callable[[bytes], None] | None = None
+    _told: int = 0
+    _next: float = field(default=0.0)
+
+    def tell(self, elapsed_s: float) -> None:
+        """Say that the run has lasted ``elapsed_s`` seconds, if it is time to."""
+        if self.publish is None or elapsed_s < self._next:
+            return
+        self._next = elapsed_s + self.beat_s
+        self._told += 1
+        header = Header(self.run, COORDINATOR, self.life, 0, self._told, time.time())
+        self.publish(encode(ClockMessage(header, elapsed_s)))

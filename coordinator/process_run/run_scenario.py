@@ -1,0 +1,216 @@
+"""One run from the scenario to its verdict: start the processes, watch them, compare, write the files."""
+
+from __future__ import annotations
+
+import secrets
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from functools import partial
+from pathlib import Path
+
+from agents.security.access import COORDINATOR
+from agents.security.credentials import AUTHORITY, credentials_in
+from coordinator.deployment.split import default_run_id
+from coordinator.evaluation.evaluation import choose_scenario, judge, make_observer, no_consensus_within
+from coordinator.evaluation.reference_estimate import start_yardstick
+from coordinator.evaluation.result import RunResult, write_files
+from coordinator.observe.events import EventLog
+from coordinator.observe.observer import Observer
+from coordinator.observe.progress import UPDATE_S, Progress, describe_progress
+from coordinator.process_run.compile_clock import clock
+from coordinator.process_run.process_faults import do_to_processes
+from coordinator.process_run.processes import Launcher, LaunchError
+from coordinator.process_run.run_status import (
+    RunUnderWay,
+    listen,
+    listen_to_processes,
+    note_doubles,
+    note_ends,
+    take_news,
+    take_process_news,
+)
+from coordinator.process_run.system import System
+from coordinator.run_folder import EVENTS, PARTS, make_run_folder
+from dsse_core.estimation.plan import FEWEST_BUSES_OF_TREE
+from dsse_core.linear import needs_compiled_code
+from scenarios.check import check_scenario
+from scenarios.scenario import Scenario
+from scenarios.telemetry import make_telemetry
+
+DAYS_OF_A_RUN = 1.0  # that the keys of one secured run are valid
+MANY_AREAS = 50  # from which on the agents that start have the cores, and readings are made when all are there,
+JOIN_SHARE = 0.25  # or after this part of the time limit
+INTERRUPTED = "interrupted"
+
+
+def run_scenario(
+    launcher: Launcher,
+    scenario: str | Path | Scenario,
+    started: float,
+    out: str | Path | None = None,
+    seed: int | None = None,
+    strategy: str | None = None,
+    timeout_s: float | None = None,
+    on_update: Callable[[Progress], None] | None = None,
+    secure: bool = False,
+    keys: str | Path | None = None,
+) -> RunResult:
+    """Run ``scenario`` with the processes of ``launcher``; see ``coordinator.run``. ``started``: monotonic time."""
+    scenario = choose_scenario(scenario, seed, strategy, timeout_s)
+    launcher.preload(*_find_solvers(scenario))  # beside the check, which in a large grid takes as long
+    check_scenario(scenario)
+    folder = make_run_folder(out, default_run_id(scenario), PARTS)
+    with ExitStack() as at_the_end, EventLog(folder / EVENTS, started) as events:
+        run_id = f"{default_run_id(scenario)}-{secrets.token_hex(4)}"
+        keys = _find_keys(scenario, run_id, at_the_end, secure, keys)
+        system = System(launcher, scenario, run_id, folder, keys=keys)
+        run = RunUnderWay(scenario, run_id, folder, system, events, started)
+        parent = {"parent_pid": launcher.pid, "mark": launcher.mark}
+        events.write("run started", None, run=run_id, scenario=scenario.name, seed=scenario.seed, **parent)
+        if events.failure:  # by this event `dsse stop` finds the processes, which so are not started
+            raise LaunchError(f"{events.failure}; no process is started; choose another place, or make room there")
+        listen_to_processes(run)
+        run.note_time("scenario_loaded")
+        try:
+            run.system.start_bus(lambda: _wait_for_router(run))
+            run.note_time("router_listens")
+            return _run_with_router(run, on_update)
+        finally:
+            launcher.close()
+            note_ends(run)
+            events.write("run ended")
+
+
+def _find_solvers(scenario: Scenario) -> tuple[str, ...]:
+    """What of the compiled solvers the areas need, as targets of ``Launcher.preload``."""
+    areas = scenario.partition.areas
+    exchange = any(needs_compiled_code(area) for area in areas)
+    largest = max((len(area.network.buses) for area in areas), default=0)
+    estimate = scenario.strategy == "angle-offset" and largest >= FEWEST_BUSES_OF_TREE  # of each area by itself
+    return ("agents.runtime.warm_up:warm_up",) * exchange + ("agents.runtime.warm_up:warm_up_estimate",) * (
+        exchange and estimate
+    )
+
+
+def _find_keys(
+    scenario: Scenario, run_id: str, at_the_end: ExitStack, secure: bool, keys: str | Path | None
+) -> Path | None:
+    """The folder of credentials of a secured run, made for this run if none is given; None if it is not secured.
+
+    What is made here is for nobody else's eyes, so it is no part of the result, and removed ``at_the_end``.
+    """
+    if keys is None and not secure:
+        return None
+    from coordinator.deployment.certificates import access_of, check_keys, create_keys  # not needed by most runs
+
+    access, direct = access_of(scenario.partition, run_id), scenario.transport.kind == "neighbours"
+    if keys is not None:
+        check_keys(Path(keys), access, direct)
+        return Path(keys).absolute()
+    host = scenario.transport.listen.partition("/")[2].rpartition(":")[0]
+    folder = Path(at_the_end.enter_context(tempfile.TemporaryDirectory(prefix="dsse-keys-"))).absolute()
+    create_keys(folder, access, DAYS_OF_A_RUN, [host.strip("[]")], direct=direct)
+    credentials_in(folder, AUTHORITY).key.unlink()  # nobody is to get a certificate later
+    return folder
+
+
+def _wait_for_router(run: RunUnderWay) -> str | None:
+    """Let a moment pass; the reason to give up, if a process has ended."""
+    for item in run.news.take(0.002):
+        reason = take_process_news(run, item)
+        if reason:
+            return reason
+    return None
+
+
+def _run_with_router(run: RunUnderWay, on_update: Callable[[Progress], None] | None) -> RunResult:
+    scenario = run.scenario
+    run.system.start_agents()
+    run.note_time("agents_started")
+    observer = make_observer(scenario)
+    with run.system.join(COORDINATOR) as session:
+        listen(run, session)
+        reason = None
+        if len(scenario.partition.areas) >= MANY_AREAS:
+            reason = _watch(run, observer, on_update, until=lambda _: _is_time_to_begin(run))
+        telemetry = make_telemetry(scenario)  # of fewer areas while they join
+        if reason is None:
+            run.system.start_plant(telemetry)
+        yardstick = start_yardstick(scenario, telemetry, lambda: run.note_time("centralised_estimated"))
+        reason = reason or _watch(run, observer, on_update, until=lambda obstacles: not obstacles)
+        wall_s = time.monotonic() - run.started
+    run.timing_s["last_change"] = max(0.0, observer.changed_at - run.started)
+    run.note_time("verdict")
+    run.events.write("consensus" if reason is None else "no consensus", reason=reason)
+    run.system.launcher.stop()  # the processes end while the files are written
+    outcome = judge(
+        scenario,
+        run.id,
+        observer,
+        telemetry,
+        yardstick.result(),
+        reason,
+        started=run.started,
+        wall_s=wall_s,
+        virtual_s=None,
+        timing_s=run.timing_s,
+        faults=run.states.faults + run.schedule.counts,
+        doubles=run.doubles.found,
+    )
+    result = write_files(outcome.in_folder(run.folder), run.events.failure)
+    if reason == INTERRUPTED:
+        raise KeyboardInterrupt
+    return result
+
+
+def _is_time_to_begin(run: RunUnderWay) -> bool:
+    waited_s = time.monotonic() - clock.find_start(run.started)
+    return run.joined is not None or waited_s >= JOIN_SHARE * run.scenario.run.timeout_s
+
+
+def _watch(
+    run: RunUnderWay,
+    observer: Observer,
+    on_update: Callable[[Progress], None] | None,
+    until: Callable[[Sequence[str]], bool],
+) -> str | None:
+    """Take in news ``until`` the obstacles to consensus allow it (None); or the reason why that is not awaited."""
+    check_s = min(run.scenario.run.beat_s / 10, UPDATE_S)
+    next_check = next_update = 0.0
+    try:
+        while True:
+            for item in run.news.take(check_s):
+                reason = take_news(run, observer, item)
+                if reason:
+                    return reason
+            now = time.monotonic()
+            note_doubles(run, run.doubles.find_lasting(now), now)
+            _carry_out_faults(run, observer, now)
+            if now < next_check:
+                continue
+            next_check = now + check_s
+            standing = observer.standing(now)
+            obstacles = (*run.schedule.describe_next(), *standing.obstacles)
+            is_over = until(obstacles)
+            if on_update and (now >= next_update or is_over):
+                next_update = now + UPDATE_S
+                on_update(describe_progress(observer, now - run.started, standing.obstacles))
+            if is_over:
+                return None
+            if not run.schedule.steps and standing.dead_end:
+                return standing.dead_end
+            if now >= clock.find_start(run.started) + run.scenario.run.timeout_s:
+                return no_consensus_within(run.scenario, obstacles)
+    except KeyboardInterrupt:
+        return INTERRUPTED
+
+
+def _carry_out_faults(run: RunUnderWay, observer: Observer, now: float) -> None:
+    """Do to the processes what the scenario says for this moment, and write it down; the links know by the clock."""
+    if run.joined is not None:
+        run.clock.tell(now - run.joined)
+        for step in run.schedule.carry_out(now - run.joined, partial(do_to_processes, run.system)):
+            run.events.write("fault", kind=step.kind, names=step.names)
+            observer.take_fault(now)

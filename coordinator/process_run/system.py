@@ -1,0 +1,189 @@
+"""The processes of one system on this host: router, plant and agents. Each can be killed, paused and started again."""
+
+from __future__ import annotations
+
+import math
+import signal
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from agents.security.access import PLANT, ROUTER, ROUTERS, SECOND_ROUTER
+from agents.security.credentials import load_keys
+from agents.transport.zenoh_bus import Session, TransportError, warn_of_strangers
+from coordinator.deployment.endpoints import choose_places
+from coordinator.deployment.split import write_area_files
+from coordinator.plant.scans import MadeScan, OwnScans
+from coordinator.process_run.fork_server import Ended, Started
+from coordinator.process_run.processes import Launcher, check_open_files, read_end
+from dsse_core.limits import LONGEST_S
+from scenarios.scenario import Scenario
+from scenarios.telemetry import Telemetry
+
+ROUTER_START_S = 10.0
+NICE_OF_AREAS = 10  # hundreds that compute leave router and plant, and whoever starts the rest, what little these need
+HELD_S = LONGEST_S  # for which a held scan stays
+
+
+@dataclass
+class System:
+    """Starts the processes of ``scenario`` with ``launcher`` under run id ``id``; ``folder``: for files and logs.
+
+    ``scan_every_s``: time between scans of the plant, None for one scan only. ``keys``: folder of everybody's
+    credentials; all links are secured then. ``note`` must be called with all news of the launcher: a death that was
+    ordered is told from one that was not.
+    """
+
+    launcher: Launcher
+    scenario: Scenario
+    id: str
+    folder: Path
+    scan_every_s: float | None = None
+    keys: Path | None = None
+    endpoints: tuple[str, ...] = ()
+    pids: dict[str, int] = field(default_factory=dict)  # of the last life of each
+    _places: dict[str, str] = field(default_factory=dict)  # where each area listens if there is no router
+    _orders: dict[str, tuple[Any, ...]] = field(default_factory=dict)  # target and arguments of each process
+    _running: set[str] = field(default_factory=set)  # started, and neither killed nor heard of as ended
+    _killed: Counter[str] = field(default_factory=Counter)  # deaths ordered and not yet heard of
+
+    def log_of(self, process: str) -> Path:
+        """The log file of a process, of all its lives."""
+        return (self.folder / "logs" / f"{process}.log").absolute()
+
+    @property
+    def direct(self) -> bool:
+        """Whether neighbours link with each other, and there is no router."""
+        return self.scenario.transport.kind == "neighbours"
+
+    def start_bus(self, wait: Callable[[], str | None]) -> None:
+        """Find out where all will meet: start the routers and wait until they listen, or choose where areas will.
+
+        ``wait``: called again and again meanwhile; a reason to give up, or None.
+
+        Raises:
+            TransportError: a router has ended, or does not listen in time.
+            LaunchError: this system lets a process open too few files for so many links.
+        """
+        check_open_files(len(self.scenario.partition.areas))
+        protocol = "tls" if self.keys else "tcp"
+        listen = f"{protocol}/{self.scenario.transport.listen.partition('/')[2]}"
+        warn_of_strangers([listen], self.keys is not None)  # here, too: who reads the log of a router?
+        if self.direct:
+            self._places = choose_places(self.scenario, protocol)
+            self.endpoints = tuple(self._places.values())
+        else:
+            self.endpoints = self._start_router(ROUTER, listen, wait)
+            if self.scenario.transport.routers > 1:
+                self.endpoints += self._start_router(SECOND_ROUTER, f"{listen.rpartition(':')[0]}:0", wait)
+
+    def join(self, name: str) -> Session:
+        """A session of ours on the bus, with the credentials of process ``name`` if it is secured."""
+        keys, beat_s = load_keys(self.keys, name, self.id), self.scenario.run.beat_s
+        return Session.join(self.endpoints, keys=keys, beat_s=beat_s, direct=self.direct)
+
+    def _start_router(self, name: str, listen: str, wait: Callable[[], str | None]) -> tuple[str, ...]:
+        """Start a router that links with those before it; its endpoints."""
+        said = self.folder.absolute() / "logs" / f"{name}.endpoints"
+        always = [part for endpoint in self.endpoints for part in ("--connect", endpoint)] + self._keys() + self._run()
+        always += ["--beat", str(self.scenario.run.beat_s)]
+        target = "coordinator.process_run.router_process:main"
+        self._order(name, target, ["--listen", listen, "--endpoints-file", str(said), *always])
+        deadline = math.inf
+        while not said.exists():
+            if name in self.pids:  # before, the parent may be compiling, which takes 13 s the first time on a machine
+                deadline = min(deadline, time.monotonic() + ROUTER_START_S)
+            reason = wait()
+            if reason:
+                raise TransportError(self._last_words(name) or reason)
+            if time.monotonic() > deadline:
+                raise TransportError(f"the {name} has not opened {listen} within {ROUTER_START_S:g} s")
+        endpoints = tuple(said.read_text(encoding="utf-8").split())
+        again = [part for endpoint in endpoints for part in ("--listen", endpoint)]  # where the others look for it
+        self._orders[name] = (target, [*again, *always])
+        return endpoints
+
+    def start_agents(self) -> None:
+        """Write the area files, start the agents."""
+        where = (self.endpoints, self.folder / "areas", self._places, ".json")
+        for name, path in write_area_files(self.scenario, self.id, *where):
+            self._order(name, "agents.__main__:run_process", path.absolute(), self.keys)
+
+    def start_plant(self, telemetry: Telemetry | None = None) -> None:
+        """Start the plant with its first scan; of ``telemetry``, if that is its only one and has been made already."""
+        self._start_plant(1, None if telemetry is None else MadeScan.of(self.scenario, telemetry))
+
+    def kill(self, name: str) -> None:
+        """End a process, if it runs, without a chance to say anything."""
+        if name in self._running:
+            self._running.remove(name)
+            self._killed[name] += 1
+            self.launcher.signal(name, signal.SIGKILL)
+
+    def restart(self, name: str) -> None:
+        """Start a process again from what it was started from the first time; if it still runs, kill it before."""
+        self.kill(name)
+        if name == PLANT and self.scan_every_s:
+            self._start_plant(self._next_scan(self.scan_every_s))
+        else:
+            self._order(name, *self._orders[name])
+
+    def hold_scan(self) -> None:
+        """Start the plant again with one more scan, which stays."""
+        scan = self._next_scan(self.scan_every_s or HELD_S)
+        self.scan_every_s = HELD_S
+        self.kill(PLANT)
+        self._start_plant(scan)
+
+    def pause(self, name: str) -> None:
+        """Freeze a process in the middle of whatever it does."""
+        self.launcher.signal(name, signal.SIGSTOP)
+
+    def go_on(self, name: str) -> None:
+        """Let a frozen process go on."""
+        self.launcher.signal(name, signal.SIGCONT)
+
+    def note(self, news: Started | Ended) -> bool:
+        """Take in what happened to a process; whether it was to be expected."""
+        if isinstance(news, Started):
+            self.pids[news.name] = news.pid
+            return True
+        if news.code == -signal.SIGKILL and self._killed[news.name]:
+            self._killed[news.name] -= 1
+            return True
+        self._running.discard(news.name)
+        return False
+
+    def _next_scan(self, every_s: float) -> int:
+        """A number above those of all scans that the plants up to now can have made."""
+        return self._first_scan + 2 + int((time.monotonic() - self._first_scan_at) / every_s)
+
+    def _start_plant(self, scan: int, made: MadeScan | None = None) -> None:
+        self._first_scan, self._first_scan_at = scan, time.monotonic()
+        scans = made or OwnScans(self.scenario, many=bool(self.scan_every_s))
+        where = (scans, self.id, self.endpoints, ROUTER_START_S)
+        self._order(PLANT, "coordinator.plant.plant:run_plant", *where, scan, self.scan_every_s, self.keys, self.direct)
+
+    def _order(self, name: str, target: str, *arguments: Any) -> None:
+        self._orders[name] = (target, *arguments)
+        self._running.add(name)
+        is_router, is_area = name in ROUTERS, name not in (*ROUTERS, PLANT)
+        nice = NICE_OF_AREAS if is_area else 0
+        self.launcher.start(name, target, *arguments, log=self.log_of(name), stop_last=is_router, nice=nice)
+
+    def _keys(self) -> list[str]:
+        return ["--keys", str(self.keys)] if self.keys else []
+
+    def _run(self) -> list[str]:
+        """The rules of access in a folder of keys may have been written for another run of the same areas."""
+        return ["--run", self.id] if self.keys else []
+
+    def _last_words(self, process: str) -> str | None:
+        """The error that a process refused its input with, if its log ends with one."""
+        for line in reversed(read_end(self.log_of(process), width=10_000).splitlines()):
+            if line.startswith("error: "):
+                return line.removeprefix("error: ")
+        return None

@@ -1,0 +1,66 @@
+"""What a scenario does to processes, done to the twin."""
+
+from __future__ import annotations
+
+from agents.security.access import ROUTERS
+from coordinator.process_run.fault_schedule import Step
+from coordinator.simulator.simulator import SimulatedBus
+
+LEASE_S = 2.0  # after which a frozen router is given up for the other one
+
+
+class TwinFaults:
+    """Has the steps of a scenario happen on ``bus``; ``routers``: how many linked ones carry its messages.
+
+    A plant that is dead or frozen is one that says nothing: its readings are the same afterwards. Nothing passes a
+    frozen router, which nobody is told of; where the last one is dead, everybody's presence is missed. All are linked
+    to the first of two routers, and move over at once when it dies.
+    """
+
+    def __init__(self, bus: SimulatedBus, routers: int) -> None:
+        self._bus = bus
+        self._alive = list(ROUTERS[:routers])  # the first carries everything
+        self._frozen: dict[str, float] = {}  # since when
+
+    def do(self, step: Step) -> None:
+        """Have one step happen; cuts are the links' own business."""
+        name = step.names[0]
+        match step.kind, name:
+            case "kill" | "pause" | "silent", "plant":
+                self._bus.plant_speaks = False
+            case "restart" | "resume" | "speak", "plant":
+                self._bus.plant_speaks = True
+            case _ if name in ROUTERS:
+                self._do_to_router(step.kind, name)
+            case "kill", _:
+                self._bus.kill(name)
+            case "restart", _:
+                self._bus.kill(name)
+                self._bus.start(name)
+            case "pause", _:
+                self._bus.pause(name)
+            case "resume", _:
+                self._bus.resume(name)
+
+    def _do_to_router(self, kind: str, name: str) -> None:
+        if kind in ("kill", "restart"):
+            self._frozen.pop(name, None)
+            if self._alive == [name]:
+                self._bus.stop_router()
+            self._alive = [other for other in self._alive if other != name]
+        if kind == "restart":
+            self._alive.append(name)
+            if self._alive == [name]:
+                self._bus.start_router()
+        elif kind == "pause":
+            self._frozen[name] = since = self._bus.now
+            self._bus.at(since + LEASE_S, lambda: self._give_up(name, since))
+        elif kind == "resume":
+            self._frozen.pop(name, None)
+        self._bus.router_runs = bool(self._alive) and self._alive[0] not in self._frozen
+
+    def _give_up(self, name: str, since: float) -> None:
+        """All who are linked to a router that is still frozen move over to the other one."""
+        if self._frozen.get(name) == since:
+            self._alive.sort(key=lambda other: other in self._frozen)
+            self._bus.router_runs = self._alive[0] not in self._frozen

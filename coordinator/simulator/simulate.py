@@ -1,0 +1,147 @@
+"""One run of a scenario on the twin, from the scenario to its verdict."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from agents.messages.packing import StateMessage
+from coordinator.deployment.split import area_files, default_run_id
+from coordinator.evaluation.evaluation import (
+    NO_CHANGES,
+    estimate_centralised,
+    judge,
+    make_observer,
+    no_consensus_within,
+    prepare_scenario,
+)
+from coordinator.evaluation.result import RunOutcome, RunResult, write_files
+from coordinator.observe.events import EventLog
+from coordinator.observe.progress import UPDATE_S, Progress, describe_progress
+from coordinator.observe.state_log import StateLog
+from coordinator.process_run.fault_schedule import FaultSchedule
+from coordinator.run_folder import make_run_folder
+from coordinator.simulator.faults import TwinFaults
+from coordinator.simulator.simulator import SimulatedBus
+from scenarios.faults.faults import LinkChanges
+from scenarios.scenario import Scenario
+from scenarios.telemetry import find_lateness, make_telemetry
+
+NO_BUS = ("tcp/127.0.0.1:0",)  # what stands for it in the area files
+CHECKS_PER_BEAT = 10
+FIRST_SCAN = 1
+
+
+def simulate_scenario(
+    scenario: str | Path | Scenario,
+    out: str | Path | None = None,
+    seed: int | None = None,
+    strategy: str | None = None,
+    timeout_s: float | None = None,
+    on_update: Callable[[Progress], None] | None = None,
+    links: LinkChanges = NO_CHANGES,
+) -> RunResult:
+    """Run ``scenario`` on the twin and write the files of a run; see ``coordinator.simulate``."""
+    scenario = prepare_scenario(scenario, seed, strategy, timeout_s, links)
+    folder = make_run_folder(out, default_run_id(scenario))
+    with EventLog(folder / "events.jsonl", 0.0) as events:
+        simulation = Simulation(scenario, events, on_update)
+        interrupted = False
+        try:
+            reason = simulation.run()
+        except KeyboardInterrupt:
+            reason, interrupted = "interrupted", True
+        outcome = simulation.judge(reason).in_folder(folder)
+    result = write_files(outcome, events.failure)
+    if interrupted:
+        raise KeyboardInterrupt
+    return result
+
+
+class Simulation:
+    """One run of a prepared ``scenario`` on the twin.
+
+    Args:
+        events: where to write down what happens, if anywhere.
+        on_update: told now and then what the areas are doing.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        events: EventLog | None = None,
+        on_update: Callable[[Progress], None] | None = None,
+    ) -> None:
+        self._started = time.monotonic()
+        self._next_update = self._started
+        self._scenario = scenario
+        self._events = events
+        self._states = StateLog(events)
+        self._schedule = FaultSchedule.of(scenario.faults.events)
+        self._on_update = on_update
+        self._id = f"{default_run_id(scenario)}-{scenario.seed % 2**32:08x}"  # as long as that of processes
+        self._observer = make_observer(scenario)
+        self._telemetry = make_telemetry(scenario)
+        self._centralised = estimate_centralised(scenario, self._telemetry)
+        self._write(0.0, "run started", run=self._id, scenario=scenario.name, seed=scenario.seed)
+        files = area_files(scenario, self._id, NO_BUS)
+        late_s = find_lateness(scenario, FIRST_SCAN)
+        self._bus = SimulatedBus(files, self._telemetry.by_area, self._take_state, self._take_presence, late_s=late_s)
+        self._faults = TwinFaults(self._bus, scenario.transport.routers)
+
+    def run(self) -> str | None:
+        """Go on until consensus (None) or the time limit (the reason)."""
+        settings = self._scenario.run
+        check_s = settings.beat_s / CHECKS_PER_BEAT
+        while True:
+            until = min(settings.timeout_s, self._schedule.next_at)
+            self._bus.run(min(check_s, until - self._bus.now))
+            now = self._bus.now
+            for step in self._schedule.carry_out(now, self._faults.do):
+                self._write(now, "fault", kind=step.kind, names=step.names)
+                self._observer.take_fault(now)
+            standing = self._observer.standing(now)
+            obstacles = (*self._schedule.describe_next(), *standing.obstacles)
+            if now - self._observer.changed_at >= check_s and not obstacles:
+                return None
+            if not self._schedule.steps and standing.dead_end:
+                return standing.dead_end
+            if now >= settings.timeout_s:
+                return no_consensus_within(self._scenario, obstacles)
+
+    def judge(self, reason: str | None) -> RunOutcome:
+        """The outcome up to now; ``reason``: why there is no consensus, None if there is."""
+        now = self._bus.now
+        self._write(now, "consensus" if reason is None else "no consensus", reason=reason)
+        self._write(now, "run ended")
+        return judge(
+            self._scenario,
+            self._id,
+            self._observer,
+            self._telemetry,
+            self._centralised,
+            reason,
+            started=0.0,
+            wall_s=time.monotonic() - self._started,
+            virtual_s=now,
+            timing_s={"last_change": max(0.0, self._observer.changed_at), "verdict": now},
+            faults=self._states.faults + self._schedule.counts,
+        )
+
+    def _take_state(self, at: float, state: StateMessage) -> None:
+        is_new = self._observer.take_state(state, at)
+        if self._observer.states.get(state.header.sender) is state:
+            self._states.take(state, at, is_new)
+        if self._on_update and time.monotonic() >= self._next_update:
+            self._on_update(describe_progress(self._observer, at, self._observer.standing(at).obstacles))
+            self._next_update = time.monotonic() + UPDATE_S
+
+    def _take_presence(self, at: float, area: str, alive: bool) -> None:
+        self._observer.take_presence(area, alive, at)
+        self._write(at, "appeared" if alive else "vanished", role="area", name=area)
+
+    def _write(self, at: float, event: str, **details: Any) -> None:
+        if self._events:
+            self._events.write(event, at, **details)

@@ -1,0 +1,258 @@
+"""The twin: areas in one process on a simulated bus in virtual time, repeatable to the bit.
+
+Protocol, strategies, faulty links, encoding and decoding are those of real runs; only bus and clock are simulated.
+States alone, half of all bytes, reach who watches as they are: nothing befalls them. Virtual time passes while
+messages travel and areas wait for their beat; computing takes none.
+"""
+
+from __future__ import annotations
+
+import functools
+import heapq
+import itertools
+import zlib
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from agents.area_files.area_file import AreaFile
+from agents.messages.checks import MessageError
+from agents.messages.packing import Header, Incarnation, Message, StateMessage, TelemetryMessage, decode
+from agents.protocol.area_protocol import AreaProtocol
+from agents.protocol.choose import make_protocol
+from agents.protocol.events import Event, Finish, PresenceChanged, Publish, Received, Refused
+from agents.runtime.link import FaultyLinks
+from coordinator.plant.telemetry_messages import make_message
+from dsse_core.grid.measurement import Measurement
+
+TRAVEL_S = 0.001  # of every message, beside what the faults of its link hold it back
+STARTED_AT = 1.7e9  # s since 1970: what virtual time 0 is called in messages
+
+
+@dataclass(frozen=True, slots=True)
+class _Wake:
+    """An area's time has come: its beat, its wish to go on, or a message that its link has held back."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Call:
+    """Something outside the areas happens."""
+
+    function: Callable[[], None]
+
+
+WAKE = _Wake()
+
+
+class SimulatedBus:
+    """Areas joined by links that can fail, be cut and healed; areas can be killed, paused and started again.
+
+    Args:
+        files: what each area's agent would read.
+        telemetry: area -> its measurements of the first scan. late_s: area -> by how much they come late.
+        on_state, on_presence: told at once, as a watcher who misses nothing, of every state that an area
+            publishes (at, state), and when its presence token appears or vanishes (at, area, alive).
+    """
+
+    def __init__(
+        self,
+        files: Sequence[AreaFile],
+        telemetry: Mapping[str, Sequence[Measurement]],
+        on_state: Callable[[float, StateMessage], None] = lambda at, state: None,
+        on_presence: Callable[[float, str, bool], None] = lambda at, area, alive: None,
+        late_s: Mapping[str, float] | None = None,
+    ) -> None:
+        self.now = 0.0
+        self.scan = 0
+        self.files = {content.area.name: content for content in files}
+        self.states: dict[str, StateMessage] = {}
+        self._refused: Counter[tuple[str, str]] = Counter()  # receiver, reason
+        self.protocols: dict[str, AreaProtocol] = {}
+        self.links: dict[str, FaultyLinks] = {}
+        self.plant_speaks = True
+        self._on_state = on_state
+        self._on_presence = on_presence
+        self._queue: list[tuple[float, int, str, Event | _Wake | _Call]] = []
+        self._order = itertools.count()
+        self._wake: dict[str, float] = {}
+        self._cut: set[tuple[str, str]] = set()
+        self._paused: dict[str, list[Event]] = {}  # what has arrived meanwhile
+        self._lives: Counter[str] = Counter()
+        self._telemetry: dict[str, TelemetryMessage] = {}  # what the plant repeats
+        self.router_runs = True
+        for name in self.files:
+            self.start(name)
+        self.next_scan(telemetry, late_s)
+        self._beat_s = min((content.beat_s for content in files), default=1.0)
+        self.at(self._beat_s, self._repeat_telemetry)
+
+    def start(self, name: str) -> None:
+        """Start or restart an area, as a new process would; the plant serves it at once."""
+        content = self.files[name]
+        self._lives[name] += 1
+        incarnation = Incarnation(int(STARTED_AT * 1000) + self._lives[name], zlib.crc32(name.encode()))
+        self.protocols[name] = make_protocol(content, incarnation, now=self.now, started_at=STARTED_AT + self.now)
+        links = FaultyLinks(name, content.links, content.seed, lambda to, _, payload: self._put(name, to, payload))
+        links.begin(0.0)
+        self.links[name] = links
+        self._wake_in_time(name)
+        self._on_presence(self.now, name, True)
+        for n in content.area.neighbours:
+            self.post(n.area, PresenceChanged(name, alive=True))
+            if n.area in self.protocols:
+                self.post(name, PresenceChanged(n.area, alive=True))
+        self.send_telemetry(name)
+
+    def kill(self, name: str) -> None:
+        """End an area without a word; its presence token vanishes, and what its links have held back is lost."""
+        if name not in self.protocols:
+            return
+        del self.protocols[name], self.links[name]
+        self._paused.pop(name, None)
+        self.states.pop(name, None)
+        self._on_presence(self.now, name, False)
+        for n in self.files[name].area.neighbours:
+            self.post(n.area, PresenceChanged(name, alive=False))
+
+    def pause(self, name: str) -> None:
+        """Stop an area as SIGSTOP does: it does nothing, and what arrives waits for it."""
+        self._paused.setdefault(name, [])
+
+    def resume(self, name: str) -> None:
+        """Let a paused area go on with all that has arrived."""
+        for event in self._paused.pop(name, []):
+            self._push(self.now, name, event)
+        self._push(self.now, name, WAKE)
+        self._wake[name] = self.now
+
+    def cut(self, one: str, other: str) -> None:
+        """Let nothing pass between two areas."""
+        self._cut |= {(one, other), (other, one)}
+
+    def heal(self, one: str, other: str) -> None:
+        self._cut -= {(one, other), (other, one)}
+
+    def stop_router(self) -> None:
+        """Let nothing pass at all; everybody misses everybody's presence."""
+        self.router_runs = False
+        self._show_all(alive=False)
+
+    def start_router(self) -> None:
+        """Let everything pass again."""
+        self.router_runs = True
+        self._show_all(alive=True)
+
+    def next_scan(
+        self, telemetry: Mapping[str, Sequence[Measurement]], late_s: Mapping[str, float] | None = None
+    ) -> None:
+        """Have the plant make a new scan; ``late_s``: area -> how much later its readings are there."""
+        self.scan += 1
+        for name, content in self.files.items():
+            header = Header(content.run, "plant", Incarnation(0, 0), self.scan, self.scan, STARTED_AT + self.now)
+            message = make_message(header, name, telemetry[name])
+            late = (late_s or {}).get(name, 0.0)
+            if late > 0:
+                self.at(self.now + late, functools.partial(self._take_over, name, message))
+            else:
+                self._take_over(name, message)
+
+    def send_telemetry(self, name: str) -> None:
+        """Send one area its newest readings, as the plant does when it appears."""
+        if name in self._telemetry and self.plant_speaks and self.router_runs:
+            self.post(name, Received(self._telemetry[name], ""))
+
+    def post(self, receiver: str, event: Event, delay_s: float = TRAVEL_S) -> None:
+        """Have ``event`` happen to ``receiver`` after ``delay_s``."""
+        self._push(self.now + delay_s, receiver, event)
+
+    def at(self, time: float, function: Callable[[], None]) -> None:
+        """Call ``function`` at ``time``, before anything else that happens then."""
+        self._push(time, "", _Call(function))
+
+    def run(self, duration_s: float) -> None:
+        """Let ``duration_s`` of virtual time pass."""
+        end = self.now + duration_s
+        while self._queue and self._queue[0][0] < end:
+            self._step()
+        self.now = end
+
+    def deliver(self, sender: str, receiver: str, payload: bytes) -> None:
+        """Let a payload that no link has lost travel to its receiver."""
+        try:
+            event: Event = Received(decode(payload), sender)
+        except MessageError as error:
+            self._refused[receiver, error.reason] += 1
+            event = Refused(error.reason, self._refused[receiver, error.reason])
+        self.post(receiver, event)
+
+    def _take_over(self, name: str, message: TelemetryMessage) -> None:
+        """The plant has new readings of an area."""
+        last = self._telemetry.get(name)
+        if last is None or message.header.order > last.header.order:
+            self._telemetry[name] = message
+            self.send_telemetry(name)
+
+    def _repeat_telemetry(self) -> None:
+        for name in self.files:
+            self.send_telemetry(name)
+        self.at(self.now + self._beat_s, self._repeat_telemetry)
+
+    def _show_all(self, alive: bool) -> None:
+        for name, content in self.files.items():
+            for n in content.area.neighbours:
+                if n.area in self.protocols:
+                    self.post(name, PresenceChanged(n.area, alive))
+
+    def _step(self) -> None:
+        """Go to the next moment at which anything happens; who is concerned acts in the order of names."""
+        self.now = self._queue[0][0]
+        happening: dict[str, list[Event]] = {}
+        while self._queue and self._queue[0][0] <= self.now:
+            _, _, name, event = heapq.heappop(self._queue)
+            match event:
+                case _Call(function):
+                    function()
+                case _Wake():
+                    if self._wake.get(name) == self.now:
+                        happening.setdefault(name, [])
+                case _:
+                    happening.setdefault(name, []).append(event)
+        for name in sorted(happening):
+            if name in self._paused:
+                self._paused[name] += happening[name]
+            elif name in self.protocols:
+                self._act(name, happening[name])
+
+    def _act(self, name: str, events: Sequence[Event]) -> None:
+        self.links[name].release(self.now)
+        for action in self.protocols[name].handle(events, self.now):
+            match action:
+                case Publish(message, None):
+                    self._show(self.links[name].with_counts(message))
+                case Publish(message, to):
+                    self.links[name].send(message, to, self.now)
+                case Finish():
+                    self.kill(name)
+                    return
+        self._wake_in_time(name)
+
+    def _wake_in_time(self, name: str) -> None:
+        at = min(self.now + self.protocols[name].wait_s(self.now), self.links[name].next_due())
+        if at == self.now or at != self._wake.get(name):
+            self._wake[name] = at
+            self._push(at, name, WAKE)
+
+    def _show(self, message: Message) -> None:
+        """Show who watches the state of an area."""
+        assert isinstance(message, StateMessage)
+        if self.router_runs:
+            self.states[message.header.sender] = message
+            self._on_state(self.now, message)
+
+    def _put(self, sender: str, receiver: str | None, payload: bytes) -> None:
+        """What a link hands to the bus for a neighbour."""
+        if receiver is not None and self.router_runs and (sender, receiver) not in self._cut:
+            self.deliver(sender, receiver, payload)
+
+    def _push(self, at: float, name: str, event: Event | _Wake | _Call) -> None:
+        heapq.heappush(self._queue, (at, next(self._order), name, event))

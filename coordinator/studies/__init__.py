@@ -1,0 +1,1 @@
+"""Many runs: strategies side by side, and sweeps of one key of a scenario."""

@@ -1,0 +1,112 @@
+"""``dsse compare``: the strategies side by side, on the same telemetry and the same faults."""
+
+from __future__ import annotations
+
+import csv
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from agents.protocol.choose import STRATEGIES
+from coordinator.evaluation.result import RunOutcome
+from coordinator.report.text import format_table
+from coordinator.run_folder import make_run_folder
+from coordinator.studies.study_row import COLUMNS, NOT_POSSIBLE, StudyRow, make_impossible_row, make_row, to_cells
+from dsse_core.errors import InvalidInputError
+from dsse_core.printable import printable
+from scenarios.check import check_scenario
+from scenarios.scenario import Scenario, describe_unknown_strategy
+
+HEADER = (
+    *("strategy", "outcome", "gap p.u.", "gap deg", "exchanges", "messages", "bytes", "lost"),
+    *("s to 1e-3", "s to 1e-6", "s to 1e-8"),
+)
+
+
+def choose_strategies(names: str | None) -> tuple[str, ...]:
+    """The strategies in ``names``, separated by commas; all there are if it is None.
+
+    Raises:
+        InvalidInputError: one is unknown or given twice.
+    """
+    if names is None:
+        return tuple(STRATEGIES)
+    listed = [name.strip() for name in names.split(",")]
+    unknown = [name for name in listed if name not in STRATEGIES]
+    twice = [name for name in dict.fromkeys(listed) if listed.count(name) > 1]
+    problems = [describe_unknown_strategy(name, STRATEGIES) for name in unknown]
+    problems += [f"{name!r} is given twice; keep one" for name in twice]
+    if problems:
+        raise InvalidInputError("strategies", problems)
+    return tuple(listed)
+
+
+def compare_strategies(
+    scenario: Scenario,
+    strategies: Sequence[str],
+    run: Callable[[Scenario, Path], RunOutcome],
+    out: Path | None = None,
+) -> tuple[StudyRow, ...]:
+    """One row per strategy, each from one ``run(scenario, folder)``.
+
+    ``out``: new or empty folder for the run folders and the table; without it nothing is kept.
+
+    Raises:
+        InvalidInputError: ``out`` cannot be used, or no strategy can be run, with the reasons.
+    """
+    with tempfile.TemporaryDirectory(prefix="dsse-compare-") as temporary:
+        folder = Path(temporary) if out is None else make_run_folder(out, scenario.name)
+        rows = tuple(_run_one(replace(scenario, strategy=name), run, folder / name) for name in strategies)
+        if all(row.outcome == NOT_POSSIBLE for row in rows):
+            raise InvalidInputError(
+                f"scenario {scenario.name!r}", [f"strategy {row.strategy}: {row.reason}" for row in rows]
+            )
+        if out is not None:
+            _write(folder, scenario, rows)
+    return rows
+
+
+def format_comparison(rows: Sequence[StudyRow]) -> str:
+    """The table as the terminal shows it, and why strategies did not end in consensus."""
+    return "\n".join([format_table(HEADER, [_cells(row) for row in rows]), *_reasons(rows)])
+
+
+def format_markdown(rows: Sequence[StudyRow]) -> str:
+    """The same as a Markdown table."""
+    lines = [HEADER, ("---", "---", *["---:"] * (len(HEADER) - 2)), *map(_cells, rows)]
+    return "\n".join(["| " + " | ".join(cells) + " |" for cells in lines] + _reasons(rows))
+
+
+def _run_one(scenario: Scenario, run: Callable[[Scenario, Path], RunOutcome], folder: Path) -> StudyRow:
+    try:
+        check_scenario(scenario)
+    except InvalidInputError as error:
+        return make_impossible_row(scenario, error)
+    return make_row(run(scenario, folder))
+
+
+def _write(folder: Path, scenario: Scenario, rows: Sequence[StudyRow]) -> None:
+    title = f"# {scenario.name}: {scenario.description}\n\nSeed {scenario.seed}.\n\n"
+    (folder / "comparison.md").write_text(title + format_markdown(rows) + "\n", encoding="utf-8")
+    with (folder / "comparison.csv").open("w", newline="", encoding="utf-8") as file:
+        table = csv.writer(file)
+        table.writerow(COLUMNS)
+        table.writerows(map(to_cells, rows))
+
+
+def _cells(row: StudyRow) -> tuple[str, ...]:
+    counts = (row.exchanges, row.messages, row.bytes, row.lost)
+    times = (row.below_1e3_s, row.below_1e6_s, row.below_1e8_s)
+    return (
+        *(row.strategy, row.outcome),
+        *("-" if gap is None else f"{gap:.1e}" for gap in (row.gap_vm_pu, row.gap_va_deg)),
+        *("-" if count is None else str(count) for count in counts),
+        *("-" if time is None else f"{time:.3f}" for time in times),
+    )
+
+
+def _reasons(rows: Sequence[StudyRow]) -> list[str]:
+    return [
+        line for row in rows if row.reason for line in ("", f"{row.strategy}: {row.outcome}: {printable(row.reason)}")
+    ]

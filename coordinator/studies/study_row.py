@@ -1,0 +1,105 @@
+"""One run of a study in one row: how it ended, how far from the centralised estimate, at what price, how fast."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+from coordinator.evaluation.convergence import find_time_below, gap_history
+from coordinator.evaluation.result import RunOutcome
+from dsse_core.printable import shortened
+from scenarios.scenario import Scenario
+
+CONSENSUS, NO_CONSENSUS, NOT_POSSIBLE = "consensus", "no consensus", "not possible"
+LONGEST_REASON = 300
+
+
+@dataclass(frozen=True, slots=True)
+class StudyRow:
+    """One run. ``gap``: decentralised to centralised over all buses, None where either is incomplete.
+
+    ``below_*_s``: the time from which on every area stays closer than that (p.u. and rad) to the centralised
+    estimate, at all buses that it sees; None if never. ``end_s``: time of the verdict. Both are virtual on the twin.
+    ``reason``: why there is no consensus, or why the run is not possible; then there are no figures.
+    """
+
+    strategy: str
+    seed: int
+    outcome: str
+    gap_vm_pu: float | None = None
+    gap_va_deg: float | None = None
+    exchanges: int | None = None
+    messages: int | None = None
+    bytes: int | None = None
+    lost: int | None = None
+    below_1e3_s: float | None = None
+    below_1e6_s: float | None = None
+    below_1e8_s: float | None = None
+    end_s: float | None = None
+    reason: str = ""
+
+    @property
+    def gap(self) -> float | None:
+        """The larger of the gaps in p.u. and rad."""
+        if self.gap_vm_pu is None or self.gap_va_deg is None:
+            return None
+        return max(self.gap_vm_pu, math.radians(self.gap_va_deg))
+
+
+COLUMNS = tuple(field.name.replace("_1e", "_1e-") for field in fields(StudyRow))
+
+
+def make_row(outcome: RunOutcome) -> StudyRow:
+    """The row of a run that has ended."""
+    verdict, gaps = outcome.verdict, gap_history(outcome)
+
+    return StudyRow(
+        strategy=outcome.scenario.strategy,
+        seed=outcome.scenario.seed,
+        outcome=CONSENSUS if verdict.consensus else NO_CONSENSUS,
+        gap_vm_pu=verdict.gap_vm_pu,
+        gap_va_deg=verdict.gap_va_deg,
+        exchanges=verdict.exchanges,
+        messages=verdict.messages,
+        bytes=verdict.bytes,
+        lost=verdict.lost,
+        below_1e3_s=find_time_below(gaps, 1e-3),
+        below_1e6_s=find_time_below(gaps, 1e-6),
+        below_1e8_s=find_time_below(gaps, 1e-8),
+        end_s=verdict.wall_s if verdict.virtual_s is None else verdict.virtual_s,
+        reason=_shortened(verdict.reason or ""),
+    )
+
+
+def make_impossible_row(scenario: Scenario, error: Exception) -> StudyRow:
+    """The row of a run that ``error`` keeps from starting."""
+    return StudyRow(scenario.strategy, scenario.seed, NOT_POSSIBLE, reason=_shortened(str(error)))
+
+
+def to_cells(row: StudyRow) -> list[str]:
+    """The row as text, in the order of ``COLUMNS``, exact; empty where there is nothing."""
+    values = [getattr(row, field.name) for field in fields(row)]
+    return ["" if value is None else str(value) for value in values]
+
+
+def from_cells(cells: list[str]) -> StudyRow:
+    """The row that ``to_cells`` has written.
+
+    Raises:
+        ValueError: it has not.
+    """
+    if len(cells) != len(COLUMNS):
+        raise ValueError(f"{len(cells)} cells, not {len(COLUMNS)}")
+    values: list[object] = []
+    for field, cell in zip(fields(StudyRow), cells, strict=True):
+        if field.type == "str":
+            values.append(cell)
+        elif cell == "":
+            values.append(None)
+        else:
+            values.append(int(cell) if "int" in str(field.type) else float(cell))
+    return StudyRow(*values)  # type: ignore[arg-type]
+
+
+def _shortened(text: str) -> str:
+    return shortened(" ".join(text.split()), LONGEST_REASON)

@@ -1,0 +1,91 @@
+"""``dsse sweep``: many runs on the twin, on all cores."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+
+from coordinator.simulator.simulate import Simulation
+from coordinator.studies.study_row import StudyRow, make_impossible_row, make_row
+from coordinator.studies.sweep_plan import SweepPlan, Task
+from dsse_core.errors import DsseError
+from scenarios.check import check_scenario
+from scenarios.scenario import Scenario
+
+_plan: SweepPlan  # of a worker process
+
+
+class WorkerError(DsseError):
+    """A worker process ended before its run did."""
+
+
+def run_tasks(plan: SweepPlan, tasks: Sequence[Task], jobs: int) -> Iterator[tuple[Task, StudyRow]]:
+    """Run ``tasks`` in ``jobs`` processes; each with its row, as they end."""
+    jobs = min(jobs, len(tasks))
+    if jobs <= 1:
+        for task in tasks:
+            yield task, run_on_twin(plan.scenario_of(task))
+        return
+    context = multiprocessing.get_context("spawn")
+    others = set(multiprocessing.active_children())
+    pool = ProcessPoolExecutor(jobs, context, initializer=_start_worker, initargs=(plan,))
+    try:
+        with _ctrl_c_held_back():  # inherited: workers leave it to us from their first moment on
+            tasks_of = {pool.submit(_run_task, task): task for task in tasks}
+        for future in as_completed(tasks_of):
+            yield tasks_of[future], future.result()
+    except BrokenProcessPool:
+        raise WorkerError("a worker was killed, for lack of memory perhaps; try again with fewer --jobs") from None
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        for worker in set(multiprocessing.active_children()) - others:
+            worker.terminate()
+        raise
+    pool.shutdown()
+
+
+@contextlib.contextmanager
+def _ctrl_c_held_back() -> Iterator[None]:
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def run_on_twin(scenario: Scenario) -> StudyRow:
+    """The row of one run; one that is not possible has a row that says why."""
+    try:
+        check_scenario(scenario)
+        simulation = Simulation(scenario)
+    except DsseError as error:
+        return make_impossible_row(scenario, error)
+    return make_row(simulation.judge(simulation.run()))
+
+
+def _run_task(task: Task) -> StudyRow:
+    return run_on_twin(_plan.scenario_of(task))
+
+
+def _start_worker(plan: SweepPlan) -> None:
+    """Leave Ctrl-C to the parent, for good, and end with it, however it ends."""
+    global _plan
+    _plan = plan
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def end_with_parent() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=end_with_parent, daemon=True).start()

@@ -1,0 +1,149 @@
+"""What a sweep runs: the values of one key of a scenario, and for each of them strategies and seeds."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agents.protocol.choose import STRATEGIES
+from coordinator.evaluation.evaluation import NO_CHANGES, choose_scenario
+from coordinator.evaluation.result import version_of
+from dsse_core.bounded_parsing import parse_toml
+from dsse_core.errors import InvalidInputError
+from scenarios.faults.faults import LinkChanges
+from scenarios.scenario import Scenario, load_scenario
+
+NUMBER = r"[-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?"
+MAX_VALUES = 10_000
+OPTION_OF_KEY = {"seed": "--seeds", "strategy": "--strategies"}
+
+
+@dataclass(frozen=True)
+class Task:
+    """One run: ``value`` as the table writes it, and what is to be run."""
+
+    value: str
+    strategy: str
+    seed: int
+
+
+@dataclass(frozen=True)
+class SweepPlan:
+    """``scenarios``: value as the table writes it -> the scenario with that value of ``key``."""
+
+    key: str
+    base: Scenario
+    scenarios: Mapping[str, Scenario]
+    strategies: tuple[str, ...]
+    seeds: int
+    links: LinkChanges
+
+    @property
+    def tasks(self) -> list[Task]:
+        """All runs; the seeds count up from the scenario's, the values vary fastest."""
+        seeds = range(self.base.seed, self.base.seed + self.seeds)
+        return [Task(value, name, seed) for seed in seeds for name in self.strategies for value in self.scenarios]
+
+    def scenario_of(self, task: Task) -> Scenario:
+        return replace(self.scenarios[task.value], strategy=task.strategy, seed=task.seed)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What all rows of one table have in common; values, strategies and seeds may become more."""
+        content = repr(replace(self.base, path=Path()))
+        return {
+            "scenario": self.base.name,
+            "links": dict(self.links),
+            "scenario_sha256": hashlib.sha256(content.encode()).hexdigest(),
+            "vary": self.key,
+            "version": version_of("consensus-dsse"),
+        }
+
+
+def make_plan(
+    name_or_path: str,
+    vary: str,
+    strategies: Sequence[str],
+    seeds: int,
+    links: LinkChanges = NO_CHANGES,
+    timeout_s: float | None = None,
+) -> SweepPlan:
+    """Read the scenario once for every value of ``vary``, ``KEY=VALUES``.
+
+    Raises:
+        InvalidInputError: the scenario or ``vary`` cannot be used; every value that the scenario refuses, and why.
+    """
+    key, values = parse_vary(vary)
+    base = choose_scenario(name_or_path, timeout_s=timeout_s, links=links)
+    scenarios, problems = {}, []
+    for value in values:
+        try:
+            loaded = load_scenario(name_or_path, strategies=tuple(STRATEGIES), changes={key: value})
+            scenarios[text_of(value)] = choose_scenario(loaded, timeout_s=timeout_s, links=links)
+        except InvalidInputError as error:
+            problems += [f"with {key} = {text_of(value)}: {problem}" for problem in error.problems]
+    if problems:
+        raise InvalidInputError(str(base.path), list(dict.fromkeys(problems)))
+    return SweepPlan(key, base, scenarios, tuple(strategies), seeds, links)
+
+
+def parse_vary(vary: str) -> tuple[str, list[object]]:
+    """The key and the values of ``KEY=START:STOP:N`` or ``KEY=VALUE,VALUE,...``, values as TOML writes them.
+
+    Raises:
+        InvalidInputError: it is neither.
+    """
+    key, equals, text = (part.strip() for part in vary.partition("="))
+    if not (key and equals and text):
+        raise _vary_error(f"{vary!r} must be KEY=START:STOP:N or KEY=VALUE,VALUE,..., e.g. faults.loss=0:0.9:10")
+    if key in OPTION_OF_KEY:
+        raise _vary_error(f"{key} is varied by {OPTION_OF_KEY[key]}; choose another key")
+    values = _parse_range(text) if re.fullmatch(f"{NUMBER}:{NUMBER}(:.*)?", text) else _parse_list(text)
+    texts = [text_of(value) for value in values]
+    if twice := [text for text in dict.fromkeys(texts) if texts.count(text) > 1]:
+        raise _vary_error(f"{key}: {', '.join(twice)} is given twice; keep one")
+    return key, values
+
+
+def text_of(value: object) -> str:
+    """``value`` as the table of a sweep writes it."""
+    return value if isinstance(value, str) else json.dumps(value)
+
+
+def _parse_range(text: str) -> list[object]:
+    start, stop, count = (*text.split(":", 2), "")[:3]
+    try:
+        first, last, n = float(start), float(stop), int(count)
+    except ValueError:
+        n = 0
+    if not 2 <= n <= MAX_VALUES:
+        raise _vary_error(f"{text!r} must be START:STOP:N with two numbers and N, 2 to {MAX_VALUES} values")
+    points = [float(f"{point:.12g}") for point in np.linspace(first, last, n)]  # 0.3, not 0.30000000000000004
+    whole = all(re.fullmatch(r"[-+]?\d+", end) for end in (start, stop)) and all(p.is_integer() for p in points)
+    return [int(point) if whole else point for point in points]
+
+
+def _parse_list(text: str) -> list[object]:
+    try:
+        values: list[object] = parse_toml(f"values = [{text}]")["values"]
+    except ValueError:  # words need no quotes
+        return [_parse_word(word.strip()) for word in text.split(",")]
+    return values
+
+
+def _parse_word(word: str) -> object:
+    try:
+        return parse_toml(f"value = {word}")["value"]
+    except ValueError:
+        return word
+
+
+def _vary_error(problem: str) -> InvalidInputError:
+    return InvalidInputError("--vary", [problem])

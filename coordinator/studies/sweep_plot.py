@@ -1,0 +1,100 @@
+"""``sweep.png``: gap and time against the varied key, one line per strategy with the spread of its seeds."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+
+mpl.use("Agg")
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from coordinator.report.plot_text import plot_text
+from coordinator.studies.study_row import NO_CONSENSUS, StudyRow
+from coordinator.studies.sweep_plan import Task
+
+SPREAD = (10, 90)  # percentiles between which the band lies
+SMALLEST = 1e-16  # what a logarithmic axis shows for 0
+MAX_LABELS = 12
+
+
+def draw_sweep(path: Path, title: str, key: str, rows: Mapping[Task, StudyRow]) -> None:
+    """Draw ``rows``: above, the final gap to the centralised estimate; below, the time until it stays under 1e-6."""
+    figure = Figure(figsize=(8.0, 7.0), layout="constrained")
+    above, below = figure.subplots(2, 1, sharex=True)
+    figure.suptitle(plot_text(title))
+    values = sorted({task.value for task in rows}, key=_place)
+    x = [_number(value) for value in values]
+    if None in x:
+        x = list(map(float, range(len(values))))
+        step = -(-len(values) // MAX_LABELS)
+        below.set_xticks(x[::step], list(map(plot_text, values[::step])))
+    for number, strategy in enumerate(dict.fromkeys(task.strategy for task in sorted(rows, key=lambda t: t.strategy))):
+        of_value = [[r for t, r in rows.items() if (t.value, t.strategy) == (v, strategy)] for v in values]
+        _draw(above, x, of_value, lambda row: row.gap, _name_outcomes(strategy, of_value), number)
+        _draw(below, x, of_value, lambda row: row.below_1e6_s, strategy, number)
+    above.set_ylabel("final gap to centralised (p.u. or rad)")
+    below.set_ylabel("virtual time to stay below 1e-6 (s)")
+    below.set_xlabel(plot_text(key))
+    for axis in (above, below):
+        if any(np.isfinite(line.get_ydata()).any() for line in axis.lines):  # else there is nothing to scale
+            axis.set_yscale("log")
+        axis.grid(alpha=0.3, which="both")
+        axis.legend(fontsize="small")
+    seeds = len({task.seed for task in rows})
+    above.set_title(
+        f"median and {SPREAD[0]} to {SPREAD[1]} % of {seeds} seed{'s' if seeds > 1 else ''}",
+        fontsize="small",
+        loc="left",
+    )
+    figure.savefig(path, dpi=130)
+
+
+def _draw(
+    axis: Axes,
+    x: Sequence[float | None],
+    rows_of_value: Sequence[Sequence[StudyRow]],
+    figure_of: Callable[[StudyRow], float | None],
+    name: str,
+    number: int,
+) -> None:
+    """One line with its band; runs that have no such figure count as infinitely large, and the legend counts them."""
+    lines = np.full((3, len(x)), np.nan)
+    without = 0
+    for column, rows in enumerate(rows_of_value):
+        found = [figure_of(row) for row in rows]
+        without += found.count(None)
+        if found:
+            known = [np.inf if value is None else max(value, SMALLEST) for value in found]
+            lines[:, column] = np.percentile(known, (SPREAD[0], 50, SPREAD[1]), method="inverted_cdf")
+    low, median, high = np.where(np.isinf(lines), np.nan, lines)
+    high = np.where(np.isnan(high), np.nanmax(lines, initial=SMALLEST, where=np.isfinite(lines)), high)
+    color = f"C{number}"
+    label = f"{name} (never in {without} of {sum(map(len, rows_of_value))} runs)" if without else name
+    axis.plot(np.array(x, dtype=float), median, marker=".", color=color, label=label)
+    axis.fill_between(np.array(x, dtype=float), low, high, where=~np.isnan(low), color=color, alpha=0.2, linewidth=0)
+
+
+def _name_outcomes(strategy: str, rows_of_value: Sequence[Sequence[StudyRow]]) -> str:
+    """``strategy``, and how many of its runs the time limit has cut short: their gap is not final."""
+    outcomes = [row.outcome for rows in rows_of_value for row in rows]
+    cut = outcomes.count(NO_CONSENSUS)
+    return f"{strategy} (no consensus in {cut} of {len(outcomes)} runs)" if cut else strategy
+
+
+def _number(value: str) -> float | None:
+    try:
+        found = tomllib.loads(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError:
+        return None
+    return float(found) if type(found) in (int, float) else None
+
+
+def _place(value: str) -> tuple[bool, float, str]:
+    """Numbers in their order, then words."""
+    number = _number(value)
+    return (number is None, number or 0.0, value)

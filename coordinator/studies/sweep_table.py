@@ -1,0 +1,118 @@
+"""The table of a sweep, ``sweep.csv``: one row per run, written as it comes, and taken up again where it ended.
+
+``sweep.json`` beside it says what all rows have in common, so that rows of different settings never mix.
+"""
+
+from __future__ import annotations
+
+import csv
+import fcntl
+import io
+import json
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from coordinator.run_folder import folder_error
+from coordinator.studies.study_row import COLUMNS, StudyRow, from_cells, to_cells
+from coordinator.studies.sweep_plan import Task
+from dsse_core.errors import InvalidInputError
+
+TABLE, SETTINGS = "sweep.csv", "sweep.json"
+ANOTHER = "choose another --out, or repeat the sweep as it was"
+
+
+class SweepTable:
+    """The rows of a sweep so far, task -> row, and the file that they stand in.
+
+    Args:
+        folder: new, empty, or that of an earlier sweep with the same ``settings``.
+
+    Raises:
+        InvalidInputError: the folder holds something else, or another process writes there.
+    """
+
+    def __init__(self, folder: Path, settings: dict[str, Any]) -> None:
+        self.path = folder / TABLE
+        self.rows: dict[Task, StudyRow] = {}
+        self.cut_off = False  # whether the last line was half written; that run is done again
+        self._header = [str(settings["vary"]), *COLUMNS]
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise folder_error(f"sweep folder {folder}", error) from None
+        _check_settings(folder, settings)
+        self._file = self.path.open("a+", newline="", encoding="utf-8")
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            self._file.close()
+            raise InvalidInputError(str(self.path), ["another sweep is writing to it; wait for its end"]) from None
+        self._read()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.close()
+
+    def add(self, task: Task, row: StudyRow) -> None:
+        """Write the row of a run that has ended."""
+        self.rows[task] = row
+        self._write([task.value, *to_cells(row)])
+
+    def _write(self, cells: list[str]) -> None:
+        line = io.StringIO()
+        csv.writer(line, lineterminator="\n").writerow(cells)
+        self._file.write(line.getvalue())
+        self._file.flush()
+
+    def _read(self) -> None:
+        self._file.seek(0)
+        text = self._file.read()
+        whole = text[: text.rfind("\n") + 1]
+        if whole != text:
+            self.cut_off = True
+            self._file.truncate(len(whole.encode()))
+        lines = list(csv.reader(io.StringIO(whole)))
+        if not lines:
+            self._write(self._header)
+            return
+        if lines[0] != self._header:
+            raise InvalidInputError(str(self.path), [f"has other columns than this sweep writes; {ANOTHER}"])
+        problems = []
+        for number, (value, *cells) in enumerate(lines[1:], start=2):
+            try:
+                row = from_cells(cells)
+            except ValueError as error:
+                problems.append(f"line {number} is no row of a sweep ({error}); remove it")
+            else:
+                self.rows[Task(value, row.strategy, row.seed)] = row
+        if problems:
+            raise InvalidInputError(str(self.path), problems)
+
+
+def _check_settings(folder: Path, settings: dict[str, Any]) -> None:
+    """Compare ``settings`` with those of an earlier sweep in ``folder``; write them down if there was none."""
+    path = folder / SETTINGS
+    if not path.exists():
+        if any(folder.iterdir()):
+            raise InvalidInputError(
+                f"sweep folder {folder}", ["holds something that is no sweep; choose another --out"]
+            )
+        path.write_text(json.dumps(settings, indent=2) + "\n", encoding="utf-8")
+        return
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise InvalidInputError(str(path), [f"is not what a sweep has written: {error}; {ANOTHER}"]) from None
+    there = found if isinstance(found, dict) else {}
+    problems = [
+        f"{key} is {there.get(key)!r} in the sweep there and {wanted!r} now; {ANOTHER}"
+        for key, wanted in settings.items()
+        if there.get(key) != wanted
+    ]
+    if problems:
+        raise InvalidInputError(f"sweep folder {folder}", problems)

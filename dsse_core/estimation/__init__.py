@@ -1,0 +1,1 @@
+"""The centralised estimate, and the function from totals to verdict that it shares with the areas."""

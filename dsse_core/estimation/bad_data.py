@@ -1,0 +1,219 @@
+"""Bad data: chi-square detection, identification by the largest normalised residual, removal (thesis 3.3)."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from dsse_core.errors import EstimationDivergedError, NotObservableError
+from dsse_core.estimation.estimator import EstimationResult, estimate_with_plan, plan_scan
+from dsse_core.estimation.plan import BackendChoice, EstimationPlan
+from dsse_core.estimation.residuals import (
+    CONFIDENCE,
+    CRITICAL_REDUNDANCY,
+    DEAD_VM,
+    THRESHOLD,
+    TIE,
+    chi_square_limit,
+    find_dead,
+    keep_tied,
+    normalize_residuals,
+)
+from dsse_core.estimation.verdict import Decision, Memory, Totals, decide
+from dsse_core.gauss_newton import LAST_STEP
+from dsse_core.grid.measurement import Measurement, Meter
+from dsse_core.grid.network import Network
+
+
+@dataclass(frozen=True)
+class RemovedMeasurement:
+    """A measurement taken out, and the meters that the data cannot tell from it."""
+
+    measurement: Measurement
+    normalized_residual: float
+    indistinguishable_from: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class SuspectKept:
+    """A meter above the threshold that stays, and why: it is critical, or without it the estimation diverges."""
+
+    meter: Meter
+    normalized_residual: float
+    reason: Literal["critical", "diverges"]
+
+
+@dataclass(frozen=True)
+class BadDataReport:
+    """The clean estimate and how it was reached.
+
+    ``critical``: ids of the meters that cannot be spared, whatever they read. ``detected``: the chi-square limit
+    is still exceeded; then ``suspect`` has the largest normalised residual, if that exceeds the threshold.
+    """
+
+    result: EstimationResult
+    removed: tuple[RemovedMeasurement, ...]
+    critical: tuple[str, ...]
+    detected: bool
+    objective: float
+    chi_square_limit: float
+    degrees_of_freedom: int
+    suspect: SuspectKept | None
+
+
+def find_critical(result: EstimationResult) -> tuple[str, ...]:
+    """Ids of the measurements without redundancy, in the order of ``result``.
+
+    Their residual is zero whatever they read; or it is not, because losses or current magnitudes check them a
+    little, but without them the state is not observable.
+    """
+    plan = result.plan
+    spared = (result.residual_variance <= CRITICAL_REDUNDANCY * result.sigmas**2) | plan.indispensable
+    return tuple(plan.meters[k].id for k in np.flatnonzero(spared & ~plan.virtual))
+
+
+def normalized_residuals(result: EstimationResult) -> np.ndarray:
+    """|r_i| / sqrt(Omega_ii) (eq. 3.23), shape (n_meas,); 0 for virtual measurements and where Omega_ii is 0."""
+    return normalize_residuals(result.residual, result.residual_variance, result.sigmas, ~result.plan.virtual)
+
+
+def process_bad_data(
+    network: Network,
+    measurements: Sequence[Measurement],
+    *,
+    reference: int | None = None,
+    start: tuple[np.ndarray, np.ndarray] | None = None,
+    tolerance: float = LAST_STEP,
+    threshold: float = THRESHOLD,
+    backend: BackendChoice = "auto",
+) -> BadDataReport:
+    """``process_bad_data_with_plan`` of one scan; ``reference``, ``backend``: see ``build_estimation_plan``.
+
+    Raises:
+        As ``estimate_state``.
+    """
+    plan, values, sigmas = plan_scan(network, measurements, reference=reference, backend=backend)
+    return process_bad_data_with_plan(plan, values, sigmas, start=start, tolerance=tolerance, threshold=threshold)
+
+
+def process_bad_data_with_plan(
+    plan: EstimationPlan,
+    values: np.ndarray,
+    sigmas: np.ndarray,
+    *,
+    start: tuple[np.ndarray, np.ndarray] | None = None,
+    tolerance: float = LAST_STEP,
+    threshold: float = THRESHOLD,
+) -> BadDataReport:
+    """Estimate; while J exceeds the chi-square limit, remove the largest normalised residual and repeat.
+
+    The verdicts are those of ``verdict.decide``, to which the whole grid is one area without neighbours. It stops when
+    the test passes or when no normalised residual exceeds ``threshold``. Equal residuals are broken by meter id; the
+    others of the tie are reported as indistinguishable. A critical measurement stays, and the next largest residual is
+    looked at. If without a measurement the estimation diverges, the last good estimate stands, and ``detected`` with
+    it. Dead voltmeters (``find_dead``) are left out from the start and stand first among the removed ones.
+
+    Raises:
+        NotObservableError: without dead voltmeters, which it names.
+        As ``estimate_with_plan``.
+    """
+    plan, values, sigmas, dead = _leave_out_dead(plan, np.asarray(values, dtype=float), np.asarray(sigmas, dtype=float))
+    result = estimate_with_plan(plan, values, sigmas, start=start, tolerance=tolerance)
+    removed: list[RemovedMeasurement] = []
+    while result.memory.judging:
+        worst = _find_worst(result, threshold)
+        memory, verdict = decide(result.memory, _totals_of(result, worst))
+        if verdict.decision is Decision.FINAL:
+            break
+        row = [meter.id for meter in result.plan.meters].index(memory.removed[-1])
+        try:
+            following = _estimate_without(row, result, start, tolerance, memory)
+        except EstimationDivergedError:
+            break
+        removed.append(_describe(row, result))
+        result = following
+    return _report(result, [*(_describe_dead(m, result) for m in dead), *removed], threshold)
+
+
+def _leave_out_dead(
+    plan: EstimationPlan, values: np.ndarray, sigmas: np.ndarray
+) -> tuple[EstimationPlan, np.ndarray, np.ndarray, list[Measurement]]:
+    """Plan and readings without dead voltmeters, and these.
+
+    Raises:
+        NotObservableError: the others do not determine the state.
+    """
+    if not (rows := find_dead(plan.meters, values)):
+        return plan, values, sigmas, []
+    dead = [Measurement(plan.meters[k], float(values[k]), float(sigmas[k])) for k in rows]
+    try:
+        plan = plan.without(rows)
+    except NotObservableError as gap:
+        left_out = [f"{m.meter} reads {m.value:.3g} p.u., below {DEAD_VM:g}" for m in dead]
+        raise NotObservableError(gap.buses, gap.cures, left_out) from None
+    return plan, np.delete(values, rows), np.delete(sigmas, rows), dead
+
+
+def _estimate_without(
+    row: int, result: EstimationResult, start: tuple[np.ndarray, np.ndarray] | None, tolerance: float, memory: Memory
+) -> EstimationResult:
+    readings = np.delete(result.values, row), np.delete(result.sigmas, row)
+    return estimate_with_plan(result.plan.without([row]), *readings, start=start, tolerance=tolerance, memory=memory)
+
+
+def _totals_of(result: EstimationResult, worst: dict[str, float]) -> Totals:
+    """What is to be judged."""
+    objective, freedom = result.objective, result.degrees_of_freedom
+    return Totals(objective, freedom, worst=tuple(worst.items()), areas=1, referenced=True)
+
+
+def _find_worst(result: EstimationResult, threshold: float) -> dict[str, float]:
+    """Id -> normalised residual, the largest above ``threshold`` and those that equal it, without critical meters."""
+    normalized, meters, critical = normalized_residuals(result), result.plan.meters, set(find_critical(result))
+    above = {meters[k].id: float(normalized[k]) for k in np.flatnonzero(normalized > threshold).tolist()}
+    return keep_tied({meter: value for meter, value in above.items() if meter not in critical})
+
+
+def _describe(row: int, result: EstimationResult) -> RemovedMeasurement:
+    """The measurement that goes, with those whose residuals equal its own."""
+    normalized = normalized_residuals(result)
+    own = float(normalized[row])
+    equal = np.flatnonzero(abs(normalized - own) <= TIE * own).tolist()
+    others = tuple(sorted(result.plan.meters[k].id for k in equal if k != row))
+    return RemovedMeasurement(result.measurements[row], own, others)
+
+
+def _describe_dead(m: Measurement, result: EstimationResult) -> RemovedMeasurement:
+    """(z - vm) / sqrt(sigma^2 + sigma_vm^2), its normalised residual in the linear model, of the state without it."""
+    row, (sigma_vm, _) = result.network.row[m.meter.bus], result.state_sigma()
+    normalized = float(abs(m.value - result.vm[row]) / np.hypot(m.sigma, sigma_vm[row]))
+    return RemovedMeasurement(m, normalized, ())
+
+
+def _report(result: EstimationResult, removed: Sequence[RemovedMeasurement], threshold: float) -> BadDataReport:
+    critical = find_critical(result)
+    limit = chi_square_limit(result.degrees_of_freedom, CONFIDENCE)
+    detected = result.objective >= limit
+    return BadDataReport(
+        result=result,
+        removed=tuple(removed),
+        critical=critical,
+        detected=detected,
+        objective=result.objective,
+        chi_square_limit=limit,
+        degrees_of_freedom=result.degrees_of_freedom,
+        suspect=_find_suspect(result, threshold, critical) if detected else None,
+    )
+
+
+def _find_suspect(result: EstimationResult, threshold: float, critical: Collection[str]) -> SuspectKept | None:
+    """The largest normalised residual where removal has ended, with what keeps its meter."""
+    normalized = normalized_residuals(result)
+    worst = int(np.argmax(normalized))
+    if normalized[worst] <= threshold:
+        return None
+    meter = result.plan.meters[worst]
+    return SuspectKept(meter, float(normalized[worst]), "critical" if meter.id in critical else "diverges")

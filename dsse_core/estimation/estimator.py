@@ -1,0 +1,192 @@
+"""Weighted-least-squares state estimation by Gauss-Newton, virtual measurements as equality constraints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+
+from dsse_core.errors import InvalidInputError
+from dsse_core.estimation.plan import Backend, BackendChoice, EstimationPlan, build_estimation_plan
+from dsse_core.estimation.radial import estimate_on_tree, find_variances_on_tree
+from dsse_core.estimation.sparse import estimate_sparse
+from dsse_core.estimation.verdict import Memory
+from dsse_core.gauss_newton import LAST_STEP
+from dsse_core.grid.measurement import Measurement, Source, check_measurements, check_readings
+from dsse_core.grid.network import Network
+from dsse_core.matrices.augmented import AugmentedFactor
+
+NO_MEMORY = Memory()
+
+
+@dataclass(frozen=True)
+class EstimationResult:
+    """The estimate. ``vm`` p.u., ``va`` rad: shape (n_bus,), network order; ``residual`` z - h(x): (n_meas,).
+
+    ``values``, ``sigmas`` (n_meas,): the readings of the plan's meters, sigma 0 where a reading holds exactly.
+    ``objective`` is J(x) (eq. 3.9), which under the model's assumptions is chi-square distributed with
+    ``degrees_of_freedom`` = measurements + constraints - state variables. What is not stored is computed when it is
+    asked for, on the tree where that is the back end, and else, or where it does not tell, by sparse factorisation.
+    ``iterations``: steps since the start that it ended from. ``memory``: what later verdicts rest on; ``judging`` where
+    J has exceeded the chi-square limit.
+    """
+
+    plan: EstimationPlan
+    values: np.ndarray
+    sigmas: np.ndarray
+    memory: Memory
+    vm: np.ndarray
+    va: np.ndarray
+    residual: np.ndarray
+    objective: float
+    iterations: int
+
+    @property
+    def backend(self) -> Backend:
+        """By which the state was found; ``plan.tree`` says why not by the other."""
+        return self.plan.backend
+
+    @property
+    def network(self) -> Network:
+        return self.plan.network
+
+    @property
+    def reference(self) -> int:
+        """The bus whose angle is given."""
+        return self.plan.reference
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        return self.plan.degrees_of_freedom
+
+    @property
+    def free(self) -> np.ndarray:
+        """The unknown entries of x = [va; vm]: all but the reference angle."""
+        return self.plan.sparse.free
+
+    @cached_property
+    def measurements(self) -> tuple[Measurement, ...]:
+        readings = zip(self.plan.meters, self.values.tolist(), self.sigmas.tolist(), strict=True)
+        return tuple(Measurement(meter, value, sigma) for meter, value, sigma in readings)
+
+    @cached_property
+    def jacobian(self) -> sp.csr_array:
+        """H(x), columns ``free``."""
+        return self.plan.sparse.linearize(np.concatenate([self.va, self.vm]))[1]
+
+    @cached_property
+    def factor(self) -> AugmentedFactor:
+        return AugmentedFactor(self.jacobian, self.sigmas, pattern=self.plan.sparse.pattern)
+
+    def state_covariance(self, rows: Sequence[int]) -> np.ndarray:
+        """Covariance of the entries ``rows`` of x = [va; vm], shape (k, k); 0 for the reference angle."""
+        position = {int(row): k for k, row in enumerate(self.free)}
+        unit = np.zeros((len(self.free), len(rows)))
+        for column, row in enumerate(rows):
+            if row in position:
+                unit[position[row], column] = 1.0
+        covariance: np.ndarray = unit.T @ self.factor.covariance_times(unit)
+        return covariance
+
+    def state_sigma(self) -> tuple[np.ndarray, np.ndarray]:
+        """Standard deviations (sigma_vm, sigma_va) of all buses, p.u. and rad."""
+        if self._variances_on_tree is not None:
+            variance = self._variances_on_tree[0]
+        else:
+            variance = np.zeros(2 * len(self.vm))
+            variance[self.free] = self.factor.state_variance()
+        sigma_va, sigma_vm = np.split(np.sqrt(np.maximum(variance, 0.0)), 2)
+        return sigma_vm, sigma_va
+
+    @cached_property
+    def residual_variance(self) -> np.ndarray:
+        """diag(Omega), ``Omega = R - H G^-1 H'`` (eq. 3.22), shape (n_meas,); 0 for virtual measurements."""
+        return self.factor.residual_variance() if self._variances_on_tree is None else self._variances_on_tree[1]
+
+    @cached_property
+    def _variances_on_tree(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Variances of x and of the residuals where the tree is the back end."""
+        tree = self.plan.tree
+        return None if isinstance(tree, str) else find_variances_on_tree(tree, self.sigmas, self.vm, self.va)
+
+
+def estimate_state(
+    network: Network,
+    measurements: Sequence[Measurement],
+    *,
+    reference: int | None = None,
+    start: tuple[np.ndarray, np.ndarray] | None = None,
+    tolerance: float = LAST_STEP,
+    backend: BackendChoice = "auto",
+) -> EstimationResult:
+    """The estimate of one scan: ``build_estimation_plan``, which says what ``reference`` and ``backend`` are, and
+    ``estimate_with_plan``. For more than one scan of the same meters build the plan once.
+
+    Raises:
+        InvalidInputError: measurements that do not fit the network, or a back end that cannot serve.
+        NotObservableError: names the buses that are not determined.
+        EstimationDivergedError: names the measurement with the largest weighted residual.
+    """
+    plan, values, sigmas = plan_scan(network, measurements, reference=reference, backend=backend)
+    return estimate_with_plan(plan, values, sigmas, start=start, tolerance=tolerance)
+
+
+def plan_scan(
+    network: Network, measurements: Sequence[Measurement], *, reference: int | None, backend: BackendChoice
+) -> tuple[EstimationPlan, np.ndarray, np.ndarray]:
+    """The plan for the meters of one scan, and its values and sigmas; raises as ``estimate_state``."""
+    meters = [m.meter for m in measurements]
+    values = np.array([m.value for m in measurements], dtype=float)
+    sigmas = np.array([m.sigma for m in measurements], dtype=float)
+    if not _are_usable(values, sigmas, np.array([meter.source is Source.VIRTUAL for meter in meters], dtype=bool)):
+        check_measurements(network, measurements)
+    return build_estimation_plan(network, meters, reference=reference, backend=backend), values, sigmas
+
+
+def estimate_with_plan(
+    plan: EstimationPlan,
+    values: np.ndarray,
+    sigmas: np.ndarray,
+    *,
+    start: tuple[np.ndarray, np.ndarray] | None = None,
+    tolerance: float = LAST_STEP,
+    memory: Memory = NO_MEMORY,
+) -> EstimationResult:
+    """Find the state that minimises J(x) = (z - h(x))' W (z - h(x)), W = diag(1 / sigma^2) (eqs. 3.8-3.14).
+
+    ``values``, ``sigmas`` (n_meas,): the readings of the plan's meters. Virtual ones hold exactly; their sigma does
+    not count. Gauss-Newton as ``verdict.decide`` says, until it is final or normalised residuals are wanted: no step
+    moves a voltage by more than MAX_DVM and MAX_DVA, and current magnitudes enter once the others have told where flows
+    go: before, they have several minima.
+
+    Args:
+        start: (vm, va) in network order, such as the last scan's; its angle of the reference is kept. By default the
+            flat start, and there the set-point of the slack bus, 0 elsewhere; so too where the start leads to no end.
+        tolerance: what the last step may move, p.u. and rad, where steps shrink no faster than by one rate.
+        memory: what has been removed, and whether a start has led to no end before.
+
+    Raises:
+        InvalidInputError: readings that cannot be.
+        EstimationDivergedError: names the measurement with the largest weighted residual.
+    """
+    values, sigmas = np.array(values, dtype=float), np.array(sigmas, dtype=float)
+    if not values.shape == sigmas.shape == (len(plan.meters),):
+        problem = f"the plan has {len(plan.meters)} meters; given are values {values.shape} and sigmas {sigmas.shape}"
+        raise InvalidInputError(f"readings of network {plan.network.name!r}", [problem])
+    options = start, tolerance, memory
+    if isinstance(plan.tree, str):
+        sigmas[plan.virtual] = 0.0
+        if not _are_usable(values, sigmas, plan.virtual):
+            check_readings(plan.network, plan.meters, values, sigmas)
+        memory, found = estimate_sparse(plan.sparse, values, sigmas, *options)
+    else:
+        memory, found = estimate_on_tree(plan.tree, plan.virtual, values, sigmas, *options)
+    return EstimationResult(plan, values, sigmas, memory, *found)
+
+
+def _are_usable(values: np.ndarray, sigmas: np.ndarray, virtual: np.ndarray) -> bool:
+    of_meter = np.isfinite(sigmas) & (sigmas > 0)
+    return bool(np.isfinite(values).all() and np.where(virtual, values == 0.0, of_meter).all())

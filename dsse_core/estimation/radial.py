@@ -1,0 +1,93 @@
+"""The estimate of radial networks by elimination on the tree; see ``tree_kernel``."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from types import ModuleType
+
+import numpy as np
+
+from dsse_core.errors import EstimationDivergedError
+from dsse_core.estimation.residuals import CONFIDENCE, chi_square_limit
+from dsse_core.estimation.verdict import Memory, most_steps
+from dsse_core.gauss_newton import Solution
+from dsse_core.grid.measurement import check_readings
+from dsse_core.radial.plan import N_SLOT, TreePlan
+
+
+def estimate_on_tree(
+    plan: TreePlan,
+    exact: np.ndarray,
+    values: np.ndarray,
+    sigmas: np.ndarray,
+    start: tuple[np.ndarray, np.ndarray] | None,
+    tolerance: float,
+    memory: Memory,
+) -> tuple[Memory, Solution]:
+    """What ``estimate_sparse`` finds. ``sigmas`` (n_meas,) become 0 where a reading is ``exact``.
+
+    For small networks calls made in Python take longer than solving, so that what ``decide`` says between two steps is
+    compiled with them; that both come to the same is tested.
+
+    Raises:
+        InvalidInputError: readings that cannot be.
+        EstimationDivergedError: names the measurement with the largest weighted residual.
+    """
+    compiled, n = _load_compiled(), len(plan.order)
+    state, residual = np.empty((2, n)), np.empty(len(values))
+    limit = chi_square_limit(len(values) - (2 * n - 1), CONFIDENCE)
+    while True:
+        v, va = _begin_at(plan, None if memory.from_flat_start else start)
+        end, steps, step, objective = compiled.estimate(
+            plan.parent, plan.admittance, plan.order, plan.slot, exact, v, va, plan.has_currents,
+            float(tolerance), most_steps(memory), limit, values, sigmas, state, residual,
+        )  # fmt: skip
+        if end == compiled.UNUSABLE:
+            check_readings(plan.network, plan.meters, values, sigmas)
+        if end != compiled.LOST or memory.from_flat_start:
+            break
+        memory = Memory(removed=memory.removed, from_flat_start=True)
+    if end == compiled.LOST:
+        weighted = abs(residual) / np.where(sigmas > 0, sigmas, np.inf)
+        worst = int(np.argmax(weighted))
+        raise EstimationDivergedError(steps, step, str(plan.meters[worst]), float(weighted[worst]))
+    if end == compiled.JUDGE:
+        memory = replace(memory, judging=True)
+    return memory, (state[0], state[1], residual, objective, steps)
+
+
+def _begin_at(plan: TreePlan, start: tuple[np.ndarray, np.ndarray] | None) -> tuple[np.ndarray, np.ndarray]:
+    """Voltages and their angles in tree order, (n_bus,); the flat start without ``start``."""
+    if start is None:
+        return plan.start, plan.start_va
+    va = np.array(start[1], dtype=float)[plan.order]
+    return np.asarray(start[0])[plan.order] * np.exp(1j * va), va
+
+
+@cache
+def _load_compiled() -> ModuleType:
+    """What needs numba; an import statement takes longer, every time, than to look it up here."""
+    from dsse_core.radial import iteration as tree_iteration
+
+    return tree_iteration
+
+
+def find_variances_on_tree(
+    plan: TreePlan, sigmas: np.ndarray, vm: np.ndarray, va: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """diag of the covariance of x = [va; vm], shape (2 n_bus,), network order, and diag(Omega), (n_meas,)."""
+    from dsse_core.radial import inverse as tree_inverse
+    from dsse_core.radial import iteration as tree_iteration
+    from dsse_core.radial import kernel as tree_kernel
+
+    n = len(vm)
+    z, w, v, va_of_tree = np.zeros((n, N_SLOT)), tree_kernel.absent(n), np.empty(n, dtype=complex), np.empty(n)
+    tree_inverse.turn_to_tree(plan.order, vm, va, v, va_of_tree)
+    tree_iteration.store(plan.slot, sigmas, sigmas, z, w)  # whatever was read
+    work = tree_kernel.Work.of(n)
+    tree_kernel.eliminate(plan.parent, plan.admittance, z, w, v, va_of_tree, True, tree_kernel.INVERT, *work)
+    of_tree, omega, _ = tree_inverse.find_variances(plan.parent, plan.admittance, w, v, *work[1:4], True)
+    state = np.empty((2, n))
+    state[:, plan.order] = of_tree.T
+    return state.ravel(), omega.ravel()[plan.slot]

@@ -1,0 +1,52 @@
+"""What residuals tell of the readings: the chi-square test, normalised residuals, ties, and voltmeters that are dead.
+
+Rules of areas and centre alike; who applies them is in ``verdict``, ``bad_data`` and ``feeder_bad_data``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+
+import numpy as np
+
+from dsse_core.grid.measurement import MeasurementKind, Meter
+
+CONFIDENCE = 0.99  # of the chi-square test
+THRESHOLD = 3.0  # of normalised residuals
+TIE = 1e-6  # relative difference of normalised residuals that are equal in exact arithmetic
+# Omega_ii / R_ii below which a residual says nothing about its measurement: what meters 1e6 times coarser leave.
+CRITICAL_REDUNDANCY = 1e-12
+DEAD_VM = 0.5  # p.u.; no grid works below it, and weighted squares find states that almost would
+
+
+@lru_cache(maxsize=1024)
+def chi_square_limit(degrees_of_freedom: int, confidence: float) -> float:
+    """The value that J exceeds with probability 1 - ``confidence`` under noise alone; inf without redundancy."""
+    from scipy.special import chdtri  # 0.1 s, which an agent without bad-data processing need not wait for
+
+    return float(chdtri(degrees_of_freedom, 1 - confidence)) if degrees_of_freedom > 0 else float("inf")
+
+
+def normalize_residuals(residual: np.ndarray, variance: np.ndarray, sigmas: np.ndarray, real: np.ndarray) -> np.ndarray:
+    """|r_i| / sqrt(Omega_ii) (eq. 3.23) of ``residual`` z - h(x) with ``variance`` diag(Omega), (n_meas,) each.
+
+    0 where a measurement is not ``real`` but virtual, and where Omega_ii is 0.
+    """
+    telling = real & (variance > CRITICAL_REDUNDANCY * sigmas**2)
+    return np.where(telling, abs(residual) / np.sqrt(np.where(telling, variance, 1.0)), 0.0)
+
+
+def keep_tied(suspects: Mapping[str, float]) -> dict[str, float]:
+    """The largest, and those that equal it."""
+    least = max(suspects.values(), default=0.0) * (1 - TIE)
+    return {meter: suspects[meter] for meter in sorted(suspects) if suspects[meter] >= least}
+
+
+def find_dead(meters: Sequence[Meter], values: Sequence[float] | np.ndarray) -> list[int]:
+    """Positions of the voltmeters that read less than DEAD_VM.
+
+    They are never believed: the state is what the other meters say, and is not observable where they do not
+    determine it. Several of them do not confirm each other.
+    """
+    return [k for k, meter in enumerate(meters) if meter.kind is MeasurementKind.VM and values[k] < DEAD_VM]

@@ -1,0 +1,219 @@
+"""The estimate of any network by sparse factorisation of the tableau; what depends on topology only is found once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import scipy.sparse as sp
+
+from dsse_core.errors import EstimationDivergedError
+from dsse_core.estimation.verdict import Decision, Memory, Totals, Verdict, decide
+from dsse_core.gauss_newton import LARGEST_STEP, Solution
+from dsse_core.grid.admittance import build_admittance, flat_start
+from dsse_core.grid.measurement import MeasurementKind, Meter
+from dsse_core.grid.measurement_model import MeasurementModel, build_measurement_model
+from dsse_core.grid.network import Network
+from dsse_core.grid.radial_order import find_tree, order_tableau
+from dsse_core.matrices.augmented import AugmentedFactor, AugmentedPattern
+
+SMALL_STEP = 0.02  # p.u. and rad; after a smaller one the last factor may serve once more
+
+
+@dataclass(frozen=True)
+class SparsePlan:
+    """``free``: the state variables but the reference angle. ``entries``: which entries of the model's H are theirs,
+    ``indices`` and ``indptr`` where they stand. ``start``: x = [va; vm] of the flat start with the reference's angle.
+    ``at_start``: the factor there for the last sigmas, which most meters keep from scan to scan.
+    """
+
+    meters: tuple[Meter, ...]
+    model: MeasurementModel
+    free: np.ndarray
+    entries: np.ndarray
+    indices: np.ndarray
+    indptr: np.ndarray
+    pattern: AugmentedPattern
+    start: np.ndarray
+    at_start: dict[bytes, AugmentedFactor] = field(default_factory=dict, compare=False, repr=False)
+
+    def linearize(self, x: np.ndarray) -> tuple[np.ndarray, sp.csr_array]:
+        """h(x), (n_meas,), and the columns ``free`` of H(x)."""
+        h, H = self.model.linearize(x)
+        shape = len(self.meters), len(self.free)
+        return h, sp.csr_array((H.data[self.entries], self.indices, self.indptr), shape=shape)
+
+
+def build_sparse_plan(network: Network, meters: Sequence[Meter], reference: int) -> SparsePlan:
+    """The plan for ``meters`` that fit the network and determine its state."""
+    model = build_measurement_model(network, build_admittance(network), meters)
+    vm, va = flat_start(network, reference)
+    given = network.slack.va if network.slack and network.slack.bus == reference else 0.0
+    start = np.concatenate([va + given, vm])
+    fixed, H = network.row[reference], model.jacobian(start)
+    free = np.delete(np.arange(len(start)), fixed)
+    entries = np.flatnonzero(H.indices != fixed)
+    indices = H.indices[entries] - (H.indices[entries] > fixed)
+    indptr = np.searchsorted(entries, H.indptr)
+    reduced = sp.csr_array((H.data[entries], indices, indptr), shape=(len(meters), len(free)))
+    tree = find_tree(network, reference)
+    pattern = AugmentedPattern(reduced, None if isinstance(tree, str) else order_tableau(tree, model, free))
+    return SparsePlan(tuple(meters), model, free, entries, reduced.indices, reduced.indptr, pattern, start)
+
+
+def estimate_sparse(
+    plan: SparsePlan,
+    values: np.ndarray,
+    sigmas: np.ndarray,
+    start: tuple[np.ndarray, np.ndarray] | None,
+    tolerance: float,
+    memory: Memory,
+) -> tuple[Memory, Solution]:
+    """Gauss-Newton until it is final or to be judged; ``sigmas`` (n_meas,) are 0 where a reading holds exactly.
+
+    Raises:
+        EstimationDivergedError: names the measurement with the largest weighted residual.
+    """
+    grid = SparseIteration(plan, values, sigmas, start, from_flat_start=memory.from_flat_start)
+    while True:
+        memory, verdict = decide(memory, grid.totals(), tolerance)
+        if verdict.reason:
+            raise grid.diverged()
+        grid.carry_out(verdict)
+        if verdict.decision in (Decision.JUDGE, Decision.FINAL):
+            return memory, grid.solution()
+
+
+class SparseIteration:
+    """The whole grid as one area without neighbours: its totals, and its part of what is decided, which is all of it.
+
+    ``x``: the state x_k = [va; vm], (2 n_bus,), p.u. and rad. Steps are solved with the tableau of ``augmented``, on
+    the last factor where that serves.
+    """
+
+    def __init__(
+        self,
+        plan: SparsePlan,
+        values: np.ndarray,
+        sigmas: np.ndarray,
+        start: tuple[np.ndarray, np.ndarray] | None,
+        *,
+        from_flat_start: bool = False,
+    ) -> None:
+        self._plan, self._values, self._sigmas = plan, values, sigmas
+        self._start = plan.start if start is None or from_flat_start else np.concatenate([start[1], start[0]])
+        self._weight = np.where(sigmas > 0, 1 / np.where(sigmas > 0, sigmas, 1.0), 0.0)
+        self._currents = np.flatnonzero(plan.model.kinds == MeasurementKind.CURRENT)
+        self._of_currents = np.flatnonzero(np.isin(plan.pattern.row, self._currents))
+        self._factor: AugmentedFactor | None = None
+        self._size = 0.0, 0.0  # the largest entries of the last step, dva and dvm
+        self._begin()
+
+    def _begin(self) -> None:
+        self.x = self._before = self._start
+        self._forget_step()
+        self._steps = 0
+        self._held_back = len(self._currents)
+        self._multipliers = np.zeros(len(self._sigmas))
+        self._linearized: tuple[np.ndarray, sp.csr_array] | None = None  # r and H at x
+
+    def totals(self) -> Totals:
+        is_lost = not max(self._size) <= LARGEST_STEP
+        dva, dvm = self._size
+        return Totals(
+            objective=np.inf if is_lost else self._find_objective(self._linearize()[0]),
+            degrees_of_freedom=len(self._values) - self._held_back - len(self._plan.free),
+            dvm=dvm,
+            dva=dva,
+            held_back=self._held_back,
+            areas=1,
+            referenced=True,
+        )
+
+    def _linearize(self) -> tuple[np.ndarray, sp.csr_array]:
+        """Residual and H at x of the meters in use; rows of 0 of the others."""
+        if self._linearized is None:
+            h, H = self._plan.linearize(self.x)
+            r = self._plan.model.subtract(self._values, h)
+            if self._held_back:
+                H.data[self._of_currents] = 0.0
+                r[self._currents] = 0.0
+            self._linearized = r, H
+        return self._linearized
+
+    def _find_objective(self, r: np.ndarray) -> float:
+        """J of residuals r, (n_meas,); what holds exactly does not count."""
+        weighted = r * self._weight
+        return float(weighted @ weighted)
+
+    def carry_out(self, verdict: Verdict) -> None:
+        if verdict.takes_step:
+            self._take_step(verdict.share)
+        match verdict.decision:
+            case Decision.SHORTEN:
+                self._move(verdict.share)
+                self._forget_step()
+            case Decision.USE_CURRENTS:
+                self._held_back, self._linearized = 0, None
+                self._forget_step()
+            case Decision.ANEW:
+                self._start = self._plan.start
+                self._begin()
+
+    def _take_step(self, share: float) -> None:
+        try:
+            self._step = self._solve()
+        except RuntimeError:  # SuperLU: singular away from the no-load state, where the rank was full
+            self._size = np.inf, np.inf
+            raise self.diverged() from None
+        size, n_angles = np.nan_to_num(abs(self._step), nan=np.inf), len(self.x) // 2 - 1
+        self._size = float(size[:n_angles].max(initial=0.0)), float(size[n_angles:].max(initial=0.0))
+        self._steps, self._before = self._steps + 1, self.x
+        self._move(share)
+
+    def _forget_step(self) -> None:
+        """What follows is not told from it; nor does its factor serve."""
+        self._step, self._size, self._factor = np.zeros(len(self._plan.free)), (0.0, 0.0), None
+
+    def _move(self, share: float) -> None:
+        """Take ``share`` of the step from where it was begun."""
+        self.x, self._linearized = self._before.copy(), None
+        self.x[self._plan.free] += share * self._step
+
+    def _solve(self) -> np.ndarray:
+        """The step dx, (n_free,)."""
+        r, H = self._linearize()
+        found = None
+        if self._factor and max(self._size) < SMALL_STEP:
+            found = self._factor.solve_nearby(H, r, self._multipliers)
+        if found is None:
+            self._factor = self._find_factor(H)
+            found = self._factor.solve(r, np.zeros(H.shape[1]))
+        self._multipliers, dx = found
+        return dx
+
+    def _find_factor(self, H: sp.csr_array) -> AugmentedFactor:
+        kept, sigmas = self._plan.at_start, self._sigmas.tobytes()
+        at_start = self.x is self._plan.start
+        if at_start and (found := kept.get(sigmas)):
+            return found
+        factor = AugmentedFactor(H, self._sigmas, pattern=self._plan.pattern)
+        if at_start:
+            kept.clear()
+            kept[sigmas] = factor
+        return factor
+
+    def solution(self) -> Solution:
+        va, vm = np.split(self.x, 2)
+        r = self._plan.model.subtract(self._values, self._plan.model.predict(self.x))
+        return vm, va, r, self._find_objective(r), self._steps
+
+    def diverged(self) -> EstimationDivergedError:
+        """The error that names the measurement with the largest weighted residual."""
+        r = self._plan.model.subtract(self._values, self._plan.model.predict(self._before))
+        weighted = abs(r) * self._weight
+        worst = int(np.argmax(weighted))
+        return EstimationDivergedError(
+            self._steps, max(self._size), str(self._plan.meters[worst]), float(weighted[worst])
+        )

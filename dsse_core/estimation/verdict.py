@@ -1,0 +1,204 @@
+"""What all areas do next, from the totals of all areas: one pure function of what has been and what is.
+
+The areas together take the Gauss-Newton steps of the whole grid. Step control, the end of the iteration and bad data
+are decided here, without a clock, so that everybody who knows the totals comes to the same verdict. The centralised
+estimator is one area without neighbours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+from dsse_core.estimation.residuals import CONFIDENCE, chi_square_limit, keep_tied
+from dsse_core.gauss_newton import (
+    FLOWS_KNOWN,
+    FULL_STEPS,
+    LARGEST_STEP,
+    LAST_STEP,
+    MAX_DVA,
+    MAX_DVM,
+    MOST_STEPS,
+    MOST_STEPS_ANEW,
+    NEAR_LIMIT,
+    SURE_STEP,
+    is_last,
+)
+
+MOST_REMOVED = 1000  # meters of one scan; more are made up by somebody who would do so for ever
+MOST_NAMED = 20  # areas or ranges of buses that totals name
+
+
+class Decision(StrEnum):
+    """``STEP``: the Gauss-Newton step, ``share`` of it. ``SHORTEN``: only ``share`` of the last one.
+    ``USE_CURRENTS``: current magnitudes, held back until flows are known, are used. ``JUDGE``: normalised residuals
+    are wanted. ``ANEW``: from the start of the scan, without the meters removed. ``FINAL``: the end of the scan.
+    """
+
+    STEP = "step"
+    SHORTEN = "shorten"
+    USE_CURRENTS = "use currents"
+    JUDGE = "judge"
+    ANEW = "anew"
+    FINAL = "final"
+
+
+UNOBSERVABLE, DIVERGED, NO_ESTIMATE = "unobservable", "diverged", "no estimate"  # reasons of an end without success
+
+
+@dataclass(frozen=True)
+class Totals:
+    """What some areas say together of the state x_k; p.u. and rad.
+
+    ``objective``: J of their real meters in use, with ``degrees_of_freedom``. ``dvm``, ``dva``: the largest of the
+    last step. ``held_back``: current magnitudes not yet in use. ``worst``: (meter, normalised residual), the largest
+    above the threshold and those that equal it, by id; empty unless judging. ``areas``: how many they are.
+    ``referenced``: one of them knows the substation's angle. ``silent``, ``stale``: neighbours that are not heard,
+    areas without readings of the scan. ``unobservable``: buses that no meter determines. ``failed``: areas that have
+    no numbers.
+    """
+
+    objective: float = 0.0
+    degrees_of_freedom: int = 0
+    dvm: float = 0.0
+    dva: float = 0.0
+    held_back: int = 0
+    worst: tuple[tuple[str, float], ...] = ()
+    areas: int = 0
+    referenced: bool = False
+    silent: tuple[str, ...] = ()
+    stale: tuple[str, ...] = ()
+    unobservable: tuple[str, ...] = ()
+    failed: tuple[str, ...] = ()
+
+    @property
+    def step(self) -> float:
+        """The largest change of any voltage, p.u. or rad."""
+        return max(self.dvm, self.dva)
+
+
+def add_totals(parts: Iterable[Totals]) -> Totals:
+    """The totals of several sides together."""
+    parts = list(parts)
+    return Totals(
+        objective=sum(t.objective for t in parts),
+        degrees_of_freedom=sum(t.degrees_of_freedom for t in parts),
+        dvm=max(t.dvm for t in parts),
+        dva=max(t.dva for t in parts),
+        held_back=sum(t.held_back for t in parts),
+        worst=tuple(sorted(keep_tied(dict(named for t in parts for named in t.worst)).items()))[:MOST_NAMED],
+        areas=sum(t.areas for t in parts),
+        referenced=any(t.referenced for t in parts),
+        silent=_add_names(t.silent for t in parts),
+        stale=_add_names(t.stale for t in parts),
+        unobservable=tuple(sorted((r for t in parts for r in t.unobservable), key=_first_bus))[:MOST_NAMED],
+        failed=_add_names(t.failed for t in parts),
+    )
+
+
+def _first_bus(buses: str) -> int:
+    """Of a range such as "12-19"."""
+    number = buses.partition("-")[0]
+    return int(number) if number.isdecimal() else 0
+
+
+def _add_names(parts: Iterable[tuple[str, ...]]) -> tuple[str, ...]:
+    return tuple(sorted({name for part in parts for name in part}))[:MOST_NAMED]
+
+
+@dataclass(frozen=True)
+class Memory:
+    """What the decisions of a term rest on beside the totals; everybody in the term has the same.
+
+    ``removed``: meters taken out as bad data, in order. ``steps``: since the last start. ``before``: the size of the
+    last full step since a decision, 0 without one. ``stepped``: the totals' step was taken in full.
+    """
+
+    removed: tuple[str, ...] = ()
+    steps: int = 0
+    before: float = 0.0
+    stepped: bool = False
+    uses_currents: bool = False
+    judging: bool = False
+    from_flat_start: bool = False
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """``with_step``: the coming step is the last and is taken along. ``reason``: of an end without success."""
+
+    decision: Decision
+    share: float = 1.0
+    with_step: bool = False
+    reason: str = ""
+
+    def __str__(self) -> str:
+        parts = [self.decision.value, *([f"{self.share:.17g}"] if self.share != 1 else [])]
+        return " ".join([*parts, *(["after a last step"] if self.with_step else []), self.reason]).strip()
+
+    @property
+    def takes_step(self) -> bool:
+        return self.decision is Decision.STEP or self.with_step
+
+
+def decide(memory: Memory, totals: Totals, tolerance: float = LAST_STEP) -> tuple[Memory, Verdict]:
+    """The verdict on ``totals``, and what the next one rests on; ``tolerance``: see ``is_last``."""
+    if totals.unobservable:
+        return memory, Verdict(Decision.FINAL, reason=UNOBSERVABLE)
+    if totals.failed:
+        return memory, Verdict(Decision.FINAL, reason=NO_ESTIMATE)
+    if memory.judging:
+        return _remove_worst(memory, totals)
+    taken, is_lost = _share_of(memory.steps), not totals.step <= LARGEST_STEP
+    if memory.stepped and not is_lost:
+        share = 1 / max(1 / taken, totals.dva / MAX_DVA, totals.dvm / MAX_DVM)
+        if share < taken:
+            return replace(memory, stepped=False, before=0.0), Verdict(Decision.SHORTEN, share)
+        if totals.held_back and not memory.uses_currents and totals.step < FLOWS_KNOWN:
+            return replace(memory, stepped=False, before=0.0, uses_currents=True), Verdict(Decision.USE_CURRENTS)
+        if (memory.uses_currents or not totals.held_back) and _comes_last(memory, totals, tolerance):
+            if _exceeds_limit(totals):
+                return replace(memory, judging=True), Verdict(Decision.JUDGE, with_step=True)
+            return memory, Verdict(Decision.FINAL, with_step=True)
+    if is_lost or memory.steps >= most_steps(memory):
+        if memory.from_flat_start:
+            return memory, Verdict(Decision.FINAL, reason=DIVERGED)
+        return Memory(removed=memory.removed, from_flat_start=True), Verdict(Decision.ANEW)
+    share = _share_of(memory.steps + 1)
+    before = totals.step if memory.stepped and share == taken else 0.0
+    return replace(memory, steps=memory.steps + 1, before=before, stepped=True), Verdict(Decision.STEP, share)
+
+
+def _share_of(step: int) -> float:
+    """How much is taken of the step of this number, from 1 on."""
+    return 1.0 if step <= FULL_STEPS else 0.5
+
+
+def most_steps(memory: Memory) -> int:
+    """How many steps since the start are taken at most."""
+    return MOST_STEPS_ANEW if memory.from_flat_start else MOST_STEPS
+
+
+def _remove_worst(memory: Memory, totals: Totals) -> tuple[Memory, Verdict]:
+    """After judging: the largest normalised residual goes, of equal ones the first by id, or nothing stands out.
+
+    Nothing has to go where the step that was taken along has brought J below the limit.
+    """
+    if not totals.worst or not _exceeds_limit(totals) or len(memory.removed) >= MOST_REMOVED:
+        return replace(memory, judging=False), Verdict(Decision.FINAL)
+    removed = (*memory.removed, totals.worst[0][0])
+    return Memory(removed=removed, from_flat_start=memory.from_flat_start), Verdict(Decision.ANEW)
+
+
+def _comes_last(memory: Memory, totals: Totals, tolerance: float) -> bool:
+    """Whether the coming step is the last, judged by the steps that were taken: a gain would lie below rounding."""
+    step = totals.step
+    if not is_last(step, memory.before, memory.uses_currents, tolerance):
+        return False
+    limit = chi_square_limit(totals.degrees_of_freedom, CONFIDENCE)
+    return step <= SURE_STEP or abs(totals.objective - limit) >= NEAR_LIMIT * limit
+
+
+def _exceeds_limit(totals: Totals) -> bool:
+    return totals.objective >= chi_square_limit(totals.degrees_of_freedom, CONFIDENCE)

@@ -1,0 +1,3 @@
+"""One area's part of the estimate of the whole grid: its model, boundary loads, rounds, bad data, ADMM's
+mathematics.
+"""

@@ -1,0 +1,349 @@
+"""One area's part in the Gauss-Newton iteration of the whole grid: x_k of its own buses, and what others need of it.
+
+At each x_k an area passes on the information of its side, takes in that of all others, and then knows its part of the
+step of the whole grid. What is decided on the way (``verdict``) it carries out here. A grid of one area is the
+centralised estimate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
+from typing import TypeVar, cast
+
+import numpy as np
+
+from dsse_core.errors import DsseError
+from dsse_core.estimation.residuals import CRITICAL_REDUNDANCY, find_dead
+from dsse_core.estimation.verdict import MOST_NAMED, Decision, Memory, Totals, Verdict
+from dsse_core.exchange.boundary_load import NetLoad
+from dsse_core.exchange.feeder_bad_data import (
+    NoLoadModel,
+    build_no_load_model,
+    count_freedom,
+    find_objective,
+    find_suspects,
+)
+from dsse_core.grid.admittance import walk_unloaded
+from dsse_core.grid.measurement import Measurement, MeasurementKind, Source
+from dsse_core.grid.partition import Area, Neighbour
+from dsse_core.linear import choose_backend
+from dsse_core.linear.area_model import AreaModel, build_area_model
+from dsse_core.linear.boundary_information import BoundaryInformation
+
+AGED = 0.1  # of the weight of what a neighbour that is no longer heard has last said; its sigmas grow tenfold
+UNSURE_OF_LOAD = 0.1  # of a load message, which neglects losses, and
+LEAST_LOAD = 0.01  # p.u., is left as its standard deviation
+FAILURES = (ArithmeticError, np.linalg.LinAlgError, RuntimeError, ValueError, DsseError)  # of absurd numbers
+
+T = TypeVar("T")
+Heard = Mapping[str, BoundaryInformation]
+
+
+class AreaEstimation:
+    """``x``: the state x_k, shape (size,), see ``AreaModel``; p.u. and rad. ``failure``: why there are no numbers."""
+
+    def __init__(self, area: Area) -> None:
+        self.area = area
+        self._reference = area.reference[0] if area.reference else None
+        self._n = len(area.network.buses)
+        self._by_name = {n.area: n for n in area.neighbours}
+        self._flat = _flat_start(area)
+        self.x = self._flat
+        self.failure = ""
+        self.removed: tuple[str, ...] = ()
+        self.critical: tuple[str, ...] = ()
+        self.unobservable: tuple[int, ...] = ()  # buses
+        self.is_first = False  # whether no step of this start has been taken, and no-load information is wanted
+        self.reported: set[str] = set()  # own meters that have been named as the worst in this term
+        self.own_meters: frozenset[str] = frozenset()  # that have a reading
+        self._readings: tuple[Measurement, ...] = ()
+        self._silent: frozenset[str] = frozenset()
+        self._is_stale = False
+        self._start = self.x
+        self._before, self._step = self.x, np.zeros_like(self.x)
+        self._worst: tuple[tuple[str, float], ...] = ()
+        self._uses_currents = False
+        self._n_current = 0  # current meters that can be used
+        self._heard: Heard = {}  # at the last step that was taken
+        self._aged: dict[str, BoundaryInformation] = {}
+        self._stand_ins: dict[str, BoundaryInformation] = {}
+        self._model: AreaModel | None = None
+        self._no_load: NoLoadModel | None = None
+        self._kept_no_load: dict[tuple[object, ...], object] = {}  # of the no-load model
+
+    @property
+    def model(self) -> AreaModel:
+        assert self._model is not None  # ``begin`` was called
+        return self._model
+
+    def describe_backend(self) -> str:
+        """For the log: what computes, and how often something else had to."""
+        linear = self._model.linear if self._model else None
+        if linear is None:
+            return choose_backend(self.area)
+        left = [f"{count} for {why}" for why, count in linear.declined.most_common()]
+        return f"{linear.name}, calls left to sparse matrices: {', '.join(left)}" if left else linear.name
+
+    # A term
+
+    def begin(
+        self,
+        readings: Sequence[Measurement],
+        *,
+        silent: Collection[str],
+        stale: bool,
+        loads: Mapping[str, NetLoad] | None = None,
+    ) -> None:
+        """Start at the state so far, with ``readings``, virtual ones included; ``silent``: neighbours not in use.
+
+        ``stale``: the readings are not of this scan. ``loads``: neighbour -> its load message, which stands in for
+        its information as long as that has never been heard.
+        """
+        self._readings, self._silent, self._is_stale = tuple(readings), frozenset(silent), stale
+        self.own_meters = frozenset(m.meter.id for m in self._readings)
+        self.reported = set()
+        self._stand_ins = {name: _stand_in_of(self._by_name[name], load) for name, load in (loads or {}).items()}
+        self._start = self._flat if self.failure else self.x
+        self.failure = ""
+        self._start_anew(())
+
+    def _start_anew(self, removed: Sequence[str]) -> None:
+        self.removed = tuple(meter for meter in removed if meter in self.own_meters)
+        self.x = self._before = self._start
+        self._step = np.zeros_like(self.x)
+        self._worst, self._uses_currents, self._heard = (), False, {}
+        self.is_first, self.unobservable, self.critical = True, (), ()
+        self._build()
+
+    @property
+    def dead_voltmeters(self) -> tuple[str, ...]:
+        """Ids of those that are left out because no grid works at what they read."""
+        rows = find_dead([m.meter for m in self._readings], [m.value for m in self._readings])
+        return tuple(self._readings[k].meter.id for k in rows)
+
+    def _in_use(self, currents: bool) -> list[Measurement]:
+        out = {*self.removed, *self.dead_voltmeters}
+        return [
+            m
+            for m in self._readings
+            if m.meter.id not in out and (currents or m.meter.kind is not MeasurementKind.CURRENT)
+        ]
+
+    @property
+    def _is_blank(self) -> bool:
+        """Whether readings are missing, and there has never been one."""
+        return self._is_stale and not any(m.meter.source is not Source.VIRTUAL for m in self._readings)
+
+    def _build(self) -> None:
+        """The models of the meters in use; other readings of the same ones change neither rows nor no-load model."""
+        with_currents, without = self._in_use(currents=True), self._in_use(currents=False)
+        self._n_current = len(with_currents) - len(without)
+        in_use = with_currents if self._uses_currents else without
+        prior = self._start if self._silent or self._is_blank else None
+        meters = tuple(m.meter for m in in_use)
+        if self._model is not None and self._model.meters == meters and self._model.prior is prior is None:
+            self._model = self._model.with_readings(in_use)
+        else:
+            self._model = replace(build_area_model(self.area, in_use, self._reference), prior=prior)
+        if self.is_first:
+            self._build_no_load(without)
+
+    def _build_no_load(self, in_use: Sequence[Measurement]) -> None:
+        ids = tuple(m.meter.id for m in in_use)
+        if self._no_load is None or self._no_load.ids != ids:
+            self._no_load = build_no_load_model(self.area, in_use, self._reference)
+            self._kept_no_load = {}
+
+    # What others are sent
+
+    def set_power(self, neighbour: str, power: Sequence[float]) -> None:
+        """(p, q) into a child's branches at x_k, as the child has it."""
+        columns = self.model.boundary_columns(self._by_name[neighbour])
+        if len(columns) == 4 and len(power) == 2:
+            self.x = self.x.copy()
+            self.x[columns[:2]] = power
+
+    def power_for(self, neighbour: str) -> tuple[float, ...]:
+        """(p, q) at the boundary at x_k, for a parent; nothing for a child, who knows it better."""
+        n = self._by_name[neighbour]
+        return tuple(self.model.boundary_values(self.x, n)[:2].tolist()) if n.is_parent else ()
+
+    def boundary_values(self, neighbour: str) -> tuple[float, ...]:
+        """y = (p, q, vm, va) at the boundary to ``neighbour``."""
+        return tuple(self.model.boundary_values(self.x, self._by_name[neighbour]).tolist())
+
+    def information_for(self, neighbour: str, heard: Heard) -> BoundaryInformation:
+        """What this side, all areas but those behind ``neighbour``, knows at x_k; ``heard``: of the others in use.
+
+        Raises:
+            FAILURES: numbers that no estimate can have.
+        """
+        return self.model.linear.information(self.x, self._by_name[neighbour], self._with_aged(heard))
+
+    def no_load_for(self, neighbour: str, heard: Mapping[str, BoundaryInformation]) -> BoundaryInformation | None:
+        """The same of no-load information; None where some of this side is missing."""
+        others = {n for n in self._by_name if n != neighbour}
+        if self._silent or self._is_blank or others - heard.keys():
+            return None
+        assert self._no_load is not None  # ``begin`` was called
+        no_load, told = self._no_load, {name: heard[name] for name in others}
+        return self._keep((neighbour,), told, lambda: no_load.information_for(self._by_name[neighbour], told))
+
+    def _keep(self, what: tuple[str, ...], heard: Heard, find: Callable[[], T]) -> T | None:
+        """What ``find`` makes of the no-load model and ``heard``, found anew only where these differ."""
+        key = (*what, *((name, heard[name].R.tobytes()) for name in sorted(heard)))
+        if key not in self._kept_no_load:
+            try:
+                self._kept_no_load[key] = find()
+            except FAILURES:
+                self._kept_no_load[key] = None  # readings that determine next to nothing
+        return cast("T | None", self._kept_no_load[key])
+
+    def _with_aged(self, heard: Heard) -> Heard:
+        """With what silent neighbours have last said."""
+        stand_ins = self._stand_ins | self._aged
+        return {name: stand_ins[name] for name in self._silent if name in stand_ins} | dict(heard)
+
+    def totals(self) -> Totals:
+        """The area's own part at x_k."""
+        name, model, n = self.area.name, self.model, self._n
+        not_owned = self.area.parent.bus if self.area.parent else None
+        own = Totals(
+            areas=1,
+            referenced=self.area.reference is not None or bool(model.angles.size),
+            silent=tuple(sorted(self._silent)),
+            stale=(name,) if self._is_stale else (),
+            unobservable=_as_ranges([bus for bus in self.unobservable if bus != not_owned]),
+            failed=(name,) if self.failure else (),
+        )
+        if self.failure:
+            return own
+        size = abs(self._step)
+        return replace(
+            own,
+            objective=find_objective(model, self.x),
+            degrees_of_freedom=count_freedom(model),
+            dva=float(size[:n].max()),
+            dvm=float(size[n : 2 * n].max()),
+            held_back=0 if self._uses_currents else self._n_current,
+            worst=self._worst,
+        )
+
+    # Carrying out what is decided
+
+    def carry_out(self, verdict: Verdict, memory: Memory, heard: Heard, no_load: Heard) -> None:
+        """Do what ``verdict`` says, at x_k, with the information ``heard`` of all neighbours in use."""
+        try:
+            self._check_no_load(no_load)
+            if verdict.takes_step:
+                self._heard = self._with_aged(heard)
+                self._before, self._step = self.x, self.model.linear.step(self.x, self._heard)
+                self.x = self.x + verdict.share * self._step
+                self._check()
+            match verdict.decision:
+                case Decision.SHORTEN:
+                    self.x = self._before + verdict.share * self._step
+                    self._step = np.zeros_like(self.x)
+                case Decision.USE_CURRENTS:
+                    self._uses_currents = True
+                    self._step = np.zeros_like(self.x)
+                    self._build()
+                case Decision.ANEW:
+                    self._start = self._flat if memory.from_flat_start else self._start
+                    self._start_anew(memory.removed)
+                case Decision.JUDGE:
+                    self._judge()
+                case Decision.FINAL:
+                    last = {name: told for name, told in self._heard.items() if name not in self._silent}
+                    self._aged |= {n: BoundaryInformation(AGED * m.R, AGED * m.z) for n, m in last.items()}
+        except FAILURES as error:
+            self.fail(error)
+
+    def fail(self, error: BaseException) -> None:
+        """Go on without numbers: others end the scan then."""
+        self.failure = f"{type(error).__name__}: {error}"
+        self.x = self._flat
+        self._step = np.zeros_like(self.x)
+
+    def _check(self) -> None:
+        if not np.isfinite(self.x).all():
+            raise ArithmeticError("the step has no numbers")
+
+    def _check_no_load(self, heard: Heard) -> None:
+        """With the no-load information of all neighbours: which buses no meter determines, which meter is critical."""
+        if not self.is_first:
+            return
+        self.is_first = False
+        if self._silent or self._is_blank or self._by_name.keys() - heard.keys():
+            return
+        assert self._no_load is not None  # ``begin`` was called
+        no_load = self._no_load
+        self.unobservable, found = self._keep((), heard, lambda: no_load.examine(heard)) or ((), frozenset())
+        if not self.unobservable:
+            real = {m.id for m in self.model.meters if m.source is not Source.VIRTUAL}
+            self.critical = tuple(sorted(found & real))
+
+    def _judge(self) -> None:
+        """Which meters are critical, and the largest normalised residual of the others."""
+        model = self.model
+        _, variance = model.linear.variances(self.x, self._heard)
+        self.critical = self._find_critical(variance)
+        worst = find_suspects(model, self.x, variance, self.critical)
+        self._worst = tuple(sorted(worst.items()))[:MOST_NAMED]
+        self.reported |= worst.keys()
+
+    def find_sigmas(self) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+        """Standard deviations (sigma_vm, sigma_va), shape (n_bus,), p.u. and rad, and the critical meters.
+
+        Raises:
+            FAILURES: numbers that no estimate can have.
+        """
+        of_state, variance = self.model.linear.variances(self.x, self._heard)
+        sigma = np.sqrt(np.maximum(of_state, 0.0))
+        return sigma[self._n : 2 * self._n], sigma[: self._n], self._find_critical(variance)
+
+    def _find_critical(self, variance: np.ndarray) -> tuple[str, ...]:
+        """Ids of the meters that cannot be spared at no load, or whose residual says nothing; ``variance``: Omega."""
+        model = self.model
+        without_check = (variance <= CRITICAL_REDUNDANCY * model.sigma**2) & ~model.virtual
+        critical = {*self.critical, *(model.meters[k].id for k in np.flatnonzero(without_check))}
+        return tuple(meter.id for meter in model.meters if meter.id in critical)
+
+    @property
+    def no_load_va(self) -> np.ndarray:
+        """Angles of the unloaded area, shape (n_bus,), rad."""
+        return self._flat[: self._n]
+
+    @property
+    def voltages(self) -> tuple[np.ndarray, np.ndarray]:
+        """(vm, va), shape (n_bus,), p.u. and rad."""
+        return self.x[self._n : 2 * self._n], self.x[: self._n]
+
+
+def _stand_in_of(neighbour: Neighbour, load: NetLoad) -> BoundaryInformation:
+    """What the net load on the side of ``neighbour`` says of (p, q) at the boundary."""
+    power = -load.s if neighbour.is_parent else load.s
+    weight = 1 / (load.variance**0.5 + UNSURE_OF_LOAD * abs(load.s) + LEAST_LOAD)
+    R = np.diag([weight, weight, 0.0, 0.0])
+    return BoundaryInformation(R, R @ np.array([power.real, power.imag, 0.0, 0.0]))
+
+
+def _as_ranges(buses: Sequence[int]) -> tuple[str, ...]:
+    """Bus ids as "7" or "12-19"."""
+    runs: list[list[int]] = []
+    for bus in sorted(buses):
+        if runs and bus == runs[-1][-1] + 1:
+            runs[-1].append(bus)
+        else:
+            runs.append([bus])
+    return tuple(str(run[0]) if len(run) == 1 else f"{run[0]}-{run[-1]}" for run in runs)
+
+
+def _flat_start(area: Area) -> np.ndarray:
+    """x of the flat start of the whole grid, without power into children."""
+    vm, va = walk_unloaded(area.network, area.entry_bus)
+    entry_vm, entry_va = area.entry_voltage
+    children = sum(not n.is_parent for n in area.neighbours)
+    vm, va = vm * entry_vm, va + entry_va
+    return np.concatenate([va, vm, np.zeros(2 * children)])

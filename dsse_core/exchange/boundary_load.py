@@ -1,0 +1,87 @@
+"""Net loads at boundary buses: what an area's network leaves out, as one load per boundary bus.
+
+The load at a boundary bus is loads minus generation of everything beyond it (thesis eqs. 5.1, 5.2, 5.6,
+5.7); losses beyond are neglected. It is summed hop by hop along the tree of areas: area i tells neighbour j
+the net load of all buses on its side. A boundary bus itself counts on the side of its owner. Shunts and line
+charging count as loads at 1 p.u. voltage; what they take more or less at another voltage is neglected.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from dsse_core.grid.measurement import Measurement, MeasurementKind, Source
+from dsse_core.grid.partition import Area, Partition
+
+
+@dataclass(frozen=True, slots=True)
+class NetLoad:
+    """Loads minus generation, ``s`` = p + jq in p.u.; ``variance`` of p and of q, as far as they were measured."""
+
+    s: complex
+    variance: float = 0.0
+
+
+def add_loads(loads: Iterable[NetLoad]) -> NetLoad:
+    """The sum of loads whose errors are independent."""
+    loads = list(loads)
+    return NetLoad(sum((load.s for load in loads), complex(0.0)), sum(load.variance for load in loads))
+
+
+def measured_net_loads(area: Area, measurements: Sequence[Measurement]) -> dict[int, NetLoad]:
+    """Bus -> net load, for the area's buses with a source whose P and Q injections are both telemetered."""
+    buses = {generator.bus for generator in area.network.generators}
+    at_sources = [m for m in measurements if m.meter.bus in buses and m.meter.source is Source.TELEMETERED]
+    read = {(m.meter.kind, m.meter.bus): m for m in at_sources}
+    loads = {}
+    for bus in buses:
+        p, q = (read.get((kind, bus)) for kind in (MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION))
+        if p is not None and q is not None:
+            loads[bus] = NetLoad(-complex(p.value, q.value), max(p.sigma, q.sigma) ** 2)
+    return loads
+
+
+def own_net_load(area: Area, measured: Mapping[int, NetLoad] | None = None) -> NetLoad:
+    """The net load of the buses that ``area`` owns: the schedule, or what is ``measured`` where it is (by bus).
+
+    Shunts, which no injection meter sees, and the charging of the area's branches are added.
+    """
+    read = {bus: load for bus, load in (measured or {}).items() if bus in area.scheduled_loads}
+    scheduled = (s for bus, s in area.scheduled_loads.items() if bus not in read)
+    return add_loads([*read.values(), NetLoad(sum(scheduled, area.shunt_load))])
+
+
+def load_message_for(neighbour: str, own: NetLoad, heard: Mapping[str, NetLoad]) -> NetLoad:
+    """What an area tells ``neighbour``: its own net load and that of all its other neighbours."""
+    return add_loads([own, *(load for name, load in heard.items() if name != neighbour)])
+
+
+def boundary_loads(area: Area, heard: Mapping[str, NetLoad], error: complex = 0j) -> dict[int, NetLoad]:
+    """Boundary bus -> load beyond it: what the neighbours there say, plus ``error`` (eqs. 5.4, 5.5).
+
+    The error is added once per boundary bus. A bus whose neighbours have not all been heard is left out.
+    """
+    loads = {}
+    for bus in area.boundary_buses:
+        beyond = [n.area for n in area.neighbours if n.bus == bus]
+        if all(name in heard for name in beyond):
+            loads[bus] = add_loads([NetLoad(complex(error)), *(heard[name] for name in beyond)])
+    return loads
+
+
+def scheduled_load_messages(partition: Partition) -> dict[str, dict[str, NetLoad]]:
+    """Receiving area -> (neighbour -> load message) when every message is the schedule and none is lost."""
+    own = {area.name: own_net_load(area) for area in partition.areas}
+    heard: dict[str, dict[str, NetLoad]] = {area.name: {} for area in partition.areas}
+
+    def tell(sender: str, receiver: str) -> NetLoad:
+        if sender not in heard[receiver]:
+            beyond = {n.area: tell(n.area, sender) for n in partition.area(sender).neighbours if n.area != receiver}
+            heard[receiver][sender] = load_message_for(receiver, own[sender], beyond)
+        return heard[receiver][sender]
+
+    for area in partition.areas:
+        for n in area.neighbours:
+            tell(n.area, area.name)
+    return heard

@@ -1,0 +1,1 @@
+"""The grid: network, meters and their model h(x), H(x), areas and how a network is divided."""

@@ -1,0 +1,124 @@
+"""What a meter is and what it read: kinds, places, values and standard deviations (p.u. and rad)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from dsse_core.errors import InvalidInputError
+from dsse_core.grid.network import Network
+
+
+class MeasurementKind(StrEnum):
+    """Flows and currents are measured at one end of a branch and are positive into the branch."""
+
+    VM = "vm"
+    VA = "va"
+    P_INJECTION = "p_injection"
+    Q_INJECTION = "q_injection"
+    P_FLOW = "p_flow"
+    Q_FLOW = "q_flow"
+    CURRENT = "current"
+
+    @property
+    def of_branch(self) -> bool:
+        return self in _OF_BRANCH
+
+    @property
+    def of_injection(self) -> bool:
+        return self in _OF_INJECTION
+
+
+_OF_BRANCH = (MeasurementKind.P_FLOW, MeasurementKind.Q_FLOW, MeasurementKind.CURRENT)
+_OF_INJECTION = (MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION)
+
+
+class Source(StrEnum):
+    """Where a value comes from: a meter, a forecast, or the certainty that nothing is injected."""
+
+    TELEMETERED = "telemetered"
+    PSEUDO = "pseudo"
+    VIRTUAL = "virtual"
+
+
+@dataclass(frozen=True, slots=True)
+class Meter:
+    """A quantity that can be measured: its kind and its place (for flows, the branch and the end's bus)."""
+
+    kind: MeasurementKind
+    bus: int
+    branch: str | None = None
+    source: Source = Source.TELEMETERED
+
+    @property
+    def id(self) -> str:
+        """Unique within a network, e.g. ``vm@1``, ``p_injection@4``, ``q_flow@3:3-6``; the tie-breaker."""
+        return self.kind + (f"@{self.bus}:{self.branch}" if self.branch else f"@{self.bus}")
+
+    def __str__(self) -> str:
+        place = f"branch {self.branch} at bus {self.bus}" if self.branch else f"bus {self.bus}"
+        return f"{self.id} ({self.kind} of {place})"
+
+
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """A reading. ``sigma`` is the standard deviation of its error; a virtual measurement has none (0)."""
+
+    meter: Meter
+    value: float
+    sigma: float
+
+
+def check_measurements(network: Network, measurements: Sequence[Measurement]) -> None:
+    """Check places, values and sigmas.
+
+    Raises:
+        InvalidInputError: listing every unknown bus or branch, bad sigma, bad value and duplicate.
+    """
+    problems = list(find_meter_problems(network, (m.meter for m in measurements)))
+    for m in measurements:
+        if not math.isfinite(m.value):
+            problems.append(f"meter {m.meter.id}: the value is {m.value}, not a finite number")
+        if m.meter.source is Source.VIRTUAL:
+            if not m.meter.kind.of_injection or m.value != 0.0:
+                problems.append(f"meter {m.meter.id}: only an injection of exactly 0 can be virtual")
+        elif not (math.isfinite(m.sigma) and m.sigma > 0):
+            problems.append(
+                f"meter {m.meter.id}: sigma is {m.sigma}; a standard deviation must be positive "
+                "(declare an exact zero injection as virtual instead)"
+            )
+    if problems:
+        raise InvalidInputError(f"measurements of network {network.name!r}", problems)
+
+
+def check_readings(network: Network, meters: Sequence[Meter], values: np.ndarray, sigmas: np.ndarray) -> None:
+    """As ``check_measurements``, of readings (n_meas,) in arrays."""
+    readings = zip(meters, values.tolist(), sigmas.tolist(), strict=True)
+    check_measurements(network, [Measurement(meter, value, sigma) for meter, value, sigma in readings])
+
+
+def find_meter_problems(network: Network, meters: Iterable[Meter]) -> Iterable[str]:
+    """Every meter that does not fit the network, as text."""
+    row, branch_by_id = network.row, network.branch_by_id
+    seen: set[tuple[MeasurementKind, int, str | None]] = set()
+    for meter in meters:
+        place = (meter.kind, meter.bus, meter.branch)  # as unique as the id, and made in less time
+        if place in seen:
+            yield f"meter {meter.id} is given twice; keep one reading of each quantity"
+        seen.add(place)
+        if meter.bus not in row:
+            yield f"meter {meter.id}: bus {meter.bus} is not in network {network.name!r}"
+        if meter.kind.of_branch:
+            branch = branch_by_id.get(meter.branch or "")
+            if branch is None:
+                yield f"meter {meter.id}: branch {meter.branch} is not in network {network.name!r}"
+            elif not branch.in_service:
+                yield f"meter {meter.id}: branch {meter.branch} is out of service"
+            elif meter.bus not in (branch.from_bus, branch.to_bus):
+                yield f"meter {meter.id}: branch {meter.branch} does not end at bus {meter.bus}"
+        elif meter.branch is not None:
+            yield f"meter {meter.id}: a {meter.kind} meter stands at a bus, not on a branch"

@@ -1,0 +1,167 @@
+"""h(x) and H(x): what meters would read in state x, and the derivatives, for every kind of meter.
+
+With the metered bus' voltage ``u = C v`` and the metered current ``i = Y v`` one formula serves all kinds:
+``s = u conj(i)`` (P, Q of injections and of both branch ends), ``|i|``, ``|u|`` and ``arg u``. Injections
+and flows differ only in the rows of ``Y`` (from ``ybus``, ``yf`` or ``yt``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+
+from dsse_core.grid.admittance import Admittance
+from dsse_core.grid.measurement import MeasurementKind, Meter
+from dsse_core.grid.network import Network
+
+CURRENT_FLOOR = 1e-9  # p.u.; below it the derivative of |i| is undefined and taken as 0
+VOLTAGE_FLOOR = 1e-9  # p.u.; the same for |u| and arg u
+
+
+@dataclass(frozen=True)
+class MeasurementModel:
+    """The measurement functions of ``meters``; ``x = [va; vm]``, shape (2 n_bus,), rad and p.u.
+
+    ``y`` (n_meas, n_bus) holds the admittance row of each meter, ``bus_row`` (n_meas,) its bus.
+    """
+
+    kinds: np.ndarray
+    bus_row: np.ndarray
+    y: sp.csr_array
+    meter_row: np.ndarray  # (nnz,): the meter of each stored entry of y
+    at_bus: np.ndarray  # (nnz,): 1 where the entry's column is the metered bus, the pattern of C
+
+    def predict(self, x: np.ndarray) -> np.ndarray:
+        """h(x), shape (n_meas,), p.u. and rad."""
+        u, i, _, _ = self._phasors(x)
+        return self.read(u, i)
+
+    def subtract(self, z: np.ndarray, h: np.ndarray) -> np.ndarray:
+        """z - h, shape (n_meas,); differences of angles are wrapped to (-pi, pi]."""
+        r = np.asarray(z - h)
+        angles = self._rows[-1]
+        if angles.size:
+            r[angles] = np.pi - (np.pi - r[angles]) % (2 * np.pi)
+        return r
+
+    def jacobian(self, x: np.ndarray) -> sp.csr_array:
+        """H(x) = dh/dx, shape (n_meas, 2 n_bus); its pattern is the same for every x."""
+        return self.linearize(x)[1]
+
+    def linearize(self, x: np.ndarray) -> tuple[np.ndarray, sp.csr_array]:
+        """h(x) and H(x) at once.
+
+        Every meter's ``dh = Re(a dv)`` with ``a = of_u C + of_i Y``: ``ds = conj(i) du + u conj(di)`` and
+        ``Re(u conj(di)) = Re(conj(u) di)``, ``d|i| = Re(conj(i) di) / |i|``, ``d|u| = Re(conj(u) du) / |u|``,
+        ``d arg u = Im(conj(u) du) / |u|^2``; ``Im s = Re(-j s)``. And ``dv/dva = j v``, ``dv/dvm = exp(j va)``.
+        """
+        u, i, vm, phase = self._phasors(x)
+        of_u, of_i = self.weigh(u, i)
+        row, column = self.meter_row, self.y.indices
+        along = (of_u[row] * self.at_bus + of_i[row] * self.y.data) * phase[column]
+        order, indices, indptr = self._pattern
+        data = np.concatenate([-along.imag * vm[column], along.real])[order]
+        return self.read(u, i), sp.csr_array((data, indices, indptr), shape=(len(self.kinds), 2 * self.y.shape[1]))
+
+    def read(self, u: np.ndarray, i: np.ndarray) -> np.ndarray:
+        """h of ``u`` and ``i``, shape (n_meas,) each."""
+        current, magnitude, angle = self._rows
+        s = u * i.conj()
+        h: np.ndarray = np.where(self._is_reactive, s.imag, s.real)
+        if current.size:
+            h[current] = abs(i[current])
+        if magnitude.size:
+            h[magnitude] = abs(u[magnitude])
+        if angle.size:
+            h[angle] = np.angle(u[angle])
+        return h
+
+    def weigh(self, u: np.ndarray, i: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """``of_u`` and ``of_i`` of every meter, shape (n_meas,), complex; see ``linearize``."""
+        current, magnitude, angle = self._rows
+        of_u, of_i = i.conj() * self._turn, u.conj() * self._turn_back
+        if current.size:
+            size = abs(i[current])
+            of_i[current] = np.where(size > CURRENT_FLOOR, of_u[current] / np.maximum(size, CURRENT_FLOOR), 0.0)
+            of_u[current] = 0.0
+        for rows in (magnitude, angle):
+            if rows.size:
+                of_u[rows] = u[rows].conj() / np.maximum(abs(u[rows]), VOLTAGE_FLOOR)
+                of_i[rows] = 0.0
+        if angle.size:
+            of_u[angle] *= -1j / np.maximum(abs(u[angle]), VOLTAGE_FLOOR)
+        return of_u, of_i
+
+    @cached_property
+    def _pattern(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Where the derivatives by va, then by vm, of all stored entries of y go in the rows of H."""
+        order = np.argsort(np.concatenate([self.meter_row, self.meter_row]), kind="stable")
+        indices = np.concatenate([self.y.indices, self.y.indices + self.y.shape[1]])[order]
+        return order, indices, 2 * self.y.indptr
+
+    def _phasors(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        n = self.y.shape[1]
+        va, vm = x[:n], x[n:]
+        phase = np.exp(1j * va)
+        v = vm * phase
+        return v[self.bus_row], self.y @ v, vm, phase
+
+    @cached_property
+    def _rows(self) -> list[np.ndarray]:
+        """Which meters read no power: rows of |i|, |u| and arg u."""
+        return [np.flatnonzero(self.kinds == kind) for kind in _NO_POWER]
+
+    @cached_property
+    def _is_reactive(self) -> np.ndarray:
+        return np.isin(self.kinds, (MeasurementKind.Q_INJECTION, MeasurementKind.Q_FLOW))
+
+    @cached_property
+    def _turn(self) -> np.ndarray:
+        """``Im s = Re(-j s)``: -j in the rows of Q, else 1."""
+        return np.where(self._is_reactive, -1j, 1.0)
+
+    @cached_property
+    def _turn_back(self) -> np.ndarray:
+        return self._turn.conj()
+
+
+_NO_POWER = (MeasurementKind.CURRENT, MeasurementKind.VM, MeasurementKind.VA)
+
+
+def stack_models(above: MeasurementModel, below: MeasurementModel) -> MeasurementModel:
+    """The rows of two models of one network."""
+    return MeasurementModel(
+        kinds=np.concatenate([above.kinds, below.kinds]),
+        bus_row=np.concatenate([above.bus_row, below.bus_row]),
+        y=sp.csr_array(sp.vstack([above.y, below.y], format="csr")),
+        meter_row=np.concatenate([above.meter_row, len(above.kinds) + below.meter_row]),
+        at_bus=np.concatenate([above.at_bus, below.at_bus]),
+    )
+
+
+def build_measurement_model(network: Network, admittance: Admittance, meters: Sequence[Meter]) -> MeasurementModel:
+    """Select for each meter its bus and its admittance row: of ``ybus`` at a bus, of ``yf`` or ``yt`` on a branch."""
+    n, n_branch = len(network.buses), len(network.active_branches)
+    branch_row = {branch.id: k for k, branch in enumerate(network.active_branches)}
+
+    def admittance_row(meter: Meter) -> int:
+        if meter.branch is None:
+            return network.row[meter.bus]
+        at_from = network.branch(meter.branch).from_bus == meter.bus
+        return n + branch_row[meter.branch] + (0 if at_from else n_branch)
+
+    rows = np.array([admittance_row(meter) for meter in meters], dtype=int)
+    y = sp.csr_array(admittance.stacked[rows])
+    bus_row = np.array([network.row[meter.bus] for meter in meters], dtype=int)
+    meter_row = np.repeat(np.arange(len(meters)), np.diff(y.indptr))
+    return MeasurementModel(
+        kinds=np.array([meter.kind for meter in meters], dtype="<U12"),
+        bus_row=bus_row,
+        y=y,
+        meter_row=meter_row,
+        at_bus=(y.indices == bus_row[meter_row]).astype(float),
+    )

@@ -1,0 +1,185 @@
+"""The measurements of one area as functions of its state, the power into neighbouring areas included."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+
+from dsse_core.grid.admittance import build_admittance
+from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
+from dsse_core.grid.measurement_model import MeasurementModel, build_measurement_model
+from dsse_core.grid.partition import Area, Neighbour
+from dsse_core.linear import Backend, LinearArea, Matrix, Rows, make_linear, make_rows
+from dsse_core.linear.boundary_information import EXACT_SIGMA
+
+_POWER = (MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION)
+
+
+@dataclass(frozen=True)
+class AreaModel:
+    """The measurements of one area as functions of ``x = [va; vm; p_1, q_1, p_2, q_2, ...]``, one pair per child.
+
+    ``free``: the variables that are unknown, all but a reference angle. ``backend``: see ``linear.choose_backend``.
+    ``prior``: a state, shape (size,), whose voltages count as measured with PRIOR_SIGMA, where neighbours or readings
+    are missing; the tree cannot serve then.
+    """
+
+    area: Area
+    model: MeasurementModel
+    into_children: sp.csr_array  # (n_meas, 2 n_child): 1 where an injection meter counts a child's power
+    into_area: MeasurementModel | None  # P and Q from the parent's bus into the area's own branches
+    z: np.ndarray
+    sigma: np.ndarray
+    free: np.ndarray
+    meters: tuple[Meter, ...]
+    reference: int | None
+    backend: Backend = "auto"
+    prior: np.ndarray | None = None
+
+    @cached_property
+    def virtual(self) -> np.ndarray:
+        """Which measurements are virtual, shape (n_meas,)."""
+        return np.array([meter.source is Source.VIRTUAL for meter in self.meters], dtype=bool)
+
+    @property
+    def size(self) -> int:
+        return 2 * self._n + int(self.into_children.shape[1])
+
+    @property
+    def _n(self) -> int:
+        return len(self.area.network.buses)
+
+    @cached_property
+    def rows(self) -> Rows:
+        """h, H and those of the boundaries."""
+        return make_rows(self)
+
+    @cached_property
+    def linear(self) -> LinearArea:
+        """What computes steps, variances and information of boundaries."""
+        return make_linear(self)
+
+    def with_readings(self, measurements: Sequence[Measurement]) -> AreaModel:
+        """The same meters, read anew: what rests on topology and meters is kept."""
+        other = copy.copy(self)  # with all that is cached
+        sigma = _sigmas_of(measurements)
+        other.__dict__.update(z=_values_of(measurements), sigma=self.sigma if (sigma == self.sigma).all() else sigma)
+        if (linear := self.__dict__.get("linear")) is not None:
+            other.__dict__.update(linear=linear.with_readings(other))
+        return other
+
+    @property
+    def kinds(self) -> np.ndarray:
+        return self.model.kinds
+
+    @cached_property
+    def angles(self) -> np.ndarray:
+        """Rows of angle meters."""
+        return np.flatnonzero(self.kinds == MeasurementKind.VA)
+
+    @cached_property
+    def degrees(self) -> np.ndarray:
+        """The power k for which h grows as c^k when all voltages grow by c, shape (n_meas,)."""
+        once = np.isin(self.kinds, (MeasurementKind.VM, MeasurementKind.CURRENT))
+        return np.where(once, 1.0, np.where(self.kinds == MeasurementKind.VA, 0.0, 2.0))
+
+    @cached_property
+    def eliminated(self) -> dict[str, np.ndarray]:
+        """Neighbour -> the ``free`` variables but the voltage at the boundary to it."""
+        return {n.area: self.free[~np.isin(self.free, self.voltage_columns(n))] for n in self.area.neighbours}
+
+    @cached_property
+    def fixed(self) -> np.ndarray:
+        """The variables that are not ``free``."""
+        return np.setdiff1d(np.arange(self.size), self.free)
+
+    def predict(self, x: np.ndarray) -> np.ndarray:
+        """h(x), shape (n_meas,)."""
+        return self.rows.predict(x)
+
+    def residual(self, x: np.ndarray) -> np.ndarray:
+        """z - h(x), shape (n_meas,); angles wrapped to (-pi, pi]."""
+        return self.model.subtract(self.z, self.predict(x))
+
+    def jacobian(self, x: np.ndarray) -> Matrix:
+        """H(x), shape (n_meas, size)."""
+        return self.rows.jacobian(x)
+
+    def boundary(self, x: np.ndarray, neighbour: Neighbour) -> tuple[np.ndarray, Matrix]:
+        """y, shape (4,), and T = dy/dx, shape (4, size), at the boundary to ``neighbour``."""
+        return self.rows.boundary(x, neighbour)
+
+    def boundary_values(self, x: np.ndarray, neighbour: Neighbour) -> np.ndarray:
+        """y of ``boundary`` alone."""
+        return self.rows.boundary_values(x, neighbour)
+
+    def voltage_columns(self, neighbour: Neighbour) -> list[int]:
+        row = self.area.network.row[neighbour.bus]
+        return [self._n + row, row]
+
+    def boundary_columns(self, neighbour: Neighbour) -> list[int]:
+        """Where x has y of the boundary to a child; to the parent its voltage alone, as the power is none of x."""
+        if neighbour.is_parent:
+            return self.voltage_columns(neighbour)
+        first = self._first_power[neighbour.area]
+        return [first, first + 1, *self.voltage_columns(neighbour)]
+
+    @cached_property
+    def _first_power(self) -> dict[str, int]:
+        children = [n.area for n in self.area.neighbours if not n.is_parent]
+        return {area: 2 * (self._n + k) for k, area in enumerate(children)}
+
+
+def build_area_model(
+    area: Area,
+    measurements: Sequence[Measurement],
+    reference: int | None,
+    *,
+    with_shunts: bool = True,
+    backend: Backend = "auto",
+) -> AreaModel:
+    """The model of ``area``'s own ``measurements``.
+
+    Args:
+        reference: bus of the grid's angle reference, if the area sees it.
+        with_shunts: whether shunts and line charging are there; without them no power flows at the flat start.
+    """
+    network = area.network
+    admittance = build_admittance(network, with_shunts=with_shunts)
+    children = [n for n in area.neighbours if not n.is_parent]
+    rows, columns = [], []
+    for row, m in enumerate(measurements):
+        for k, child in enumerate(children):
+            if m.meter.kind.of_injection and m.meter.bus == child.bus:
+                rows.append(row)
+                columns.append(2 * k + (m.meter.kind is MeasurementKind.Q_INJECTION))
+    shape = (len(measurements), 2 * len(children))
+    size = 2 * len(network.buses) + shape[1]
+    fixed = [] if reference is None else [network.row[reference]]
+    at_parent = [Meter(k, area.parent.bus) for k in _POWER] if area.parent else []
+    return AreaModel(
+        area=area,
+        model=build_measurement_model(network, admittance, [m.meter for m in measurements]),
+        into_children=sp.csr_array(sp.coo_array((np.ones(len(rows)), (rows, columns)), shape=shape)),
+        into_area=build_measurement_model(network, admittance, at_parent) if at_parent else None,
+        z=_values_of(measurements),
+        sigma=_sigmas_of(measurements),
+        free=np.delete(np.arange(size), fixed),
+        meters=tuple(m.meter for m in measurements),
+        reference=reference,
+        backend=backend,
+    )
+
+
+def _values_of(measurements: Sequence[Measurement]) -> np.ndarray:
+    return np.array([m.value for m in measurements], dtype=float)
+
+
+def _sigmas_of(measurements: Sequence[Measurement]) -> np.ndarray:
+    sigmas = [EXACT_SIGMA if m.meter.source is Source.VIRTUAL else m.sigma for m in measurements]
+    return np.array(sigmas, dtype=float)

@@ -1,0 +1,225 @@
+"""The weighted least-squares step in augmented form (Hachtel's tableau), sparse.
+
+The normal equations ``H'WH dx = H'W r`` square the condition number: with sigmas over four decades or an
+impedance of 1e-5 p.u. they lose every digit of Omega. The same step follows from
+
+``[a R  H ] [ s]   [r]``
+``[ H'  0 ] [dx] = [0]``  with ``R = diag(sigma^2)``,
+
+where a virtual measurement is a row with sigma = 0, that is, an equality constraint. The factor ``a`` only
+scales ``s``; it makes the factorisation choose good pivots (Bjorck, Numerical Methods for Least Squares
+Problems, 2.7).
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+import scipy.sparse.linalg as spla
+
+from dsse_core.matrices.selected_inverse import find_inverse_diagonal
+
+PIVOT_SCALE = 1e-3  # median of the scaled a R; anything from 1 to 1e-6 works, with fewer digits at the ends
+LARGEST_DAMPING = 1e-6  # of the scaled tableau
+NEARBY = 1e-7  # relative accuracy of a step on the factor of a state nearby
+ROUND_OFF = 1e-14  # p.u. and rad; no step need be more accurate
+CONTRACTION = 0.3  # of a correction to the one before; where they shrink less a new factor costs less
+MOST_REFINEMENTS = 5
+# Of SuperLU, where the order of elimination is given: little pivoting, which refinement makes up for, and no
+# supernodes, of which these tableaus have none worth having.
+ORDERED = {"diag_pivot_thresh": 1e-3, "relax": 1, "panel_size": 1, "options": {"SymmetricMode": True}}
+FEWEST_SELECTED = 400  # rows of the tableau, from which the selected inverse takes less than solves
+BLOCK = 256  # right-hand sides solved at once; bounds memory at (n_meas + n_state, BLOCK)
+
+
+class AugmentedPattern:
+    """Where the entries of the tableau stand, the same for all ``H`` with one pattern.
+
+    ``order`` (n_meas + n_state,): the tableau's rows in the order of elimination; SuperLU's COLAMD without it.
+    """
+
+    def __init__(self, H: sp.csr_array, order: np.ndarray | None = None) -> None:
+        self.order = order
+        self.row = _row_of_entries(H)
+        self._size = sum(H.shape)
+        place = np.arange(self._size)
+        if order is not None:
+            place = np.empty(self._size, dtype=np.int64)
+            place[order] = np.arange(self._size)
+        row, column = place[self.row], place[H.shape[0] + H.indices]
+        rows, columns = np.concatenate([place, row, column]), np.concatenate([place, column, row])
+        self._gather = np.lexsort((rows, columns))
+        self._indices = rows[self._gather].astype(np.int32)
+        self._indptr = np.concatenate([[0], np.cumsum(np.bincount(columns, minlength=self._size))]).astype(np.int32)
+
+    def fill(self, above: np.ndarray, data: np.ndarray, below: np.ndarray) -> sp.csc_array:
+        """``[[diag(above), H], [H', diag(below)]]`` in the order of elimination, ``data`` the entries of H."""
+        values = np.concatenate([above, below, data, data])[self._gather]
+        return sp.csc_array((values, self._indices, self._indptr), shape=(self._size, self._size))
+
+    def permute(self, b: np.ndarray) -> np.ndarray:
+        """Rows of ``b`` in the order of elimination."""
+        return b if self.order is None else b[self.order]
+
+    def permute_back(self, b: np.ndarray) -> np.ndarray:
+        if self.order is None:
+            return b
+        there = np.empty_like(b)
+        there[self.order] = b
+        return there
+
+    def factor(self, tableau: sp.csc_array, *, exact: bool = False) -> spla.SuperLU:
+        """``exact``: with full pivoting, so that refinement has nothing to make up for.
+
+        Raises RuntimeError where the tableau is exactly singular.
+        """
+        if self.order is None:
+            return spla.splu(tableau)
+        return spla.splu(tableau, permc_spec="NATURAL", **(ORDERED | ({"diag_pivot_thresh": 1.0} if exact else {})))
+
+
+class AugmentedFactor:
+    """The factorised system for ``H`` (n_meas, n_state) and ``sigma`` (n_meas,), 0 where a row must hold exactly.
+
+    ``damping``, a number or one per state variable, is added to the diagonal of the information about the state:
+    the lower right block becomes ``-diag(damping)``. ``pattern``: that of H, where it is there already.
+    ``variance`` (n_meas,): sigma squared.
+
+    Raises:
+        RuntimeError: the matrix is exactly singular, and no damping mends that.
+    """
+
+    def __init__(
+        self,
+        H: sp.csr_array,
+        sigma: np.ndarray,
+        damping: float | np.ndarray = 0.0,
+        pattern: AugmentedPattern | None = None,
+    ) -> None:
+        self._pattern = pattern = pattern or AugmentedPattern(H)
+        self._n_meas, self._n_state = H.shape
+        self.variance = sigma**2
+        row_scale = reciprocal_root(np.bincount(pattern.row, H.data**2, self._n_meas))
+        scaled_variance = self.variance * row_scale**2
+        positive = scaled_variance[scaled_variance > 0]
+        self._a = PIVOT_SCALE / float(np.median(positive)) if positive.size else 1.0
+        data = H.data * row_scale[pattern.row]
+        column_scale = reciprocal_root(np.bincount(H.indices, data**2, self._n_state) + damping / self._a)
+        self._scale = np.concatenate([row_scale, column_scale])
+        self._above = self._a * scaled_variance
+        self._below = damping / self._a * column_scale**2
+        while True:
+            self._tableau = self._fill(H)
+            try:
+                self._lu = pattern.factor(self._tableau)
+                break
+            except RuntimeError:  # exactly singular
+                self._below = raise_damping(self._below)
+
+    def _fill(self, H: sp.csr_array) -> sp.csc_array:
+        row_scale, column_scale = self._scale[: self._n_meas], self._scale[self._n_meas :]
+        data = H.data * row_scale[self._pattern.row] * column_scale[H.indices]
+        return self._pattern.fill(self._above, data, -self._below)
+
+    def solve_nearby(self, H: sp.csr_array, above: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+        """(s, dx) of ``solve(above, 0)`` for another H of the same pattern, by refinement with this factor.
+
+        It begins at the given ``s``, such as the last one, and ends where dx is known to NEARBY of itself or to
+        ROUND_OFF; None where the two H are too far apart for that.
+        """
+        tableau, m = self._fill(H), self._n_meas
+        solution = np.concatenate([s / (self._a * self._scale[:m]), np.zeros(self._n_state)])
+        rest = self._pattern.permute(self._scale * np.concatenate([above, np.zeros(self._n_state)]))
+        correction, last = self._pattern.permute(solution), 0.0
+        for k in range(MOST_REFINEMENTS):
+            rest = rest - tableau @ correction
+            correction = self._lu.solve(rest)
+            change = self._pattern.permute_back(correction)
+            solution += change
+            size, whole = (float(abs(self._scale[m:] * part[m:]).max(initial=0.0)) for part in (change, solution))
+            rate = size / last if last else 1.0
+            if rate * size <= max(NEARBY * whole, ROUND_OFF):  # the correction to come
+                return self._a * self._scale[:m] * solution[:m], self._scale[m:] * solution[m:]
+            if k and not rate <= CONTRACTION:
+                return None
+            last = size
+        return None
+
+    def solve(self, above: np.ndarray, below: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(s, dx) of ``R s + H dx = above``, ``H's - damping dx = below``; vectors or columns."""
+        solution = self._solve(np.concatenate([above, below / self._a]))
+        return self._a * solution[: self._n_meas], solution[self._n_meas :]
+
+    def covariance_times(self, B: np.ndarray) -> np.ndarray:
+        """``G^-1 B`` (n_state, k), ``G = H'WH`` under the constraints: columns of the state's covariance."""
+        return -self.solve(np.zeros((self._n_meas, B.shape[1])), B)[1]
+
+    def state_variance(self) -> np.ndarray:
+        """diag(G^-1), shape (n_state,)."""
+        return self._diagonal(self._n_meas, self._n_state) / -self._a
+
+    def residual_variance(self) -> np.ndarray:
+        """diag(Omega), ``Omega = R - H G^-1 H'`` (eq. 3.22), shape (n_meas,); found without that cancellation."""
+        variance: np.ndarray = self._a * self.variance**2 * self._diagonal(0, self._n_meas)
+        return variance
+
+    @cached_property
+    def _inverse_diagonal(self) -> np.ndarray | None:
+        """Of the tableau, where that takes less than its solves."""
+        if len(self._scale) < FEWEST_SELECTED:
+            return None
+        found = find_inverse_diagonal(self._tableau, self._pattern.factor(self._tableau, exact=True))
+        return None if found is None else self._scale**2 * self._pattern.permute_back(found)
+
+    def _diagonal(self, first: int, count: int) -> np.ndarray:
+        """Entries first ... first + count - 1 of the diagonal of the inverse."""
+        if self._inverse_diagonal is not None:
+            return self._inverse_diagonal[first : first + count]
+        diagonal = np.zeros(count)
+        for k in range(0, count, BLOCK):
+            block = np.arange(k, min(k + BLOCK, count))
+            unit = np.zeros((len(self._scale), len(block)))
+            unit[first + block, block - k] = 1.0
+            diagonal[block] = self._solve(unit)[first + block, block - k]
+        return diagonal
+
+    def _solve(self, b: np.ndarray) -> np.ndarray:
+        scale = self._scale.reshape(-1, *(1,) * (b.ndim - 1))
+        b = self._pattern.permute(scale * b)
+        scaled = self._lu.solve(b)
+        scaled = scaled + self._lu.solve(b - self._tableau @ scaled)  # information is a difference
+        solution: np.ndarray = scale * self._pattern.permute_back(scaled)
+        return solution
+
+
+def reciprocal_row_lengths(H: sp.csr_array) -> np.ndarray:
+    """1 / Euclidean length of each row; 1 for an empty one."""
+    return reciprocal_root(np.bincount(_row_of_entries(H), H.data**2, H.shape[0]))
+
+
+def scale_rows(H: sp.csr_array, scale: np.ndarray) -> sp.csr_array:
+    """``diag(scale) H``."""
+    return sp.csr_array((H.data * scale[_row_of_entries(H)], H.indices, H.indptr), shape=H.shape)
+
+
+def _row_of_entries(H: sp.csr_array) -> np.ndarray:
+    return np.repeat(np.arange(H.shape[0]), np.diff(H.indptr))
+
+
+def reciprocal_root(square: np.ndarray) -> np.ndarray:
+    """1 / length for each squared length; 1 where that is 0."""
+    length = np.sqrt(square)
+    return np.asarray(1 / np.where(length > 0, length, 1.0))
+
+
+def raise_damping(below: np.ndarray) -> np.ndarray:
+    """More of the scaled damping, where rounding has swallowed what there was.
+
+    Raises:
+        RuntimeError: there is none, or it is large enough already.
+    """
+    if not below.any() or below.max() > LARGEST_DAMPING:
+        raise RuntimeError("the tableau is exactly singular")
+    return below * 1e3

@@ -1,0 +1,1 @@
+"""Power flow by Newton-Raphson or, for radial networks, by sweeps."""

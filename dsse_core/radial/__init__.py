@@ -1,0 +1,1 @@
+"""The compiled back end: passes over the tree of a radial network."""

@@ -1,0 +1,192 @@
+"""Gauss-Newton on a tree, compiled: the steps of ``tree_kernel``, and what ``verdict.decide`` says between them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from dsse_core import gauss_newton
+from dsse_core.gauss_newton import FLOWS_KNOWN, FULL_STEPS, LARGEST_STEP, MAX_DVA, MAX_DVM, NEAR_LIMIT, SURE_STEP
+from dsse_core.radial.block import N_INVERSE, compiled, modulus, scaled, wrap
+from dsse_core.radial.kernel import N_FACTOR, N_MORE, SMALL_ANGLE, STEP, eliminate, substitute
+
+FINAL, JUDGE, LOST, UNUSABLE = 0, 1, 2, 3
+is_last = compiled(gauss_newton.is_last)
+
+
+@compiled
+def estimate(
+    parent, Y, order, slot, exact, start, start_va, has_currents,
+    tolerance, most_steps, limit, values, sigmas, state, residual,
+):  # fmt: skip
+    """The whole iteration in one call, from the first step to the last one, or to the end of patience.
+
+    Fills ``state`` (2, n_bus), vm and va in network order, and ``residual`` (n_meas,), makes ``sigmas`` 0 where a
+    reading is ``exact``, and returns how it ended, steps, the last one and J. FINAL, JUDGE: the verdict that the last
+    step was taken along with, ``limit`` being that of J. LOST: ``most_steps`` or LARGEST_STEP. UNUSABLE: readings that
+    cannot be.
+    """
+    if not _are_usable(exact, values, sigmas):
+        return UNUSABLE, 0, np.inf, np.inf
+    n = len(parent)
+    z, w, v, va = np.zeros((n, 10)), np.zeros((n, 10)), start.copy(), start_va.copy()
+    w[:, 2:4] = -1.0  # see ``absent``
+    store(slot, values, sigmas, z, w)
+    above, factor, more = np.zeros((n, 16)), np.empty((n, N_FACTOR)), np.empty((n, N_MORE))
+    block, step = np.empty((4, N_INVERSE)), np.empty((n, 4))
+    flows_known, stepped, last = not has_currents, False, False
+    end, steps, largest, before = LOST, 0, np.inf, 0.0
+    while not last:
+        if stepped and flows_known and is_last(largest, before, has_currents, tolerance):
+            J = _find_objective(parent, Y, z, w, v, va, has_currents, step)  # which is found anew after it
+            last = largest <= SURE_STEP or abs(J - limit) >= NEAR_LIMIT * limit
+            if last:
+                end = JUDGE if limit <= J else FINAL
+        if not last and steps >= most_steps:
+            break
+        eliminate(parent, Y, z, w, v, va, flows_known, STEP, above, factor, more, block, step)
+        substitute(parent, factor, step)
+        dva, dvm, finite = _largest(v, step)
+        at_most = 1.0 if last or steps < FULL_STEPS else 0.5
+        before = largest if stepped and steps != FULL_STEPS else 0.0
+        largest, steps = max(dva, dvm) if finite else np.inf, steps + 1
+        if not largest <= LARGEST_STEP:
+            end = LOST
+            break
+        share = at_most if last else 1.0 / max(max(1.0 / at_most, dva / MAX_DVA), dvm / MAX_DVM)
+        _move(v, va, step, share, dva)
+        stepped = share == at_most
+        if stepped and not flows_known and largest < FLOWS_KNOWN:
+            flows_known, stepped = True, False
+    predict(parent, Y, v, va, has_currents, z)
+    for i in range(n):
+        state[0, order[i]], state[1, order[i]] = modulus(v[i]), va[i]
+    return end, steps, largest, _subtract(slot, values, sigmas, z, residual)
+
+
+@compiled
+def _are_usable(exact, values, sigmas):
+    """Whether readings can be; makes sigma 0 where they hold exactly."""
+    usable = True
+    for k in range(len(values)):
+        if exact[k]:
+            sigmas[k] = 0.0
+            usable = usable and values[k] == 0.0
+        else:
+            usable = usable and abs(values[k]) < np.inf and 0.0 < sigmas[k] < np.inf
+    return usable
+
+
+@compiled
+def _place(slot):
+    """Bus and column; without a sign, which costs as much as the rest of a loop over the meters."""
+    unsigned = np.uint64(slot)
+    return unsigned // np.uint64(10), unsigned % np.uint64(10)
+
+
+@compiled
+def store(slot, values, sigmas, z, w):
+    """Readings into ``z`` and weights into ``w``, both (n, 10): 1 / sigma^2, of injections sigma^2."""
+    for k in range(len(slot)):
+        i, column = _place(slot[k])
+        z[i, column] = values[k]
+        variance = sigmas[k] * sigmas[k]
+        w[i, column] = variance if column == 2 or column == 3 else 1.0 / variance
+
+
+@compiled
+def _subtract(slot, values, sigmas, h, residual):
+    """z - h(x) of every meter into ``residual``, differences of angles wrapped to (-pi, pi]. Returns J."""
+    J = 0.0
+    for k in range(len(slot)):
+        i, column = _place(slot[k])
+        r = values[k] - h[i, column]
+        residual[k] = wrap(r) if column == 0 else r
+        if sigmas[k] > 0.0:
+            J += (residual[k] / sigmas[k]) ** 2
+    return J
+
+
+@compiled
+def _find_objective(parent, Y, z, w, v, va, has_currents, power):
+    """J from readings and weights by slot, without a row for every meter; ``power`` (n, 4) is overwritten."""
+    J = 0.0
+    for i in range(len(parent)):
+        square = v[i].real ** 2 + v[i].imag ** 2
+        power[i, 0], power[i, 1] = Y[i, 7].real * square, Y[i, 7].imag * square
+        if w[i, 0] > 0.0:
+            J += w[i, 0] * wrap(z[i, 0] - va[i]) ** 2
+        if w[i, 1] > 0.0:
+            J += w[i, 1] * (z[i, 1] - math.sqrt(square)) ** 2
+    for i in range(1, len(parent)):
+        p = parent[i]
+        own, at_parent = branch_powers(i, p, Y, v)
+        power[i, 0] += own.real
+        power[i, 1] += own.imag
+        power[p, 0] += at_parent.real
+        power[p, 1] += at_parent.imag
+        J += w[i, 4] * (z[i, 4] - at_parent.real) ** 2 + w[i, 5] * (z[i, 5] - at_parent.imag) ** 2
+        J += w[i, 7] * (z[i, 7] - own.real) ** 2 + w[i, 8] * (z[i, 8] - own.imag) ** 2
+        if has_currents:
+            J += w[i, 6] * (z[i, 6] - modulus(at_parent) / modulus(v[p])) ** 2
+            J += w[i, 9] * (z[i, 9] - modulus(own) / modulus(v[i])) ** 2
+    for i in range(len(parent)):
+        for k in range(2):
+            if w[i, 2 + k] > 0.0:
+                J += (z[i, 2 + k] - power[i, k]) ** 2 / w[i, 2 + k]
+    return J
+
+
+@compiled
+def _largest(v, step):
+    """max |dva|, max |dvm|, and whether all are finite."""
+    dva, dvm, total = 0.0, 0.0, 0.0
+    for i in range(len(v)):
+        dva = max(dva, abs(step[i, 2]))
+        dvm = max(dvm, (v[i].real ** 2 + v[i].imag ** 2) * step[i, 3] ** 2)
+        total += step[i, 2] + step[i, 3]
+    return dva, math.sqrt(dvm), math.isfinite(total)
+
+
+@compiled
+def _move(v, va, step, length, largest_angle):
+    """Turn and lengthen all voltages. No branch inside the loop: else sines are computed although nobody needs them."""
+    small = length * largest_angle < SMALL_ANGLE
+    for i in range(len(v)):
+        d, growth = length * step[i, 2], 1.0 + length * step[i, 3]
+        va[i] += d
+        if small:
+            d2 = d * d
+            c = 1.0 + d2 * (-1 / 2 + d2 * (1 / 24 - d2 * (1 / 720)))
+            s = d + d * d2 * (-1 / 6 + d2 * (1 / 120 - d2 * (1 / 5040)))
+        else:
+            c, s = math.cos(d), math.sin(d)
+        v[i] = scaled(v[i] * complex(c, s), growth)
+
+
+@compiled
+def predict(parent, Y, v, va, has_currents, h):
+    """h(x) of every slot, shape (n, 10); of currents only if there are any."""
+    for i in range(len(parent)):
+        square = v[i].real ** 2 + v[i].imag ** 2
+        h[i, 0], h[i, 1] = va[i], math.sqrt(square)
+        h[i, 2], h[i, 3] = Y[i, 7].real * square, Y[i, 7].imag * square
+    for i in range(1, len(parent)):
+        p = parent[i]
+        own, at_parent = branch_powers(i, p, Y, v)
+        h[i, 2] += own.real
+        h[i, 3] += own.imag
+        h[p, 2] += at_parent.real
+        h[p, 3] += at_parent.imag
+        h[i, 4], h[i, 5], h[i, 7], h[i, 8] = at_parent.real, at_parent.imag, own.real, own.imag
+        if has_currents:
+            h[i, 6], h[i, 9] = modulus(at_parent) / h[p, 1], modulus(own) / h[i, 1]
+
+
+@compiled
+def branch_powers(i, p, Y, v):
+    """Power into the branch above bus ``i``, at its own end and at its parent's ``p``."""
+    m = v[i] * v[p].conjugate()
+    own = scaled(Y[i, 0], v[i].real ** 2 + v[i].imag ** 2) + Y[i, 1] * m
+    return own, scaled(Y[i, 2], v[p].real ** 2 + v[p].imag ** 2) + Y[i, 3] * m.conjugate()

@@ -1,0 +1,220 @@
+"""What the tree back end needs to know of a radial network and its meters: found once, used for every scan."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from dsse_core.errors import InvalidInputError
+from dsse_core.grid.measurement import MeasurementKind, Meter, find_meter_problems
+from dsse_core.grid.network import Network
+from dsse_core.grid.radial_order import find_tree
+from dsse_core.observability import check_observable, find_reference
+
+# Columns of the readings of a bus: its own, then those of the branch to its parent, at the parent's end and its own.
+SLOTS_AT_BUS = {
+    MeasurementKind.VA: 0,
+    MeasurementKind.VM: 1,
+    MeasurementKind.P_INJECTION: 2,
+    MeasurementKind.Q_INJECTION: 3,
+}
+SLOTS_AT_PARENT = {MeasurementKind.P_FLOW: 4, MeasurementKind.Q_FLOW: 5, MeasurementKind.CURRENT: 6}
+SLOTS_AT_CHILD = {MeasurementKind.P_FLOW: 7, MeasurementKind.Q_FLOW: 8, MeasurementKind.CURRENT: 9}
+N_SLOT = 10
+# Of the pivots at no load with all sigmas 1, against the largest entry of their column. On 500 random grids, impedances
+# over up to four decades, it was at most 2e-16 where something is not determined and at least 1.5e-9 elsewhere.
+LEAST_PIVOT_RATIO = 1e-12
+
+
+@dataclass(frozen=True)
+class TreePlan:
+    """A tree of buses, numbered from the root (the reference bus) so that every parent precedes its children.
+
+    ``order`` (n_bus,): network row of each bus of the tree. ``parent`` (n_bus,): number of its parent; the root's is 0.
+    ``admittance`` (n_bus, 8) complex: see ``stack_admittances``; ``no_load_admittance``: without shunts and charging.
+    ``slot`` (n_meas,): place of each meter's reading in an array (n_bus, N_SLOT), flattened. ``start`` (n_bus,) complex
+    and ``start_va`` (n_bus,): the flat start in tree order, with the angle that is given at the root.
+    """
+
+    network: Network
+    meters: tuple[Meter, ...]
+    reference: int
+    order: np.ndarray
+    parent: np.ndarray
+    admittance: np.ndarray
+    no_load_admittance: np.ndarray
+    slot: np.ndarray
+    start: np.ndarray
+    start_va: np.ndarray
+
+    @cached_property
+    def has_currents(self) -> bool:
+        return bool(np.isin(self.slot % N_SLOT, (6, 9)).any())
+
+
+@dataclass(frozen=True)
+class TreeLayout:
+    """A tree of buses, numbered from the root so that every parent precedes its children.
+
+    ``order`` (n_bus,): network row of each bus of the tree. ``number`` (n_bus,): place in the tree of each network
+    row. ``parent`` (n_bus,): number of its parent; the root's is 0. ``child`` (n_branch,): number of the bus below each
+    branch in service; ``from_parent`` (n_branch,): whether its from side is above.
+    """
+
+    order: np.ndarray
+    number: np.ndarray
+    parent: np.ndarray
+    child: np.ndarray
+    from_parent: np.ndarray
+
+
+def lay_out_tree(network: Network, root: int) -> TreeLayout | str:
+    """The tree of ``network`` with bus ``root`` on top, or, as text, why the compiled passes cannot serve it."""
+    if importlib.util.find_spec("numba") is None:
+        return "numba is not installed"
+    if isinstance(tree := find_tree(network, root), str):
+        return tree
+    number = np.empty(len(tree.order), dtype=np.int64)
+    number[tree.order] = np.arange(len(tree.order))
+    parent = number[tree.upstream[tree.order]]
+    from_parent = tree.upstream[tree.t] == tree.f
+    return TreeLayout(tree.order, number, parent, number[np.where(from_parent, tree.t, tree.f)], from_parent)
+
+
+def build_tree_plan(network: Network, meters: Sequence[Meter], *, reference: int | None = None) -> TreePlan | str:
+    """The plan for ``meters`` in ``network``, or, as text, why the tree back end cannot serve them.
+
+    Args:
+        reference: bus whose angle is given, the root of the tree; the slack bus by default.
+
+    Raises:
+        InvalidInputError: listing every meter that does not fit the network, or an unknown reference.
+        NotObservableError: the meters do not determine the state.
+    """
+    reference = find_reference(network, reference)
+    if isinstance(layout := lay_out_tree(network, reference), str):
+        return layout
+    ys, ends, ratio = read_branches(network)
+    shunts = read_shunts(network, layout)
+    gain = np.ones(len(network.buses), dtype=complex)
+    gain[layout.child] = np.where(layout.from_parent, 1 / ratio, ratio)
+    start = _follow(layout.parent, gain)
+    angle = network.slack.va if network.slack and network.slack.bus == reference else 0.0
+    plan = TreePlan(
+        network=network,
+        meters=tuple(meters),
+        reference=reference,
+        order=layout.order,
+        parent=layout.parent,
+        admittance=stack_admittances(ys, ends, ratio, shunts, layout),
+        no_load_admittance=stack_admittances(ys, 0 * ends, ratio, 0 * shunts, layout),
+        slot=find_slots(network, meters, layout),
+        start=start * np.exp(1j * angle),
+        start_va=np.angle(start) + angle,
+    )
+    return _check_determined(plan)
+
+
+def drop_meters(plan: TreePlan, rows: Sequence[int]) -> TreePlan | str:
+    """The plan without the meters at the positions ``rows``. Returns and raises as ``build_tree_plan``."""
+    kept = np.delete(np.arange(len(plan.meters)), rows)
+    meters = tuple(plan.meters[k] for k in kept.tolist())
+    return _check_determined(replace(plan, meters=meters, slot=plan.slot[kept]))
+
+
+def _check_determined(plan: TreePlan) -> TreePlan | str:
+    if (stuck := _find_stuck_bus(plan)) is None:
+        return plan
+    check_observable(plan.network, plan.meters, reference=plan.reference)
+    bus = plan.network.buses[plan.order[stuck]].id
+    return f"the power through the branch above bus {bus} is not determined by the meters below and at that branch"
+
+
+def read_branches(network: Network) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of the branches in service: series admittance ys, admittance at each end, complex tap ratio, (n_branch,) each."""
+    branches = network.active_branches
+    r, x, g, b, tap, shift = np.array([(b.r, b.x, b.g, b.b, b.tap, b.shift) for b in branches]).reshape(-1, 6).T
+    return 1 / (r + 1j * x), 0.5 * (g + 1j * b), tap * np.exp(1j * shift)
+
+
+def read_shunts(network: Network, layout: TreeLayout) -> np.ndarray:
+    """Shunt admittances in tree order, shape (n_bus,)."""
+    shunts = np.array([complex(b.g_shunt, b.b_shunt) for b in network.buses], dtype=complex)
+    in_tree_order: np.ndarray = shunts[layout.order]
+    return in_tree_order
+
+
+def orient_branches(
+    ys: np.ndarray, ends: np.ndarray, ratio: np.ndarray, layout: TreeLayout
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """``ycc, ycp, ypp, ypc`` of the branches, c the child's end and p the parent's; see ``build_admittance``."""
+    ytt = ys + ends
+    yff, yft, ytf = ytt / abs(ratio) ** 2, -ys / ratio.conj(), -ys / ratio
+    down = layout.from_parent
+    return np.where(down, ytt, yff), np.where(down, ytf, yft), np.where(down, yff, ytt), np.where(down, yft, ytf)
+
+
+def stack_admittances(
+    ys: np.ndarray, ends: np.ndarray, ratio: np.ndarray, shunts: np.ndarray, layout: TreeLayout
+) -> np.ndarray:
+    """What the compiled passes need of the branch above each bus and of its shunt, shape (n_bus, 8), complex.
+
+    Conjugates of ``ycc, ycp, ypp, ypc, ypp / ypc, 1 / ypc, ycp / conj(ypc)`` and of the shunt.
+    """
+    ycc, ycp, ypp, ypc = orient_branches(ys, ends, ratio, layout)
+    stacked = np.zeros((len(shunts), 8), dtype=complex)
+    stacked[layout.child, :7] = np.stack([ycc, ycp, ypp, ypc, ypp / ypc, 1 / ypc, ycp / ypc.conj()], axis=1).conj()
+    stacked[:, 7] = shunts.conj()
+    return stacked
+
+
+def find_slots(network: Network, meters: Sequence[Meter], layout: TreeLayout) -> np.ndarray:
+    """``slot`` of a plan."""
+    number, parent, child = layout.number, layout.parent, layout.child
+    row, kinds = network.row, list(MeasurementKind)
+    branch_row = {branch.id: k for k, branch in enumerate(network.active_branches)}
+    code = {id(kind): k for k, kind in enumerate(kinds)}  # members are singletons, and hashing them takes long
+    kind = np.array([code[id(meter.kind)] for meter in meters], dtype=np.int64)
+    rows = np.array([row.get(meter.bus, -1) for meter in meters], dtype=np.int64)
+    branch = np.array([branch_row.get(meter.branch, -1) if meter.branch else -1 for meter in meters], dtype=np.int64)
+    at = np.where(rows < 0, -1, number[rows])
+    below = np.where(branch < 0, -2, np.append(child, -2)[branch])
+    at_bus, at_parent, at_child = (
+        np.array([slots.get(k, -1) for k in kinds])[kind] for slots in (SLOTS_AT_BUS, SLOTS_AT_PARENT, SLOTS_AT_CHILD)
+    )
+    above = np.where(below < 0, -2, parent[np.maximum(below, 0)])
+    column = np.where(at_bus >= 0, at_bus, np.where(at == above, at_parent, at_child))
+    of_branch = at_bus < 0
+    fits = (at >= 0) & np.where(of_branch, (at == above) | (at == below), branch < 0)
+    slot = np.where(of_branch, below, at) * N_SLOT + column
+    strays = any(meter.branch for meter, flow in zip(meters, of_branch.tolist(), strict=True) if not flow)
+    if strays or not fits.all() or np.bincount(slot, minlength=1).max() > 1:
+        raise InvalidInputError(f"meters of network {network.name!r}", list(find_meter_problems(network, meters)))
+    return slot
+
+
+def _follow(parent: np.ndarray, gain: np.ndarray) -> np.ndarray:
+    """No-load voltages: 1 p.u. at the root, multiplied by ``gain`` on the way down; in log2(depth) steps."""
+    v, ancestor = gain.copy(), parent.copy()
+    while ancestor.any():
+        v, ancestor = v * v[ancestor], ancestor[ancestor]
+    return v
+
+
+def _find_stuck_bus(plan: TreePlan) -> int | None:
+    """The first bus whose block is singular at no load, without shunts, charging and currents; all sigmas 1."""
+    from dsse_core.radial import kernel as tree_kernel
+
+    n = len(plan.order)
+    readings = np.zeros((n, N_SLOT))
+    weights = tree_kernel.absent(n)
+    weights.ravel()[plan.slot] = 1.0
+    weights[:, [6, 9]] = 0.0
+    work = tree_kernel.Work.of(n)
+    at = plan.parent, plan.no_load_admittance, readings, weights, plan.start, plan.start_va
+    ratio, bus = tree_kernel.eliminate(*at, False, tree_kernel.CHECK, *work)
+    return int(bus) if not ratio > LEAST_PIVOT_RATIO else None

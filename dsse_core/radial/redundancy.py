@@ -1,0 +1,75 @@
+"""Which meters of a tree cannot be spared, by fitting random readings at no load; see ``find_indispensable``."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dsse_core.observability import NO_RESIDUAL, WIDTH
+from dsse_core.radial import kernel as tree_kernel
+from dsse_core.radial.block import compiled
+from dsse_core.radial.iteration import branch_powers, predict
+from dsse_core.radial.kernel import coefficients_of, row_of_branch
+from dsse_core.radial.plan import N_SLOT, TreePlan
+
+
+def find_indispensable_on_tree(plan: TreePlan) -> np.ndarray:
+    """Which meters, virtual ones included, leave the state undetermined when taken out, shape (n_meas,), bool."""
+    n, Y = len(plan.order), plan.no_load_admittance
+    length = _row_lengths(plan.parent, Y)
+    exact = np.empty((n, N_SLOT))
+    predict(plan.parent, Y, plan.start, plan.start_va, True, exact)
+    w = tree_kernel.absent(n)
+    w.ravel()[plan.slot] = (1 / length**2).ravel()[plan.slot]
+    w[:, 2:4] = np.where(w[:, 2:4] > 0, length[:, 2:4] ** 2, w[:, 2:4])
+    w[:, [6, 9]] = 0.0
+    rng = np.random.default_rng(0)
+    largest = np.zeros((n, N_SLOT))
+    for _ in range(WIDTH):
+        z = exact + length * rng.standard_normal((n, N_SLOT))
+        work = tree_kernel.Work.of(n)
+        at = plan.parent, Y, z, w, plan.start, plan.start_va
+        tree_kernel.eliminate(*at, False, tree_kernel.STEP, *work)
+        tree_kernel.substitute(plan.parent, work.factor, work.step)
+        largest = np.maximum(largest, abs(_fit_residuals(*at, work.factor, work.more, work.step)) / length)
+    of_current = np.isin(plan.slot % N_SLOT, (6, 9))
+    indispensable: np.ndarray = (largest.ravel()[plan.slot] < NO_RESIDUAL) & ~of_current
+    return indispensable
+
+
+def _row_lengths(parent: np.ndarray, Y: np.ndarray) -> np.ndarray:
+    """Roughly the length of the row of H of every slot, shape (n, N_SLOT): as ``observability`` scales them."""
+    ycc, ycp, ypp, ypc = abs(Y[:, :4]).T
+    at_child, at_parent = np.hypot(ycc, ycp), np.hypot(ypp, ypc)
+    at_parent[0] = 0.0
+    of_bus = at_child + np.bincount(parent, at_parent, len(parent))
+    length = np.ones((len(parent), N_SLOT))
+    length[:, 2:4] = np.where(of_bus > 0, of_bus, 1.0)[:, None]
+    length[1:, 4:7], length[1:, 7:] = at_parent[1:, None], at_child[1:, None]
+    return length
+
+
+@compiled
+def _fit_residuals(parent, Y, z, w, v, va, factor, more, step):
+    """``r - H dx`` of every slot with a meter, shape (n, 10), from the unknowns of the step, not from differences."""
+    n = len(parent)
+    residual = np.zeros((n, 10))
+    for i in range(n):
+        for k in range(2):
+            if w[i, 2 + k] > 0.0:
+                residual[i, 2 + k] = -w[i, 2 + k] * step[i, k]
+        vm = abs(v[i])
+        residual[i, 0] = z[i, 0] - va[i] - step[i, 2]
+        residual[i, 1] = z[i, 1] - vm - vm * step[i, 3]
+        if i > 0:
+            p = parent[i]
+            own, at_parent = branch_powers(i, p, Y, v)
+            p2 = v[p].real ** 2 + v[p].imag ** 2
+            l0, l1, x0, x1 = step[p, 0], step[p, 1], step[p, 2], step[p, 3]
+            f0 = factor[i, 18] - (factor[i, 8] * l0 + factor[i, 9] * l1 + factor[i, 10] * x0 + factor[i, 11] * x1)
+            f1 = factor[i, 19] - (factor[i, 12] * l0 + factor[i, 13] * l1 + factor[i, 14] * x0 + factor[i, 15] * x1)
+            residual[i, 4], residual[i, 5] = z[i, 4] - at_parent.real - f0, z[i, 5] - at_parent.imag - f1
+            for k in range(7, 9):
+                if w[i, k] > 0.0:
+                    k0, k1, kx, h = row_of_branch(k, own, at_parent, vm, p2, coefficients_of(i, factor, more))
+                    residual[i, k] = z[i, k] - h - (k0 * f0 + k1 * f1 + kx * x1)
+    return residual

@@ -1,0 +1,59 @@
+"""The root of a tree, once all that its branches tell is added up: what is known of it, and its step. Compiled."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from dsse_core.radial.block import NO_INFORMATION, compiled, scaled, solve_block, wrap
+
+N_KNOWN = 16  # of a root or an addressee: see describe_root
+
+
+@compiled
+def describe_root(Y, z, w, v, va, M, angle_given, power_too, K):
+    """What is known of the root: ``K`` (16,) as ``above``, but with its own meters and, with ``power_too``, balance."""
+    u2 = v.real**2 + v.imag**2
+    vm = math.sqrt(u2)
+    for k in range(N_KNOWN):  # a slice would compile the text of an error that cannot be
+        K[k] = M[k]
+    if power_too:
+        ysh = scaled(Y[7], u2)
+        K[0] -= w[2]
+        K[2] -= w[3]
+        K[4] += 2.0 * ysh.real
+        K[6] += 2.0 * ysh.imag
+        K[10] += z[2] - (ysh.real + M[14])
+        K[11] += z[3] - (ysh.imag + M[15])
+    if w[0] > 0.0:
+        K[7] += w[0]
+        K[12] += w[0] * wrap(z[0] - va)
+    if w[1] > 0.0:
+        K[9] += w[1] * u2
+        K[13] += w[1] * vm * (z[1] - vm)
+    if angle_given:
+        K[3] = K[5] = K[7] = K[8] = K[12] = 0.0
+
+
+@compiled
+def solve_root(Y, z, w, v, va, M, angle_given, check, block):
+    """Its block of the inverse in columns 4 to 7 of ``block``, its step in 8; returns as ``solve_block``."""
+    K = np.empty(N_KNOWN)
+    describe_root(Y, z, w, v, va, M, angle_given, True, K)
+    if check and angle_given and K[9] < NO_INFORMATION:
+        return 0.0
+    if w[2] < 0.0:
+        K[0], K[1], K[3], K[4], K[10] = -1.0, 0.0, 0.0, 0.0, 0.0
+    if w[3] < 0.0:
+        K[2], K[1], K[5], K[6], K[11] = -1.0, 0.0, 0.0, 0.0, 0.0
+    if angle_given:
+        K[7] = K[9] if K[9] > 0.0 else 1.0  # there is nothing to find
+    block[:] = 0.0
+    block[0, 0], block[0, 1], block[0, 2], block[0, 3], block[0, 8] = K[0], K[1], K[3], K[4], K[10]
+    block[1, 0], block[1, 1], block[1, 2], block[1, 3], block[1, 8] = K[1], K[2], K[5], K[6], K[11]
+    block[2, 0], block[2, 1], block[2, 2], block[2, 3], block[2, 8] = K[3], K[5], K[7], K[8], K[12]
+    block[3, 0], block[3, 1], block[3, 2], block[3, 3], block[3, 8] = K[4], K[6], K[8], K[9], K[13]
+    for k in range(4):
+        block[k, 4 + k] = 1.0
+    return solve_block(block, 9, check)

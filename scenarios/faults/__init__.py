@@ -1,0 +1,1 @@
+"""Faults of links, telemetry and processes as a scenario states them."""

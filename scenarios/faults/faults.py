@@ -1,0 +1,214 @@
+"""The faults of a scenario: of each directed link, of the telemetry, and what happens to processes and when."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+from dsse_core.errors import InvalidInputError
+from dsse_core.grid.partition import Partition
+from dsse_core.limits import LONGEST_S
+from dsse_core.link_faults import LinkFaults
+from dsse_core.printable import listed
+from scenarios.files.fault_tables import BurstTable, FaultsTable, LieTable, LinkTable, LoadFaultTable
+
+Link = tuple[str, str]
+"""(sending area, receiving area)."""
+LinkChanges = Mapping[str, float]
+"""``delay_s``, ``jitter_s`` and ``duplicate`` that every link is to have instead of the scenario's."""
+ROUTERS = ("router", "router2")
+PROCESSES = ("plant", *ROUTERS)
+EventKind = Literal["kill", "restart", "pause", "cut", "silent"]
+
+
+@dataclass(frozen=True, slots=True)
+class FaultEvent:
+    """At ``at_s`` after the start of the run (all areas on the bus) ``kind`` happens to ``names``, for ``for_s``.
+
+    ``names``: an area, ``plant``, ``router`` or ``router2``; two areas for a cut. ``for_s``: 0 for what happens in a
+    moment.
+    """
+
+    at_s: float
+    kind: EventKind
+    names: tuple[str, ...]
+    for_s: float = 0.0
+
+    @property
+    def over_s(self) -> float:
+        return self.at_s + self.for_s
+
+
+@dataclass(frozen=True, slots=True)
+class TelemetryFaults:
+    """How telemetry falls short, drawn anew for each scan and area.
+
+    ``missing``: share of the area's readings that the scan lacks. ``late``: probability that the scan reaches the
+    area late, by a uniform part of ``late_s``.
+    """
+
+    missing: float = 0.0
+    late: float = 0.0
+    late_s: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Faults:
+    """``links`` has every directed link between neighbours; ``events`` are in the order of their time."""
+
+    links: dict[Link, LinkFaults]
+    telemetry: TelemetryFaults = TelemetryFaults()
+    events: tuple[FaultEvent, ...] = ()
+
+    @property
+    def over_s(self) -> float:
+        """When the last event is over, s since the start of the run; before that there is no verdict."""
+        return max((event.over_s for event in self.events), default=0.0)
+
+
+def find_links(partition: Partition) -> tuple[Link, ...]:
+    """Every directed link between neighbours."""
+    return tuple((n.area, area.name) for area in partition.areas for n in area.neighbours)
+
+
+def build_faults(table: FaultsTable, partition: Partition) -> Faults:
+    """The faults of a table that ``find_name_problems`` and ``find_link_problems`` find no fault with."""
+    base_mva = partition.network.base_mva
+    own = {(link.from_, link.to): link for link in table.link}
+    told_back = {(link.to, link.from_): link.lie for link in table.link if link.lie.both_ways}
+    cuts: dict[frozenset[str], list[tuple[float, float]]] = {}
+    for event in table.events:
+        if event.cut is not None:
+            cuts.setdefault(frozenset(event.cut), []).append((event.at_s, event.at_s + (event.for_s or 0.0)))
+    links = {
+        link: _build_link(table, own.get(link), told_back.get(link), sorted(cuts.get(frozenset(link), [])), base_mva)
+        for link in find_links(partition)
+    }
+    events = [FaultEvent(e.at_s, e.kind, e.names, e.for_s or 0.0) for e in table.events]  # type: ignore[arg-type]
+    return Faults(
+        links,
+        TelemetryFaults(**table.telemetry.model_dump()),
+        tuple(sorted(events, key=lambda event: event.at_s)),
+    )
+
+
+def _build_link(
+    table: FaultsTable,
+    own: LinkTable | None,
+    told_back: LieTable | None,
+    cuts: Sequence[tuple[float, float]],
+    base_mva: float,
+) -> LinkFaults:
+    """``own``: the keys that the link has for itself instead of those of every link. ``told_back``: the lie of the
+    other direction, which this one takes back.
+    """
+
+    def value_of(key: str) -> Any:
+        value = getattr(own, key, None)
+        return getattr(table, key) if value is None else value
+
+    burst = value_of("burst") or BurstTable(enter=0.0, leave=1.0)
+    load, lie = (own.load, own.lie) if own else (LoadFaultTable(), LieTable())
+    if told_back is not None:
+        lie = _invert(told_back)
+    return LinkFaults(
+        loss=value_of("loss"),
+        burst_enter=burst.enter,
+        burst_leave=burst.leave,
+        burst_loss=burst.loss,
+        delay_s=value_of("delay_ms") / 1000,
+        jitter_s=value_of("jitter_ms") / 1000,
+        duplicate=value_of("duplicate"),
+        corrupt=value_of("corrupt"),
+        load_p=load.p_mw / base_mva,
+        load_q=load.q_mvar / base_mva,
+        load_scale=load.scale,
+        load_frozen=load.frozen,
+        lie_p=lie.p_mw / base_mva,
+        lie_q=lie.q_mvar / base_mva,
+        lie_vm=lie.vm_pu,
+        lie_va=math.radians(lie.va_deg),
+        lie_scale=lie.scale,
+        lie_objective=lie.objective,
+        lie_areas=lie.areas or 0,
+        lie_worst=lie.worst or "",
+        lie_verdict=lie.verdict or "",
+        until_s=table.until_s,
+        cuts=tuple(cuts),
+    )
+
+
+def _find_lie_problems(links: Sequence[LinkTable]) -> Iterable[str]:
+    """A direction that takes the lie of the other one back can tell none of its own."""
+    liars = {(link.from_, link.to): i for i, link in enumerate(links, 1) if link.lie != LieTable()}
+    for i, link in enumerate(links, 1):
+        if link.lie.both_ways and (back := liars.get((link.to, link.from_))):
+            yield (
+                f"faults.link[{i}].lie.both_ways: faults.link[{back}] gives the other direction a lie of its own; "
+                "remove one of the two"
+            )
+
+
+def _invert(lie: LieTable) -> LieTable:
+    """What makes a value of who has believed ``lie`` one that agrees with the truth again."""
+    offsets = {key: -getattr(lie, key) / lie.scale for key in ("p_mw", "q_mvar", "vm_pu", "va_deg")}
+    return LieTable(**offsets, scale=1 / lie.scale)
+
+
+def change_links(faults: Faults, changes: LinkChanges) -> Faults:
+    """``faults`` with some of every link's numbers replaced.
+
+    Raises:
+        InvalidInputError: every number that is impossible.
+    """
+    problems = []
+    for key, value in changes.items():
+        most = 1.0 if key == "duplicate" else LONGEST_S
+        if not 0 <= value <= most:
+            problems.append(f"{key} is {value:g}; it must be 0 to {most:g}")
+    if problems:
+        raise InvalidInputError("faults of all links", problems)
+    links = {link: replace(old, **changes) for link, old in faults.links.items()}  # type: ignore[arg-type]
+    return replace(faults, links=links)
+
+
+def find_name_problems(table: FaultsTable, areas: Collection[str] | None, routers: int) -> Iterable[str]:
+    """Names of no area or process; nothing as long as no areas are known (None). ``routers``: how many there are."""
+    if areas is None:
+        return
+    known = listed(areas)
+    for name in table.load_error:
+        if name not in areas:
+            yield f"faults.load_error.{name}: there is no area {name!r}; areas: {known}"
+    for i, link in enumerate(table.link, 1):
+        for key, name in (("from", link.from_), ("to", link.to)):
+            if name not in areas:
+                yield f"faults.link[{i}].{key}: there is no area {name!r}; areas: {known}"
+    for i, event in enumerate(table.events, 1):
+        processes = () if event.kind == "cut" else PROCESSES[: 1 + routers]
+        for name in event.names:
+            if name not in areas and name not in processes:
+                allowed = listed([*areas, *processes])
+                why = ' with transport.kind = "neighbours"' if not routers and name in ROUTERS else ""
+                why = " with transport.routers = 1" if routers == 1 and name in ROUTERS else why
+                yield f"faults.events[{i}].{event.kind}: there is no {name!r}{why}; allowed: {allowed}"
+
+
+def find_link_problems(table: FaultsTable, partition: Partition) -> Iterable[str]:
+    """Links between areas that are no neighbours, or that are given twice."""
+    links = find_links(partition)
+    areas = {area.name for area in partition.areas}
+    pairs = listed([f"{a} to {b}" for a, b in links]) or "none"
+    given: set[tuple[str, str]] = set()
+    for i, link in enumerate(((link.from_, link.to) for link in table.link), 1):
+        if set(link) <= areas and link not in links:
+            yield f"faults.link[{i}]: {link[0]} and {link[1]} are not neighbours; links: {pairs}"
+        if link in given:
+            yield f"faults.link[{i}]: the link from {link[0]} to {link[1]} is given twice; keep one"
+        given.add(link)
+    yield from _find_lie_problems(table.link)
+    for i, event in enumerate(table.events, 1):
+        if event.kind == "cut" and set(event.names) <= areas and event.names not in links:
+            yield f"faults.events[{i}].cut: {' and '.join(event.names)} are not neighbours; links: {pairs}"

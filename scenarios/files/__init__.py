@@ -1,0 +1,1 @@
+"""Files that users give and get: networks, readings, scenarios; strict TOML with all problems at once."""

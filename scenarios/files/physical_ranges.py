@@ -1,0 +1,88 @@
+"""What the numbers of a network may be at most: far beyond any grid, far below where arithmetic loses its digits.
+
+Asked of every network that comes from a file, of ours or of another project.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
+
+
+@dataclass(frozen=True, slots=True)
+class Range:
+    """From ``least`` to ``most``, in ``unit``."""
+
+    least: float
+    most: float
+    unit: str
+
+    def find_problem(self, of: str, value: float) -> Iterator[str]:
+        """That ``value`` of what ``of`` names is outside, as text."""
+        if not self.least <= value <= self.most:
+            unit = f" {self.unit}" if self.unit else ""
+            yield f"{of} is {value:g}{unit}; it must lie between {self.least:g} and {self.most:g}{unit}; correct it"
+
+
+BASE_POWER = Range(1e-6, 1e6, "MVA")
+BASE_VOLTAGE = Range(1e-3, 1e4, "kV")
+POWER = Range(-1e6, 1e6, "MW")  # all of Europe takes half of it
+REACTIVE_POWER = Range(-1e6, 1e6, "Mvar")
+IMPEDANCE = Range(-1e9, 1e9, "p.u.")
+ADMITTANCE = Range(-1e6, 1e6, "p.u.")
+TAP = Range(1e-2, 1e2, "")
+ANGLE = Range(-720.0, 720.0, "degrees")
+VOLTAGE = Range(0.1, 10.0, "p.u.")
+LARGEST_BUS = 10**15  # exact in every message, as a float, too
+
+
+def find_range_problems(network: Network) -> Iterator[str]:
+    """A problem for each number of ``network`` that no grid has, with the bus or branch, the value and the range."""
+    yield from find_base_problems(network.base_mva, {})
+    for bus in network.buses:
+        yield from _of_bus(bus, network.base_mva)
+    for branch in network.branches:
+        yield from _of_branch(branch)
+    for generator in network.generators:
+        yield from _of_source(generator, network.base_mva)
+
+
+def find_base_problems(base_mva: float, base_kv: Mapping[int, float]) -> Iterator[str]:
+    """The same of what others are divided by; ``base_kv``: bus -> base voltage."""
+    yield from BASE_POWER.find_problem("base_mva", base_mva)
+    for bus, kv in base_kv.items():
+        yield from BASE_VOLTAGE.find_problem(f"bus {bus}: base voltage", kv)
+
+
+def _of_bus(bus: Bus, base: float) -> Iterator[str]:
+    of = f"bus {bus.id}"
+    if not abs(bus.id) <= LARGEST_BUS:
+        yield f"bus {str(bus.id)[:20]}...: a number of a bus lies within {LARGEST_BUS:g} of 0; give it another"
+        return
+    yield from BASE_VOLTAGE.find_problem(f"{of}: base voltage", bus.base_kv)
+    yield from POWER.find_problem(f"{of}: active load", bus.p_load * base)
+    yield from REACTIVE_POWER.find_problem(f"{of}: reactive load", bus.q_load * base)
+    yield from POWER.find_problem(f"{of}: conductance of the shunt", bus.g_shunt * base)
+    yield from REACTIVE_POWER.find_problem(f"{of}: susceptance of the shunt", bus.b_shunt * base)
+
+
+def _of_branch(branch: Branch) -> Iterator[str]:
+    of = f"branch {branch.id}"
+    yield from IMPEDANCE.find_problem(f"{of}: r", branch.r)
+    yield from IMPEDANCE.find_problem(f"{of}: x", branch.x)
+    yield from ADMITTANCE.find_problem(f"{of}: b", branch.b)
+    yield from ADMITTANCE.find_problem(f"{of}: g", branch.g)
+    yield from TAP.find_problem(f"{of}: tap", branch.tap)
+    yield from ANGLE.find_problem(f"{of}: phase shift", math.degrees(branch.shift))
+
+
+def _of_source(generator: Generator, base: float) -> Iterator[str]:
+    of = f"source at bus {generator.bus}"
+    yield from POWER.find_problem(f"{of}: active power", generator.p * base)
+    yield from REACTIVE_POWER.find_problem(f"{of}: reactive power", generator.q * base)
+    if generator.control is not Control.POWER:
+        yield from VOLTAGE.find_problem(f"{of}: voltage", generator.vm)
+        yield from ANGLE.find_problem(f"{of}: angle", math.degrees(generator.va))

@@ -1,0 +1,281 @@
+"""The keys of a scenario file, as strict tables. docs/scenario-reference.md explains each of them."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import BeforeValidator, Discriminator, Field, PlainValidator, StringConstraints, Tag, model_validator
+
+from dsse_core.estimation.state_limits import DEFAULT_LIMITS
+from dsse_core.limits import LARGEST_SIGMA, LONGEST_NAME, LONGEST_S, SHORTEST_SCAN_S, SMALLEST_SIGMA
+from scenarios.files.fault_tables import FaultsTable, Positive, Probability, Seconds
+from scenarios.files.strict_toml import Table
+
+Sigma = Annotated[float, Field(ge=SMALLEST_SIGMA, le=LARGEST_SIGMA)]
+AreaName = Annotated[str, StringConstraints(pattern=r"^[a-z0-9_-]+$", max_length=LONGEST_NAME)]
+
+SIGMA_PERCENT = "standard deviation in percent of the true value"
+SIGMA_PU = "standard deviation in p.u."
+
+
+def _parse_buses(value: object) -> tuple[int, ...] | None:
+    if isinstance(value, list) and value and all(type(item) is int for item in value):
+        return tuple(value)
+    if value == "all":
+        return None
+    raise ValueError(f'must be "all" or a list of bus numbers that is not empty, found {value!r}')
+
+
+def _parse_branches(value: object) -> tuple[str, ...] | None:
+    if isinstance(value, list) and value and all(type(item) is str for item in value):
+        return tuple(value)
+    if value == "all":
+        return None
+    raise ValueError(f"must be \"all\" or a list of branch ids such as '3-4' that is not empty, found {value!r}")
+
+
+BusSelection = Annotated[tuple[int, ...] | None, PlainValidator(_parse_buses)]
+"""The listed buses; None means all."""
+
+
+def _parse_zero_injection(value: object) -> Literal["virtual", "measured"] | tuple[int, ...]:
+    if isinstance(value, list) and all(type(item) is int for item in value):
+        return tuple(value)
+    if value in ("virtual", "measured"):
+        return "virtual" if value == "virtual" else "measured"
+    raise ValueError(f'must be "virtual", "measured" or a list of bus numbers, found {value!r}')
+
+
+ZeroInjection = Annotated[Literal["virtual", "measured"] | tuple[int, ...], PlainValidator(_parse_zero_injection)]
+"""Which buses inject exactly nothing: all without load and source, none, or those listed."""
+BranchSelection = Annotated[tuple[str, ...] | None, PlainValidator(_parse_branches)]
+"""The listed branches; None means all that are in service."""
+
+
+class AreaTable(Table):
+    """``[areas.NAME]``."""
+
+    buses: list[int] = Field(min_length=1, description="numbers of the area's buses, shared boundary buses included")
+    slack_bus: int | None = None
+    slack_vm_pu: Positive | None = None
+
+    @model_validator(mode="after")
+    def _slack_is_complete(self) -> Self:
+        if (self.slack_bus is None) != (self.slack_vm_pu is None):
+            raise ValueError("slack_bus and slack_vm_pu belong together; give both or none")
+        return self
+
+
+class CountTable(Table):
+    """``areas = { count = N }``."""
+
+    count: int = Field(ge=1, description="how many areas, cut so that their sizes are balanced")
+
+
+class SwitchesTable(Table):
+    """``areas = { switches = [...] }``."""
+
+    switches: list[str] = Field(min_length=1, description="ids of the branches to cut at, none of them in a loop")
+
+
+def _kind_of_areas(value: object) -> str:
+    """The member of ``Areas`` that ``value`` is meant to be, as its tag."""
+    if isinstance(value, dict):
+        if not isinstance(value.get("switches", {}), dict):
+            return "[switches]"
+        if any(not isinstance(item, dict) for item in value.values()):
+            return "[count]"
+    return "[lists]"
+
+
+def _refuse_both(value: object) -> object:
+    """Lists of buses beside another way to say what the areas are."""
+    if isinstance(value, dict):
+        lists = [name for name, item in value.items() if isinstance(item, dict)]
+        how = [name for name in ("count", "switches") if name in value.keys() - lists]
+        if lists and how:
+            found = f"{how[0]} and the areas {', '.join(lists)}"
+            raise ValueError(f"give {how[0]} or the buses of each area, found {found}")
+    return value
+
+
+Areas = Annotated[
+    Annotated[dict[AreaName, AreaTable], Tag("[lists]")]
+    | Annotated[CountTable, Tag("[count]")]
+    | Annotated[SwitchesTable, Tag("[switches]")],
+    Discriminator(_kind_of_areas),
+    BeforeValidator(_refuse_both),
+]
+
+
+class SigmaTable(Table):
+    """Meters whose sigma is given in percent or in p.u."""
+
+    sigma_percent: Sigma | None = Field(default=None, description=SIGMA_PERCENT)
+    sigma_pu: Sigma | None = Field(default=None, description=SIGMA_PU)
+
+    @model_validator(mode="after")
+    def _has_exactly_one_sigma(self) -> Self:
+        if (self.sigma_percent is None) == (self.sigma_pu is None):
+            found = "neither" if self.sigma_pu is None else "both"
+            raise ValueError(f"give exactly one of sigma_percent ({SIGMA_PERCENT}) and sigma_pu, found {found}")
+        return self
+
+
+class BusMeterTable(SigmaTable):
+    """``measurements.voltage`` and ``measurements.injection``."""
+
+    buses: BusSelection = Field(description='where the meters stand: "all" or a list of bus numbers')
+
+
+class BranchMeterTable(SigmaTable):
+    """``measurements.flow`` and ``measurements.current``."""
+
+    branches: BranchSelection = Field(description='where the meters stand: "all" or a list of branch ids')
+
+
+class AngleMeterTable(Table):
+    """``measurements.angle``."""
+
+    buses: BusSelection = Field(description='where the meters stand: "all" or a list of bus numbers')
+    sigma_deg: Sigma = Field(description="standard deviation in degrees")
+
+
+class MeasurementsTable(Table):
+    """``[measurements]``."""
+
+    floor_kva: Positive = Field(
+        default=1.0, description="smallest standard deviation that a sigma_percent can mean, in kVA"
+    )
+    zero_injection: ZeroInjection = "virtual"
+    voltage: BusMeterTable | None = None
+    angle: AngleMeterTable | None = None
+    flow: BranchMeterTable | None = None
+    injection: BusMeterTable | None = None
+    current: BranchMeterTable | None = None
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """The tables of meters that are given."""
+        return tuple(key for key in ("voltage", "angle", "flow", "injection", "current") if getattr(self, key))
+
+
+class GrossErrorTable(Table):
+    """One ``[[telemetry.gross_error]]``."""
+
+    meter: str = Field(description="id of the meter, e.g. p_flow@3:3-4")
+    sigmas: float = Field(description="what is added to the reading, in its standard deviations")
+
+
+class TelemetryTable(Table):
+    """``[telemetry]``."""
+
+    source: Literal["network", "area-power-flow", "file"] = "network"
+    file: str | None = Field(default=None, description="path of a readings file, relative to this file")
+    noise: bool = True
+    gross_error: list[GrossErrorTable] = Field(default_factory=list)
+
+    @model_validator(mode="after")
+    def _has_a_file_exactly_when_it_is_the_source(self) -> Self:
+        if self.source == "file" and self.file is None:
+            raise ValueError("source 'file' needs the path of the readings; give file = \"readings.csv\"")
+        if self.source != "file" and self.file is not None:
+            raise ValueError(f"file has no meaning for source {self.source!r}; remove it or set source = 'file'")
+        if self.source == "file" and "noise" in self.model_fields_set:
+            raise ValueError("noise has no meaning for source 'file', whose readings are real; remove it")
+        return self
+
+
+class LoadMessagesTable(Table):
+    """``[load_messages]``."""
+
+    generation: Literal["telemetered", "scheduled"] = "telemetered"
+
+
+class AdmmTable(Table):
+    """``[admm]``."""
+
+    penalty: Annotated[float, Field(ge=1e-6, le=1e6)] = 1.0
+
+
+class QualityTable(Table):
+    """``[quality]``."""
+
+    lowest_vm_pu: Annotated[float, Field(ge=0)] = DEFAULT_LIMITS.lowest_vm
+    highest_vm_pu: Positive = DEFAULT_LIMITS.highest_vm
+    most_removed: Probability = DEFAULT_LIMITS.most_removed
+
+    @model_validator(mode="after")
+    def _is_a_band(self) -> Self:
+        if self.lowest_vm_pu >= self.highest_vm_pu:
+            raise ValueError(
+                f"lowest_vm_pu is {self.lowest_vm_pu}; it must be below highest_vm_pu, {self.highest_vm_pu}"
+            )
+        return self
+
+
+class TolerancesTable(Table):
+    """``[tolerances]``."""
+
+    consensus_va_rad: Positive = 1e-6
+    consensus_vm_pu: Positive = 1e-6
+    estimator: Positive = 1e-6
+
+
+class RunTable(Table):
+    """``[run]``."""
+
+    beat_s: Seconds = 0.2
+    scan_s: Annotated[float, Field(ge=SHORTEST_SCAN_S, le=LONGEST_S)] | None = None
+    timeout_s: Seconds = 30.0
+
+    @model_validator(mode="after")
+    def _has_time_for_a_few_beats(self) -> Self:
+        if self.timeout_s <= 2 * self.beat_s:
+            raise ValueError(f"timeout_s is {self.timeout_s}; it must exceed two beats of {self.beat_s} s")
+        return self
+
+
+class TransportTable(Table):
+    """``[transport]``."""
+
+    kind: Literal["router", "neighbours"] = "router"
+    routers: Annotated[int, Field(ge=1, le=2)] = 1
+    listen: str = Field(
+        default="tcp/127.0.0.1:0",
+        pattern=r"^tcp/[^\s:]+:([0-9]{1,4}|[1-5][0-9]{4}|6[0-4][0-9]{3}|65[0-4][0-9]{2}|655[0-2][0-9]|6553[0-5])$",
+        description="tcp/HOST:PORT; port 0 takes a free one",
+    )
+
+    @model_validator(mode="after")
+    def _has_routers_only_if_it_uses_them(self) -> Self:
+        if self.kind == "neighbours" and "routers" in self.model_fields_set:
+            raise ValueError("routers has no meaning for kind 'neighbours', which has none; remove it")
+        return self
+
+
+class ScenarioFile(Table):
+    """A whole scenario file."""
+
+    version: Literal[1] = Field(description="version of this format, 1")
+    name: str | None = Field(
+        default=None, min_length=1, max_length=LONGEST_NAME, description="what runs of it are called"
+    )
+    description: str = Field(min_length=1, description="one line that says what the scenario shows")
+    seed: int = Field(default=1, ge=0, description="seed of noise and losses")
+    network: str = Field(
+        description="name of a shipped network, or path of a .toml or .json file relative to this file"
+    )
+    strategy: str = "information"
+    areas: Areas = Field(
+        description="one [areas.NAME] with its buses for each area, or { count = N }, or { switches = [...] }"
+    )
+    measurements: MeasurementsTable = MeasurementsTable()
+    telemetry: TelemetryTable = TelemetryTable()
+    load_messages: LoadMessagesTable = LoadMessagesTable()
+    admm: AdmmTable = AdmmTable()
+    faults: FaultsTable = FaultsTable()
+    quality: QualityTable = QualityTable()
+    tolerances: TolerancesTable = TolerancesTable()
+    run: RunTable = RunTable()
+    transport: TransportTable = TransportTable()

@@ -1,0 +1,35 @@
+"""Branches that are none, beside the others of a whole network: what is wrong with them, and what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from dsse_core.errors import InvalidInputError
+from dsse_core.grid.network import ZERO_IMPEDANCE, Network
+from scenarios.files.physical_ranges import find_range_problems
+
+
+def find_zero_impedance_problems(
+    network: Network, names: Mapping[str, str] | None = None, cure: str = "merge its two buses into one"
+) -> Iterator[str]:
+    """A problem for each branch of a whole ``network`` that is none, being too short beside the others.
+
+    ``names``: branch id -> what its source calls it; ``cure``: what to do there.
+    """
+    for branch in network.find_zero_impedances():
+        name = (names or {}).get(branch.id)
+        yield (
+            f"branch {branch.id}{f' ({name})' if name else ''} has |r + jx| = {abs(complex(branch.r, branch.x)):.3g} "
+            f"p.u., the median branch {network.median_impedance:.3g} p.u.; with less than {ZERO_IMPEDANCE:g} of the "
+            f"median no estimate is exact: {cure}"
+        )
+
+
+def refuse_zero_impedances(network: Network, names: Mapping[str, str], cure: str) -> None:
+    """Refuse a whole ``network`` of another project's file for them; see ``find_zero_impedance_problems``.
+
+    Raises:
+        InvalidInputError: a problem for each; or, as the median counts, for each number that no grid has.
+    """
+    if problems := list(find_range_problems(network)) or list(find_zero_impedance_problems(network, names, cure)):
+        raise InvalidInputError(f"network {network.name!r}", problems)

@@ -1,0 +1,1 @@
+"""Made-up feeders, and where a network is cut into areas."""
