@@ -60,6 +60,7 @@ class WatchedBus(SimulatedBus):
         self._world = world
         self._strategy = strategy
         self._pairs = [(a.name, n.area, n.bus) for a in areas for n in a.neighbours if a.name < n.area]
+        self._named: set[tuple[object, ...]] = set()  # of all scans: numbers of messages go on
         self._begin()
         super().__init__(world.files(links, seed, strategy), world.telemetry[0], self._see)
 
@@ -67,7 +68,6 @@ class WatchedBus(SimulatedBus):
         self._began = getattr(self, "now", 0.0)
         self._counts: Counter[str] = Counter()
         self._said: set[tuple[object, ...]] = set()
-        self._named: set[tuple[object, ...]] = set()
         self._rounds = self._revision = 0
         self._good_of: set[str] = set()
         self._good_at = self._agree_at = math.nan
@@ -137,9 +137,9 @@ class WatchedBus(SimulatedBus):
 
     def _count_heartbeat(self, sender: str, receiver: str, message: Message) -> None:
         if math.isnan(self._good_at):
-            received = getattr(message, "received", -1)
-            key = (sender, receiver, message.header.scan, getattr(message, "revision", 0), received)
-            is_first = received >= 0 and key not in self._named
+            received = getattr(message, "received", (0, 0))
+            key = (sender, receiver, received)
+            is_first = any(received) and key not in self._named
             self._named.add(key)
             self._counts["acknowledgements" if is_first else "heartbeats"] += 1
 

@@ -233,7 +233,7 @@ def test_without_numba_the_reason_is_given(monkeypatch, case, meters_of):
 )
 def test_what_is_compiled_is_of_use_where_nothing_can_be_written_to_keep_it(settings: dict[str, str]):
     nowhere = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"} | settings
-    command = [sys.executable, "-c", "from dsse_core import tree_block as t; print(t.wrap(7.0))"]
+    command = [sys.executable, "-c", "from dsse_core.radial import block as t; print(t.wrap(7.0))"]
     done = subprocess.run(command, env=nowhere, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert float(done.stdout) == pytest.approx(7.0 - 2 * math.pi, rel=1e-15)
