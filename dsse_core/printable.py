@@ -6,18 +6,36 @@ from collections.abc import Collection
 from itertools import islice
 
 LONGEST_LIST = 12
+NOT_SEEN = frozenset(  # letters and marks that are shown as nothing or as a blank, though Unicode calls them printable
+    chr(number)
+    for first, last in (
+        (0x034F, 0x034F),  # combining grapheme joiner
+        (0x115F, 0x1160),  # Hangul fillers
+        (0x17B4, 0x17B5),  # Khmer inherent vowels
+        (0x180B, 0x180F),  # Mongolian variation selectors
+        (0x2800, 0x2800),  # Braille blank
+        (0x3164, 0x3164),
+        (0xFE00, 0xFE0F),  # variation selectors
+        (0xFFA0, 0xFFA0),
+        (0xE0100, 0xE01EF),
+    )
+    for number in range(first, last + 1)
+)
 
 
 def printable(text: object) -> str:
     r"""``text`` on one line, with an escape such as ``\x1b`` for every character that is not seen as itself.
 
     Those are what steers a terminal (escape, carriage return, C1 controls), what turns the order of letters or hides
-    them, line ends, blanks other than the plain one, and bytes of a file name that are no text.
+    them, letters that are not seen, line ends, blanks other than the plain one, and bytes of a file name that are no
+    text.
     """
     shown = str(text)
-    if shown.isprintable():
+    if shown.isprintable() and (shown.isascii() or NOT_SEEN.isdisjoint(shown)):
         return shown
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in shown)
+    return "".join(
+        c if c.isprintable() and c not in NOT_SEEN else c.encode("unicode_escape").decode("ascii") for c in shown
+    )
 
 
 def printable_lines(text: str) -> str:

@@ -127,6 +127,11 @@ def _find_place_problems(t: Any, network: Network) -> Iterator[str]:
         yield f"local_slack.bus: bus {t.local_slack.bus} is not in the network"
     if t.reference and t.reference.bus not in network.row:
         yield f"reference.bus: bus {t.reference.bus} is not in the network"
+    elif t.reference and not (network.slack and network.slack.bus == t.reference.bus):
+        yield (
+            f"reference.bus: bus {t.reference.bus} is not the substation, from which all angles count; "
+            "leave [reference] out"
+        )
     if t.exchange.towards_hub is not None and t.exchange.towards_hub not in {n.area for n in t.neighbour}:
         yield f"exchange.towards_hub: {t.exchange.towards_hub} is no neighbour"
     if t.exchange.areas <= len(t.neighbour):

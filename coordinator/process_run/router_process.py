@@ -17,7 +17,7 @@ from agents.security.credentials import load_keys
 from agents.transport.zenoh_bus import Router
 from dsse_core.errors import DsseError
 
-FOREVER_S = 3600.0
+AWAKE_S = 0.2  # a signal that a thread of Zenoh has caught is acted on when this thread wakes
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -60,7 +60,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             print("listening on", ", ".join(router.endpoints), flush=True)
             if arguments.endpoints_file:
                 _write_whole(arguments.endpoints_file, "\n".join(router.endpoints))
-            while True not in (news := inbox.take(FOREVER_S)):
+            while True not in (news := inbox.take(AWAKE_S)):
                 if Renewal.ASKED in news and router.interrupt():
                     router.resume()
     except DsseError as error:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ctypes
+import os
 import queue
 import signal
 import subprocess
@@ -9,6 +11,7 @@ import sys
 import time
 from pathlib import Path
 
+import pytest
 from dsse_command import COMMAND, ENVIRONMENT, free_endpoint
 
 from agents.messages.keys import all_states
@@ -46,3 +49,20 @@ def test_agents_started_by_hand_agree_and_end_with_exit_code_0(dsse, tmp_path: P
         for process in processes:
             process.kill()
             process.wait()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="needs tgkill")
+def test_a_router_hears_a_signal_that_another_thread_of_it_has_caught():
+    """The system may hand a signal to any thread; Python acts on it in the first one, once that is awake."""
+    router = subprocess.Popen(
+        [*COMMAND, "router", "--listen", free_endpoint()], env=ENVIRONMENT, stdout=subprocess.PIPE, text=True
+    )
+    try:
+        assert router.stdout is not None
+        assert router.stdout.readline().startswith("listening on")
+        other = next(thread for thread in map(int, os.listdir(f"/proc/{router.pid}/task")) if thread != router.pid)
+        assert ctypes.CDLL(None).tgkill(router.pid, other, signal.SIGTERM) == 0
+        assert router.wait(DEADLINE_S) == 0
+    finally:
+        router.kill()
+        router.wait()

@@ -104,6 +104,14 @@ def test_a_key_that_is_given_twice_in_json_is_refused_as_in_toml(tmp_path: Path,
         load_area_file(path)
 
 
+def test_angles_count_from_the_substation_and_from_no_bus_beside(tmp_path: Path):
+    areas = area_files(load_scenario("industrial13"), "run", ["tcp/127.0.0.1:7447"])
+    (other,) = (area for area in areas if area.area.reference is None)
+    bus = other.area.network.buses[-1].id
+    (problem,) = spoilt(tmp_path / "a.json", other, lambda t: t.update(reference={"bus": bus, "va": 0.0}))
+    assert problem.startswith(f"reference.bus: bus {bus} is not the substation, from which all angles count")
+
+
 def test_a_band_of_voltages_that_is_empty_is_refused(tmp_path: Path, content: AreaFile):
     def change(table: dict[str, Any]) -> None:
         table["quality"]["lowest_vm"] = 1.5

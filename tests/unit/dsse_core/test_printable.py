@@ -21,6 +21,7 @@ from dsse_core.printable import listed, printable, printable_lines, shortened
         ("a\u200bb\u2028c\ufeff", r"a\u200bb\u2028c\ufeff"),
         ("\udcff.toml", r"\udcff.toml"),
         ("[/nope]", "[/nope]"),
+        ("area1\u3164\u115f\ufe0f\u034f\u2800", r"area1\u3164\u115f\ufe0f\u034f\u2800"),
     ],
 )
 def test_no_character_steers_a_terminal_or_hides(text: str, shown: str):
