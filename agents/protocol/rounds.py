@@ -195,6 +195,8 @@ class RoundsProtocol(AreaProtocol):
 
     def _enter(self, term: Term, also: Collection[str] = ()) -> Iterator[Action]:
         """Begin ``term`` with all present neighbours, and those in ``also``; forget the former one."""
+        if self._round.outcome is not None and term[0] != self.scan:
+            yield from self._show(is_beat=False)  # it may have come to its end just now
         scan, self._revision = term
         if scan != self.scan:
             self._peers.distrusted = {}

@@ -48,6 +48,20 @@ def test_a_new_scan_takes_three_rounds_and_each_area_shows_its_state_once():
     assert {state.quality for state in bus.states.values()} == {"good"}
 
 
+def test_a_finished_scan_is_shown_where_the_readings_of_the_next_one_wait_already():
+    expected, _ = new_scan()
+    expected.run(1.0)
+    bus, shown = new_scan()
+    bus.run(0.001)  # all areas are in the second scan, none is at its end
+    assert {state.header.scan for state in bus.states.values()} == {1}
+    bus.next_scan(make_telemetry(load_scenario("ieee33"), scan=3).by_area)
+    bus.run(1.0)
+    assert {state.header.scan for state in bus.states.values()} == {3}
+    for name, state in expected.states.items():
+        of_area = [s for _, s in shown if s.header.sender == name and s.header.scan == 2]
+        assert any(np.allclose(s.vm, state.vm, rtol=0.0, atol=1e-9) for s in of_area), name
+
+
 @pytest.mark.parametrize("n_area", [10, 60])
 def test_areas_in_a_row_take_no_more_rounds_than_a_few(n_area):
     feeder = make_feeder(1, n_bus=n_area + 1, n_area=n_area + 1, shape=1.0)
