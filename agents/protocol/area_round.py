@@ -134,7 +134,7 @@ class AreaRound:
         if not totals.failed and not self._memory.judging:
             information = self._find_information(name, self._below())
         if self.estimation.failure:
-            totals = replace(totals, failed=(self._area.name,))
+            totals = add_totals([totals, Totals(failed=(self._area.name,))])
         elif self.estimation.is_first:
             no_load = self.estimation.no_load_for(name, self._no_load_below())
         return Content(information, no_load, self._find_power(name), totals)

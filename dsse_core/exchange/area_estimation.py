@@ -237,6 +237,7 @@ class AreaEstimation:
         try:
             self._check_no_load(no_load)
             if verdict.takes_step:
+                self._check_information(heard)
                 self._heard = self._with_aged(heard)
                 self._before, self._step = self.x, self.model.linear.step(self.x, self._heard)
                 self.x = self.x + verdict.share * self._step
@@ -265,6 +266,11 @@ class AreaEstimation:
         self.failure = f"{type(error).__name__}: {error}"
         self.x = self._flat
         self._step = np.zeros_like(self.x)
+
+    def _check_information(self, heard: Heard) -> None:
+        """A step without the information of one side would be that of another grid: who has no numbers says none."""
+        if missing := self._by_name.keys() - self._silent - heard.keys():
+            raise ArithmeticError(f"no numbers from {', '.join(sorted(missing))}")
 
     def _check(self) -> None:
         if not np.isfinite(self.x).all():

@@ -10,7 +10,11 @@ from tree_of_areas import tree_scenario
 
 from agents.messages.packing import DownMessage, StateMessage, UpMessage
 from agents.protocol.quality import GOOD
+from agents.protocol.rounds import RoundsProtocol
 from dsse_core.estimation.bad_data import BadDataReport, process_bad_data
+from dsse_core.estimation.verdict import Decision, Totals, Verdict
+from dsse_core.exchange.area_estimation import Heard
+from dsse_core.linear.boundary_information import BoundaryInformation
 from scenarios.scenario import Scenario, load_scenario
 from scenarios.telemetry import make_telemetry
 
@@ -90,3 +94,27 @@ def test_who_has_not_heard_that_the_search_for_bad_data_began_anew_is_not_good()
     world.bus.run(0.5)
     assert world.good_now == world.bus.files.keys()
     world.assert_good_states_are_the_centralised_estimate()
+
+
+@pytest.mark.parametrize("to", ["area2", "area3"])
+def test_who_lacks_the_numbers_of_the_hub_for_the_last_step_is_not_good(to: str):
+    watched = Watched(load_scenario("ieee33"))
+    hub = watched.bus.protocols["area1"]
+    assert isinstance(hub, RoundsProtocol)
+    estimation, verdicts = hub._round.estimation, []
+    decide, tell = hub._round.decide, estimation.information_for
+
+    def note(totals: Totals) -> Verdict:
+        verdicts.append(decide(totals))
+        return verdicts[-1]
+
+    def fail_at_the_last_step(neighbour: str, heard: Heard) -> BoundaryInformation:
+        if neighbour == to and verdicts and verdicts[-1].decision is Decision.FINAL:
+            raise ArithmeticError("the digits are gone")
+        return tell(neighbour, heard)
+
+    hub._round.decide, estimation.information_for = note, fail_at_the_last_step  # type: ignore[method-assign]
+    watched.bus.next_scan(watched.telemetry[2].by_area)
+    watched.bus.run(1.0)
+    assert watched.bus.states[to].notes[0] == "no estimate: ArithmeticError: no numbers from area1"
+    watched.assert_good_states_are_the_centralised_estimate()
