@@ -67,11 +67,6 @@ class PeerTable:
     def _patience_s(self, peer: Peer) -> float:
         return peer.patience_s(PATIENCE_BEATS * self._beat_s)
 
-    @property
-    def patience_s(self) -> float:
-        """The longest of all neighbours."""
-        return max(map(self._patience_s, self._peers.values()), default=PATIENCE_BEATS * self._beat_s)
-
     def note_gone(self, name: str, farewell: str) -> None:
         """The process of a neighbour has ended."""
         self.gone[name] = farewell

@@ -14,7 +14,7 @@ round 0 with the state so far.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 from agents.area_files.area_file import AreaFile
@@ -24,6 +24,7 @@ from agents.messages.packing import (
     Incarnation,
     LinkMessage,
     Message,
+    StateMessage,
     TelemetryMessage,
     UpMessage,
 )
@@ -82,13 +83,11 @@ class RoundsProtocol(AreaProtocol):
             yield self._raised_at + self._beat_s
         elif not self._is_at_rest:
             yield from map(self._peers.silent_at, self._round.links)
-        if self._scan.next_scan:
-            yield self._leaves_at if self._leaves_at > self._now else math.inf
 
     # What comes in
 
     def _find_refusal(self, message: Message) -> str:
-        is_far = isinstance(message, RoundsMessage) and not self._scan.may_enter(message.header.scan)
+        is_far = isinstance(message, RoundsMessage) and not self._scan.may_enter(message.header.scan, self._now)
         return "scan far ahead of the telemetry" if is_far else ""
 
     def _take_numbering(self, name: str, message: HeartbeatMessage) -> Iterator[Action]:
@@ -122,10 +121,8 @@ class RoundsProtocol(AreaProtocol):
             if self._owes_final():
                 return
         if term > self.term:
-            yield from self._enter(term, {name} if message.hears else ())
+            yield from self._enter(term)
         elif self.scan and name not in self._peers.distrusted and self._must_change_for(name, message, is_restart):
-            if term[0] == self.scan:
-                self._revision = max(self._revision, term[1])
             yield from self._change()
         if term < self.term:
             # a message that is being repeated shows our term as well, but not how scans are numbered
@@ -165,24 +162,17 @@ class RoundsProtocol(AreaProtocol):
 
     # Terms
 
-    @property
-    def _leaves_at(self) -> float:
-        """When a scan has taken too long."""
-        return self._scan.entered_at + 2 * self._peers.patience_s
-
     def _owes_final(self) -> bool:
         """Whether a neighbour may not yet have the final message of this scan: leaving would starve it."""
-        if self._round.outcome is None or self._now >= self._leaves_at:
+        if self._round.outcome is None:
             return False
         lower = self._round.lower
         unheard = (name for name in lower if self._peers[name].exchange.repeat is not None)
         return any(self._peers.is_present(name, self._now) for name in unheard)
 
     def _enter_next_scan(self) -> Iterator[Action]:
-        """Leave this scan for a later one with readings: at its end, or when it has taken too long."""
-        if not self._scan.next_scan or self._owes_final():
-            return
-        if self._is_at_rest or self._now >= self._leaves_at:
+        """Leave this scan for a later one with readings, at its end: that comes, as whoever is silent is left out."""
+        if self._scan.next_scan and self._is_at_rest and not self._owes_final():
             yield from self._enter((self._scan.next_scan, 0))
 
     def _change(self) -> Iterator[Action]:
@@ -193,17 +183,16 @@ class RoundsProtocol(AreaProtocol):
         self._raised_at = self._now
         yield from self._enter((self.scan, self._revision + 1))
 
-    def _enter(self, term: Term, also: Collection[str] = ()) -> Iterator[Action]:
-        """Begin ``term`` with all present neighbours, and those in ``also``; forget the former one."""
-        if self._round.outcome is not None and term[0] != self.scan:
-            yield from self._show(is_beat=False)  # it may have come to its end just now
+    def _enter(self, term: Term) -> Iterator[Action]:
+        """Show the end of the former term, forget it; begin ``term`` with all present neighbours that are believed."""
+        yield from self._publish_state(self._state.show_end(self.term, self._now))
         scan, self._revision = term
         if scan != self.scan:
             self._peers.distrusted = {}
         self._is_change_due = False
         self._scan.enter(scan, self._now)
         self._peers.begin_term()
-        self._round.enter(self._peers.present(self._now) | (set(also) - self._peers.distrusted.keys()))
+        self._round.enter(self._peers.present(self._now))
         if self._scan.are_there:
             yield from self._begin()
 
@@ -296,6 +285,8 @@ class RoundsProtocol(AreaProtocol):
 
     def _show(self, *, is_beat: bool) -> Iterator[Publish]:
         """The state once a scan at rest, anew at every beat, and when its quality changes."""
-        state = self._state.show(self.term, self._now, is_beat=is_beat)
+        yield from self._publish_state(self._state.show(self.term, self._now, is_beat=is_beat))
+
+    def _publish_state(self, state: StateMessage | None) -> Iterator[Publish]:
         if state is not None:
             yield Publish(state, None)

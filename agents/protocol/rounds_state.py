@@ -79,6 +79,11 @@ class RoundsState:
         worth, old_sides, scan = self._weigh(term, now), self._old_sides(term, now), self._of_scan or term[0]
         return self._published.compose(self._estimate_now(term), worth, old_sides, scan, now)
 
+    def show_end(self, term: Term, now: float) -> StateMessage | None:
+        """The state at an end of ``term`` that has not been shown yet, as the next term begins at once."""
+        is_new = self._round.outcome is not None and self._round.outcome is not self._outcome
+        return self.show(term, now, is_beat=False) if is_new else None
+
     def _read(self, outcome: Outcome) -> tuple[Estimate | None, tuple[Finding, ...]]:
         """What the term has ended with, and what that leaves to be said until the next one."""
         estimation, estimate = self._round.estimation, None

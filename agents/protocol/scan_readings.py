@@ -15,7 +15,7 @@ from agents.messages.packing import NO_LIFE, Incarnation, TelemetryMessage
 from agents.protocol.freshness import FRESH_BEATS, PATIENCE_BEATS, is_old
 from agents.protocol.readings import Readings
 
-MOST_AHEAD = 10  # scans by which a neighbour may be ahead of the own telemetry; with more, one of the two is wrong
+MOST_AHEAD = 10  # scans by which a neighbour may be ahead of telemetry that is heard; with more, one of them is wrong
 DEADLINE_BEATS = 5  # after which an area goes on without its own readings; or
 DEADLINE_SHARE = 1 / 4  # of the time between two scans, where that is known
 
@@ -74,9 +74,14 @@ class ScanReadings:
         """When it will not have been, if none comes."""
         return self._heard_at + beats * self._beat_s
 
-    def may_enter(self, scan: int) -> bool:
-        """Whether a neighbour can be at ``scan``: numbers come from telemetry, and terms never go back."""
-        return self._last is None or scan <= self._last.header.scan + self._offset + MOST_AHEAD
+    def may_enter(self, scan: int, now: float) -> bool:
+        """Whether a neighbour can be at ``scan``: numbers come from telemetry, and terms never go back.
+
+        An area that hears no telemetry, not yet or no more, cannot know better.
+        """
+        if self._last is None or self.is_late(now, PATIENCE_BEATS):
+            return True
+        return scan <= self._last.header.scan + self._offset + MOST_AHEAD
 
     @property
     def deadline(self) -> float:

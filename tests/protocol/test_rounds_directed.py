@@ -14,6 +14,7 @@ from toy_rounds import BEAT_S, TRAVEL_S, ToyBus
 from agents.messages.packing import DownMessage, HeartbeatMessage, Incarnation, UpMessage
 from agents.protocol.events import PresenceChanged, Received
 from agents.protocol.quality import GOOD
+from agents.protocol.scan_readings import MOST_AHEAD
 from dsse_core.estimation.verdict import Decision, Memory, Totals, decide
 
 ROW, LONG_ROW = "three in a row", "four in a row"
@@ -300,3 +301,49 @@ def test_what_a_liar_says_of_the_numbers_of_scans_leads_to_no_scan_that_others_l
     assert 2**40 < bus.protocols["a"].scan < 2**41
     bus.next_scan()
     wait_until_agreed(bus)
+
+
+def test_a_slow_link_elsewhere_lets_every_area_show_one_scan_after_another():
+    slow = {("c", "d"), ("d", "c")}
+    bus = ToyBus(LONG_ROW, lambda sender, receiver, _: 1.0 if (sender, receiver) in slow else TRAVEL_S)
+    shown = {name: set() for name in bus.files}
+    for step in range(600):
+        if step % 30 == 0:
+            bus.next_scan()
+        bus.run(0.1)
+        for name, state in bus.states.items():
+            shown[name].add(state.header.scan)
+    assert min(map(len, shown.values())) >= 10, shown
+
+
+def test_an_end_is_shown_even_if_readings_of_the_next_scan_are_there():
+    slowed = False
+
+    def slow_final(sender, receiver, message):
+        nonlocal slowed
+        is_final = isinstance(message, DownMessage) and receiver == "a" and message.header.scan == 2 and message.k == 1
+        slowed |= is_final
+        return 0.05 if is_final else TRAVEL_S
+
+    bus = at_rest(fate=slow_final)
+    shown = set()
+    bus.on_handled = lambda: shown.add(bus.states["a"].header.scan)
+    bus.next_scan()
+    bus.run(0.02)
+    assert slowed
+    bus.next_scan()
+    bus.run(0.1)
+    assert shown >= {1, 2, 3}
+
+
+def test_an_area_whose_telemetry_is_silent_for_many_scans_stays_in_the_exchange():
+    bus = at_rest()
+    bus.send_telemetry = lambda name, send=bus.send_telemetry: None if name == "b" else send(name)
+    for _ in range(3 * MOST_AHEAD):
+        bus.next_scan()
+        bus.run(2.0)
+    outcome = bus.protocols["a"].outcome
+    assert outcome is not None
+    assert (outcome.totals.areas, outcome.totals.stale) == (3, ("b",))
+    del bus.send_telemetry
+    bus.run_until_at_rest(LIMIT_S)
