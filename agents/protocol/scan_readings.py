@@ -124,6 +124,7 @@ class ScanReadings:
         """Find the offset of a life of the plant that is heard for the first time, or again."""
         last, life, number = self._last, message.header.incarnation, message.header.scan
         if last is None or life != last.header.incarnation:
+            self._later.clear()  # a former life says nothing more: to enter its scans would leave this one behind
             self._offset = max((offset for its_life, offset in self._told.values() if its_life == life), default=0)
             if last is not None and number + self._offset < self.scan:
                 self._offset = self.scan + self.are_there - number

@@ -347,3 +347,17 @@ def test_an_area_whose_telemetry_is_silent_for_many_scans_stays_in_the_exchange(
     assert (outcome.totals.areas, outcome.totals.stale) == (3, ("b",))
     del bus.send_telemetry
     bus.run_until_at_rest(LIMIT_S)
+
+
+def test_waiting_readings_of_a_former_plant_leave_those_of_the_next_one_not_behind():
+    bus = at_rest()
+    bus.next_scan()
+    bus.run(1.5 * TRAVEL_S)
+    for name in bus.files:
+        bus.read(name, 1000)
+    bus.run(TRAVEL_S / 2)
+    start_plant_again(bus, 1)
+    for number in (1, 2):
+        start_plant_again(bus, number)
+        wait_until_agreed(bus)
+        assert {number for _, number, _ in scan_numbers(bus).values()} == {number}
