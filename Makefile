@@ -1,7 +1,10 @@
 # What takes minutes and is therefore not among the tests. Everything else: CONTRIBUTING.md.
 PYTHON ?= .venv/bin/python
 
-.PHONY: soak soak-short recovery exchange freeze-oracle
+.PHONY: docs soak soak-short recovery exchange freeze-oracle
+docs:  ## the site, below build/docs; a warning, or a link that leads nowhere, is an error
+	$(PYTHON) -m sphinx -q -W --keep-going -n docs build/docs
+
 soak:  ## ten minutes of faults, then whole again
 	$(PYTHON) -m benchmarks.soak --minutes 10
 

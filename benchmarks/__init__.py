@@ -1,1 +1,1 @@
-"""Side-by-side runs of our centralised estimate and its peers: ``python -m benchmarks``, docs/benchmarks.md."""
+"""Side-by-side runs of our centralised estimate and its peers: ``python -m benchmarks``, docs/how-to/benchmarks.md."""

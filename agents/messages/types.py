@@ -253,7 +253,7 @@ class StateMessage:
     rounds; 0 before any.
     ``messages``, ``bytes``, ``lost``: totals handed to the bus, ``lost`` of them dropped by the links; ``faults``:
     what the links have done to them, by kind. ``refused``: received payloads by reason of refusal.
-    ``quality``: what the state is worth (docs/quality.md). ``notes``: why, the worst first, then remarks.
+    ``quality``: what the state is worth (docs/explanation/quality.md). ``notes``: why, the worst first, then remarks.
     ``telemetry_age``: s since telemetry was last heard;
     ``ages``, ``scans``: neighbour -> s since its boundary message was last heard, and the scan of the newest;
     ``old_sides``: neighbours that say that their side rests on something old. All these hold at ``header.time`` and

@@ -1,4 +1,4 @@
-"""What a published state is worth, in one word and why. docs/quality.md says what each word promises.
+"""What a published state is worth, in one word and why. docs/explanation/quality.md says what each word promises.
 
 Whoever says anything of an estimate says it as a ``Finding``: a sentence, and the best word that it leaves. The word
 of a state is the worst of its findings, and its notes are their sentences, the worst first. So neither can be without

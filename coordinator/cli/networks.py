@@ -85,7 +85,7 @@ def generate(
 ) -> None:
     """Make up a radial medium-voltage feeder with typical values, and a scenario that runs on it.
 
-    The same options write the same files. docs/generator.md says which values are typical.
+    The same options write the same files. docs/how-to/generate.md says which values are typical.
 
     \b
     Example:  dsse generate --buses 200 --seed 7 --areas 6 --out feeder && dsse run feeder/scenario.toml

@@ -1,4 +1,4 @@
-"""The result of a run, and its files ``result.json`` (docs/result.md) and ``buses.csv``."""
+"""The result of a run, and its files ``result.json`` (docs/reference/run-folder.md) and ``buses.csv``."""
 
 from __future__ import annotations
 
@@ -50,8 +50,8 @@ class Verdict:
 class AreaResult:
     """One area at the verdict; gaps and errors over every bus that it sees.
 
-    ``quality``: what its last state is worth at the verdict (docs/quality.md). ``notes``: why, the worst first; of a
-    state that is good, remarks.
+    ``quality``: what its last state is worth at the verdict (docs/explanation/quality.md).
+    ``notes``: why, the worst first; of a state that is good, remarks.
     """
 
     name: str
@@ -185,7 +185,7 @@ def write_result(result: RunResult) -> None:
 
 
 def as_json(result: RunOutcome) -> dict[str, Any]:
-    """The content of ``result.json``; docs/result.md explains every key."""
+    """The content of ``result.json``; docs/reference/run-folder.md explains every key."""
     scenario = result.scenario
     return {
         "version": VERSION,

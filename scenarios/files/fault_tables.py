@@ -1,4 +1,4 @@
-"""The keys of ``[faults]`` in a scenario file, as strict tables. docs/scenario-reference.md explains each of them."""
+"""The keys of ``[faults]`` in a scenario file, as strict tables; docs/reference/scenario-files.md explains each."""
 
 from __future__ import annotations
 

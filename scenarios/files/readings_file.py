@@ -1,7 +1,7 @@
 """Readings files: what real meters read, as CSV with a unit in each column name; per unit and radians come out.
 
 The header is ``meter`` and pairs ``value_UNIT,sigma_UNIT``; each row fills the one pair whose unit it is in.
-docs/scenario-reference.md explains the format.
+docs/reference/scenario-files.md explains the format.
 """
 
 from __future__ import annotations

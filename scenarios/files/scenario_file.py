@@ -1,4 +1,4 @@
-"""The keys of a scenario file, as strict tables. docs/scenario-reference.md explains each of them."""
+"""The keys of a scenario file, as strict tables. docs/reference/scenario-files.md explains each of them."""
 
 from __future__ import annotations
 

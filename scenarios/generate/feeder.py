@@ -1,4 +1,4 @@
-"""Made-up radial medium-voltage feeders of any size, with typical values; docs/generator.md says which.
+"""Made-up radial medium-voltage feeders of any size, with typical values; docs/how-to/generate.md says which.
 
 The same arguments give the same network, to the last digit: lengths are whole metres, loads whole watts and vars.
 """

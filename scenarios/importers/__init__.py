@@ -1,4 +1,4 @@
-"""Networks and readings of other projects: MATPOWER, pandapower, power-grid-model. docs/importing.md explains them."""
+"""Networks and readings of other projects: MATPOWER, pandapower, power-grid-model; see docs/how-to/import.md."""
 
 from __future__ import annotations
 

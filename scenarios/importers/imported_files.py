@@ -90,7 +90,7 @@ def _head(imported: Imported, n_area: int) -> str:
     kind = "measurements" if imported.readings else "power flow"
     text = f"{imported.data_source}, its {kind}".replace("\\", "/").replace('"', "'")
     return (
-        "# Written by dsse import; import.txt says what was converted, and docs/importing.md how.\n\n"
+        "# Written by dsse import; import.txt says what was converted, and docs/how-to/import.md how.\n\n"
         f"version = 1\nname = {format_toml(imported.network.name[:LONGEST_NAME])}\n"
         f'description = "{" ".join(text.split())}"\n'
         'network = "network.toml"\nstrategy = "information"\n'

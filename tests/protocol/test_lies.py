@@ -1,7 +1,7 @@
 """Lies of one area about its boundary, totals, counts, removals and verdicts: who names whom, and what nobody can see.
 
-docs/quality.md has the same two lists. Nobody believes anything blindly; what is left fits an honest area with other
-meters or another grid.
+docs/explanation/quality.md has the same two lists. Nobody believes anything blindly; what is left fits an honest area
+with other meters or another grid.
 """
 
 from __future__ import annotations
@@ -147,7 +147,7 @@ def test_a_voltage_told_consistently_in_both_directions_costs_good_meters_where_
         assert areas[one].notes[0] == f"{one} and {other} differ by {vm_pu:g} p.u. at bus 6"
 
 
-# Not detected in principle: for each a reason in docs/quality.md
+# Not detected in principle: for each a reason in docs/explanation/quality.md
 
 
 def assert_all_are_good(outcome: RunOutcome) -> None:

@@ -1,4 +1,4 @@
-"""The tables of constants in docs/protocol.md and the code say the same."""
+"""The tables of docs/reference/constants.md and the code say the same."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[3]
+PAGE = (ROOT / "docs/reference/constants.md").read_text()
 SOURCES = (
     "agents/protocol/*.py",
     "agents/strategies/*.py",
@@ -53,11 +54,9 @@ def is_number(node: ast.expr) -> bool:
 
 
 def read_tables() -> dict[str, float]:
-    """NAME or module.NAME -> value, as docs/protocol.md has it."""
-    text = (ROOT / "docs/protocol.md").read_text()
-    section = text[text.index("### Constants") : text.index("## What is refused")]
+    """NAME or module.NAME -> value, as docs/reference/constants.md has it."""
     found = {}
-    for line in section.splitlines():
+    for line in PAGE.splitlines():
         if names := re.findall(r"`([A-Za-z_.]+)`", line.split("|")[1] if line.startswith("| ") else ""):
             values = line.split("|")[2].split(", ")
             assert len(names) == len(values), line
@@ -82,7 +81,7 @@ def test_there_are_constants_to_compare():
 @pytest.mark.parametrize("name", CONSTANTS)
 def test_a_constant_is_in_the_tables_with_its_value(name: str):
     stated = TABLES.get(name, TABLES.get(name.partition(".")[2]))
-    assert stated is not None, f"docs/protocol.md, constants: {name} = {CONSTANTS[name]:g} is missing"
+    assert stated is not None, f"docs/reference/constants.md: {name} = {CONSTANTS[name]:g} is missing"
     assert stated == pytest.approx(CONSTANTS[name], rel=1e-9)
 
 
@@ -92,9 +91,7 @@ def test_what_the_tables_name_exists(name: str):
 
 
 def test_the_counts_above_the_tables_are_true():
-    text = (ROOT / "docs/protocol.md").read_text()
-    section = text[text.index("### Constants") : text.index("## What is refused")]
-    for part in section.split("\nOf ")[1:]:
+    for part in PAGE.split("\nOf ")[1:]:
         stated = int(re.search(r", (\d+)[,;:]", part)[1])
         rows = [line.split("|")[1] for line in part.splitlines() if line.startswith("| ")][1:]
         assert stated == sum(max(1, len(re.findall(r"`[A-Za-z_.]+`", row))) for row in rows), part[:40]

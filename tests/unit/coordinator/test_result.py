@@ -120,7 +120,7 @@ def test_gaps_are_told_per_area(tmp_path: Path):
 
 
 def test_every_key_of_result_json_is_documented(tmp_path: Path):
-    documented = set(re.findall(r"`([^`]+)`", (ROOT / "docs" / "result.md").read_text()))
+    documented = set(re.findall(r"`([^`]+)`", (ROOT / "docs" / "reference" / "run-folder.md").read_text()))
     words = {word for name in documented for word in name.split(".")}
 
     def keys(table: dict[str, object]) -> set[str]:

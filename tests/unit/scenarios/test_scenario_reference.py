@@ -1,4 +1,4 @@
-"""docs/scenario-reference.md has every key of both file formats, with its default, and no other key."""
+"""docs/reference/scenario-files.md has every key of both file formats, with its default, and no other key."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pydantic.fields import FieldInfo
 from scenarios.files import fault_tables, network_file, scenario_file
 from scenarios.files.strict_toml import Table
 
-REFERENCE = Path(__file__).parents[3] / "docs" / "scenario-reference.md"
+REFERENCE = Path(__file__).parents[3] / "docs" / "reference" / "scenario-files.md"
 
 TABLE_OF_HEADING: dict[str, list[type[Table]]] = {
     "Scenario file": [scenario_file.ScenarioFile],

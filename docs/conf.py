@@ -1,0 +1,31 @@
+"""Sphinx builds the site of these pages: ``sphinx-build -W --keep-going -n docs build/docs``."""
+
+from importlib.metadata import version as version_of
+
+from sphinx.application import Sphinx
+
+project = "consensus-dsse"
+author = "The consensus-dsse maintainers"
+version = release = version_of("consensus-dsse")
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.napoleon"]
+myst_heading_anchors = 4  # links to headings, by the names that GitHub gives them
+
+autodoc_default_options = {"members": True}
+autodoc_member_order = "bysource"
+autodoc_typehints_format = "short"
+
+nitpick_ignore_regex = [("py:.*", ".*")]  # types of other packages, whose own pages cannot be read from here
+suppress_warnings = ["ref.python"]  # several classes have a field `bytes`
+
+html_theme = "furo"
+html_title = f"consensus-dsse {release}"
+
+
+def keep_bars(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
+    """Magnitudes such as |r + jx| are no substitutions of reStructuredText."""
+    lines[:] = [line.replace("|", r"\|") for line in lines]
+
+
+def setup(app: Sphinx) -> None:
+    app.connect("autodoc-process-docstring", keep_bars)
