@@ -32,6 +32,12 @@ SWITCH_S = 1e-4  # after which computing lets a thread of the bus in that has ne
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one agent; 0 after an orderly end, 2 on wrong input or a bus that cannot be reached, 3 if replaced."""
+    arguments = make_parser().parse_args(argv)
+    return run_process(arguments.area_file, arguments.keys, arguments.connect or (), arguments.timeout)
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """The command line of ``dsse agent``."""
     parser = argparse.ArgumentParser(
         prog="dsse agent",
         description="Run the agent of one area until SIGTERM or Ctrl-C. `dsse split` writes the area files.",
@@ -47,8 +53,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--timeout", type=_seconds, default=TIMEOUT_S, metavar="S", help="wait for the bus so long (10 s)"
     )
-    arguments = parser.parse_args(argv)
-    return run_process(arguments.area_file, arguments.keys, arguments.connect or (), arguments.timeout)
+    return parser
 
 
 def run_process(

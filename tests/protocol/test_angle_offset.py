@@ -201,7 +201,7 @@ def test_the_local_power_flow_is_the_starting_point(estimations):
 
 
 def test_the_boundary_injection_is_as_uncertain_as_the_meters_in_the_load_messages_make_it(estimations):
-    """Equation [7] of docs/explanation/theory.md, at the bus of a child, where nothing but the message counts."""
+    """Equation [9] of docs/explanation/theory.md, at the bus of a child, where nothing but the message counts."""
     scenario = load_scenario("industrial13")
     bus, _ = settle(scenario)
     told = [m for _, _, receiver, m in bus.delivered if receiver == "area1" and isinstance(m, LoadMessage)][-1]

@@ -25,6 +25,14 @@ def test_who_cites_it_cites_this_version():
     assert told == (PROJECT["name"], PROJECT["version"], PROJECT["license"])
 
 
+def test_the_changelog_begins_with_this_version_in_the_form_of_keepachangelog():
+    headings = re.findall(r"^(##+ .+)$", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
+    released = [heading for heading in headings if heading.startswith("## ") and heading != "## [Unreleased]"]
+    assert re.fullmatch(rf"## \[{re.escape(PROJECT['version'])}\] - \d{{4}}-\d\d-\d\d", released[0])
+    kinds = {heading.removeprefix("### ") for heading in headings if heading.startswith("### ")}
+    assert kinds <= {"Added", "Changed", "Deprecated", "Removed", "Fixed", "Security"}
+
+
 def test_no_dependency_is_without_a_lowest_version_that_can_be_tried():
     needed = [*PROJECT["dependencies"], *PROJECT["optional-dependencies"]["test"]]
     assert [line for line in needed if not re.search(r">=\d", line)] == []

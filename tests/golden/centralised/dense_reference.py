@@ -1,7 +1,7 @@
 """Estimate and bad data once more, dense and in extended precision: shares h and H with the product, nothing else.
 
-What is estimated is defined in docs/explanation/theory.md (Weighted least squares, Observability, Bad data); how, is chosen
-here for being short and exact, not fast. Each step solves the dense tableau
+What is estimated is defined in docs/explanation/theory.md (Weighted least squares, Observability, Bad data);
+how, is chosen here for being short and exact, not fast. Each step solves the dense tableau
 
     [R  0  H] [s ]   [z - h]
     [0  0  C] [t ] = [ - c ]          H real meters, C virtual ones, R = diag(sigma^2)
