@@ -10,8 +10,8 @@ import pytest
 from pages import PAGES, ROOT, find_commands, name_of
 
 from agents.__main__ import make_parser
-from coordinator.cli import commands
-from scenarios.shipped_files import find_shipped
+from coordinator.cli.main import commands
+from scenarios.files.shipped_files import find_shipped
 
 SHIPPED_SCENARIOS = set(find_shipped("shipped"))
 PLACEHOLDER = re.compile(r"[A-Z_|]+|\.\.\.|\S*\|\S*")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -38,3 +39,15 @@ def test_no_page_of_the_docs_is_missing_from_the_index():
     index = (docs / "index.md").read_text().split()
     pages = {str(page.relative_to(docs).with_suffix("")) for page in PAGES if docs in page.parents}
     assert {page for page in pages if not page.startswith("reference/api/")} - {"index"} - set(index) == set()
+
+
+def test_pages_name_only_modules_that_exist():
+    named = {
+        (name_of(page), path.rstrip("/"))
+        for page in PAGES
+        for path in re.findall(
+            r"`((?:agents|benchmarks|coordinator|deploy|dsse_core|scenarios|tests)/[\w/.*@-]+)", page.read_text()
+        )
+    }
+    assert len(named) > 60
+    assert [(page, path) for page, path in sorted(named) if not any(ROOT.glob(path))] == []
