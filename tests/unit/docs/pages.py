@@ -35,13 +35,11 @@ def anchors_of(page: Path) -> set[str]:
 
 
 def find_commands(page: Path) -> Iterator[list[str]]:
-    """The words after ``dsse`` of every command line of a page: in code blocks, fenced or indented, and in code spans."""
+    """The words after ``dsse`` of every command line of a page, in code blocks and in code spans."""
     text = page.read_text()
     blocks = re.sub(r"\\\n\s*", "", text)
-    lines = [
-        line.strip() for line in blocks.splitlines() if line.startswith("    ") or line.strip().startswith("dsse ")
-    ]
-    lines += [span.replace("\n", " ") for span in re.findall(r"`([^`]+)`", text) if span.startswith("dsse ")]
+    lines = [line.strip() for line in blocks.splitlines() if re.match(r"    |\s*dsse ", line)]
+    lines += [" ".join(span.split()) for span in re.findall(r"`([^`]+)`", text) if re.match(r"dsse\s", span)]
     for line in lines:
         for part in re.split(r"&&|;", line.partition("   #")[0]):
             words = part.replace(r"\|", "|").strip()

@@ -19,7 +19,7 @@ COMMANDS = sorted({(name_of(page), tuple(words)) for page in PAGES for words in 
 
 
 def find_mistake(words: tuple[str, ...]) -> str | None:
-    """What ``dsse`` refuses of a command line; a placeholder such as NAME stands for any value, a bare name for no mistake."""
+    """What ``dsse`` refuses of a command line; a placeholder such as NAME stands for any value."""
     try:
         if words[0] == "agent":
             if len(words) > 1:
