@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from dsse_core.bounded_parsing import DEEPEST_KEY, parse_json, parse_toml
 from dsse_core.errors import InvalidInputError
+from dsse_core.files.bounded_parsing import DEEPEST_KEY, parse_json, parse_toml
 from scenarios.importers import import_grid
 from scenarios.importers.pandapower_objects import write_anew
 

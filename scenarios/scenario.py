@@ -11,6 +11,8 @@ from typing import Literal
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.state_limits import StateLimits
+from dsse_core.files.strict_table import load_strict
+from dsse_core.files.wording import Suggestions, suggest
 from dsse_core.grid.division import build_partition
 from dsse_core.grid.measurement import Measurement, Meter, Source
 from dsse_core.grid.network import Network
@@ -22,8 +24,6 @@ from scenarios.files.network_file import load_case, load_network
 from scenarios.files.readings_file import load_readings
 from scenarios.files.scenario_file import CountTable, ScenarioFile, SwitchesTable
 from scenarios.files.shipped_files import find_shipped
-from scenarios.files.strict_toml import load_strict
-from scenarios.files.wording import Suggestions, suggest
 from scenarios.generate.cutting import cut_at, cut_into
 from scenarios.meters import SigmaRule, build_meters, build_sigma_rule, find_place_problems, find_virtual_buses
 

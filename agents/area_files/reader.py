@@ -16,10 +16,10 @@ from pydantic_core import PydanticCustomError
 
 from agents.area_files.area_file import AreaFile, keys_of
 from agents.messages.keys import NAME
-from dsse_core.bounded_file import LARGEST_JSON, LARGEST_TOML, read_text
-from dsse_core.bounded_parsing import parse_json, parse_toml
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.state_limits import DEFAULT_LIMITS, StateLimits
+from dsse_core.files.bounded_file import LARGEST_JSON, LARGEST_TOML, read_text
+from dsse_core.files.bounded_parsing import parse_json, parse_toml
 from dsse_core.grid.measurement import Meter, find_meter_problems
 from dsse_core.grid.network import Branch, Bus, Generator, Network
 from dsse_core.grid.partition import Area, Neighbour

@@ -11,9 +11,9 @@ from agents.area_files.reader import describe_schema_error
 from agents.messages.keys import NAME
 from agents.security.access import COORDINATOR, PLANT, ROUTER, Access
 from agents.security.credential_files import find_mode_problems, write_public
-from dsse_core.bounded_file import LARGEST_TOML, read_text
-from dsse_core.bounded_parsing import parse_toml
 from dsse_core.errors import InvalidInputError
+from dsse_core.files.bounded_file import LARGEST_TOML, read_text
+from dsse_core.files.bounded_parsing import parse_toml
 from dsse_core.limits import LONGEST_NAME
 
 ACCESS_FILE = "access.toml"

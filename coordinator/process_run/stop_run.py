@@ -16,8 +16,8 @@ from typing import Any
 
 from coordinator.process_run.fork_server import MODULE, STOP_S
 from coordinator.run_folder import EVENTS, PARTS
-from dsse_core.bounded_file import read_text
 from dsse_core.errors import DsseError, InvalidInputError
+from dsse_core.files.bounded_file import read_text
 
 PROC = Path("/proc")
 SPARE_S = 2.0  # that a process may take longer than it is allowed to

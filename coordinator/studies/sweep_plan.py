@@ -15,8 +15,8 @@ import numpy as np
 from agents.protocol.choose import STRATEGIES
 from coordinator.evaluation.evaluation import NO_CHANGES, choose_scenario
 from coordinator.evaluation.result import version_of
-from dsse_core.bounded_parsing import parse_toml
 from dsse_core.errors import InvalidInputError
+from dsse_core.files.bounded_parsing import parse_toml
 from scenarios.faults.faults import LinkChanges
 from scenarios.scenario import Scenario, load_scenario
 

@@ -6,8 +6,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from dsse_core.files.strict_table import Table
 from dsse_core.limits import LONGEST_NAME, LONGEST_S
-from scenarios.files.strict_toml import Table
 
 Positive = Annotated[float, Field(gt=0)]
 Seconds = Annotated[float, Field(gt=0, le=LONGEST_S)]

@@ -13,12 +13,12 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from dsse_core.errors import InvalidInputError
+from dsse_core.files.strict_table import Table, load_strict
+from dsse_core.files.wording import suggest
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
+from dsse_core.grid.physical_ranges import find_base_problems, find_range_problems
 from dsse_core.limits import LONGEST_NAME
-from scenarios.files.physical_ranges import find_base_problems, find_range_problems
 from scenarios.files.shipped_files import find_shipped
-from scenarios.files.strict_toml import Table, load_strict
-from scenarios.files.wording import suggest
 from scenarios.files.zero_impedances import find_zero_impedance_problems
 
 Positive = Annotated[float, Field(gt=0)]

@@ -13,12 +13,12 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from dsse_core.bounded_file import read_text
 from dsse_core.errors import InvalidInputError
+from dsse_core.files.bounded_file import read_text
+from dsse_core.files.wording import Suggestions, suggest
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, find_meter_problems
 from dsse_core.grid.network import Network
 from dsse_core.limits import LARGEST_SIGMA, SMALLEST_SIGMA
-from scenarios.files.wording import Suggestions, suggest
 
 KIND = MeasurementKind
 UNITS: Mapping[str, frozenset[MeasurementKind]] = {

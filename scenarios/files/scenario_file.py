@@ -7,9 +7,9 @@ from typing import Annotated, Literal, Self
 from pydantic import BeforeValidator, Discriminator, Field, PlainValidator, StringConstraints, Tag, model_validator
 
 from dsse_core.estimation.state_limits import DEFAULT_LIMITS
+from dsse_core.files.strict_table import Table
 from dsse_core.limits import LARGEST_SIGMA, LONGEST_NAME, LONGEST_S, SHORTEST_SCAN_S, SMALLEST_SIGMA
 from scenarios.files.fault_tables import FaultsTable, Positive, Probability, Seconds
-from scenarios.files.strict_toml import Table
 
 Sigma = Annotated[float, Field(ge=SMALLEST_SIGMA, le=LARGEST_SIGMA)]
 AreaName = Annotated[str, StringConstraints(pattern=r"^[a-z0-9_-]+$", max_length=LONGEST_NAME)]

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.network import ZERO_IMPEDANCE, Network
-from scenarios.files.physical_ranges import find_range_problems
+from dsse_core.grid.physical_ranges import find_range_problems
 
 
 def find_zero_impedance_problems(

@@ -15,9 +15,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from dsse_core.errors import InvalidInputError
+from dsse_core.files.wording import Suggestions
 from dsse_core.grid.biconnected import Block, find_blocks
 from dsse_core.grid.network import Network
-from scenarios.files.wording import Suggestions
 
 MAX_NAMED = 8  # branches of a loop that a message lists
 

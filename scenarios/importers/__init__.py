@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from dsse_core.bounded_file import read_text
-from dsse_core.bounded_parsing import parse_json
 from dsse_core.errors import InvalidInputError
+from dsse_core.files.bounded_file import read_text
+from dsse_core.files.bounded_parsing import parse_json
+from dsse_core.grid.physical_ranges import find_range_problems
 from dsse_core.printable import printable
-from scenarios.files.physical_ranges import find_range_problems
 from scenarios.importers.imported import Imported
 
 __all__ = ["Imported", "import_grid"]

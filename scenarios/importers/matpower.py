@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from dsse_core.bounded_file import read_text
 from dsse_core.errors import InvalidInputError
+from dsse_core.files.bounded_file import read_text
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from dsse_core.printable import listed
 from scenarios.files.network_file import default_branch_id

@@ -11,8 +11,8 @@ import json
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from dsse_core.bounded_parsing import parse_json
 from dsse_core.errors import InvalidInputError
+from dsse_core.files.bounded_parsing import parse_json
 
 NET = ("pandapower.auxiliary", "pandapowerNet")
 TABLES = {

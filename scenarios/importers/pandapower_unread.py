@@ -10,8 +10,8 @@ import importlib
 from collections.abc import Iterator
 from typing import Any
 
+from dsse_core.files.wording import Suggestions
 from dsse_core.printable import listed, shortened
-from scenarios.files.wording import Suggestions
 from scenarios.importers.imported import Remark
 from scenarios.importers.pandapower_checks import ALL_COLUMNS
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from dsse_core.files.wording import Suggestions
 from dsse_core.printable import listed, shortened
-from scenarios.files.wording import Suggestions
 from scenarios.importers.imported import Remark
 
 DESCRIPTION = "extra"

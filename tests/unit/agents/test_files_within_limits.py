@@ -11,8 +11,8 @@ import pytest
 from agents.area_files.reader import load_area_file
 from agents.security.access_file import load_access
 from agents.security.credentials import load_keys
-from dsse_core.bounded_file import LARGEST_PEM, LARGEST_TOML
 from dsse_core.errors import InvalidInputError
+from dsse_core.files.bounded_file import LARGEST_PEM, LARGEST_TOML
 
 READERS: list[tuple[str, Callable[[Path], object], int]] = [
     ("area1.toml", load_area_file, LARGEST_TOML),

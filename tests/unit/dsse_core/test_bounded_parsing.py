@@ -6,8 +6,8 @@ import tracemalloc
 
 import pytest
 
-from dsse_core import bounded_parsing
-from dsse_core.bounded_parsing import DEEPEST_KEY, parse_json, parse_toml
+from dsse_core.files import bounded_parsing
+from dsse_core.files.bounded_parsing import DEEPEST_KEY, parse_json, parse_toml
 
 DEEP = ".".join("a" * 40_000)
 

@@ -11,12 +11,12 @@ from pathlib import Path
 
 import pytest
 
-from dsse_core.bounded_file import LARGEST_TOML, read_text
 from dsse_core.errors import InvalidInputError
+from dsse_core.files.bounded_file import LARGEST_TOML, read_text
+from dsse_core.files.wording import MOST_COMPARISONS
 from dsse_core.grid.measurement import MeasurementKind
 from scenarios.files.network_file import load_case, load_network
 from scenarios.files.readings_file import load_readings
-from scenarios.files.wording import MOST_COMPARISONS
 from scenarios.importers import import_grid
 from scenarios.scenario import load_scenario
 
@@ -232,7 +232,7 @@ def test_twenty_thousand_unknown_ids_are_not_all_compared_with_all_ids(monkeypat
         compared.append(len(words))
         return []
 
-    monkeypatch.setattr("scenarios.files.wording.get_close_matches", count)
+    monkeypatch.setattr("dsse_core.files.wording.get_close_matches", count)
     unknown = [f"x{k}" for k in range(20_000)]
     switches = {"areas": {"switches": unknown}}
     with pytest.raises(InvalidInputError) as caught:

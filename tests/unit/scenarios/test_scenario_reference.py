@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from pydantic.fields import FieldInfo
 
+from dsse_core.files.strict_table import Table
 from scenarios.files import fault_tables, network_file, scenario_file
-from scenarios.files.strict_toml import Table
 
 REFERENCE = Path(__file__).parents[3] / "docs" / "reference" / "scenario-files.md"
 

@@ -13,10 +13,10 @@ from typing import Any, TypeVar, get_args, get_origin
 from pydantic import BaseModel, ConfigDict, Tag, ValidationError
 from pydantic_core import ErrorDetails
 
-from dsse_core.bounded_file import LARGEST_JSON, LARGEST_TOML, read_text
-from dsse_core.bounded_parsing import parse_json, parse_toml
 from dsse_core.errors import InvalidInputError
-from scenarios.files.wording import Suggestions
+from dsse_core.files.bounded_file import LARGEST_JSON, LARGEST_TOML, read_text
+from dsse_core.files.bounded_parsing import parse_json, parse_toml
+from dsse_core.files.wording import Suggestions
 
 KINDS_OF_FILES = {
     frozenset({"bus", "branch"}): 'a network file; give a scenario file, which names it by network = "{name}"',
