@@ -23,7 +23,7 @@ from agents.runtime.renewal import Renewal, on_hangup
 from agents.security.credentials import load_keys
 from agents.transport.zenoh_bus import Session
 from dsse_core import compiling
-from dsse_core.errors import DsseError, InvalidInputError
+from dsse_core.errors import DsseError
 from dsse_core.limits import LONGEST_S
 
 TIMEOUT_S = 10.0  # of the wait for the bus
@@ -99,10 +99,7 @@ def run_area(path: Path, endpoints: Sequence[str], timeout_s: float, keys: Path 
         TransportError: no endpoint answers within ``timeout_s``.
         ReplacedError: another agent of the area runs that began later.
     """
-    content = load_area_file(path)
-    if content.strategy not in STRATEGIES:
-        known = ", ".join(STRATEGIES)
-        raise InvalidInputError(f"area file {path}", [f"strategy: {content.strategy!r} is unknown; known are {known}"])
+    content = load_area_file(path, STRATEGIES)
     if endpoints:
         content = replace(content, endpoints=tuple(endpoints))
     inbox = Inbox()

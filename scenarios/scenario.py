@@ -12,7 +12,7 @@ from typing import Literal
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.state_limits import StateLimits
 from dsse_core.files.strict_table import load_strict
-from dsse_core.files.wording import Suggestions, suggest
+from dsse_core.files.wording import Suggestions, describe_unknown, suggest
 from dsse_core.grid.division import build_partition
 from dsse_core.grid.measurement import Measurement, Meter, Source
 from dsse_core.grid.network import Network
@@ -129,7 +129,7 @@ def load_scenario(
     file = load_strict(path, ScenarioFile, changes)
     problems = []
     if strategies is not None and file.strategy not in strategies:
-        problems.append(f"strategy: {describe_unknown_strategy(file.strategy, sorted(strategies))}")
+        problems.append(f"strategy: {describe_unknown('strategy', file.strategy, sorted(strategies))}")
     network, network_problems = _load_network_of(file, path)
     problems += network_problems
     area_buses, area_problems = _find_area_buses(file, network)
@@ -143,7 +143,7 @@ def load_scenario(
         for name in sorted(RESERVED & (area_buses or {}).keys())
     ]
     if network is None:
-        raise InvalidInputError(str(path), problems)
+        raise InvalidInputError(file.called(path), problems)
     problems += find_place_problems(file.measurements, network)
     partition, partition_problems = _build_partition_of(file, network, area_buses)
     problems += partition_problems
@@ -155,7 +155,7 @@ def load_scenario(
     if partition is not None:
         problems += find_link_problems(file.faults, partition)
     if partition is None or problems:
-        raise InvalidInputError(str(path), problems)
+        raise InvalidInputError(file.called(path), problems)
     return _build_scenario(path, file, partition, meters, readings)
 
 
@@ -174,11 +174,6 @@ def _find_file(name_or_path: str | Path) -> Path:
             ],
         )
     return shipped[text]
-
-
-def describe_unknown_strategy(name: str, known: Iterable[str]) -> str:
-    """That ``name`` is none of the strategies ``known``, and which it may have been."""
-    return f"unknown strategy {name!r}; allowed: {', '.join(known)}{suggest(name, known)}"
 
 
 def _load_network_of(file: ScenarioFile, path: Path) -> tuple[Network | None, list[str]]:

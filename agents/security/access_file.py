@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import ClassVar
 
 import tomli_w
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field
 
-from agents.area_files.reader import describe_schema_error
-from agents.messages.keys import NAME
 from agents.security.access import COORDINATOR, PLANT, ROUTER, Access
 from agents.security.credential_files import find_mode_problems, write_public
 from dsse_core.errors import InvalidInputError
-from dsse_core.files.bounded_file import LARGEST_TOML, read_text
-from dsse_core.files.bounded_parsing import parse_toml
-from dsse_core.limits import LONGEST_NAME
+from dsse_core.files.kinds import ACCESS_FILE as KIND
+from dsse_core.files.kinds import FileKind
+from dsse_core.files.quantities import Name
+from dsse_core.files.strict_table import FileTable, load_strict
 
 ACCESS_FILE = "access.toml"
 HEAD = """\
@@ -39,17 +39,9 @@ def load_access(path: Path) -> Access:
     Raises:
         InvalidInputError: naming the file and every unknown, missing or impossible key.
     """
-    what = f"access file {path}, which `dsse keys create SCENARIO` writes"
-    try:
-        table = _FileTable.model_validate(parse_toml(read_text(path, largest=LARGEST_TOML, what=what)))
-    except ValidationError as error:
-        raise InvalidInputError(what, [describe_schema_error(e) for e in error.errors()]) from None
-    except ValueError as error:
-        raise InvalidInputError(what, [f"is not TOML: {error}"]) from None
+    table = load_strict(path, AccessTable)
     problems = []
     for area, neighbours in table.neighbours.items():
-        if not NAME.fullmatch(area):
-            problems.append(f"neighbours: area {area!r} may only contain a-z, 0-9, _ and -, {LONGEST_NAME} at most")
         if area in (ROUTER, PLANT, COORDINATOR):
             problems.append(f"neighbours: no area can be called {area!r}, as another process is")
         for n in neighbours:
@@ -61,7 +53,7 @@ def load_access(path: Path) -> Access:
     problems += [problem for name in access.revoked if (problem := _find_problem_of_revoked(access, name))]
     problems += find_mode_problems(path)
     if problems:
-        raise InvalidInputError(what, problems)
+        raise InvalidInputError(table.called(path), problems)
     return access
 
 
@@ -71,8 +63,11 @@ def _find_problem_of_revoked(access: Access, name: str) -> str:
     return "" if name in access.names else f"revoked: {name!r} is no name of a certificate: {', '.join(access.names)}"
 
 
-class _FileTable(BaseModel):
-    model_config = ConfigDict(extra="forbid")
-    run: str = Field(pattern=f"^{NAME.pattern}$")
-    revoked: list[str] = []
-    neighbours: dict[str, list[str]] = Field(min_length=1)
+class AccessTable(FileTable):
+    """A whole access file."""
+
+    kind: ClassVar[FileKind] = KIND
+
+    run: Name = Field(description="name of the system whose keys these are")
+    revoked: list[str] = Field(default_factory=list)
+    neighbours: dict[Name, list[str]] = Field(min_length=1, description="area -> the areas that it meets")

@@ -13,10 +13,11 @@ from coordinator.observe.duplicates import Double
 from coordinator.observe.observer import Observer
 from dsse_core.errors import DsseError, InvalidInputError
 from dsse_core.estimation.bad_data import BadDataReport, process_bad_data
+from dsse_core.files.wording import describe_unknown
 from dsse_core.limits import LONGEST_S
 from scenarios.check import check_scenario
 from scenarios.faults.faults import LinkChanges, change_links
-from scenarios.scenario import Scenario, describe_unknown_strategy, load_scenario
+from scenarios.scenario import Scenario, load_scenario
 from scenarios.telemetry import Telemetry
 
 NO_CHANGES: LinkChanges = {}
@@ -59,7 +60,7 @@ def choose_scenario(
         scenario = replace(scenario, seed=seed)
     if strategy is not None:
         if strategy not in STRATEGIES:
-            problem = f"strategy: {describe_unknown_strategy(strategy, STRATEGIES)}"
+            problem = f"strategy: {describe_unknown('strategy', strategy, STRATEGIES)}"
             raise InvalidInputError(f"scenario {scenario.name!r}", [problem])
         scenario = replace(scenario, strategy=strategy)
     if timeout_s is not None:

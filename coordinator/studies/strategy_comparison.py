@@ -14,9 +14,10 @@ from coordinator.report.text import format_table
 from coordinator.run_folder import make_run_folder
 from coordinator.studies.study_row import COLUMNS, NOT_POSSIBLE, StudyRow, make_impossible_row, make_row, to_cells
 from dsse_core.errors import InvalidInputError
+from dsse_core.files.wording import describe_unknown
 from dsse_core.printable import printable
 from scenarios.check import check_scenario
-from scenarios.scenario import Scenario, describe_unknown_strategy
+from scenarios.scenario import Scenario
 
 HEADER = (
     *("strategy", "outcome", "gap p.u.", "gap deg", "exchanges", "messages", "bytes", "lost"),
@@ -35,7 +36,7 @@ def choose_strategies(names: str | None) -> tuple[str, ...]:
     listed = [name.strip() for name in names.split(",")]
     unknown = [name for name in listed if name not in STRATEGIES]
     twice = [name for name in dict.fromkeys(listed) if listed.count(name) > 1]
-    problems = [describe_unknown_strategy(name, STRATEGIES) for name in unknown]
+    problems = [describe_unknown("strategy", name, STRATEGIES) for name in unknown]
     problems += [f"{name!r} is given twice; keep one" for name in twice]
     if problems:
         raise InvalidInputError("strategies", problems)

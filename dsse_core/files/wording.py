@@ -33,3 +33,8 @@ class Suggestions:
 def suggest(word: str, allowed: Iterable[str]) -> str:
     """What ``Suggestions`` finds for a single word."""
     return Suggestions(list(allowed)).find(word)
+
+
+def describe_unknown(what: str, name: str, known: Collection[str]) -> str:
+    """That ``name`` is no ``what``, which are ``known``, and which of them it may have been."""
+    return f"unknown {what} {name!r}; allowed: {', '.join(known)}{suggest(name, known)}"

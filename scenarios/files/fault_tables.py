@@ -6,14 +6,9 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from dsse_core.files.quantities import Milliseconds, Moment, NotNegative, Positive, Probability, Seconds
 from dsse_core.files.strict_table import Table
-from dsse_core.limits import LONGEST_NAME, LONGEST_S
-
-Positive = Annotated[float, Field(gt=0)]
-Seconds = Annotated[float, Field(gt=0, le=LONGEST_S)]
-Moment = Annotated[float, Field(ge=0, le=LONGEST_S)]
-Milliseconds = Annotated[float, Field(ge=0, le=1000 * LONGEST_S)]
-Probability = Annotated[float, Field(ge=0, le=1)]
+from dsse_core.limits import LONGEST_NAME
 
 MOMENTARY = ("kill", "restart")
 LASTING = ("pause", "cut", "silent")
@@ -47,7 +42,7 @@ class LieTable(Table):
     va_deg: float = 0.0
     scale: Positive = 1.0
     both_ways: bool = False
-    objective: Annotated[float, Field(ge=0)] = 1.0
+    objective: NotNegative = 1.0
     areas: Annotated[int, Field(ge=1)] | None = None
     worst: str | None = Field(default=None, min_length=1, max_length=LONGEST_NAME)
     verdict: str | None = Field(default=None, min_length=1, max_length=LONGEST_NAME)

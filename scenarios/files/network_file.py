@@ -8,12 +8,14 @@ import re
 from collections.abc import Collection, Iterable, Mapping
 from itertools import count
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
 from dsse_core.errors import InvalidInputError
-from dsse_core.files.strict_table import Table, load_strict
+from dsse_core.files.kinds import NETWORK_FILE, FileKind
+from dsse_core.files.quantities import Positive
+from dsse_core.files.strict_table import FileTable, Table, load_strict
 from dsse_core.files.wording import suggest
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from dsse_core.grid.physical_ranges import find_base_problems, find_range_problems
@@ -21,7 +23,6 @@ from dsse_core.limits import LONGEST_NAME
 from scenarios.files.shipped_files import find_shipped
 from scenarios.files.zero_impedances import find_zero_impedance_problems
 
-Positive = Annotated[float, Field(gt=0)]
 BRANCH_ID = re.compile(rf"[a-z0-9_-]{{1,{LONGEST_NAME}}}")  # the id of a meter holds it, and has its limit on the wire
 NOTHING = (None,) * 4
 
@@ -98,8 +99,10 @@ class SourceTable(Table):
         return self
 
 
-class NetworkFile(Table):
+class NetworkFile(FileTable):
     """A whole network file."""
+
+    kind: ClassVar[FileKind] = NETWORK_FILE
 
     name: str = Field(min_length=1, description="the name of the network")
     data_source: str = Field(min_length=1, description="where the data come from")
@@ -129,15 +132,16 @@ def load_network(path: Path) -> Network:
         InvalidInputError: listing every problem of the file, with key paths.
     """
     file = load_strict(path, NetworkFile)
+    what = file.called(path)
     if problems := list(find_base_problems(file.base_mva, _base_kv_by_bus(file))):
-        raise InvalidInputError(str(path), problems)
+        raise InvalidInputError(what, problems)
     problems = list(_find_unit_problems(file))
     try:
         network = _to_per_unit(file)
     except InvalidInputError as error:
-        raise InvalidInputError(str(path), [*problems, *error.problems]) from None
+        raise InvalidInputError(what, [*problems, *error.problems]) from None
     if problems := [*problems, *find_range_problems(network), *find_zero_impedance_problems(network)]:
-        raise InvalidInputError(str(path), problems)
+        raise InvalidInputError(what, problems)
     return network
 
 
@@ -230,7 +234,7 @@ def save_network(path: Path, network: Network, data_source: str) -> None:
         InvalidInputError: listing every branch whose id a network file cannot hold.
     """
     if problems := list(_find_id_problems(network)):
-        raise InvalidInputError(str(path), problems)
+        raise InvalidInputError(NETWORK_FILE.called(path), problems)
     head = {"name": network.name, "data_source": data_source, "base_mva": float(network.base_mva)}
     base = network.base_mva
     rows = {

@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
-from pydantic import BeforeValidator, Discriminator, Field, PlainValidator, StringConstraints, Tag, model_validator
+from pydantic import BeforeValidator, Discriminator, Field, PlainValidator, Tag, model_validator
 
 from dsse_core.estimation.state_limits import DEFAULT_LIMITS
-from dsse_core.files.strict_table import Table
-from dsse_core.limits import LARGEST_SIGMA, LONGEST_NAME, LONGEST_S, SHORTEST_SCAN_S, SMALLEST_SIGMA
-from scenarios.files.fault_tables import FaultsTable, Positive, Probability, Seconds
-
-Sigma = Annotated[float, Field(ge=SMALLEST_SIGMA, le=LARGEST_SIGMA)]
-AreaName = Annotated[str, StringConstraints(pattern=r"^[a-z0-9_-]+$", max_length=LONGEST_NAME)]
+from dsse_core.files.kinds import SCENARIO_FILE, FileKind
+from dsse_core.files.quantities import (
+    Name,
+    NotNegative,
+    Penalty,
+    Positive,
+    Probability,
+    ScanSeconds,
+    Seconds,
+    Seed,
+    Sigma,
+)
+from dsse_core.files.strict_table import FileTable, Table
+from dsse_core.limits import LONGEST_NAME
+from scenarios.files.fault_tables import FaultsTable
 
 SIGMA_PERCENT = "standard deviation in percent of the true value"
 SIGMA_PU = "standard deviation in p.u."
@@ -100,7 +109,7 @@ def _refuse_both(value: object) -> object:
 
 
 Areas = Annotated[
-    Annotated[dict[AreaName, AreaTable], Tag("[lists]")]
+    Annotated[dict[Name, AreaTable], Tag("[lists]")]
     | Annotated[CountTable, Tag("[count]")]
     | Annotated[SwitchesTable, Tag("[switches]")],
     Discriminator(_kind_of_areas),
@@ -195,13 +204,13 @@ class LoadMessagesTable(Table):
 class AdmmTable(Table):
     """``[admm]``."""
 
-    penalty: Annotated[float, Field(ge=1e-6, le=1e6)] = 1.0
+    penalty: Penalty = 1.0
 
 
 class QualityTable(Table):
     """``[quality]``."""
 
-    lowest_vm_pu: Annotated[float, Field(ge=0)] = DEFAULT_LIMITS.lowest_vm
+    lowest_vm_pu: NotNegative = DEFAULT_LIMITS.lowest_vm
     highest_vm_pu: Positive = DEFAULT_LIMITS.highest_vm
     most_removed: Probability = DEFAULT_LIMITS.most_removed
 
@@ -226,7 +235,7 @@ class RunTable(Table):
     """``[run]``."""
 
     beat_s: Seconds = 0.2
-    scan_s: Annotated[float, Field(ge=SHORTEST_SCAN_S, le=LONGEST_S)] | None = None
+    scan_s: ScanSeconds | None = None
     timeout_s: Seconds = 30.0
 
     @model_validator(mode="after")
@@ -254,15 +263,17 @@ class TransportTable(Table):
         return self
 
 
-class ScenarioFile(Table):
+class ScenarioFile(FileTable):
     """A whole scenario file."""
+
+    kind: ClassVar[FileKind] = SCENARIO_FILE
 
     version: Literal[1] = Field(description="version of this format, 1")
     name: str | None = Field(
         default=None, min_length=1, max_length=LONGEST_NAME, description="what runs of it are called"
     )
     description: str = Field(min_length=1, description="one line that says what the scenario shows")
-    seed: int = Field(default=1, ge=0, description="seed of noise and losses")
+    seed: Seed = Field(default=1, description="seed of noise and losses")
     network: str = Field(
         description="name of a shipped network, or path of a .toml or .json file relative to this file"
     )

@@ -191,7 +191,7 @@ def test_a_run_says_which_agent_refused_its_file(tmp_path: Path, monkeypatch: py
     assert not result.verdict.consensus
     assert result.verdict.reason is not None
     assert "area area2 died with exit code 2" in result.verdict.reason
-    assert "is not JSON" in result.verdict.reason
+    assert "not valid JSON" in result.verdict.reason
 
 
 def test_an_unknown_command_and_a_bad_option_are_refused(dsse):

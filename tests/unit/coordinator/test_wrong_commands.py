@@ -31,10 +31,10 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     [
         (
             "estimate network.toml",
-            'is a network file; give a scenario file, which names it by network = "network.toml"',
+            'is a network file, which a scenario file names by network = "network.toml"; give a scenario file',
         ),
         ("run areas/area1.toml", "is an area file, which `dsse agent` takes; give a scenario file"),
-        ("check twisted.toml", "network: scenario.toml: is a scenario file; give a network file"),
+        ("check twisted.toml", "scenario.toml: is a scenario file, which `dsse run` takes; give a network file"),
         ("import network.toml --out new", "a network in TOML needs no import"),
         ("check IEEE33", "did you mean 'ieee33'?"),
         ("check a-folder", "the file or folder 'a-folder' is not looked at"),

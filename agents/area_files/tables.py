@@ -1,0 +1,182 @@
+"""The keys of an area file, as strict tables. Of JSON, buses, branches, generators and meters are lists of values."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import typing
+from enum import StrEnum
+from typing import Annotated, Any, ClassVar, Literal, Self
+
+from pydantic import Field, create_model, model_validator
+
+from agents.area_files.area_file import keys_of
+from dsse_core.estimation.state_limits import DEFAULT_LIMITS
+from dsse_core.files.kinds import AREA_FILE, FileKind
+from dsse_core.files.quantities import (
+    Moment,
+    Name,
+    NotNegative,
+    Penalty,
+    Positive,
+    Probability,
+    ScanSeconds,
+    Seconds,
+    Seed,
+)
+from dsse_core.files.strict_table import FileTable, Table
+from dsse_core.grid.measurement import Meter
+from dsse_core.grid.network import Branch, Bus, Generator
+from dsse_core.grid.partition import Neighbour
+from dsse_core.link_faults import LinkFaults
+
+PROBABILITIES = ("loss", "burst_enter", "burst_leave", "burst_loss", "duplicate", "corrupt")
+Window = Annotated[tuple[NotNegative, NotNegative], Field(strict=False)]  # in a file a list
+
+
+class SlackTable(Table):
+    """``[local_slack]``."""
+
+    bus: int = Field(description="where the local power flow holds the voltage")
+    vm: Positive | None = None
+
+
+class ReferenceTable(Table):
+    """``[reference]``."""
+
+    bus: int = Field(description="number of the substation's bus")
+    va: float = 0.0
+
+
+class ExchangeTable(Table):
+    """``[exchange]``."""
+
+    towards_hub: str | None = None
+    areas: int = Field(ge=1, description="how many areas the grid has")
+    entry_vm: Positive = Field(description="voltage in p.u. where the area begins, seen from the substation")
+    entry_va: float = Field(description="angle there in rad")
+
+
+class LoadMessagesTable(Table):
+    """``[load_messages]``."""
+
+    generation: Literal["telemetered", "scheduled"] = "telemetered"
+    p_error: float = 0.0
+    q_error: float = 0.0
+
+
+class AdmmTable(Table):
+    """``[admm]``."""
+
+    penalty: Penalty = 1.0
+
+
+class QualityTable(Table):
+    """``[quality]``."""
+
+    lowest_vm: NotNegative = DEFAULT_LIMITS.lowest_vm
+    highest_vm: Positive = DEFAULT_LIMITS.highest_vm
+    most_removed: Probability = DEFAULT_LIMITS.most_removed
+
+    @model_validator(mode="after")
+    def _is_a_band(self) -> Self:
+        if self.lowest_vm >= self.highest_vm:
+            raise ValueError(f"lowest_vm is {self.lowest_vm}; it must be below highest_vm, {self.highest_vm}")
+        return self
+
+
+class ColumnsTable(Table):
+    """A list of values, all of one length, for each field of a dataclass."""
+
+    @model_validator(mode="after")
+    def _are_of_one_length(self) -> Self:
+        lengths = {key: len(column) for key, column in vars(self).items() if column is not None}
+        if len(set(lengths.values())) > 1:
+            found = ", ".join(f"{key} has {length}" for key, length in lengths.items())
+            raise ValueError(f"the lists need as many values each; {found}")
+        return self
+
+
+class AreaTable(FileTable):
+    """An area file without its network and meters."""
+
+    kind: ClassVar[FileKind] = AREA_FILE
+
+    format: Literal[1] = Field(description="version of this format, 1")
+    run: Name = Field(description="name of the system that the area belongs to")
+    area: Name = Field(description="name of the area")
+    strategy: str = Field(description="how the areas exchange what they know")
+    endpoints: list[str] = Field(description="where to find the bus, e.g. tcp/127.0.0.1:7447")
+    listen: list[str] = Field(default_factory=list)
+    beat_s: Seconds = 0.2
+    scan_s: ScanSeconds | None = None
+    tolerance: Positive = 1e-6
+    seed: Seed = 0
+    local_slack: SlackTable = Field(description="where the local power flow begins")
+    reference: ReferenceTable | None = None
+    exchange: ExchangeTable = Field(description="the way to the hub, the number of areas, where the area begins")
+    load_messages: LoadMessagesTable = LoadMessagesTable()
+    admm: AdmmTable = AdmmTable()
+    quality: QualityTable = QualityTable()
+
+
+@functools.cache
+def area_table(*, of_columns: bool) -> Any:
+    """The schema of a whole area file; ``of_columns``: what is many in it has a list for each key, not a table each."""
+    all_of = _columns_of if of_columns else _rows_of
+    faults = _table_of(
+        LinkFaults,
+        **dict.fromkeys(PROBABILITIES, Probability),
+        delay_s=Moment,
+        jitter_s=Moment,
+        lie_scale=Positive,
+        cuts=Annotated[tuple[Window, ...], Field(strict=False)],
+    )
+    neighbour = create_model("Neighbour", __base__=_table_of(Neighbour, area=Name), faults=(faults, faults()))
+    network = create_model(
+        "NetworkTable",
+        __base__=Table,
+        base_mva=(Positive, ...),
+        bus=(all_of(Bus), ...),
+        branch=(all_of(Branch), ...),
+        generator=(all_of(Generator), []),
+    )
+    return create_model(
+        "AreaFileTable",
+        __base__=AreaTable,
+        neighbour=(list[neighbour], []),  # type: ignore[valid-type]
+        network=(network, Field(description="the area's own part of the network, in p.u. on base_mva")),
+        meter=(all_of(Meter), Field(description="the area's meters")),
+    )
+
+
+def _table_of(cls: type[Any], **types: Any) -> Any:
+    """A table whose keys are the fields of dataclass ``cls``, of other ``types`` where they are given."""
+    hints = _types_of(cls) | types
+    keys: Any = {key: (hints[key], ... if default is dataclasses.MISSING else default) for key, default in keys_of(cls)}
+    return create_model(cls.__name__, __base__=Table, **keys)
+
+
+def _rows_of(cls: type[Any]) -> Any:
+    return list[_table_of(cls)]  # type: ignore[misc]
+
+
+def _columns_of(cls: type[Any]) -> Any:
+    hints: Any = _types_of(cls)
+    keys: Any = {}
+    for key, default in keys_of(cls):
+        column: Any = list[hints[key]]
+        keys[key] = (column, ...) if default is dataclasses.MISSING else (column | None, None)
+    return create_model(cls.__name__, __base__=ColumnsTable, **keys)
+
+
+def _types_of(cls: type[Any]) -> Any:
+    """Field -> its type, in files: of an enumeration the words, which strict tables would not take for it."""
+    hints: dict[str, Any] = typing.get_type_hints(cls)
+    for key, hint in hints.items():
+        if isinstance(hint, type) and issubclass(hint, StrEnum):
+            hints[key] = Annotated[hint, Field(strict=False)]
+    return hints
+
+
+area_table(of_columns=True)  # once, before agents are forked

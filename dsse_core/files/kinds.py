@@ -1,0 +1,48 @@
+"""The kinds of files with tables: what each is called, who takes it, and by which keys it is told from the others."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True, slots=True)
+class FileKind:
+    """A kind of file.
+
+    ``told_by``: keys at the top that no file of another kind has all of. ``use``: who takes such a file, after
+    "which"; ``{name}`` in it stands for the name of the file. ``written_by``: the command that writes it, if any does.
+    """
+
+    article: str
+    name: str
+    told_by: frozenset[str]
+    use: str
+    written_by: str = ""
+
+    def called(self, path: Path) -> str:
+        """What errors call the file at ``path``."""
+        return f"{self.name} {path}" + (f", which `{self.written_by}` writes" if self.written_by else "")
+
+
+SCENARIO_FILE = FileKind("a", "scenario file", frozenset({"version", "areas"}), "`dsse run` takes")
+NETWORK_FILE = FileKind(
+    "a", "network file", frozenset({"bus", "branch"}), 'a scenario file names by network = "{name}"'
+)
+AREA_FILE = FileKind(
+    "an",
+    "area file",
+    frozenset({"endpoints", "local_slack"}),
+    "`dsse agent` takes",
+    "dsse split SCENARIO --out DIR",
+)
+ACCESS_FILE = FileKind(
+    "an", "access file", frozenset({"revoked", "neighbours"}), "lies beside certificates", "dsse keys create SCENARIO"
+)
+KINDS = (SCENARIO_FILE, NETWORK_FILE, AREA_FILE, ACCESS_FILE)
+
+
+def kind_told_by(keys: Collection[str]) -> FileKind | None:
+    """The kind of file that has all of ``keys``, if they tell."""
+    return next((kind for kind in KINDS if kind.told_by <= set(keys)), None)

@@ -1,0 +1,97 @@
+"""The errors of strict tables in words: the key's path, what is wrong, what was found, what is allowed."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from typing import Any, get_args, get_origin
+
+from pydantic import BaseModel, Tag, ValidationError
+from pydantic_core import ErrorDetails
+
+from dsse_core.files.wording import Suggestions
+
+Meant = dict[tuple[str, ...], Suggestions]
+"""Keys that a table may have -> which of them the unknown ones of a file may have been, within one bound of work."""
+
+
+def describe_errors(model: type[BaseModel], error: ValidationError) -> list[str]:
+    """Every problem of a file that does not fit ``model``, on a line each."""
+    meant: Meant = {}
+    return [_describe(model, e, meant) for e in error.errors()]
+
+
+def _describe(model: type[BaseModel], error: ErrorDetails, meant: Meant) -> str:
+    location = [step for step in error["loc"] if step != "[key]"]
+    key = key_path(step for step in location if not _is_tag(step))
+    if error["type"] == "extra_forbidden":
+        allowed = tuple(_allowed_keys(model, location[:-1]))
+        close = meant.setdefault(allowed, Suggestions(allowed)).find(str(location[-1]))
+        return f"{key}: unknown key; allowed here: {', '.join(allowed)}{close}"
+    while location and _is_tag(location[-1]):
+        location.pop()
+    meaning = _meaning(model, location)
+    if error["type"] == "missing":
+        return f"{key}: missing" + (f"; {meaning}" if meaning else "")
+    if error["type"] == "value_error":
+        text = str(error["ctx"]["error"])
+        return f"{key}: {text}" if key else text
+    found = "a table" if isinstance(error["input"], dict) else f"{error['input']!r:.200}"
+    text = error["msg"].replace("Input should", "must", 1).replace("String should", "must", 1)
+    text = re.sub(r"a valid dictionary( or instance of \w+)?", "a table", text)
+    return f"{key or 'the file'}: {text}, found {found}" + (f" ({meaning})" if meaning else "")
+
+
+def _is_tag(step: int | str) -> bool:
+    """Whether ``step`` is no key but the tag of a union's member, which tags in brackets set apart from keys."""
+    return isinstance(step, str) and re.fullmatch(r"\[[a-z]+\]", step) is not None
+
+
+def key_path(location: Iterable[int | str]) -> str:
+    path = "".join(f"[{step + 1}]" if isinstance(step, int) else f".{step}" for step in location)
+    return path.removeprefix(".")
+
+
+def _keys(table: type[BaseModel]) -> dict[str, str]:
+    """Key as written in the file -> attribute of the table."""
+    return {field.alias or name: name for name, field in table.model_fields.items()}
+
+
+def _allowed_keys(model: type[BaseModel], location: Iterable[int | str]) -> list[str]:
+    table = _table_in(_annotation_at(model, location))
+    return list(_keys(table)) if table else []
+
+
+def _meaning(model: type[BaseModel], location: list[int | str]) -> str:
+    """The description of the key at ``location``, empty if it has none."""
+    table = _table_in(_annotation_at(model, location[:-1]))
+    name = _keys(table).get(str(location[-1])) if table and location else None
+    return (table.model_fields[name].description or "") if table and name else ""
+
+
+def _annotation_at(model: type[BaseModel], location: Iterable[int | str]) -> Any:
+    """The type annotation at ``location``; a step into a dict or list leaves the table inside it."""
+    annotation: Any = model
+    for step in location:
+        if _is_tag(step):
+            members = (part for part in get_args(annotation) if Tag(str(step)) in getattr(part, "__metadata__", ()))
+            annotation = getattr(next(members, None), "__origin__", None)
+            continue
+        table = _table_in(annotation)
+        names_an_item = isinstance(step, int) or get_origin(annotation) is dict
+        if table is None:
+            return None
+        if names_an_item:
+            annotation = table
+        elif (name := _keys(table).get(str(step))) is not None:
+            annotation = table.model_fields[name].annotation
+        else:
+            return None
+    return annotation
+
+
+def _table_in(annotation: Any) -> type[BaseModel] | None:
+    """The table that an annotation such as ``list[T]``, ``dict[str, T]`` or ``T | None`` is about."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    return next((table for part in get_args(annotation) if (table := _table_in(part))), None)
