@@ -195,22 +195,25 @@ class AreaRound:
             no_load |= {self.towards_hub: no_load_of(down)} if down.no_load else {}
         k, estimation, lower = self.k, self.estimation, self.lower
         is_first = estimation.is_first and not estimation.failure
-        contents: dict[str, Content] = {}
-        for name in lower:
+
+        def find_content(name: str) -> Content:
             information = self._find_information(name, known) if verdict.takes_step else None
             others = {n: told for n, told in no_load.items() if n != name}
-            contents[name] = Content(
-                information, estimation.no_load_for(name, others) if is_first else None, (), totals
-            )
+            return Content(information, estimation.no_load_for(name, others) if is_first else None, (), totals)
+
         parent = self._area.parent.area if self._area.parent else ""
         for name in lower:
             if name != parent:
-                yield name, contents[name]
+                yield (
+                    name,
+                    find_content(name),
+                )  # each as soon as it is known: it computes while others are still to hear
+        for_parent = find_content(parent) if parent in lower else None
         estimation.carry_out(verdict, self._memory, known, no_load)
         if down is not None and down.power and self.towards_hub:
             estimation.set_power(self.towards_hub, down.power)
-        if parent in lower:  # which needs the power at x_{k+1}
-            yield parent, replace(contents[parent], power=self._find_power(parent))
+        if for_parent is not None:  # it needs the power at x_{k+1}
+            yield parent, replace(for_parent, power=self._find_power(parent))
         if verdict.decision is Decision.FINAL:
             self.outcome = Outcome(verdict, totals, decider)
         self._go_to(k + 1)

@@ -186,7 +186,8 @@ class Peer:
 
     def patience_s(self, least_s: float) -> float:
         """How long it may be silent before it counts as gone: ``least_s``, or as long as so many messages take."""
-        return max(least_s, self.round_trip.longest_wait_s * self.patience_messages)
+        longest_s = self.round_trip.longest_wait_s * PATIENCE_WAITS * math.sqrt(self.mean_count)  # asked for very often
+        return longest_s if longest_s > least_s else least_s
 
     def note_said(self, now: float) -> None:
         """It is spoken to now."""

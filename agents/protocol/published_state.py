@@ -41,11 +41,15 @@ class PublishedState:
         self._standing: object = None  # what makes a state that stays the same worth publishing
 
     def is_as_shown(self, quality: str, old_sides: tuple[str, ...]) -> bool:
-        """Whether the last state says what holds now beside the estimate and what the strategy notes."""
-        return self._standing == self._find_standing(quality, old_sides)
+        """Whether the last state says what holds now beside the estimate and what the strategy notes.
 
-    def _find_standing(self, quality: str, old_sides: tuple[str, ...]) -> object:
-        return quality, old_sides, dict(self._peers.gone), set(self._rejections.ahead)
+        That fewer sides are old is no news by itself: it waits for the last one, or for the beat.
+        """
+        shown = self.message.old_sides if self.message else ()
+        return self._standing == self._find_standing(quality) and set(old_sides) <= set(shown)
+
+    def _find_standing(self, quality: str) -> object:
+        return quality, dict(self._peers.gone), set(self._rejections.ahead)
 
     def compose(
         self,
@@ -79,7 +83,7 @@ class PublishedState:
         )
         if last is not None and content_of(last) == content_of(state) and last.header.scan == scan:
             state = replace(state, header=replace(state.header, sequence=last.header.sequence))
-        self.message, self._standing = state, self._find_standing(worth.word, old_sides)
+        self.message, self._standing = state, self._find_standing(worth.word)
         return state
 
 

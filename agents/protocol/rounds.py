@@ -50,6 +50,7 @@ class RoundsProtocol(AreaProtocol):
         self._round = AreaRound(content.area)
         self._revision = 0
         self._is_change_due = False
+        self._has_loads_to_tell = False  # which only stand in for what is missing: rounds go first
         self._raised_at = -math.inf  # when this area itself last raised the revision
         self._state = RoundsState(content, self._peers, self._round, self._scan, self._rejections, self._published)
 
@@ -107,8 +108,8 @@ class RoundsProtocol(AreaProtocol):
                 yield from self._change()
 
     def _take_load(self) -> Iterator[Action]:
-        if self._scan.are_there:
-            yield from self._tell_loads()
+        self._has_loads_to_tell |= self._scan.are_there
+        yield from ()
 
     def _hear(self, name: str, message: LinkMessage) -> Iterator[Action]:
         assert isinstance(message, RoundsMessage)
@@ -198,7 +199,7 @@ class RoundsProtocol(AreaProtocol):
 
     def _begin(self) -> Iterator[Action]:
         """Round 0 with the readings."""
-        yield from self._tell_loads()
+        self._has_loads_to_tell = True
         loads = self._heard_loads()
         self._round.begin(self._scan.readings.measurements, stale=self._scan.stale, loads=loads)
         yield from self._go_on()
@@ -282,6 +283,9 @@ class RoundsProtocol(AreaProtocol):
         if self._is_change_due or (is_someone_silent and not self._is_at_rest):
             yield from self._change()
         yield from self._enter_next_scan()
+        if self._has_loads_to_tell:
+            self._has_loads_to_tell = False
+            yield from self._tell_loads()
 
     def _show(self, *, is_beat: bool) -> Iterator[Publish]:
         """The state once a scan at rest, anew at every beat, and when its quality changes."""

@@ -72,9 +72,7 @@ class RoundsState:
         if outcome is not None and outcome is not self._outcome:
             self._outcome, self._of_scan = outcome, term[0]
             self._estimate, self._findings = self._read(outcome)
-        elif self._published.message is None and term[0] and outcome is None and not is_beat:
-            return None  # the first estimate is under way
-        elif not is_beat and self._published.is_as_shown(self._weigh(term, now).word, self._old_sides(term, now)):
+        elif not is_beat and (self._is_first_way_through(term) or self._is_as_shown(term, now)):
             return None
         worth, old_sides, scan = self._weigh(term, now), self._old_sides(term, now), self._of_scan or term[0]
         return self._published.compose(self._estimate_now(term), worth, old_sides, scan, now)
@@ -83,6 +81,17 @@ class RoundsState:
         """The state at an end of ``term`` that has not been shown yet, as the next term begins at once."""
         is_new = self._round.outcome is not None and self._round.outcome is not self._outcome
         return self.show(term, now, is_beat=False) if is_new else None
+
+    def _is_first_way_through(self, term: Term) -> bool:
+        """Whether a scan is under way, and nothing has happened to it: its estimate is shown, or at the beat that it
+        is not there; what was said of the last scan still holds of that.
+        """
+        if self._round.outcome is not None:
+            return False
+        return 0 < term[0] != self._of_scan and (not term[1] or self._published.message is None)
+
+    def _is_as_shown(self, term: Term, now: float) -> bool:
+        return self._published.is_as_shown(self._weigh(term, now).word, self._old_sides(term, now))
 
     def _read(self, outcome: Outcome) -> tuple[Estimate | None, tuple[Finding, ...]]:
         """What the term has ended with, and what that leaves to be said until the next one."""

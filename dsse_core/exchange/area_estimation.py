@@ -25,7 +25,7 @@ from dsse_core.exchange.feeder_bad_data import (
     find_suspects,
 )
 from dsse_core.grid.admittance import walk_unloaded
-from dsse_core.grid.measurement import Measurement, MeasurementKind, Source
+from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.grid.partition import Area, Neighbour
 from dsse_core.linear import choose_backend
 from dsse_core.linear.area_model import AreaModel, build_area_model
@@ -70,6 +70,7 @@ class AreaEstimation:
         self._stand_ins: dict[str, BoundaryInformation] = {}
         self._model: AreaModel | None = None
         self._no_load: NoLoadModel | None = None
+        self._meters_of_no_load: tuple[Meter, ...] = ()
         self._kept_no_load: dict[tuple[object, ...], object] = {}  # of the no-load model
 
     @property
@@ -122,13 +123,9 @@ class AreaEstimation:
         rows = find_dead([m.meter for m in self._readings], [m.value for m in self._readings])
         return tuple(self._readings[k].meter.id for k in rows)
 
-    def _in_use(self, currents: bool) -> list[Measurement]:
+    def _in_use(self) -> list[Measurement]:
         out = {*self.removed, *self.dead_voltmeters}
-        return [
-            m
-            for m in self._readings
-            if m.meter.id not in out and (currents or m.meter.kind is not MeasurementKind.CURRENT)
-        ]
+        return [m for m in self._readings if m.meter.id not in out] if out else list(self._readings)
 
     @property
     def _is_blank(self) -> bool:
@@ -137,7 +134,8 @@ class AreaEstimation:
 
     def _build(self) -> None:
         """The models of the meters in use; other readings of the same ones change neither rows nor no-load model."""
-        with_currents, without = self._in_use(currents=True), self._in_use(currents=False)
+        with_currents = self._in_use()
+        without = [m for m in with_currents if m.meter.kind is not MeasurementKind.CURRENT]
         self._n_current = len(with_currents) - len(without)
         in_use = with_currents if self._uses_currents else without
         prior = self._start if self._silent or self._is_blank else None
@@ -150,10 +148,10 @@ class AreaEstimation:
             self._build_no_load(without)
 
     def _build_no_load(self, in_use: Sequence[Measurement]) -> None:
-        ids = tuple(m.meter.id for m in in_use)
-        if self._no_load is None or self._no_load.ids != ids:
+        meters = tuple(m.meter for m in in_use)
+        if self._no_load is None or self._meters_of_no_load != meters:
             self._no_load = build_no_load_model(self.area, in_use, self._reference)
-            self._kept_no_load = {}
+            self._meters_of_no_load, self._kept_no_load = meters, {}
 
     # What others are sent
 

@@ -1,5 +1,6 @@
 """Rounds when a new scan begins: how many messages it takes, who waits for whom, and what is shown."""
 
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +9,7 @@ from exact_exchange import settle_bus
 from feeders import make_feeder
 from simulated_bus import SimulatedBus, area_files_of
 
-from agents.messages.packing import DownMessage, UpMessage
+from agents.messages.packing import DownMessage, LoadMessage, UpMessage
 from agents.protocol.scan_readings import DEADLINE_BEATS
 from coordinator.plant.telemetry_messages import make_message
 from coordinator.simulator import simulator as twin
@@ -60,6 +61,29 @@ def test_a_finished_scan_is_shown_where_the_readings_of_the_next_one_wait_alread
     for name, state in expected.states.items():
         of_area = [s for _, s in shown if s.header.sender == name and s.header.scan == 2]
         assert any(np.allclose(s.vm, state.vm, rtol=0.0, atol=1e-9) for s in of_area), name
+
+
+def test_a_scan_under_way_is_not_shown_and_its_end_no_more_than_twice():
+    bus, shown = new_scan()
+    bus.run(0.1)
+    assert {state.header.scan for _, state in shown} == {2}
+    assert max(Counter(state.header.sender for _, state in shown).values()) <= 2  # at its end, and when all agree
+
+
+def test_a_scan_that_does_not_end_takes_good_from_all_at_the_beat():
+    bus, _ = new_scan()
+    bus.refuse_delivery = lambda sender, receiver, message: isinstance(message, UpMessage)
+    bus.run(1.5 * BEAT)
+    assert {state.quality for state in bus.states.values()} == {"degraded"}
+
+
+def test_no_load_message_delays_a_message_of_a_round():
+    bus, _ = new_scan()
+    bus.run(0.1)
+    for sender, receiver in (("area2", "area1"), ("area3", "area1")):
+        sent = [m for _, a, b, m in bus.delivered if (a, b) == (sender, receiver)]
+        assert isinstance(sent[0], UpMessage)
+        assert any(isinstance(m, LoadMessage) for m in sent)
 
 
 @pytest.mark.parametrize("n_area", [10, 60])
