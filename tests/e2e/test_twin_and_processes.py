@@ -20,6 +20,10 @@ def test_the_twin_ends_where_real_processes_do(name: str, tmp_path: Path):
     np.testing.assert_array_equal(real.comparison.centralised.vm, twin.comparison.centralised.vm)
     np.testing.assert_allclose(real.comparison.decentralised.vm, twin.comparison.decentralised.vm, atol=1e-8)
     np.testing.assert_allclose(real.comparison.decentralised.va, twin.comparison.decentralised.va, atol=1e-8)
+    assert real.verdict.gap_vm_pu is not None
+    assert real.verdict.gap_va_deg is not None
+    assert real.verdict.gap_vm_pu <= 1e-8
+    assert real.verdict.gap_va_deg <= np.degrees(1e-8)
     assert real.verdict.gap_vm_pu == pytest.approx(twin.verdict.gap_vm_pu, abs=1e-8)
     assert real.verdict.gap_va_deg == pytest.approx(twin.verdict.gap_va_deg, abs=np.degrees(1e-8))
     assert (real.verdict.virtual_s, twin.verdict.virtual_s is None) == (None, False)
