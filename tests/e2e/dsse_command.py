@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import random
 import socket
 import sys
 from pathlib import Path
@@ -12,11 +14,16 @@ COMMAND = [sys.executable, "-P", "-m", "coordinator"]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
 
 
+BELOW_THOSE_OF_LINKS = range(10_000, 32_000)  # ports that no system gives to a link that somebody opens meanwhile
+
+
 def free_port() -> int:
-    """A port of this host that nobody listens on at this moment."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+    """A port of this host that nobody listens on, and that no other test will draw before it is used."""
+    while True:
+        port = random.SystemRandom().choice(BELOW_THOSE_OF_LINKS)
+        with socket.socket() as probe, contextlib.suppress(OSError):
+            probe.bind(("127.0.0.1", port))
+            return port
 
 
 def free_endpoint(protocol: str = "tcp") -> str:

@@ -11,6 +11,7 @@ import pytest
 from dsse_command import COMMAND, ENVIRONMENT
 
 pytest.importorskip("numba")
+pytestmark = pytest.mark.xdist_group("compiling")  # in one place, once
 
 FIRST_RUN_S = 300.0
 LIMIT_S = "8"  # of the run; compiling alone takes 13 s of a processor

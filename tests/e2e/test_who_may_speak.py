@@ -25,6 +25,7 @@ from coordinator.deployment.certificates import access_of, create_keys
 from coordinator.deployment.split import write_area_files
 from scenarios.scenario import load_scenario
 
+pytestmark = pytest.mark.xdist_group("secured")  # one system for all
 AREAS = ("area1", "area2", "area3")
 STRANGER = [sys.executable, str(ROOT / "tests" / "e2e" / "stranger.py")]
 SEE_REFUSED_MESSAGES = {"RUST_LOG": "warn,zenoh::net::routing::interceptor=trace"}

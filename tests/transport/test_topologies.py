@@ -1,9 +1,9 @@
 """Two linked routers are one bus, and neighbours can do without any; each comes, goes and comes again."""
 
 import itertools
-import socket
 
 import pytest
+from dsse_command import free_endpoint
 from waiting import wait_until
 
 from agents.transport.zenoh_bus import Router, Session, TransportError
@@ -12,14 +12,10 @@ from agents.transport.zenoh_bus import Router, Session, TransportError
 @pytest.fixture
 def free_endpoints():
     """Endpoints on free ports; all different."""
-    probes = [socket.socket() for _ in range(2)]
-    try:
-        for probe in probes:
-            probe.bind(("127.0.0.1", 0))
-        return [f"tcp/127.0.0.1:{probe.getsockname()[1]}" for probe in probes]
-    finally:
-        for probe in probes:
-            probe.close()
+    found = set()
+    while len(found) < 2:
+        found.add(free_endpoint())
+    return list(found)
 
 
 @pytest.fixture
