@@ -1,12 +1,28 @@
-"""What runs on every back end of the exact exchange."""
+"""What runs on the back ends of the exact exchange: on each of them, or on one after the other."""
 
 from collections.abc import Iterator
 
 import pytest
 from back_ends import BACK_ENDS, back_end
 
+IN_TURN = "in turn"
+
 
 @pytest.fixture(scope="module", params=BACK_ENDS)
 def each_back_end(request: pytest.FixtureRequest) -> Iterator[None]:
     with back_end(request.param):
         yield
+
+
+@pytest.fixture
+def back_end_in_turn(request: pytest.FixtureRequest, random_seed: int) -> Iterator[None]:
+    """Random cases are for what holds on all back ends; that these agree is ``test_exchange_back_ends``."""
+    with back_end(BACK_ENDS[random_seed % len(BACK_ENDS)] if request.param == IN_TURN else request.param):
+        yield
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """``back_end_in_turn``: with ``--thorough`` every case runs on each of them."""
+    if "back_end_in_turn" in metafunc.fixturenames:
+        params = BACK_ENDS if metafunc.config.getoption("--thorough") else [IN_TURN]
+        metafunc.parametrize("back_end_in_turn", params, indirect=True)

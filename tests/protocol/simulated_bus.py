@@ -57,6 +57,10 @@ class SimulatedBus(twin.SimulatedBus):
         protocol = self.protocols[name]
         return protocol._scan.numbering[1] if isinstance(protocol, RoundsProtocol) else 0
 
+    def set_clock_back(self, name: str, by_ms: int) -> None:
+        """Of the process that an area starts in next."""
+        self._lives[name] -= by_ms
+
     def run_until_settled(self, limit_s: float = 120.0) -> None:
         deadline = self.now + limit_s
         while not self.settled:

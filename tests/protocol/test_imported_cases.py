@@ -27,7 +27,16 @@ MATPOWER = {
     "1197": 32,
 }
 """Case -> number of areas. case16am has a branch without impedance."""
-SLOW = {"1197", "kb_extrem_vorstadtnetz_2", "kb_extrem_vorstadtnetz_trafo_2"}
+SLOW = {
+    "1197",
+    "mv_oberrhein, other half",
+    "kb_extrem_landnetz_freileitung_trafo",
+    "kb_extrem_landnetz_kabel",
+    "kb_extrem_dorfnetz",
+    "kb_extrem_vorstadtnetz_2",
+    "kb_extrem_vorstadtnetz_trafo_1",
+    "kb_extrem_vorstadtnetz_trafo_2",
+}
 """Large, or twins of others: with --thorough only."""
 PANDAPOWER: dict[str, tuple[int, Callable[[Any], Any]]] = {
     "cigre_mv, open switches": (4, lambda networks: networks.create_cigre_network_mv()),

@@ -116,7 +116,7 @@ def test_who_starts_again_in_the_middle_of_a_scan_takes_nothing_that_was_said_to
 
 def test_a_neighbour_whose_token_is_lost_while_it_speaks_makes_nobody_begin_anew_at_every_beat():
     bus = at_rest()
-    bus._push(bus.now, "a", PresenceChanged("b", False))
+    bus.tell("a", PresenceChanged("b", False))
     bus.next_scan()
     bus.run_until_at_rest(LIMIT_S)
     revision = bus.protocols["a"].term[1]
@@ -177,11 +177,12 @@ def test_a_repeat_at_rest_takes_good_from_nobody_for_longer_than_round_trips():
 
 def test_of_two_heartbeats_of_one_moment_the_second_counts():
     bus = at_rest()
-    first, second = (bus.protocols["a"]._heartbeat("b").message for _ in range(2))
+    said = bus.last_heartbeat["a", "b"]
+    first, second = (replace(said, header=replace(said.header, time=said.header.time + ms / 1000)) for ms in (1, 2))
     for heartbeat in (replace(first, complete=False), second):
-        bus._push(bus.now, "b", Received(heartbeat, "a"))
+        bus.tell("b", Received(heartbeat, "a"))
     bus.run(TRAVEL_S / 2)
-    assert bus.protocols["b"]._peers["a"].complete
+    assert bus.states["b"].quality == GOOD
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -205,8 +206,8 @@ def test_at_rest_a_sound_link_carries_two_heartbeats_a_beat():
 
 def test_a_scan_that_no_plant_has_made_is_forgotten_when_its_author_is_gone():
     bus = at_rest()
-    lie = bus.protocols["a"]._heartbeat("b").message
-    bus._push(bus.now, "b", Received(replace(lie, header=replace(lie.header, scan=2**40), hears=True), "a"))
+    lie = bus.last_heartbeat["a", "b"]
+    bus.tell("b", Received(replace(lie, header=replace(lie.header, scan=2**40), hears=True), "a"))
     bus.run(3.0)
     for _ in range(3):
         bus.next_scan()
@@ -295,8 +296,8 @@ def test_an_area_that_starts_after_a_plant_was_set_back_does_not_number_scans_by
 def test_what_a_liar_says_of_the_numbers_of_scans_leads_to_no_scan_that_others_lack():
     bus = at_rest()
     for offset in (7, 2**40, 2**60):
-        said = bus.protocols["b"]._scan.take_numbering("c", Incarnation(0, 0), offset)
-        list(bus.protocols["b"]._act_on(said))
+        bus.tell("b", Received(replace(bus.last_heartbeat["c", "b"], plant=Incarnation(0, 0), offset=offset), "c"))
+        bus.run(TRAVEL_S / 2)
         wait_until_agreed(bus)
     assert 2**40 < bus.protocols["a"].scan < 2**41
     bus.next_scan()

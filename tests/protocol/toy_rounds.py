@@ -82,6 +82,7 @@ class ToyBus:
         self.decided: dict[tuple, tuple] = {}
         self.sent: Counter[tuple[str, str]] = Counter()
         self.sent_of_rounds: Counter[tuple[str, str]] = Counter()
+        self.last_heartbeat: dict[tuple[str, str], HeartbeatMessage] = {}
         self.handled = 0
         self.on_handled: Callable[[], None] = lambda: None
         self.values: dict[str, float] = {}  # the newest reading of every area
@@ -166,6 +167,10 @@ class ToyBus:
     def send_telemetry(self, name: str) -> None:
         if name in self._telemetry:
             self._push(self.now + TRAVEL_S, name, Received(self._telemetry[name], ""))
+
+    def tell(self, name: str, event: Event) -> None:
+        """``event`` happens to an area now."""
+        self._push(self.now, name, event)
 
     # What follows
 
@@ -258,7 +263,10 @@ class ToyBus:
 
     def _send(self, name: str, to: str, message: RoundsMessage) -> None:
         self.sent[name, to] += 1
-        self.sent_of_rounds[name, to] += not isinstance(message, HeartbeatMessage)
+        if isinstance(message, HeartbeatMessage):
+            self.last_heartbeat[name, to] = message
+        else:
+            self.sent_of_rounds[name, to] += 1
         assert self.sent[name, to] < MOST_PER_SECOND * (self.now + 1), f"{name} floods {to}"
         if isinstance(message, DownMessage):
             key = (message.header.scan, message.revision, message.decider, message.life, message.k)

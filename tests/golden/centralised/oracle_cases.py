@@ -106,7 +106,7 @@ def draw_examples() -> Iterator[Drawn]:
     from test_any_grid import test_any_grid_with_any_meters_reaches_it as the_property
 
     for given in reversed(the_property.hypothesis_explicit_examples):
-        grid, _, gross_errors = given.args
+        grid, _, gross_errors, _ = given.args
         yield {"kind": "grid", "arguments": grid | {"shares": asdict(grid["shares"])}, "gross_errors": gross_errors}
 
 
