@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks import comparison
 from benchmarks.cases import build_case, build_network
 from benchmarks.limits import GIB, LimitedCallError, call_limited
 from benchmarks.methods import OURS, OURS_WITH_RESIDUALS, PEERS
@@ -40,9 +41,10 @@ def run_reduced(out: Path, *options: str) -> list[dict]:
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory):
+def run(tmp_path_factory, request):
+    """Processes that load the peers take most of a minute: with ``--thorough`` only."""
     out = tmp_path_factory.mktemp("benchmarks")
-    run_reduced(out, "--draws", "1")
+    run_reduced(out, "--draws", "1", *([] if request.config.getoption("--thorough") else ["--no-peers"]))
     return out
 
 
@@ -59,20 +61,27 @@ def test_all_objectives_of_the_reduced_run_agree(results):
         assert row["outcome"]["gap"] < 1e-6, row["method"]
 
 
-def test_every_method_has_a_row_and_a_missing_one_says_how_to_install_it(results):
-    assert [row["method"] for row in results["estimates"]] == [m.name for m in (*OURS, *OURS_WITH_RESIDUALS, *PEERS)]
-    for row in results["estimates"]:
-        assert row["outcome"] or "pip install" in row["remark"], row["remark"]
+def test_every_method_has_a_row_and_without_peers_ours_alone_are_timed(results, request):
+    peers = PEERS if request.config.getoption("--thorough") else ()
+    assert [row["method"] for row in results["estimates"]] == [m.name for m in (*OURS, *OURS_WITH_RESIDUALS, *peers)]
 
 
-def test_without_peers_ours_alone_are_timed(tmp_path):
-    rows = run_reduced(tmp_path, "--draws", "0", "--no-peers")
-    assert [row["method"] for row in rows] == [method.name for method in (*OURS, *OURS_WITH_RESIDUALS)]
+@pytest.fixture
+def compared(monkeypatch):
+    """All methods on the case of the reduced run, in this process."""
+    monkeypatch.setattr(comparison, "call_limited", lambda function, *arguments, **_: function(*arguments))
+    return comparison.compare([33], ["full"], OURS, PEERS, comparison.Limits(1, 1.0, 8.0), lambda _: None)
 
 
-def test_a_peer_is_given_its_ratio_to_every_back_end_of_ours(results):
-    peers = [row for row in results["estimates"] if row["outcome"] and row["method"] in {peer.name for peer in PEERS}]
-    assert all(set(row["ratios"]) == {method.name for method in OURS} for row in peers)
+def test_a_peer_has_a_row_with_its_ratio_to_every_back_end_of_ours_or_how_to_install_it(compared):
+    assert [row.method for row in compared] == [method.name for method in (*OURS, *PEERS)]
+    for row in compared:
+        assert row.outcome or "pip install" in row.remark, row.remark
+        if row.outcome:
+            assert row.ratios.keys() == {method.name for method in OURS}
+        if row.outcome and row.method != OTHER_MINIMUM:
+            assert row.excess < 1e-9, row.method
+            assert row.outcome.gap < 1e-6, row.method
 
 
 def test_our_estimate_solves_the_random_draw_of_the_reduced_run(results):

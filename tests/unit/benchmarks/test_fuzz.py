@@ -27,10 +27,10 @@ def test_spoilt_input_is_accepted_or_refused(name, random_seed, tmp_path):
 
 def test_a_module_that_a_file_has_imported_is_a_finding(monkeypatch, tmp_path):
     monkeypatch.setattr("scenarios.importers.pandapower.write_anew", lambda _, tree: json.dumps(tree))
-    outcomes = [
+    outcomes = (
         try_input("foreign-pandapower.json", make_input("foreign-pandapower.json", 1, number), tmp_path)
         for number in range(9, 12)
-    ]
+    )
     assert any(outcome.startswith("FINDING: TwoReadingsError") and "was imported" in outcome for outcome in outcomes)
 
 
@@ -38,7 +38,7 @@ def test_a_key_given_twice_and_a_deep_one_that_are_read_are_findings(monkeypatch
     monkeypatch.setattr("dsse_core.files.strict_table.parse_json", json.loads)
     monkeypatch.setattr("benchmarks.fuzz_parsing.parse_toml", tomllib.loads)
     for name, what in (("lenient-network.json", "a key is given twice"), ("keys.toml", "parts was accepted")):
-        outcomes = [try_input(name, make_input(name, 1, number), tmp_path) for number in range(200)]
+        outcomes = (try_input(name, make_input(name, 1, number), tmp_path) for number in range(200))
         assert any(outcome.startswith("FINDING: TwoReadingsError") and what in outcome for outcome in outcomes)
 
 
