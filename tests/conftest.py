@@ -1,11 +1,14 @@
 """Options of the test run."""
 
 import os
+from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, Phase, settings
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line has it; before anything loads numpy
+
+UNITS = Path(__file__).parent / "unit"
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -31,3 +34,11 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     if marker is not None:
         count = marker.kwargs["many" if metafunc.config.getoption("--thorough") else "few"]
         metafunc.parametrize("random_seed", range(count))
+
+
+@pytest.hookimpl(tryfirst=True)  # before ``-m`` chooses
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """``quick``: tests of units that are not ``long``; in other folders, modules say it themselves."""
+    for item in items:
+        if UNITS in item.path.parents and item.get_closest_marker("long") is None:
+            item.add_marker("quick")

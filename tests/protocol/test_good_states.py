@@ -18,6 +18,8 @@ from dsse_core.linear.boundary_information import BoundaryInformation
 from scenarios.scenario import Scenario, load_scenario
 from scenarios.telemetry import make_telemetry
 
+pytestmark = pytest.mark.quick
+
 SCANS = (1, 2)
 
 

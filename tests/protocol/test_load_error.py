@@ -11,6 +11,8 @@ from coordinator.evaluation.result import RunOutcome
 from coordinator.simulator.simulate import Simulation
 from scenarios.scenario import Scenario, load_scenario
 
+pytestmark = pytest.mark.quick
+
 # What the error of 0.03 p.u. does to the area that must take its drawn power from the load message: magnitudes move by
 # the error times the impedance of the way to the unmetered bus, 0.28 p.u. in ieee33 (buses 6 to 33) and 0.06 p.u. in
 # industrial13 (buses 3 to 10), and by a part of that where voltmeters hold against it. The message states 10 % of what

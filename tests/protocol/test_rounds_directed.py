@@ -13,9 +13,12 @@ from toy_rounds import BEAT_S, TRAVEL_S, ToyBus
 
 from agents.messages.packing import DownMessage, HeartbeatMessage, Incarnation, UpMessage
 from agents.protocol.events import PresenceChanged, Received
+from agents.protocol.peers import LEAST_WAIT_S
 from agents.protocol.quality import GOOD
 from agents.protocol.scan_readings import MOST_AHEAD
 from dsse_core.estimation.verdict import Decision, Memory, Totals, decide
+
+pytestmark = pytest.mark.quick
 
 ROW, LONG_ROW = "three in a row", "four in a row"
 LIMIT_S = 15.0
@@ -171,7 +174,7 @@ def test_after_a_process_has_stood_still_a_dead_neighbour_is_left_out_as_soon_as
 
 def test_a_repeat_at_rest_takes_good_from_nobody_for_longer_than_round_trips():
     bus = lose_an_acknowledgement(1)
-    bus.run(0.03)
+    bus.run(LEAST_WAIT_S + 5 * 2 * TRAVEL_S)  # the wait for the repeat, and less than between two heartbeats
     assert not bus.find_missing()
 
 

@@ -18,6 +18,8 @@ from benchmarks.methods import OURS, OURS_WITH_RESIDUALS, PEERS
 from benchmarks.physical import describe_lines
 from dsse_core.errors import InvalidInputError
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).parents[3]
 OTHER_MINIMUM = "power-grid-model iterative_linear"
 SAME_MINIMUM = [method for method in (*OURS, *OURS_WITH_RESIDUALS, *PEERS) if method.name != OTHER_MINIMUM]

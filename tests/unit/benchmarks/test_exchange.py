@@ -14,6 +14,8 @@ from benchmarks.exchange import QUICK, predict, summarise, write_line
 from benchmarks.exchange_watch import WatchedBus
 from benchmarks.exchange_worlds import draw_feeder, draw_row
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).parents[3]
 EXACT = "information"
 ROUNDING_S = 1e-9

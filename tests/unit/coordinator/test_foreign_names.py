@@ -43,6 +43,7 @@ def named(name: str) -> Scenario:
     return replace(scenario, name=name, description=name, network=partition.network, partition=partition)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", HOSTILE)
 def test_a_name_is_no_formula_in_a_picture(name: str, result: RunResult, tmp_path: Path):
     pictures = draw_plots(replace(result, scenario=named(name)))

@@ -183,6 +183,7 @@ def test_a_gap_of_angles_is_wrapped():
     assert largest_gap(one, other).va_deg == pytest.approx(np.degrees(0.02))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("missing", [None, "area3"])
 def test_plots_are_drawn_also_where_an_area_is_missing(tmp_path: Path, missing: str | None):
     paths = draw_plots(a_result(tmp_path, missing=missing))
@@ -206,6 +207,7 @@ def a_result_with_relative_angles_only(folder: Path) -> RunResult:
     return replace(result, history=tuple(replace(sample, referenced=False) for sample in result.history))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("make_result", "words", "times"),
     [

@@ -53,6 +53,7 @@ def test_every_value_strategy_and_seed_is_run_once_and_has_its_row(tmp_path: Pat
     assert (tmp_path / "s" / "sweep.png").stat().st_size > 10_000
 
 
+@pytest.mark.long
 def test_many_processes_give_the_rows_that_one_gives(tmp_path: Path):
     assert sweep(tmp_path / "one") == 0
     assert sweep(tmp_path / "two", jobs=2) == 0
@@ -63,6 +64,7 @@ def test_many_processes_give_the_rows_that_one_gives(tmp_path: Path):
     assert sorted(rows_in(tmp_path / "one"), key=key) == sorted(rows_in(tmp_path / "two"), key=key)
 
 
+@pytest.mark.long
 def test_runs_that_the_table_has_are_not_run_again(tmp_path: Path, runs: list):
     sweep(tmp_path / "s")
     first = rows_in(tmp_path / "s")
@@ -75,6 +77,7 @@ def test_runs_that_the_table_has_are_not_run_again(tmp_path: Path, runs: list):
     assert runs == []
 
 
+@pytest.mark.long
 def test_a_row_that_was_cut_off_is_run_again_and_told(tmp_path: Path, runs: list, capsys: pytest.CaptureFixture[str]):
     sweep(tmp_path / "s")
     path = tmp_path / "s" / "sweep.csv"
@@ -107,6 +110,7 @@ def test_an_interrupted_sweep_keeps_what_is_done_and_goes_on(
     assert len(rows_in(tmp_path / "s")) == 4
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("other", "said"),
     [

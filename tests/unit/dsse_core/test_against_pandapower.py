@@ -10,7 +10,10 @@ from dsse_core.power_flow.newton_raphson import solve_power_flow
 
 pandapower = pytest.importorskip("pandapower")
 Kind = MeasurementKind
-pytestmark = pytest.mark.filterwarnings("ignore:.*SettingWithCopy.*", "ignore:\\nA value is trying to be set on a copy")
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:.*SettingWithCopy.*", "ignore:\\nA value is trying to be set on a copy"),
+    pytest.mark.long,
+]
 
 
 @pytest.fixture

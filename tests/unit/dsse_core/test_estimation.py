@@ -332,6 +332,7 @@ def test_wrong_measurements_are_all_reported_at_once(rich, estimate):
     assert len(caught.value.problems) == 12
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kinds", [(Kind.VM, *INJECTIONS), (Kind.VM, *FLOWS)])
 def test_a_feeder_of_5000_buses_is_estimated(chain, meters_of, read, kinds, estimate):
     network = chain(5000)

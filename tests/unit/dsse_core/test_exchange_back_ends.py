@@ -86,6 +86,7 @@ def assert_same_information(case: Case, neighbour: Neighbour) -> None:
     np.testing.assert_allclose(other_mean - y, mean - y, rtol=0, atol=CLOSE * max(abs(mean - y).max(), 1.0))
 
 
+@pytest.mark.long
 @each_back_end
 @pytest.mark.random_cases(few=12, many=200)
 def test_random_feeders_agree(random_seed, backend):
@@ -96,6 +97,7 @@ def test_random_feeders_agree(random_seed, backend):
         assert_same(case)
 
 
+@pytest.mark.long
 @each_back_end
 @pytest.mark.random_cases(few=12, many=200)
 def test_grids_with_transformers_shunts_angle_and_current_meters_agree(random_seed, backend):
@@ -108,6 +110,7 @@ def test_grids_with_transformers_shunts_angle_and_current_meters_agree(random_se
         assert_same(case)
 
 
+@pytest.mark.long
 @each_back_end
 @pytest.mark.parametrize("busbar", [False, True])
 def test_fifteen_areas_at_one_bus_agree(busbar, backend):

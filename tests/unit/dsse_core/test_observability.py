@@ -190,6 +190,7 @@ def measured_grids(draw):
     return network, [meter for k in chosen for meter in pool[k]]
 
 
+@pytest.mark.long
 @settings(max_examples=150, deadline=None)
 @given(measured_grids())
 def test_the_verdict_is_the_rank_and_every_named_meter_really_cures(grid):
@@ -209,6 +210,7 @@ def test_the_verdict_is_the_rank_and_every_named_meter_really_cures(grid):
         check_observable(network, [*meters, *meters_named(cure)])
 
 
+@pytest.mark.long
 @settings(max_examples=150, deadline=None)
 @given(measured_grids())
 def test_a_meter_is_indispensable_when_the_others_do_not_determine_the_state(grid):

@@ -83,6 +83,7 @@ def test_the_tree_agrees_with_the_sparse_estimate_on_the_cases(
     assert_same(network, noisy(network, meters, np.random.default_rng(1)))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("n_bus", [300, 3000])
 def test_the_tree_agrees_with_the_sparse_estimate_on_generated_feeders(n_bus):
     rng = np.random.default_rng(n_bus)

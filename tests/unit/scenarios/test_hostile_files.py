@@ -152,6 +152,7 @@ def test_a_text_that_pandas_reads_and_python_does_not_names_no_module(tmp_path: 
     assert "evil_module" not in sys.modules
 
 
+@pytest.mark.long
 def test_pandapower_is_handed_what_was_written_anew_and_not_the_text_of_the_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
@@ -188,6 +189,7 @@ def test_power_grid_model_is_handed_what_was_written_anew(tmp_path: Path, monkey
         import_grid(tmp_path / "grid.json")
 
 
+@pytest.mark.long
 def test_a_name_that_only_begins_like_json_is_a_name(tmp_path: Path):
     networks = pytest.importorskip("pandapower.networks")
     net = networks.case4gs()
@@ -196,6 +198,7 @@ def test_a_name_that_only_begins_like_json_is_a_name(tmp_path: Path):
     assert [bus.name for bus in import_grid(tmp_path / "net.json").network.buses] == list(net.bus["name"])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("index", [[], "a", 1.5, -1, 10**12])
 def test_an_index_that_is_none_or_would_fill_the_memory_is_named(tmp_path: Path, index):
     networks = pytest.importorskip("pandapower.networks")
@@ -209,6 +212,7 @@ def test_an_index_that_is_none_or_would_fill_the_memory_is_named(tmp_path: Path,
         import_grid(path)
 
 
+@pytest.mark.long
 def test_the_module_would_be_imported_by_pandapower_itself(evil: Path):
     """What the allow-list is for; if this fails, pandapower has become careful itself."""
     pandapower = pytest.importorskip("pandapower")

@@ -359,6 +359,7 @@ ENDLESS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("text", ENDLESS.values(), ids=ENDLESS)
 def test_no_case_keeps_the_reader_for_ever(text: str) -> None:
     """Work that grows with the square of any of these takes hours."""

@@ -19,7 +19,7 @@ pp: Any = pytest.importorskip("pandapower")
 networks: Any = pytest.importorskip("pandapower.networks")
 estimation: Any = pytest.importorskip("pandapower.estimation")
 
-pytestmark = pytest.mark.filterwarnings("ignore::Warning:pandapower", "ignore::Warning:pandas")
+pytestmark = [pytest.mark.filterwarnings("ignore::Warning:pandapower", "ignore::Warning:pandas"), pytest.mark.long]
 
 BUNDLED: dict[str, Callable[[], Any]] = {
     "case33bw, radial": networks.case33bw,
