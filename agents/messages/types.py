@@ -132,7 +132,8 @@ class HeartbeatMessage:
     and of the newest message of the strategy that it has accepted of the receiver, 0 without one. ``complete``: all on
     its side is of this scan, heard and fresh. ``y``: at rest, the d ``variables`` of the boundary in its final state.
     ``plant``, ``offset``: the scan of terms is the number that this life of the plant gives it, plus so much
-    (``agents/protocol/scan_readings.py``).
+    (``agents/protocol/scan_readings.py``). ``towards_hub``, ``is_parent``: what the receiver is to the sender;
+    ``areas``: of the grid; ``base_mva``: all as the sender's area file says (``agents/protocol/agreement.py``).
     """
 
     kind: ClassVar[str] = "heartbeat"
@@ -149,6 +150,10 @@ class HeartbeatMessage:
     y: Numbers
     plant: Incarnation = NO_LIFE
     offset: Count = 0
+    towards_hub: bool = False
+    is_parent: bool = False
+    areas: Count = 1
+    base_mva: Number = 1.0
 
     def find_misfit(self) -> str:
         lengths = {"y": (len(self.y), (0, len(self.variables)))}

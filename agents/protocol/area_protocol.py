@@ -21,12 +21,13 @@ from agents.messages.packing import (
     Message,
     TelemetryMessage,
 )
+from agents.protocol.agreement import describe_boundary, find_contradiction
 from agents.protocol.events import Action, Event, Finish, PresenceChanged, Publish, Received, Refused, StopRequested
 from agents.protocol.freshness import FRESH_BEATS, PASSED_ON_BEATS
 from agents.protocol.peer_table import PeerTable
 from agents.protocol.peers import M, Outgoing
 from agents.protocol.published_state import PublishedState
-from agents.protocol.rejections import Rejections, find_refusal
+from agents.protocol.rejections import CONTRADICTION, Rejections, find_refusal
 from agents.protocol.scan_readings import ScanReadings
 from dsse_core.exchange.boundary_load import NetLoad, load_message_for
 
@@ -158,6 +159,10 @@ class AreaProtocol(ABC):
         wall = self._now + self._clock_offset
         reason = find_refusal(message, key_sender, self._content, wall)
         if not reason and isinstance(message, HeartbeatMessage):
+            self._rejections.note_contradiction(key_sender, find_contradiction(self._area, message))
+        if not reason and key_sender in self._rejections.contradictions:
+            reason = CONTRADICTION
+        if not reason and isinstance(message, HeartbeatMessage):
             yield from self._take_numbering(key_sender, message)
         if not reason:
             reason = self._find_refusal(message) if message.kind in self._kinds else "other strategy"
@@ -225,8 +230,9 @@ class AreaProtocol(ABC):
         standing, peer = self._describe_standing(name), self._peers[name]
         plant, offset = self._scan.numbering
         link: dict[str, Any] = {"hears": False, "answers": 0.0, "received": (0, 0), "complete": False}  # as it is sent
+        standing |= link | describe_boundary(self._area, name)
         return self._publish(
-            name, HeartbeatMessage(header=self._header(1), bus=peer.bus, **standing, **link, plant=plant, offset=offset)
+            name, HeartbeatMessage(header=self._header(1), bus=peer.bus, **standing, plant=plant, offset=offset)
         )
 
     def _answer(self) -> Iterator[Publish]:

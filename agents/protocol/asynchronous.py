@@ -25,6 +25,7 @@ from agents.protocol.quality import (
     STALE,
     EstimateLimits,
     Finding,
+    find_contradictions,
     find_gone,
     find_missing_readings,
     find_missing_side,
@@ -228,6 +229,7 @@ class AsynchronousProtocol(AreaProtocol):
         estimate = self._estimate
         yield from (Finding(DEGRADED if estimate else NONE, note) for note in self._notes)
         yield from find_refused_clocks(self._rejections.ahead)
+        yield from find_contradictions(self._rejections.contradictions)
         if self._scan.has_been_read:
             yield from find_missing_readings(self._scan.readings.silent, self._scan.readings.invalid)
         yield from (find_gone(name, farewell) for name, farewell in sorted(self._peers.gone.items()))

@@ -108,6 +108,12 @@ def find_refused_clocks(ahead: Mapping[str, float]) -> Iterator[Finding]:
         )
 
 
+def find_contradictions(contradictions: Mapping[str, str]) -> Iterator[Finding]:
+    """Neighbour -> in what its area file contradicts that of this area; that it is missed is said elsewhere."""
+    for name, what in sorted(contradictions.items()):
+        yield Finding(DEGRADED, f"{name} is refused: {what}")
+
+
 def find_missing_readings(silent: Sequence[str], invalid: Sequence[str]) -> Iterator[Finding]:
     """Meters without a reading that can be used; the standard deviations of the estimate say what that means."""
     if invalid:

@@ -25,13 +25,19 @@ from dsse_core.linear.boundary_information import BEYOND_REASON, are_within_reas
 LONGEST_LEAD_S = 600.0  # by which the sender's clock may be ahead of ours
 MOST_REVISIONS = 10**6  # of one scan; each takes a beat at least
 FUTURE = "time in the future"  # a reason of refusal
+CONTRADICTION = "contradicts the area file"  # another
 
 
 class Rejections:
-    """What an area has refused. ``ahead``: sender refused as from the future, "" for the plant -> by how much, s."""
+    """What an area has refused.
+
+    ``ahead``: sender refused as from the future, "" for the plant -> by how much, s. ``contradictions``: neighbour
+    whose area file, as its newest heartbeat tells, contradicts that of this area -> in what.
+    """
 
     def __init__(self) -> None:
         self.ahead: dict[str, float] = {}
+        self.contradictions: dict[str, str] = {}
         self._refused: Counter[str] = Counter()
         self._not_let_in: dict[str, int] = {}
 
@@ -40,6 +46,13 @@ class Rejections:
         self.count(reason)
         if reason == FUTURE:
             self.ahead.setdefault(key_sender, find_lead(message.header, now))
+
+    def note_contradiction(self, name: str, what: str) -> None:
+        """In ``what`` neighbour ``name`` contradicts this area now; empty if in nothing."""
+        if what:
+            self.contradictions[name] = what
+        else:
+            self.contradictions.pop(name, None)
 
     def count(self, reason: str) -> None:
         """One more for ``reason``."""

@@ -22,6 +22,7 @@ from agents.protocol.quality import (
     EstimateLimits,
     Finding,
     Worth,
+    find_contradictions,
     find_gone,
     find_missing_readings,
     find_missing_side,
@@ -187,6 +188,7 @@ class RoundsState:
         for name, farewell in sorted(self._peers.gone.items()):
             yield find_gone(name, farewell)
         yield from find_refused_clocks(self._rejections.ahead)
+        yield from find_contradictions(self._rejections.contradictions)
         if self._scan.has_been_read:
             yield from find_missing_readings(self._scan.readings.silent, self._scan.readings.invalid)
 

@@ -133,7 +133,8 @@ def load_from_area2(sequence=1, **changes):
 
 
 def heartbeat_from_area2(received=(0, 0)):
-    return HeartbeatMessage(load_from_area2().header, 6, 0, 0, True, 0.0, received, False, False, ())
+    of_file = {"towards_hub": True, "is_parent": True, "areas": 3, "base_mva": 10.0}
+    return HeartbeatMessage(load_from_area2().header, 6, 0, 0, True, 0.0, received, False, False, (), **of_file)
 
 
 def act(protocol, events, now):
