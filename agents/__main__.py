@@ -27,7 +27,7 @@ from dsse_core.errors import DsseError
 from dsse_core.limits import LONGEST_S
 
 TIMEOUT_S = 10.0  # of the wait for the bus
-SWITCH_S = 1e-4  # after which computing lets a thread of the bus in that has news; Python's own 5 ms is many steps
+SWITCH_S = 1e-4  # after which computing lets a thread of the bus in that has messages; Python's own 5 ms is many steps
 
 
 def main(argv: Sequence[str] | None = None) -> int:

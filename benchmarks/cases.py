@@ -75,7 +75,7 @@ class Case:
         return tuple(found)
 
     def objective(self, vm: np.ndarray, va: np.ndarray) -> float:
-        """J(x) = sum(((z - h(x)) / sigma)^2) of a state in p.u. and rad: what every tool is judged by."""
+        """J(x) = sum(((z - h(x)) / sigma)^2) of a state in p.u. and rad: the measure of every tool."""
         model = build_measurement_model(
             self.network, build_admittance(self.network), [m.meter for m in self.measurements]
         )

@@ -78,7 +78,7 @@ def compare(
             for method in (*ours, *others):
                 tell(f"{n_bus} buses, {set_name}: {method.name}")
                 found[method.name] = _try(method, limits, measure, case, method, ours, limits.runs, limits.budget_s)
-            rows += _judge(n_bus, set_name, found)
+            rows += _evaluate(n_bus, set_name, found)
     return rows
 
 
@@ -116,7 +116,7 @@ def _try(method: Method, limits: Limits, function: Callable[..., Answer], *args:
     return answer
 
 
-def _judge(n_bus: int, set_name: str, found: dict[str, Outcome | str]) -> list[Row]:
+def _evaluate(n_bus: int, set_name: str, found: dict[str, Outcome | str]) -> list[Row]:
     lowest = min((o.objective for o in found.values() if isinstance(o, Outcome)), default=0.0)
     rows = []
     for name, outcome in found.items():

@@ -1,4 +1,4 @@
-"""``python -m benchmarks.exchange``: messages and times of a scan on the twin, in virtual time, the same every time."""
+"""``python -m benchmarks.exchange``: messages and times of a scan on the simulator, the same every time."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Extent:
     row_runs: int = 5
     rest_losses: tuple[float, ...] = (0.0, 0.1, 0.3, 0.5)
     rest_s: float = 20.0  # virtual, of each of REST_RUNS
-    worst_asynchronous: float = 0.6  # beyond, strategies that repeat at the beat take minutes
+    worst_asynchronous: float = 0.6  # beyond, strategies that repeat at the heartbeat take minutes
 
 
 QUICK = Extent(2, (6,), (0.0, 0.3), 3, 6, (0.3,), 2, (0.3,), 2.0, 0.0)

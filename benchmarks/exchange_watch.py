@@ -1,4 +1,4 @@
-"""The twin under watch: what areas say to each other in a scan, and when they agree and are good."""
+"""The simulator under watch: what areas say to each other in a scan, and when they agree and are good."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ LOAD, HEARTBEAT = "load", "heartbeat"  # kinds that say nothing of a boundary
 AGREE = 1e-8  # p.u. and rad, between the voltages of neighbours
 ANGLES_ONLY = "angle-offset"
 SAMPLE_S = 0.01
-REST_S = 1.0  # without a new boundary message: five beats
+REST_S = 1.0  # without a new boundary message: five heartbeats
 BETWEEN_S = 1.5  # at rest, before the next scan
 
 
@@ -71,7 +71,7 @@ class WatchedBus(SimulatedBus):
         self._rounds = self._revision = 0
         self._good_of: set[str] = set()
         self._good_at = self._agree_at = math.nan
-        self._news_at = self._began
+        self._update_at = self._began
         self._voltages: dict[str, dict[int, tuple[float, float]]] = {}
         self._apart: set[tuple[str, str, int]] = set(self._pairs)
 
@@ -112,7 +112,7 @@ class WatchedBus(SimulatedBus):
 
     def _is_at_rest(self) -> bool:
         is_done = not math.isnan(self._agree_at) and not math.isnan(self._good_at)
-        return is_done and self.now >= self._news_at + REST_S
+        return is_done and self.now >= self._update_at + REST_S
 
     # What areas say
 
@@ -130,7 +130,7 @@ class WatchedBus(SimulatedBus):
             self._counts["repeats"] += is_under_way
         else:
             self._counts["boundary"] += 1
-            self._news_at = self.now
+            self._update_at = self.now
             self._said.add(key)
             self._rounds = max(self._rounds, getattr(message, "k", -1) + 1)
             self._revision = max(self._revision, getattr(message, "revision", 0))

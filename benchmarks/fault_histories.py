@@ -1,4 +1,4 @@
-"""``python -m benchmarks.fault_histories``: thousands of seeded histories of faults on the twin, summed up."""
+"""``python -m benchmarks.fault_histories``: thousands of seeded histories of faults on the simulator, summed up."""
 
 from __future__ import annotations
 
@@ -94,8 +94,8 @@ def _run(seeds: Sequence[int], jobs: int) -> Iterator[HistoryOutcome]:
 
 
 def _start_worker() -> None:
-    """In a process of its own, small areas too are solved by the compiled tree, where there is one: it is faster."""
-    choose.TREE_FROM = 0
+    """In a process of its own, small areas too are solved by the compiled radial back end, where there is one: it is faster."""
+    choose.RADIAL_FROM = 0
 
 
 if __name__ == "__main__":

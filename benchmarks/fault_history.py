@@ -1,4 +1,4 @@
-"""One seeded history of faults on the twin: a small random feeder, whatever can go wrong for a while, then peace.
+"""One seeded history of faults on the simulator: a small random feeder, whatever can go wrong for a while, then peace.
 
 Its areas publish states all the while. Counted is how many were marked good, and how many of those lie beyond three of
 their own standard deviations of the estimate with fresh information: the centralised one of the same scan's readings.
@@ -33,7 +33,7 @@ KIND = MeasurementKind
 MOST_SIGMAS = 3.0
 ROUNDING = 1e-9  # p.u. and rad: an angle that is known exactly has no sigma
 GAP = 1e-8  # p.u. and rad: the fixed point is reached
-BEAT_S = 0.2
+HEARTBEAT_S = 0.2
 FAULTS_S = 2.4  # how long there are faults
 PATIENCE_S = 60.0  # afterwards
 SCANS = 3
@@ -69,7 +69,7 @@ class World:
     central: tuple[BadDataReport, ...]
 
     def files(
-        self, links: Mapping[Link, LinkFaults], seed: int, strategy: str = "information", beat_s: float = BEAT_S
+        self, links: Mapping[Link, LinkFaults], seed: int, strategy: str = "information", beat_s: float = HEARTBEAT_S
     ) -> list[AreaFile]:
         """What every area's agent reads; it knows every meter that has ever been read."""
         meters = {
@@ -107,7 +107,7 @@ def run_history(seed: int) -> HistoryOutcome:
     _draw_events(rng, severity, bus, world)
     bus.run(FAULTS_S)
     settled_s = _wait_for_peace(bus, world)
-    good = _judge(world, shown)
+    good = _evaluate(world, shown)
     return HistoryOutcome(
         seed=seed,
         areas=len(world.partition.areas),
@@ -157,14 +157,14 @@ def find_gap(bus: SimulatedBus, world: World) -> float:
 
 def _wait_for_peace(bus: SimulatedBus, world: World) -> float:
     while bus.now < FAULTS_S + PATIENCE_S:
-        bus.run(BEAT_S)
+        bus.run(HEARTBEAT_S)
         good = all(name in bus.states and bus.states[name].quality == GOOD for name in bus.files)
         if good and find_gap(bus, world) <= GAP:
             return bus.now - FAULTS_S
     return math.nan
 
 
-def _judge(world: World, shown: list[StateMessage]) -> list[float]:
+def _evaluate(world: World, shown: list[StateMessage]) -> list[float]:
     """How many of its sigmas each distinct good state is off at most; a state that was good once counts once."""
     good = {(state.header.sender, state.header.order): state for state in shown if state.quality == GOOD}
     return [_sigmas_off(world, state) for state in good.values()]

@@ -54,7 +54,7 @@ def make_input(name: str, seed: int, number: int) -> bytes:
 
 
 def try_input(name: str, content: bytes, folder: Path) -> str:
-    """``accepted``, the reason of a refusal, or ``FINDING`` and what happened."""
+    """``accepted``, the reason of a rejection, or ``FINDING`` and what happened."""
     try:
         return TARGETS[name].read(content, folder / name)
     except TooLongError:
@@ -106,7 +106,7 @@ class Batch:
         sender.close()
 
     def stop_if_stuck(self) -> None:
-        """Beyond the alarm, which code outside Python does not hear."""
+        """Beyond the alarm, which code outside Python does not notice."""
         if self._doing.value != self._seen:
             self._seen, self._since = self._doing.value, time.monotonic()
         elif time.monotonic() - self._since > 2 * LONGEST_S:
@@ -159,14 +159,14 @@ def fuzz(name: str, seed: int, count: int, workers: int) -> tuple[Counter[str], 
 @click.option("--workers", type=click.IntRange(1), default=2)
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), default=Path("runs/fuzz"))
 def main(group: str, count: int, only: str | None, seed: int, workers: int, out: Path) -> None:
-    """Feed hostile inputs to decoders. Exits with 1 if anything but acceptance or the promised refusal happens."""
+    """Feed hostile inputs to decoders. Exits with 1 if anything but acceptance or the promised rejection happens."""
     bad = False
     for name in [only] if only else GROUPS[group]:
         started = time.monotonic()
         make_input(name, seed, 0)  # the samples, before the processes that share them
         outcomes, findings = fuzz(name, seed, count, workers)
-        told = ", ".join(f"{n} {outcome}" for outcome, n in outcomes.most_common())
-        click.echo(f"{name}, seed {seed}, {count} inputs, {time.monotonic() - started:.0f} s: {told}")
+        summary = ", ".join(f"{n} {outcome}" for outcome, n in outcomes.most_common())
+        click.echo(f"{name}, seed {seed}, {count} inputs, {time.monotonic() - started:.0f} s: {summary}")
         for number, what in sorted(findings.items()):
             out.mkdir(parents=True, exist_ok=True)
             saved = out / f"{seed}-{number}-{name}"

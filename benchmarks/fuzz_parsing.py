@@ -95,7 +95,7 @@ def read_pandapower(content: bytes, path: Path) -> str:
     try:
         import_grid(path)
     except InvalidInputError:
-        outcome = "refused"
+        outcome = "rejected"
     if CANARY in sys.modules:
         del sys.modules[CANARY]
         raise TwoReadingsError(f"module {CANARY} was imported")
@@ -122,7 +122,7 @@ def _compare(text: str) -> None:
     try:
         theirs = ujson_loads(text, precise_float=True)
     except ValueError:
-        return  # refused by pandas
+        return  # rejected by pandas
     if repr(theirs) != repr(json.loads(text)):  # nan is nan
         raise TwoReadingsError(f"pandas reads {text[:200]!r} in another way")
 
@@ -135,7 +135,7 @@ def read_json(load: Callable[[Path], object]) -> Callable[[bytes, Path], str]:
         try:
             load(path)
         except InvalidInputError:
-            return "refused"
+            return "rejected"
 
         def check(pairs: list[tuple[str, Any]]) -> None:
             if len({key for key, _ in pairs}) < len(pairs):
@@ -177,13 +177,13 @@ def _make_line(rng: random.Random, number: int) -> str:
 
 
 def read_keys(content: bytes, _: Path) -> str:
-    """What is refused for its depth is as deep, and what is read is not, as Python's reader alone has it."""
+    """What is rejected for its depth is as deep, and what is read is not, as Python's reader alone has it."""
     text = content.decode()
     try:
         parse_toml(text)
         outcome = "accepted"
     except ValueError as error:
-        outcome = "too deep" if "parts joined by dots" in str(error) else "refused"
+        outcome = "too deep" if "parts joined by dots" in str(error) else "rejected"
     if len(text) > 10_000:
         return outcome
     try:

@@ -112,7 +112,7 @@ def read_payload(content: bytes, _: Path) -> str:
         message = messages.decode(content, messages.MAX_NEIGHBOUR_BYTES)
     except MessageError as error:
         if not str(error).isprintable():
-            raise AssertionError("a refusal that is not printable") from error
+            raise AssertionError("a rejection that is not printable") from error
         return error.reason
     if isinstance(message, messages.StateMessage):
         _show(message)
@@ -139,7 +139,7 @@ def _read_file(load: Callable[[Path], object]) -> Callable[[bytes, Path], str]:
                 load(path)
         except InvalidInputError as error:
             str(error).encode("utf-8", "replace")
-            return "refused"
+            return "rejected"
         return "accepted"
 
     return read

@@ -18,9 +18,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import click
 import numpy as np
 
-from agents.messages.keys import all_lives, all_states, telemetry_key
+from agents.messages.keys import all_incarnations, all_states, telemetry_key
 from agents.messages.packing import StateMessage, decode
-from agents.runtime.presence import begin_life
+from agents.runtime.presence import begin_incarnation
 from agents.transport.zenoh_bus import Session
 from benchmarks.helics_round_trip import time_helics_round_trips
 from benchmarks.machine import describe_machine
@@ -37,7 +37,7 @@ CLOSE = 1e-8  # p.u., complex
 PINGS = 20  # before each scan
 SMALL = bytes(200)
 DEADLINE_S = 30.0
-BEAT_S = 1.0
+HEARTBEAT_S = 1.0
 RUN = "latency"
 
 
@@ -55,8 +55,8 @@ class Scan:
 def main(name: str, scans: int) -> None:
     """Time scans to consensus between processes on Zenoh, beside Zenoh's and HELICS's round trips; medians."""
     scenario = prepare_scenario(name)
-    life = begin_life()
-    prepared = [_make_scan(scenario, make_payloads(scenario, RUN, life, n, draw=n), n) for n in range(1, scans + 3)]
+    incarnation = begin_incarnation()
+    prepared = [_make_scan(scenario, make_payloads(scenario, RUN, incarnation, n, draw=n), n) for n in range(1, scans + 3)]
     with tempfile.TemporaryDirectory() as folder, Launcher() as launcher:
         with _start(scenario, launcher, Path(folder)) as session:
             latencies, pings = _measure(scenario, session, prepared)
@@ -100,7 +100,7 @@ def _start(scenario: Scenario, launcher: Launcher, folder: Path) -> Iterator[Ses
     launcher.start("echo", "benchmarks.timed_agent:run_echo", endpoint, log=folder / "echo.log")
     present: set[str] = set()
     with Session.connect([endpoint]) as session:
-        session.watch_presence(all_lives(RUN, "area", "*"), lambda key, alive: present.add(key) if alive else None)
+        session.watch_presence(all_incarnations(RUN, "area", "*"), lambda key, alive: present.add(key) if alive else None)
         for area, path in write_area_files(scenario, RUN, [endpoint], folder / "areas", suffix=".json"):
             order = (str(path), str(folder / f"{area}.timing"))
             launcher.start(area, "benchmarks.timed_agent:run_timed_agent", *order, log=folder / f"{area}.log")
@@ -111,8 +111,8 @@ def _start(scenario: Scenario, launcher: Launcher, folder: Path) -> Iterator[Ses
 def _measure(scenario: Scenario, session: Session, scans: list[Scan]) -> tuple[list[float], list[float]]:
     """Seconds of every scan but the first two, and of every round trip between them."""
     publish = {area.name: session.publisher(telemetry_key(RUN, area.name)) for area in scenario.partition.areas}
-    heard: queue.SimpleQueue[tuple[float, bytes]] = queue.SimpleQueue()
-    session.subscribe(all_states(RUN), lambda _key, payload: heard.put((time.perf_counter(), payload)))
+    received: queue.SimpleQueue[tuple[float, bytes]] = queue.SimpleQueue()
+    session.subscribe(all_states(RUN), lambda _key, payload: received.put((time.perf_counter(), payload)))
     pong: queue.SimpleQueue[float] = queue.SimpleQueue()
     session.subscribe(PONG, lambda _key, _payload: pong.put(time.perf_counter()))
     ping = session.publisher(PING)
@@ -126,7 +126,7 @@ def _measure(scenario: Scenario, session: Session, scans: list[Scan]) -> tuple[l
 
         start = time.perf_counter()
         publish_scan()
-        latency = _wait_for_consensus(scan, number, publish_scan, heard) - start
+        latency = _wait_for_consensus(scan, number, publish_scan, received) - start
         time.sleep(0.05)  # so that the areas have ended what they do
         while not pong.empty():
             pong.get()
@@ -135,7 +135,7 @@ def _measure(scenario: Scenario, session: Session, scans: list[Scan]) -> tuple[l
             start = time.perf_counter()
             ping(SMALL)
             with suppress(queue.Empty):  # dropped by the bus under load
-                times.append(pong.get(timeout=BEAT_S) - start)
+                times.append(pong.get(timeout=HEARTBEAT_S) - start)
         if number > 2:  # before, nothing is warm
             latencies.append(latency)
             pings += times
@@ -143,25 +143,25 @@ def _measure(scenario: Scenario, session: Session, scans: list[Scan]) -> tuple[l
 
 
 def _wait_for_consensus(
-    scan: Scan, number: int, publish_scan: Callable[[], None], heard: queue.SimpleQueue[tuple[float, bytes]]
+    scan: Scan, number: int, publish_scan: Callable[[], None], received: queue.SimpleQueue[tuple[float, bytes]]
 ) -> float:
     """When the last area has shown a state of scan ``number`` that is close to the centralised one.
 
-    Readings that the bus drops under load are published again at every beat, as the plant does it.
+    Readings that the bus drops under load are published again at every heartbeat, as the plant does it.
     """
     areas = set(scan.payloads)
-    deadline, next_beat = time.perf_counter() + DEADLINE_S, time.perf_counter() + BEAT_S
+    deadline, next_heartbeat = time.perf_counter() + DEADLINE_S, time.perf_counter() + HEARTBEAT_S
     close: set[str] = set()
     while True:
         now = time.perf_counter()
         if now > deadline:
             missing = ", ".join(sorted(areas - close))
             raise click.ClickException(f"{missing}: not within {CLOSE:g} of scan {number} in {DEADLINE_S:g} s")
-        if now >= next_beat:
-            next_beat = now + BEAT_S
+        if now >= next_heartbeat:
+            next_heartbeat = now + HEARTBEAT_S
             publish_scan()
         try:
-            at, payload = heard.get(timeout=next_beat - now)
+            at, payload = received.get(timeout=next_heartbeat - now)
         except queue.Empty:
             continue
         state = decode(payload)

@@ -13,13 +13,13 @@ import numpy as np
 
 from agents.messages.keys import all_states, clock_key
 from agents.messages.packing import StateMessage, decode
-from agents.protocol.freshness import PATIENCE_BEATS, is_old
-from agents.runtime.presence import begin_life
+from agents.protocol.freshness import PATIENCE_HEARTBEATS, is_old
+from agents.runtime.presence import begin_incarnation
 from agents.security.access import COORDINATOR
 from coordinator.evaluation.comparison import rows_of
 from coordinator.evaluation.evaluation import estimate_centralised
 from coordinator.process_run.fork_server import Ended, Started
-from coordinator.process_run.processes import Launcher, News
+from coordinator.process_run.processes import Launcher, Updates
 from coordinator.process_run.run_clock import RunClock
 from coordinator.process_run.system import System
 from scenarios.scenario import Scenario
@@ -33,7 +33,7 @@ States = Mapping[str, StateMessage]
 
 
 class LiveSystem:
-    """The processes of ``scenario``; ``states`` are the newest that were heard, ``strays`` ended unasked.
+    """The processes of ``scenario``; ``states`` are the newest that were received, ``strays`` ended unasked.
 
     ``scan_every_s``: time between scans, None for one only. ``folder``: empty, for area files and logs.
     """
@@ -44,12 +44,12 @@ class LiveSystem:
         self.folder = folder
         self.states: dict[str, StateMessage] = {}
         self.strays: list[str] = []
-        self.heard_at: dict[str, float] = {}
+        self.received_at: dict[str, float] = {}
         self._silence = 0.0
-        self._news = News()
+        self._updates = Updates()
         self._began: float | None = None
-        self._clock = RunClock("live", scenario.run.beat_s, begin_life())
-        self._launcher = Launcher(self._news.put)
+        self._clock = RunClock("live", scenario.run.beat_s, begin_incarnation())
+        self._launcher = Launcher(self._updates.put)
         self.system = System(self._launcher, scenario, "live", folder, scan_every_s)
         self._rows = {area.name: rows_of(scenario.partition, area.name) for area in scenario.partition.areas}
         self._centralised = lru_cache(maxsize=8)(self._estimate)
@@ -69,7 +69,7 @@ class LiveSystem:
             self._session = self.system.join(COORDINATOR)
             self._clock.publish = self._session.publisher(clock_key("live"))
             self._session.subscribe(
-                all_states("live"), lambda key, payload: self._news.put((time.monotonic(), payload))
+                all_states("live"), lambda key, payload: self._updates.put((time.monotonic(), payload))
             )
         except BaseException:
             self._launcher.close()
@@ -86,7 +86,7 @@ class LiveSystem:
         """Take in what has arrived, or wait for it; the strays, in words."""
         if self._began is not None:
             self._clock.tell(time.monotonic() - self._began)
-        for item in self._news.take(timeout_s):
+        for item in self._updates.take(timeout_s):
             if isinstance(item, Started | Ended):
                 if not self.system.note(item):
                     self.strays.append(str(item))
@@ -147,11 +147,11 @@ class LiveSystem:
     def _keep(self, at: float, state: object) -> None:
         if isinstance(state, StateMessage):
             last = self.states.get(state.header.sender)
-            silence = at - self.heard_at.get(state.header.sender, at)
-            self.heard_at[state.header.sender] = at
+            silence = at - self.received_at.get(state.header.sender, at)
+            self.received_at[state.header.sender] = at
             self._silence = max(self._silence, silence)
             if last is None or not is_old(
-                state.header, last.header, silence, PATIENCE_BEATS * self.scenario.run.beat_s
+                state.header, last.header, silence, PATIENCE_HEARTBEATS * self.scenario.run.beat_s
             ):
                 self.states[state.header.sender] = state
 

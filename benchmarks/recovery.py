@@ -30,9 +30,9 @@ AREAS = 12
 DEAD_S = 0.5
 DEADLINE_S = 20.0
 
-BEAT_S = 0.2  # of the shipped scenarios
-FEW_AREAS = 3  # which can keep a fast beat
-FAST_BEAT_S = 0.02  # so that a silence of some tens of milliseconds shows
+HEARTBEAT_S = 0.2  # of the shipped scenarios
+FEW_AREAS = 3  # which can keep a fast heartbeat
+FAST_HEARTBEAT_S = 0.02  # so that a silence of some tens of milliseconds shows
 
 Times = dict[str, list[float]]
 
@@ -46,7 +46,7 @@ def build_scenario(areas: int, routers: int, beat_s: float) -> Scenario:
 def kill_area(live: LiveSystem, victim: str) -> dict[str, float]:
     """How long it takes all neighbours to notice the death of ``victim``, and all areas to be whole again, s."""
     neighbours = [n.area for n in live.scenario.partition.area(victim).neighbours]
-    life = live.states[victim].header.incarnation
+    incarnation = live.states[victim].header.incarnation
     mark = f"neighbour {victim} is gone"
     killed = time.monotonic()
     live.system.kill(victim)
@@ -55,7 +55,7 @@ def kill_area(live: LiveSystem, victim: str) -> dict[str, float]:
     live.pass_time(DEAD_S)
     restarted = time.monotonic()
     live.system.restart(victim)
-    whole = _wait(live, lambda states: states[victim].header.incarnation > life and _is_whole(live, states))
+    whole = _wait(live, lambda states: states[victim].header.incarnation > incarnation and _is_whole(live, states))
     good = _wait(live, lambda states: all(states[name].quality == GOOD for name in live.areas))
     return {
         "area killed: all its neighbours say so": noticed - killed,
@@ -66,15 +66,15 @@ def kill_area(live: LiveSystem, victim: str) -> dict[str, float]:
 
 
 def kill_router(live: LiveSystem) -> dict[str, float]:
-    """How long after the restart of the only router all areas have been heard and are whole again, s."""
+    """How long after the restart of the only router all areas are received again and are whole again, s."""
     live.system.kill(ROUTER)
     live.pass_time(DEAD_S)
     restarted = time.monotonic()
     live.system.restart(ROUTER)
     whole = _wait(
-        live, lambda states: all(live.heard_at[name] > restarted for name in live.areas) and _is_whole(live, states)
+        live, lambda states: all(live.received_at[name] > restarted for name in live.areas) and _is_whole(live, states)
     )
-    return {"only router restarted: all areas heard and at the fixed point": whole - restarted}
+    return {"only router restarted: all areas received and at the fixed point": whole - restarted}
 
 
 def lose_one_router(live: LiveSystem) -> dict[str, float]:
@@ -136,17 +136,17 @@ def main(kills: int, seed: int) -> None:
     times: Times = {}
     draws = random.Random(seed)
     with tempfile.TemporaryDirectory() as scratch:
-        with LiveSystem(build_scenario(AREAS, 1, BEAT_S), Path(scratch) / "one") as live:
+        with LiveSystem(build_scenario(AREAS, 1, HEARTBEAT_S), Path(scratch) / "one") as live:
             _wait(live, lambda states: _is_whole(live, states))
             for _ in range(kills):
                 repeat(times, kill_area(live, draws.choice(live.areas)))
             for _ in range(kills):
                 repeat(times, kill_router(live))
-        with LiveSystem(build_scenario(FEW_AREAS, 2, FAST_BEAT_S), Path(scratch) / "two") as linked:
+        with LiveSystem(build_scenario(FEW_AREAS, 2, FAST_HEARTBEAT_S), Path(scratch) / "two") as linked:
             _wait(linked, lambda states: _is_whole(linked, states))
             for _ in range(kills):
                 repeat(times, lose_one_router(linked))
-    found = describe_machine(()) | {"beat_s": str(BEAT_S), "fast_beat_s": str(FAST_BEAT_S)}
+    found = describe_machine(()) | {"beat_s": str(HEARTBEAT_S), "fast_beat_s": str(FAST_HEARTBEAT_S)}
     print(json.dumps(found | summarise(times), indent=2))
 
 

@@ -69,7 +69,7 @@ def format_estimates(rows: Sequence[Row]) -> str:
                 *ratios,
                 str(outcome.iterations or ""),
                 f"{outcome.objective:.6f}",
-                "" if outcome.gap is None or row.method in ours else f"{outcome.gap:.1e}",
+                "" if outcome.difference is None or row.method in ours else f"{outcome.difference:.1e}",
             ]
         lines.append(_line([str(row.n_bus), row.set_name, row.method, *figures, row.remark]))
     return "\n".join(lines)

@@ -41,7 +41,7 @@ CUT_FOR_S = (0.5, 5.0)
 BETWEEN_S = (0.5, 2.5)  # from one fault to the next
 DOWN_S = (0.2, 4.0)  # how long one lasts
 MOST_DOWN = 3  # processes at a time
-SPARED = 2  # areas that are never killed or frozen, so that one life shows what happens to memory
+SPARED = 2  # areas that are never killed or frozen, so that one incarnation shows what happens to memory
 WARM_S = 20.0  # until memory counts
 MOST_GROWTH_MIB = 3.0
 RECOVERY_S = 60.0
@@ -56,7 +56,7 @@ class Soak:
     draws: random.Random
     down: dict[str, tuple[str, float]] = field(default_factory=dict)  # name -> (what was done, until when)
     counts: Counter[str] = field(default_factory=Counter)
-    rss_mib: dict[tuple[str, int], list[float]] = field(default_factory=dict)  # of one life of a process, once a second
+    rss_mib: dict[tuple[str, int], list[float]] = field(default_factory=dict)  # of one incarnation of a process, once a second
     scans: set[int] = field(default_factory=set)  # of which all areas have shown the centralised estimate
 
     def go_on(self, duration_s: float) -> None:
@@ -97,9 +97,9 @@ class Soak:
             self.scans.add(max(state.header.scan for state in self.live.states.values()))
         if elapsed_s < WARM_S:
             return
-        for life in self.live.system.pids.items():
+        for incarnation in self.live.system.pids.items():
             with suppress(psutil.NoSuchProcess):
-                self.rss_mib.setdefault(life, []).append(psutil.Process(life[1]).memory_info().rss / 2**20)
+                self.rss_mib.setdefault(incarnation, []).append(psutil.Process(incarnation[1]).memory_info().rss / 2**20)
 
 
 def build_scenario(seed: int, duration_s: float) -> Scenario:
@@ -133,15 +133,15 @@ def soak(folder: Path, seed: int, duration_s: float) -> dict[str, object]:
         recovered = live.wait_until(lambda states: live.gap(states) <= GAP, RECOVERY_S)
         good = live.wait_until(lambda states: all(state.quality == GOOD for state in states.values()), RECOVERY_S)
         alive = [name for name, pid in live.system.pids.items() if psutil.pid_exists(pid)]
-        memory = {life: values for life, values in under_way.rss_mib.items() if len(values) > 1}
+        memory = {incarnation: values for incarnation, values in under_way.rss_mib.items() if len(values) > 1}
         last = live.states.values()
         return {
             "seed": seed,
             "duration_s": duration_s,
             "faults of processes": dict(sorted(under_way.counts.items())),
             "cuts": len(scenario.faults.events),
-            "faults of links, of the last lives": dict(sum((Counter(state.faults) for state in last), Counter())),
-            "refused, by the last lives": dict(sum((Counter(state.refused) for state in last), Counter())),
+            "faults of links, of the last incarnations": dict(sum((Counter(state.faults) for state in last), Counter())),
+            "rejected, by the last incarnations": dict(sum((Counter(state.rejected) for state in last), Counter())),
             "scans that all areas had solved at once": len(under_way.scans),
             "scan at the end": max(state.header.scan for state in last),
             "gap at the end": live.gap(live.states),
@@ -149,7 +149,7 @@ def soak(folder: Path, seed: int, duration_s: float) -> dict[str, object]:
             "s until all areas are good": None if good is None else round(good - stopped, 2),
             "processes alive of": [len(alive), AREAS + 2],
             "ended unasked": live.strays,
-            "growth of the longest lives in their second half, MiB": {
+            "growth of the longest incarnations in their second half, MiB": {
                 name: round(values[-1] - values[len(values) // 2], 2)
                 for (name, _), values in memory.items()
                 if len(values) == max(map(len, memory.values()))
@@ -170,7 +170,7 @@ def find_trouble(folder: Path) -> Iterator[str]:
 
 def find_failures(seen: Mapping[str, Any]) -> list[str]:
     """What a soak must not end with."""
-    growth = seen["growth of the longest lives in their second half, MiB"].values()
+    growth = seen["growth of the longest incarnations in their second half, MiB"].values()
     checks = {
         f"the gap at the end exceeds {GAP:g}": seen["s from the last fault to it"] is not None,
         "an area is not good at the end": seen["s until all areas are good"] is not None,

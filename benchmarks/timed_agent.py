@@ -56,11 +56,11 @@ def run_timed_agent(area_file: str, out: str) -> int:
 
 def run_echo(endpoint: str) -> int:
     """Send back on PONG what comes on PING, until SIGTERM."""
-    news: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+    updates: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
     with Session.connect([endpoint]) as session:
-        signal.signal(signal.SIGTERM, lambda *_: news.put(None))
+        signal.signal(signal.SIGTERM, lambda *_: updates.put(None))
         answer = session.publisher(PONG)
-        session.subscribe(PING, lambda _key, payload: news.put(payload))
-        while (payload := news.get()) is not None:
+        session.subscribe(PING, lambda _key, payload: updates.put(payload))
+        while (payload := updates.get()) is not None:
             answer(payload)
     return 0

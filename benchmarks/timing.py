@@ -32,14 +32,14 @@ class Timing:
 class Outcome:
     """A method on a case: its median times, those of ours in the same runs, and what it found.
 
-    ``gap`` is max |V - V of ours|, complex, p.u.
+    ``difference`` is max |V - V of ours|, complex, p.u.
     """
 
     timing: Timing
     ours: dict[str, Timing]
     objective: float
     iterations: int | None
-    gap: float | None
+    difference: float | None
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ def measure(case: Case, method: Method, ours: Sequence[Method], runs: int, budge
         ours={one.name: timings[one.name] for one in ours if one.name in timings},
         objective=case.objective(state.vm, state.va),
         iterations=state.iterations,
-        gap=None if first is None else float(abs(_phasors(state) - _phasors(first)).max()),
+        difference=None if first is None else float(abs(_phasors(state) - _phasors(first)).max()),
     )
 
 

@@ -78,7 +78,7 @@ def simulate(
     on_update: Callable[[Progress], None] | None = None,
     plots: bool = True,
 ) -> RunResult:
-    """Run a scenario on the twin: the same areas on a simulated bus, in virtual time, in this process.
+    """Run a scenario on the simulator: the same areas on a simulated bus, in virtual time, in this process.
 
     The same scenario, seed and links give the same result to the bit. Arguments are those of ``run``, and:
 

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from coordinator import interrupts
 
-SWITCH_S = 1e-3  # after which a thread that computes lets in one that has news from the bus
+SWITCH_S = 1e-3  # after which a thread that computes lets in one that has messages from the bus
 
 
 def main(argv: Sequence[str] | None = None) -> int:

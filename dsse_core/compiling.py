@@ -1,4 +1,4 @@
-"""Who is told when this process begins and ends to compile: it takes long, and users wonder why."""
+"""Who learns when this process begins and ends to compile: it takes long, and users wonder why."""
 
 from __future__ import annotations
 

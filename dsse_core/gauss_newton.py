@@ -30,7 +30,7 @@ Solution = tuple[np.ndarray, np.ndarray, np.ndarray, float, int]
 
 
 def is_last(step: float, before: float, with_currents: bool, tolerance: float) -> bool:
-    """Whether the step to come is the last one, judged by the two taken before it, each by its largest entry.
+    """Whether the step to come is the last one, evaluated by the two taken before it, each by its largest entry.
 
     ``before`` is 0 where there is no such step: the two must have been taken with the same share of their length and
     both with or both without current magnitudes. Where convergence is linear the step to come is rate * step, rate =

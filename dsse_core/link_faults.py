@@ -25,7 +25,7 @@ class LinkFaults:
             ``lie_scale`` y plus these.
         lie_objective: multiplies J in totals. lie_areas: how many areas totals count, none of them silent or stale, and
             the side is complete; 0 leaves that as it is. lie_worst: the meter that totals name as the worst; empty for
-            none. Verdicts follow from the totals that are told. lie_verdict: what a verdict says instead.
+            none. Verdicts follow from the totals that are sent. lie_verdict: what a verdict says instead.
         until_s: all of these end then, s since the start of the run; None is never.
         cuts: windows in which nothing passes.
     """

@@ -1,4 +1,4 @@
-"""Observability: which state variables do the meters determine, and which added meter would cure a gap?
+"""Observability: which state variables do the meters determine, and which added meter makes a bus observable?
 
 Decided by numerical rank, never by counting: null vectors of the Jacobian at the no-load state (weights,
 loading, charging and shunts play no part) are found by block inverse iteration on one sparse
@@ -25,7 +25,7 @@ from dsse_core.matrices.augmented import AugmentedFactor, AugmentedPattern, reci
 # Of the Jacobian with rows scaled to length 1. A feeder of 5,000 buses in a row with injection meters alone
 # has 1e-7, an impedance of 1e-5 p.u. among ordinary ones takes another 1e-3, round-off is 1e-15.
 NULL_SINGULAR_VALUE = 1e-11
-TABLEAU_SCALE = 1e-8  # singular values are told apart down to sqrt(TABLEAU_SCALE * 1e-16)
+TABLEAU_SCALE = 1e-8  # singular values are distinguished down to sqrt(TABLEAU_SCALE * 1e-16)
 # Keeps the factorisation from being exactly singular, the next one where rounding swallows the last; the largest
 # still tells apart singular values of sqrt(TABLEAU_SCALE * 1e-14) = 1e-11.
 SHIFTS = (1e-20, 1e-18, 1e-16, 1e-14)

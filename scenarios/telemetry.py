@@ -95,11 +95,11 @@ def _solve_area_power_flows(scenario: Scenario) -> dict[str, PowerFlowResult]:
     """Area -> its own power flow, the rest of the grid as scheduled net load at its boundary buses (eqs. 5.1-5.7)."""
     if problems := find_missing_local_slacks(scenario):
         raise InvalidInputError(f"scenario {scenario.name!r}", problems)
-    heard = scheduled_load_messages(scenario.partition)
+    received = scheduled_load_messages(scenario.partition)
     results = {}
     for area in scenario.partition.areas:
         assert area.slack_vm is not None  # find_missing_local_slacks
-        loads = boundary_loads(area, heard[area.name], scenario.load_error[area.name])
+        loads = boundary_loads(area, received[area.name], scenario.load_error[area.name])
         results[area.name] = solve_power_flow(
             area.network,
             slack=(area.slack_bus, area.slack_vm),

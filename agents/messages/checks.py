@@ -1,4 +1,4 @@
-"""What may stand at one place of a message, as types that msgspec checks, and what is wrong as a refusal."""
+"""What may stand at one place of a message, as types that msgspec checks, and what is wrong as a rejection."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class MessageError(ValueError):
 
 
 def is_worth_writing(count: int) -> bool:
-    """Of refusals the 1st, 10th, 100th, ...: a flood must not fill the disk."""
+    """Of rejections the 1st, 10th, 100th, ...: a flood must not fill the disk."""
     return str(count).strip("0") == "1"
 
 

@@ -3,13 +3,13 @@
 ==============================  ====================================================
 ``area/<i>/boundary/<j>``       boundary messages of area i for neighbour j, angle-offset
 ``area/<i>/up/<j>``, ``down``   messages of rounds of strategy information, towards the hub and from it
-``area/<i>/heartbeat/<j>``      where area i stands in its rounds, and that it hears neighbour j
+``area/<i>/heartbeat/<j>``      where area i stands in its rounds, and that it receives neighbour j
 ``area/<i>/admm/<j>``           the same of strategy admm
 ``area/<i>/load/<j>``           load messages of area i for neighbour j
 ``area/<i>/state``              what area i knows, for whoever watches
 ``telemetry/<i>``               meter readings for area i, from the plant or a gateway
 ``clock``                       how long the run has lasted, from the coordinator; only injected faults count by it
-``live/<role>/<name>/<life>``   presence tokens of areas, plant and coordinator, one for each life of a process
+``live/<role>/<name>/<incarnation>``   presence tokens of areas, plant and coordinator, one for each incarnation of a process
 ==============================  ====================================================
 """
 
@@ -20,7 +20,7 @@ from dsse_core.limits import LONGEST_NAME
 
 NAME = re.compile(rf"[a-z0-9_-]{{1,{LONGEST_NAME}}}")
 VERSION = re.compile(r"v([0-9]{1,9})")
-LIFE = re.compile(r"([0-9a-f]{1,14})-([0-9a-f]{8})")
+INCARNATION = re.compile(r"([0-9a-f]{1,14})-([0-9a-f]{8})")
 
 
 def _root(run: str) -> str:
@@ -56,17 +56,17 @@ def clock_key(run: str) -> str:
     return f"{_root(run)}/clock"
 
 
-def live_key(run: str, role: str, name: str, life: Incarnation) -> str:
-    return f"{_root(run)}/live/{role}/{name}/{life}"
+def live_key(run: str, role: str, name: str, incarnation: Incarnation) -> str:
+    return f"{_root(run)}/live/{role}/{name}/{incarnation}"
 
 
-def all_lives(run: str, role: str, name: str) -> str:
-    """The tokens of every life of ``name``."""
+def all_incarnations(run: str, role: str, name: str) -> str:
+    """The tokens of every incarnation of ``name``."""
     return f"{_root(run)}/live/{role}/{name}/*"
 
 
 def all_live(run: str) -> str:
-    return all_lives(run, "*", "*")
+    return all_incarnations(run, "*", "*")
 
 
 def all_live_of_any_version(run: str) -> str:
@@ -97,7 +97,7 @@ def name_of_live(key: str) -> tuple[str, str]:
     return chunks[4], chunks[5]
 
 
-def life_of(key: str) -> Incarnation | None:
-    """The life that a presence token stands for; None if it is not written as lives are."""
-    found = LIFE.fullmatch(key.rpartition("/")[2])
+def incarnation_of(key: str) -> Incarnation | None:
+    """The incarnation that a presence token stands for; None if it is not written as incarnations are."""
+    found = INCARNATION.fullmatch(key.rpartition("/")[2])
     return Incarnation(int(found[1], 16), int(found[2], 16)) if found else None

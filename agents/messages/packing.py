@@ -1,4 +1,4 @@
-"""How messages are packed, and what is refused of what comes: an array in MessagePack, then its CRC-32.
+"""How messages are packed, and what is rejected of what comes: an array in MessagePack, then its CRC-32.
 
 ``[wire version, kind, header, ...body]``: the fields of ``agents/messages/types.py`` in their order, dataclasses as
 arrays of their fields, maps as arrays of pairs. msgpack packs. The type of this array follows from the class; msgspec
@@ -22,7 +22,7 @@ import numpy as np
 from agents.messages.checks import MessageError, shown
 from agents.messages.totals_list import WireTotals, list_totals, read_totals
 from agents.messages.types import (
-    NO_LIFE,
+    NO_INCARNATION,
     AdmmMessage,
     BoundaryMessage,
     ClockMessage,
@@ -39,7 +39,7 @@ from agents.messages.types import (
 from dsse_core.estimation.verdict import Totals
 
 __all__ = [
-    "NO_LIFE",
+    "NO_INCARNATION",
     "AdmmMessage",
     "BoundaryMessage",
     "ClockMessage",
@@ -57,10 +57,10 @@ __all__ = [
 WIRE_VERSION = 2
 MAX_BYTES = 8 * 1024 * 1024
 MAX_NEIGHBOUR_BYTES = 256 * 1024  # of what neighbours say; only telemetry and states grow with the area
-UNNUMBERED = {"header", "quality", "notes", "telemetry_age", "ages", "scans", "old_sides", "refused"}
+UNNUMBERED = {"header", "quality", "notes", "telemetry_age", "ages", "scans", "old_sides", "rejected"}
 
-BoundaryNews = BoundaryMessage | AdmmMessage
-ExchangeMessage = UpMessage | DownMessage | BoundaryNews  # of a strategy
+BoundaryUpdate = BoundaryMessage | AdmmMessage
+ExchangeMessage = UpMessage | DownMessage | BoundaryUpdate  # of a strategy
 LinkMessage = HeartbeatMessage | ExchangeMessage  # tells of the link that it comes on, see HeartbeatMessage
 Message = LoadMessage | LinkMessage | TelemetryMessage | ClockMessage | StateMessage
 MESSAGE_TYPES: Mapping[str, type[Any]] = {cls.kind: cls for cls in typing.get_args(Message)}
@@ -80,21 +80,21 @@ _CONTENT: Mapping[str, Callable[[Any], Any]] = {
 # Packing
 
 
-def _pack_life(life: Incarnation) -> tuple[int, int]:
-    return life.start_ms, life.random
+def _pack_incarnation(incarnation: Incarnation) -> tuple[int, int]:
+    return incarnation.start_ms, incarnation.random
 
 
-def _read_life(places: tuple[int, int]) -> Incarnation:
+def _read_incarnation(places: tuple[int, int]) -> Incarnation:
     return Incarnation(*places)
 
 
 def _pack_header(h: Header) -> tuple[Any, ...]:
-    return h.run, h.sender, _pack_life(h.incarnation), h.scan, h.sequence, h.time
+    return h.run, h.sender, _pack_incarnation(h.incarnation), h.scan, h.sequence, h.time
 
 
 def _read_header(places: tuple[Any, ...]) -> Header:
-    run, sender, life, scan, sequence, time = places
-    return Header(run, sender, _read_life(life), scan, sequence, time)
+    run, sender, incarnation, scan, sequence, time = places
+    return Header(run, sender, _read_incarnation(incarnation), scan, sequence, time)
 
 
 def _read_map(pairs: tuple[tuple[str, Any], ...]) -> dict[str, Any]:
@@ -106,13 +106,13 @@ def _read_map(pairs: tuple[tuple[str, Any], ...]) -> dict[str, Any]:
 
 _PACK: Mapping[Any, Callable[[Any], Any]] = {
     Header: _pack_header,
-    Incarnation: _pack_life,
+    Incarnation: _pack_incarnation,
     Totals: list_totals,
     dict: lambda m: list(m.items()),
 }
 _READ: Mapping[Any, Callable[[Any], Any]] = {
     Header: _read_header,
-    Incarnation: _read_life,
+    Incarnation: _read_incarnation,
     Totals: read_totals,
     dict: _read_map,
 }
@@ -174,7 +174,7 @@ def encode(message: Message) -> bytes:
 
 
 def seal(packed: bytes) -> bytes:
-    """``packed`` with its checksum, without which damaged numbers could not be told from others."""
+    """``packed`` with its checksum, without which damaged numbers could not be distinguished from others."""
     return packed + zlib.crc32(packed).to_bytes(4, "big")
 
 
@@ -213,7 +213,7 @@ def decode(payload: bytes, largest: int = MAX_BYTES) -> Message:
             raise MessageError("malformed", f"unknown kind {shown(bytes(beginning.kind)[:80])}")
         return _build(packing, packing.decoder.decode(packed))
     except msgspec.ValidationError as error:
-        raise _refusal_of(error, packing) from None
+        raise _rejection_of(error, packing) from None
     except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:
         raise MessageError("not MessagePack", shown(str(error))) from None
 
@@ -239,7 +239,7 @@ _INFINITE = re.compile(r"Expected `float` [<>]=")  # finiteness is the only boun
 _PLACE = re.compile(r"^(.*) - at `\$\[([0-9]+)\](.*)`$", re.DOTALL)
 
 
-def _refusal_of(error: msgspec.ValidationError, packing: _Packing | None) -> MessageError:
+def _rejection_of(error: msgspec.ValidationError, packing: _Packing | None) -> MessageError:
     """``error`` with the name of the field in which it is."""
     text = str(error)
     if packing is not None and (found := _PLACE.match(text)) and int(found[2]) >= 2:

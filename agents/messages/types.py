@@ -23,7 +23,7 @@ from dsse_core.exchange.boundary_load import NetLoad
 
 @dataclass(frozen=True, slots=True, order=True)
 class Incarnation:
-    """One life of a process: a restarted one is newer than its past."""
+    """One incarnation of a process: a restarted one is newer than its past."""
 
     start_ms: Count
     random: Count
@@ -33,19 +33,19 @@ class Incarnation:
         return f"{self.start_ms:x}-{self.random:08x}"
 
 
-NO_LIFE = Incarnation(0, 0)
+NO_INCARNATION = Incarnation(0, 0)
 
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """Who says it, in which life, about which scan. ``sequence`` grows with every changed content."""
+    """Who says it, in which incarnation, about which scan. ``sequence`` grows with every changed content."""
 
     run: Name
     sender: Name
     incarnation: Incarnation
     scan: Count
     sequence: Count
-    time: Number  # s since 1970; refused from the future, and of two messages of one order the later one counts
+    time: Number  # s since 1970; rejected from the future, and of two messages of one order the later one counts
 
     @property
     def order(self) -> tuple[Incarnation, int]:
@@ -76,7 +76,7 @@ class LoadMessage:
 class BoundaryMessage:
     """The sender's corrected state at a boundary bus, p.u. and rad.
 
-    ``referenced``: its angle counts from the substation. ``hears``, ``answers``, ``received``, ``complete``, in every
+    ``referenced``: its angle counts from the substation. ``receives``, ``answers``, ``received``, ``complete``, in every
     boundary message: as in a heartbeat. They hold at ``header.time`` and may differ between two messages of one number.
     """
 
@@ -86,7 +86,7 @@ class BoundaryMessage:
     vm: Number
     va: Number
     referenced: bool
-    hears: bool = False
+    receives: bool = False
     answers: Number = 0.0
     received: tuple[Count, Count] = (0, 0)
     complete: bool = False
@@ -111,7 +111,7 @@ class AdmmMessage:
     weight: Numbers
     unsettled: bool
     referenced: bool
-    hears: bool = False
+    receives: bool = False
     answers: Number = 0.0
     received: tuple[Count, Count] = (0, 0)
     complete: bool = False
@@ -127,11 +127,11 @@ class HeartbeatMessage:
     """Where the sender stands: in (scan, ``revision``) it has come to round ``k``, and whether that is ``final``.
 
     Asynchronous strategies have no rounds: there ``k`` is the number of the newest boundary message to the receiver.
-    ``hears``: it hears the receiver. ``answers``: send time of the receiver's newest message plus the time it has lain
+    ``receives``: it receives messages of the receiver. ``answers``: send time of the receiver's newest message plus the time it has lain
     here, from which the receiver finds the round trip; 0 without one. ``received``: numbers of the newest load message
     and of the newest message of the strategy that it has accepted of the receiver, 0 without one. ``complete``: all on
-    its side is of this scan, heard and fresh. ``y``: at rest, the d ``variables`` of the boundary in its final state.
-    ``plant``, ``offset``: the scan of terms is the number that this life of the plant gives it, plus so much
+    its side is of this scan, received and fresh. ``y``: at rest, the d ``variables`` of the boundary in its final state.
+    ``plant``, ``offset``: the scan of terms is the number that this incarnation of the plant gives it, plus so much
     (``agents/protocol/scan_readings.py``). ``towards_hub``, ``is_parent``: what the receiver is to the sender;
     ``areas``: of the grid; ``base_mva``: all as the sender's area file says (``agents/protocol/agreement.py``).
     """
@@ -142,13 +142,13 @@ class HeartbeatMessage:
     variables: Names = field(default=ONE_PHASE, kw_only=True)
     revision: Count
     k: Count
-    hears: bool
+    receives: bool
     answers: Number
     received: tuple[Count, Count]
     final: bool
     complete: bool
     y: Numbers
-    plant: Incarnation = NO_LIFE
+    plant: Incarnation = NO_INCARNATION
     offset: Count = 0
     towards_hub: bool = False
     is_parent: bool = False
@@ -164,7 +164,7 @@ class HeartbeatMessage:
 class RoundMessage:
     """One side's part in round ``k`` of the term (scan, ``revision``): all that the sender's side knows at x_k.
 
-    ``hears``, ``answers``, ``received``: as in a heartbeat. ``R``, ``z``: the side's cost-to-go at the boundary,
+    ``receives``, ``answers``, ``received``: as in a heartbeat. ``R``, ``z``: the side's cost-to-go at the boundary,
     ``1/2 |R y - z|^2`` of its d ``variables`` y, R the upper triangle of a (d, d) matrix row by row; empty where no
     step is to come. ``no_load``: R of the no-load model in round 0, of (p, q) / vm_b^2, dvm / vm_b and dva, vm_b being
     the sender's no-load voltage; empty where something is missing. ``power``: the powers among y, from a child.
@@ -175,7 +175,7 @@ class RoundMessage:
     variables: Names = field(default=ONE_PHASE, kw_only=True)
     revision: Count
     k: Count
-    hears: bool
+    receives: bool
     answers: Number
     received: tuple[Count, Count]
     R: Numbers
@@ -207,7 +207,7 @@ class UpMessage(RoundMessage):
 
 @dataclass(frozen=True)
 class DownMessage(RoundMessage):
-    """From the side of the hub; the totals are those of all areas, on which ``decider`` in its ``life`` decided.
+    """From the side of the hub; the totals are those of all areas, on which ``decider`` in its ``incarnation`` decided.
 
     ``verdict``: what follows from them, which the receiver finds out for itself, too.
     """
@@ -215,7 +215,7 @@ class DownMessage(RoundMessage):
     kind: ClassVar[str] = "down"
     verdict: Name
     decider: Name
-    life: tuple[Count, Count]
+    incarnation: tuple[Count, Count]
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,13 +254,13 @@ class StateMessage:
     ``buses``, ``vm``, ``va``, ``sigma_vm``, ``sigma_va``: the estimate (empty before the first), p.u. and rad.
     ``referenced``: angles count from the substation. ``removed``: meters taken out as bad data.
     ``critical``: meters that cannot be spared, whatever they read. ``checked``: bad data have been looked for.
-    ``sent``, ``heard``: per neighbour the last sequence numbers of load messages and of boundary messages or those of
+    ``sent``, ``received``: per neighbour the last sequence numbers of load messages and of boundary messages or those of
     rounds; 0 before any.
     ``messages``, ``bytes``, ``lost``: totals handed to the bus, ``lost`` of them dropped by the links; ``faults``:
-    what the links have done to them, by kind. ``refused``: received payloads by reason of refusal.
+    what the links have done to them, by kind. ``rejected``: received payloads by reason of rejection.
     ``quality``: what the state is worth (docs/explanation/quality.md). ``notes``: why, the worst first, then remarks.
-    ``telemetry_age``: s since telemetry was last heard;
-    ``ages``, ``scans``: neighbour -> s since its boundary message was last heard, and the scan of the newest;
+    ``telemetry_age``: s since telemetry was last received;
+    ``ages``, ``scans``: neighbour -> s since its boundary message was last received, and the scan of the newest;
     ``old_sides``: neighbours that say that their side rests on something old. All these hold at ``header.time`` and
     may differ between two states of one sequence number.
     """
@@ -279,11 +279,11 @@ class StateMessage:
     critical: Names
     checked: bool
     sent: dict[Name, tuple[Count, Count]]
-    heard: dict[Name, tuple[Count, Count]]
+    received: dict[Name, tuple[Count, Count]]
     messages: Count
     bytes: Count
     lost: Count
-    refused: dict[Name, Count]
+    rejected: dict[Name, Count]
     notes: Notes
     faults: dict[Name, Count]
     quality: Name

@@ -1,6 +1,6 @@
 """What the protocol of one area does under every strategy: events and time in, actions out.
 
-It takes in messages and refuses some, knows its neighbours as processes, repeats to each what it has not acknowledged,
+It takes in messages and rejects some, knows its neighbours as processes, repeats to each what it has not acknowledged,
 tells them the load of its side and where it stands, and publishes the state. What messages of a strategy mean, rounds
 (``rounds.py``) or an asynchronous strategy (``asynchronous.py``) say. No bus, no clock, no randomness.
 """
@@ -22,17 +22,17 @@ from agents.messages.packing import (
     TelemetryMessage,
 )
 from agents.protocol.agreement import describe_boundary, find_contradiction
-from agents.protocol.events import Action, Event, Finish, PresenceChanged, Publish, Received, Refused, StopRequested
-from agents.protocol.freshness import FRESH_BEATS, PASSED_ON_BEATS
+from agents.protocol.events import Action, Event, Finish, PresenceChanged, Publish, Received, Rejected, StopRequested
+from agents.protocol.freshness import FRESH_HEARTBEATS, PASSED_ON_HEARTBEATS
 from agents.protocol.peer_table import PeerTable
 from agents.protocol.peers import M, Outgoing
 from agents.protocol.published_state import PublishedState
-from agents.protocol.rejections import CONTRADICTION, Rejections, find_refusal
+from agents.protocol.rejections import CONTRADICTION, Rejections, find_rejection
 from agents.protocol.scan_readings import ScanReadings
 from dsse_core.exchange.boundary_load import NetLoad, load_message_for
 
-STILL_BEATS = 2  # between two calls: the process has stood still, and how long messages took is not known
-NEWS_LOAD = 1e-9  # p.u.
+STILL_HEARTBEATS = 2  # between two calls: the process has stood still, and how long messages took is not known
+LOAD_CHANGE = 1e-9  # p.u.
 
 
 class AreaProtocol(ABC):
@@ -52,9 +52,9 @@ class AreaProtocol(ABC):
         self._incarnation = incarnation
         self._clock_offset = started_at - now
         self._now = now
-        self._is_awake = True  # since it was last left alone: else messages have lain unheard
+        self._is_awake = True  # since it was last left alone: else messages have lain unacknowledged
         self._beat_s = content.beat_s
-        self._next_beat = now + content.beat_s
+        self._next_heartbeat = now + content.beat_s
         self._peers = PeerTable(content.area.neighbours, content.beat_s, now, self._clock_offset)
         self._scan = ScanReadings(content, now)
         self._rejections = Rejections()
@@ -76,17 +76,17 @@ class AreaProtocol(ABC):
         return max(0.0, min(self._due_times()) - now)
 
     def _due_times(self) -> Iterator[float]:
-        yield self._next_beat
+        yield self._next_heartbeat
         yield from self._peers.due_times(self._now, self._is_at_rest)
         yield from self._peers.aging_times(self._now)
-        yield from (at for beats in (FRESH_BEATS, PASSED_ON_BEATS) if (at := self._scan.fresh_until(beats)) > self._now)
+        yield from (at for heartbeats in (FRESH_HEARTBEATS, PASSED_ON_HEARTBEATS) if (at := self._scan.fresh_until(heartbeats)) > self._now)
 
     def handle(self, events: Sequence[Event], now: float) -> Iterator[Action]:
         """Take in ``events``, all that arrived since the last call, and say what to do.
 
         To be carried out one by one as they come: neighbours need not wait for what only watchers see.
         """
-        self._is_awake = now - self._now < STILL_BEATS * self._beat_s
+        self._is_awake = now - self._now < STILL_HEARTBEATS * self._beat_s
         self._now = now
         for event in events:
             match event:
@@ -95,20 +95,20 @@ class AreaProtocol(ABC):
                     return
                 case Received(message, key_sender):
                     yield from self._take(message, key_sender)
-                case Refused(reason, count):
+                case Rejected(reason, count):
                     self._rejections.note_not_let_in(reason, count)
                 case PresenceChanged(area, True):
                     self._peers.gone.pop(area, None)
-                    self._peers[area].is_owed_word = True
-                case PresenceChanged(area, False, farewell):
-                    self._peers.note_gone(area, farewell)
-        is_beat = now >= self._next_beat
-        if is_beat:
-            self._next_beat = now + self._beat_s
-        yield from self._act(is_beat=is_beat)
+                    self._peers[area].is_owed_reply = True
+                case PresenceChanged(area, False, leave_reason):
+                    self._peers.note_gone(area, leave_reason)
+        is_heartbeat = now >= self._next_heartbeat
+        if is_heartbeat:
+            self._next_heartbeat = now + self._beat_s
+        yield from self._act(is_heartbeat=is_heartbeat)
         yield from (self._publish(name, message) for name, message in self._peers.take_due_repeats(now))
         yield from self._answer()
-        yield from self._show(is_beat=is_beat)
+        yield from self._show(is_heartbeat=is_heartbeat)
 
     # What a strategy says
 
@@ -118,7 +118,7 @@ class AreaProtocol(ABC):
         """Whether heartbeats may become rare."""
 
     @abstractmethod
-    def _find_refusal(self, message: Message) -> str:
+    def _find_rejection(self, message: Message) -> str:
         """Why a well-formed message of a kind of this strategy cannot be used, in short; empty if it can."""
 
     @abstractmethod
@@ -134,11 +134,11 @@ class AreaProtocol(ABC):
         """A neighbour has sent a new load message."""
 
     @abstractmethod
-    def _hear(self, name: str, message: LinkMessage) -> Iterator[Action]:
+    def _receive(self, name: str, message: LinkMessage) -> Iterator[Action]:
         """Take in a message of the strategy, or a heartbeat, of the present incarnation of neighbour ``name``."""
 
     @abstractmethod
-    def _act(self, *, is_beat: bool) -> Iterator[Action]:
+    def _act(self, *, is_heartbeat: bool) -> Iterator[Action]:
         """What has become due when all events are taken in."""
 
     @abstractmethod
@@ -147,17 +147,17 @@ class AreaProtocol(ABC):
 
     @abstractmethod
     def _is_side_complete(self, name: str) -> bool:
-        """Whether all on this side of neighbour ``name`` is of this scan, heard and fresh."""
+        """Whether all on this side of neighbour ``name`` is of this scan, received and fresh."""
 
     @abstractmethod
-    def _show(self, *, is_beat: bool) -> Iterator[Publish]:
+    def _show(self, *, is_heartbeat: bool) -> Iterator[Publish]:
         """The state, if it is to be published."""
 
     # What comes in
 
     def _take(self, message: Message, key_sender: str) -> Iterator[Action]:
         wall = self._now + self._clock_offset
-        reason = find_refusal(message, key_sender, self._content, wall)
+        reason = find_rejection(message, key_sender, self._content, wall)
         if not reason and isinstance(message, HeartbeatMessage):
             self._rejections.note_contradiction(key_sender, find_contradiction(self._area, message))
         if not reason and key_sender in self._rejections.contradictions:
@@ -165,30 +165,30 @@ class AreaProtocol(ABC):
         if not reason and isinstance(message, HeartbeatMessage):
             yield from self._take_numbering(key_sender, message)
         if not reason:
-            reason = self._find_refusal(message) if message.kind in self._kinds else "other strategy"
+            reason = self._find_rejection(message) if message.kind in self._kinds else "other strategy"
         if reason:
-            self._rejections.refuse(message, key_sender, reason, wall)
+            self._rejections.reject(message, key_sender, reason, wall)
             return
         self._rejections.ahead.pop(key_sender, None)
         if isinstance(message, TelemetryMessage):
             yield from self._take_telemetry(message)
-        elif not self._peers.is_of_former_life(message.header, self._now):
+        elif not self._peers.is_of_former_incarnation(message.header, self._now):
             if isinstance(message, LoadMessage):
                 peer = self._peers[key_sender]
-                peer.is_owed_word = True
+                peer.is_owed_reply = True
                 if peer.take_load(message):
                     yield from self._take_load()
             elif isinstance(message, LinkMessage):
-                yield from self._hear(key_sender, message)
+                yield from self._receive(key_sender, message)
 
     def _note(self, name: str, message: LinkMessage) -> bool:
         """What a message says of its sender and of the link; whether the sender has begun anew."""
         peer = self._peers[name]
         is_restart = peer.incarnation not in (None, message.header.incarnation)
-        peer.is_owed_word |= is_restart or not self._peers.hears(name, self._now)  # that it is heard
+        peer.is_owed_reply |= is_restart or not self._peers.receives(name, self._now)  # that it is received
         peer.take(message, self._now, self._now + self._clock_offset, is_awake=self._is_awake)
-        peer.is_owed_word |= self._is_at_rest and peer.has_been_left_alone(self._now)  # it repeats until it hears us
-        if message.hears:
+        peer.is_owed_reply |= self._is_at_rest and peer.has_been_left_alone(self._now)  # it repeats until it receives us
+        if message.receives:
             self._peers.gone.pop(name, None)  # the token was lost, not the process
         return is_restart
 
@@ -229,7 +229,7 @@ class AreaProtocol(ABC):
     def _heartbeat(self, name: str) -> Publish:
         standing, peer = self._describe_standing(name), self._peers[name]
         plant, offset = self._scan.numbering
-        link: dict[str, Any] = {"hears": False, "answers": 0.0, "received": (0, 0), "complete": False}  # as it is sent
+        link: dict[str, Any] = {"receives": False, "answers": 0.0, "received": (0, 0), "complete": False}  # as it is sent
         standing |= link | describe_boundary(self._area, name)
         return self._publish(
             name, HeartbeatMessage(header=self._header(1), bus=peer.bus, **standing, plant=plant, offset=offset)
@@ -238,25 +238,25 @@ class AreaProtocol(ABC):
     def _answer(self) -> Iterator[Publish]:
         """A heartbeat to who is owed one, or has not been spoken to for a while."""
         for name, peer in self._peers.items():
-            is_changed = peer.told_complete != self._is_side_complete(name)
-            if peer.is_owed_word or is_changed or self._peers.owes_heartbeat(name, self._now, self._is_at_rest):
+            is_changed = peer.sent_complete != self._is_side_complete(name)
+            if peer.is_owed_reply or is_changed or self._peers.owes_heartbeat(name, self._now, self._is_at_rest):
                 yield self._heartbeat(name)
 
     # Load messages
 
-    def _heard_loads(self) -> dict[str, NetLoad]:
-        return {name: peer.heard_load.load for name, peer in sorted(self._peers.items()) if peer.heard_load}
+    def _received_loads(self) -> dict[str, NetLoad]:
+        return {name: peer.received_load.load for name, peer in sorted(self._peers.items()) if peer.received_load}
 
     def _tell_loads(self) -> Iterator[Publish]:
-        """To each neighbour the net load of this side, once all the others have told theirs."""
-        heard = self._heard_loads()
-        missing = set(self._peers) - heard.keys()
+        """To each neighbour the net load of this side, once all the others have sent theirs."""
+        received = self._received_loads()
+        missing = set(self._peers) - received.keys()
         for n in self._area.neighbours:
             if missing - {n.area}:
                 continue
-            load, sent = load_message_for(n.area, self._scan.readings.net_load, heard), self._peers[n.area].load
+            load, sent = load_message_for(n.area, self._scan.readings.net_load, received), self._peers[n.area].load
             sigma, last = load.variance**0.5, sent.message
-            moved = last is None or max(abs(last.load.s - load.s), abs(last.sigma - sigma)) > NEWS_LOAD
+            moved = last is None or max(abs(last.load.s - load.s), abs(last.sigma - sigma)) > LOAD_CHANGE
             if moved or (last is not None and last.header.scan != self.scan):
                 message = LoadMessage(self._header(sent.sequence + 1), n.bus, load.s.real, load.s.imag, sigma)
                 yield self._send(n.area, sent, message)

@@ -1,4 +1,4 @@
-"""The numbers of one area in a term of rounds: what it has heard in round k, what it passes on, what it carries out.
+"""The numbers of one area in a term of rounds: what it has received in round k, what it passes on, what it carries out.
 
 Towards the hub goes what the area's side knows at x_k; back comes what everybody else knows, with the totals of all
 areas. Every area finds the verdict on these totals for itself. No process, link or clock is known here.
@@ -25,10 +25,10 @@ Known = dict[str, BoundaryInformation]
 
 @dataclass(frozen=True)
 class Decider:
-    """Who has added up all totals: ``name`` in its ``life``."""
+    """Who has added up all totals: ``name`` in its ``incarnation``."""
 
     name: str
-    life: tuple[int, int]
+    incarnation: tuple[int, int]
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ class AreaRound:
         """What Up(k) says."""
         assert self.towards_hub is not None  # else it is decided
         name, information, no_load = self.towards_hub, None, None
-        if not totals.failed and not self._memory.judging:
+        if not totals.failed and not self._memory.evaluating:
             information = self._find_information(name, self._below())
         if self.estimation.failure:
             totals = add_totals([totals, Totals(failed=(self._area.name,))])
@@ -182,13 +182,13 @@ class AreaRound:
     def find_other_end(self, k: int, is_final: bool) -> str:
         """What is wrong with a neighbour in round ``k`` of this term: one end follows from all verdicts of a term."""
         if not is_final or self.outcome is not None or k > self.k:
-            return ""  # not at its end, or at one that we have yet to hear of
+            return ""  # not at its end, or at one that we have yet to learn of
         return f"it is at the end after round {k - 1}, which for us was not the last"
 
     def descend(
         self, verdict: Verdict, totals: Totals, decider: Decider, down: DownMessage | None
     ) -> Iterator[tuple[str, Content]]:
-        """Carry ``verdict`` out, as ``down`` brings it; what each lower neighbour is to hear, as it is known."""
+        """Carry ``verdict`` out, as ``down`` brings it; what each lower neighbour is to receive, as it is known."""
         known, no_load = self._below(), self._no_load_below()
         if down is not None and self.towards_hub:
             known |= {self.towards_hub: information_of(down)} if down.R else {}
@@ -198,7 +198,7 @@ class AreaRound:
 
         def find_content(name: str) -> Content:
             information = self._find_information(name, known) if verdict.takes_step else None
-            others = {n: told for n, told in no_load.items() if n != name}
+            others = {n: information for n, information in no_load.items() if n != name}
             return Content(information, estimation.no_load_for(name, others) if is_first else None, (), totals)
 
         parent = self._area.parent.area if self._area.parent else ""
@@ -207,7 +207,7 @@ class AreaRound:
                 yield (
                     name,
                     find_content(name),
-                )  # each as soon as it is known: it computes while others are still to hear
+                )  # each as soon as it is known: it computes while others are still to receive
         for_parent = find_content(parent) if parent in lower else None
         estimation.carry_out(verdict, self._memory, known, no_load)
         if down is not None and down.power and self.towards_hub:

@@ -13,10 +13,10 @@ from typing import Any, cast
 import numpy as np
 
 from agents.area_files.area_file import AreaFile
-from agents.messages.packing import BoundaryNews, HeartbeatMessage, Incarnation, LinkMessage, Message, TelemetryMessage
+from agents.messages.packing import BoundaryUpdate, HeartbeatMessage, Incarnation, LinkMessage, Message, TelemetryMessage
 from agents.protocol.area_protocol import AreaProtocol
 from agents.protocol.events import Action, Publish
-from agents.protocol.freshness import FRESH_BEATS, PASSED_ON_BEATS
+from agents.protocol.freshness import FRESH_HEARTBEATS, PASSED_ON_HEARTBEATS
 from agents.protocol.peers import Term
 from agents.protocol.quality import (
     DEGRADED,
@@ -29,7 +29,7 @@ from agents.protocol.quality import (
     find_gone,
     find_missing_readings,
     find_missing_side,
-    find_refused_clocks,
+    find_rejected_clocks,
     weigh,
 )
 from agents.protocol.rejections import find_unreasonable
@@ -47,15 +47,15 @@ class AsynchronousProtocol(AreaProtocol):
         super().__init__(content, (strategy.kind,), incarnation, now=now, started_at=started_at)
         self._strategy = strategy
         _, self._no_load_va = find_no_load(content.area)
-        self._has_news = True
+        self._has_update = True
         self._basis: object = None  # neighbours whose messages are in use, and those present, when it last solved
-        self._set_aside: set[object] = set()  # messages with which no estimate came out, until the next beat
+        self._set_aside: set[object] = set()  # messages with which no estimate came out, until the next heartbeat
         self._estimate: Estimate | None = None
         self._notes: tuple[str, ...] = ()
         self._has_solved = False  # since the state was last shown
         self._limits = EstimateLimits(content.limits, [bus.id for bus in content.area.network.buses], content.meters)
         self._estimated_scan = 0
-        self._told: Estimate | None = None  # to neighbours, the last
+        self._sent: Estimate | None = None  # to neighbours, the last
 
     def describe_backend(self) -> str:
         """See ``Strategy.describe_backend``."""
@@ -77,50 +77,50 @@ class AsynchronousProtocol(AreaProtocol):
     @property
     def _waits_until(self) -> float:
         """Until when messages of a former scan are used: by then their senders should have our scan."""
-        return self._scan.entered_at + FRESH_BEATS * self._beat_s
+        return self._scan.entered_at + FRESH_HEARTBEATS * self._beat_s
 
     # What comes in
 
-    def _find_refusal(self, message: Message) -> str:
-        return self._strategy.find_refusal(message) if isinstance(message, BoundaryNews) else ""
+    def _find_rejection(self, message: Message) -> str:
+        return self._strategy.find_rejection(message) if isinstance(message, BoundaryUpdate) else ""
 
     def _take_numbering(self, name: str, message: HeartbeatMessage) -> Iterator[Action]:
         yield from ()  # whatever number a scan has, its readings are used as they come
 
     def _take_telemetry(self, message: TelemetryMessage) -> Iterator[Action]:
-        self._has_news |= self._scan.take_at_once(message, self._now)
+        self._has_update |= self._scan.take_at_once(message, self._now)
         yield from ()
 
     def _take_load(self) -> Iterator[Action]:
-        self._has_news = True
+        self._has_update = True
         yield from ()
 
-    def _hear(self, name: str, message: LinkMessage) -> Iterator[Action]:
+    def _receive(self, name: str, message: LinkMessage) -> Iterator[Action]:
         self._note(name, message)
         peer = self._peers[name]
         for sent, number in zip(peer.outgoing, message.received, strict=True):
             yield from self._send_if_lacking(name, sent, number)
-        if isinstance(message, BoundaryNews):
-            peer.is_owed_word = True
-            if message.header.sequence > peer.heard_sequence:
-                peer.boundary, peer.heard_sequence = message, message.header.sequence
-                self._has_news = True
+        if isinstance(message, BoundaryUpdate):
+            peer.is_owed_reply = True
+            if message.header.sequence > peer.received_sequence:
+                peer.boundary, peer.received_sequence = message, message.header.sequence
+                self._has_update = True
 
     # What is made of it
 
-    def _act(self, *, is_beat: bool) -> Iterator[Action]:
-        if is_beat:  # an iteration that ran out of steps goes on
-            self._has_news = True
+    def _act(self, *, is_heartbeat: bool) -> Iterator[Action]:
+        if is_heartbeat:  # an iteration that ran out of steps goes on
+            self._has_update = True
             self._set_aside.clear()
         basis = self._usable().keys(), self._peers.present(self._now)
-        if self._scan.has_been_read and (self._has_news or basis != self._basis):
-            self._has_news, self._basis, self._has_solved = False, basis, True
+        if self._scan.has_been_read and (self._has_update or basis != self._basis):
+            self._has_update, self._basis, self._has_solved = False, basis, True
             yield from self._work()
 
     def _work(self) -> Iterator[Action]:
         """Tell what is new. Numbers beyond all reason, a neighbour's perhaps, leave no estimate and no crash."""
         problem = ""
-        for _ in range(2):  # with all that was heard; if that leads nowhere, from the own telemetry alone
+        for _ in range(2):  # with all that was received; if that leads nowhere, from the own telemetry alone
             try:
                 yield from self._tell_loads()
                 yield from self._solve()
@@ -131,13 +131,13 @@ class AsynchronousProtocol(AreaProtocol):
         self._estimate, self._notes = None, (problem,)
 
     def _start_anew(self) -> None:
-        """Forget where the iteration is, as a restart would, and leave aside what was heard.
+        """Forget where the iteration is, as a restart would, and leave aside what was received.
 
-        What the neighbours have been told on such a ground is replaced by the first estimate that follows.
+        What the neighbours have received on such a ground is replaced by the first estimate that follows.
         """
-        self._strategy, self._told = type(self._strategy)(self._content), None
+        self._strategy, self._sent = type(self._strategy)(self._content), None
         for _, peer in self._peers.items():
-            self._set_aside |= {peer.heard_load, peer.boundary}
+            self._set_aside |= {peer.received_load, peer.boundary}
         self._rejections.count("led to no estimate")
 
     def _solve(self) -> Iterator[Publish]:
@@ -147,25 +147,25 @@ class AsynchronousProtocol(AreaProtocol):
             raise ArithmeticError("it is beyond reason")
         self._estimate, self._notes = estimate, notes
         self._estimated_scan = self.scan
-        if estimate is not None and (estimate is not self._told or any(map(self._is_outdated, self._peers))):
-            self._told = estimate
+        if estimate is not None and (estimate is not self._sent or any(map(self._is_outdated, self._peers))):
+            self._sent = estimate
             yield from self._tell_boundaries(estimate)
 
     def _knowledge(self) -> Knowledge:
         return Knowledge(
             measurements=self._scan.readings.measurements,
-            loads=self._heard_loads(),
+            loads=self._received_loads(),
             boundary=self._usable(),
             present=self._peers.present(self._now),
             scan=self.scan,
         )
 
-    def _heard_loads(self) -> dict[str, NetLoad]:
-        loads = super()._heard_loads()
-        return {name: load for name, load in loads.items() if self._peers[name].heard_load not in self._set_aside}
+    def _received_loads(self) -> dict[str, NetLoad]:
+        loads = super()._received_loads()
+        return {name: load for name, load in loads.items() if self._peers[name].received_load not in self._set_aside}
 
-    def _usable(self) -> dict[str, BoundaryNews]:
-        """The boundary messages in use: those of a former scan for a while, of a later one as long as it is heard.
+    def _usable(self) -> dict[str, BoundaryUpdate]:
+        """The boundary messages in use: those of a former scan for a while, of a later one as long as it is received.
 
         Longer they would pass for knowledge of a state that has moved on, or of a plant that is no more.
         """
@@ -174,7 +174,7 @@ class AsynchronousProtocol(AreaProtocol):
             message = peer.boundary
             if message is None or message in self._set_aside:
                 continue
-            is_ahead = message.header.scan > self.scan and self._now - peer.heard_at < FRESH_BEATS * self._beat_s
+            is_ahead = message.header.scan > self.scan and self._now - peer.received_at < FRESH_HEARTBEATS * self._beat_s
             if waits or is_ahead or message.header.scan == self.scan:
                 usable[name] = message
         return usable
@@ -190,54 +190,54 @@ class AsynchronousProtocol(AreaProtocol):
         for n in self._area.neighbours:
             sent = self._peers[n.area].exchange
             message = self._strategy.message_for(n, estimate, self._header(sent.sequence + 1))
-            if reason := self._strategy.find_refusal(message) or find_unreasonable(message):
+            if reason := self._strategy.find_rejection(message) or find_unreasonable(message):
                 raise ArithmeticError(f"what it would tell a neighbour: {reason}")
-            if self._is_outdated(n.area) or self._strategy.is_news(n, message, cast("BoundaryNews", sent.message)):
+            if self._is_outdated(n.area) or self._strategy.is_update(n, message, cast("BoundaryUpdate", sent.message)):
                 yield self._send(n.area, sent, message)
 
     def _describe_standing(self, name: str) -> dict[str, Any]:
         return {"revision": 0, "k": self._peers[name].exchange.sequence, "final": False, "y": ()}
 
     def _is_side_complete(self, name: str) -> bool:
-        if not self._scan.has_been_read or self._scan.is_late(self._now, PASSED_ON_BEATS):
+        if not self._scan.has_been_read or self._scan.is_late(self._now, PASSED_ON_HEARTBEATS):
             return False
-        return not self._find_old(PASSED_ON_BEATS) - {name}
+        return not self._find_old(PASSED_ON_HEARTBEATS) - {name}
 
-    def _find_old(self, beats: float = FRESH_BEATS) -> set[str]:
-        """Neighbours that are not heard, in another scan or not complete, or whose newest message is not here."""
+    def _find_old(self, heartbeats: float = FRESH_HEARTBEATS) -> set[str]:
+        """Neighbours that are not received, in another scan or not complete, or whose newest message is not here."""
         everybody = frozenset(self._peers)
-        missed = {name for name, p in self._peers.items() if p.boundary is None or p.k != p.heard_sequence}
-        return missed | self._peers.find_old(self._term, everybody, self._now, beats)
+        missed = {name for name, p in self._peers.items() if p.boundary is None or p.k != p.received_sequence}
+        return missed | self._peers.find_old(self._term, everybody, self._now, heartbeats)
 
     # What is published
 
-    def _show(self, *, is_beat: bool) -> Iterator[Publish]:
-        """The state where it has changed, and at every beat."""
+    def _show(self, *, is_heartbeat: bool) -> Iterator[Publish]:
+        """The state where it has changed, and at every heartbeat."""
         worth, last = weigh(self._findings()), self._published.message
         old_sides = tuple(sorted(name for name, p in self._peers.items() if p.boundary and not p.complete))
-        is_as_shown = self._published.is_as_shown(worth.word, old_sides)
-        if is_as_shown and not (is_beat or self._has_solved):
+        is_as_shown = self._published.is_as_shown(worth.quality, old_sides)
+        if is_as_shown and not (is_heartbeat or self._has_solved):
             return
         self._has_solved = False
         state = self._published.compose(self._estimate, worth, old_sides, self.scan, self._now)
         is_same = last is not None and (state.header.sequence, state.notes) == (last.header.sequence, last.notes)
-        if is_beat or not (is_same and is_as_shown):
+        if is_heartbeat or not (is_same and is_as_shown):
             yield Publish(state, None)
 
     def _findings(self) -> Iterator[Finding]:
         """What is to be said of the estimate now; new readings leave it behind until they have been worked in."""
         estimate = self._estimate
         yield from (Finding(DEGRADED if estimate else NONE, note) for note in self._notes)
-        yield from find_refused_clocks(self._rejections.ahead)
+        yield from find_rejected_clocks(self._rejections.ahead)
         yield from find_contradictions(self._rejections.contradictions)
         if self._scan.has_been_read:
             yield from find_missing_readings(self._scan.readings.silent, self._scan.readings.invalid)
-        yield from (find_gone(name, farewell) for name, farewell in sorted(self._peers.gone.items()))
+        yield from (find_gone(name, leave_reason) for name, leave_reason in sorted(self._peers.gone.items()))
         if estimate is None:
             yield Finding(NONE, "there is no estimate" if self._scan.has_been_read else "no telemetry yet")
             return
         if self._scan.is_late(self._now):
-            yield Finding(STALE, "telemetry is no longer heard")
+            yield Finding(STALE, "telemetry is no longer received")
         if not estimate.referenced:
             yield Finding(RELATIVE_ANGLE, "angles do not count from the substation")
         if not estimate.checked:
@@ -252,10 +252,10 @@ class AsynchronousProtocol(AreaProtocol):
     def _find_doubt(self, name: str) -> Finding:
         """Why a neighbour's side does not count as known."""
         peer = self._peers[name]
-        if peer.boundary is None or peer.k != peer.heard_sequence:
+        if peer.boundary is None or peer.k != peer.received_sequence:
             return Finding(DEGRADED, f"the newest boundary message from {name} is not here")
         if peer.boundary.header.scan != self.scan or peer.term != self._term:
-            return Finding(DEGRADED, f"news from {name} is of another scan")
+            return Finding(DEGRADED, f"the newest message from {name} is of another scan")
         if not self._peers.is_present(name, self._now) or peer.complete:
-            return Finding(DEGRADED, f"{name} is not heard, or does not hear this area")
+            return Finding(DEGRADED, f"{name} is not received, or does not receive this area")
         return find_missing_side(name)

@@ -16,7 +16,7 @@ class Received:
 
 
 @dataclass(frozen=True, slots=True)
-class Refused:
+class Rejected:
     """Payloads that were not let in for ``reason``; ``count``: how many so far."""
 
     reason: str
@@ -25,11 +25,11 @@ class Refused:
 
 @dataclass(frozen=True, slots=True)
 class PresenceChanged:
-    """A neighbour came or went. ``farewell``: what it said when it went in order; empty if it died or was cut off."""
+    """A neighbour came or went. ``leave_reason``: of its leave message; empty if it died or was cut off."""
 
     area: str
     alive: bool
-    farewell: str = ""
+    leave_reason: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,7 @@ class StopRequested:
     reason: str
 
 
-Event = Received | Refused | PresenceChanged | StopRequested
+Event = Received | Rejected | PresenceChanged | StopRequested
 
 
 @dataclass(frozen=True, slots=True)

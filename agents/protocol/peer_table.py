@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any, TypeVar
 
-from agents.messages.packing import BoundaryNews, Header, HeartbeatMessage, LinkMessage
-from agents.protocol.freshness import FRESH_BEATS, PASSED_ON_BEATS, PATIENCE_BEATS
+from agents.messages.packing import BoundaryUpdate, Header, HeartbeatMessage, LinkMessage
+from agents.protocol.freshness import FRESH_HEARTBEATS, PASSED_ON_HEARTBEATS, PATIENCE_HEARTBEATS
 from agents.protocol.peers import Peer, Term, term_of
 from dsse_core.grid.partition import Neighbour
 
@@ -16,7 +16,7 @@ M = TypeVar("M", bound=LinkMessage)
 
 
 class PeerTable:
-    """``gone``: neighbours whose processes have ended -> their farewell. ``distrusted``: neighbour -> why its messages
+    """``gone``: neighbours whose processes have ended -> their leave message. ``distrusted``: neighbour -> why its messages
     are not used in this scan.
 
     Args:
@@ -40,50 +40,50 @@ class PeerTable:
         yield from self._peers.items()
 
     def silent_at(self, name: str) -> float:
-        """When a neighbour counts as gone if it does not say until then that it hears us."""
+        """When a neighbour counts as gone if it does not say until then that it receives us."""
         return self._peers[name].present_at + self._patience_s(self._peers[name])
 
     def is_present(self, name: str, now: float) -> bool:
-        """Whether a neighbour is there, and hears us as we hear it."""
+        """Whether a neighbour is there, and receives us as we receive it."""
         return name not in self.gone and self.silent_at(name) > now
 
     def present(self, now: float) -> frozenset[str]:
         """The neighbours that may be used."""
         return frozenset(name for name in self._peers if self.is_present(name, now)) - self.distrusted.keys()
 
-    def is_of_former_life(self, header: Header, now: float) -> bool:
+    def is_of_former_incarnation(self, header: Header, now: float) -> bool:
         """Whether a message comes from a process that has ended since.
 
-        If the later one is heard no more, it may be that the clock of one that began still later was set back.
+        If the later one is received no more, it may be that the clock of one that began still later was set back.
         """
         newest = self._peers[header.sender].incarnation
-        return newest is not None and header.incarnation < newest and self.hears(header.sender, now)
+        return newest is not None and header.incarnation < newest and self.receives(header.sender, now)
 
-    def hears(self, name: str, now: float) -> bool:
-        """Whether we hear a neighbour."""
+    def receives(self, name: str, now: float) -> bool:
+        """Whether we receive a neighbour."""
         peer = self._peers[name]
-        return bool(now <= peer.heard_at + self._patience_s(peer))
+        return bool(now <= peer.received_at + self._patience_s(peer))
 
     def _patience_s(self, peer: Peer) -> float:
-        return peer.patience_s(PATIENCE_BEATS * self._beat_s)
+        return peer.patience_s(PATIENCE_HEARTBEATS * self._beat_s)
 
-    def note_gone(self, name: str, farewell: str) -> None:
+    def note_gone(self, name: str, leave_reason: str) -> None:
         """The process of a neighbour has ended."""
-        self.gone[name] = farewell
+        self.gone[name] = leave_reason
         self._peers[name].present_at = -math.inf
 
     def stamp(self, name: str, message: M, now: float, *, is_complete: bool) -> M:
         """``message`` as it is sent to ``name`` now; ``is_complete``: what is to be said of the own side."""
-        peer, tells = self._peers[name], isinstance(message, HeartbeatMessage | BoundaryNews)
+        peer, tells = self._peers[name], isinstance(message, HeartbeatMessage | BoundaryUpdate)
         peer.note_said(now)
-        told = term_of(message), tells and is_complete  # a message of a round takes the latter back
-        if (peer.told_term, peer.told_complete) != told:
-            (peer.told_term, peer.told_complete), peer.changed_at = told, now
+        stated = term_of(message), tells and is_complete  # a message of a round takes the latter back
+        if (peer.sent_term, peer.sent_complete) != stated:
+            (peer.sent_term, peer.sent_complete), peer.changed_at = stated, now
         link: dict[str, Any] = {"complete": is_complete} if tells else {}
         return replace(
             message,
             header=replace(message.header, time=peer.next_time(now + self._clock_offset)),
-            hears=self.hears(name, now) and name not in self.distrusted,  # else it would wait for us
+            receives=self.receives(name, now) and name not in self.distrusted,  # else it would wait for us
             answers=peer.answers(now),
             received=peer.received,
             **link,
@@ -118,36 +118,36 @@ class PeerTable:
 
     def _quiet_s(self, name: str, now: float, is_at_rest: bool) -> float:
         """How long nothing is said: ever longer since what heartbeats say has changed, as one may be lost, or on this
-        link several; at rest a beat at most, before no longer than patience allows. At rest a word to a neighbour that
-        is there is repeated until that is heard.
+        link several; at rest a heartbeat at most, before no longer than patience allows. At rest a message to a neighbour that
+        is there is repeated until that is received.
         """
         peer = self._peers[name]
         longest_s = self._beat_s if is_at_rest else min(self._beat_s, self._patience_s(peer) / peer.patience_messages)
         unchanged_s = (peer.said_at - peer.changed_at) / math.sqrt(peer.mean_count)
-        if is_at_rest and peer.awaits_word and self.is_present(name, now):
+        if is_at_rest and peer.awaits_reply and self.is_present(name, now):
             unchanged_s = 0.0
         return min(longest_s, max(peer.round_trip.longest_wait_s, unchanged_s))
 
     def begin_term(self) -> None:
-        """Messages of former rounds count no more; everybody is to hear of the term."""
+        """Messages of former rounds count no more; everybody is to learns of the term."""
         for peer in self._peers.values():
             peer.begin_term()
 
-    def find_old(self, term: Term, links: frozenset[str], now: float, beats: float = FRESH_BEATS) -> set[str]:
-        """Neighbours not heard, that do not hear us, in another term, or with a side that they say is not complete."""
+    def find_old(self, term: Term, links: frozenset[str], now: float, heartbeats: float = FRESH_HEARTBEATS) -> set[str]:
+        """Neighbours not received, not receiving us, in another term, or with a side that they call incomplete."""
         return {
             name
             for name, peer in self._peers.items()
             if name not in links
             or not self.is_present(name, now)
-            or now >= peer.heard_at + beats * self._beat_s
+            or now >= peer.received_at + heartbeats * self._beat_s
             or peer.term != term
             or not peer.complete
         }
 
     def aging_times(self, now: float) -> Iterator[float]:
-        """When what is fresh now will not be, if nothing is heard until then."""
+        """When what is fresh now will not be, if nothing is received until then."""
         for peer in self._peers.values():
-            for beats in (FRESH_BEATS, PASSED_ON_BEATS):
-                if (at := peer.heard_at + beats * self._beat_s) > now:
+            for heartbeats in (FRESH_HEARTBEATS, PASSED_ON_HEARTBEATS):
+                if (at := peer.received_at + heartbeats * self._beat_s) > now:
                     yield at

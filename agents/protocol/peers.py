@@ -1,6 +1,6 @@
-"""What an area knows of its neighbours as processes: which life, where it stands, how long a message takes.
+"""What an area knows of its neighbours as processes: which incarnation, where it stands, how long a message takes.
 
-Presence is two-way: a neighbour is there only if it is heard and says that it hears us, so that both sides of a link
+Presence is two-way: a neighbour is there only if it is received and says that it receives us, so that both sides of a link
 that passes messages one way only come to the same conclusion.
 """
 
@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
 from agents.messages.packing import (
-    BoundaryNews,
+    BoundaryUpdate,
     ExchangeMessage,
     HeartbeatMessage,
     Incarnation,
@@ -33,7 +33,7 @@ M = TypeVar("M", LoadMessage, ExchangeMessage)
 
 def term_of(message: LinkMessage) -> Term:
     """Where the sender stands; asynchronous strategies know no revisions."""
-    return message.header.scan, 0 if isinstance(message, BoundaryNews) else message.revision
+    return message.header.scan, 0 if isinstance(message, BoundaryUpdate) else message.revision
 
 
 @dataclass
@@ -85,34 +85,34 @@ class Outgoing(Generic[M]):
 class Peer:
     """One neighbour. Times are of the own monotonic clock, s; -inf for never.
 
-    ``present_at``: when it last said that it hears us, as far as that is believed; ``heard_at``: when it was last
-    heard. ``term``, ``k``, ``final``, ``complete``, ``y``: where it stood then. ``load``, ``exchange``: the last load
-    message and the last message of the strategy to it; ``heard_load``, ``boundary``: its newest ones, the latter of
-    asynchronous strategies; ``heard_sequence``: number of its newest message of the strategy in this incarnation.
+    ``present_at``: when it last said that it receives us, as far as that is believed; ``received_at``: when it was last
+    received. ``term``, ``k``, ``final``, ``complete``, ``y``: where it stood then. ``load``, ``exchange``: the last load
+    message and the last message of the strategy to it; ``received_load``, ``boundary``: its newest ones, the latter of
+    asynchronous strategies; ``received_sequence``: number of its newest message of the strategy in this incarnation.
     """
 
     bus: int
     present_at: float
     since: float  # wall-clock time at which the own process began: nothing of before is answered
     said_at: float = -math.inf
-    asked_at: float = -math.inf  # when it was first spoken to since it was heard
-    heard_at: float = -math.inf
+    asked_at: float = -math.inf  # when it was first spoken to since it was received
+    received_at: float = -math.inf
     incarnation: Incarnation | None = None
     term: Term = (0, 0)
     k: int = 0
     final: bool = False
     complete: bool = False
     y: tuple[float, ...] = ()
-    told_term: Term = (0, 0)
-    told_complete: bool = False
-    changed_at: float = -math.inf  # when it was last told other ones
-    told_time: float = 0.0  # send time of the last message to it, as that states it
-    is_owed_word: bool = False  # what it has sent, or what has changed, is to be answered at once
+    sent_term: Term = (0, 0)
+    sent_complete: bool = False
+    changed_at: float = -math.inf  # when it last sent other ones
+    sent_time: float = 0.0  # send time of the last message to it, as that states it
+    is_owed_reply: bool = False  # what it has sent, or what has changed, is to be answered at once
     load: Outgoing[LoadMessage] = field(default_factory=Outgoing)
     exchange: Outgoing[ExchangeMessage] = field(default_factory=Outgoing)
-    heard_load: LoadMessage | None = None
-    boundary: BoundaryNews | None = None
-    heard_sequence: int = 0
+    received_load: LoadMessage | None = None
+    boundary: BoundaryUpdate | None = None
+    received_sequence: int = 0
     mean_count: float = 1.0  # of sendings until an answer comes
     round_trip: RoundTrip = field(default_factory=RoundTrip)
     _newest: tuple[float, float] = (0.0, 0.0)  # send time by its clock, and when it arrived here
@@ -124,12 +124,12 @@ class Peer:
         """
         header = message.header
         if header.incarnation != self.incarnation:
-            self.term, self._newest, self.heard_sequence = (0, 0), (0.0, 0.0), 0
+            self.term, self._newest, self.received_sequence = (0, 0), (0.0, 0.0), 0
             self.round_trip, self.final, self.complete, self.y = RoundTrip(), False, False, ()
             if self.incarnation is not None:
                 self.load.repeat = self.exchange.repeat = None  # the new process says what it lacks
-        self.incarnation, self.heard_at = header.incarnation, now
-        if message.hears:
+        self.incarnation, self.received_at = header.incarnation, now
+        if message.receives:
             self.present_at = now
         if header.time > self._newest[0]:
             self._newest = (header.time, now)
@@ -143,7 +143,7 @@ class Peer:
     def _note_standing(self, message: LinkMessage) -> None:
         self.final, self.complete, self.y = False, False, ()
         self.term = term_of(message)
-        if isinstance(message, BoundaryNews):
+        if isinstance(message, BoundaryUpdate):
             self.k, self.complete = message.header.sequence, message.complete
             return
         self.k = message.k
@@ -157,20 +157,20 @@ class Peer:
 
     def take_load(self, message: LoadMessage) -> bool:
         """Keep a load message of the present incarnation; whether it is newer than the last one."""
-        last, header = self.heard_load, message.header
+        last, header = self.received_load, message.header
         is_new = last is None or header.order > last.header.order
         if last is not None and header.incarnation != last.header.incarnation:
             is_new |= header.incarnation == self.incarnation  # its clock may have been set back
         if is_new:
-            self.heard_load = message
+            self.received_load = message
         return is_new
 
     @property
     def received(self) -> tuple[int, int]:
         """The numbers of its newest load message and message of the strategy, which acknowledge them; 0 without one."""
-        load = self.heard_load
-        of_this_life = load is not None and load.header.incarnation == self.incarnation
-        return load.header.sequence if load and of_this_life else 0, self.heard_sequence
+        load = self.received_load
+        of_this_incarnation = load is not None and load.header.incarnation == self.incarnation
+        return load.header.sequence if load and of_this_incarnation else 0, self.received_sequence
 
     def answers(self, now: float) -> float:
         """The send time of its newest message plus the time that this has lain here; 0 without one."""
@@ -191,19 +191,19 @@ class Peer:
 
     def note_said(self, now: float) -> None:
         """It is spoken to now."""
-        if not self.awaits_word:
+        if not self.awaits_reply:
             self.asked_at = now
-        self.said_at, self.is_owed_word = now, False
+        self.said_at, self.is_owed_reply = now, False
 
     def next_time(self, wall: float) -> float:
         """The send time of a message that is sent at ``wall``: later than that of the one before, which it replaces."""
-        self.told_time = max(wall, math.nextafter(self.told_time, math.inf))
-        return self.told_time
+        self.sent_time = max(wall, math.nextafter(self.sent_time, math.inf))
+        return self.sent_time
 
     @property
-    def awaits_word(self) -> bool:
-        """Whether it has not been heard since it was spoken to."""
-        return self.asked_at > self.heard_at
+    def awaits_reply(self) -> bool:
+        """Whether it has not been received since it was spoken to."""
+        return self.asked_at > self.received_at
 
     def has_been_left_alone(self, now: float) -> bool:
         """Whether it has not been spoken to for so long, two round trips at least, that what it says is no answer."""
@@ -230,6 +230,6 @@ class Peer:
         return math.isnan(self.round_trip.mean) or now - self.said_at >= self.round_trip.mean
 
     def begin_term(self) -> None:
-        """Messages of rounds of a former term count no more; it is to hear of the new one."""
+        """Messages of rounds of a former term count no more; it is to learns of the new one."""
         self.exchange.message = self.exchange.repeat = None
-        self.is_owed_word = True
+        self.is_owed_reply = True

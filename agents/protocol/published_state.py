@@ -43,7 +43,7 @@ class PublishedState:
     def is_as_shown(self, quality: str, old_sides: tuple[str, ...]) -> bool:
         """Whether the last state says what holds now beside the estimate and what the strategy notes.
 
-        That fewer sides are old is no news by itself: it waits for the last one, or for the beat.
+        That fewer sides are old is no updates by itself: it waits for the last one, or for the heartbeat.
         """
         shown = self.message.old_sides if self.message else ()
         return self._standing == self._find_standing(quality) and set(old_sides) <= set(shown)
@@ -69,22 +69,22 @@ class PublishedState:
             header=replace(self._header_for(last.header.sequence + 1 if last else 1), scan=scan),
             **describe_estimate(estimate, self._buses),
             sent={name: (peer.load.sequence, peer.exchange.sequence) for name, peer in peers},
-            heard={name: peer.received for name, peer in peers},
+            received={name: peer.received for name, peer in peers},
             messages=0,
             bytes=0,
             lost=0,
             notes=worth.notes,
             faults={},
-            quality=worth.word,
+            quality=worth.quality,
             telemetry_age=self._scan.age(now),
-            ages={name: now - peer.heard_at for name, peer in peers if peer.heard_at > -math.inf},
+            ages={name: now - peer.received_at for name, peer in peers if peer.received_at > -math.inf},
             scans={name: peer.term[0] for name, peer in peers if peer.incarnation is not None},
             old_sides=old_sides,
-            refused=dict(Counter(self._rejections.counts) + self._scan.refused),
+            rejected=dict(Counter(self._rejections.counts) + self._scan.rejected),
         )
         if last is not None and content_of(last) == content_of(state) and last.header.scan == scan:
             state = replace(state, header=replace(state.header, sequence=last.header.sequence))
-        self.message, self._standing = state, self._find_standing(worth.word)
+        self.message, self._standing = state, self._find_standing(worth.quality)
         return state
 
 

@@ -1,6 +1,6 @@
-"""What a published state is worth, in one word and why. docs/explanation/quality.md says what each word promises.
+"""What a published state is worth, in one quality and why. docs/explanation/quality.md says what each quality promises.
 
-Whoever says anything of an estimate says it as a ``Finding``: a sentence, and the best word that it leaves. The word
+Whoever says anything of an estimate says it as a ``Finding``: a sentence, and the best quality that it leaves. The quality
 of a state is the worst of its findings, and its notes are their sentences, the worst first. So neither can be without
 the other: a state that is not good has a note that says why, and one without such a note is good.
 """
@@ -20,44 +20,44 @@ from dsse_core.grid.measurement import Meter, Source
 
 GOOD, DEGRADED, RELATIVE_ANGLE, STALE, NONE = "good", "degraded", "relative-angle", "stale", "none"
 UNOBSERVABLE = "unobservable"
-WORDS = (GOOD, DEGRADED, RELATIVE_ANGLE, STALE, NONE, UNOBSERVABLE)  # from the best to the worst
+QUALITIES = (GOOD, DEGRADED, RELATIVE_ANGLE, STALE, NONE, UNOBSERVABLE)  # from the best to the worst
 
 
 class Finding(NamedTuple):
-    """``note``: a sentence about an estimate. ``word``: the best that the estimate can be; good for a mere remark."""
+    """``note``: a sentence about an estimate. ``quality``: the best that it can be; good for a mere remark."""
 
-    word: str
+    quality: str
     note: str
 
 
 class Worth(NamedTuple):
-    """``word``: what a state is worth. ``notes``: the first of a state that is not good says why."""
+    """``quality``: what a state is worth. ``notes``: the first of a state that is not good says why."""
 
-    word: str
+    quality: str
     notes: tuple[str, ...]
 
 
 def weigh(findings: Iterable[Finding]) -> Worth:
-    """The worst word, and all notes, the worst first; a note that is found twice is said once."""
-    ordered = sorted(findings, key=lambda finding: -WORDS.index(finding.word))
-    word = ordered[0].word if ordered else GOOD
-    return Worth(word, limit_notes(tuple(dict.fromkeys(finding.note for finding in ordered))))
+    """The worst quality, and all notes, the worst first; a note that is found twice is said once."""
+    ordered = sorted(findings, key=lambda finding: -QUALITIES.index(finding.quality))
+    quality = ordered[0].quality if ordered else GOOD
+    return Worth(quality, limit_notes(tuple(dict.fromkeys(finding.note for finding in ordered))))
 
 
 def weigh_from_outside(said: StateMessage | None, silence: str, disputes: Sequence[str] = ()) -> Worth:
-    """What the last state that was heard of an area is worth to who hears it.
+    """What the last state that was received of an area is worth to who receives it.
 
     ``silence``: why the area says nothing more, empty if it does: what was right once is stale then. ``disputes``: what
     other areas contradict, which it may not know.
     """
     if said is None:
-        return Worth(NONE, (silence or "never heard of",))
-    word, notes = Worth(said.quality, said.notes)
+        return Worth(NONE, (silence or "never received",))
+    quality, notes = Worth(said.quality, said.notes)
     if disputes:
-        word, notes = DEGRADED if word == GOOD else word, (*disputes, *notes) if word == GOOD else (*notes, *disputes)
+        quality, notes = DEGRADED if quality == GOOD else quality, (*disputes, *notes) if quality == GOOD else (*notes, *disputes)
     if silence:
-        word, notes = word if word == NONE else STALE, (silence, *notes)
-    return Worth(word, limit_notes(notes))
+        quality, notes = quality if quality == NONE else STALE, (silence, *notes)
+    return Worth(quality, limit_notes(notes))
 
 
 class EstimateLimits:
@@ -89,21 +89,21 @@ class EstimateLimits:
 
 
 def find_missing_side(name: str) -> Finding:
-    """That a neighbour says that not all on its side is heard and fresh."""
+    """That a neighbour says that not all on its side is received and fresh."""
     return Finding(DEGRADED, f"behind {name} something is missing or old")
 
 
-def find_gone(name: str, farewell: str) -> Finding:
+def find_gone(name: str, leave_reason: str) -> Finding:
     """That the process of a neighbour has ended."""
-    return Finding(DEGRADED, f"neighbour {name} has left: {farewell}" if farewell else f"neighbour {name} is gone")
+    return Finding(DEGRADED, f"neighbour {name} has left: {leave_reason}" if leave_reason else f"neighbour {name} is gone")
 
 
-def find_refused_clocks(ahead: Mapping[str, float]) -> Iterator[Finding]:
-    """Senders refused as from the future, "" for the plant -> by how much, s; who is missed is said elsewhere."""
+def find_rejected_clocks(ahead: Mapping[str, float]) -> Iterator[Finding]:
+    """Senders rejected as from the future, "" for the plant -> by how much, s; who is missed is said elsewhere."""
     for name, lead in sorted(ahead.items()):
         yield Finding(
             GOOD,
-            f"{name or 'telemetry'} is refused, from {lead:.0f} s in the future: the clock of this area is behind, "
+            f"{name or 'telemetry'} is rejected, from {lead:.0f} s in the future: the clock of this area is behind, "
             "or that of the sender ahead; set it, then start its process again",
         )
 
@@ -111,7 +111,7 @@ def find_refused_clocks(ahead: Mapping[str, float]) -> Iterator[Finding]:
 def find_contradictions(contradictions: Mapping[str, str]) -> Iterator[Finding]:
     """Neighbour -> in what its area file contradicts that of this area; that it is missed is said elsewhere."""
     for name, what in sorted(contradictions.items()):
-        yield Finding(DEGRADED, f"{name} is refused: {what}")
+        yield Finding(DEGRADED, f"{name} is rejected: {what}")
 
 
 def find_missing_readings(silent: Sequence[str], invalid: Sequence[str]) -> Iterator[Finding]:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from agents.area_files.area_file import AreaFile
 from agents.messages.packing import TelemetryMessage
-from agents.protocol.rejections import find_reading_refusal
+from agents.protocol.rejections import find_reading_rejection
 from dsse_core.exchange.boundary_load import NetLoad, measured_net_loads, own_net_load
 from dsse_core.grid.measurement import Measurement, Source
 
@@ -29,7 +29,7 @@ class Readings:
         self._net_load: NetLoad | None = None  # of these measurements, once asked for
 
     def take(self, message: TelemetryMessage) -> Iterator[str]:
-        """Take over a scan; for each reading that is refused, the reason."""
+        """Take over a scan; for each reading that is rejected, the reason."""
         readings: dict[str, Measurement] = {}
         self.invalid = []
         columns = message.meters, message.values, message.sigmas, message.valid
@@ -40,7 +40,7 @@ class Readings:
             elif not is_valid:
                 self.invalid.append(meter_id)
                 yield "marked invalid"
-            elif reason := find_reading_refusal(value, sigma):
+            elif reason := find_reading_rejection(value, sigma):
                 yield reason
             else:
                 readings[meter_id] = Measurement(meter, value, sigma)

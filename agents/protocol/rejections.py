@@ -1,4 +1,4 @@
-"""Why a well-formed message is refused: whose it is, when it was made, and numbers that cannot be."""
+"""Why a well-formed message is rejected: whose it is, when it was made, and numbers that cannot be."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from agents.area_files.area_file import AreaFile
 from agents.messages.boundary_variables import ONE_PHASE
 from agents.messages.packing import (
     BoundaryMessage,
-    BoundaryNews,
+    BoundaryUpdate,
     ClockMessage,
     DownMessage,
     Header,
@@ -23,26 +23,26 @@ from agents.messages.packing import (
 from dsse_core.linear.boundary_information import BEYOND_REASON, are_within_reason
 
 LONGEST_LEAD_S = 600.0  # by which the sender's clock may be ahead of ours
-MOST_REVISIONS = 10**6  # of one scan; each takes a beat at least
-FUTURE = "time in the future"  # a reason of refusal
+MOST_REVISIONS = 10**6  # of one scan; each takes a heartbeat at least
+FUTURE = "time in the future"  # a reason of rejection
 CONTRADICTION = "contradicts the area file"  # another
 
 
 class Rejections:
-    """What an area has refused.
+    """What an area has rejected.
 
-    ``ahead``: sender refused as from the future, "" for the plant -> by how much, s. ``contradictions``: neighbour
+    ``ahead``: sender rejected as from the future, "" for the plant -> by how much, s. ``contradictions``: neighbour
     whose area file, as its newest heartbeat tells, contradicts that of this area -> in what.
     """
 
     def __init__(self) -> None:
         self.ahead: dict[str, float] = {}
         self.contradictions: dict[str, str] = {}
-        self._refused: Counter[str] = Counter()
+        self._rejected: Counter[str] = Counter()
         self._not_let_in: dict[str, int] = {}
 
-    def refuse(self, message: Message, key_sender: str, reason: str, now: float) -> None:
-        """Count a message that is refused for ``reason`` at ``now``, s since 1970."""
+    def reject(self, message: Message, key_sender: str, reason: str, now: float) -> None:
+        """Count a message that is rejected for ``reason`` at ``now``, s since 1970."""
         self.count(reason)
         if reason == FUTURE:
             self.ahead.setdefault(key_sender, find_lead(message.header, now))
@@ -56,19 +56,19 @@ class Rejections:
 
     def count(self, reason: str) -> None:
         """One more for ``reason``."""
-        self._refused[reason] += 1
+        self._rejected[reason] += 1
 
     def note_not_let_in(self, reason: str, count: int) -> None:
-        """So many payloads have been refused at the door so far."""
+        """So many payloads have been rejected at the door so far."""
         self._not_let_in[reason] = max(count, self._not_let_in.get(reason, 0))
 
     @property
     def counts(self) -> Mapping[str, int]:
         """By reason."""
-        return self._refused + Counter(self._not_let_in)
+        return self._rejected + Counter(self._not_let_in)
 
 
-def find_refusal(message: Message, key_sender: str, content: AreaFile, now: float) -> str:
+def find_rejection(message: Message, key_sender: str, content: AreaFile, now: float) -> str:
     """Why the agent of ``content`` cannot take ``message``, in short; empty if it can.
 
     ``key_sender``: as in ``events.Received``. ``now``: s since 1970. A time in the past is no reason: order
@@ -80,7 +80,7 @@ def find_refusal(message: Message, key_sender: str, content: AreaFile, now: floa
     if find_lead(header, now) > LONGEST_LEAD_S:
         return FUTURE
     if isinstance(message, TelemetryMessage):
-        return _find_telemetry_refusal(message, content)
+        return _find_telemetry_rejection(message, content)
     bus = next((n.bus for n in content.area.neighbours if n.area == header.sender), None)
     if isinstance(message, StateMessage | ClockMessage) or bus is None:
         return "unknown sender"
@@ -94,12 +94,12 @@ def find_refusal(message: Message, key_sender: str, content: AreaFile, now: floa
 
 
 def find_lead(header: Header, now: float) -> float:
-    """By how much the clock of the sender, or the beginning of its life, is ahead of ``now``, s since 1970; in s."""
+    """By how much, s, the clock of the sender or the start of its incarnation is ahead of ``now``, s since 1970."""
     return max(header.time, header.incarnation.start_ms / 1000) - now
 
 
 def find_unreasonable(
-    message: LoadMessage | BoundaryNews | HeartbeatMessage | UpMessage | DownMessage,
+    message: LoadMessage | BoundaryUpdate | HeartbeatMessage | UpMessage | DownMessage,
 ) -> str:
     """That no estimate can have the numbers of ``message``; empty if one can. Strategies know more of their own."""
     match message:
@@ -120,13 +120,13 @@ def find_unreasonable(
     return "" if possible else "numbers beyond reason"
 
 
-def _find_telemetry_refusal(message: TelemetryMessage, content: AreaFile) -> str:
+def _find_telemetry_rejection(message: TelemetryMessage, content: AreaFile) -> str:
     if message.area != content.area.name:
         return "telemetry of another area"
     return "meter given twice" if len(set(message.meters)) < len(message.meters) else ""
 
 
-def find_reading_refusal(value: float, sigma: float) -> str:
+def find_reading_rejection(value: float, sigma: float) -> str:
     """Why a reading cannot be used, in short; p.u. or rad."""
     if sigma <= 0:
         return "sigma not positive"

@@ -2,7 +2,7 @@
 
 The areas form a tree, and each knows which neighbour lies towards the hub. In round k an area waits for Up(k) of all
 other neighbours, adds its own, and sends Up(k) on; who has nobody towards the hub knows the totals and decides. Down(k)
-carries the totals and the information of everything else back; who hears it takes the step, passes Down(k) on and is
+carries the totals and the information of everything else back; who receives it takes the step, passes Down(k) on and is
 in round k + 1. Every message says which (scan, revision, k) it belongs to, so that messages of different iterations
 never meet.
 
@@ -34,7 +34,7 @@ from agents.protocol.area_round import AreaRound, Content, Decider, Outcome
 from agents.protocol.events import Action, Publish
 from agents.protocol.peers import Peer, Term
 from agents.protocol.rounds_state import RoundsState
-from agents.protocol.scan_readings import News
+from agents.protocol.scan_readings import TelemetryUpdate
 from dsse_core.estimation.verdict import Totals
 
 RoundsMessage = HeartbeatMessage | UpMessage | DownMessage
@@ -87,7 +87,7 @@ class RoundsProtocol(AreaProtocol):
 
     # What comes in
 
-    def _find_refusal(self, message: Message) -> str:
+    def _find_rejection(self, message: Message) -> str:
         is_far = isinstance(message, RoundsMessage) and not self._scan.may_enter(message.header.scan, self._now)
         return "scan far ahead of the telemetry" if is_far else ""
 
@@ -97,21 +97,21 @@ class RoundsProtocol(AreaProtocol):
     def _take_telemetry(self, message: TelemetryMessage) -> Iterator[Action]:
         yield from self._act_on(self._scan.take(message, self._now))
 
-    def _act_on(self, news: News) -> Iterator[Action]:
+    def _act_on(self, update: TelemetryUpdate) -> Iterator[Action]:
         """Use new readings, or readings that belong to another scan than was thought."""
-        match news:
-            case News.NEXT_SCAN:
+        match update:
+            case TelemetryUpdate.NEXT_SCAN:
                 yield from self._enter_next_scan()
-            case News.AWAITED:
+            case TelemetryUpdate.AWAITED:
                 yield from self._begin()
-            case News.LATE:
+            case TelemetryUpdate.LATE:
                 yield from self._change()
 
     def _take_load(self) -> Iterator[Action]:
         self._has_loads_to_tell |= self._scan.are_there
         yield from ()
 
-    def _hear(self, name: str, message: LinkMessage) -> Iterator[Action]:
+    def _receive(self, name: str, message: LinkMessage) -> Iterator[Action]:
         assert isinstance(message, RoundsMessage)
         peer = self._peers[name]
         is_restart = self._note(name, message)
@@ -127,13 +127,13 @@ class RoundsProtocol(AreaProtocol):
             yield from self._change()
         if term < self.term:
             # a message that is being repeated shows our term as well, but not how scans are numbered
-            peer.is_owed_word |= peer.exchange.repeat is None or term[0] < self.scan
+            peer.is_owed_reply |= peer.exchange.repeat is None or term[0] < self.scan
         elif name in self._round.links:
             yield from self._take_in_term(name, peer, message)
 
     def _must_change_for(self, name: str, message: RoundsMessage, is_restart: bool) -> bool:
         """Whether a neighbour is back that is not in use, or begins anew."""
-        return is_restart or (name not in self._round.links and message.hears)
+        return is_restart or (name not in self._round.links and message.receives)
 
     def _take_in_term(self, name: str, peer: Peer, message: RoundsMessage) -> Iterator[Action]:
         if isinstance(message, HeartbeatMessage):
@@ -147,9 +147,9 @@ class RoundsProtocol(AreaProtocol):
     def _take_round(self, name: str, peer: Peer, message: UpMessage | DownMessage) -> Iterator[Action]:
         """A message of a round from a neighbour in use: what is not answered at once is acknowledged at once."""
         if message.k > self._round.k:
-            return  # said to a former life of this area
-        peer.is_owed_word = True
-        peer.heard_sequence = max(peer.heard_sequence, message.header.sequence)
+            return  # said to a former incarnation of this area
+        peer.is_owed_reply = True
+        peer.received_sequence = max(peer.received_sequence, message.header.sequence)
         if message.k < self._round.k:
             if peer.has_waited_for_trip(self._now):  # it lacks our answer
                 yield from self._send_if_lacking(name, peer.exchange, message.received[1], even_if_repeated=True)
@@ -168,8 +168,8 @@ class RoundsProtocol(AreaProtocol):
         if self._round.outcome is None:
             return False
         lower = self._round.lower
-        unheard = (name for name in lower if self._peers[name].exchange.repeat is not None)
-        return any(self._peers.is_present(name, self._now) for name in unheard)
+        unacknowledged = (name for name in lower if self._peers[name].exchange.repeat is not None)
+        return any(self._peers.is_present(name, self._now) for name in unacknowledged)
 
     def _enter_next_scan(self) -> Iterator[Action]:
         """Leave this scan for a later one with readings, at its end: that comes, as whoever is silent is left out."""
@@ -177,7 +177,7 @@ class RoundsProtocol(AreaProtocol):
             yield from self._enter((self._scan.next_scan, 0))
 
     def _change(self) -> Iterator[Action]:
-        """The links in use must change: the next revision; no more than one of an area's own per beat."""
+        """The links in use must change: the next revision; no more than one of an area's own per heartbeat."""
         if self._now < self._raised_at + self._beat_s:
             self._is_change_due = True
             return
@@ -200,7 +200,7 @@ class RoundsProtocol(AreaProtocol):
     def _begin(self) -> Iterator[Action]:
         """Round 0 with the readings."""
         self._has_loads_to_tell = True
-        loads = self._heard_loads()
+        loads = self._received_loads()
         self._round.begin(self._scan.readings.measurements, stale=self._scan.stale, loads=loads)
         yield from self._go_on()
 
@@ -215,19 +215,19 @@ class RoundsProtocol(AreaProtocol):
                     name, UpMessage(**self._fields_of(name, self._round.find_up(totals), self._round.k))
                 )
                 return
-            life = (self._incarnation.start_ms, self._incarnation.random)
-            yield from self._descend(totals, Decider(self._area.name, life), None)
+            incarnation = (self._incarnation.start_ms, self._incarnation.random)
+            yield from self._descend(totals, Decider(self._area.name, incarnation), None)
 
     def _take_down(self, name: str, message: DownMessage) -> Iterator[Action]:
         """Follow the side of the hub, unless its message contradicts itself: then go on without it in this scan."""
         if why := self._round.find_lie(message):
             yield from self._distrust(name, why)
             return
-        yield from self._descend(message.totals, Decider(message.decider, message.life), message)
+        yield from self._descend(message.totals, Decider(message.decider, message.incarnation), message)
         yield from self._go_on()
 
     def _distrust(self, name: str, why: str) -> Iterator[Action]:
-        """Go on without a neighbour in this scan: what it says contradicts itself, or what it was told."""
+        """Go on without a neighbour in this scan: what it says contradicts itself, or what was sent to it."""
         self._peers.distrusted[name] = why
         yield from self._change()
 
@@ -236,7 +236,7 @@ class RoundsProtocol(AreaProtocol):
         verdict, k = self._round.decide(totals), self._round.k
         for name, content in self._round.descend(verdict, totals, decider, down):
             fields = self._fields_of(name, content, k)
-            message = DownMessage(**fields, verdict=str(verdict), decider=decider.name, life=decider.life)
+            message = DownMessage(**fields, verdict=str(verdict), decider=decider.name, incarnation=decider.incarnation)
             yield self._send_round(name, message)
         if self._round.outcome is not None:
             yield from self._enter_next_scan()
@@ -245,17 +245,17 @@ class RoundsProtocol(AreaProtocol):
 
     def _fields_of(self, name: str, content: Content, k: int) -> dict[str, Any]:
         """Of a message of round ``k``; what holds of the link is filled in as it is sent."""
-        peer, told, no_load = self._peers[name], content.information, content.no_load
+        peer, information, no_load = self._peers[name], content.information, content.no_load
         return {
             "header": self._header(peer.exchange.sequence + 1),
             "bus": peer.bus,
             "revision": self._revision,
             "k": k,
-            "hears": False,
+            "receives": False,
             "answers": 0.0,
             "received": (0, 0),
-            "R": write_triangle(told.R) if told else (),
-            "z": tuple(told.z.tolist()) if told else (),
+            "R": write_triangle(information.R) if information else (),
+            "z": tuple(information.z.tolist()) if information else (),
             "no_load": write_triangle(no_load.R) if no_load else (),
             "power": content.power,
             "totals": content.totals,
@@ -275,7 +275,7 @@ class RoundsProtocol(AreaProtocol):
 
     # What time brings
 
-    def _act(self, *, is_beat: bool) -> Iterator[Action]:
+    def _act(self, *, is_heartbeat: bool) -> Iterator[Action]:
         if self._now >= self._scan.deadline:
             self._scan.go_on_without()
             yield from self._begin()
@@ -287,9 +287,9 @@ class RoundsProtocol(AreaProtocol):
             self._has_loads_to_tell = False
             yield from self._tell_loads()
 
-    def _show(self, *, is_beat: bool) -> Iterator[Publish]:
-        """The state once a scan at rest, anew at every beat, and when its quality changes."""
-        yield from self._publish_state(self._state.show(self.term, self._now, is_beat=is_beat))
+    def _show(self, *, is_heartbeat: bool) -> Iterator[Publish]:
+        """The state once a scan at rest, anew at every heartbeat, and when its quality changes."""
+        yield from self._publish_state(self._state.show(self.term, self._now, is_heartbeat=is_heartbeat))
 
     def _publish_state(self, state: StateMessage | None) -> Iterator[Publish]:
         if state is not None:

@@ -9,7 +9,7 @@ from dataclasses import replace
 from agents.area_files.area_file import AreaFile
 from agents.messages.packing import StateMessage
 from agents.protocol.area_round import AreaRound, Outcome
-from agents.protocol.freshness import PASSED_ON_BEATS
+from agents.protocol.freshness import PASSED_ON_HEARTBEATS
 from agents.protocol.peer_table import PeerTable
 from agents.protocol.peers import Term
 from agents.protocol.published_state import PublishedState
@@ -26,7 +26,7 @@ from agents.protocol.quality import (
     find_gone,
     find_missing_readings,
     find_missing_side,
-    find_refused_clocks,
+    find_rejected_clocks,
     weigh,
 )
 from agents.protocol.rejections import Rejections
@@ -65,15 +65,15 @@ class RoundsState:
         self._outcome: Outcome | None = None  # which the estimate is of
         self._of_scan = 0
         self._findings: tuple[Finding, ...] = ()  # of the outcome
-        self._gaps: dict[str, tuple[Outcome, tuple[float, ...], tuple[float, float]]] = {}  # as _find_gap found them
+        self._kept_mismatches: dict[str, tuple[Outcome, tuple[float, ...], tuple[float, float]]] = {}  # as _find_mismatch found them
 
-    def show(self, term: Term, now: float, *, is_beat: bool) -> StateMessage | None:
-        """The state to be published at time ``now``, if any is; passing notes alone wait for the beat."""
+    def show(self, term: Term, now: float, *, is_heartbeat: bool) -> StateMessage | None:
+        """The state to be published at time ``now``, if any is; passing notes alone wait for the heartbeat."""
         outcome = self._round.outcome
         if outcome is not None and outcome is not self._outcome:
             self._outcome, self._of_scan = outcome, term[0]
             self._estimate, self._findings = self._read(outcome)
-        elif not is_beat and (self._is_first_way_through(term) or self._is_as_shown(term, now)):
+        elif not is_heartbeat and (self._is_first_way_through(term) or self._is_as_shown(term, now)):
             return None
         worth, old_sides, scan = self._weigh(term, now), self._old_sides(term, now), self._of_scan or term[0]
         return self._published.compose(self._estimate_now(term), worth, old_sides, scan, now)
@@ -81,10 +81,10 @@ class RoundsState:
     def show_end(self, term: Term, now: float) -> StateMessage | None:
         """The state at an end of ``term`` that has not been shown yet, as the next term begins at once."""
         is_new = self._round.outcome is not None and self._round.outcome is not self._outcome
-        return self.show(term, now, is_beat=False) if is_new else None
+        return self.show(term, now, is_heartbeat=False) if is_new else None
 
     def _is_first_way_through(self, term: Term) -> bool:
-        """Whether a scan is under way, and nothing has happened to it: its estimate is shown, or at the beat that it
+        """Whether a scan is under way, and nothing has happened to it: its estimate is shown, or at the heartbeat that it
         is not there; what was said of the last scan still holds of that.
         """
         if self._round.outcome is not None:
@@ -92,7 +92,7 @@ class RoundsState:
         return 0 < term[0] != self._of_scan and (not term[1] or self._published.message is None)
 
     def _is_as_shown(self, term: Term, now: float) -> bool:
-        return self._published.is_as_shown(self._weigh(term, now).word, self._old_sides(term, now))
+        return self._published.is_as_shown(self._weigh(term, now).quality, self._old_sides(term, now))
 
     def _read(self, outcome: Outcome) -> tuple[Estimate | None, tuple[Finding, ...]]:
         """What the term has ended with, and what that leaves to be said until the next one."""
@@ -152,7 +152,7 @@ class RoundsState:
         if totals.areas != self._area.n_areas:
             yield Finding(DEGRADED, f"{totals.areas} of {self._area.n_areas} areas are counted")
         elif totals.silent:
-            yield Finding(DEGRADED, f"not heard by a neighbour: {', '.join(totals.silent)}")
+            yield Finding(DEGRADED, f"not received by a neighbour: {', '.join(totals.silent)}")
 
     def _findings_of_end(self, outcome: Outcome) -> Iterator[Finding]:
         """How the iteration has ended, where that leaves something to be said."""
@@ -185,9 +185,9 @@ class RoundsState:
         yield from (Finding(DEGRADED, note) for note in self._mismatches(term))
         if self._outcome is not None:
             yield from self._aging(term, now)
-        for name, farewell in sorted(self._peers.gone.items()):
-            yield find_gone(name, farewell)
-        yield from find_refused_clocks(self._rejections.ahead)
+        for name, leave_reason in sorted(self._peers.gone.items()):
+            yield find_gone(name, leave_reason)
+        yield from find_rejected_clocks(self._rejections.ahead)
         yield from find_contradictions(self._rejections.contradictions)
         if self._scan.has_been_read:
             yield from find_missing_readings(self._scan.readings.silent, self._scan.readings.invalid)
@@ -195,7 +195,7 @@ class RoundsState:
     def _aging(self, term: Term, now: float) -> Iterator[Finding]:
         """What has grown old since the outcome, or is being replaced."""
         if self._scan.is_late(now):
-            yield Finding(STALE, "telemetry is not heard")
+            yield Finding(STALE, "telemetry is not received")
         if self._scan.stale:
             yield Finding(STALE, "no readings of this scan; the last ones stand in")
         if self._scan.are_outdated:
@@ -212,7 +212,7 @@ class RoundsState:
             elif not peer.complete:
                 yield find_missing_side(name)
             else:
-                yield Finding(DEGRADED, f"{name} is not heard, or does not hear this area")
+                yield Finding(DEGRADED, f"{name} is not received, or does not receive this area")
 
     def _mismatches(self, term: Term) -> Iterator[str]:
         """Neighbours whose final voltage at the boundary is another than ours: somebody on that side says false things.
@@ -225,30 +225,30 @@ class RoundsState:
         for name, peer in sorted(self._peers.items()):
             if peer.term != term or not peer.final or not peer.y or name not in self._round.links:
                 continue
-            dvm, dva = self._find_gap(name, outcome, peer.y)
+            dvm, dva = self._find_mismatch(name, outcome, peer.y)
             if max(dvm, dva) > MISMATCH:
                 yield (
                     f"boundary mismatch with {name} at bus {peer.bus}: its final voltage differs by {dvm:.3g} p.u. and "
                     f"{math.degrees(dva):.3g} deg; one of the two sides says false things"
                 )
 
-    def _find_gap(self, name: str, outcome: Outcome, theirs: tuple[float, ...]) -> tuple[float, float]:
+    def _find_mismatch(self, name: str, outcome: Outcome, theirs: tuple[float, ...]) -> tuple[float, float]:
         """By how much (vm, va) at a boundary differ, p.u. and rad; asked for at every event, found once."""
-        kept = self._gaps.get(name)
+        kept = self._kept_mismatches.get(name)
         if kept is None or kept[0] is not outcome or kept[1] != theirs:
             _, _, vm, va = self._round.estimation.boundary_values(name)
-            gap = abs(vm - theirs[2]), abs(math.remainder(va - theirs[3], 2 * math.pi))
-            self._gaps[name] = kept = outcome, theirs, gap
+            mismatch = abs(vm - theirs[2]), abs(math.remainder(va - theirs[3], 2 * math.pi))
+            self._kept_mismatches[name] = kept = outcome, theirs, mismatch
         return kept[2]
 
     def is_side_complete(self, name: str, term: Term, now: float) -> bool:
-        """Whether all on this side of neighbour ``name`` is heard, fresh, at the end of this term and agrees."""
+        """Whether all on this side of neighbour ``name`` is received, fresh, at the end of this term and agrees."""
         outcome = self._round.outcome
-        if outcome is None or self._scan.is_late(now, PASSED_ON_BEATS) or self._scan.are_outdated:
+        if outcome is None or self._scan.is_late(now, PASSED_ON_HEARTBEATS) or self._scan.are_outdated:
             return False
         if not self._counts_all(outcome) or any(self._mismatches(term)):
             return False
-        return not self._peers.find_old(term, self._round.links, now, PASSED_ON_BEATS) - {name}
+        return not self._peers.find_old(term, self._round.links, now, PASSED_ON_HEARTBEATS) - {name}
 
     def _old_sides(self, term: Term, now: float) -> tuple[str, ...]:
         """Neighbours that say that their side is not complete."""

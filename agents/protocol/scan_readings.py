@@ -1,6 +1,6 @@
 """The readings that an area has of its current scan and of later ones, and whether they are late.
 
-The scan of terms is the number that the plant gives it plus an *offset*, of which each life of the plant has one: 0, or
+The scan of terms is the number that the plant gives it plus an *offset*, of which each incarnation of the plant has one: 0, or
 what is needed so that no term goes back where a plant numbers lower than the one before, its clock having been set
 back. Areas may find different offsets needed. They tell each other theirs, and the largest counts for all.
 """
@@ -11,19 +11,19 @@ from collections import Counter
 from enum import Enum, auto
 
 from agents.area_files.area_file import AreaFile
-from agents.messages.packing import NO_LIFE, Incarnation, TelemetryMessage
-from agents.protocol.freshness import FRESH_BEATS, PATIENCE_BEATS, is_old
+from agents.messages.packing import NO_INCARNATION, Incarnation, TelemetryMessage
+from agents.protocol.freshness import FRESH_HEARTBEATS, PATIENCE_HEARTBEATS, is_old
 from agents.protocol.readings import Readings
 
-MOST_AHEAD = 10  # scans by which a neighbour may be ahead of telemetry that is heard; with more, one of them is wrong
-DEADLINE_BEATS = 5  # after which an area goes on without its own readings; or
+MOST_AHEAD = 10  # scans by which a neighbour may be ahead of telemetry that is received; with more, one of them is wrong
+DEADLINE_HEARTBEATS = 5  # after which an area goes on without its own readings; or
 DEADLINE_SHARE = 1 / 4  # of the time between two scans, where that is known
 
 
 MOST_OFFSET = 2**51  # that is believed of a neighbour: far above any time in ms, far below any limit of a message
 
 
-class News(Enum):
+class TelemetryUpdate(Enum):
     """What new telemetry is: of no use, of the scan that waits for it, of a scan under way, of a later one."""
 
     NONE = auto()
@@ -34,7 +34,7 @@ class News(Enum):
 
 class ScanReadings:
     """``scan``: the current one, 0 before any. ``are_there``: its readings are, or it goes on without them, which is
-    ``stale``. ``refused``: readings that cannot be used, by reason.
+    ``stale``. ``rejected``: readings that cannot be used, by reason.
     """
 
     def __init__(self, content: AreaFile, now: float) -> None:
@@ -42,15 +42,15 @@ class ScanReadings:
         self.scan = 0
         self.are_there = self.stale = False
         self.entered_at = now
-        self.refused: Counter[str] = Counter()
+        self.rejected: Counter[str] = Counter()
         self._beat_s = content.beat_s
-        self._deadline_s = DEADLINE_SHARE * content.scan_s if content.scan_s else DEADLINE_BEATS * content.beat_s
+        self._deadline_s = DEADLINE_SHARE * content.scan_s if content.scan_s else DEADLINE_HEARTBEATS * content.beat_s
         self._last: TelemetryMessage | None = None
-        self._heard_at = now
+        self._received_at = now
         self._later: dict[int, TelemetryMessage] = {}
         self._used: TelemetryMessage | None = None  # the newest that has been read
-        self._offset = 0  # of the life of the plant that was last heard
-        self._told: dict[str, tuple[Incarnation, int]] = {}  # neighbour -> life and offset of its plant
+        self._offset = 0  # of the incarnation of the plant that was last received
+        self._of_neighbours: dict[str, tuple[Incarnation, int]] = {}  # neighbour -> incarnation and offset of its plant
 
     @property
     def next_scan(self) -> int:
@@ -63,23 +63,23 @@ class ScanReadings:
         return self.scan in self._later
 
     def age(self, now: float) -> float:
-        """s since telemetry was last heard; 0 before the first."""
-        return now - self._heard_at if self._last else 0.0
+        """s since telemetry was last received; 0 before the first."""
+        return now - self._received_at if self._last else 0.0
 
-    def is_late(self, now: float, beats: float = FRESH_BEATS) -> bool:
-        """Whether telemetry has not been heard for ``beats``."""
-        return now >= self._heard_at + beats * self._beat_s
+    def is_late(self, now: float, heartbeats: float = FRESH_HEARTBEATS) -> bool:
+        """Whether telemetry has sent nothing for ``heartbeats``."""
+        return now >= self._received_at + heartbeats * self._beat_s
 
-    def fresh_until(self, beats: float) -> float:
+    def fresh_until(self, heartbeats: float) -> float:
         """When it will not have been, if none comes."""
-        return self._heard_at + beats * self._beat_s
+        return self._received_at + heartbeats * self._beat_s
 
     def may_enter(self, scan: int, now: float) -> bool:
         """Whether a neighbour can be at ``scan``: numbers come from telemetry, and terms never go back.
 
-        An area that hears no telemetry, not yet or no more, cannot know better.
+        An area that receives no telemetry, not yet or no more, cannot know better.
         """
-        if self._last is None or self.is_late(now, PATIENCE_BEATS):
+        if self._last is None or self.is_late(now, PATIENCE_HEARTBEATS):
             return True
         return scan <= self._last.header.scan + self._offset + MOST_AHEAD
 
@@ -94,12 +94,12 @@ class ScanReadings:
         return self._last is not None
 
     def _is_newer(self, message: TelemetryMessage, now: float) -> bool:
-        """Note that telemetry is heard; whether it is newer than what there is."""
+        """Note that telemetry is received; whether it is newer than what there is."""
         last = self._last
-        patience_s = PATIENCE_BEATS * self._beat_s
-        if last is not None and is_old(message.header, last.header, now - self._heard_at, patience_s):
+        patience_s = PATIENCE_HEARTBEATS * self._beat_s
+        if last is not None and is_old(message.header, last.header, now - self._received_at, patience_s):
             return False
-        self._heard_at = now
+        self._received_at = now
         return last is None or message.header.order != last.header.order
 
     def take_at_once(self, message: TelemetryMessage, now: float) -> bool:
@@ -112,55 +112,55 @@ class ScanReadings:
         self._read(message)
         return True
 
-    def take(self, message: TelemetryMessage, now: float) -> News:
+    def take(self, message: TelemetryMessage, now: float) -> TelemetryUpdate:
         """Keep telemetry if it is newer than what there is."""
         if not self._is_newer(message, now):
-            return News.NONE
+            return TelemetryUpdate.NONE
         self._renumber(message)
         self._last = message
         return self._file(message)
 
     def _renumber(self, message: TelemetryMessage) -> None:
-        """Find the offset of a life of the plant that is heard for the first time, or again."""
-        last, life, number = self._last, message.header.incarnation, message.header.scan
-        if last is None or life != last.header.incarnation:
-            self._later.clear()  # a former life says nothing more: to enter its scans would leave this one behind
-            self._offset = max((offset for its_life, offset in self._told.values() if its_life == life), default=0)
+        """Find the offset of an incarnation of the plant that is received for the first time, or again."""
+        last, incarnation, number = self._last, message.header.incarnation, message.header.scan
+        if last is None or incarnation != last.header.incarnation:
+            self._later.clear()  # a former incarnation says nothing more: to enter its scans would leave this one behind
+            self._offset = max((offset for its_incarnation, offset in self._of_neighbours.values() if its_incarnation == incarnation), default=0)
             if last is not None and number + self._offset < self.scan:
                 self._offset = self.scan + self.are_there - number
 
     @property
     def numbering(self) -> tuple[Incarnation, int]:
-        """The life of the plant that was last heard, and the offset of its scans."""
-        return (self._last.header.incarnation, self._offset) if self._last else (NO_LIFE, 0)
+        """The incarnation of the plant that was last received, and the offset of its scans."""
+        return (self._last.header.incarnation, self._offset) if self._last else (NO_INCARNATION, 0)
 
-    def take_numbering(self, name: str, life: Incarnation, offset: int) -> News:
-        """Follow neighbour ``name`` where it has found a larger ``offset`` needed for a ``life`` of the plant."""
+    def take_numbering(self, name: str, incarnation: Incarnation, offset: int) -> TelemetryUpdate:
+        """Follow neighbour ``name`` where it needs a larger ``offset`` for an ``incarnation`` of the plant."""
         if offset > MOST_OFFSET:
-            return News.NONE
-        self._told[name] = life, offset
-        if self._last is None or life != self._last.header.incarnation or offset <= self._offset:
-            return News.NONE
+            return TelemetryUpdate.NONE
+        self._of_neighbours[name] = incarnation, offset
+        if self._last is None or incarnation != self._last.header.incarnation or offset <= self._offset:
+            return TelemetryUpdate.NONE
         self._offset = offset
         self._later.clear()  # all else is older
         return self._file(self._last)
 
-    def _file(self, message: TelemetryMessage) -> News:
+    def _file(self, message: TelemetryMessage) -> TelemetryUpdate:
         """Keep the newest readings for their scan."""
         scan = message.header.scan + self._offset
         if scan > self.scan:
             self._later[scan] = message
-            return News.NEXT_SCAN
+            return TelemetryUpdate.NEXT_SCAN
         if scan < self.scan:
-            return News.NONE
+            return TelemetryUpdate.NONE
         if not self.are_there:
             self._read(message)
-            return News.AWAITED
+            return TelemetryUpdate.AWAITED
         known = self._later.get(scan, self._used)
         if self.stale or known is None or _says(message) != _says(known):
             self._later[scan] = message  # what is under way goes on with what there is until the next term
-            return News.LATE
-        return News.NONE
+            return TelemetryUpdate.LATE
+        return TelemetryUpdate.NONE
 
     def enter(self, scan: int, now: float) -> None:
         """Begin a term of ``scan``, with the readings that there are."""
@@ -176,7 +176,7 @@ class ScanReadings:
 
     def _read(self, message: TelemetryMessage) -> None:
         self._used = message
-        self.refused.update(self.readings.take(message))
+        self.rejected.update(self.readings.take(message))
         self.are_there, self.stale = True, False
 
 

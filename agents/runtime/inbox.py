@@ -1,4 +1,4 @@
-"""The inbox between the bus' threads and the one loop of a process: unread news of a slot is replaced by newer."""
+"""The inbox between the bus' threads and the one loop of a process: the newest item of a slot is kept."""
 
 import queue
 from typing import Any
@@ -8,33 +8,33 @@ SUPERSEDED = object()  # a newer item of the slot is being put at this very mome
 
 
 class Inbox:
-    """Many threads put, one takes. ``overflowed`` counts what was dropped because too many slots hold unread news.
+    """Many threads put, one takes. ``overflowed`` counts what was dropped because too many slots hold unread items.
 
     No lock, because ``put`` is called by signal handlers too, which may interrupt ``take``: each operation on the
     dict and on the queue is atomic by itself, and ``take`` takes all there is, however often it was announced.
     """
 
     def __init__(self) -> None:
-        self._news: dict[Any, Any] = {}
+        self._updates: dict[Any, Any] = {}
         self._announced: queue.SimpleQueue[None] = queue.SimpleQueue()
         self.overflowed = 0
 
     def put(self, slot: Any, item: Any) -> None:
         """Leave ``item``; an earlier item of the same ``slot`` that has not been taken is superseded."""
-        if slot not in self._news and len(self._news) >= MAX_WAITING:
+        if slot not in self._updates and len(self._updates) >= MAX_WAITING:
             self.overflowed += 1
             return
-        self._news.pop(slot, None)  # the newest goes to the end of the order
-        self._news[slot] = item
+        self._updates.pop(slot, None)  # the newest goes to the end of the order
+        self._updates[slot] = item
         if self._announced.qsize() < MAX_WAITING:
             self._announced.put(None)
 
     def take(self, timeout_s: float) -> list[Any]:
-        """Wait for news up to ``timeout_s``; everything unread, the newest of each slot, in order of arrival."""
+        """Wait for items up to ``timeout_s``; everything unread, the newest of each slot, in order of arrival."""
         try:
             self._announced.get(timeout=max(0.0, timeout_s))
             while True:
                 self._announced.get_nowait()
         except queue.Empty:
-            taken = [self._news.pop(slot, SUPERSEDED) for slot in list(self._news)]
+            taken = [self._updates.pop(slot, SUPERSEDED) for slot in list(self._updates)]
             return [item for item in taken if item is not SUPERSEDED]

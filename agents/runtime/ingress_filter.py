@@ -10,13 +10,13 @@ from collections.abc import Collection
 from agents.messages.checks import MessageError, is_worth_writing
 from agents.messages.keys import sender_of
 from agents.messages.packing import MAX_BYTES, MAX_NEIGHBOUR_BYTES, decode
-from agents.protocol.events import Received, Refused
+from agents.protocol.events import Received, Rejected
 from agents.runtime.inbox import Inbox
 
 log = logging.getLogger(__name__)
 
 
-class Doorkeeper:
+class IngressFilter:
     """Puts what arrives on the bus' threads into ``inbox``, one slot for each key: strangers do not make it grow.
 
     Args:
@@ -28,14 +28,14 @@ class Doorkeeper:
         self._largest = dict.fromkeys(neighbour_keys, MAX_NEIGHBOUR_BYTES) | {telemetry_key: MAX_BYTES}
         self._inbox = inbox
         self._last: dict[str, tuple[bytes, Received]] = {}  # of each key; most of what comes repeats it
-        self._refused: Counter[str] = Counter()
+        self._rejected: Counter[str] = Counter()
         self._lock = threading.Lock()
 
     def take(self, key: str, payload: bytes) -> None:
         """Let a message in, or count why not."""
         largest = self._largest.get(key)
         if largest is None:
-            self._refuse("unknown sender", key, "nobody who has a say here speaks on this key")
+            self._reject("unknown sender", key, "nobody who has a say here speaks on this key")
             return
         last = self._last.get(key)
         if last is not None and last[0] == payload:
@@ -44,16 +44,16 @@ class Doorkeeper:
         try:
             message = decode(payload, largest)
         except MessageError as error:
-            self._refuse(error.reason, key, str(error))
+            self._reject(error.reason, key, str(error))
         else:
             received = Received(message, sender_of(key))
             self._last[key] = payload, received
             self._inbox.put(key, received)
 
-    def _refuse(self, reason: str, key: str, why: str) -> None:
+    def _reject(self, reason: str, key: str, why: str) -> None:
         with self._lock:
-            self._refused[reason] += 1
-            count = self._refused[reason]
-        self._inbox.put(("refused", reason), Refused(reason, count))
+            self._rejected[reason] += 1
+            count = self._rejected[reason]
+        self._inbox.put(("rejected", reason), Rejected(reason, count))
         if is_worth_writing(count):
-            log.warning("refused payload number %s for this reason, on %.200s: %s", count, ascii(key), why)
+            log.warning("rejected payload number %s for this reason, on %.200s: %s", count, ascii(key), why)

@@ -1,7 +1,7 @@
-"""What a lying area says: one false story of a boundary, of the totals or of a verdict, told in all its messages.
+"""What a lying area says: the same false boundary, totals or verdict in all its messages.
 
 A story that contradicts itself is found out at once. So every number that speaks of y = (p, q, vm, va) at the boundary
-is changed as if y were another one, and a verdict follows from the totals that are told, unless the lie is about the
+is changed as if y were another one, and a verdict follows from the totals that are sent, unless the lie is about the
 verdict itself.
 """
 
@@ -33,7 +33,7 @@ class Liar:
     def __init__(self, faults: LinkFaults) -> None:
         self._faults = faults
         self._offset = np.array(faults.lie_offset)
-        self._told: dict[tuple[object, int, int, int], Memory] = {}  # what verdicts of a round rest on, as told
+        self._memories: dict[tuple[object, int, int, int], Memory] = {}  # what verdicts of a round rest on, as sent
 
     def falsify(self, message: Message) -> Message:
         """What the link makes ``message`` say."""
@@ -54,8 +54,8 @@ class Liar:
         """y, or the first of it, or nothing where nothing was said."""
         if not self._faults.lies_of_boundary:
             return y
-        told = self._faults.lie_scale * np.array(y) + self._offset[: len(y)]
-        return tuple(told.tolist())
+        false = self._faults.lie_scale * np.array(y) + self._offset[: len(y)]
+        return tuple(false.tolist())
 
     def _falsify_round(self, message: UpMessage | DownMessage) -> UpMessage | DownMessage:
         message = self._falsify_information(message)
@@ -85,14 +85,14 @@ class Liar:
         return totals
 
     def _find_verdict(self, message: DownMessage, totals: Totals) -> str:
-        """What follows from ``totals`` after all that was told in this term."""
+        """What follows from ``totals`` after all that was sent in this term."""
         if not self._faults.lies_of_totals:
             return message.verdict
         header = message.header
         term = (header.incarnation, header.scan, message.revision)
-        if (memory := Memory() if message.k == 0 else self._told.get((*term, message.k))) is None:
-            return message.verdict  # the beginning of the term was not told
+        if (memory := Memory() if message.k == 0 else self._memories.get((*term, message.k))) is None:
+            return message.verdict  # the beginning of the term was not sent
         if message.k == 0:
-            self._told = {}
-        self._told[*term, message.k + 1], verdict = decide(memory, totals)
+            self._memories = {}
+        self._memories[*term, message.k + 1], verdict = decide(memory, totals)
         return str(verdict)

@@ -1,6 +1,6 @@
 """What the faults of a directed link do to its n-th message: drawn from the seed, the link and n alone.
 
-The same on the real bus and on the twin. Repeats and load messages count like all others.
+The same on the real bus and on the simulator. Repeats and load messages count like all others.
 """
 
 from __future__ import annotations
@@ -98,8 +98,8 @@ class LinkFate:
     def _change_load(self, message: LoadMessage) -> LoadMessage:
         f = self.faults
         self._first_load = self._first_load or message
-        told = self._first_load if f.load_frozen else message
-        return replace(message, p=f.load_scale * told.p + f.load_p, q=f.load_scale * told.q + f.load_q)
+        sent = self._first_load if f.load_frozen else message
+        return replace(message, p=f.load_scale * sent.p + f.load_p, q=f.load_scale * sent.q + f.load_q)
 
     def _draw(self, what: str) -> float:
         return draw_fate(self.seed, self.sender, self.receiver, self.number, what)

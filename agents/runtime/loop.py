@@ -12,9 +12,9 @@ from agents.area_files.area_file import AreaFile
 from agents.messages.checks import MessageError
 from agents.messages.keys import (
     all_from_neighbours,
-    all_lives,
+    all_incarnations,
     clock_key,
-    life_of,
+    incarnation_of,
     live_key,
     name_of_live,
     neighbour_key,
@@ -24,12 +24,12 @@ from agents.messages.keys import (
 from agents.messages.packing import ClockMessage, StateMessage, decode
 from agents.protocol.choose import kinds_of, make_protocol
 from agents.protocol.events import Event, Finish, PresenceChanged, Publish
-from agents.runtime.duplicate_guard import GIVES_WAY, ReplacedError, Succession
+from agents.runtime.duplicate_guard import GIVES_WAY, ReplacedError, DuplicateGuard
 from agents.runtime.heap import give_back
 from agents.runtime.inbox import Inbox
-from agents.runtime.ingress_filter import Doorkeeper
+from agents.runtime.ingress_filter import IngressFilter
 from agents.runtime.link import FaultyLinks
-from agents.runtime.presence import Presence, begin_life, read_farewell
+from agents.runtime.presence import Presence, begin_incarnation, read_leave
 from agents.runtime.renewal import Renewal
 from agents.transport.zenoh_bus import Session
 
@@ -39,11 +39,11 @@ TIDY_S = 1.0  # between two times that free memory is given back; hundreds of ar
 
 @dataclass(frozen=True, slots=True)
 class _TokenSeen:
-    """The token of a life, a neighbour's or of this very area, appeared, or it vanished, after a farewell perhaps."""
+    """The token of an incarnation, of a neighbour or of this area, appeared, or vanished after a leave message."""
 
     key: str
     alive: bool
-    farewell: str = ""
+    leave_reason: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +52,7 @@ class _OutOfSight:
 
 
 @dataclass(frozen=True, slots=True)
-class _ClockHeard:
+class _ClockReceived:
     """What arrived on the clock's key at monotonic time ``at``."""
 
     at: float
@@ -62,27 +62,27 @@ class _ClockHeard:
 def run_agent(content: AreaFile, session: Session, inbox: Inbox) -> str:
     """Take part in the exchange until something puts ``StopRequested`` into ``inbox``; return its reason.
 
-    Subscribes first and shows its presence last, so that who sees the token can be sure to be heard.
+    Subscribes first and shows its presence last, so that who sees the token can be sure that its messages are received.
 
     Raises:
         ReplacedError: another agent of the area runs that began later.
     """
     now = time.monotonic()
-    incarnation = begin_life()
+    incarnation = begin_incarnation()
     protocol = make_protocol(content, incarnation, now=now, started_at=time.time())
     kinds = kinds_of(content.strategy)
     links = FaultyLinks(content.area.name, content.links, content.seed, _publishers(content, session, kinds))
     name, run = content.area.name, content.run
     _listen(content, session, kinds, inbox)
     own_token = live_key(run, "area", name, incarnation)
-    say_farewell = session.publisher(own_token)
+    send_leave = session.publisher(own_token)
     session.declare_presence(own_token)
     backend = protocol.describe_backend()
     how = f"{content.strategy}, back end {backend}" if backend else content.strategy
     log.info("area %s of run %s, strategy %s, incarnation %s", name, run, how, incarnation)
-    presence, succession = Presence(), Succession(f"area {name} of run {run}", incarnation, now, content.beat_s)
+    presence, guard = Presence(), DuplicateGuard(f"area {name} of run {run}", incarnation, now, content.beat_s)
     events: list[Event] = []
-    told: object = None
+    logged: object = None
     next_tidying = now
     while True:
         now = time.monotonic()
@@ -91,9 +91,9 @@ def run_agent(content: AreaFile, session: Session, inbox: Inbox) -> str:
                 case Publish(message, to):
                     links.send(message, to, now)
                     if isinstance(message, StateMessage):
-                        told = _log_change(message, told)
+                        logged = _log_change(message, logged)
                 case Finish(reason):
-                    say_farewell(reason.encode())
+                    send_leave(reason.encode())
                     if (at_the_end := protocol.describe_backend()) != backend:
                         log.info("back end %s", at_the_end)
                     return reason
@@ -101,16 +101,16 @@ def run_agent(content: AreaFile, session: Session, inbox: Inbox) -> str:
         if now >= next_tidying:
             next_tidying = now + TIDY_S
             give_back()
-        news = inbox.take(min(protocol.wait_s(now), links.next_due() - now, succession.next_due() - now))
+        updates = inbox.take(min(protocol.wait_s(now), links.next_due() - now, guard.next_due() - now))
         links.release(time.monotonic())
-        if Renewal.ASKED in news and session.interrupt():
-            news += [*inbox.take(0.0), _OutOfSight()]
+        if Renewal.ASKED in updates and session.interrupt():
+            updates += [*inbox.take(0.0), _OutOfSight()]
             session.resume()
-        events = list(_events_of(name, news, presence, succession, links))
+        events = list(_events_of(name, updates, presence, guard, links))
         try:
-            succession.check(time.monotonic())
+            guard.check(time.monotonic())
         except ReplacedError:
-            say_farewell(GIVES_WAY.encode())
+            send_leave(GIVES_WAY.encode())
             raise
 
 
@@ -119,23 +119,23 @@ def _listen(content: AreaFile, session: Session, kinds: Sequence[str], inbox: In
     run, name = content.run, content.area.name
     neighbours = sorted({n.area for n in content.area.neighbours})
     known = {neighbour_key(run, neighbour, kind, name) for neighbour in neighbours for kind in kinds}
-    doorkeeper = Doorkeeper(known, telemetry_key(run, name), inbox)
-    session.subscribe(all_from_neighbours(run, name), doorkeeper.take)
-    session.subscribe(telemetry_key(run, name), doorkeeper.take)
+    ingress_filter = IngressFilter(known, telemetry_key(run, name), inbox)
+    session.subscribe(all_from_neighbours(run, name), ingress_filter.take)
+    session.subscribe(telemetry_key(run, name), ingress_filter.take)
     if any(faults.has_windows for faults in content.links.values()):
-        session.subscribe(clock_key(run), lambda key, payload: inbox.put(key, _ClockHeard(time.monotonic(), payload)))
+        session.subscribe(clock_key(run), lambda key, payload: inbox.put(key, _ClockReceived(time.monotonic(), payload)))
     for neighbour in neighbours:
-        session.subscribe(all_lives(run, "area", neighbour), lambda key, payload: _put_farewell(inbox, key, payload))
+        session.subscribe(all_incarnations(run, "area", neighbour), lambda key, payload: _put_leave(inbox, key, payload))
     for area in (*neighbours, name):
-        session.watch_presence(all_lives(run, "area", area), lambda key, alive: _put_token(inbox, key, alive))
+        session.watch_presence(all_incarnations(run, "area", area), lambda key, alive: _put_token(inbox, key, alive))
 
 
-def _log_change(state: StateMessage, told: object) -> object:
-    """Log what the area works with when that has changed; return what was told."""
+def _log_change(state: StateMessage, logged: object) -> object:
+    """Log what the area works with when that has changed; return what was logged."""
     what = "no estimate" if not state.buses else "estimates" if state.referenced else "estimates, angles relative"
     removed = [f"removed as bad data: {', '.join(state.removed)}"] if state.removed else []
     line = "; ".join([f"scan {state.header.scan}: {what}", *removed, *state.notes])
-    if line != told:
+    if line != logged:
         log.info("%s", line)
     return line
 
@@ -152,36 +152,36 @@ def _publishers(content: AreaFile, session: Session, kinds: Sequence[str]) -> Ca
 
 
 def _put_token(inbox: Inbox, key: str, alive: bool) -> None:
-    """If it is a life's: a stranger's keys may be long, and each takes a slot."""
-    if life_of(key):
+    """If it is an incarnation's: a stranger's keys may be long, and each takes a slot."""
+    if incarnation_of(key):
         inbox.put(key, _TokenSeen(key, alive))
 
 
-def _put_farewell(inbox: Inbox, key: str, payload: bytes) -> None:
+def _put_leave(inbox: Inbox, key: str, payload: bytes) -> None:
     """In a slot of its own: the end of the token, which follows, must not take its place."""
-    if life_of(key) and (farewell := read_farewell(payload)):
-        inbox.put(("farewell", key), _TokenSeen(key, False, farewell))
+    if incarnation_of(key) and (leave_reason := read_leave(payload)):
+        inbox.put(("leave", key), _TokenSeen(key, False, leave_reason))
 
 
 def _events_of(
-    area: str, news: Sequence[Any], presence: Presence, succession: Succession, links: FaultyLinks
+    area: str, updates: Sequence[Any], presence: Presence, guard: DuplicateGuard, links: FaultyLinks
 ) -> Iterator[Event]:
-    """What of ``news`` is for the protocol of ``area``; the rest is taken in here."""
-    for item in news:
+    """What of ``updates`` is for the protocol of ``area``; the rest is taken in here."""
+    for item in updates:
         match item:
-            case _ClockHeard(at, payload):
+            case _ClockReceived(at, payload):
                 _take_clock(links, at, payload)
             case _OutOfSight():
-                succession.forget()
+                guard.forget()
                 for _, gone in presence.forget():
                     yield PresenceChanged(gone, False)
             case Renewal():
                 pass
-            case _TokenSeen(key, alive) if name_of_live(key)[1] == area:  # our own life, or a namesake's
-                succession.take(key, alive, time.monotonic())
-            case _TokenSeen(key, alive, farewell):
-                if presence.take_farewell(key) if farewell else presence.take(key, alive):
-                    yield PresenceChanged(name_of_live(key)[1], alive, farewell)
+            case _TokenSeen(key, alive) if name_of_live(key)[1] == area:  # our own incarnation, or a namesake's
+                guard.take(key, alive, time.monotonic())
+            case _TokenSeen(key, alive, leave_reason):
+                if presence.take_leave(key) if leave_reason else presence.take(key, alive):
+                    yield PresenceChanged(name_of_live(key)[1], alive, leave_reason)
             case _:
                 yield item
 
@@ -190,7 +190,7 @@ def _take_clock(links: FaultyLinks, at: float, payload: bytes) -> None:
     try:
         message = decode(payload)
     except MessageError as error:
-        log.warning("refused a payload on the clock's key: %s", error)
+        log.warning("rejected a payload on the clock's key: %s", error)
     else:
         if isinstance(message, ClockMessage):
             links.begin(at - message.elapsed_s)

@@ -33,11 +33,11 @@ def warm_up() -> None:
     flows = (MeasurementKind.P_FLOW, MeasurementKind.Q_FLOW)
     meters += [Meter(kind, branch.from_bus, branch.id) for branch in area.network.branches for kind in flows]
     readings = [Measurement(m, float(m.kind is MeasurementKind.VM), SIGMA) for m in meters]
-    model = build_area_model(area, readings, None, backend="tree")
+    model = build_area_model(area, readings, None, backend="radial")
     x = np.zeros(model.size)
     x[len(area.network.buses) : 2 * len(area.network.buses)] = 1.0
-    heard = {n.area: model.linear.information(x, n, {}) for n in area.neighbours}
-    for known in ({}, heard):
+    received = {n.area: model.linear.information(x, n, {}) for n in area.neighbours}
+    for known in ({}, received):
         model.linear.step(x, known)
         model.linear.variances(x, known)
     chi_square_limit(1, 0.5)  # which imports what takes 0.1 s and 6 MiB
@@ -51,5 +51,5 @@ def warm_up_estimate() -> None:
     meters += [Meter(kind, b.from_bus, b.id) for b in NETWORK.branches for kind in MeasurementKind if kind.of_branch]
     readings = [Measurement(m, float(value), SIGMA) for m, value in zip(meters, flow.read_all(meters), strict=True)]
     bad = [replace(readings[0], value=readings[0].value + 100 * SIGMA), *readings[1:]]
-    report = process_bad_data(NETWORK, bad, backend="tree")
-    estimate_state(NETWORK, readings, start=(report.result.vm, report.result.va), backend="tree")
+    report = process_bad_data(NETWORK, bad, backend="radial")
+    estimate_state(NETWORK, readings, start=(report.result.vm, report.result.va), backend="radial")

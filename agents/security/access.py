@@ -1,7 +1,7 @@
-"""Who may speak: what each certificate may publish, show and hear, and the same as Zenoh's access control.
+"""Who may speak: what each certificate may publish, show and receive, and the same as Zenoh's access control.
 
 Every process applies this to every link of its own, whichever end called: the common name of the certificate at the
-other end says who that is, not the place where it was found, and everything that is not allowed here is refused.
+other end says who that is, not the place where it was found, and everything that is not allowed here is rejected.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 from agents.messages.keys import (
     all_from_neighbours,
     all_live,
-    all_lives,
+    all_incarnations,
     all_of_run,
     all_states,
     clock_key,
@@ -64,19 +64,19 @@ class Rights:
 
     Args:
         publishes: messages that it may send.
-        shows: presence tokens that it may show, and say farewell on.
+        shows: presence tokens that it may show, and send leave messages on.
         subscribes: subscriptions that it may make.
-        hears: messages that are handed to it.
-        sees: presence tokens that it may watch, and hear farewells on.
-        is_heard_by: subscriptions of others that it is told of, so that it knows that somebody listens.
+        receives: messages that are handed to it.
+        sees: presence tokens that it may watch, and receive leave messages on.
+        is_received_by: subscriptions of others that it gets, so that it knows that somebody listens.
     """
 
     publishes: tuple[str, ...]
     shows: tuple[str, ...]
     subscribes: tuple[str, ...]
-    hears: tuple[str, ...]
+    receives: tuple[str, ...]
     sees: tuple[str, ...]
-    is_heard_by: tuple[str, ...]
+    is_received_by: tuple[str, ...]
 
 
 def find_rights(access: Access) -> dict[str, Rights]:
@@ -93,11 +93,11 @@ def _rights_of_area(access: Access, area: str) -> Rights:
     to_neighbours = tuple(neighbour_key(run, area, "*", n) for n in neighbours)
     return Rights(
         publishes=(*to_neighbours, state_key(run, area)),
-        shows=(all_lives(run, "area", area),),
+        shows=(all_incarnations(run, "area", area),),
         subscribes=(all_from_neighbours(run, area), telemetry_key(run, area), clock_key(run)),
-        hears=(*(neighbour_key(run, n, "*", area) for n in neighbours), telemetry_key(run, area), clock_key(run)),
-        sees=tuple(all_lives(run, "area", n) for n in (area, *neighbours)),
-        is_heard_by=(*(all_from_neighbours(run, n) for n in neighbours), all_states(run), all_live(run)),
+        receives=(*(neighbour_key(run, n, "*", area) for n in neighbours), telemetry_key(run, area), clock_key(run)),
+        sees=tuple(all_incarnations(run, "area", n) for n in (area, *neighbours)),
+        is_received_by=(*(all_from_neighbours(run, n) for n in neighbours), all_states(run), all_live(run)),
     )
 
 
@@ -105,30 +105,30 @@ def _rights_of_plant(access: Access) -> Rights:
     telemetry = tuple(telemetry_key(access.run, area) for area in access.neighbours)
     return Rights(
         publishes=telemetry,
-        shows=(all_lives(access.run, "plant", PLANT),),
+        shows=(all_incarnations(access.run, "plant", PLANT),),
         subscribes=(),
-        hears=(),
-        sees=(all_lives(access.run, "area", "*"), all_lives(access.run, "plant", PLANT)),
-        is_heard_by=(*telemetry, all_live(access.run)),
+        receives=(),
+        sees=(all_incarnations(access.run, "area", "*"), all_incarnations(access.run, "plant", PLANT)),
+        is_received_by=(*telemetry, all_live(access.run)),
     )
 
 
 def _rights_of_coordinator(access: Access) -> Rights:
     return Rights(
         publishes=(clock_key(access.run),),
-        shows=(all_lives(access.run, "coordinator", COORDINATOR),),
+        shows=(all_incarnations(access.run, "coordinator", COORDINATOR),),
         subscribes=(all_states(access.run),),
-        hears=(all_states(access.run),),
+        receives=(all_states(access.run),),
         sees=(all_live(access.run),),
-        is_heard_by=(clock_key(access.run),),
+        is_received_by=(clock_key(access.run),),
     )
 
 
 def zenoh_access_control(access: Access, meets: Iterable[str]) -> dict[str, Any]:
-    """The rules for links with ``meets`` as Zenoh's configuration ``access_control``: what is not allowed is refused.
+    """The rules for links with ``meets`` as Zenoh's configuration ``access_control``: what is not allowed is rejected.
 
     A link with anybody else, or with a revoked name, may be there, and nothing passes. What revoked names alone may
-    say is refused whoever passes it on.
+    say is rejected whoever passes it on.
     """
     names = [name for name in meets if name not in access.revoked]
     rights = find_rights(access)
@@ -171,9 +171,9 @@ def _table(rights: Rights) -> tuple[tuple[str, tuple[str, ...], tuple[str, ...]]
         ("ingress", ("liveliness_token", "put"), rights.shows),
         ("ingress", ("declare_subscriber",), rights.subscribes),
         ("ingress", ("declare_liveliness_subscriber", "liveliness_query", "declare_subscriber"), rights.sees),
-        ("egress", ("put",), rights.hears),
+        ("egress", ("put",), rights.receives),
         ("egress", ("liveliness_token", "put"), rights.sees),
-        ("egress", ("declare_subscriber",), rights.is_heard_by),
+        ("egress", ("declare_subscriber",), rights.is_received_by),
     )
 
 

@@ -1,4 +1,4 @@
-"""What is wrong with the files of a process's credentials, and why another process refuses them."""
+"""What is wrong with the files of a process's credentials, and why another process rejects them."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def _is_issued_by(certificate: x509.Certificate, authority: x509.Certificate) ->
     return False
 
 
-def explain_refusal(endpoint: str, credentials: Credentials) -> str:
+def explain_rejection(endpoint: str, credentials: Credentials) -> str:
     """Why ``endpoint`` (``tls/HOST:PORT``) and we do not come together, in words; empty if unknown.
 
     Zenoh says only that time is up. A handshake of our own tells what the other side, or we, object to.
@@ -136,10 +136,10 @@ def explain_refusal(endpoint: str, credentials: Credentials) -> str:
     except TimeoutError:
         return ""
     except ssl.SSLCertVerificationError as error:
-        return f"its certificate is refused here: {error.verify_message} (believed is {credentials.authority})"
+        return f"its certificate is rejected here: {error.verify_message} (believed is {credentials.authority})"
     except ssl.SSLError as error:
         reason = (error.reason or str(error)).removeprefix("TLSV1_ALERT_").removeprefix("SSLV3_ALERT_")
-        return f"it refuses {credentials.certificate}: {reason.replace('_', ' ').lower()}"
+        return f"it rejects {credentials.certificate}: {reason.replace('_', ' ').lower()}"
     except (OSError, ValueError) as error:
         return str(error)
     return ""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from agents.area_files.area_file import AreaFile
-from agents.messages.packing import AdmmMessage, BoundaryNews, Header
+from agents.messages.packing import AdmmMessage, BoundaryUpdate, Header
 from agents.strategies.admm_boundary import ANGLE, MOVED, BoundaryIteration
 from agents.strategies.interface import Estimate, Knowledge, Strategy
 from agents.strategies.start import start_state
@@ -45,7 +45,7 @@ class Admm(Strategy):
         changed = known.measurements != self._measurements or self._model is None
         if changed:
             self._take_measurements(known)
-        changed |= self._hear(known)
+        changed |= self._receive(known)
         boundaries = list(self._boundaries.values())
         # Stepping at other boundaries meanwhile takes more messages and no less time. Who is gone is not waited for.
         waits = any(b.is_owed for b in boundaries if b.neighbour.area in known.present)
@@ -58,7 +58,7 @@ class Admm(Strategy):
             self._take_step()
             for b in boundaries:
                 if b in stepped or b.z is None:
-                    b.set_told(self._y(b))
+                    b.set_sent(self._y(b))
         for b in boundaries:
             b.note_sent()
         return self._shown, self._notes()
@@ -69,19 +69,19 @@ class Admm(Strategy):
             header,
             neighbour.bus,
             iteration=b.k,
-            r=tuple(b.told.tolist()),
-            r_before=tuple(b.told_before.tolist()),
+            r=tuple(b.sent.tolist()),
+            r_before=tuple(b.sent_before.tolist()),
             weight=tuple(b.weight.tolist()),
             unsettled=b.unsettled,
             referenced=b.angle_known,
         )
 
-    def is_news(self, neighbour: Neighbour, message: BoundaryNews, last: BoundaryNews) -> bool:
+    def is_update(self, neighbour: Neighbour, message: BoundaryUpdate, last: BoundaryUpdate) -> bool:
         assert isinstance(message, AdmmMessage)
         assert isinstance(last, AdmmMessage)
         return (message.iteration, message.weight, message.referenced) != (last.iteration, last.weight, last.referenced)
 
-    def find_refusal(self, message: BoundaryNews) -> str:
+    def find_rejection(self, message: BoundaryUpdate) -> str:
         assert isinstance(message, AdmmMessage)
         possible = (np.abs([message.r, message.r_before]) < LARGEST_R).all()
         weighs = min(message.weight) > 0 and max(message.weight) < BEYOND_REASON
@@ -106,18 +106,18 @@ class Admm(Strategy):
         for b in self._boundaries.values():
             b.weight = compute_weight(model, self._x, b.neighbour)
 
-    def _hear(self, known: Knowledge) -> bool:
+    def _receive(self, known: Knowledge) -> bool:
         """Take in the newest messages; whether what they say beside r changes how the area is pulled.
 
-        A boundary's first word is one of the scan: an iteration that went astray may have ended with the one before.
+        The first message of a boundary is one of the scan: an iteration that went astray may have ended with the one before.
         """
         before = [b.terms for b in self._boundaries.values()]
         messages = {name: m for name, m in known.boundary.items() if isinstance(m, AdmmMessage)}
         started = {name for name, b in self._boundaries.items() if b.z is not None}
-        heard = {name: m for name, m in messages.items() if name in started or m.header.scan == known.scan}
+        received = {name: m for name, m in messages.items() if name in started or m.header.scan == known.scan}
         for name, b in self._boundaries.items():
-            b.heard = heard.get(name)
-            b.angle_known = self._has_own_angle or any(m.referenced for other, m in heard.items() if other != name)
+            b.received = received.get(name)
+            b.angle_known = self._has_own_angle or any(m.referenced for other, m in received.items() if other != name)
         return before != [b.terms for b in self._boundaries.values()]
 
     def _take_step(self) -> None:
@@ -154,7 +154,7 @@ class Admm(Strategy):
             va=self._x[:n],
             sigma_vm=self._sigma[n : 2 * n],
             sigma_va=self._sigma[:n],
-            referenced=self._has_own_angle or any(b.angle_heard for b in self._boundaries.values()),
+            referenced=self._has_own_angle or any(b.angle_received for b in self._boundaries.values()),
             objective=float(weighted @ weighted),
             degrees_of_freedom=len(model.z) - 2 * owned + self._area.is_reference,
             removed=(),
@@ -162,7 +162,7 @@ class Admm(Strategy):
         )
 
     def _notes(self) -> tuple[str, ...]:
-        return tuple(f"no word from {name} yet" for name, b in self._boundaries.items() if b.heard is None)
+        return tuple(f"no message from {name} yet" for name, b in self._boundaries.items() if b.received is None)
 
 
 def _distance(model: AreaModel, x: np.ndarray) -> float:

@@ -1,9 +1,9 @@
-"""The iteration at one boundary of strategy ``admm``: whose turn it is, what is taken in, what is told.
+"""The iteration at one boundary of strategy ``admm``: whose turn it is, what is taken in, what is sent.
 
-A boundary's iterations are counted by both its sides. A side goes on to iteration k + 1 when it has told and heard
+A boundary's iterations are counted by both its sides. A side goes on to iteration k + 1 when it has sent and received
 iteration k, or when the other side is there already; so each side uses every r of the other exactly once, whatever
 is lost, repeated or overtaken: a message carries this r and the one before, and the two sides are never further
-apart than that. A side that is, because it has restarted, goes on from what it hears: the fixed point does not
+apart than that. A side that is, because it has restarted, goes on from what it receives: the fixed point does not
 depend on how it was reached.
 
 Of two sides that are at the same iteration the owner goes first, and then each message is an answer that brings the
@@ -26,8 +26,8 @@ ANGLE = np.arange(4) == VA
 class BoundaryIteration:
     """One side of the boundary to ``neighbour``.
 
-    ``k``: number of the iteration. ``z`` (4,): what y is pulled to, None before anything is heard. ``told``,
-    ``told_before`` (4,): r of iterations k and k - 1. ``weight`` (4,): the area's own information about y.
+    ``k``: number of the iteration. ``z`` (4,): what y is pulled to, None before anything is received. ``sent``,
+    ``sent_before`` (4,): r of iterations k and k - 1. ``weight`` (4,): the area's own information about y.
     ``angle_known``: whether this side, without the neighbour, knows the substation's angle.
     ``unsettled``: whether z was still moving in the step to iteration k.
     """
@@ -36,68 +36,68 @@ class BoundaryIteration:
         self.neighbour = neighbour
         self.weight = np.ones(4)
         self.angle_known = False
-        self.heard: AdmmMessage | None = None
+        self.received: AdmmMessage | None = None
         self.k = 0
         self.z: np.ndarray | None = None
-        self.told = self.told_before = np.zeros(4)
+        self.sent = self.sent_before = np.zeros(4)
         self.unsettled = True
         self._defers = False  # to the owner, which knows that it is to go first
 
     @property
-    def angle_heard(self) -> bool:
+    def angle_received(self) -> bool:
         """Whether the neighbour's side knows the substation's angle; if not, the boundary's is none of its business."""
-        return self.heard is not None and self.heard.referenced
+        return self.received is not None and self.received.referenced
 
     @property
     def angle_to_follow(self) -> float | None:
         """The boundary's angle where only the neighbour's side knows it: then it is taken, not negotiated."""
-        follows = self.angle_heard and not self.angle_known
+        follows = self.angle_received and not self.angle_known
         return float(self.z[VA]) if follows and self.z is not None else None
 
     @property
     def terms(self) -> tuple[object, ...]:
         """What the pull depends on beside z."""
-        return (self.weight.tolist(), self.heard and self.heard.weight, self.angle_heard, self.angle_known)
+        return (self.weight.tolist(), self.received and self.received.weight, self.angle_received, self.angle_known)
 
     @property
     def is_owed(self) -> bool:
         """Whether it is the turn of the neighbour, which has spoken before."""
-        return self.heard is not None and self.heard.iteration < self.k + self._defers
+        return self.received is not None and self.received.iteration < self.k + self._defers
 
     def pull(self, penalty: float) -> BoundaryInformation | None:
-        """The penalty on the area's y; None before anything is heard."""
-        if self.heard is None or self.z is None:
+        """The penalty on the area's y; None before anything is received."""
+        if self.received is None or self.z is None:
             return None
-        M = penalty * np.maximum(self.weight, self.heard.weight)
-        return pull(np.where(ANGLE & (not self.angle_heard), 0.0, M), self.z)
+        M = penalty * np.maximum(self.weight, self.received.weight)
+        return pull(np.where(ANGLE & (not self.angle_received), 0.0, M), self.z)
 
     def step(self, y: np.ndarray) -> bool:
         """Go on to the next iteration, if it is this side's turn and worth it; ``y`` (4,): the area's at present."""
-        if self.heard is None or self.is_owed:
+        if self.received is None or self.is_owed:
             return False
-        ahead = self.heard.iteration - self.k
-        r = np.array(self.heard.r_before if ahead == 1 else self.heard.r)
+        ahead = self.received.iteration - self.k
+        r = np.array(self.received.r_before if ahead == 1 else self.received.r)
         moves = self.z is None or self._distance(r, self.z) > MOVED
-        invited = self.heard.unsettled and not self.neighbour.is_parent
-        if ahead == 0 and not (moves or invited or abs(self._reflect(y) - self.told).max() > MOVED):
+        invited = self.received.unsettled and not self.neighbour.is_parent
+        if ahead == 0 and not (moves or invited or abs(self._reflect(y) - self.sent).max() > MOVED):
             return False
-        self.k = self.heard.iteration if ahead > 1 else self.k + 1
+        self.k = self.received.iteration if ahead > 1 else self.k + 1
         self.z = r.copy() if self.z is None or ahead > 1 else self.z + RELAXATION * (r - self.z)
         if not self.angle_known:
             self.z[VA] = r[VA]
         self.unsettled, self._defers = moves, False
         return True
 
-    def set_told(self, y: np.ndarray) -> None:
-        """Settle what is told of this iteration, for which the area has found ``y`` (4,)."""
-        self.told_before, self.told = self.told, self._reflect(y)
+    def set_sent(self, y: np.ndarray) -> None:
+        """Settle what is sent of this iteration, for which the area has found ``y`` (4,)."""
+        self.sent_before, self.sent = self.sent, self._reflect(y)
 
     def note_sent(self) -> None:
-        """What is told is on its way."""
+        """What is sent is on its way."""
         self._defers = self.unsettled and self.neighbour.is_parent
 
     def _distance(self, a: np.ndarray, b: np.ndarray) -> float:
-        return float(np.where(ANGLE & (not self.angle_heard), 0.0, abs(a - b)).max())
+        return float(np.where(ANGLE & (not self.angle_received), 0.0, abs(a - b)).max())
 
     def _reflect(self, y: np.ndarray) -> np.ndarray:
-        return y if self.z is None else np.where(ANGLE & (not self.angle_heard), y, 2 * y - self.z)
+        return y if self.z is None else np.where(ANGLE & (not self.angle_received), y, 2 * y - self.z)

@@ -12,7 +12,7 @@ import math
 from dataclasses import replace
 
 from agents.area_files.area_file import AreaFile
-from agents.messages.packing import BoundaryMessage, BoundaryNews, Header
+from agents.messages.packing import BoundaryMessage, BoundaryUpdate, Header
 from agents.strategies.interface import Estimate, Knowledge, Strategy
 from dsse_core.errors import DsseError
 from dsse_core.estimation.bad_data import BadDataReport, process_bad_data
@@ -24,7 +24,7 @@ from dsse_core.power_flow.newton_raphson import solve_power_flow
 BOUNDARY_INJECTION_SIGMA = 0.10  # of |S|: losses beyond are neglected, loads there are forecasts
 FLOOR_MVA = 1e-3
 SLACK_VOLTAGE_SIGMA = 0.01
-NEWS = 1e-9  # p.u., rad
+CHANGE = 1e-9  # p.u., rad
 
 
 class AngleOffset(Strategy):
@@ -41,16 +41,16 @@ class AngleOffset(Strategy):
 
     def solve(self, known: Knowledge) -> tuple[Estimate | None, tuple[str, ...]]:
         parent = self._area.parent
-        heard = known.boundary.get(parent.area) if parent else None
-        assert heard is None or isinstance(heard, BoundaryMessage)  # the protocol passes no other kind
-        slack_vm = self._area.slack_vm if self._area.slack_vm is not None else heard.vm if heard else None
+        received = known.boundary.get(parent.area) if parent else None
+        assert received is None or isinstance(received, BoundaryMessage)  # the protocol passes no other kind
+        slack_vm = self._area.slack_vm if self._area.slack_vm is not None else received.vm if received else None
         inputs = (known.measurements, dict(known.loads), slack_vm)
         if inputs != self._solved_for:
             self._solved_for = inputs
             self._local, self._notes = self._estimate(known, slack_vm)
         if self._local is None:
             return None, self._notes
-        return self._shift(self._local, heard)
+        return self._shift(self._local, received)
 
     def message_for(self, neighbour: Neighbour, estimate: Estimate, header: Header) -> BoundaryMessage:
         row = self._area.network.row[neighbour.bus]
@@ -58,12 +58,12 @@ class AngleOffset(Strategy):
             header, neighbour.bus, float(estimate.vm[row]), float(estimate.va[row]), estimate.referenced
         )
 
-    def is_news(self, neighbour: Neighbour, message: BoundaryNews, last: BoundaryNews) -> bool:
+    def is_update(self, neighbour: Neighbour, message: BoundaryUpdate, last: BoundaryUpdate) -> bool:
         assert isinstance(message, BoundaryMessage)
         assert isinstance(last, BoundaryMessage)
         return (
-            abs(message.vm - last.vm) > NEWS
-            or abs(message.va - last.va) > NEWS
+            abs(message.vm - last.vm) > CHANGE
+            or abs(message.va - last.va) > CHANGE
             or message.referenced != last.referenced
         )
 
@@ -134,14 +134,14 @@ class AngleOffset(Strategy):
             chosen.append(Measurement(meter, slack_vm, SLACK_VOLTAGE_SIGMA))
         return chosen
 
-    def _shift(self, local: Estimate, heard: BoundaryMessage | None) -> tuple[Estimate, tuple[str, ...]]:
+    def _shift(self, local: Estimate, received: BoundaryMessage | None) -> tuple[Estimate, tuple[str, ...]]:
         """Step (d): add the difference of boundary angles to all angles; the substation's area is the reference."""
         parent = self._area.parent
         if parent is None:
             return replace(local, referenced=True), self._notes
-        if heard is None or not heard.referenced:
+        if received is None or not received.referenced:
             return local, (*self._notes, f"angles are relative: no angle from {parent.area} yet")
-        offset = heard.va - local.va[self._area.network.row[parent.bus]]
+        offset = received.va - local.va[self._area.network.row[parent.bus]]
         return replace(local, va=local.va + offset, referenced=True), self._notes
 
 

@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from agents.area_files.area_file import AreaFile
-from agents.messages.packing import BoundaryNews, Header
+from agents.messages.packing import BoundaryUpdate, Header
 from dsse_core.exchange.boundary_load import NetLoad
 from dsse_core.grid.measurement import Measurement
 from dsse_core.grid.partition import Neighbour
@@ -27,12 +27,12 @@ class Knowledge:
 
     ``measurements``: its telemetry of the current scan, virtual measurements included. ``loads``: neighbour ->
     load message; ``boundary``: neighbour -> its newest boundary message; silent neighbours are absent from both.
-    ``present``: the neighbours that are there and hear this area.
+    ``present``: the neighbours that are present and receive this area's messages.
     """
 
     measurements: tuple[Measurement, ...]
     loads: Mapping[str, NetLoad] = field(default_factory=dict)
-    boundary: Mapping[str, BoundaryNews] = field(default_factory=dict)
+    boundary: Mapping[str, BoundaryUpdate] = field(default_factory=dict)
     present: frozenset[str] = frozenset()
     scan: int = 0
 
@@ -86,14 +86,14 @@ class Strategy(ABC):
         """For the log: what computes the exchange, and how often something else had to; empty without such a choice."""
         return ""
 
-    def find_refusal(self, message: BoundaryNews) -> str:
+    def find_rejection(self, message: BoundaryUpdate) -> str:
         """Why a neighbour's message cannot be used, in short; empty if it can."""
         return ""
 
     @abstractmethod
-    def message_for(self, neighbour: Neighbour, estimate: Estimate, header: Header) -> BoundaryNews:
-        """What ``neighbour`` is to hear of ``estimate``."""
+    def message_for(self, neighbour: Neighbour, estimate: Estimate, header: Header) -> BoundaryUpdate:
+        """What ``neighbour`` is to receive of ``estimate``."""
 
     @abstractmethod
-    def is_news(self, neighbour: Neighbour, message: BoundaryNews, last: BoundaryNews) -> bool:
+    def is_update(self, neighbour: Neighbour, message: BoundaryUpdate, last: BoundaryUpdate) -> bool:
         """Whether ``message`` to ``neighbour`` differs from the last one sent enough to be worth sending at once."""

@@ -19,11 +19,11 @@ def find_no_load(area: Area) -> tuple[np.ndarray, np.ndarray]:
     return flat_start(area.network, area.reference[0] if area.reference else area.slack_bus)
 
 
-def start_state(content: AreaFile, heard: Mapping[str, NetLoad]) -> np.ndarray:
+def start_state(content: AreaFile, received: Mapping[str, NetLoad]) -> np.ndarray:
     """``x`` of ``AreaModel``: the local power flow once load messages allow one, else flat."""
     area, network = content.area, content.area.network
     vm, va = find_no_load(area)
-    loads = boundary_loads(area, heard, content.load_error)
+    loads = boundary_loads(area, received, content.load_error)
     if len(loads) == len(area.boundary_buses) and area.slack_vm is not None:
         try:
             beyond = {b: load.s for b, load in loads.items()}
@@ -34,6 +34,6 @@ def start_state(content: AreaFile, heard: Mapping[str, NetLoad]) -> np.ndarray:
     if area.reference:
         bus, angle = area.reference
         va = va + angle - va[network.row[bus]]
-    children = [heard.get(n.area) for n in area.neighbours if not n.is_parent]
+    children = [received.get(n.area) for n in area.neighbours if not n.is_parent]
     powers = [part for load in children for part in ((load.s.real, load.s.imag) if load else (0.0, 0.0))]
     return np.concatenate([va, vm, powers])

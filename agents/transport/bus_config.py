@@ -11,14 +11,14 @@ from agents.security.access import zenoh_access_control
 from agents.security.credentials import Credentials, Keys
 
 SHORTEST_LEASE_S = 2.0
-LEASE_BEATS = 3  # by then, what has come over the link is stale anyway; where there are many, beats are long
+LEASE_HEARTBEATS = 3  # by then, what has come over the link is stale anyway; where there are many, heartbeats are long
 RETRY = {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 2}
 
 
 def bus_config(
     mode: str, keys: Keys | None = None, meets: Iterable[str] = (), beat_s: float = 0.0, **sections: Any
 ) -> dict[str, Any]:
-    """``beat_s``: that of who speaks here; the other end waits for a sign of life as long as that allows.
+    """``beat_s``: that of who speaks here; the other end waits for a sign as long as that allows.
 
     ``meets``: names that may be at the other ends of links, with keys.
     """
@@ -37,7 +37,7 @@ def bus_config(
             "link": {
                 **(_tls(keys.credentials) if keys else {}),
                 "tx": {
-                    "lease": int(1000 * max(SHORTEST_LEASE_S, LEASE_BEATS * beat_s)),
+                    "lease": int(1000 * max(SHORTEST_LEASE_S, LEASE_HEARTBEATS * beat_s)),
                     "keep_alive": 4,
                     "queue": {"congestion_control": {"block": {"wait_before_close": 1_000_000}}},
                 },
@@ -94,9 +94,9 @@ def in_the_background(endpoints: Sequence[str]) -> dict[str, Any]:
 def find_protocol_problem(endpoints: Sequence[str], secured: bool) -> str:
     """The first endpoint that does not fit to having keys, or having none; empty if all do."""
     for endpoint in endpoints:
-        protocol, _, place = endpoint.partition("/")
+        protocol, _, address = endpoint.partition("/")
         if secured and protocol != "tls":
-            return f"{endpoint} is not secured, and there are keys; write tls/{place}, or give no keys"
+            return f"{endpoint} is not secured, and there are keys; write tls/{address}, or give no keys"
         if protocol == "tls" and not secured:
             return f"{endpoint} needs a certificate and a private key; give their folder with --keys"
     return ""

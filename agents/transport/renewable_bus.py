@@ -119,14 +119,14 @@ class RenewableBus:
             self._close(bus)
 
     def _reopen(self) -> None:
-        began, told = time.monotonic(), False
+        began, logged = time.monotonic(), False
         while not self._given_up.is_set():
             try:
                 bus = self._open(self.keys, REOPEN_S)
             except DsseError as error:
-                if not told:
+                if not logged:
                     log.warning("not open again yet: %s", error)
-                told = True
+                logged = True
                 self._given_up.wait(PAUSE_S)
                 continue
             with self._lock:

@@ -32,9 +32,9 @@ from dsse_core.limits import LONGEST_S
 
 log = logging.getLogger(__name__)
 FIRST_SLICE_S, LAST_SLICE_S = 0.5, 0.01  # for which one of several endpoints is tried
-MAX_TOLD = 1000  # links of names without rights that are logged
+MAX_LOGGED = 1000  # links of names without rights that are logged
 AnyBus = TypeVar("AnyBus", bound=RenewableBus)
-News = TypeVar("News")
+Payload = TypeVar("Payload")
 
 
 class TransportError(DsseError):
@@ -83,17 +83,17 @@ class Session(RenewableBus):
             TransportError: an endpoint to listen on is occupied or cannot be opened.
         """
         _check_protocol([*endpoints, *listen], keys)
-        _log_refused_links(keys if listen else None)
+        _log_rejected_links(keys if listen else None)
         warn_of_strangers(listen, keys is not None)
         meets = keys.access.met_directly_by(keys.name) if keys else ()
 
         def open_bus(keys: Keys | None, _: float) -> zenoh.Session:
-            places = {
+            sections = {
                 "listen": {"endpoints": list(listen), "exit_on_failure": True},
                 "connect": in_the_background(endpoints),
             }
             try:
-                return _open(bus_config("peer", keys, meets, beat_s, **places))
+                return _open(bus_config("peer", keys, meets, beat_s, **sections))
             except zenoh.ZError as error:
                 raise _cannot_listen(listen, error) from None
 
@@ -115,7 +115,7 @@ class Session(RenewableBus):
         return cls.connect(endpoints, timeout_s, keys, beat_s=beat_s)
 
     def publisher(self, key: str) -> Callable[[bytes], None]:
-        """A function that puts a payload on ``key``; while links are closed to be opened again, nobody hears it."""
+        """A function that puts a payload on ``key``; while links are closed to be opened again, nobody receives it."""
         declared = self.declare(
             lambda bus: bus.declare_publisher(
                 key,
@@ -150,7 +150,7 @@ class Session(RenewableBus):
     def watch_presence(self, key_expression: str, callback: Callable[[str, bool], None]) -> None:
         """Call ``callback(key, alive)`` for every token, those already there included.
 
-        After ``interrupt`` none counts until it is seen again: their ends are not told.
+        After ``interrupt`` none counts until it is seen again: their ends are not reported.
         """
 
         def declare(bus: zenoh.Session) -> Any:
@@ -176,33 +176,33 @@ class Router(RenewableBus):
 
         ``others``: routers to link with, as soon and as often as they are there; linked routers are one bus.
         ``beat_s``: of those who will link with it. Without ``keys`` everybody may speak who gets a link. What is
-        refused is logged on standard output by Zenoh: links at level ``warn``, messages at
+        rejected is logged on standard output by Zenoh: links at level ``warn``, messages at
         ``RUST_LOG=zenoh::net::routing::interceptor=trace``.
 
         Raises:
             TransportError: an endpoint is occupied or cannot be opened.
         """
         _check_protocol([*endpoints, *others], keys)
-        _log_refused_links(keys)
+        _log_rejected_links(keys)
         warn_of_strangers(endpoints, keys is not None)
-        places = tuple(endpoints)
+        bound = tuple(endpoints)
         meets = keys.access.names if keys else ()
 
         def open_bus(keys: Keys | None, _: float) -> zenoh.Session:
             sections = {
-                "listen": {"endpoints": list(places), "exit_on_failure": True},
+                "listen": {"endpoints": list(bound), "exit_on_failure": True},
                 "connect": in_the_background(others),
                 "adminspace": {"enabled": True},
             }
             try:
                 return _open(bus_config("router", keys, meets, beat_s, **sections))
             except zenoh.ZError as error:
-                raise _cannot_listen(places, error) from None
+                raise _cannot_listen(bound, error) from None
 
         router = _with_watched_links(cls(open_bus, _close, keys), meets)
         router.endpoints = _locators(cast(zenoh.Session, router.bus))
-        if any(place.endswith(":0") for place in endpoints):
-            places = router.endpoints  # where the others look for it when it opens again
+        if any(endpoint.endswith(":0") for endpoint in endpoints):
+            bound = router.endpoints  # where the others look for it when it opens again
         return router
 
 
@@ -219,20 +219,20 @@ def _with_watched_links(bus: AnyBus, meets: Sequence[str]) -> AnyBus:
     """Have it logged who links, or is found where somebody else was looked for, and has no rights here."""
     if bus.keys is None:
         return bus
-    told: set[tuple[str, str]] = set()
+    logged: set[tuple[str, str]] = set()
 
     def on_link(event: zenoh.LinkEvent) -> None:
-        place, name = event.link.dst, event.link.auth_identifier or ""
+        endpoint, name = event.link.dst, event.link.auth_identifier or ""
         has_rights = bus.keys is not None and name in meets and name not in bus.keys.access.revoked
-        if event.kind == zenoh.SampleKind.PUT and not has_rights and (place, name) not in told and len(told) < MAX_TOLD:
-            told.add((place, name))
-            log.warning("%s shows the certificate of %r, who has no rights here: nothing passes", place, name)
+        if event.kind == zenoh.SampleKind.PUT and not has_rights and (endpoint, name) not in logged and len(logged) < MAX_LOGGED:
+            logged.add((endpoint, name))
+            log.warning("%s shows the certificate of %r, who has no rights here: nothing passes", endpoint, name)
 
     bus.declare(lambda opened: opened.info.declare_link_events_listener(_directly(on_link), history=True))
     return bus
 
 
-def _directly(callback: Callable[[News], None]) -> zenoh.handlers.Callback[News]:
+def _directly(callback: Callable[[Payload], None]) -> zenoh.handlers.Callback[Payload]:
     """Without a Python thread of its own for every subscriber, which costs memory and changes of threads."""
     return zenoh.handlers.Callback(callback, indirect=False)
 
@@ -244,17 +244,17 @@ def _check_protocol(endpoints: Sequence[str], keys: Keys | None) -> None:
 
 
 def warn_of_strangers(listen: Sequence[str], secured: bool) -> None:
-    """Log which places to ``listen`` on other hosts reach, where nobody needs a key."""
-    if not secured and (open_places := find_open_endpoints(listen)):
+    """Log which endpoints of ``listen`` other hosts reach, where nobody needs a key."""
+    if not secured and (open_endpoints := find_open_endpoints(listen)):
         log.warning(
-            "listening without keys on %s: everybody who reaches it may hear and say everything; give --keys, or "
+            "listening without keys on %s: everybody who reaches it may receive and send everything; give --keys, or "
             "listen on 127.0.0.1",
-            ", ".join(open_places),
+            ", ".join(open_endpoints),
         )
 
 
-def _log_refused_links(keys: Keys | None) -> None:
-    """Let Zenoh write on standard output whom it refused; not that somebody is not there yet."""
+def _log_rejected_links(keys: Keys | None) -> None:
+    """Let Zenoh write on standard output whom it rejected; not that somebody is not there yet."""
     if keys:
         zenoh.init_log_from_env_or("warn,zenoh::net::runtime::orchestrator=error")
 
@@ -289,9 +289,9 @@ def _reason(endpoints: Sequence[str], credentials: Credentials | None) -> str:
     """What a secured endpoint and we have against each other; empty if that is not the reason."""
     if credentials is None:
         return ""
-    from agents.security.certificate_checks import explain_refusal  # whoever has no keys need not wait for it
+    from agents.security.certificate_checks import explain_rejection  # whoever has no keys need not wait for it
 
-    reasons = {endpoint: explain_refusal(endpoint, credentials) for endpoint in endpoints}
+    reasons = {endpoint: explain_rejection(endpoint, credentials) for endpoint in endpoints}
     return "; ".join(f"{endpoint}: {reason}" for endpoint, reason in reasons.items() if reason)
 
 

@@ -85,7 +85,7 @@ def commands() -> None:
     """
 
 
-@commands.command(short_help="Run a scenario as real processes and judge it.")
+@commands.command(short_help="Run a scenario as real processes and evaluate it.")
 @scenario_argument
 @run_folder_option
 @timeout_option
@@ -106,7 +106,7 @@ def run(
     secure: bool,
     keys: Path | None,
 ) -> int:
-    """Run SCENARIO, a shipped name or a file: start router, plant and one agent per area, watch, judge.
+    """Run SCENARIO, a shipped name or a file: start router, plant and one agent per area, watch, evaluate.
 
     Exit code 0: the areas agree; 1: they do not; 2: wrong input.
 

@@ -42,7 +42,7 @@ def split(
     Examples:  dsse split ieee33 --out areas --connect tcp/192.0.2.7:7447
                dsse split ieee33 --out areas --secure
     """
-    from coordinator.deployment.endpoints import choose_places
+    from coordinator.deployment.endpoints import choose_area_endpoints
     from coordinator.deployment.split import choose_run_id, write_area_files
     from coordinator.evaluation.evaluation import prepare_scenario
     from scenarios.files.whole_folder import written_whole
@@ -50,10 +50,10 @@ def split(
     prepared = prepare_scenario(scenario, seed)
     endpoints = choose_endpoints(endpoints, secure)
     direct = prepared.transport.kind == "neighbours"
-    places = choose_places(prepared, "tls" if secure else "tcp") if direct else {}
+    area_endpoints = choose_area_endpoints(prepared, "tls" if secure else "tcp") if direct else {}
     run = choose_run_id(prepared, run_id)
     with written_whole(out) as new:
-        names = [path.name for _, path in write_area_files(prepared, run, endpoints, new, places)]
+        names = [path.name for _, path in write_area_files(prepared, run, endpoints, new, area_endpoints)]
     for name in names:
         show(printable(out / name))
 
@@ -133,7 +133,7 @@ def plant(
 
     prepared = prepare_scenario(scenario, seed)
     every = every or prepared.run.scan_s
-    # a plant that is started anew has new readings: the clock is ahead of all numbers of its last life
+    # a plant that is started anew has new readings: the clock is ahead of all numbers of its last incarnation
     scan = int(time.time() / SHORTEST_SCAN_S)
     endpoints = choose_endpoints(endpoints, keys is not None)
     direct = prepared.transport.kind == "neighbours"

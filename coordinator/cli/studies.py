@@ -1,4 +1,4 @@
-"""The commands that run scenarios on the twin: ``dsse simulate``, ``dsse compare``, ``dsse sweep``."""
+"""The commands that run scenarios on the simulator: ``dsse simulate``, ``dsse compare``, ``dsse sweep``."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def link_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return with_links
 
 
-@click.command(short_help="Run a scenario on the twin, in virtual time, repeatable to the bit.")
+@click.command(short_help="Run a scenario on the simulator, in virtual time, repeatable to the bit.")
 @scenario_argument
 @run_folder_option
 @timeout_option
@@ -79,9 +79,9 @@ def simulate(
     quiet: bool,
     no_plots: bool,
 ) -> int:
-    """Run SCENARIO, a shipped name or a file, on the twin: the same areas on a simulated bus, in this process.
+    """Run SCENARIO, a shipped name or a file, on the simulator: the same areas on a simulated bus, in this process.
 
-    Virtual time passes while messages travel and areas wait for their beat; computing takes none. Verdict, files and
+    Virtual time passes while messages travel and areas wait for their heartbeat; computing takes none. Verdict, files and
     exit codes are those of `dsse run`.
 
     \b
@@ -99,7 +99,7 @@ def simulate(
 @click.command(short_help="Run the strategies side by side and print one table.")
 @scenario_argument
 @strategies_option
-@click.option("--processes", is_flag=True, help="Run real processes over Zenoh instead of the twin.")
+@click.option("--processes", is_flag=True, help="Run real processes over Zenoh instead of the simulator.")
 @click.option("--out", type=click.Path(path_type=Path), help="Keep table and run folders here, new or empty.")
 @timeout_option
 @seed_option
@@ -128,9 +128,9 @@ def compare(
     end_orderly_on_signals()
     chosen = choose_strategies(strategies)
     loaded = choose_scenario(scenario, seed, timeout_s=timeout, links=links)
-    rows = compare_strategies(loaded, chosen, _run_processes if processes else _run_on_twin, out)
+    rows = compare_strategies(loaded, chosen, _run_processes if processes else _run_on_simulator, out)
     buses, areas = len(loaded.network.buses), len(loaded.partition.areas)
-    where = "real processes" if processes else "on the twin, virtual time"
+    where = "real processes" if processes else "on the simulator, virtual time"
     show(f"{printable(loaded.name)}, {buses} buses in {areas} areas, seed {loaded.seed}, {where}\n")
     show(format_comparison(rows))
     if out is not None:
@@ -144,7 +144,7 @@ def _run_processes(scenario: Scenario, folder: Path) -> RunOutcome:
     return coordinator.run(scenario, out=folder, plots=False)
 
 
-def _run_on_twin(scenario: Scenario, folder: Path) -> RunOutcome:
+def _run_on_simulator(scenario: Scenario, folder: Path) -> RunOutcome:
     from coordinator.simulator.simulate import simulate_scenario
 
     say(f"{scenario.strategy} ...")
@@ -172,7 +172,7 @@ def sweep(
     links: LinkChanges,
     quiet: bool,
 ) -> None:
-    """Run SCENARIO on the twin for each value of one of its keys, each strategy and each seed.
+    """Run SCENARIO on the simulator for each value of one of its keys, each strategy and each seed.
 
     Leaves sweep.csv, one row per run, and sweep.png, gap and time against the key. Runs that the table has already
     are not run again: after Ctrl-C the same command with the same --out goes on.
@@ -221,7 +221,7 @@ def _draw(plan: SweepPlan, table: SweepTable) -> None:
     if table.rows:
         from coordinator.studies.sweep_plot import draw_sweep
 
-        title = f"{plan.base.name} on the twin"
+        title = f"{plan.base.name} on the simulator"
         draw_sweep(table.path.with_suffix(".png"), title, plan.key, table.rows)
 
 

@@ -106,7 +106,7 @@ def finish_run(result: RunResult, no_plots: bool) -> int:
 
 @contextmanager
 def progress(title: str, quiet: bool) -> Iterator[Callable[[Progress], None] | None]:
-    """How progress is shown: not at all, as a table that lives in the terminal, or as a line now and then."""
+    """How progress is shown: not at all, as a table that stays in the terminal, or as a line now and then."""
     if quiet:
         clock.say = None
         yield None

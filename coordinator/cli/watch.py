@@ -35,7 +35,7 @@ LINE_S = 1.0  # between two lines where there is no terminal
 @click.option(
     "--run", "run_id", help="Name of the run.  [default: the only one on the bus; with --keys the one named there]"
 )
-@click.option("--once", is_flag=True, help="Show it once, when all areas that are there have been heard, and end.")
+@click.option("--once", is_flag=True, help="Show it once, when all areas that are there have been received, and end.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line.")
 @bus_timeout_option
 def watch(
@@ -47,9 +47,9 @@ def watch(
     as_json: bool,
     timeout: float,
 ) -> int:
-    """Watch the areas of a running system, whoever started it: what they estimate, hear and lack.
+    """Watch the areas of a running system, whoever started it: what they estimate, receive and lack.
 
-    Ctrl-C ends the watching and nothing else. Exit code 1: with --once, no area could be heard.
+    Ctrl-C ends the watching and nothing else. Exit code 1: with --once, no area was received.
 
     \b
     Examples:  dsse watch
@@ -93,7 +93,7 @@ def _format(view: View, as_json: bool) -> str:
         areas = {area.name: {"state": area.state} | asdict(area) for area in view.areas}
         for area in areas.values():
             del area["name"]
-        about = {"others": view.others, "doubles": view.doubles, "other_versions": view.other_versions}
+        about = {"others": view.others, "duplicates": view.duplicates, "other_versions": view.other_versions}
         return json.dumps({"time": time.time(), "run": view.run, **about, "areas": areas})
     from coordinator.observe.live import format_view
 

@@ -18,13 +18,13 @@ from agents.messages.keys import (
     version_of,
 )
 from agents.messages.packing import WIRE_VERSION, StateMessage, decode, describe_other_version
-from agents.runtime.presence import read_farewell
+from agents.runtime.presence import read_leave
 from agents.security.access import COORDINATOR
 from agents.security.credentials import load_keys
 from agents.transport.zenoh_bus import Session, TransportError
 from coordinator.deployment.split import check_run_id
 from coordinator.observe.watch import Watcher
-from coordinator.process_run.processes import News
+from coordinator.process_run.processes import Updates
 from dsse_core.printable import listed
 
 ANY = "*"
@@ -54,28 +54,28 @@ def attach(
     run = loaded.access.run if loaded else run
     with Session.join(endpoints, timeout_s, loaded, direct=direct) as session:
         run = run or _find_run(session, timeout_s)
-        watcher, news = Watcher(run), News()
-        session.subscribe(all_states(run), lambda key, payload: news.offer(_decoded(key, payload)))
-        session.subscribe(all_live(run), lambda key, payload: news.offer((key, read_farewell(payload)), said_once=True))
+        watcher, updates = Watcher(run), Updates()
+        session.subscribe(all_states(run), lambda key, payload: updates.offer(_decoded(key, payload)))
+        session.subscribe(all_live(run), lambda key, payload: updates.offer((key, read_leave(payload)), said_once=True))
         all_tokens = all_live(run) if loaded else all_live_of_any_version(run)  # keys let nobody see other versions
-        session.watch_presence(all_tokens, lambda key, alive: news.offer((key, alive), said_once=True))
+        session.watch_presence(all_tokens, lambda key, alive: updates.offer((key, alive), said_once=True))
 
         def look(duration_s: float) -> Watcher:
-            for item in news.take(duration_s):
+            for item in updates.take(duration_s):
                 match item:
                     case StateMessage():
                         watcher.take_state(item, time.monotonic())
                     case (key, bool() as alive):
                         watcher.take_presence(key, alive)
-                    case (key, farewell) if farewell:
-                        watcher.take_farewell(key, farewell)
+                    case (key, leave_reason) if leave_reason:
+                        watcher.take_leave(key, leave_reason)
             return watcher
 
         yield look
 
 
 def wait_until_whole(look: Look, timeout_s: float) -> Watcher:
-    """Wait until every area that is there has been heard, or until time is up."""
+    """Wait until every area that is there has been received, or until time is up."""
     deadline = time.monotonic() + timeout_s
     while not (watcher := look(STEP_S)).is_whole() and time.monotonic() < deadline:
         pass
@@ -84,13 +84,13 @@ def wait_until_whole(look: Look, timeout_s: float) -> Watcher:
 
 def _find_run(session: Session, timeout_s: float) -> str:
     """The only run of which an area or a plant is there."""
-    news = News()
+    updates = Updates()
     others: dict[str, int] = {}  # runs of another wire version
-    session.watch_presence(all_live_of_any_version(ANY), lambda key, alive: news.offer((key, alive), said_once=True))
+    session.watch_presence(all_live_of_any_version(ANY), lambda key, alive: updates.offer((key, alive), said_once=True))
     runs: set[str] = set()
     deadline, settled = time.monotonic() + timeout_s, float("inf")
     while (now := time.monotonic()) < min(deadline, settled):
-        for key, alive in news.take(STEP_S):
+        for key, alive in updates.take(STEP_S):
             if alive and name_of_live(key)[0] in ("area", "plant"):
                 settled = min(settled, now + SETTLE_S)
                 if version_of(key) == WIRE_VERSION:

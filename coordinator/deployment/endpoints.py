@@ -11,7 +11,7 @@ from scenarios.scenario import Scenario
 HIGHEST_PORT = 65535
 
 
-def choose_places(scenario: Scenario, protocol: str = "tcp") -> dict[str, str]:
+def choose_area_endpoints(scenario: Scenario, protocol: str = "tcp") -> dict[str, str]:
     """Area -> its endpoint: ports that count up from that of ``transport.listen``, or free ones if it is 0.
 
     Raises:

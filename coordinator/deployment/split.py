@@ -19,13 +19,13 @@ def default_run_id(scenario: Scenario) -> str:
 
 
 def area_files(
-    scenario: Scenario, run: str, endpoints: Sequence[str], places: Mapping[str, str] | None = None
+    scenario: Scenario, run: str, endpoints: Sequence[str], area_endpoints: Mapping[str, str] | None = None
 ) -> list[AreaFile]:
     """What each area is to know, in scenario order.
 
-    ``endpoints``: of the routers. ``places``: instead, where each area listens; of two neighbours the child calls.
+    ``endpoints``: of the routers. ``area_endpoints``: instead, where each area listens; of two neighbours the child calls.
     """
-    places = places or {}
+    area_endpoints = area_endpoints or {}
     partition = scenario.partition
     meters = partition.meters_by_area(scenario.meters)
     return [
@@ -34,8 +34,8 @@ def area_files(
             area=area,
             meters=tuple(meters[area.name]),
             strategy=scenario.strategy,
-            endpoints=tuple(places[n.area] for n in area.neighbours if n.is_parent) if places else tuple(endpoints),
-            listen=(places[area.name],) if places else (),
+            endpoints=tuple(area_endpoints[n.area] for n in area.neighbours if n.is_parent) if area_endpoints else tuple(endpoints),
+            listen=(area_endpoints[area.name],) if area_endpoints else (),
             beat_s=scenario.run.beat_s,
             scan_s=scenario.run.scan_s,
             tolerance=scenario.tolerances.estimator,
@@ -75,7 +75,7 @@ def write_area_files(
     run: str,
     endpoints: Sequence[str],
     folder: Path,
-    places: Mapping[str, str] | None = None,
+    area_endpoints: Mapping[str, str] | None = None,
     suffix: str = ".toml",
 ) -> Iterator[tuple[str, Path]]:
     """Write ``<area>.toml`` (or ``suffix``) of every area into ``folder``, see ``area_files``; area, file."""
@@ -83,7 +83,7 @@ def write_area_files(
         problems = [f"{e!r} is no Zenoh endpoint; one looks like tcp/192.0.2.7:7447" for e in strange]
         raise InvalidInputError("endpoints", problems)
     folder.mkdir(parents=True, exist_ok=True)
-    for content in area_files(scenario, run, endpoints, places):
+    for content in area_files(scenario, run, endpoints, area_endpoints):
         path = folder / f"{content.area.name}{suffix}"
         save_area_file(path, content)
         yield content.area.name, path

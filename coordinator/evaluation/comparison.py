@@ -95,7 +95,7 @@ def compare(
         whole.va[rows[owned]] = by_area[area.name].va[owned]
         if state is not None and state.buses:
             sigma.vm[rows[owned]] = np.array(state.sigma_vm)[owned]
-            if state.referenced:  # else they grow without limit: nobody has told where angle 0 is
+            if state.referenced:  # else they grow without limit: nobody knows where angle 0 is
                 sigma.va[rows[owned]] = np.array(state.sigma_va)[owned]
     return Comparison(
         partition=partition,

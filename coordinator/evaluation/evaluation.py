@@ -1,4 +1,4 @@
-"""What every run has in common, of processes or on the twin: preparing, observing, central estimate, judging."""
+"""What every run has in common, of processes or on the simulator: preparation, observation, evaluation."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 from agents.protocol.choose import STRATEGIES
 from coordinator.evaluation.comparison import compare
 from coordinator.evaluation.result import RunOutcome, make_area_results, make_verdict
-from coordinator.observe.duplicates import Double
+from coordinator.observe.duplicates import Duplicate
 from coordinator.observe.observer import Observer
 from dsse_core.errors import DsseError, InvalidInputError
 from dsse_core.estimation.bad_data import BadDataReport, process_bad_data
@@ -22,7 +22,7 @@ from scenarios.telemetry import Telemetry
 
 NO_CHANGES: LinkChanges = {}
 MAX_NAMED = 20  # obstacles
-YARDSTICK = 1e-9  # p.u. and rad: the largest last step of an estimate that others are measured against
+REFERENCE_ESTIMATE = 1e-9  # p.u. and rad: the largest last step of an estimate that others are measured against
 
 
 def prepare_scenario(
@@ -92,7 +92,7 @@ class Centralised:
 def estimate_centralised(scenario: Scenario, telemetry: Telemetry) -> Centralised:
     """What a control centre would make of the telemetry of all areas."""
     try:
-        tolerance = min(scenario.tolerances.estimator, YARDSTICK)
+        tolerance = min(scenario.tolerances.estimator, REFERENCE_ESTIMATE)
         return Centralised(process_bad_data(scenario.network, telemetry.union, tolerance=tolerance), None)
     except DsseError as error:
         return Centralised(None, str(error))
@@ -104,7 +104,7 @@ def no_consensus_within(scenario: Scenario, obstacles: tuple[str, ...]) -> str:
     return f"no consensus within {scenario.run.timeout_s:g} s: " + "; ".join([*obstacles[:MAX_NAMED], *more])
 
 
-def judge(
+def evaluate(
     scenario: Scenario,
     run: str,
     observer: Observer,
@@ -117,12 +117,12 @@ def judge(
     virtual_s: float | None,
     timing_s: Mapping[str, float],
     faults: Mapping[str, int],
-    doubles: Sequence[Double] = (),
+    duplicates: Sequence[Duplicate] = (),
 ) -> RunOutcome:
     """Compare what the areas have published with the centralised estimate and the truth, and sum up.
 
     ``reason``: None at consensus. ``started``: when the run began on the observer's clock, s. ``faults``: kind -> how
-    often it has happened. ``doubles``: whoever ran twice.
+    often it has happened. ``duplicates``: whoever ran twice.
     """
     comparison = compare(scenario.partition, observer.states, telemetry.truth, centralised.report)
     return RunOutcome(
@@ -136,5 +136,5 @@ def judge(
         history=tuple(replace(sample, time=sample.time - started) for sample in observer.history),
         timing_s=timing_s,
         faults=faults,
-        doubles=tuple(doubles),
+        duplicates=tuple(duplicates),
     )

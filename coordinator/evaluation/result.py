@@ -14,7 +14,7 @@ from typing import Any
 
 from agents.protocol.quality import GOOD
 from coordinator.evaluation.comparison import Comparison
-from coordinator.observe.duplicates import Double
+from coordinator.observe.duplicates import Duplicate
 from coordinator.observe.observer import Observer, Sample, count_exchanges
 from dsse_core.estimation.bad_data import BadDataReport
 from scenarios.scenario import Scenario
@@ -29,7 +29,7 @@ class Verdict:
 
     ``reason`` says why there is no consensus. ``messages``, ``bytes``, ``lost``: totals of all areas up to their
     last report, repeats included. ``wall_s``: from the call to the verdict. ``virtual_s``: time until then on the
-    twin's clock, None in a run of processes.
+    simulator's clock, None in a run of processes.
     """
 
     consensus: bool
@@ -64,7 +64,7 @@ class AreaResult:
     messages: int
     bytes: int
     lost: int
-    refused: dict[str, int]
+    rejected: dict[str, int]
     objective: float | None
     degrees_of_freedom: int | None
     removed: tuple[str, ...]
@@ -80,9 +80,9 @@ class AreaResult:
 
 @dataclass(frozen=True)
 class RunOutcome:
-    """Everything about one run. ``timing_s``: moments in seconds since the call, on the twin in virtual time.
+    """Everything about one run. ``timing_s``: moments in seconds since the call, on the simulator in virtual time.
 
-    ``faults``: kind -> how often it has happened, to messages and to processes. ``doubles``: areas and plants that ran
+    ``faults``: kind -> how often it has happened, to messages and to processes. ``duplicates``: areas and plants that ran
     twice at once.
 
     ``centralised`` is None where that estimate failed; ``centralised_failure`` says why.
@@ -98,7 +98,7 @@ class RunOutcome:
     history: tuple[Sample, ...]
     timing_s: Mapping[str, float]
     faults: Mapping[str, int]
-    doubles: tuple[Double, ...]
+    duplicates: tuple[Duplicate, ...]
 
     def in_folder(self, folder: Path) -> RunResult:
         return RunResult(**vars(self), folder=folder)
@@ -155,13 +155,13 @@ def _make_area_result(name: str, observer: Observer, comparison: Comparison, now
         messages=state.messages if state else 0,
         bytes=state.bytes if state else 0,
         lost=state.lost if state else 0,
-        refused=dict(state.refused) if state else {},
+        rejected=dict(state.rejected) if state else {},
         objective=state.objective if state and estimated else None,
         degrees_of_freedom=state.degrees_of_freedom if state and estimated else None,
         removed=state.removed if state else (),
         critical=state.critical if state else (),
         notes=worth.notes,
-        quality=worth.word,
+        quality=worth.quality,
     )
 
 
@@ -205,7 +205,7 @@ def as_json(result: RunOutcome) -> dict[str, Any]:
         "centralised": _centralised_json(result),
         "timing_s": dict(result.timing_s),
         "faults": dict(result.faults),
-        "doubles": [asdict(double) for double in result.doubles],
+        "duplicates": [asdict(duplicate) for duplicate in result.duplicates],
         "versions": {"python": platform.python_version()} | {name: version_of(name) for name in DISTRIBUTIONS},
     }
 

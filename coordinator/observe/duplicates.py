@@ -1,21 +1,21 @@
-"""Areas and plants that run twice, as who watches presence tokens finds them: two lives of one name at once."""
+"""Areas and plants that run twice, as who watches presence tokens finds them: two incarnations of one name at once."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from agents.messages.keys import life_of, name_of_live
+from agents.messages.keys import incarnation_of, name_of_live
 from agents.messages.packing import Incarnation
 from agents.runtime.duplicate_guard import GIVES_WAY
-from agents.runtime.presence import MAX_LIVES
+from agents.runtime.presence import MAX_INCARNATIONS
 
-SURE_S, SURE_BEATS = 2.5, 3.75  # the larger: when the bus must have noticed a death, and nobody has given way yet
+SURE_S, SURE_HEARTBEATS = 2.5, 3.75  # the larger: when the bus must have noticed a death, and nobody has given way yet
 NOUNS = {"area": "agents of area {}", "plant": "plants"}
 
 
 @dataclass(frozen=True, slots=True)
-class Double:
-    """Two processes of one name that were on the bus at once, by their lives."""
+class Duplicate:
+    """Two processes of one name that were on the bus at once, by their incarnations."""
 
     role: str
     name: str
@@ -23,54 +23,54 @@ class Double:
     newer: str
 
     def __str__(self) -> str:
-        return describe_double(self.role, self.name, (self.older, self.newer))
+        return describe_duplicate(self.role, self.name, (self.older, self.newer))
 
 
-def describe_double(role: str, name: str, lives: tuple[str, ...]) -> str:
-    """In a sentence; ``lives``: from the oldest to the newest."""
+def describe_duplicate(role: str, name: str, incarnations: tuple[str, ...]) -> str:
+    """In a sentence; ``incarnations``: from the oldest to the newest."""
     who = NOUNS[role].format(name)
-    return f"{len(lives)} {who} publish at once, lives {' and '.join(lives)}: the newest one's word counts"
+    return f"{len(incarnations)} {who} publish at once: {' and '.join(incarnations)}; the newest one counts"
 
 
-class Doubles:
-    """Finds each double once, when it is sure: the older one says that it gives way, or both are there for long.
+class Duplicates:
+    """Finds each duplicate once, when it is sure: the older one says that it gives way, or both are there for long.
 
     A process that was killed and started again is none: its former token may be there for a while, and no longer.
     ``found``: all up to now.
     """
 
     def __init__(self, beat_s: float) -> None:
-        self._sure_s = max(SURE_S, SURE_BEATS * beat_s)
-        self.found: list[Double] = []
-        self._since: dict[tuple[str, str], dict[Incarnation, float]] = {}  # role and name -> life -> first seen, s
+        self._sure_s = max(SURE_S, SURE_HEARTBEATS * beat_s)
+        self.found: list[Duplicate] = []
+        self._since: dict[tuple[str, str], dict[Incarnation, float]] = {}  # role and name -> incarnation -> first seen, s
 
-    def take(self, key: str, alive: bool, now: float, farewell: str = "") -> Double | None:
-        """Note that the token on ``key`` appeared or vanished; ``farewell``: what its process has said before."""
-        whose, life = name_of_live(key), life_of(key)
-        if life is None or whose[0] not in NOUNS:
+    def take(self, key: str, alive: bool, now: float, leave_reason: str = "") -> Duplicate | None:
+        """Note that the token on ``key`` appeared or vanished; ``leave_reason``: what its process has said before."""
+        whose, incarnation = name_of_live(key), incarnation_of(key)
+        if incarnation is None or whose[0] not in NOUNS:
             return None
-        lives = self._since.setdefault(whose, {})
-        if alive and len(lives) < MAX_LIVES:
-            lives.setdefault(life, now)
+        incarnations = self._since.setdefault(whose, {})
+        if alive and len(incarnations) < MAX_INCARNATIONS:
+            incarnations.setdefault(incarnation, now)
         elif not alive:
-            lives.pop(life, None)  # gone already, if the end of the token has overtaken the farewell
-            newest = max(lives, default=life)
-            return self._note(whose, life, newest) if newest > life and farewell == GIVES_WAY else None
+            incarnations.pop(incarnation, None)  # gone already, if the end of the token has overtaken the leave message
+            newest = max(incarnations, default=incarnation)
+            return self._note(whose, incarnation, newest) if newest > incarnation and leave_reason == GIVES_WAY else None
         return None
 
-    def find_lasting(self, now: float) -> list[Double]:
-        """Those that have been there together for long, and were not told yet."""
-        told = []
-        for whose, lives in self._since.items():
-            if len(lives) > 1:
-                older, newer = sorted(lives)[-2:]
-                if now - max(lives[older], lives[newer]) >= self._sure_s:
-                    told.append(self._note(whose, older, newer))
-        return [double for double in told if double]
+    def find_lasting(self, now: float) -> list[Duplicate]:
+        """Those that have been there together for long, and were not reported yet."""
+        found = []
+        for whose, incarnations in self._since.items():
+            if len(incarnations) > 1:
+                older, newer = sorted(incarnations)[-2:]
+                if now - max(incarnations[older], incarnations[newer]) >= self._sure_s:
+                    found.append(self._note(whose, older, newer))
+        return [duplicate for duplicate in found if duplicate]
 
-    def _note(self, whose: tuple[str, str], older: Incarnation, newer: Incarnation) -> Double | None:
-        double = Double(*whose, str(older), str(newer))
-        if len(self.found) >= MAX_LIVES or any((d.name, d.older) == (double.name, double.older) for d in self.found):
+    def _note(self, whose: tuple[str, str], older: Incarnation, newer: Incarnation) -> Duplicate | None:
+        duplicate = Duplicate(*whose, str(older), str(newer))
+        if len(self.found) >= MAX_INCARNATIONS or any((d.name, d.older) == (duplicate.name, duplicate.older) for d in self.found):
             return None
-        self.found.append(double)
-        return double
+        self.found.append(duplicate)
+        return duplicate

@@ -28,13 +28,13 @@ def live_table(title: str) -> Iterator[Callable[[Progress], None]]:
 
 
 def build_table(title: str, progress: Progress) -> Table:
-    """The areas at one moment; gaps are the largest to a neighbour at a boundary bus."""
+    """The areas at one moment; mismatches are the largest with a neighbour at a boundary bus."""
     waiting = shortened(f"waits: {progress.obstacles[0]}", LONGEST_CELL) if progress.obstacles else "consensus"
     more = f" (and {len(progress.obstacles) - 1} more)" if len(progress.obstacles) > 1 else ""
     table = _new_table(f"{title}   {progress.elapsed_s:.1f} s", waiting + more)
     for heading in ("area", "state"):
         table.add_column(heading)
-    for heading in ("scan", "exchanges", "gap deg", "gap p.u.", "messages", "lost"):
+    for heading in ("scan", "exchanges", "mismatch deg", "mismatch p.u.", "messages", "lost"):
         table.add_column(heading, justify="right")
     for area in progress.areas:
         _add_row(
@@ -43,8 +43,8 @@ def build_table(title: str, progress: Progress) -> Table:
             area.state,
             str(area.scan),
             str(area.exchanges),
-            "-" if area.gap_va is None else f"{math.degrees(area.gap_va):.2g}",
-            "-" if area.gap_vm is None else f"{area.gap_vm:.2g}",
+            "-" if area.mismatch_va is None else f"{math.degrees(area.mismatch_va):.2g}",
+            "-" if area.mismatch_vm is None else f"{area.mismatch_vm:.2g}",
             str(area.messages),
             str(area.lost),
         )
@@ -69,23 +69,23 @@ def format_view(view: View) -> str:
 WATCHED = (
     "quality",
     "scan",
-    "heard s ago",
+    "received s ago",
     "telemetry s old",
     "neighbours s old",
-    "gap deg",
-    "gap p.u.",
+    "mismatch deg",
+    "mismatch p.u.",
     "exchanges",
     "messages",
     "lost",
-    "refused",
+    "rejected",
 )
 
 
 def build_view_table(view: View) -> Table:
-    """What a watcher sees of a run; gaps are the largest to a neighbour at a bus that both publish."""
+    """What a watcher sees of a run; mismatches are the largest with a neighbour at a bus that both publish."""
     others = listed(view.others, MOST_LISTED) or "nobody"
-    told = [shortened(word, LONGEST_CELL) for word in (*view.doubles[:MOST_LISTED], *view.other_versions)]
-    table = _new_table(f"run {view.run}", f"also there: {others}", *told)
+    remarks = [shortened(word, LONGEST_CELL) for word in (*view.duplicates[:MOST_LISTED], *view.other_versions)]
+    table = _new_table(f"run {view.run}", f"also there: {others}", *remarks)
     for heading in ("area", "state"):
         table.add_column(heading)
     for heading in WATCHED:
@@ -101,12 +101,12 @@ def build_view_table(view: View) -> Table:
             "-" if area.age_s is None else f"{area.age_s:.1f}",
             _age(area.telemetry_age_s),
             "-" if not area.ages_s else _age(max(area.ages_s.values())),
-            "-" if area.gap_va_deg is None else f"{area.gap_va_deg:.2g}",
-            "-" if area.gap_vm_pu is None else f"{area.gap_vm_pu:.2g}",
+            "-" if area.mismatch_va_deg is None else f"{area.mismatch_va_deg:.2g}",
+            "-" if area.mismatch_vm_pu is None else f"{area.mismatch_vm_pu:.2g}",
             str(area.exchanges),
             str(area.messages),
             str(area.lost),
-            str(sum(area.refused.values())),
+            str(sum(area.rejected.values())),
             listed([shortened(note, LONGEST_CELL) for note in area.notes], MOST_LISTED, "; "),
         )
     return table

@@ -1,11 +1,11 @@
 """What the coordinator knows of a run, and whether the areas agree. No bus, no clock, no centralised result.
 
 Consensus: every area is alive, has an estimate of the current scan whose angles count from the substation,
-agrees with the others at every boundary bus and has heard the last words of its neighbours. Areas show
-themselves at rest, and only news can wake them: when all words said have been heard, no more will follow.
-After a restart, whose words are numbered from one again, and after whatever else the scenario did to processes or
-links, nothing must have changed for two beats besides, of which every area was heard to repeat itself, and every
-area must have heard its telemetry since: estimates that the areas agree on may have lost their plant.
+agrees with the others at every boundary bus and has received the last messages of its neighbours. Areas show
+themselves at rest, and only a new message can wake them: when all messages sent have been received, no more will follow.
+After a restart, whose messages are numbered from one again, and after whatever else the scenario did to processes or
+links, nothing must have changed for two heartbeats besides, of which every area has repeated itself, and every
+area must have received its telemetry since: estimates that the areas agree on may have lost their plant.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from agents.messages.packing import StateMessage
-from agents.protocol.freshness import FRESH_BEATS, PATIENCE_BEATS, is_old
+from agents.protocol.freshness import FRESH_HEARTBEATS, PATIENCE_HEARTBEATS, is_old
 from agents.protocol.quality import GOOD, NONE, STALE, UNOBSERVABLE, Worth, weigh_from_outside
 from dsse_core.grid.partition import Partition
 from dsse_core.printable import printable
 
-QUIET_BEATS = 2
-SETTLING_BEATS = 3  # after the last change; whatever is not good then stays so, or messages are lost all the time
+QUIET_HEARTBEATS = 2
+SETTLING_HEARTBEATS = 3  # after the last change; whatever is not good then stays so, or messages are lost all the time
 MAX_NAMED = 12  # areas
 LEAST_DEAD_END_S = 5.0  # of waiting for telemetry: on a busy machine the plant may have to wait for its turn
 
@@ -58,7 +58,7 @@ class Sample:
 class _Watched:
     alive: bool = False
     state: StateMessage | None = None
-    heard_at: float = -math.inf
+    received_at: float = -math.inf
     repeats: int = 0  # of the state, since change number ``change``, the last anywhere that it knows of
     change: int = 0
 
@@ -109,11 +109,11 @@ class Observer:
         if watched is None or not self._is_of_its_area(state):
             return False
         last = watched.state
-        if last is not None and is_old(state.header, last.header, now - watched.heard_at, PATIENCE_BEATS * self.beat_s):
+        if last is not None and is_old(state.header, last.header, now - watched.received_at, PATIENCE_HEARTBEATS * self.beat_s):
             return False
         if last is not None and state.header.incarnation != last.header.incarnation:
             self._disturbed_at = now
-        watched.heard_at = now
+        watched.received_at = now
         watched.state = self._states[state.header.sender] = state  # a repeat carries newer message counts
         if last is not None and state.header.order == last.header.order:
             watched.repeats = self._repeats(watched) + 1
@@ -142,22 +142,22 @@ class Observer:
         return True
 
     def take_fault(self, now: float) -> None:
-        """Note that the scenario has done something: who was there before may be dead, which nobody has told yet."""
+        """Note that the scenario has done something: an area seen before may be dead, which is not reported yet."""
         self._disturbed_at = now
         self._note_change(now)
 
     def worth_of(self, area: str, now: float) -> Worth:
-        """What the area's last state is worth at time ``now``: stale once it is gone or has not been heard for long."""
+        """What the area's last state is worth at time ``now``: stale once it is gone or has sent nothing for long."""
         watched = self._watched[area]
         if watched.state is None:
             return weigh_from_outside(None, "")
         silence = "" if watched.alive else f"{area} is not on the bus"
-        if not silence and now - watched.heard_at >= FRESH_BEATS * self.beat_s:
-            silence = f"{area} has not been heard for {now - watched.heard_at:.1f} s"
+        if not silence and now - watched.received_at >= FRESH_HEARTBEATS * self.beat_s:
+            silence = f"{area} has sent nothing for {now - watched.received_at:.1f} s"
         return weigh_from_outside(watched.state, silence, tuple(self._find_disputes(area)))
 
     def _find_disputes(self, area: str) -> Iterator[str]:
-        """Where neighbours publish another voltage for the same scan: somebody has told one of them false things."""
+        """Where neighbours publish another voltage for the same scan: one of them has received false numbers."""
         for bus, names in self.partition.boundaries.items():
             if area not in names:
                 continue
@@ -170,16 +170,16 @@ class Observer:
                     yield from self._find_disagreements(bus, [area, other])
 
     def quality_of(self, area: str, now: float) -> str:
-        """The word alone."""
-        return self.worth_of(area, now).word
+        """The quality alone."""
+        return self.worth_of(area, now).quality
 
     def standing(self, now: float) -> Standing:
         """What is missing to consensus at time ``now``, and whether it can still come."""
         if disunity := self._find_disunity(now):
             return Standing(tuple(disunity), self._find_unobservable(now))
         ages = self._find_cut_off(now)
-        obstacles = tuple(f"{name} has heard no telemetry for {age:.1f} s" for name, age in ages.items())
-        if now - self.changed_at < SETTLING_BEATS * self.beat_s:  # in which areas hear that their neighbours are done
+        obstacles = tuple(f"{name} has received no telemetry for {age:.1f} s" for name, age in ages.items())
+        if now - self.changed_at < SETTLING_HEARTBEATS * self.beat_s:  # in which areas learn that their neighbours are done
             worth = {name: self.quality_of(name, now) for name in self._watched}
             obstacles += tuple(f"{name} is {quality}" for name, quality in worth.items() if quality != GOOD)
         return Standing(obstacles, self._find_dead_end(ages))
@@ -196,7 +196,7 @@ class Observer:
     @property
     def _longest_wait_s(self) -> float:
         """After which waiting helps no more."""
-        return max(PATIENCE_BEATS * self.beat_s, LEAST_DEAD_END_S)
+        return max(PATIENCE_HEARTBEATS * self.beat_s, LEAST_DEAD_END_S)
 
     def _find_dead_end(self, ages: Mapping[str, float]) -> str | None:
         """Why waiting helps no more, if it does not: the areas agree, on estimates that have been stale for long."""
@@ -204,18 +204,18 @@ class Observer:
             return None
         named = ", ".join(list(ages)[:MAX_NAMED]) + (f" and {len(ages) - MAX_NAMED} more" * (len(ages) > MAX_NAMED))
         return (
-            f"the areas agree, but on stale estimates: {named} heard the last telemetry, of scan {self.scan}, "
+            f"the areas agree, but on stale estimates: {named} received the last telemetry, of scan {self.scan}, "
             f"{min(ages.values()):.1f} s ago; is the plant or gateway gone?"
         )
 
     def _find_cut_off(self, now: float) -> dict[str, float]:
-        """Areas that are stale, or have heard no telemetry since the last disturbance -> for how long, s."""
+        """Areas that are stale, or have received no telemetry since the last disturbance -> for how long, s."""
         found = {}
         for name, watched in self._watched.items():
             state = watched.state
             if state is None or state.quality == NONE:
                 continue
-            telemetry_at = watched.heard_at - state.telemetry_age
+            telemetry_at = watched.received_at - state.telemetry_age
             if self.quality_of(name, now) == STALE or telemetry_at < self._disturbed_at:
                 found[name] = now - telemetry_at
         return found
@@ -231,18 +231,18 @@ class Observer:
             obstacles += self._find_disagreements(
                 bus, [name for name in names if name in states and states[name].buses]
             )
-        obstacles += self._find_unheard()
+        obstacles += self._find_unacknowledged()
         if not obstacles and self._disturbed_at > -math.inf and not self._is_quiet(now):
             obstacles.append(
-                f"something has changed within the last {QUIET_BEATS} beats, after a restart or another fault"
+                f"something has changed within the last {QUIET_HEARTBEATS} heartbeats, after a restart or another fault"
             )
         return obstacles
 
     def _is_quiet(self, now: float) -> bool:
-        """Whether nothing has changed for so long that every area must have been heard to repeat itself."""
-        if now - self.changed_at < QUIET_BEATS * self.beat_s:
+        """Whether nothing has changed for so long that every area must have repeated itself."""
+        if now - self.changed_at < QUIET_HEARTBEATS * self.beat_s:
             return False
-        return min(map(self._repeats, self._watched.values()), default=0) >= QUIET_BEATS
+        return min(map(self._repeats, self._watched.values()), default=0) >= QUIET_HEARTBEATS
 
     def find_absent(self) -> tuple[str, ...]:
         """The areas that are not on the bus."""
@@ -278,33 +278,33 @@ class Observer:
     def _find_disagreements(self, bus: int, names: list[str]) -> list[str]:
         found = []
         for other in names[1:]:
-            vm, va = self.gap_at(bus, names[0], other)
+            vm, va = self.mismatch_at(bus, names[0], other)
             if va > self.tolerance_va:
                 found.append(f"{names[0]} and {other} differ by {math.degrees(va):.3g} deg at bus {bus}")
             if self.compare_magnitudes and vm > self.tolerance_vm:
                 found.append(f"{names[0]} and {other} differ by {vm:.3g} p.u. at bus {bus}")
         return found
 
-    def gap_at(self, bus: int, one: str, other: str) -> tuple[float, float]:
+    def mismatch_at(self, bus: int, one: str, other: str) -> tuple[float, float]:
         """Differences of magnitude and (wrapped) angle that two areas publish for ``bus``, p.u. and rad."""
         vm, va = zip(*(_voltage(self.states[name], bus) for name in (one, other)), strict=True)
         return abs(vm[0] - vm[1]), abs(math.remainder(va[0] - va[1], 2 * math.pi))
 
-    def _find_unheard(self) -> list[str]:
+    def _find_unacknowledged(self) -> list[str]:
         states, found = self.states, []
         for area in self.partition.areas:
             for n in area.neighbours:
                 sender, receiver = states.get(area.name), states.get(n.area)
                 if sender is None or receiver is None:
                     continue
-                sent, heard = (
-                    numbers.get(name, (0, 0)) for numbers, name in ((sender.sent, n.area), (receiver.heard, area.name))
+                sent, received = (
+                    numbers.get(name, (0, 0)) for numbers, name in ((sender.sent, n.area), (receiver.received, area.name))
                 )
-                for kind, said, got in zip(("load", "boundary"), sent, heard, strict=True):
+                for kind, said, got in zip(("load", "boundary"), sent, received, strict=True):
                     if said == 0:
                         found.append(f"{area.name} has sent {n.area} no {kind} message")
                     elif got != said:
-                        found.append(f"{n.area} has not heard the last {kind} message of {area.name}")
+                        found.append(f"{n.area} has not received the last {kind} message of {area.name}")
         return found
 
 

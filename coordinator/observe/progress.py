@@ -12,14 +12,14 @@ UPDATE_S = 0.1  # of wall time between two looks
 
 @dataclass(frozen=True, slots=True)
 class AreaProgress:
-    """One area; gaps are the largest to a neighbour at a boundary bus, p.u. and rad, None if there is none yet."""
+    """One area; largest mismatches with a neighbour at a boundary bus, p.u. and rad, None without one."""
 
     name: str
     state: str
     scan: int
     exchanges: int
-    gap_vm: float | None
-    gap_va: float | None
+    mismatch_vm: float | None
+    mismatch_va: float | None
     messages: int
     lost: int
 
@@ -44,27 +44,27 @@ def _describe_area(observer: Observer, name: str, alive: bool) -> AreaProgress:
     state = observer.states.get(name)
     if state is None:
         return AreaProgress(name, "joined" if alive else "starting", 0, 0, None, None, 0, 0)
-    gaps = _find_gaps(observer, name)
-    agrees = all(va <= observer.tolerance_va for _, va in gaps)
+    mismatches = _find_mismatches(observer, name)
+    agrees = all(va <= observer.tolerance_va for _, va in mismatches)
     return AreaProgress(
         name=name,
         state=_describe_state(state, agrees) if alive else "gone",
         scan=state.header.scan,
         exchanges=count_exchanges(state),
-        gap_vm=max((vm for vm, _ in gaps), default=None),
-        gap_va=max((va for _, va in gaps), default=None),
+        mismatch_vm=max((vm for vm, _ in mismatches), default=None),
+        mismatch_va=max((va for _, va in mismatches), default=None),
         messages=state.messages,
         lost=state.lost,
     )
 
 
-def _find_gaps(observer: Observer, name: str) -> list[tuple[float, float]]:
+def _find_mismatches(observer: Observer, name: str) -> list[tuple[float, float]]:
     """Differences of magnitude and angle to each neighbour that has shown an estimate, p.u. and rad."""
     if not observer.states[name].buses:
         return []
     neighbours = observer.partition.area(name).neighbours
     shown = [n for n in neighbours if n.area in observer.states and observer.states[n.area].buses]
-    return [observer.gap_at(n.bus, name, n.area) for n in shown]
+    return [observer.mismatch_at(n.bus, name, n.area) for n in shown]
 
 
 def _describe_state(state: StateMessage, agrees: bool) -> str:

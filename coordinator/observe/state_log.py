@@ -12,21 +12,21 @@ from coordinator.observe.events import EventLog
 
 @dataclass
 class StateLog:
-    """``events``: where to write, if anywhere; ``faults``: kind -> how many messages it has befallen, in all lives."""
+    """``events``: where to write, if anywhere; ``faults``: kind -> number of messages, in all incarnations."""
 
     events: EventLog | None
     faults: Counter[str] = field(default_factory=Counter)
     _quality: dict[str, str] = field(default_factory=dict)
-    _counted: dict[str, tuple[Incarnation, Counter[str]]] = field(default_factory=dict)  # of the last life
+    _counted: dict[str, tuple[Incarnation, Counter[str]]] = field(default_factory=dict)  # of the last incarnation
 
     def take(self, state: StateMessage, at: float, is_new: bool) -> None:
         """Note ``state``, an area's newest, shown at time ``at``; ``is_new``: it says more than a repeat would."""
         area = state.header.sender
-        told = Counter({kind: state.faults[kind] for kind in KINDS if kind in state.faults})  # a liar may make up more
-        life, before = self._counted.get(area, (state.header.incarnation, Counter()))
-        before = before if life == state.header.incarnation else Counter()
-        more = told - before
-        self._counted[area] = (state.header.incarnation, before | told)
+        counted = Counter({kind: state.faults[kind] for kind in KINDS if kind in state.faults})  # a liar may make up more
+        incarnation, before = self._counted.get(area, (state.header.incarnation, Counter()))
+        before = before if incarnation == state.header.incarnation else Counter()
+        more = counted - before
+        self._counted[area] = (state.header.incarnation, before | counted)
         self.faults += more
         if self.events is None:
             return
@@ -48,6 +48,6 @@ class StateLog:
             estimated=bool(state.buses),
             referenced=state.referenced,
             sent=state.sent,
-            heard=state.heard,
+            received=state.received,
             notes=list(state.notes),
         )

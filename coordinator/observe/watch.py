@@ -11,22 +11,22 @@ from agents.messages.packing import WIRE_VERSION, StateMessage, describe_other_v
 from agents.protocol.freshness import is_old
 from agents.protocol.quality import NONE, weigh_from_outside
 from agents.runtime.presence import MAX_NAMES, Presence
-from coordinator.observe.duplicates import NOUNS, describe_double
+from coordinator.observe.duplicates import NOUNS, describe_duplicate
 from coordinator.observe.observer import count_exchanges
 from dsse_core.printable import listed
 
-OVER_S = 2.0  # after which a life that is not heard is over; nobody tells a watcher the beat
-MOST_VERSIONS = 10  # other wire versions that are told apart, and
+OVER_S = 2.0  # after which an incarnation that is not received is over; nobody tells a watcher the heartbeat
+MOST_VERSIONS = 10  # other wire versions that are distinguished, and
 MOST_NAMED = 12  # names of each
-SILENT_GAPS = 3  # an area that was not heard for so many of its longest pauses, and for OVER_S, is silent
+SILENT_PAUSES = 3  # an area that was not received for so many of its longest pauses, and for OVER_S, is silent
 
 
 @dataclass(frozen=True, slots=True)
 class AreaView:
     """One area as a watcher sees it; everything but ``present`` is what it published ``age_s`` ago.
 
-    ``gap_vm_pu``, ``gap_va_deg``: the largest differences to a neighbour at a bus that both publish, None where there
-    is none. ``neighbours``: those that it speaks to. ``age_s``: None if it was never heard. ``farewell``: what it said
+    ``mismatch_vm_pu``, ``mismatch_va_deg``: the largest differences to a neighbour at a bus that both publish, None where there
+    is none. ``neighbours``: those that it speaks to. ``age_s``: None if it was never received. ``leave_reason``: what it said
     when it left, empty if it died. ``silent``: it has said nothing for long, though its token may be there.
     ``said_quality``: what it said of its own state (docs/explanation/quality.md); ``quality``: the same, and
     stale once it is gone or silent. ``telemetry_age_s`` and ``ages_s`` (of each neighbour's information) have gone on
@@ -36,7 +36,7 @@ class AreaView:
     name: str
     present: bool
     age_s: float | None
-    farewell: str = ""
+    leave_reason: str = ""
     scan: int = 0
     quality: str = NONE
     said_quality: str = NONE
@@ -47,21 +47,21 @@ class AreaView:
     referenced: bool = False
     checked: bool = False
     neighbours: tuple[str, ...] = ()
-    gap_vm_pu: float | None = None
-    gap_va_deg: float | None = None
+    mismatch_vm_pu: float | None = None
+    mismatch_va_deg: float | None = None
     exchanges: int = 0
     messages: int = 0
     bytes: int = 0
     lost: int = 0
     removed: tuple[str, ...] = ()
-    refused: Mapping[str, int] = field(default_factory=dict)
+    rejected: Mapping[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
     @property
     def state(self) -> str:
         """In a word."""
         if not self.present:
-            return "left" if self.farewell else "gone"
+            return "left" if self.leave_reason else "gone"
         if self.age_s is None or self.silent:
             return "silent"
         if not self.estimated:
@@ -73,14 +73,14 @@ class AreaView:
 class View:
     """A run at one moment. ``others``: plant, coordinators and watchers that are there, as ``role name``.
 
-    ``doubles``: in words, which area or plant runs more than once; one that has just been started again may, for 2 s.
+    ``duplicates``: in words, which area or plant runs more than once; one that has just been started again may, for 2 s.
     ``other_versions``: in words, who speaks another wire version, of whom nothing else can be shown.
     """
 
     run: str
     areas: tuple[AreaView, ...]
     others: tuple[str, ...]
-    doubles: tuple[str, ...] = ()
+    duplicates: tuple[str, ...] = ()
     other_versions: tuple[str, ...] = ()
 
 
@@ -94,9 +94,9 @@ class Watcher:
     run: str
     _presence: Presence = field(default_factory=Presence)
     _other_versions: dict[int, Presence] = field(default_factory=dict)
-    _farewells: dict[str, str] = field(default_factory=dict)
-    _heard: dict[str, tuple[float, StateMessage]] = field(default_factory=dict)
-    _longest_gap: dict[str, float] = field(default_factory=dict)  # between two states of an area's life, s
+    _leave_reasons: dict[str, str] = field(default_factory=dict)
+    _received: dict[str, tuple[float, StateMessage]] = field(default_factory=dict)
+    _longest_pause: dict[str, float] = field(default_factory=dict)  # between two states of an area's incarnation, s
 
     def take_presence(self, key: str, alive: bool) -> None:
         """Note that a token of any wire version appeared or vanished."""
@@ -105,36 +105,36 @@ class Watcher:
                 self._other_versions.setdefault(version, Presence()).take(key, alive)
             return
         if self._presence.take(key, alive) and alive:
-            self._farewells.pop(name_of_live(key)[1], None)  # that was said by a former life
+            self._leave_reasons.pop(name_of_live(key)[1], None)  # that was said by a former incarnation
 
-    def take_farewell(self, key: str, farewell: str) -> None:
+    def take_leave(self, key: str, leave_reason: str) -> None:
         """Note that a process said that it goes."""
-        if self._presence.take_farewell(key) and len(self._farewells) < MAX_NAMES:
-            self._farewells[name_of_live(key)[1]] = farewell
+        if self._presence.take_leave(key) and len(self._leave_reasons) < MAX_NAMES:
+            self._leave_reasons[name_of_live(key)[1]] = leave_reason
 
     def take_state(self, state: StateMessage, now: float) -> None:
-        """Keep ``state`` if it is of this run and as new as the area's last, or the life of that is over."""
+        """Keep ``state`` if it is of this run and as new as the area's last, or the incarnation of that is over."""
         area = state.header.sender
-        at, last = self._heard.get(area, (now, state))
-        if area not in self._heard and len(self._heard) >= MAX_NAMES:
+        at, last = self._received.get(area, (now, state))
+        if area not in self._received and len(self._received) >= MAX_NAMES:
             return
         if state.header.run == self.run and not is_old(state.header, last.header, now - at, OVER_S):
-            same_life = state.header.incarnation == last.header.incarnation
-            self._longest_gap[area] = max(now - at, self._longest_gap.get(area, 0.0)) if same_life else 0.0
-            self._heard[area] = (now, state)
+            same_incarnation = state.header.incarnation == last.header.incarnation
+            self._longest_pause[area] = max(now - at, self._longest_pause.get(area, 0.0)) if same_incarnation else 0.0
+            self._received[area] = (now, state)
 
     def is_whole(self) -> bool:
-        """Whether there are areas, and every one that is there has been heard."""
+        """Whether there are areas, and every one that is there has been received."""
         present = self._names_of("area")
-        return bool(present) and present <= self._heard.keys()
+        return bool(present) and present <= self._received.keys()
 
     def look(self, now: float) -> View:
         """What is known at ``now``."""
-        spoken_to = {name for _, state in self._heard.values() for name in state.sent}
-        names = sorted(self._names_of("area") | self._heard.keys() | spoken_to, key=_by_number)[:MAX_NAMES]
+        spoken_to = {name for _, state in self._received.values() for name in state.sent}
+        names = sorted(self._names_of("area") | self._received.keys() | spoken_to, key=_by_number)[:MAX_NAMES]
         others = sorted(f"{role} {name}" for role, name in self._presence.names if role != "area")
         views = tuple(self._view_of(name, now) for name in names)
-        return View(self.run, views, tuple(others), tuple(self._find_doubles()), self.find_other_versions())
+        return View(self.run, views, tuple(others), tuple(self._find_duplicates()), self.find_other_versions())
 
     def find_other_versions(self) -> tuple[str, ...]:
         """In words, who speaks which other wire version."""
@@ -148,34 +148,34 @@ class Watcher:
             if names
         )
 
-    def _find_doubles(self) -> Iterator[str]:
+    def _find_duplicates(self) -> Iterator[str]:
         for role, name in sorted(self._presence.names):
-            lives = self._presence.lives_of(role, name)
-            if role in NOUNS and len(lives) > 1:
-                yield describe_double(role, name, tuple(map(str, lives)))
+            incarnations = self._presence.incarnations_of(role, name)
+            if role in NOUNS and len(incarnations) > 1:
+                yield describe_duplicate(role, name, tuple(map(str, incarnations)))
 
     def _names_of(self, role: str) -> set[str]:
         return {name for its_role, name in self._presence.names if its_role == role}
 
     def _view_of(self, name: str, now: float) -> AreaView:
         present = name in self._names_of("area")
-        farewell = "" if present else self._farewells.get(name, "")
-        if name not in self._heard:
-            return AreaView(name, present, None, farewell)
-        at, state = self._heard[name]
-        is_silent = now - at > max(OVER_S, SILENT_GAPS * self._longest_gap.get(name, 0.0))
-        gaps = [gap for other in state.sent if (gap := self._gap(state, other))]
-        silence = f"has not been heard for {now - at:.1f} s" if is_silent else ""
+        leave_reason = "" if present else self._leave_reasons.get(name, "")
+        if name not in self._received:
+            return AreaView(name, present, None, leave_reason)
+        at, state = self._received[name]
+        is_silent = now - at > max(OVER_S, SILENT_PAUSES * self._longest_pause.get(name, 0.0))
+        mismatches = [mismatch for other in state.sent if (mismatch := self._mismatch(state, other))]
+        silence = f"has sent nothing for {now - at:.1f} s" if is_silent else ""
         if not present:
-            silence = f"has left: {farewell}" if farewell else "is gone"
+            silence = f"has left: {leave_reason}" if leave_reason else "is gone"
         worth = weigh_from_outside(state, silence)
         return AreaView(
             name=name,
             present=present,
             age_s=round(now - at, 3),
-            farewell=farewell,
+            leave_reason=leave_reason,
             scan=state.header.scan,
-            quality=worth.word,
+            quality=worth.quality,
             said_quality=state.quality,
             silent=is_silent,
             telemetry_age_s=round(state.telemetry_age + now - at, 3),
@@ -184,20 +184,20 @@ class Watcher:
             referenced=state.referenced,
             checked=state.checked,
             neighbours=tuple(state.sent),
-            gap_vm_pu=max((vm for vm, _ in gaps), default=None),
-            gap_va_deg=max((math.degrees(va) for _, va in gaps), default=None),
+            mismatch_vm_pu=max((vm for vm, _ in mismatches), default=None),
+            mismatch_va_deg=max((math.degrees(va) for _, va in mismatches), default=None),
             exchanges=count_exchanges(state),
             messages=state.messages,
             bytes=state.bytes,
             lost=state.lost,
             removed=state.removed,
-            refused=state.refused,
+            rejected=state.rejected,
             notes=worth.notes,
         )
 
-    def _gap(self, state: StateMessage, other: str) -> tuple[float, float] | None:
+    def _mismatch(self, state: StateMessage, other: str) -> tuple[float, float] | None:
         """The largest differences of magnitude and angle between an area and a neighbour, p.u. and rad."""
-        theirs = self._heard[other][1] if other in self._heard else None
+        theirs = self._received[other][1] if other in self._received else None
         shared = set(state.buses) & set(theirs.buses) if theirs else set()
         if theirs is None or not shared:
             return None

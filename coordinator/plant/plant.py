@@ -11,11 +11,11 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from agents.messages.keys import all_lives, live_key, name_of_live, telemetry_key
-from agents.runtime.duplicate_guard import GIVES_WAY, REPLACED_CODE, ReplacedError, Succession
+from agents.messages.keys import all_incarnations, live_key, name_of_live, telemetry_key
+from agents.runtime.duplicate_guard import GIVES_WAY, REPLACED_CODE, ReplacedError, DuplicateGuard
 from agents.runtime.inbox import Inbox
 from agents.runtime.log_format import start_log
-from agents.runtime.presence import begin_life
+from agents.runtime.presence import begin_incarnation
 from agents.runtime.renewal import Renewal, on_hangup
 from agents.security.access import PLANT
 from agents.security.credentials import load_keys
@@ -26,7 +26,7 @@ from dsse_core.errors import DsseError
 
 log = logging.getLogger(__name__)
 SILENT, SPEAK = signal.SIGUSR1, signal.SIGUSR2
-# At once a plant says so many bytes, then it waits: what the bus has no room for it drops, until the next beat
+# At once a plant says so many bytes, then it waits: what the bus has no room for it drops, until the next heartbeat
 BURST, RATE = 2**16, 16 * 2**20  # bytes, bytes per second
 
 
@@ -44,7 +44,7 @@ def run_plant(
 
     3 if another plant of the run began later.
 
-    An area is served when it appears and then at every beat: it subscribes before it shows itself. ``scan``: above
+    An area is served when it appears and then at every heartbeat: it subscribes before it shows itself. ``scan``: above
     that of any plant before it in the same run. ``every_s``: time from one scan to the next; None: there is one only.
     Signal ``SILENT`` makes it publish nothing until signal ``SPEAK``. ``keys``: folder of the plant's credentials.
     ``direct``: ``endpoints`` are those of all areas, not of routers.
@@ -53,8 +53,8 @@ def run_plant(
     inbox = Inbox()
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # Zenoh's connecting would defer Python's handler to its end
     try:
-        life = begin_life()
-        payloads = scans.payloads(run, life, scan)
+        incarnation = begin_incarnation()
+        payloads = scans.payloads(run, incarnation, scan)
         if keys:
             on_hangup(lambda: inbox.put("renewal", Renewal.ASKED), lambda: inbox.put("stop", None))
         loaded = load_keys(keys, PLANT, run)
@@ -63,27 +63,27 @@ def run_plant(
                 signal.signal(number, lambda *_: inbox.put("stop", None))
             publishers = {area: session.publisher(telemetry_key(run, area)) for area in payloads}
             session.watch_presence(
-                all_lives(run, "area", "*"),
+                all_incarnations(run, "area", "*"),
                 lambda key, alive: inbox.put(name_of_live(key), key) if alive and _is_known(key, payloads) else None,
             )
-            session.watch_presence(all_lives(run, "plant", PLANT), lambda key, alive: inbox.put(key, (key, alive)))
-            own_token = live_key(run, "plant", PLANT, life)
-            say_farewell = session.publisher(own_token)
+            session.watch_presence(all_incarnations(run, "plant", PLANT), lambda key, alive: inbox.put(key, (key, alive)))
+            own_token = live_key(run, "plant", PLANT, incarnation)
+            send_leave = session.publisher(own_token)
             session.declare_presence(own_token)
             log.info("plant of run %s, seed %s, %s areas", run, scans.seed, len(payloads))
-            succession = Succession(f"plant of run {run}", life, time.monotonic(), scans.beat_s)
-            voice = _Voice(publishers, inbox, scans.beat_s, succession, session)
+            guard = DuplicateGuard(f"plant of run {run}", incarnation, time.monotonic(), scans.beat_s)
+            voice = _Voice(publishers, inbox, scans.beat_s, guard, session)
             for number in (SILENT, SPEAK):
                 signal.signal(number, voice.be_silent)
-            signal.pthread_sigmask(signal.SIG_UNBLOCK, (SILENT, SPEAK))  # a run's plant may have been told already
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, (SILENT, SPEAK))  # a run's plant may have its orders already
             try:
                 while not voice.serve(payloads, scans.late_s(scan), every_s or math.inf):
                     scan += 1
-                    payloads = scans.payloads(run, life, scan)
+                    payloads = scans.payloads(run, incarnation, scan)
             except ReplacedError:
-                say_farewell(GIVES_WAY.encode())
+                send_leave(GIVES_WAY.encode())
                 raise
-            say_farewell(b"stopped")
+            send_leave(b"stopped")
     except DsseError as error:
         print(f"error: {error}", file=sys.stderr)
         return REPLACED_CODE if isinstance(error, ReplacedError) else 2
@@ -102,42 +102,42 @@ class _Voice:
     publishers: Mapping[str, Callable[[bytes], None]]
     inbox: Inbox
     beat_s: float
-    succession: Succession
+    guard: DuplicateGuard
     bus: RenewableBus
     silent: bool = False
     _newest: dict[str, bytes] = field(default_factory=dict)  # area -> the readings that have come in
     _due: dict[str, None] = field(default_factory=dict)  # areas to be served, in this order; a new scan goes on with it
 
     def serve(self, payloads: Mapping[str, bytes], late_s: Mapping[str, float], duration_s: float) -> bool:
-        """Publish one scan at every beat for ``duration_s``; whether to stop.
+        """Publish one scan at every heartbeat for ``duration_s``; whether to stop.
 
         ``late_s``: area -> by how much its readings come late; until then the former ones are repeated.
 
         Raises:
             ReplacedError: another plant of the run began later.
         """
-        start = next_beat = time.monotonic()
+        start = next_heartbeat = time.monotonic()
         over = start + duration_s
         while True:  # once at least: the next scan may be due already
             now = time.monotonic()
-            if now >= next_beat:
-                next_beat = now + self.beat_s
+            if now >= next_heartbeat:
+                next_heartbeat = now + self.beat_s
                 self._due |= dict.fromkeys(payloads)
             said = self._publish_some(payloads, late_s, now - start)
             wait_s = said / RATE if self._due else math.inf
-            news = self.inbox.take(min(next_beat - time.monotonic(), over - time.monotonic(), wait_s))
-            if Renewal.ASKED in news and self.bus.interrupt():
-                news += self.inbox.take(0.0)
-                self._mind_successors([item for item in news if isinstance(item, tuple)])
-                news = [item for item in news if not isinstance(item, tuple)]
-                self.succession.forget()
+            updates = self.inbox.take(min(next_heartbeat - time.monotonic(), over - time.monotonic(), wait_s))
+            if Renewal.ASKED in updates and self.bus.interrupt():
+                updates += self.inbox.take(0.0)
+                self._mind_successors([item for item in updates if isinstance(item, tuple)])
+                updates = [item for item in updates if not isinstance(item, tuple)]
+                self.guard.forget()
                 self.bus.resume()
-            if None in news:
+            if None in updates:
                 return True
-            self._mind_successors([item for item in news if isinstance(item, tuple)])
+            self._mind_successors([item for item in updates if isinstance(item, tuple)])
             if time.monotonic() >= over:
                 return False
-            names = [name_of_live(key)[1] for key in news if isinstance(key, str)]
+            names = [name_of_live(key)[1] for key in updates if isinstance(key, str)]
             self._due |= dict.fromkeys(name for name in names if name in payloads)
 
     def _publish_some(self, payloads: Mapping[str, bytes], late_s: Mapping[str, float], elapsed_s: float) -> int:
@@ -156,8 +156,8 @@ class _Voice:
     def _mind_successors(self, tokens: Sequence[tuple[str, bool]]) -> None:
         now = time.monotonic()
         for key, alive in tokens:
-            self.succession.take(key, alive, now)
-        self.succession.check(now)
+            self.guard.take(key, alive, now)
+        self.guard.check(now)
 
     def be_silent(self, number: int, _: object) -> None:
         """Handler of two signals."""

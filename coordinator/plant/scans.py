@@ -23,7 +23,7 @@ class Scans(Protocol):
     @property
     def beat_s(self) -> float: ...
 
-    def payloads(self, run: str, life: Incarnation, scan: int) -> dict[str, bytes]:
+    def payloads(self, run: str, incarnation: Incarnation, scan: int) -> dict[str, bytes]:
         """Area -> its encoded readings."""
         ...
 
@@ -47,8 +47,8 @@ class OwnScans:
     def beat_s(self) -> float:
         return self.scenario.run.beat_s
 
-    def payloads(self, run: str, life: Incarnation, scan: int) -> dict[str, bytes]:
-        return make_payloads(self.scenario, run, life, scan, draw=scan if self.many else DRAW)
+    def payloads(self, run: str, incarnation: Incarnation, scan: int) -> dict[str, bytes]:
+        return make_payloads(self.scenario, run, incarnation, scan, draw=scan if self.many else DRAW)
 
     def late_s(self, scan: int) -> Mapping[str, float]:
         return find_lateness(self.scenario, scan)
@@ -73,9 +73,9 @@ class MadeScan:
         readings = {area: pickle.dumps(read(part, now)) for area, part in telemetry.by_area.items()}
         return cls(readings, find_lateness(scenario, DRAW), scenario.seed, scenario.run.beat_s)
 
-    def payloads(self, run: str, life: Incarnation, scan: int) -> dict[str, bytes]:
+    def payloads(self, run: str, incarnation: Incarnation, scan: int) -> dict[str, bytes]:
         unpacked = ((area, pickle.loads(part)) for area, part in self.readings.items())
-        return encode_readings(unpacked, run, life, scan)
+        return encode_readings(unpacked, run, incarnation, scan)
 
     def late_s(self, scan: int) -> Mapping[str, float]:
         return self.lateness

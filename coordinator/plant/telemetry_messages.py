@@ -1,4 +1,4 @@
-"""One scan of readings as telemetry messages: of the plant's process and of the twin alike."""
+"""One scan of readings as telemetry messages: of the plant's process and of the simulator alike."""
 
 from __future__ import annotations
 
@@ -36,18 +36,18 @@ def read(measurements: Sequence[Measurement], measured_at: float) -> Readings:
     )
 
 
-def make_payloads(scenario: Scenario, run: str, life: Incarnation, scan: int = 1, draw: int = DRAW) -> dict[str, bytes]:
+def make_payloads(scenario: Scenario, run: str, incarnation: Incarnation, scan: int = 1, draw: int = DRAW) -> dict[str, bytes]:
     """Area -> its encoded readings with noise ``draw``."""
     by_area = make_telemetry(scenario, draw).by_area
     now = time.time()
-    return encode_readings(((area, read(part, now)) for area, part in by_area.items()), run, life, scan)
+    return encode_readings(((area, read(part, now)) for area, part in by_area.items()), run, incarnation, scan)
 
 
 def encode_readings(
-    readings: Iterable[tuple[str, Readings]], run: str, life: Incarnation, scan: int
+    readings: Iterable[tuple[str, Readings]], run: str, incarnation: Incarnation, scan: int
 ) -> dict[str, bytes]:
-    """Area -> its ``readings`` as a life of the plant publishes them."""
-    header = Header(run=run, sender=PLANT, incarnation=life, scan=scan, sequence=scan, time=time.time())
+    """Area -> its ``readings`` as an incarnation of the plant publishes them."""
+    header = Header(run=run, sender=PLANT, incarnation=incarnation, scan=scan, sequence=scan, time=time.time())
     return {area: encode(_message(header, area, part)) for area, part in readings}
 
 

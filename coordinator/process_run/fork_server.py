@@ -97,17 +97,17 @@ class Compiling:
 
 
 @dataclass
-class Zygote:
+class ForkServer:
     """Serves the commands that arrive on ``orders``."""
 
     orders: Connection[Any, Any]
     children: dict[int, Start] = field(default_factory=dict)  # by pid
     stopped: bool = False
-    signalled: int = 0  # by which signal it was told to stop, if by one
+    signalled: int = 0  # by which signal it was ordered to stop, if by one
     lifeline: Lifeline = field(default_factory=Lifeline)
 
     def serve(self) -> None:
-        """Obey until told to stop or until a signal of ``ENDS``; without a coordinator, until no child is left."""
+        """Obey until ordered to stop or until a signal of ``ENDS``; without a coordinator, until no child is left."""
         wake_read, wake_write = os.pipe()
         os.set_blocking(wake_read, False)
         os.set_blocking(wake_write, False)
@@ -117,7 +117,7 @@ class Zygote:
             if signal.getsignal(number) != signal.SIG_IGN:  # as nohup has it
                 signal.signal(number, self._stop)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDS)  # which the coordinator has blocked until now
-        # inherited: orders to a process wait until it knows what to do at them; unheard of, they would end it
+        # inherited: orders to a process wait until it knows what to do at them; unexpected, they would end it
         signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGUSR1, signal.SIGUSR2))
         self._inherited = (wake_read, wake_write)
         compiling.listen(lambda begins, folder: self._report(Compiling(begins, folder)))
@@ -202,9 +202,9 @@ class Zygote:
                 return
             self._report(Ended(self.children.pop(pid).name, pid, os.waitstatus_to_exitcode(status)))
 
-    def _report(self, news: Started | Ended | Compiling) -> None:
+    def _report(self, update: Started | Ended | Compiling) -> None:
         with contextlib.suppress(OSError):  # nobody listens any more; the next receive says so
-            self.orders.send(news)
+            self.orders.send(update)
 
     def _stop_children(self) -> None:
         """SIGTERM to all but the routers, then to the routers, so that agents say goodbye on a bus that works."""
@@ -213,7 +213,7 @@ class Zygote:
             group = [pid for pid, child in self.children.items() if child.stop_last == last]
             for pid in group:
                 os.kill(pid, signal.SIGTERM)
-                os.kill(pid, signal.SIGCONT)  # one that was paused could not hear it
+                os.kill(pid, signal.SIGCONT)  # one that was paused could not handle it
             while any(pid in self.children for pid in group) and time.monotonic() < deadline:
                 self._reap()
                 time.sleep(0.002)
@@ -254,7 +254,7 @@ def _call(order: Start) -> int:
 
 
 if __name__ == "__main__":  # arguments: the socket; the mark by which `dsse stop` knows it and what it forks
-    from coordinator.process_run import fork_server as zygote
+    from coordinator.process_run import fork_server
 
-    zygote.Zygote(Connection(int(sys.argv[1]))).serve()
+    fork_server.ForkServer(Connection(int(sys.argv[1]))).serve()
     os._exit(0)  # the coordinator waits, and there is nothing to tidy up

@@ -1,6 +1,6 @@
 """A forked process ends with its parent, however that ends: by a pipe whose other end only the parent holds.
 
-The system closes that end with the parent, even at SIGKILL, and whoever reads the pipe hears of it at once, on every
+The system closes that end with the parent, even at SIGKILL, and whoever reads the pipe learns of it at once, on every
 POSIX system. A signal ordered from the system (PR_SET_PDEATHSIG) would do on Linux only.
 """
 
@@ -27,7 +27,7 @@ class Lifeline:
     def _end_with_parent(self, wait_s: float, grace_s: float) -> None:
         os.read(self._read, 1)  # nobody writes: it returns when the last writing end is closed
         with contextlib.suppress(OSError):
-            os.killpg(os.getpgrp(), signal.SIGCONT)  # one that was paused could not hear of it
+            os.killpg(os.getpgrp(), signal.SIGCONT)  # one that was paused could not learns of it
         time.sleep(wait_s)
         # to the main thread, which runs the handlers: sent to the process, another thread might wake for it
         signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)

@@ -1,4 +1,4 @@
-"""The coordinator's end of the warmed parent: start processes, hear of their end, leave none behind."""
+"""The coordinator's end of the warmed parent: start processes, learns of their end, leave none behind."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ ONE_THREAD = {
 FILES_OF_A_PROCESS = 32  # beside one for the link of each area; measured: a router with three areas runs with 24
 # glibc's allocator: one heap for all threads, and what is free goes back to the system
 ONE_HEAP = {"MALLOC_ARENA_MAX": "1", "MALLOC_TRIM_THRESHOLD_": "131072", "MALLOC_MMAP_THRESHOLD_": "131072"}
-MAX_WAITING = 100_000  # pieces of news
+MAX_WAITING = 100_000  # updates
 ROOT = Path(__file__).resolve().parents[2]  # where this package was imported from
 
 
@@ -51,20 +51,20 @@ class LaunchError(DsseError):
 class Launcher:
     """Starts the processes of a run from one warmed parent; leaving its block stops all of them.
 
-    ``news``, if given, is called with every ``Started`` and ``Ended``, on a thread of its own.
+    ``update``, if given, is called with every ``Started`` and ``Ended``, on a thread of its own.
     """
 
-    def __init__(self, news: Callable[[Started | Ended], None] | None = None) -> None:
+    def __init__(self, update: Callable[[Started | Ended], None] | None = None) -> None:
         if not hasattr(os, "fork"):
             raise LaunchError("this system cannot fork processes; run on Linux or macOS, or under WSL on Windows")
-        self.on_news = news or (lambda _: None)
+        self.on_update = update or (lambda _: None)
         self.mark = secrets.token_hex(8)  # in the command lines of all its processes
         self._orders, theirs = Pipe()
         path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH", "")]))
         # inherited: until it knows what to do at them, signals that end it wait
         mask = signal.pthread_sigmask(signal.SIG_BLOCK, ENDS)
         try:
-            self._zygote = subprocess.Popen(
+            self._fork_server = subprocess.Popen(
                 # -P: a folder of the user's called "agents" or "scenarios" must not stand in for ours
                 [sys.executable, "-P", "-m", MODULE, str(theirs.fileno()), self.mark],
                 pass_fds=[theirs.fileno()],
@@ -79,7 +79,7 @@ class Launcher:
         self._any_started = False
         self._stopping = False
         self._closed = False
-        self._reader = threading.Thread(target=self._read_news, name="process news", daemon=True)
+        self._reader = threading.Thread(target=self._read_updates, name="process updates", daemon=True)
         self._reader.start()
 
     def __enter__(self) -> Self:
@@ -93,7 +93,7 @@ class Launcher:
     @property
     def pid(self) -> int:
         """Process id of the warmed parent, and id of the process group of all."""
-        return self._zygote.pid
+        return self._fork_server.pid
 
     def preload(self, *targets: str) -> None:
         """Have the parent import modules ("module"), or call functions ("module:function"), now."""
@@ -126,11 +126,11 @@ class Launcher:
         try:
             self.stop()
             if self._stopping:
-                self._zygote.wait(STOP_S + 2.0)
+                self._fork_server.wait(STOP_S + 2.0)
         except subprocess.TimeoutExpired:
             pass
         finally:  # also on a second Ctrl-C
-            if self._zygote.poll() != 0:
+            if self._fork_server.poll() != 0:
                 self._kill_group()
             self._reader.join(1.0)
             self._orders.close()
@@ -138,32 +138,32 @@ class Launcher:
     def _kill_group(self) -> None:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self.pid, signal.SIGKILL)
-        self._zygote.wait()
+        self._fork_server.wait()
 
     def _send(self, order: Preload | Start | Signal | Stop) -> None:
         try:
             self._orders.send(order)
         except OSError:
             raise LaunchError(
-                f"the parent of all processes has ended with {describe_end(self._zygote.wait())}"
+                f"the parent of all processes has ended with {describe_end(self._fork_server.wait())}"
             ) from None
 
-    def _read_news(self) -> None:
+    def _read_updates(self) -> None:
         said_its_end = compiles = False
         try:
             while True:
-                news = self._orders.recv()
-                if isinstance(news, Compiling):
-                    compiles = news.begins
-                    clock.take(news.begins, news.folder)
+                update = self._orders.recv()
+                if isinstance(update, Compiling):
+                    compiles = update.begins
+                    clock.take(update.begins, update.folder)
                     continue
-                said_its_end |= news.name == PARENT
-                self.on_news(news)  # looked up now: it may have been set while we waited
+                said_its_end |= update.name == PARENT
+                self.on_update(update)  # looked up now: it may have been set while we waited
         except (EOFError, OSError):
             if compiles:
                 clock.take(False, None)
             if not (self._stopping or self._closed or said_its_end):
-                self.on_news(Ended(PARENT, self.pid, self._zygote.wait()))
+                self.on_update(Ended(PARENT, self.pid, self._fork_server.wait()))
 
 
 def check_open_files(areas: int) -> None:
@@ -194,11 +194,11 @@ def read_end(log: Path, lines: int = 24, width: int = 160) -> str:
     return "\n".join(line if len(line) <= width else line[: width - 3] + "..." for line in last)
 
 
-class News(queue.SimpleQueue[Any]):
+class Updates(queue.SimpleQueue[Any]):
     """What arrives from bus and processes, in order, for the one loop of the coordinator."""
 
     def offer(self, item: Any, *, said_once: bool = False) -> None:
-        """Leave it, or drop it where too much waits: of what is said again at every beat sooner than of the rest."""
+        """Leave it, or drop it where too much waits: what every heartbeat repeats goes first."""
         if self.qsize() < MAX_WAITING * (2 if said_once else 1):
             self.put(item)
 

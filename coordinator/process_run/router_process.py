@@ -39,11 +39,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--keys", type=Path, metavar="DIR", help="take TLS links only; rules of access and keys in DIR")
     parser.add_argument("--run", metavar="NAME", help="apply the rules of access to this run instead of the file's")
     parser.add_argument(
-        "--beat",
+        "--heartbeat",
         type=float,
         default=0.0,
         metavar="S",
-        help="beat of the areas: where it is long, silence may last, too",
+        help="heartbeat of the areas: where it is long, silence may last, too",
     )
     arguments = parser.parse_args(argv)
     start_log()
@@ -56,12 +56,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         keys = load_keys(arguments.keys, ROUTER, arguments.run, listens=True)
         default = "tls/127.0.0.1:7447" if keys else "tcp/127.0.0.1:7447"
         listen, others = arguments.listen or [default], arguments.connect or ()
-        with Router.listen(listen, keys, others, beat_s=arguments.beat) as router:
+        with Router.listen(listen, keys, others, beat_s=arguments.heartbeat) as router:
             print("listening on", ", ".join(router.endpoints), flush=True)
             if arguments.endpoints_file:
                 _write_whole(arguments.endpoints_file, "\n".join(router.endpoints))
-            while True not in (news := inbox.take(AWAKE_S)):
-                if Renewal.ASKED in news and router.interrupt():
+            while True not in (updates := inbox.take(AWAKE_S)):
+                if Renewal.ASKED in updates and router.interrupt():
                     router.resume()
     except DsseError as error:
         print(f"error: {error}", file=sys.stderr)

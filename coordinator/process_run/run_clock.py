@@ -12,13 +12,13 @@ from agents.security.access import COORDINATOR
 
 @dataclass
 class RunClock:
-    """Speaks at every beat through ``publish``; never without it. ``life``: the coordinator's."""
+    """Speaks at every heartbeat through ``publish``; never without it. ``incarnation``: the coordinator's."""
 
     run: str
     beat_s: float
-    life: Incarnation
+    incarnation: Incarnation
     publish: Callable[[bytes], None] | None = None
-    _told: int = 0
+    _sent: int = 0
     _next: float = field(default=0.0)
 
     def tell(self, elapsed_s: float) -> None:
@@ -26,6 +26,6 @@ class RunClock:
         if self.publish is None or elapsed_s < self._next:
             return
         self._next = elapsed_s + self.beat_s
-        self._told += 1
-        header = Header(self.run, COORDINATOR, self.life, 0, self._told, time.time())
+        self._sent += 1
+        header = Header(self.run, COORDINATOR, self.incarnation, 0, self._sent, time.time())
         self.publish(encode(ClockMessage(header, elapsed_s)))

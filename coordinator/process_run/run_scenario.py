@@ -13,8 +13,8 @@ from pathlib import Path
 from agents.security.access import COORDINATOR
 from agents.security.credentials import AUTHORITY, credentials_in
 from coordinator.deployment.split import default_run_id
-from coordinator.evaluation.evaluation import choose_scenario, judge, make_observer, no_consensus_within
-from coordinator.evaluation.reference_estimate import start_yardstick
+from coordinator.evaluation.evaluation import choose_scenario, evaluate, make_observer, no_consensus_within
+from coordinator.evaluation.reference_estimate import start_reference_estimate
 from coordinator.evaluation.result import RunResult, write_files
 from coordinator.observe.events import EventLog
 from coordinator.observe.observer import Observer
@@ -26,14 +26,14 @@ from coordinator.process_run.run_status import (
     RunUnderWay,
     listen,
     listen_to_processes,
-    note_doubles,
+    note_duplicates,
     note_ends,
-    take_news,
-    take_process_news,
+    take_update,
+    take_process_update,
 )
 from coordinator.process_run.system import System
 from coordinator.run_folder import EVENTS, PARTS, make_run_folder
-from dsse_core.estimation.plan import FEWEST_BUSES_OF_TREE
+from dsse_core.estimation.plan import FEWEST_BUSES_OF_RADIAL
 from dsse_core.linear import needs_compiled_code
 from scenarios.check import check_scenario
 from scenarios.scenario import Scenario
@@ -88,7 +88,7 @@ def _find_solvers(scenario: Scenario) -> tuple[str, ...]:
     areas = scenario.partition.areas
     exchange = any(needs_compiled_code(area) for area in areas)
     largest = max((len(area.network.buses) for area in areas), default=0)
-    estimate = scenario.strategy == "angle-offset" and largest >= FEWEST_BUSES_OF_TREE  # of each area by itself
+    estimate = scenario.strategy == "angle-offset" and largest >= FEWEST_BUSES_OF_RADIAL  # of each area by itself
     return ("agents.runtime.warm_up:warm_up",) * exchange + ("agents.runtime.warm_up:warm_up_estimate",) * (
         exchange and estimate
     )
@@ -118,8 +118,8 @@ def _find_keys(
 
 def _wait_for_router(run: RunUnderWay) -> str | None:
     """Let a moment pass; the reason to give up, if a process has ended."""
-    for item in run.news.take(0.002):
-        reason = take_process_news(run, item)
+    for item in run.updates.take(0.002):
+        reason = take_process_update(run, item)
         if reason:
             return reason
     return None
@@ -138,26 +138,26 @@ def _run_with_router(run: RunUnderWay, on_update: Callable[[Progress], None] | N
         telemetry = make_telemetry(scenario)  # of fewer areas while they join
         if reason is None:
             run.system.start_plant(telemetry)
-        yardstick = start_yardstick(scenario, telemetry, lambda: run.note_time("centralised_estimated"))
+        reference_estimate = start_reference_estimate(scenario, telemetry, lambda: run.note_time("centralised_estimated"))
         reason = reason or _watch(run, observer, on_update, until=lambda obstacles: not obstacles)
         wall_s = time.monotonic() - run.started
     run.timing_s["last_change"] = max(0.0, observer.changed_at - run.started)
     run.note_time("verdict")
     run.events.write("consensus" if reason is None else "no consensus", reason=reason)
     run.system.launcher.stop()  # the processes end while the files are written
-    outcome = judge(
+    outcome = evaluate(
         scenario,
         run.id,
         observer,
         telemetry,
-        yardstick.result(),
+        reference_estimate.result(),
         reason,
         started=run.started,
         wall_s=wall_s,
         virtual_s=None,
         timing_s=run.timing_s,
         faults=run.states.faults + run.schedule.counts,
-        doubles=run.doubles.found,
+        duplicates=run.duplicates.found,
     )
     result = write_files(outcome.in_folder(run.folder), run.events.failure)
     if reason == INTERRUPTED:
@@ -176,17 +176,17 @@ def _watch(
     on_update: Callable[[Progress], None] | None,
     until: Callable[[Sequence[str]], bool],
 ) -> str | None:
-    """Take in news ``until`` the obstacles to consensus allow it (None); or the reason why that is not awaited."""
+    """Take in updates ``until`` the obstacles to consensus allow it (None); or the reason why that is not awaited."""
     check_s = min(run.scenario.run.beat_s / 10, UPDATE_S)
     next_check = next_update = 0.0
     try:
         while True:
-            for item in run.news.take(check_s):
-                reason = take_news(run, observer, item)
+            for item in run.updates.take(check_s):
+                reason = take_update(run, observer, item)
                 if reason:
                     return reason
             now = time.monotonic()
-            note_doubles(run, run.doubles.find_lasting(now), now)
+            note_duplicates(run, run.duplicates.find_lasting(now), now)
             _carry_out_faults(run, observer, now)
             if now < next_check:
                 continue

@@ -11,23 +11,23 @@ from pathlib import Path
 from agents.messages.checks import MessageError, is_worth_writing
 from agents.messages.keys import all_live, all_states, clock_key, live_key, name_of_live, sender_of
 from agents.messages.packing import StateMessage, decode
-from agents.runtime.presence import Presence, begin_life, read_farewell
+from agents.runtime.presence import Presence, begin_incarnation, read_leave
 from agents.security.access import COORDINATOR, PLANT
 from agents.transport.zenoh_bus import Session
-from coordinator.observe.duplicates import Double, Doubles
+from coordinator.observe.duplicates import Duplicate, Duplicates
 from coordinator.observe.events import EventLog
 from coordinator.observe.observer import Observer
 from coordinator.observe.state_log import StateLog
 from coordinator.process_run.fault_schedule import FaultSchedule
 from coordinator.process_run.fork_server import Ended, Started
-from coordinator.process_run.processes import News, describe_end, read_end
+from coordinator.process_run.processes import Updates, describe_end, read_end
 from coordinator.process_run.run_clock import RunClock
 from coordinator.process_run.system import System
 from scenarios.scenario import Scenario
 
 
 @dataclass(frozen=True, slots=True)
-class _StateHeard:
+class _StateReceived:
     at: float
     state: StateMessage
 
@@ -37,15 +37,15 @@ class _PresenceSeen:
     at: float
     key: str
     alive: bool
-    farewell: str = ""
+    leave_reason: str = ""
 
 
 @dataclass(frozen=True, slots=True)
-class ProcessNews:
-    """A process has started or ended; heard at monotonic time ``at``."""
+class ProcessUpdate:
+    """A process has started or ended; received at monotonic time ``at``."""
 
     at: float
-    news: Started | Ended
+    update: Started | Ended
 
 
 @dataclass
@@ -58,72 +58,72 @@ class RunUnderWay:
     system: System
     events: EventLog
     started: float
-    news: News = field(default_factory=News)
+    updates: Updates = field(default_factory=Updates)
     presence: Presence = field(default_factory=Presence)
-    refused: Counter[str] = field(default_factory=Counter)  # by reason
+    rejected: Counter[str] = field(default_factory=Counter)  # by reason
     joined: float | None = None  # when all areas were on the bus for the first time
     timing_s: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.schedule = FaultSchedule.of(self.scenario.faults.events)
         self.states = StateLog(self.events)
-        self.doubles = Doubles(self.scenario.run.beat_s)
-        self.clock = RunClock(self.id, self.scenario.run.beat_s, begin_life())
+        self.duplicates = Duplicates(self.scenario.run.beat_s)
+        self.clock = RunClock(self.id, self.scenario.run.beat_s, begin_incarnation())
 
     def note_time(self, moment: str) -> None:
         self.timing_s[moment] = time.monotonic() - self.started
 
 
 def listen_to_processes(run: RunUnderWay) -> None:
-    """Have starts and ends of processes put into the run's news, each with the time at which it was heard."""
-    run.system.launcher.on_news = lambda news: run.news.put(ProcessNews(time.monotonic(), news))
+    """Have starts and ends of processes put into the run's updates, each with the time at which it was received."""
+    run.system.launcher.on_update = lambda update: run.updates.put(ProcessUpdate(time.monotonic(), update))
 
 
 def listen(run: RunUnderWay, session: Session) -> None:
-    """Have states and presence put into the run's news, each with the time of its arrival."""
+    """Have states and presence put into the run's updates, each with the time of its arrival."""
 
     def on_state(key: str, payload: bytes) -> None:
         try:
             message = decode(payload)
         except MessageError as error:
-            run.news.offer(error)
+            run.updates.offer(error)
         else:
             if isinstance(message, StateMessage) and message.header.sender == sender_of(key):
-                run.news.offer(_StateHeard(time.monotonic(), message))
+                run.updates.offer(_StateReceived(time.monotonic(), message))
 
     session.subscribe(all_states(run.id), on_state)
     known = {("plant", PLANT), ("coordinator", COORDINATOR)}
     known |= {("area", area.name) for area in run.scenario.partition.areas}
 
-    def on_presence(key: str, alive: bool, farewell: str = "") -> None:
+    def on_presence(key: str, alive: bool, leave_reason: str = "") -> None:
         if name_of_live(key) in known:
-            run.news.offer(_PresenceSeen(time.monotonic(), key, alive, farewell), said_once=True)
+            run.updates.offer(_PresenceSeen(time.monotonic(), key, alive, leave_reason), said_once=True)
 
-    def on_farewell(key: str, payload: bytes) -> None:
-        if farewell := read_farewell(payload):
-            on_presence(key, False, farewell)
+    def on_leave(key: str, payload: bytes) -> None:
+        if leave_reason := read_leave(payload):
+            on_presence(key, False, leave_reason)
 
-    session.subscribe(all_live(run.id), on_farewell)
+    session.subscribe(all_live(run.id), on_leave)
     session.watch_presence(all_live(run.id), on_presence)
     if any(faults.has_windows for faults in run.scenario.faults.links.values()):
         run.clock.publish = session.publisher(clock_key(run.id))
-    session.declare_presence(live_key(run.id, "coordinator", COORDINATOR, run.clock.life))
+    session.declare_presence(live_key(run.id, "coordinator", COORDINATOR, run.clock.incarnation))
 
 
-def take_news(run: RunUnderWay, observer: Observer, item: object) -> str | None:
-    """Take in one piece of news; the reason to end the run, if it is one."""
+def take_update(run: RunUnderWay, observer: Observer, item: object) -> str | None:
+    """Take in one update; the reason to end the run, if it is one."""
     match item:
-        case _StateHeard(at, state):
+        case _StateReceived(at, state):
             is_new = state.header.run == run.id and observer.take_state(state, at)
             if observer.states.get(state.header.sender) is state:  # neither a stranger's nor one that came too late
                 run.states.take(state, at, is_new)
-        case _PresenceSeen(at, key, alive, farewell):
-            if double := run.doubles.take(key, alive, at, farewell):
-                note_doubles(run, [double], at)
-            if not (run.presence.take_farewell(key) if farewell else run.presence.take(key, alive)):
+        case _PresenceSeen(at, key, alive, leave_reason):
+            if duplicate := run.duplicates.take(key, alive, at, leave_reason):
+                note_duplicates(run, [duplicate], at)
+            if not (run.presence.take_leave(key) if leave_reason else run.presence.take(key, alive)):
                 return None
             role, name = name_of_live(key)
-            what, why = ("left", {"farewell": farewell}) if farewell else ("appeared" if alive else "vanished", {})
+            what, why = ("left", {"leave_reason": leave_reason}) if leave_reason else ("appeared" if alive else "vanished", {})
             run.events.write(what, at, role=role, name=name, **why)
             if role == "area":
                 observer.take_presence(name, alive, at)
@@ -131,27 +131,27 @@ def take_news(run: RunUnderWay, observer: Observer, item: object) -> str | None:
                     run.joined = at
                     run.timing_s["areas_joined"] = at - run.started
         case MessageError():
-            run.refused[item.reason] += 1
-            if is_worth_writing(run.refused[item.reason]):
-                run.events.write("refused", reason=str(item), count=run.refused[item.reason])
-        case ProcessNews(at, news):
-            reason = take_process_news(run, item)
-            if reason:  # the bus may not have told of its death yet
-                observer.take_presence(news.name, False, at)
+            run.rejected[item.reason] += 1
+            if is_worth_writing(run.rejected[item.reason]):
+                run.events.write("rejected", reason=str(item), count=run.rejected[item.reason])
+        case ProcessUpdate(at, update):
+            reason = take_process_update(run, item)
+            if reason:  # the bus may not have reported its death yet
+                observer.take_presence(update.name, False, at)
             return reason
     return None
 
 
-def note_doubles(run: RunUnderWay, doubles: Sequence[Double], at: float) -> None:
+def note_duplicates(run: RunUnderWay, duplicates: Sequence[Duplicate], at: float) -> None:
     """Write down who was found running twice."""
-    for double in doubles:
-        run.events.write("two at once", at, **asdict(double))
+    for duplicate in duplicates:
+        run.events.write("two at once", at, **asdict(duplicate))
 
 
-def take_process_news(run: RunUnderWay, item: ProcessNews) -> str | None:
+def take_process_update(run: RunUnderWay, item: ProcessUpdate) -> str | None:
     """Write it down; an end is a reason to end the run."""
-    expected = run.system.note(item.news)
-    match item.news:
+    expected = run.system.note(item.update)
+    match item.update:
         case Started(name, pid):
             run.events.write("process started", item.at, name=name, pid=pid)
         case Ended(name, pid, code):
@@ -172,6 +172,6 @@ def _describe_log(log: Path) -> str:
 
 def note_ends(run: RunUnderWay) -> None:
     """Write down the orderly ends that arrived while stopping."""
-    for item in run.news.take(0.0):
-        if isinstance(item, ProcessNews):
-            take_process_news(run, item)
+    for item in run.updates.take(0.0):
+        if isinstance(item, ProcessUpdate):
+            take_process_update(run, item)

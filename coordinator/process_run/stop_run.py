@@ -123,7 +123,7 @@ def _send(pids: Collection[int], number: int) -> None:
     for pid in pids:
         with contextlib.suppress(ProcessLookupError, PermissionError):  # another user's are named when they stay
             os.kill(pid, number)
-            os.kill(pid, signal.SIGCONT)  # one that was paused could not hear it
+            os.kill(pid, signal.SIGCONT)  # one that was paused could not handle it
 
 
 def _wait_for_end(run: StartedRun, wait_s: float) -> None:

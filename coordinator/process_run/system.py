@@ -14,7 +14,7 @@ from typing import Any
 from agents.security.access import PLANT, ROUTER, ROUTERS, SECOND_ROUTER
 from agents.security.credentials import load_keys
 from agents.transport.zenoh_bus import Session, TransportError, warn_of_strangers
-from coordinator.deployment.endpoints import choose_places
+from coordinator.deployment.endpoints import choose_area_endpoints
 from coordinator.deployment.split import write_area_files
 from coordinator.plant.scans import MadeScan, OwnScans
 from coordinator.process_run.fork_server import Ended, Started
@@ -33,8 +33,8 @@ class System:
     """Starts the processes of ``scenario`` with ``launcher`` under run id ``id``; ``folder``: for files and logs.
 
     ``scan_every_s``: time between scans of the plant, None for one scan only. ``keys``: folder of everybody's
-    credentials; all links are secured then. ``note`` must be called with all news of the launcher: a death that was
-    ordered is told from one that was not.
+    credentials; all links are secured then. ``note`` must be called with all updates of the launcher: a death that was
+    ordered is distinguished from one that was not.
     """
 
     launcher: Launcher
@@ -44,14 +44,14 @@ class System:
     scan_every_s: float | None = None
     keys: Path | None = None
     endpoints: tuple[str, ...] = ()
-    pids: dict[str, int] = field(default_factory=dict)  # of the last life of each
-    _places: dict[str, str] = field(default_factory=dict)  # where each area listens if there is no router
+    pids: dict[str, int] = field(default_factory=dict)  # of the last incarnation of each
+    _area_endpoints: dict[str, str] = field(default_factory=dict)  # where each area listens if there is no router
     _orders: dict[str, tuple[Any, ...]] = field(default_factory=dict)  # target and arguments of each process
-    _running: set[str] = field(default_factory=set)  # started, and neither killed nor heard of as ended
-    _killed: Counter[str] = field(default_factory=Counter)  # deaths ordered and not yet heard of
+    _running: set[str] = field(default_factory=set)  # started, and neither killed nor known to have ended
+    _killed: Counter[str] = field(default_factory=Counter)  # deaths ordered and not yet reported
 
     def log_of(self, process: str) -> Path:
-        """The log file of a process, of all its lives."""
+        """The log file of a process, of all its incarnations."""
         return (self.folder / "logs" / f"{process}.log").absolute()
 
     @property
@@ -73,8 +73,8 @@ class System:
         listen = f"{protocol}/{self.scenario.transport.listen.partition('/')[2]}"
         warn_of_strangers([listen], self.keys is not None)  # here, too: who reads the log of a router?
         if self.direct:
-            self._places = choose_places(self.scenario, protocol)
-            self.endpoints = tuple(self._places.values())
+            self._area_endpoints = choose_area_endpoints(self.scenario, protocol)
+            self.endpoints = tuple(self._area_endpoints.values())
         else:
             self.endpoints = self._start_router(ROUTER, listen, wait)
             if self.scenario.transport.routers > 1:
@@ -89,7 +89,7 @@ class System:
         """Start a router that links with those before it; its endpoints."""
         said = self.folder.absolute() / "logs" / f"{name}.endpoints"
         always = [part for endpoint in self.endpoints for part in ("--connect", endpoint)] + self._keys() + self._run()
-        always += ["--beat", str(self.scenario.run.beat_s)]
+        always += ["--heartbeat", str(self.scenario.run.beat_s)]
         target = "coordinator.process_run.router_process:main"
         self._order(name, target, ["--listen", listen, "--endpoints-file", str(said), *always])
         deadline = math.inf
@@ -98,7 +98,7 @@ class System:
                 deadline = min(deadline, time.monotonic() + ROUTER_START_S)
             reason = wait()
             if reason:
-                raise TransportError(self._last_words(name) or reason)
+                raise TransportError(self._last_error(name) or reason)
             if time.monotonic() > deadline:
                 raise TransportError(f"the {name} has not opened {listen} within {ROUTER_START_S:g} s")
         endpoints = tuple(said.read_text(encoding="utf-8").split())
@@ -108,7 +108,7 @@ class System:
 
     def start_agents(self) -> None:
         """Write the area files, start the agents."""
-        where = (self.endpoints, self.folder / "areas", self._places, ".json")
+        where = (self.endpoints, self.folder / "areas", self._area_endpoints, ".json")
         for name, path in write_area_files(self.scenario, self.id, *where):
             self._order(name, "agents.__main__:run_process", path.absolute(), self.keys)
 
@@ -146,15 +146,15 @@ class System:
         """Let a frozen process go on."""
         self.launcher.signal(name, signal.SIGCONT)
 
-    def note(self, news: Started | Ended) -> bool:
+    def note(self, update: Started | Ended) -> bool:
         """Take in what happened to a process; whether it was to be expected."""
-        if isinstance(news, Started):
-            self.pids[news.name] = news.pid
+        if isinstance(update, Started):
+            self.pids[update.name] = update.pid
             return True
-        if news.code == -signal.SIGKILL and self._killed[news.name]:
-            self._killed[news.name] -= 1
+        if update.code == -signal.SIGKILL and self._killed[update.name]:
+            self._killed[update.name] -= 1
             return True
-        self._running.discard(news.name)
+        self._running.discard(update.name)
         return False
 
     def _next_scan(self, every_s: float) -> int:
@@ -181,8 +181,8 @@ class System:
         """The rules of access in a folder of keys may have been written for another run of the same areas."""
         return ["--run", self.id] if self.keys else []
 
-    def _last_words(self, process: str) -> str | None:
-        """The error that a process refused its input with, if its log ends with one."""
+    def _last_error(self, process: str) -> str | None:
+        """The error that a process rejected its input with, if its log ends with one."""
         for line in reversed(read_end(self.log_of(process), width=10_000).splitlines()):
             if line.startswith("error: "):
                 return line.removeprefix("error: ")

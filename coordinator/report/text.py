@@ -71,17 +71,17 @@ def _figures(of: AreaResult | Verdict, with_errors: bool) -> tuple[str, ...]:
 
 
 def _format_findings(result: RunResult) -> list[str]:
-    """Why areas are not good, remarks, refusals and removed meters, one line each; nothing where all is well."""
+    """Why areas are not good, remarks, rejections and removed meters, one line each; nothing where all is well."""
     lines = []
     if result.faults:
         lines.append("faults: " + ", ".join(f"{count} {kind}" for kind, count in sorted(result.faults.items())))
-    lines += [f"warning: {double}" for double in result.doubles]
+    lines += [f"warning: {duplicate}" for duplicate in result.duplicates]
     for area in result.areas:
         if area.notes:
             lines.append(f"{area.quality if area.degraded else 'note'}: {area.name}: {'; '.join(area.notes)}")
-        if area.refused:
-            refused = [f"{count} messages ({reason})" for reason, count in area.refused.items()]
-            lines.append(f"refused by {area.name}: {', '.join(refused)}")
+        if area.rejected:
+            rejected = [f"{count} messages ({reason})" for reason, count in area.rejected.items()]
+            lines.append(f"rejected by {area.name}: {', '.join(rejected)}")
         if area.removed:
             lines.append(f"removed as bad data by {area.name}: {', '.join(area.removed)}")
     if result.centralised is None:
@@ -178,7 +178,7 @@ def format_check(scenario: Scenario) -> str:
     for area in partition.areas:
         meters = sum(partition.area_of_meter(meter) == area.name for meter in scenario.meters)
         towards = f"beyond {area.parent.area} at bus {area.parent.bus}" if area.parent else "with the substation"
-        slack = "voltage heard from there" if area.slack_vm is None else f"{area.slack_vm:g} p.u."
+        slack = "voltage received from there" if area.slack_vm is None else f"{area.slack_vm:g} p.u."
         lines.append(
             f"  {area.name}: {len(area.network.buses)} buses, {towards}, {meters} meters, "
             f"local slack bus {area.slack_bus} ({slack})"

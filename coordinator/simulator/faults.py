@@ -1,4 +1,4 @@
-"""What a scenario does to processes, done to the twin."""
+"""What a scenario does to processes, done to the simulator."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from coordinator.simulator.simulator import SimulatedBus
 LEASE_S = 2.0  # after which a frozen router is given up for the other one
 
 
-class TwinFaults:
+class SimulatorFaults:
     """Has the steps of a scenario happen on ``bus``; ``routers``: how many linked ones carry its messages.
 
     A plant that is dead or frozen is one that says nothing: its readings are the same afterwards. Nothing passes a
-    frozen router, which nobody is told of; where the last one is dead, everybody's presence is missed. All are linked
+    frozen router, which nobody notices; where the last one is dead, everybody's presence is missed. All are linked
     to the first of two routers, and move over at once when it dies.
     """
 

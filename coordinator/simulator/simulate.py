@@ -1,4 +1,4 @@
-"""One run of a scenario on the twin, from the scenario to its verdict."""
+"""One run of a scenario on the simulator, from the scenario to its verdict."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from coordinator.deployment.split import area_files, default_run_id
 from coordinator.evaluation.evaluation import (
     NO_CHANGES,
     estimate_centralised,
-    judge,
+    evaluate,
     make_observer,
     no_consensus_within,
     prepare_scenario,
@@ -23,14 +23,14 @@ from coordinator.observe.progress import UPDATE_S, Progress, describe_progress
 from coordinator.observe.state_log import StateLog
 from coordinator.process_run.fault_schedule import FaultSchedule
 from coordinator.run_folder import make_run_folder
-from coordinator.simulator.faults import TwinFaults
+from coordinator.simulator.faults import SimulatorFaults
 from coordinator.simulator.simulator import SimulatedBus
 from scenarios.faults.faults import LinkChanges
 from scenarios.scenario import Scenario
 from scenarios.telemetry import find_lateness, make_telemetry
 
 NO_BUS = ("tcp/127.0.0.1:0",)  # what stands for it in the area files
-CHECKS_PER_BEAT = 10
+CHECKS_PER_HEARTBEAT_S = 10
 FIRST_SCAN = 1
 
 
@@ -43,7 +43,7 @@ def simulate_scenario(
     on_update: Callable[[Progress], None] | None = None,
     links: LinkChanges = NO_CHANGES,
 ) -> RunResult:
-    """Run ``scenario`` on the twin and write the files of a run; see ``coordinator.simulate``."""
+    """Run ``scenario`` on the simulator and write the files of a run; see ``coordinator.simulate``."""
     scenario = prepare_scenario(scenario, seed, strategy, timeout_s, links)
     folder = make_run_folder(out, default_run_id(scenario))
     with EventLog(folder / "events.jsonl", 0.0) as events:
@@ -53,7 +53,7 @@ def simulate_scenario(
             reason = simulation.run()
         except KeyboardInterrupt:
             reason, interrupted = "interrupted", True
-        outcome = simulation.judge(reason).in_folder(folder)
+        outcome = simulation.evaluate(reason).in_folder(folder)
     result = write_files(outcome, events.failure)
     if interrupted:
         raise KeyboardInterrupt
@@ -61,11 +61,11 @@ def simulate_scenario(
 
 
 class Simulation:
-    """One run of a prepared ``scenario`` on the twin.
+    """One run of a prepared ``scenario`` on the simulator.
 
     Args:
         events: where to write down what happens, if anywhere.
-        on_update: told now and then what the areas are doing.
+        on_update: called now and then with what the areas are doing.
     """
 
     def __init__(
@@ -89,12 +89,12 @@ class Simulation:
         files = area_files(scenario, self._id, NO_BUS)
         late_s = find_lateness(scenario, FIRST_SCAN)
         self._bus = SimulatedBus(files, self._telemetry.by_area, self._take_state, self._take_presence, late_s=late_s)
-        self._faults = TwinFaults(self._bus, scenario.transport.routers)
+        self._faults = SimulatorFaults(self._bus, scenario.transport.routers)
 
     def run(self) -> str | None:
         """Go on until consensus (None) or the time limit (the reason)."""
         settings = self._scenario.run
-        check_s = settings.beat_s / CHECKS_PER_BEAT
+        check_s = settings.beat_s / CHECKS_PER_HEARTBEAT_S
         while True:
             until = min(settings.timeout_s, self._schedule.next_at)
             self._bus.run(min(check_s, until - self._bus.now))
@@ -111,12 +111,12 @@ class Simulation:
             if now >= settings.timeout_s:
                 return no_consensus_within(self._scenario, obstacles)
 
-    def judge(self, reason: str | None) -> RunOutcome:
+    def evaluate(self, reason: str | None) -> RunOutcome:
         """The outcome up to now; ``reason``: why there is no consensus, None if there is."""
         now = self._bus.now
         self._write(now, "consensus" if reason is None else "no consensus", reason=reason)
         self._write(now, "run ended")
-        return judge(
+        return evaluate(
             self._scenario,
             self._id,
             self._observer,

@@ -1,8 +1,8 @@
-"""The twin: areas in one process on a simulated bus in virtual time, repeatable to the bit.
+"""The simulator: areas in one process on a simulated bus in virtual time, repeatable to the bit.
 
 Protocol, strategies, faulty links, encoding and decoding are those of real runs; only bus and clock are simulated.
 States alone, half of all bytes, reach who watches as they are: nothing befalls them. Virtual time passes while
-messages travel and areas wait for their beat; computing takes none.
+messages travel and areas wait for their heartbeat; computing takes none.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from agents.messages.checks import MessageError
 from agents.messages.packing import Header, Incarnation, Message, StateMessage, TelemetryMessage, decode
 from agents.protocol.area_protocol import AreaProtocol
 from agents.protocol.choose import make_protocol
-from agents.protocol.events import Event, Finish, PresenceChanged, Publish, Received, Refused
+from agents.protocol.events import Event, Finish, PresenceChanged, Publish, Received, Rejected
 from agents.runtime.link import FaultyLinks
 from coordinator.plant.telemetry_messages import make_message
 from dsse_core.grid.measurement import Measurement
@@ -31,7 +31,7 @@ STARTED_AT = 1.7e9  # s since 1970: what virtual time 0 is called in messages
 
 @dataclass(frozen=True, slots=True)
 class _Wake:
-    """An area's time has come: its beat, its wish to go on, or a message that its link has held back."""
+    """An area's time has come: its heartbeat, its wish to go on, or a message that its link has held back."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ class SimulatedBus:
     Args:
         files: what each area's agent would read.
         telemetry: area -> its measurements of the first scan. late_s: area -> by how much they come late.
-        on_state, on_presence: told at once, as a watcher who misses nothing, of every state that an area
+        on_state, on_presence: called at once, as a watcher who misses nothing, with every state that an area
             publishes (at, state), and when its presence token appears or vanishes (at, area, alive).
     """
 
@@ -66,7 +66,7 @@ class SimulatedBus:
         self.scan = 0
         self.files = {content.area.name: content for content in files}
         self.states: dict[str, StateMessage] = {}
-        self._refused: Counter[tuple[str, str]] = Counter()  # receiver, reason
+        self._rejected: Counter[tuple[str, str]] = Counter()  # receiver, reason
         self.protocols: dict[str, AreaProtocol] = {}
         self.links: dict[str, FaultyLinks] = {}
         self.plant_speaks = True
@@ -77,7 +77,7 @@ class SimulatedBus:
         self._wake: dict[str, float] = {}
         self._cut: set[tuple[str, str]] = set()
         self._paused: dict[str, list[Event]] = {}  # what has arrived meanwhile
-        self._lives: Counter[str] = Counter()
+        self._incarnations: Counter[str] = Counter()
         self._telemetry: dict[str, TelemetryMessage] = {}  # what the plant repeats
         self.router_runs = True
         for name in self.files:
@@ -89,8 +89,8 @@ class SimulatedBus:
     def start(self, name: str) -> None:
         """Start or restart an area, as a new process would; the plant serves it at once."""
         content = self.files[name]
-        self._lives[name] += 1
-        incarnation = Incarnation(int(STARTED_AT * 1000) + self._lives[name], zlib.crc32(name.encode()))
+        self._incarnations[name] += 1
+        incarnation = Incarnation(int(STARTED_AT * 1000) + self._incarnations[name], zlib.crc32(name.encode()))
         self.protocols[name] = make_protocol(content, incarnation, now=self.now, started_at=STARTED_AT + self.now)
         links = FaultyLinks(name, content.links, content.seed, lambda to, _, payload: self._put(name, to, payload))
         links.begin(0.0)
@@ -104,7 +104,7 @@ class SimulatedBus:
         self.send_telemetry(name)
 
     def kill(self, name: str) -> None:
-        """End an area without a word; its presence token vanishes, and what its links have held back is lost."""
+        """End an area without notice; its presence token vanishes, and what its links have held back is lost."""
         if name not in self.protocols:
             return
         del self.protocols[name], self.links[name]
@@ -181,8 +181,8 @@ class SimulatedBus:
         try:
             event: Event = Received(decode(payload), sender)
         except MessageError as error:
-            self._refused[receiver, error.reason] += 1
-            event = Refused(error.reason, self._refused[receiver, error.reason])
+            self._rejected[receiver, error.reason] += 1
+            event = Rejected(error.reason, self._rejected[receiver, error.reason])
         self.post(receiver, event)
 
     def _take_over(self, name: str, message: TelemetryMessage) -> None:

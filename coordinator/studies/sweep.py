@@ -1,4 +1,4 @@
-"""``dsse sweep``: many runs on the twin, on all cores."""
+"""``dsse sweep``: many runs on the simulator, on all cores."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def run_tasks(plan: SweepPlan, tasks: Sequence[Task], jobs: int) -> Iterator[tup
     jobs = min(jobs, len(tasks))
     if jobs <= 1:
         for task in tasks:
-            yield task, run_on_twin(plan.scenario_of(task))
+            yield task, run_on_simulator(plan.scenario_of(task))
         return
     context = multiprocessing.get_context("spawn")
     others = set(multiprocessing.active_children())
@@ -62,18 +62,18 @@ def _ctrl_c_held_back() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def run_on_twin(scenario: Scenario) -> StudyRow:
+def run_on_simulator(scenario: Scenario) -> StudyRow:
     """The row of one run; one that is not possible has a row that says why."""
     try:
         check_scenario(scenario)
         simulation = Simulation(scenario)
     except DsseError as error:
         return make_impossible_row(scenario, error)
-    return make_row(simulation.judge(simulation.run()))
+    return make_row(simulation.evaluate(simulation.run()))
 
 
 def _run_task(task: Task) -> StudyRow:
-    return run_on_twin(_plan.scenario_of(task))
+    return run_on_simulator(_plan.scenario_of(task))
 
 
 def _start_worker(plan: SweepPlan) -> None:

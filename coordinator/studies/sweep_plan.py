@@ -78,7 +78,7 @@ def make_plan(
     """Read the scenario once for every value of ``vary``, ``KEY=VALUES``.
 
     Raises:
-        InvalidInputError: the scenario or ``vary`` cannot be used; every value that the scenario refuses, and why.
+        InvalidInputError: the scenario or ``vary`` cannot be used; every value that the scenario rejects, and why.
     """
     key, values = parse_vary(vary)
     base = choose_scenario(name_or_path, timeout_s=timeout_s, links=links)

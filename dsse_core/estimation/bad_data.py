@@ -123,7 +123,7 @@ def process_bad_data_with_plan(
     plan, values, sigmas, dead = _leave_out_dead(plan, np.asarray(values, dtype=float), np.asarray(sigmas, dtype=float))
     result = estimate_with_plan(plan, values, sigmas, start=start, tolerance=tolerance)
     removed: list[RemovedMeasurement] = []
-    while result.memory.judging:
+    while result.memory.evaluating:
         worst = _find_worst(result, threshold)
         memory, verdict = decide(result.memory, _totals_of(result, worst))
         if verdict.decision is Decision.FINAL:
@@ -151,9 +151,9 @@ def _leave_out_dead(
     dead = [Measurement(plan.meters[k], float(values[k]), float(sigmas[k])) for k in rows]
     try:
         plan = plan.without(rows)
-    except NotObservableError as gap:
+    except NotObservableError as error:
         left_out = [f"{m.meter} reads {m.value:.3g} p.u., below {DEAD_VM:g}" for m in dead]
-        raise NotObservableError(gap.buses, gap.cures, left_out) from None
+        raise NotObservableError(error.buses, error.cures, left_out) from None
     return plan, np.delete(values, rows), np.delete(sigmas, rows), dead
 
 
@@ -165,7 +165,7 @@ def _estimate_without(
 
 
 def _totals_of(result: EstimationResult, worst: dict[str, float]) -> Totals:
-    """What is to be judged."""
+    """What is to be evaluated."""
     objective, freedom = result.objective, result.degrees_of_freedom
     return Totals(objective, freedom, worst=tuple(worst.items()), areas=1, referenced=True)
 

@@ -11,7 +11,7 @@ import scipy.sparse as sp
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.plan import Backend, BackendChoice, EstimationPlan, build_estimation_plan
-from dsse_core.estimation.radial import estimate_on_tree, find_variances_on_tree
+from dsse_core.estimation.radial import estimate_radial, find_radial_variances
 from dsse_core.estimation.sparse import estimate_sparse
 from dsse_core.estimation.verdict import Memory
 from dsse_core.gauss_newton import LAST_STEP
@@ -29,8 +29,8 @@ class EstimationResult:
     ``values``, ``sigmas`` (n_meas,): the readings of the plan's meters, sigma 0 where a reading holds exactly.
     ``objective`` is J(x) (eq. 3.9), which under the model's assumptions is chi-square distributed with
     ``degrees_of_freedom`` = measurements + constraints - state variables. What is not stored is computed when it is
-    asked for, on the tree where that is the back end, and else, or where it does not tell, by sparse factorisation.
-    ``iterations``: steps since the start that it ended from. ``memory``: what later verdicts rest on; ``judging`` where
+    asked for, by the radial back end where that is chosen, and else, or where it does not tell, by sparse factorisation.
+    ``iterations``: steps since the start that it ended from. ``memory``: what later verdicts rest on; ``evaluating`` where
     J has exceeded the chi-square limit.
     """
 
@@ -46,7 +46,7 @@ class EstimationResult:
 
     @property
     def backend(self) -> Backend:
-        """By which the state was found; ``plan.tree`` says why not by the other."""
+        """By which the state was found; ``plan.radial`` says why not by the other."""
         return self.plan.backend
 
     @property
@@ -93,8 +93,8 @@ class EstimationResult:
 
     def state_sigma(self) -> tuple[np.ndarray, np.ndarray]:
         """Standard deviations (sigma_vm, sigma_va) of all buses, p.u. and rad."""
-        if self._variances_on_tree is not None:
-            variance = self._variances_on_tree[0]
+        if self._radial_variances is not None:
+            variance = self._radial_variances[0]
         else:
             variance = np.zeros(2 * len(self.vm))
             variance[self.free] = self.factor.state_variance()
@@ -104,13 +104,13 @@ class EstimationResult:
     @cached_property
     def residual_variance(self) -> np.ndarray:
         """diag(Omega), ``Omega = R - H G^-1 H'`` (eq. 3.22), shape (n_meas,); 0 for virtual measurements."""
-        return self.factor.residual_variance() if self._variances_on_tree is None else self._variances_on_tree[1]
+        return self.factor.residual_variance() if self._radial_variances is None else self._radial_variances[1]
 
     @cached_property
-    def _variances_on_tree(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """Variances of x and of the residuals where the tree is the back end."""
-        tree = self.plan.tree
-        return None if isinstance(tree, str) else find_variances_on_tree(tree, self.sigmas, self.vm, self.va)
+    def _radial_variances(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Variances of x and of the residuals where the back end is radial."""
+        radial = self.plan.radial
+        return None if isinstance(radial, str) else find_radial_variances(radial, self.sigmas, self.vm, self.va)
 
 
 def estimate_state(
@@ -159,7 +159,7 @@ def estimate_with_plan(
 
     ``values``, ``sigmas`` (n_meas,): the readings of the plan's meters. Virtual ones hold exactly; their sigma does
     not count. Gauss-Newton as ``verdict.decide`` says, until it is final or normalised residuals are wanted: no step
-    moves a voltage by more than MAX_DVM and MAX_DVA, and current magnitudes enter once the others have told where flows
+    moves a voltage by more than MAX_DVM and MAX_DVA, and current magnitudes enter once the others have sent where flows
     go: before, they have several minima.
 
     Args:
@@ -177,13 +177,13 @@ def estimate_with_plan(
         problem = f"the plan has {len(plan.meters)} meters; given are values {values.shape} and sigmas {sigmas.shape}"
         raise InvalidInputError(f"readings of network {plan.network.name!r}", [problem])
     options = start, tolerance, memory
-    if isinstance(plan.tree, str):
+    if isinstance(plan.radial, str):
         sigmas[plan.virtual] = 0.0
         if not _are_usable(values, sigmas, plan.virtual):
             check_readings(plan.network, plan.meters, values, sigmas)
         memory, found = estimate_sparse(plan.sparse, values, sigmas, *options)
     else:
-        memory, found = estimate_on_tree(plan.tree, plan.virtual, values, sigmas, *options)
+        memory, found = estimate_radial(plan.radial, plan.virtual, values, sigmas, *options)
     return EstimationResult(plan, values, sigmas, memory, *found)
 
 

@@ -15,31 +15,31 @@ from dsse_core.estimation.sparse import SparsePlan, build_sparse_plan
 from dsse_core.grid.measurement import Meter, Source
 from dsse_core.grid.network import Network
 from dsse_core.observability import check_observable, find_indispensable, find_reference
-from dsse_core.radial.plan import TreePlan, build_tree_plan, drop_meters
+from dsse_core.radial.plan import RadialPlan, build_radial_plan, drop_meters
 
-Backend = Literal["tree", "sparse"]
-BackendChoice = Literal["auto", "tree", "sparse"]
+Backend = Literal["radial", "sparse"]
+BackendChoice = Literal["auto", "radial", "sparse"]
 # Of a radial network from which on ``auto`` loads numba: measured, an estimate with all normalised residuals takes
-# 1 ms on the tree after 0.3 s for the import, and sparse 0.1 s with 500 or 1000 buses, so that some scans repay it.
-FEWEST_BUSES_OF_TREE = 500
+# 1 ms with radial after 0.3 s for the import, and sparse 0.1 s with 500 or 1000 buses, so that some scans repay it.
+FEWEST_BUSES_OF_RADIAL = 500
 
 
 @dataclass(frozen=True)
 class EstimationPlan:
-    """``tree``: the plan of the back end of that name, or, as text, why it is not used."""
+    """``radial``: the plan of the back end of that name, or, as text, why it is not used."""
 
     network: Network
     meters: tuple[Meter, ...]
     reference: int
-    tree: TreePlan | str
+    radial: RadialPlan | str
 
     @property
     def backend(self) -> Backend:
-        return "sparse" if isinstance(self.tree, str) else "tree"
+        return "sparse" if isinstance(self.radial, str) else "radial"
 
     @cached_property
     def sparse(self) -> SparsePlan:
-        """Also where the tree solves: for what it does not tell."""
+        """Also where the back end is radial: for what it does not tell."""
         return build_sparse_plan(self.network, self.meters, self.reference)
 
     @cached_property
@@ -50,12 +50,12 @@ class EstimationPlan:
     @cached_property
     def indispensable(self) -> np.ndarray:
         """Which meters leave the state undetermined when taken out, shape (n_meas,); see ``find_indispensable``."""
-        if isinstance(self.tree, str):
+        if isinstance(self.radial, str):
             found = find_indispensable(self.network, self.meters, self.reference)
             return np.array([meter.id in found for meter in self.meters], dtype=bool)
-        from dsse_core.radial.redundancy import find_indispensable_on_tree  # numba, loaded when the plan was built
+        from dsse_core.radial.redundancy import find_radial_indispensable  # numba, loaded when the plan was built
 
-        return find_indispensable_on_tree(self.tree)
+        return find_radial_indispensable(self.radial)
 
     def without(self, rows: Sequence[int]) -> EstimationPlan:
         """The plan without the meters at the positions ``rows``, on the same back end if that can still serve.
@@ -63,11 +63,11 @@ class EstimationPlan:
         Raises:
             NotObservableError: names the buses that the others do not determine.
         """
-        tree = self.tree if isinstance(self.tree, str) else drop_meters(self.tree, rows)
+        radial = self.radial if isinstance(self.radial, str) else drop_meters(self.radial, rows)
         meters = tuple(self.meters[k] for k in np.delete(np.arange(len(self.meters)), rows).tolist())
-        if isinstance(self.tree, str):
+        if isinstance(self.radial, str):
             check_observable(self.network, meters, reference=self.reference)
-        return EstimationPlan(self.network, meters, self.reference, tree)
+        return EstimationPlan(self.network, meters, self.reference, radial)
 
     @property
     def degrees_of_freedom(self) -> int:
@@ -86,32 +86,32 @@ def build_estimation_plan(
 
     Args:
         reference: bus whose angle is given; the slack bus by default.
-        backend: ``tree`` (compiled, radial networks, numba), ``sparse`` (any network), or ``auto``: the tree where it
-            can serve and the network has FEWEST_BUSES_OF_TREE buses or more, whatever is loaded already.
+        backend: ``radial`` (compiled, radial networks, numba), ``sparse`` (any network), or ``auto``: radial where it
+            can serve and the network has FEWEST_BUSES_OF_RADIAL buses or more, whatever is loaded already.
 
     Raises:
-        InvalidInputError: listing every meter that does not fit the network; or why the tree cannot serve.
+        InvalidInputError: listing every meter that does not fit the network; or why radial cannot serve.
         NotObservableError: names the buses that the meters do not determine.
     """
     if backend not in get_args(BackendChoice):
         known = ", ".join(get_args(BackendChoice))
         raise InvalidInputError("state estimation", [f"backend is {backend!r}; choose one of {known}"])
     meters, reference = tuple(meters), find_reference(network, reference)
-    tree = _find_tree_plan(network, meters, reference, backend)
-    if isinstance(tree, str):
-        if backend == "tree":
-            problem = f"the tree back end cannot serve: {tree}; choose 'auto' or 'sparse'"
+    radial = _find_radial_plan(network, meters, reference, backend)
+    if isinstance(radial, str):
+        if backend == "radial":
+            problem = f"the radial back end cannot serve: {radial}; choose 'auto' or 'sparse'"
             raise InvalidInputError(f"estimate of network {network.name!r}", [problem])
         check_observable(network, meters, reference=reference)
-    return EstimationPlan(network, meters, reference, tree)
+    return EstimationPlan(network, meters, reference, radial)
 
 
-def _find_tree_plan(
+def _find_radial_plan(
     network: Network, meters: tuple[Meter, ...], reference: int, backend: BackendChoice
-) -> TreePlan | str:
+) -> RadialPlan | str:
     n = len(network.buses)
     if backend == "sparse":
         return "the sparse back end was asked for"
-    if backend == "auto" and n < FEWEST_BUSES_OF_TREE:
-        return f"with {n} buses loading numba takes longer than it saves (below {FEWEST_BUSES_OF_TREE})"
-    return build_tree_plan(network, meters, reference=reference)
+    if backend == "auto" and n < FEWEST_BUSES_OF_RADIAL:
+        return f"with {n} buses loading numba takes longer than it saves (below {FEWEST_BUSES_OF_RADIAL})"
+    return build_radial_plan(network, meters, reference=reference)

@@ -1,4 +1,4 @@
-"""The estimate of radial networks by elimination on the tree; see ``tree_kernel``."""
+"""The estimate of radial networks by elimination on the tree; see ``radial_kernel``."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from dsse_core.estimation.residuals import CONFIDENCE, chi_square_limit
 from dsse_core.estimation.verdict import Memory, most_steps
 from dsse_core.gauss_newton import Solution
 from dsse_core.grid.measurement import check_readings
-from dsse_core.radial.plan import N_SLOT, TreePlan
+from dsse_core.radial.plan import N_SLOT, RadialPlan
 
 
-def estimate_on_tree(
-    plan: TreePlan,
+def estimate_radial(
+    plan: RadialPlan,
     exact: np.ndarray,
     values: np.ndarray,
     sigmas: np.ndarray,
@@ -52,12 +52,12 @@ def estimate_on_tree(
         weighted = abs(residual) / np.where(sigmas > 0, sigmas, np.inf)
         worst = int(np.argmax(weighted))
         raise EstimationDivergedError(steps, step, str(plan.meters[worst]), float(weighted[worst]))
-    if end == compiled.JUDGE:
-        memory = replace(memory, judging=True)
+    if end == compiled.EVALUATE:
+        memory = replace(memory, evaluating=True)
     return memory, (state[0], state[1], residual, objective, steps)
 
 
-def _begin_at(plan: TreePlan, start: tuple[np.ndarray, np.ndarray] | None) -> tuple[np.ndarray, np.ndarray]:
+def _begin_at(plan: RadialPlan, start: tuple[np.ndarray, np.ndarray] | None) -> tuple[np.ndarray, np.ndarray]:
     """Voltages and their angles in tree order, (n_bus,); the flat start without ``start``."""
     if start is None:
         return plan.start, plan.start_va
@@ -68,26 +68,26 @@ def _begin_at(plan: TreePlan, start: tuple[np.ndarray, np.ndarray] | None) -> tu
 @cache
 def _load_compiled() -> ModuleType:
     """What needs numba; an import statement takes longer, every time, than to look it up here."""
-    from dsse_core.radial import iteration as tree_iteration
+    from dsse_core.radial import iteration as radial_iteration
 
-    return tree_iteration
+    return radial_iteration
 
 
-def find_variances_on_tree(
-    plan: TreePlan, sigmas: np.ndarray, vm: np.ndarray, va: np.ndarray
+def find_radial_variances(
+    plan: RadialPlan, sigmas: np.ndarray, vm: np.ndarray, va: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """diag of the covariance of x = [va; vm], shape (2 n_bus,), network order, and diag(Omega), (n_meas,)."""
-    from dsse_core.radial import inverse as tree_inverse
-    from dsse_core.radial import iteration as tree_iteration
-    from dsse_core.radial import kernel as tree_kernel
+    from dsse_core.radial import inverse as radial_inverse
+    from dsse_core.radial import iteration as radial_iteration
+    from dsse_core.radial import kernel as radial_kernel
 
     n = len(vm)
-    z, w, v, va_of_tree = np.zeros((n, N_SLOT)), tree_kernel.absent(n), np.empty(n, dtype=complex), np.empty(n)
-    tree_inverse.turn_to_tree(plan.order, vm, va, v, va_of_tree)
-    tree_iteration.store(plan.slot, sigmas, sigmas, z, w)  # whatever was read
-    work = tree_kernel.Work.of(n)
-    tree_kernel.eliminate(plan.parent, plan.admittance, z, w, v, va_of_tree, True, tree_kernel.INVERT, *work)
-    of_tree, omega, _ = tree_inverse.find_variances(plan.parent, plan.admittance, w, v, *work[1:4], True)
+    z, w, v, va_in_order = np.zeros((n, N_SLOT)), radial_kernel.absent(n), np.empty(n, dtype=complex), np.empty(n)
+    radial_inverse.turn_to_radial_order(plan.order, vm, va, v, va_in_order)
+    radial_iteration.store(plan.slot, sigmas, sigmas, z, w)  # whatever was read
+    work = radial_kernel.Work.of(n)
+    radial_kernel.eliminate(plan.parent, plan.admittance, z, w, v, va_in_order, True, radial_kernel.INVERT, *work)
+    in_order, omega, _ = radial_inverse.find_variances(plan.parent, plan.admittance, w, v, *work[1:4], True)
     state = np.empty((2, n))
-    state[:, plan.order] = of_tree.T
+    state[:, plan.order] = in_order.T
     return state.ravel(), omega.ravel()[plan.slot]

@@ -70,7 +70,7 @@ def estimate_sparse(
     tolerance: float,
     memory: Memory,
 ) -> tuple[Memory, Solution]:
-    """Gauss-Newton until it is final or to be judged; ``sigmas`` (n_meas,) are 0 where a reading holds exactly.
+    """Gauss-Newton until it is final or to be evaluated; ``sigmas`` (n_meas,) are 0 where a reading holds exactly.
 
     Raises:
         EstimationDivergedError: names the measurement with the largest weighted residual.
@@ -81,7 +81,7 @@ def estimate_sparse(
         if verdict.reason:
             raise grid.diverged()
         grid.carry_out(verdict)
-        if verdict.decision in (Decision.JUDGE, Decision.FINAL):
+        if verdict.decision in (Decision.EVALUATE, Decision.FINAL):
             return memory, grid.solution()
 
 
@@ -173,7 +173,7 @@ class SparseIteration:
         self._move(share)
 
     def _forget_step(self) -> None:
-        """What follows is not told from it; nor does its factor serve."""
+        """What follows is not derived from it; nor does its factor serve."""
         self._step, self._size, self._factor = np.zeros(len(self._plan.free)), (0.0, 0.0), None
 
     def _move(self, share: float) -> None:

@@ -32,14 +32,14 @@ MOST_NAMED = 20  # areas or ranges of buses that totals name
 
 class Decision(StrEnum):
     """``STEP``: the Gauss-Newton step, ``share`` of it. ``SHORTEN``: only ``share`` of the last one.
-    ``USE_CURRENTS``: current magnitudes, held back until flows are known, are used. ``JUDGE``: normalised residuals
+    ``USE_CURRENTS``: current magnitudes, held back until flows are known, are used. ``EVALUATE``: normalised residuals
     are wanted. ``ANEW``: from the start of the scan, without the meters removed. ``FINAL``: the end of the scan.
     """
 
     STEP = "step"
     SHORTEN = "shorten"
     USE_CURRENTS = "use currents"
-    JUDGE = "judge"
+    EVALUATE = "evaluate"
     ANEW = "anew"
     FINAL = "final"
 
@@ -53,8 +53,8 @@ class Totals:
 
     ``objective``: J of their real meters in use, with ``degrees_of_freedom``. ``dvm``, ``dva``: the largest of the
     last step. ``held_back``: current magnitudes not yet in use. ``worst``: (meter, normalised residual), the largest
-    above the threshold and those that equal it, by id; empty unless judging. ``areas``: how many they are.
-    ``referenced``: one of them knows the substation's angle. ``silent``, ``stale``: neighbours that are not heard,
+    above the threshold and those that equal it, by id; empty unless evaluating. ``areas``: how many they are.
+    ``referenced``: one of them knows the substation's angle. ``silent``, ``stale``: neighbours that are not received,
     areas without readings of the scan. ``unobservable``: buses that no meter determines. ``failed``: areas that have
     no numbers.
     """
@@ -120,7 +120,7 @@ class Memory:
     before: float = 0.0
     stepped: bool = False
     uses_currents: bool = False
-    judging: bool = False
+    evaluating: bool = False
     from_flat_start: bool = False
 
 
@@ -148,7 +148,7 @@ def decide(memory: Memory, totals: Totals, tolerance: float = LAST_STEP) -> tupl
         return memory, Verdict(Decision.FINAL, reason=UNOBSERVABLE)
     if totals.failed:
         return memory, Verdict(Decision.FINAL, reason=NO_ESTIMATE)
-    if memory.judging:
+    if memory.evaluating:
         return _remove_worst(memory, totals)
     taken, is_lost = _share_of(memory.steps), not totals.step <= LARGEST_STEP
     if memory.stepped and not is_lost:
@@ -159,7 +159,7 @@ def decide(memory: Memory, totals: Totals, tolerance: float = LAST_STEP) -> tupl
             return replace(memory, stepped=False, before=0.0, uses_currents=True), Verdict(Decision.USE_CURRENTS)
         if (memory.uses_currents or not totals.held_back) and _comes_last(memory, totals, tolerance):
             if _exceeds_limit(totals):
-                return replace(memory, judging=True), Verdict(Decision.JUDGE, with_step=True)
+                return replace(memory, evaluating=True), Verdict(Decision.EVALUATE, with_step=True)
             return memory, Verdict(Decision.FINAL, with_step=True)
     if is_lost or memory.steps >= most_steps(memory):
         if memory.from_flat_start:
@@ -181,18 +181,18 @@ def most_steps(memory: Memory) -> int:
 
 
 def _remove_worst(memory: Memory, totals: Totals) -> tuple[Memory, Verdict]:
-    """After judging: the largest normalised residual goes, of equal ones the first by id, or nothing stands out.
+    """After evaluating: the largest normalised residual goes, of equal ones the first by id, or nothing stands out.
 
     Nothing has to go where the step that was taken along has brought J below the limit.
     """
     if not totals.worst or not _exceeds_limit(totals) or len(memory.removed) >= MOST_REMOVED:
-        return replace(memory, judging=False), Verdict(Decision.FINAL)
+        return replace(memory, evaluating=False), Verdict(Decision.FINAL)
     removed = (*memory.removed, totals.worst[0][0])
     return Memory(removed=removed, from_flat_start=memory.from_flat_start), Verdict(Decision.ANEW)
 
 
 def _comes_last(memory: Memory, totals: Totals, tolerance: float) -> bool:
-    """Whether the coming step is the last, judged by the steps that were taken: a gain would lie below rounding."""
+    """Whether the coming step is the last, evaluated by the steps that were taken: a gain would lie below rounding."""
     step = totals.step
     if not is_last(step, memory.before, memory.uses_currents, tolerance):
         return False

@@ -31,13 +31,13 @@ from dsse_core.linear import choose_backend
 from dsse_core.linear.area_model import AreaModel, build_area_model
 from dsse_core.linear.boundary_information import BoundaryInformation
 
-AGED = 0.1  # of the weight of what a neighbour that is no longer heard has last said; its sigmas grow tenfold
+AGED = 0.1  # of the weight of what a neighbour that is no longer received has last said; its sigmas grow tenfold
 UNSURE_OF_LOAD = 0.1  # of a load message, which neglects losses, and
 LEAST_LOAD = 0.01  # p.u., is left as its standard deviation
 FAILURES = (ArithmeticError, np.linalg.LinAlgError, RuntimeError, ValueError, DsseError)  # of absurd numbers
 
 T = TypeVar("T")
-Heard = Mapping[str, BoundaryInformation]
+Received = Mapping[str, BoundaryInformation]
 
 
 class AreaEstimation:
@@ -65,7 +65,7 @@ class AreaEstimation:
         self._worst: tuple[tuple[str, float], ...] = ()
         self._uses_currents = False
         self._n_current = 0  # current meters that can be used
-        self._heard: Heard = {}  # at the last step that was taken
+        self._received: Received = {}  # at the last step that was taken
         self._aged: dict[str, BoundaryInformation] = {}
         self._stand_ins: dict[str, BoundaryInformation] = {}
         self._model: AreaModel | None = None
@@ -99,7 +99,7 @@ class AreaEstimation:
         """Start at the state so far, with ``readings``, virtual ones included; ``silent``: neighbours not in use.
 
         ``stale``: the readings are not of this scan. ``loads``: neighbour -> its load message, which stands in for
-        its information as long as that has never been heard.
+        its information as long as that has never been received.
         """
         self._readings, self._silent, self._is_stale = tuple(readings), frozenset(silent), stale
         self.own_meters = frozenset(m.meter.id for m in self._readings)
@@ -113,7 +113,7 @@ class AreaEstimation:
         self.removed = tuple(meter for meter in removed if meter in self.own_meters)
         self.x = self._before = self._start
         self._step = np.zeros_like(self.x)
-        self._worst, self._uses_currents, self._heard = (), False, {}
+        self._worst, self._uses_currents, self._received = (), False, {}
         self.is_first, self.unobservable, self.critical = True, (), ()
         self._build()
 
@@ -171,26 +171,26 @@ class AreaEstimation:
         """y = (p, q, vm, va) at the boundary to ``neighbour``."""
         return tuple(self.model.boundary_values(self.x, self._by_name[neighbour]).tolist())
 
-    def information_for(self, neighbour: str, heard: Heard) -> BoundaryInformation:
-        """What this side, all areas but those behind ``neighbour``, knows at x_k; ``heard``: of the others in use.
+    def information_for(self, neighbour: str, received: Received) -> BoundaryInformation:
+        """What this side, all areas but those behind ``neighbour``, knows at x_k; ``received``: of the others in use.
 
         Raises:
             FAILURES: numbers that no estimate can have.
         """
-        return self.model.linear.information(self.x, self._by_name[neighbour], self._with_aged(heard))
+        return self.model.linear.information(self.x, self._by_name[neighbour], self._with_aged(received))
 
-    def no_load_for(self, neighbour: str, heard: Mapping[str, BoundaryInformation]) -> BoundaryInformation | None:
+    def no_load_for(self, neighbour: str, received: Mapping[str, BoundaryInformation]) -> BoundaryInformation | None:
         """The same of no-load information; None where some of this side is missing."""
         others = {n for n in self._by_name if n != neighbour}
-        if self._silent or self._is_blank or others - heard.keys():
+        if self._silent or self._is_blank or others - received.keys():
             return None
         assert self._no_load is not None  # ``begin`` was called
-        no_load, told = self._no_load, {name: heard[name] for name in others}
-        return self._keep((neighbour,), told, lambda: no_load.information_for(self._by_name[neighbour], told))
+        no_load, beyond = self._no_load, {name: received[name] for name in others}
+        return self._keep((neighbour,), beyond, lambda: no_load.information_for(self._by_name[neighbour], beyond))
 
-    def _keep(self, what: tuple[str, ...], heard: Heard, find: Callable[[], T]) -> T | None:
-        """What ``find`` makes of the no-load model and ``heard``, found anew only where these differ."""
-        key = (*what, *((name, heard[name].R.tobytes()) for name in sorted(heard)))
+    def _keep(self, what: tuple[str, ...], received: Received, find: Callable[[], T]) -> T | None:
+        """What ``find`` makes of the no-load model and ``received``, found anew only where these differ."""
+        key = (*what, *((name, received[name].R.tobytes()) for name in sorted(received)))
         if key not in self._kept_no_load:
             try:
                 self._kept_no_load[key] = find()
@@ -198,10 +198,10 @@ class AreaEstimation:
                 self._kept_no_load[key] = None  # readings that determine next to nothing
         return cast("T | None", self._kept_no_load[key])
 
-    def _with_aged(self, heard: Heard) -> Heard:
+    def _with_aged(self, received: Received) -> Received:
         """With what silent neighbours have last said."""
         stand_ins = self._stand_ins | self._aged
-        return {name: stand_ins[name] for name in self._silent if name in stand_ins} | dict(heard)
+        return {name: stand_ins[name] for name in self._silent if name in stand_ins} | dict(received)
 
     def totals(self) -> Totals:
         """The area's own part at x_k."""
@@ -230,14 +230,14 @@ class AreaEstimation:
 
     # Carrying out what is decided
 
-    def carry_out(self, verdict: Verdict, memory: Memory, heard: Heard, no_load: Heard) -> None:
-        """Do what ``verdict`` says, at x_k, with the information ``heard`` of all neighbours in use."""
+    def carry_out(self, verdict: Verdict, memory: Memory, received: Received, no_load: Received) -> None:
+        """Do what ``verdict`` says, at x_k, with the information ``received`` of all neighbours in use."""
         try:
             self._check_no_load(no_load)
             if verdict.takes_step:
-                self._check_information(heard)
-                self._heard = self._with_aged(heard)
-                self._before, self._step = self.x, self.model.linear.step(self.x, self._heard)
+                self._check_information(received)
+                self._received = self._with_aged(received)
+                self._before, self._step = self.x, self.model.linear.step(self.x, self._received)
                 self.x = self.x + verdict.share * self._step
                 self._check()
             match verdict.decision:
@@ -251,10 +251,10 @@ class AreaEstimation:
                 case Decision.ANEW:
                     self._start = self._flat if memory.from_flat_start else self._start
                     self._start_anew(memory.removed)
-                case Decision.JUDGE:
-                    self._judge()
+                case Decision.EVALUATE:
+                    self._evaluate()
                 case Decision.FINAL:
-                    last = {name: told for name, told in self._heard.items() if name not in self._silent}
+                    last = {name: information for name, information in self._received.items() if name not in self._silent}
                     self._aged |= {n: BoundaryInformation(AGED * m.R, AGED * m.z) for n, m in last.items()}
         except FAILURES as error:
             self.fail(error)
@@ -265,33 +265,33 @@ class AreaEstimation:
         self.x = self._flat
         self._step = np.zeros_like(self.x)
 
-    def _check_information(self, heard: Heard) -> None:
+    def _check_information(self, received: Received) -> None:
         """A step without the information of one side would be that of another grid: who has no numbers says none."""
-        if missing := self._by_name.keys() - self._silent - heard.keys():
+        if missing := self._by_name.keys() - self._silent - received.keys():
             raise ArithmeticError(f"no numbers from {', '.join(sorted(missing))}")
 
     def _check(self) -> None:
         if not np.isfinite(self.x).all():
             raise ArithmeticError("the step has no numbers")
 
-    def _check_no_load(self, heard: Heard) -> None:
+    def _check_no_load(self, received: Received) -> None:
         """With the no-load information of all neighbours: which buses no meter determines, which meter is critical."""
         if not self.is_first:
             return
         self.is_first = False
-        if self._silent or self._is_blank or self._by_name.keys() - heard.keys():
+        if self._silent or self._is_blank or self._by_name.keys() - received.keys():
             return
         assert self._no_load is not None  # ``begin`` was called
         no_load = self._no_load
-        self.unobservable, found = self._keep((), heard, lambda: no_load.examine(heard)) or ((), frozenset())
+        self.unobservable, found = self._keep((), received, lambda: no_load.examine(received)) or ((), frozenset())
         if not self.unobservable:
             real = {m.id for m in self.model.meters if m.source is not Source.VIRTUAL}
             self.critical = tuple(sorted(found & real))
 
-    def _judge(self) -> None:
+    def _evaluate(self) -> None:
         """Which meters are critical, and the largest normalised residual of the others."""
         model = self.model
-        _, variance = model.linear.variances(self.x, self._heard)
+        _, variance = model.linear.variances(self.x, self._received)
         self.critical = self._find_critical(variance)
         worst = find_suspects(model, self.x, variance, self.critical)
         self._worst = tuple(sorted(worst.items()))[:MOST_NAMED]
@@ -303,7 +303,7 @@ class AreaEstimation:
         Raises:
             FAILURES: numbers that no estimate can have.
         """
-        of_state, variance = self.model.linear.variances(self.x, self._heard)
+        of_state, variance = self.model.linear.variances(self.x, self._received)
         sigma = np.sqrt(np.maximum(of_state, 0.0))
         return sigma[self._n : 2 * self._n], sigma[: self._n], self._find_critical(variance)
 

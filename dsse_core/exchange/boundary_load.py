@@ -52,36 +52,36 @@ def own_net_load(area: Area, measured: Mapping[int, NetLoad] | None = None) -> N
     return add_loads([*read.values(), NetLoad(sum(scheduled, area.shunt_load))])
 
 
-def load_message_for(neighbour: str, own: NetLoad, heard: Mapping[str, NetLoad]) -> NetLoad:
+def load_message_for(neighbour: str, own: NetLoad, received: Mapping[str, NetLoad]) -> NetLoad:
     """What an area tells ``neighbour``: its own net load and that of all its other neighbours."""
-    return add_loads([own, *(load for name, load in heard.items() if name != neighbour)])
+    return add_loads([own, *(load for name, load in received.items() if name != neighbour)])
 
 
-def boundary_loads(area: Area, heard: Mapping[str, NetLoad], error: complex = 0j) -> dict[int, NetLoad]:
+def boundary_loads(area: Area, received: Mapping[str, NetLoad], error: complex = 0j) -> dict[int, NetLoad]:
     """Boundary bus -> load beyond it: what the neighbours there say, plus ``error`` (eqs. 5.4, 5.5).
 
-    The error is added once per boundary bus. A bus whose neighbours have not all been heard is left out.
+    The error is added once per boundary bus. A bus whose neighbours have not all been received is left out.
     """
     loads = {}
     for bus in area.boundary_buses:
         beyond = [n.area for n in area.neighbours if n.bus == bus]
-        if all(name in heard for name in beyond):
-            loads[bus] = add_loads([NetLoad(complex(error)), *(heard[name] for name in beyond)])
+        if all(name in received for name in beyond):
+            loads[bus] = add_loads([NetLoad(complex(error)), *(received[name] for name in beyond)])
     return loads
 
 
 def scheduled_load_messages(partition: Partition) -> dict[str, dict[str, NetLoad]]:
     """Receiving area -> (neighbour -> load message) when every message is the schedule and none is lost."""
     own = {area.name: own_net_load(area) for area in partition.areas}
-    heard: dict[str, dict[str, NetLoad]] = {area.name: {} for area in partition.areas}
+    received: dict[str, dict[str, NetLoad]] = {area.name: {} for area in partition.areas}
 
     def tell(sender: str, receiver: str) -> NetLoad:
-        if sender not in heard[receiver]:
+        if sender not in received[receiver]:
             beyond = {n.area: tell(n.area, sender) for n in partition.area(sender).neighbours if n.area != receiver}
-            heard[receiver][sender] = load_message_for(receiver, own[sender], beyond)
-        return heard[receiver][sender]
+            received[receiver][sender] = load_message_for(receiver, own[sender], beyond)
+        return received[receiver][sender]
 
     for area in partition.areas:
         for n in area.neighbours:
             tell(n.area, area.name)
-    return heard
+    return received

@@ -44,12 +44,12 @@ def compute_weight(model: AreaModel, x: np.ndarray, neighbour: Neighbour) -> np.
     return weight
 
 
-def solve_damped_step(model: AreaModel, x: np.ndarray, heard: Mapping[str, BoundaryInformation]) -> np.ndarray:
+def solve_damped_step(model: AreaModel, x: np.ndarray, received: Mapping[str, BoundaryInformation]) -> np.ndarray:
     """The step dx, shape (size,), ``(G + 1 / tau^2) dx = b``, of which no voltage moves by more than LARGEST_STEP.
 
     Messages do not tell what neighbours know, and undamped steps diverge: transit power is seen through losses only.
     """
-    dx = model.linear.step(x, heard, DAMPING**-2.0)
+    dx = model.linear.step(x, received, DAMPING**-2.0)
     largest = float(abs(dx[: 2 * len(model.area.network.buses)]).max())
     return np.asarray(dx * min(1.0, LARGEST_STEP / max(largest, LARGEST_STEP)))
 

@@ -22,7 +22,7 @@ from dsse_core.linear.boundary_information import BoundaryInformation
 # Below it an indispensable meter. Rounding and NO_LOAD_NOT_YET leave one 1e-15; a meter that another one replaces only
 # through an impedance of 3e-7 p.u. has 3e-10, a voltmeter that only the sum of 5,000 injections in a row checks 2e-11.
 NO_LOAD_REDUNDANCY = 1e-12
-# Below it what a neighbour is told of a power, in units of the own ones, or of a voltage is NO_LOAD_NOT_YET alone,
+# Below it what a neighbour receives of a power, in units of the own ones, or of a voltage is NO_LOAD_NOT_YET alone,
 # 1e-9; to a neighbour whose impedances are a thousand times smaller it would look like something.
 NOTHING_AT_NO_LOAD = 1e-8
 # Above it the variance of a voltage at no load, where all sigmas are 1, says that nothing determines it: what is known
@@ -72,33 +72,33 @@ class NoLoadModel:
     ids: tuple[str, ...]
     typical: float  # the median admittance
 
-    def information_for(self, neighbour: Neighbour, heard: Mapping[str, BoundaryInformation]) -> BoundaryInformation:
-        told = self.linear.information(self.x, neighbour, self._at_own_voltage(heard))
+    def information_for(self, neighbour: Neighbour, received: Mapping[str, BoundaryInformation]) -> BoundaryInformation:
+        information = self.linear.information(self.x, neighbour, self._at_own_voltage(received))
         turn = np.eye(4)
         for rows, unit in ((slice(2), self.typical), (slice(2, 4), 1.0)):  # of powers given the voltage, of the voltage
-            U, size, _ = np.linalg.svd(told.R[rows, rows])
+            U, size, _ = np.linalg.svd(information.R[rows, rows])
             is_something = size * unit >= NOTHING_AT_NO_LOAD
             if not is_something.all():
                 turn[rows, rows] = is_something[:, None] * U.T
-        return BoundaryInformation(np.triu(turn @ told.R) * self._voltage_of(neighbour), turn @ told.z)
+        return BoundaryInformation(np.triu(turn @ information.R) * self._voltage_of(neighbour), turn @ information.z)
 
-    def examine(self, heard: Mapping[str, BoundaryInformation]) -> tuple[tuple[int, ...], frozenset[str]]:
+    def examine(self, received: Mapping[str, BoundaryInformation]) -> tuple[tuple[int, ...], frozenset[str]]:
         """Ids of the buses whose voltage neither the area's meters nor what neighbours tell determine, and of the
         meters, virtual ones included, without any one of which the state is not observable.
         """
         rng = np.random.default_rng(0)
-        variance, redundancy = self.linear.sample(self.x, self._at_own_voltage(heard), rng)
+        variance, redundancy = self.linear.sample(self.x, self._at_own_voltage(received), rng)
         buses = self.model.area.network.buses
         is_known = np.maximum(variance[: len(buses)], variance[len(buses) : 2 * len(buses)]) < NOTHING_KNOWN
         unobservable = tuple(buses[k].id for k in np.flatnonzero(~is_known))
         return unobservable, frozenset(self.ids[k] for k in np.flatnonzero(redundancy < NO_LOAD_REDUNDANCY))
 
-    def _at_own_voltage(self, heard: Mapping[str, BoundaryInformation]) -> dict[str, BoundaryInformation]:
-        """What neighbours have told of relative numbers as information about y."""
+    def _at_own_voltage(self, received: Mapping[str, BoundaryInformation]) -> dict[str, BoundaryInformation]:
+        """What neighbours have sent of relative numbers as information about y."""
         return {
-            n.area: replace(heard[n.area], R=heard[n.area].R / self._voltage_of(n))
+            n.area: replace(received[n.area], R=received[n.area].R / self._voltage_of(n))
             for n in self.model.area.neighbours
-            if n.area in heard
+            if n.area in received
         }
 
     def _voltage_of(self, neighbour: Neighbour) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The kinds of files with tables: what each is called, who takes it, and by which keys it is told from the others."""
+"""The kinds of files with tables: what each is called, who takes it, and by which keys it is distinguished from the others."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from pathlib import Path
 class FileKind:
     """A kind of file.
 
-    ``told_by``: keys at the top that no file of another kind has all of. ``use``: who takes such a file, after
+    ``reported_by``: keys at the top that no file of another kind has all of. ``use``: who takes such a file, after
     "which"; ``{name}`` in it stands for the name of the file. ``written_by``: the command that writes it, if any does.
     """
 
     article: str
     name: str
-    told_by: frozenset[str]
+    reported_by: frozenset[str]
     use: str
     written_by: str = ""
 
@@ -43,6 +43,6 @@ ACCESS_FILE = FileKind(
 KINDS = (SCENARIO_FILE, NETWORK_FILE, AREA_FILE, ACCESS_FILE)
 
 
-def kind_told_by(keys: Collection[str]) -> FileKind | None:
+def kind_reported_by(keys: Collection[str]) -> FileKind | None:
     """The kind of file that has all of ``keys``, if they tell."""
-    return next((kind for kind in KINDS if kind.told_by <= set(keys)), None)
+    return next((kind for kind in KINDS if kind.reported_by <= set(keys)), None)

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from dsse_core.errors import InvalidInputError
 from dsse_core.files.bounded_file import LARGEST_JSON, LARGEST_TOML, read_text
 from dsse_core.files.bounded_parsing import parse_json, parse_toml
-from dsse_core.files.kinds import FileKind, kind_told_by
+from dsse_core.files.kinds import FileKind, kind_reported_by
 from dsse_core.files.table_errors import describe_errors, key_path
 
 
@@ -69,7 +69,7 @@ def load_strict(path: Path, model: type[Model], changes: Mapping[str, object] | 
     try:
         return model.model_validate(content)
     except ValidationError as error:
-        found = kind_told_by(content) if isinstance(content, dict) else None
+        found = kind_reported_by(content) if isinstance(content, dict) else None
         if found not in (None, model.kind):
             raise OtherKindError(path, found, model.kind) from None
         raise InvalidInputError(what, describe_errors(model, error)) from None

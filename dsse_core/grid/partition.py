@@ -133,7 +133,7 @@ class Partition:
 
     @cached_property
     def longest_path(self) -> tuple[str, ...]:
-        """The areas on the longest path of the tree: news from its one end to its other passes them all."""
+        """The areas on the longest path of the tree: a message from its one end to its other passes them all."""
         return self._farthest_from(self._farthest_from(self.areas[0].name)[-1])
 
     def _farthest_from(self, start: str) -> tuple[str, ...]:

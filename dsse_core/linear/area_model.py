@@ -26,7 +26,7 @@ class AreaModel:
 
     ``free``: the variables that are unknown, all but a reference angle. ``backend``: see ``linear.choose_backend``.
     ``prior``: a state, shape (size,), whose voltages count as measured with PRIOR_SIGMA, where neighbours or readings
-    are missing; the tree cannot serve then.
+    are missing; radial cannot serve then.
     """
 
     area: Area

@@ -34,8 +34,8 @@ class BoundaryInformation:
     @cached_property
     def rows(self) -> tuple[np.ndarray, np.ndarray]:
         """The rows of R and z that tell something."""
-        told = self.R.any(axis=1)
-        return self.R[told], self.z[told]
+        is_known = self.R.any(axis=1)
+        return self.R[is_known], self.z[is_known]
 
 
 def put_together(
@@ -45,14 +45,14 @@ def put_together(
 
     dpq and dv, (2,) each, are the changes of (p, q) and (vm, va); ``power`` and ``response`` (2, 2).
     """
-    N, told_v = voltage
+    N, z_of_voltage = voltage
     a, b = float(power[0, 0]), float(power[1, 0])
     length = math.hypot(a, b)
     turn = np.array([[a, b], [-b, a]]) / length if length else np.eye(2)
     R = np.zeros((4, 4))
     R[:2, :2], R[:2, 2:], R[2:, 2:] = turn @ power, turn @ response, N
     R[1, 0] = 0.0
-    return BoundaryInformation(R, R @ y + np.concatenate([turn @ shift, told_v]))
+    return BoundaryInformation(R, R @ y + np.concatenate([turn @ shift, z_of_voltage]))
 
 
 def factor_information(M: np.ndarray, g: np.ndarray, nothing: float) -> tuple[np.ndarray, np.ndarray]:

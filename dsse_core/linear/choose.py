@@ -8,29 +8,29 @@ from dsse_core.grid.partition import Area
 from dsse_core.linear.dense import DenseRows
 from dsse_core.linear.interface import LinearArea, Rows
 from dsse_core.linear.no_load import NoLoadSolver
-from dsse_core.linear.radial import RadialSolver, find_no_tree
+from dsse_core.linear.radial import RadialSolver, find_why_not_radial
 from dsse_core.linear.rows import RowSolver
 from dsse_core.linear.sparse import SparseRows
 
 if TYPE_CHECKING:
     from dsse_core.linear.area_model import AreaModel
 
-Backend = Literal["auto", "tree", "sparse", "dense"]
-TREE_FROM = 60  # buses of an area, from which the tree repays the loading of numba
+Backend = Literal["auto", "radial", "sparse", "dense"]
+RADIAL_FROM = 60  # buses of an area, from which radial repays the loading of numba
 DENSE_BELOW = 40  # buses of an area, below which dense matrices cost less than sparse ones
 
 
-def choose_backend(area: Area, backend: Backend = "auto") -> Literal["tree", "sparse", "dense"]:
-    """What computes if ``backend`` is asked for; the tree, for which numba is loaded, where it can serve."""
+def choose_backend(area: Area, backend: Backend = "auto") -> Literal["radial", "sparse", "dense"]:
+    """What computes if ``backend`` is asked for; radial, for which numba is loaded, where it can serve."""
     n_bus = len(area.network.buses)
-    if backend == "tree" or (backend == "auto" and n_bus >= TREE_FROM):
-        return "sparse" if find_no_tree(area.network) else "tree"
+    if backend == "radial" or (backend == "auto" and n_bus >= RADIAL_FROM):
+        return "sparse" if find_why_not_radial(area.network) else "radial"
     return "dense" if backend == "dense" or (backend == "auto" and n_bus < DENSE_BELOW) else "sparse"
 
 
 def needs_compiled_code(area: Area) -> bool:
     """Whether an agent of ``area`` goes faster where the compiled solvers are loaded before."""
-    return choose_backend(area) == "tree"
+    return choose_backend(area) == "radial"
 
 
 def make_rows(model: AreaModel) -> Rows:
@@ -40,8 +40,8 @@ def make_rows(model: AreaModel) -> Rows:
 def make_linear(model: AreaModel) -> LinearArea:
     """The numerics of ``model``: compiled where its area and meters allow, else by rows."""
     chosen = choose_backend(model.area, model.backend)
-    by_rows = RowSolver(model, model.rows, "sparse" if chosen == "tree" else chosen)
-    return RadialSolver(model, by_rows) if chosen == "tree" and model.prior is None else by_rows
+    by_rows = RowSolver(model, model.rows, "sparse" if chosen == "radial" else chosen)
+    return RadialSolver(model, by_rows) if chosen == "radial" and model.prior is None else by_rows
 
 
 def make_no_load(model: AreaModel) -> NoLoadSolver:

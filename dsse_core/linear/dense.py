@@ -9,7 +9,7 @@ import numpy as np
 from dsse_core.grid.measurement_model import stack_models
 from dsse_core.grid.partition import Neighbour
 from dsse_core.linear.boundary_information import ROUNDING
-from dsse_core.linear.interface import Heard, Matrix, Rows
+from dsse_core.linear.interface import Received, Matrix, Rows
 from dsse_core.matrices.augmented_dense import DenseFactor
 
 if TYPE_CHECKING:
@@ -60,9 +60,9 @@ class DenseRows(Rows):
     def boundary_values(self, x: np.ndarray, neighbour: Neighbour) -> np.ndarray:
         return self.boundary(x, neighbour)[0]
 
-    def messages(self, x: np.ndarray, heard: Heard) -> tuple[list[Matrix], list[np.ndarray]]:
-        told = [(*heard[n.area].rows, *self.boundary(x, n)) for n in self._neighbours if n.area in heard]
-        return [R @ T for R, _, _, T in told], [z - R @ y for R, z, y, _ in told]
+    def messages(self, x: np.ndarray, received: Received) -> tuple[list[Matrix], list[np.ndarray]]:
+        found = [(*received[n.area].rows, *self.boundary(x, n)) for n in self._neighbours if n.area in received]
+        return [R @ T for R, _, _, T in found], [z - R @ y for R, z, y, _ in found]
 
     def voltages(self) -> np.ndarray:
         return np.eye(2 * self._n, self._H.shape[1])

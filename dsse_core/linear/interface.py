@@ -17,13 +17,13 @@ if TYPE_CHECKING:
     from dsse_core.linear.area_model import AreaModel
 
 Matrix: TypeAlias = sp.csr_array | np.ndarray
-Heard: TypeAlias = Mapping[str, BoundaryInformation]
+Received: TypeAlias = Mapping[str, BoundaryInformation]
 NOT_YET = 1e-6  # information given to eliminated voltages that nothing determines yet
 NOT_YET_OF_POWER = 1e-11  # the same of powers, which may be large
 
 
 class LinearArea(ABC):
-    """The linearised area at a state x, shape (size,), with the information ``heard`` of its neighbours.
+    """The linearised area at a state x, shape (size,), with the information ``received`` of its neighbours.
 
     ``name``: of the back end. ``declined``: how often another one had to take a call, by reason.
     """
@@ -32,15 +32,15 @@ class LinearArea(ABC):
     declined: Counter[str]
 
     @abstractmethod
-    def step(self, x: np.ndarray, heard: Heard, damping: float = 0.0) -> np.ndarray:
-        """The Gauss-Newton step, shape (size,), ``(G + damping) dx = b``: of the whole grid, where all is ``heard``."""
+    def step(self, x: np.ndarray, received: Received, damping: float = 0.0) -> np.ndarray:
+        """The Gauss-Newton step, shape (size,), ``(G + damping) dx = b``: of the grid, if ``received`` is complete."""
 
     @abstractmethod
-    def information(self, x: np.ndarray, neighbour: Neighbour, heard: Heard) -> BoundaryInformation:
-        """What ``neighbour`` is to hear: everything but y eliminated, its own message left out."""
+    def information(self, x: np.ndarray, neighbour: Neighbour, received: Received) -> BoundaryInformation:
+        """What ``neighbour`` is to receive: everything but y eliminated, its own message left out."""
 
     @abstractmethod
-    def variances(self, x: np.ndarray, heard: Heard) -> tuple[np.ndarray, np.ndarray]:
+    def variances(self, x: np.ndarray, received: Received) -> tuple[np.ndarray, np.ndarray]:
         """diag(G^-1), shape (size,), and diag(Omega) of the area's own measurements, shape (n_meas,) (eq. 3.22)."""
 
     @abstractmethod
@@ -76,7 +76,7 @@ class Rows(ABC):
         """y of ``boundary`` alone."""
 
     @abstractmethod
-    def messages(self, x: np.ndarray, heard: Heard) -> tuple[list[Matrix], list[np.ndarray]]:
+    def messages(self, x: np.ndarray, received: Received) -> tuple[list[Matrix], list[np.ndarray]]:
         """Rows R T and residuals z - R y of what neighbours have said, each of variance 1, in the area's order."""
 
     @abstractmethod

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dsse_core.linear.interface import Factor, Heard, Matrix
+from dsse_core.linear.interface import Factor, Received, Matrix
 from dsse_core.linear.rows import RowSolver
 
 NO_LOAD_NOT_YET = 1e-18  # information given to what nothing determines, relative to what rows tell where less than 1
@@ -28,10 +28,10 @@ class NoLoadSolver(RowSolver):
         than others, and beside such an uncertainty whatever else is known of (p, q) drowns.
         """
         H = self.rows.without_rounding(H[:, columns])
-        told = np.asarray((H * H).T @ sigma**-2.0)
-        return H, np.where(told > 0, NO_LOAD_NOT_YET * np.minimum(told, 1.0), NOTHING)
+        weight = np.asarray((H * H).T @ sigma**-2.0)
+        return H, np.where(weight > 0, NO_LOAD_NOT_YET * np.minimum(weight, 1.0), NOTHING)
 
-    def sample(self, x: np.ndarray, heard: Heard, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    def sample(self, x: np.ndarray, received: Received, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         """diag(G^-1), shape (size,), and diag(Omega) / sigma^2 of the area's own measurements, shape (n_meas,), each
         to a factor of two or so, from what random readings lead to: on one factor, and without its inverse.
 
@@ -39,7 +39,7 @@ class NoLoadSolver(RowSolver):
         mean square of DRAWS of them, and 0 to the square of round-off. With random readings of the damping, too, the
         states that follow have the covariance G^-1.
         """
-        H, _, sigma = self.stack(x, heard)
+        H, _, sigma = self.stack(x, received)
         free, model = self.model.free, self.model
         H, damping = self._damp(H, sigma, free)
         above = sigma[:, None] * rng.standard_normal((len(sigma), DRAWS))

@@ -23,12 +23,12 @@ from dsse_core.linear.boundary_information import (
     factor_inverse,
     put_together,
 )
-from dsse_core.linear.interface import NOT_YET, NOT_YET_OF_POWER, Heard, LinearArea
+from dsse_core.linear.interface import NOT_YET, NOT_YET_OF_POWER, Received, LinearArea
 from dsse_core.radial.plan import (
     N_SLOT,
-    TreeLayout,
+    RadialLayout,
     find_slots,
-    lay_out_tree,
+    lay_out_radial,
     read_branches,
     read_shunts,
     stack_admittances,
@@ -45,17 +45,17 @@ LEAST_OF_POWER = 1e-11  # the same of powers into children
 LEAST_SPREAD = 1e-5
 
 
-def find_no_tree(network: Network) -> str:
-    """Why the tree cannot serve ``network``; empty if it can."""
-    layout = lay_out_tree(network, network.buses[0].id)
+def find_why_not_radial(network: Network) -> str:
+    """Why radial cannot serve ``network``; empty if it can."""
+    layout = lay_out_radial(network, network.buses[0].id)
     return layout if isinstance(layout, str) else ""
 
 
 @dataclass
 class _Rooted:
-    """The area's tree from one bus, with the readings and weights of ``tree_kernel`` and memory for the passes."""
+    """The area's tree from one bus, with the readings and weights of ``radial_kernel`` and memory for the passes."""
 
-    layout: TreeLayout
+    layout: RadialLayout
     admittance: np.ndarray
     slot: np.ndarray
     z: np.ndarray
@@ -64,16 +64,16 @@ class _Rooted:
     work: Work
     v: np.ndarray
     va: np.ndarray
-    told: np.ndarray
+    message_of: np.ndarray
     R: np.ndarray  # of the neighbours' messages
-    told_z: np.ndarray
+    message_z: np.ndarray
     role: np.ndarray
 
 
 class RadialSolver(LinearArea):
     """The measurements of a radial ``model``; ``by_rows`` takes what is declined."""
 
-    name = "tree"
+    name = "radial"
 
     def __init__(self, model: AreaModel, by_rows: LinearArea) -> None:
         self.declined = Counter()
@@ -98,28 +98,28 @@ class RadialSolver(LinearArea):
             return self._reference
         return self._area.parent.bus if self._area.parent else self._area.network.buses[0].id
 
-    def step(self, x: np.ndarray, heard: Heard, damping: float = 0.0) -> np.ndarray:
-        found = self._find_step(x, heard, (max(NOT_YET, damping), max(NOT_YET_OF_POWER, damping)))
-        return self._by_rows.step(x, heard, damping) if found is None else found
+    def step(self, x: np.ndarray, received: Received, damping: float = 0.0) -> np.ndarray:
+        found = self._find_step(x, received, (max(NOT_YET, damping), max(NOT_YET_OF_POWER, damping)))
+        return self._by_rows.step(x, received, damping) if found is None else found
 
-    def variances(self, x: np.ndarray, heard: Heard) -> tuple[np.ndarray, np.ndarray]:
-        found = self._find_variances(x, heard, (NOT_YET, NOT_YET_OF_POWER))
-        return self._by_rows.variances(x, heard) if found is None else found
+    def variances(self, x: np.ndarray, received: Received) -> tuple[np.ndarray, np.ndarray]:
+        found = self._find_variances(x, received, (NOT_YET, NOT_YET_OF_POWER))
+        return self._by_rows.variances(x, received) if found is None else found
 
-    def information(self, x: np.ndarray, neighbour: Neighbour, heard: Heard) -> BoundaryInformation:
-        found = self._find_information(x, neighbour, heard)
-        return self._by_rows.information(x, neighbour, heard) if found is None else found
+    def information(self, x: np.ndarray, neighbour: Neighbour, received: Received) -> BoundaryInformation:
+        found = self._find_information(x, neighbour, received)
+        return self._by_rows.information(x, neighbour, received) if found is None else found
 
-    def _find_step(self, x: np.ndarray, heard: Heard, damping: tuple[float, float]) -> np.ndarray | None:
+    def _find_step(self, x: np.ndarray, received: Received, damping: tuple[float, float]) -> np.ndarray | None:
         """``damping``: of voltages and of powers."""
-        from dsse_core.radial import boundary as tree
+        from dsse_core.radial import boundary as radial_boundary
 
-        t = self._pass(self._top, x, heard, damping, 0.0)
+        t = self._pass(self._top, x, received, damping, 0.0)
         if t is None:
             return None
         dx = np.empty(self._model.size)
-        finite = tree.step_downward(
-            t.layout.order, t.layout.parent, t.admittance, t.z, t.w, t.at, self._column, t.v, t.va, t.told,
+        finite = radial_boundary.step_downward(
+            t.layout.order, t.layout.parent, t.admittance, t.z, t.w, t.at, self._column, t.v, t.va, t.message_of,
             t.work.above, t.work.factor, t.work.block, t.work.step, self._reference is not None, dx,
         )  # fmt: skip
         if not finite:
@@ -128,16 +128,16 @@ class RadialSolver(LinearArea):
         return dx
 
     def _find_variances(
-        self, x: np.ndarray, heard: Heard, damping: tuple[float, float]
+        self, x: np.ndarray, received: Received, damping: tuple[float, float]
     ) -> tuple[np.ndarray, np.ndarray] | None:
-        from dsse_core.radial import boundary as tree
+        from dsse_core.radial import boundary as radial_boundary
 
-        t = self._pass(self._top, x, heard, damping, 0.0)
+        t = self._pass(self._top, x, received, damping, 0.0)
         if t is None:
             return None
         variance = np.empty(self._model.size)
-        omega, enough = tree.variances_downward(
-            t.layout.order, t.layout.parent, t.admittance, t.z, t.w, t.at, self._column, t.v, t.va, t.told,
+        omega, enough = radial_boundary.variances_downward(
+            t.layout.order, t.layout.parent, t.admittance, t.z, t.w, t.at, self._column, t.v, t.va, t.message_of,
             t.work.above, t.work.factor, t.work.more, t.work.block, self._reference is not None, variance,
         )  # fmt: skip
         if not enough:
@@ -145,8 +145,8 @@ class RadialSolver(LinearArea):
             return None
         return variance, omega.ravel()[t.slot]
 
-    def _find_information(self, x: np.ndarray, neighbour: Neighbour, heard: Heard) -> BoundaryInformation | None:
-        from dsse_core.radial import root as tree_root
+    def _find_information(self, x: np.ndarray, neighbour: Neighbour, received: Received) -> BoundaryInformation | None:
+        from dsse_core.radial import root as radial_root
 
         others_there = sum(n.bus == neighbour.bus for n in self._area.neighbours) > 1
         if neighbour.is_parent and others_there:
@@ -156,11 +156,11 @@ class RadialSolver(LinearArea):
         if self._reference is not None and not angle_given:
             self._decline("a boundary away from the reference")
             return None
-        t = self._pass(neighbour.bus, x, heard, (0.0, LEAST_OF_POWER), LEAST_OF_FLOW, addressee=neighbour.area)
+        t = self._pass(neighbour.bus, x, received, (0.0, LEAST_OF_POWER), LEAST_OF_FLOW, addressee=neighbour.area)
         if t is None:
             return None
-        K = np.empty(tree_root.N_KNOWN)
-        tree_root.describe_root(
+        K = np.empty(radial_root.N_KNOWN)
+        radial_root.describe_root(
             t.admittance[0], t.z[0], t.w[0], t.v[0], t.va[0], t.work.above[0], angle_given,
             not neighbour.is_parent, K,
         )  # fmt: skip
@@ -185,23 +185,23 @@ class RadialSolver(LinearArea):
         self,
         root: int,
         x: np.ndarray,
-        heard: Heard,
+        received: Received,
         damping: tuple[float, float],
         least_of_flow: float,
         addressee: str = "",
     ) -> _Rooted | None:
-        from dsse_core.radial import boundary as tree
+        from dsse_core.radial import boundary as radial_boundary
 
         t = self._rooted.get(root) or self._root_at(root)
         for k, n in enumerate(self._area.neighbours):
-            message = heard.get(n.area) if n.area != addressee else None
-            t.role[k] = tree.ADDRESSEE if n.area == addressee else tree.SILENT if message is None else tree.HEARD
-            t.R[k], t.told_z[k] = (0.0, 0.0) if message is None else (message.R, message.z)
+            message = received.get(n.area) if n.area != addressee else None
+            t.role[k] = radial_boundary.ADDRESSEE if n.area == addressee else radial_boundary.SILENT if message is None else radial_boundary.RECEIVED
+            t.R[k], t.message_z[k] = (0.0, 0.0) if message is None else (message.R, message.z)
             if n.is_parent:
                 t.w[t.at[k], 2:4] = -1.0
-        enough = tree.pass_upward(
-            t.layout.order, t.layout.parent, t.admittance, t.z, t.w, t.at, self._column, t.role, t.R, t.told_z,
-            np.asarray(x, dtype=float), damping, least_of_flow, LEAST_SPREAD, t.v, t.va, t.told, *t.work,
+        enough = radial_boundary.pass_upward(
+            t.layout.order, t.layout.parent, t.admittance, t.z, t.w, t.at, self._column, t.role, t.R, t.message_z,
+            np.asarray(x, dtype=float), damping, least_of_flow, LEAST_SPREAD, t.v, t.va, t.message_of, *t.work,
         )  # fmt: skip
         if not enough:
             self._decline("an open combination of p and q")
@@ -212,26 +212,26 @@ class RadialSolver(LinearArea):
         self.declined[why] += 1
 
     def _root_at(self, bus: int) -> _Rooted:
-        from dsse_core.radial import kernel as tree_kernel
-        from dsse_core.radial.boundary import N_TOLD
+        from dsse_core.radial import kernel as radial_kernel
+        from dsse_core.radial.boundary import N_MESSAGE
 
         network, neighbours = self._area.network, self._area.neighbours
-        layout = lay_out_tree(network, bus)
-        assert isinstance(layout, TreeLayout)  # find_no_tree
+        layout = lay_out_radial(network, bus)
+        assert isinstance(layout, RadialLayout)  # find_why_not_radial
         n, k = len(network.buses), len(neighbours)
         rooted = _Rooted(
             layout=layout,
             admittance=stack_admittances(*read_branches(network), read_shunts(network, layout), layout),
             slot=find_slots(network, self._model.meters, layout),
             z=np.zeros((n, N_SLOT)),
-            w=tree_kernel.absent(n),
+            w=radial_kernel.absent(n),
             at=np.array([layout.number[network.row[n.bus]] for n in neighbours], dtype=np.int64),
-            work=tree_kernel.Work.of(n),
+            work=radial_kernel.Work.of(n),
             v=np.empty(n, dtype=complex),
             va=np.empty(n),
-            told=np.zeros((k, N_TOLD)),
+            message_of=np.zeros((k, N_MESSAGE)),
             R=np.zeros((k, 4, 4)),
-            told_z=np.zeros((k, 4)),
+            message_z=np.zeros((k, 4)),
             role=np.zeros(k, dtype=np.int64),
         )
         self._rooted[bus] = rooted = self._read_into(rooted)

@@ -17,7 +17,7 @@ from dsse_core.linear.boundary_information import (
     factor_inverse,
     put_together,
 )
-from dsse_core.linear.interface import NOT_YET, NOT_YET_OF_POWER, Factor, Heard, LinearArea, Matrix, Rows
+from dsse_core.linear.interface import NOT_YET, NOT_YET_OF_POWER, Factor, Received, LinearArea, Matrix, Rows
 
 if TYPE_CHECKING:
     from dsse_core.linear.area_model import AreaModel
@@ -42,23 +42,23 @@ class RowSolver(LinearArea):
         other.model = model
         return other
 
-    def step(self, x: np.ndarray, heard: Heard, damping: float = 0.0) -> np.ndarray:
-        H, r, sigma = self.stack(x, heard)
+    def step(self, x: np.ndarray, received: Received, damping: float = 0.0) -> np.ndarray:
+        H, r, sigma = self.stack(x, received)
         free = self.model.free
         least = np.maximum(self.least_information(free), damping)
         dx = np.zeros(self.model.size)
         dx[free] = self.rows.factor(H[:, free], sigma, least).solve(r, np.zeros(len(free)))[1]
         return dx
 
-    def variances(self, x: np.ndarray, heard: Heard) -> tuple[np.ndarray, np.ndarray]:
-        H, _, sigma = self.stack(x, heard)
+    def variances(self, x: np.ndarray, received: Received) -> tuple[np.ndarray, np.ndarray]:
+        H, _, sigma = self.stack(x, received)
         factor = self.factor(H, sigma, self.model.free)
         of_state = np.zeros(self.model.size)
         of_state[self.model.free] = factor.state_variance()
         return of_state, factor.residual_variance()[: len(self.model.z)]
 
-    def information(self, x: np.ndarray, neighbour: Neighbour, heard: Heard) -> BoundaryInformation:
-        """What ``neighbour`` is to hear: everything but y eliminated, its own message left out.
+    def information(self, x: np.ndarray, neighbour: Neighbour, received: Received) -> BoundaryInformation:
+        """What ``neighbour`` is to receive: everything but y eliminated, its own message left out.
 
         Two parts, each a 2x2 matrix that no rounding of the other can spoil. What this side knows of the boundary's
         voltage v = (vm_b, va_b), whatever power flows: with u all variables but v and
@@ -67,9 +67,9 @@ class RowSolver(LinearArea):
         with covariance ``C G_uu^-1 C'`` (``_find_power``). ``B`` and ``dp`` are the responses of measurements and power
         when v moves and takes the whole area along (``_responses_to_shift``).
         """
-        heard = {name: message for name, message in heard.items() if name != neighbour.area}
-        H, r, sigma = self.stack(x, heard)
-        B, dp = _responses_to_shift(self.model, x, neighbour, heard, H)
+        received = {name: message for name, message in received.items() if name != neighbour.area}
+        H, r, sigma = self.stack(x, received)
+        B, dp = _responses_to_shift(self.model, x, neighbour, received, H)
         y, T = self.rows.boundary(x, neighbour)
         u = self.model.eliminated[neighbour.area]
         C = T[:2, u]
@@ -78,10 +78,10 @@ class RowSolver(LinearArea):
         above[:, :2], above[:, 2], below[:, 3:] = B, r, self.rows.full(C).T
         s, du = factor.solve(above, below)
         information = B.T @ s[:, :3]
-        N, told_v = factor_information(information[:, :2], information[:, 2], self.nothing_of_voltage)
+        N, z_of_voltage = factor_information(information[:, :2], information[:, 2], self.nothing_of_voltage)
         W, S, A = _find_power(factor, C, s[:, 3:], du[:, 3:])
         P = factor_inverse(S)
-        return put_together(y, P @ W.T, P @ (A.T @ B - W.T @ dp), P @ (A.T @ r), (N, told_v))
+        return put_together(y, P @ W.T, P @ (A.T @ B - W.T @ dp), P @ (A.T @ r), (N, z_of_voltage))
 
     def factor(self, H: Matrix, sigma: np.ndarray, columns: np.ndarray) -> Factor:
         """The factor of some columns of H, damped only where nothing determines a variable yet."""
@@ -91,13 +91,13 @@ class RowSolver(LinearArea):
         """The damping of variables that nothing determines yet, shape of ``columns``."""
         return np.where(columns < 2 * len(self.model.area.network.buses), NOT_YET, NOT_YET_OF_POWER)
 
-    def stack(self, x: np.ndarray, heard: Heard) -> tuple[Matrix, np.ndarray, np.ndarray]:
-        """H, residual and sigma of the area's own measurements, of the messages ``heard``, up to four rows each, and
+    def stack(self, x: np.ndarray, received: Received) -> tuple[Matrix, np.ndarray, np.ndarray]:
+        """H, residual and sigma of the area's own measurements, of the messages ``received``, up to four rows each, and
         of the model's prior, a row for each voltage.
         """
         model, rows = self.model, self.rows
-        told, of_told = rows.messages(x, heard)
-        parts, of_parts = [rows.jacobian(x), *told], [model.residual(x), *of_told]
+        messages, of_messages = rows.messages(x, received)
+        parts, of_parts = [rows.jacobian(x), *messages], [model.residual(x), *of_messages]
         if model.prior is not None:
             parts.append(rows.voltages())
             of_parts.append((model.prior - x)[: 2 * len(model.area.network.buses)])
@@ -128,7 +128,7 @@ def _find_power(factor: Factor, C: Matrix, A: np.ndarray, du: np.ndarray) -> tup
 
 
 def _responses_to_shift(
-    model: AreaModel, x: np.ndarray, neighbour: Neighbour, heard: Heard, H: Matrix
+    model: AreaModel, x: np.ndarray, neighbour: Neighbour, received: Received, H: Matrix
 ) -> tuple[np.ndarray, np.ndarray]:
     """How all rows H of ``stack_rows``, shape (rows, 2), and (p, q) at the boundary, shape (2, 2), answer to dv.
 
@@ -147,7 +147,7 @@ def _responses_to_shift(
         dy[:, 0] = model.boundary_values(x, n) * DEGREES_OF_BOUNDARY / vm_b
         if n.area == neighbour.area:
             dp[:, 0], dp[:, 1] = dy[:2, 0], -model.boundary(x, n)[1][:2, fixed].sum(axis=1)
-        elif (message := heard.get(n.area)) is not None:
+        elif (message := received.get(n.area)) is not None:
             first, end = end, end + len(message.rows[0])
             B[first:end] = message.rows[0] @ dy
     if model.prior is not None:

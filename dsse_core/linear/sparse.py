@@ -11,7 +11,7 @@ import scipy.sparse as sp
 
 from dsse_core.grid.partition import Neighbour
 from dsse_core.linear.boundary_information import ROUNDING
-from dsse_core.linear.interface import Heard, Matrix, Rows
+from dsse_core.linear.interface import Received, Matrix, Rows
 from dsse_core.matrices.augmented import AugmentedFactor
 
 if TYPE_CHECKING:
@@ -68,12 +68,12 @@ class SparseRows(Rows):
         shape = (len(columns), self._area.size)
         return sp.csr_array((np.ones(len(columns)), np.array(columns), np.arange(len(columns) + 1)), shape=shape)
 
-    def messages(self, x: np.ndarray, heard: Heard) -> tuple[list[Matrix], list[np.ndarray]]:
+    def messages(self, x: np.ndarray, received: Received) -> tuple[list[Matrix], list[np.ndarray]]:
         """All rows at once, as an area may have many children."""
         rows: list[tuple[np.ndarray, np.ndarray]] = []  # numbers, and the columns that they belong to
         r: list[np.ndarray] = []
         for n in self._area.area.neighbours:
-            if (message := heard.get(n.area)) is None:
+            if (message := received.get(n.area)) is None:
                 continue
             R, z = message.rows
             if n.is_parent:
@@ -86,10 +86,10 @@ class SparseRows(Rows):
             r.append(z - R @ y)
         if not rows:
             return [], []
-        told = [part != 0 for part, _ in rows]
-        data = np.concatenate([part[is_told] for (part, _), is_told in zip(rows, told, strict=True)])
-        at = np.concatenate([np.broadcast_to(columns, k.shape)[k] for (_, columns), k in zip(rows, told, strict=True)])
-        ends = np.cumsum(np.concatenate([[0], *(is_told.sum(axis=1) for is_told in told)]))
+        given = [part != 0 for part, _ in rows]
+        data = np.concatenate([part[is_given] for (part, _), is_given in zip(rows, given, strict=True)])
+        at = np.concatenate([np.broadcast_to(columns, k.shape)[k] for (_, columns), k in zip(rows, given, strict=True)])
+        ends = np.cumsum(np.concatenate([[0], *(is_given.sum(axis=1) for is_given in given)]))
         of_all = sp.csr_array((data, at, ends), shape=(len(ends) - 1, self._area.size))
         return [of_all], r
 

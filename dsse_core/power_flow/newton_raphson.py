@@ -17,7 +17,7 @@ from dsse_core.grid.admittance import Admittance, build_admittance, flat_start
 from dsse_core.grid.measurement import MeasurementKind, Meter, find_meter_problems
 from dsse_core.grid.measurement_model import MeasurementModel, build_measurement_model
 from dsse_core.grid.network import Control, Network
-from dsse_core.radial.plan import TreeLayout, lay_out_tree
+from dsse_core.radial.plan import RadialLayout, lay_out_radial
 
 LARGEST_STEP = 1e6  # p.u. or rad; beyond it there is nothing to find
 Method = Literal["sweep", "newton"]
@@ -122,7 +122,7 @@ def solve_power_flow(
     return PowerFlowResult(network, vm, va, v * (admittance.ybus @ v).conj(), iterations, "newton")
 
 
-def _lay_out(network: Network, slack_bus: int, held: Mapping[int, float], method: MethodChoice) -> TreeLayout | str:
+def _lay_out(network: Network, slack_bus: int, held: Mapping[int, float], method: MethodChoice) -> RadialLayout | str:
     """The tree to sweep over, or why not.
 
     Raises:
@@ -134,9 +134,9 @@ def _lay_out(network: Network, slack_bus: int, held: Mapping[int, float], method
         raise InvalidInputError("power flow", [f"method is {method!r}; choose one of {known}"])
     if method == "newton" or (method == "auto" and n < FEWEST_BUSES_OF_SWEEP):
         return "not asked for"
-    layout: TreeLayout | str = "other buses than the slack hold their voltage"
+    layout: RadialLayout | str = "other buses than the slack hold their voltage"
     if len(held) == 1:
-        layout = lay_out_tree(network, slack_bus)
+        layout = lay_out_radial(network, slack_bus)
     if isinstance(layout, str) and method == "sweep":
         problem = f"sweeps cannot serve: {layout}; choose 'auto' or 'newton'"
         raise InvalidInputError(f"power flow of network {network.name!r}", [problem])
@@ -144,7 +144,7 @@ def _lay_out(network: Network, slack_bus: int, held: Mapping[int, float], method
 
 
 def _sweep(
-    layout: TreeLayout,
+    layout: RadialLayout,
     network: Network,
     admittance: Admittance,
     x: np.ndarray,

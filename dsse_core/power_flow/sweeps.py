@@ -6,14 +6,14 @@ import numpy as np
 
 from dsse_core.grid.network import Network
 from dsse_core.radial.block import compiled
-from dsse_core.radial.plan import TreeLayout, orient_branches, read_branches, read_shunts
+from dsse_core.radial.plan import RadialLayout, orient_branches, read_branches, read_shunts
 
 SMALLEST_CHANGE = 1e-13  # p.u., of any voltage; sweeps gain a digit or more each
 MOST_SWEEPS = 50  # where more are needed Newton's method does better
 
 
 def sweep_power_flow(
-    network: Network, layout: TreeLayout, scheduled: np.ndarray, v: np.ndarray
+    network: Network, layout: RadialLayout, scheduled: np.ndarray, v: np.ndarray
 ) -> tuple[np.ndarray, int] | None:
     """The voltages and the number of sweeps; None where they do not converge.
 

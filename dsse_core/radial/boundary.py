@@ -1,7 +1,7 @@
 """Boundary messages on the tree of one area's buses, compiled: a neighbour's is the message of one more branch.
 
 What a neighbour tells of ``y = (p, q, vm_b, va_b)``, rows ``[P X; 0 N]``, is information about the voltage of bus b and
-a power that leaves it, as a bus tells its parent in ``tree_kernel``: covariance ``V = (P'P)^-1``, slope ``A = P^-1 X``,
+a power that leaves it, as a bus tells its parent in ``radial_kernel``: covariance ``V = (P'P)^-1``, slope ``A = P^-1 X``,
 information ``N'N``. A child's power is a variable of the area; the power that the parent speaks of is the sum of the
 powers into the area's own branches, which an exact balance at b says. What this area tells is what is left at the root
 of a tree with b on top.
@@ -17,15 +17,15 @@ from dsse_core.radial.iteration import branch_powers
 from dsse_core.radial.kernel import UPWARD, eliminate, substitute
 from dsse_core.radial.root import solve_root
 
-SILENT, HEARD, ADDRESSEE = 0, 1, 2  # what a neighbour is in a pass
-N_TOLD = 9  # of a neighbour's message: V (3), A (4), mean (2)
+SILENT, RECEIVED, ADDRESSEE = 0, 1, 2  # what a neighbour is in a pass
+N_MESSAGE = 9  # of a neighbour's message: V (3), A (4), mean (2)
 LARGEST_LOSS = 1e-4  # of a variance that is a difference, relative to what it is taken of: 1e-9 of it is kept
 
 
 @compiled
 def pass_upward(
-    order, parent, Y, z, w, at, column, role, R, told_z, x, damping, least_of_flow, least_spread,
-    v, va, told, above, factor, more, block, step,
+    order, parent, Y, z, w, at, column, role, R, message_z, x, damping, least_of_flow, least_spread,
+    v, va, message_of, above, factor, more, block, step,
 ):  # fmt: skip
     """Leaves to root with all messages; whether digits enough are left. What is known of the root is in ``above[0]``.
 
@@ -51,8 +51,8 @@ def pass_upward(
         else:
             p, q = x[c], x[c + 1]
             sign, d = 1.0, damping[1]
-        _add_message(above[i], told[k], R[k], told_z[k], p, q, abs(v[i]), va[i], sign, d)
-        if (w[i, 2] >= 0.0 or w[i, 3] >= 0.0) and not _is_spread(told[k, 0], told[k, 1], told[k, 2], least_spread):
+        _add_message(above[i], message_of[k], R[k], message_z[k], p, q, abs(v[i]), va[i], sign, d)
+        if (w[i, 2] >= 0.0 or w[i, 3] >= 0.0) and not _is_spread(message_of[k, 0], message_of[k, 1], message_of[k, 2], least_spread):
             return False
     eliminate(parent, Y, z, w, v, va, True, UPWARD, above, factor, more, block, step, least_of_flow)
     for i in range(1, n):
@@ -122,7 +122,7 @@ def _add_message(M, T, R, z, p, q, vm, va, sign, d):
 
 
 @compiled
-def step_downward(order, parent, Y, z, w, at, column, v, va, told, above, factor, block, step, angle_given, dx):
+def step_downward(order, parent, Y, z, w, at, column, v, va, message_of, above, factor, block, step, angle_given, dx):
     """Root to leaves: the step ``dx`` of all voltages and of the powers into children; whether it is finite."""
     n = len(order)
     solve_root(Y[0], z[0], w[0], v[0], va[0], above[0], angle_given, False, block)
@@ -134,7 +134,7 @@ def step_downward(order, parent, Y, z, w, at, column, v, va, told, above, factor
         dx[row], dx[n + row] = step[i, 2], abs(v[i]) * step[i, 3]
     for k in range(len(at)):
         if column[k] >= 0:
-            s, T = step[at[k]], told[k]
+            s, T = step[at[k]], message_of[k]
             dx[column[k]] = T[7] - (T[0] * s[0] + T[1] * s[1] + T[3] * s[2] + T[4] * s[3])
             dx[column[k] + 1] = T[8] - (T[1] * s[0] + T[2] * s[1] + T[5] * s[2] + T[6] * s[3])
     return math.isfinite(dx.sum())
@@ -142,7 +142,7 @@ def step_downward(order, parent, Y, z, w, at, column, v, va, told, above, factor
 
 @compiled
 def variances_downward(
-    order, parent, Y, z, w, at, column, v, va, told, above, factor, more, block, angle_given, variance
+    order, parent, Y, z, w, at, column, v, va, message_of, above, factor, more, block, angle_given, variance
 ):  # fmt: skip
     """Root to leaves: ``variance`` of all variables; diag(Omega) of every slot, (n, 10), and whether digits remain."""
     n = len(order)
@@ -156,7 +156,7 @@ def variances_downward(
             enough = enough and given * LARGEST_LOSS < min(state[i, 0], state[i, 1])
     for k in range(len(at)):
         if column[k] >= 0:
-            T, B = told[k], S[at[k]]
+            T, B = message_of[k], S[at[k]]
             for m in range(2):
                 row = (T[m], T[1 + m], T[3 + 2 * m], T[4 + 2 * m])
                 total = T[2 * m]

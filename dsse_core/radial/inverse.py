@@ -1,4 +1,4 @@
-"""Variances of the voltages and of all residuals from the factors of ``tree_kernel``: the selected inverse."""
+"""Variances of the voltages and of all residuals from the factors of ``radial_kernel``: the selected inverse."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from dsse_core.radial.kernel import coefficients_of, row_of_branch
 
 
 @compiled
-def turn_to_tree(order, vm, va, v, va_of_tree):
-    """Voltages in network order into ``v`` and ``va_of_tree`` in tree order."""
+def turn_to_radial_order(order, vm, va, v, va_in_order):
+    """Voltages in network order into ``v`` and ``va_in_order`` in tree order."""
     for i in range(len(order)):
-        va_of_tree[i] = va[order[i]]
-        v[i] = scaled(complex(math.cos(va_of_tree[i]), math.sin(va_of_tree[i])), vm[order[i]])
+        va_in_order[i] = va[order[i]]
+        v[i] = scaled(complex(math.cos(va_in_order[i]), math.sin(va_in_order[i])), vm[order[i]])
 
 
 @compiled

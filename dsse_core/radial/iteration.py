@@ -1,4 +1,4 @@
-"""Gauss-Newton on a tree, compiled: the steps of ``tree_kernel``, and what ``verdict.decide`` says between them."""
+"""Gauss-Newton on a tree, compiled: the steps of ``radial_kernel``, and what ``verdict.decide`` says between them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dsse_core.gauss_newton import FLOWS_KNOWN, FULL_STEPS, LARGEST_STEP, MAX_DV
 from dsse_core.radial.block import N_INVERSE, compiled, modulus, scaled, wrap
 from dsse_core.radial.kernel import N_FACTOR, N_MORE, SMALL_ANGLE, STEP, eliminate, substitute
 
-FINAL, JUDGE, LOST, UNUSABLE = 0, 1, 2, 3
+FINAL, EVALUATE, LOST, UNUSABLE = 0, 1, 2, 3
 is_last = compiled(gauss_newton.is_last)
 
 
@@ -23,7 +23,7 @@ def estimate(
     """The whole iteration in one call, from the first step to the last one, or to the end of patience.
 
     Fills ``state`` (2, n_bus), vm and va in network order, and ``residual`` (n_meas,), makes ``sigmas`` 0 where a
-    reading is ``exact``, and returns how it ended, steps, the last one and J. FINAL, JUDGE: the verdict that the last
+    reading is ``exact``, and returns how it ended, steps, the last one and J. FINAL, EVALUATE: the verdict that the last
     step was taken along with, ``limit`` being that of J. LOST: ``most_steps`` or LARGEST_STEP. UNUSABLE: readings that
     cannot be.
     """
@@ -42,7 +42,7 @@ def estimate(
             J = _find_objective(parent, Y, z, w, v, va, has_currents, step)  # which is found anew after it
             last = largest <= SURE_STEP or abs(J - limit) >= NEAR_LIMIT * limit
             if last:
-                end = JUDGE if limit <= J else FINAL
+                end = EVALUATE if limit <= J else FINAL
         if not last and steps >= most_steps:
             break
         eliminate(parent, Y, z, w, v, va, flows_known, STEP, above, factor, more, block, step)

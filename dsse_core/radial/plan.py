@@ -1,4 +1,4 @@
-"""What the tree back end needs to know of a radial network and its meters: found once, used for every scan."""
+"""What the radial back end needs to know of a radial network and its meters: found once, used for every scan."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ LEAST_PIVOT_RATIO = 1e-12
 
 
 @dataclass(frozen=True)
-class TreePlan:
+class RadialPlan:
     """A tree of buses, numbered from the root (the reference bus) so that every parent precedes its children.
 
     ``order`` (n_bus,): network row of each bus of the tree. ``parent`` (n_bus,): number of its parent; the root's is 0.
@@ -57,7 +57,7 @@ class TreePlan:
 
 
 @dataclass(frozen=True)
-class TreeLayout:
+class RadialLayout:
     """A tree of buses, numbered from the root so that every parent precedes its children.
 
     ``order`` (n_bus,): network row of each bus of the tree. ``number`` (n_bus,): place in the tree of each network
@@ -72,7 +72,7 @@ class TreeLayout:
     from_parent: np.ndarray
 
 
-def lay_out_tree(network: Network, root: int) -> TreeLayout | str:
+def lay_out_radial(network: Network, root: int) -> RadialLayout | str:
     """The tree of ``network`` with bus ``root`` on top, or, as text, why the compiled passes cannot serve it."""
     if importlib.util.find_spec("numba") is None:
         return "numba is not installed"
@@ -82,11 +82,11 @@ def lay_out_tree(network: Network, root: int) -> TreeLayout | str:
     number[tree.order] = np.arange(len(tree.order))
     parent = number[tree.upstream[tree.order]]
     from_parent = tree.upstream[tree.t] == tree.f
-    return TreeLayout(tree.order, number, parent, number[np.where(from_parent, tree.t, tree.f)], from_parent)
+    return RadialLayout(tree.order, number, parent, number[np.where(from_parent, tree.t, tree.f)], from_parent)
 
 
-def build_tree_plan(network: Network, meters: Sequence[Meter], *, reference: int | None = None) -> TreePlan | str:
-    """The plan for ``meters`` in ``network``, or, as text, why the tree back end cannot serve them.
+def build_radial_plan(network: Network, meters: Sequence[Meter], *, reference: int | None = None) -> RadialPlan | str:
+    """The plan for ``meters`` in ``network``, or, as text, why the radial back end cannot serve them.
 
     Args:
         reference: bus whose angle is given, the root of the tree; the slack bus by default.
@@ -96,7 +96,7 @@ def build_tree_plan(network: Network, meters: Sequence[Meter], *, reference: int
         NotObservableError: the meters do not determine the state.
     """
     reference = find_reference(network, reference)
-    if isinstance(layout := lay_out_tree(network, reference), str):
+    if isinstance(layout := lay_out_radial(network, reference), str):
         return layout
     ys, ends, ratio = read_branches(network)
     shunts = read_shunts(network, layout)
@@ -104,7 +104,7 @@ def build_tree_plan(network: Network, meters: Sequence[Meter], *, reference: int
     gain[layout.child] = np.where(layout.from_parent, 1 / ratio, ratio)
     start = _follow(layout.parent, gain)
     angle = network.slack.va if network.slack and network.slack.bus == reference else 0.0
-    plan = TreePlan(
+    plan = RadialPlan(
         network=network,
         meters=tuple(meters),
         reference=reference,
@@ -119,14 +119,14 @@ def build_tree_plan(network: Network, meters: Sequence[Meter], *, reference: int
     return _check_determined(plan)
 
 
-def drop_meters(plan: TreePlan, rows: Sequence[int]) -> TreePlan | str:
-    """The plan without the meters at the positions ``rows``. Returns and raises as ``build_tree_plan``."""
+def drop_meters(plan: RadialPlan, rows: Sequence[int]) -> RadialPlan | str:
+    """The plan without the meters at the positions ``rows``. Returns and raises as ``build_radial_plan``."""
     kept = np.delete(np.arange(len(plan.meters)), rows)
     meters = tuple(plan.meters[k] for k in kept.tolist())
     return _check_determined(replace(plan, meters=meters, slot=plan.slot[kept]))
 
 
-def _check_determined(plan: TreePlan) -> TreePlan | str:
+def _check_determined(plan: RadialPlan) -> RadialPlan | str:
     if (stuck := _find_stuck_bus(plan)) is None:
         return plan
     check_observable(plan.network, plan.meters, reference=plan.reference)
@@ -141,7 +141,7 @@ def read_branches(network: Network) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     return 1 / (r + 1j * x), 0.5 * (g + 1j * b), tap * np.exp(1j * shift)
 
 
-def read_shunts(network: Network, layout: TreeLayout) -> np.ndarray:
+def read_shunts(network: Network, layout: RadialLayout) -> np.ndarray:
     """Shunt admittances in tree order, shape (n_bus,)."""
     shunts = np.array([complex(b.g_shunt, b.b_shunt) for b in network.buses], dtype=complex)
     in_tree_order: np.ndarray = shunts[layout.order]
@@ -149,7 +149,7 @@ def read_shunts(network: Network, layout: TreeLayout) -> np.ndarray:
 
 
 def orient_branches(
-    ys: np.ndarray, ends: np.ndarray, ratio: np.ndarray, layout: TreeLayout
+    ys: np.ndarray, ends: np.ndarray, ratio: np.ndarray, layout: RadialLayout
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """``ycc, ycp, ypp, ypc`` of the branches, c the child's end and p the parent's; see ``build_admittance``."""
     ytt = ys + ends
@@ -159,7 +159,7 @@ def orient_branches(
 
 
 def stack_admittances(
-    ys: np.ndarray, ends: np.ndarray, ratio: np.ndarray, shunts: np.ndarray, layout: TreeLayout
+    ys: np.ndarray, ends: np.ndarray, ratio: np.ndarray, shunts: np.ndarray, layout: RadialLayout
 ) -> np.ndarray:
     """What the compiled passes need of the branch above each bus and of its shunt, shape (n_bus, 8), complex.
 
@@ -172,7 +172,7 @@ def stack_admittances(
     return stacked
 
 
-def find_slots(network: Network, meters: Sequence[Meter], layout: TreeLayout) -> np.ndarray:
+def find_slots(network: Network, meters: Sequence[Meter], layout: RadialLayout) -> np.ndarray:
     """``slot`` of a plan."""
     number, parent, child = layout.number, layout.parent, layout.child
     row, kinds = network.row, list(MeasurementKind)
@@ -205,16 +205,16 @@ def _follow(parent: np.ndarray, gain: np.ndarray) -> np.ndarray:
     return v
 
 
-def _find_stuck_bus(plan: TreePlan) -> int | None:
+def _find_stuck_bus(plan: RadialPlan) -> int | None:
     """The first bus whose block is singular at no load, without shunts, charging and currents; all sigmas 1."""
-    from dsse_core.radial import kernel as tree_kernel
+    from dsse_core.radial import kernel as radial_kernel
 
     n = len(plan.order)
     readings = np.zeros((n, N_SLOT))
-    weights = tree_kernel.absent(n)
+    weights = radial_kernel.absent(n)
     weights.ravel()[plan.slot] = 1.0
     weights[:, [6, 9]] = 0.0
-    work = tree_kernel.Work.of(n)
+    work = radial_kernel.Work.of(n)
     at = plan.parent, plan.no_load_admittance, readings, weights, plan.start, plan.start_va
-    ratio, bus = tree_kernel.eliminate(*at, False, tree_kernel.CHECK, *work)
+    ratio, bus = radial_kernel.eliminate(*at, False, radial_kernel.CHECK, *work)
     return int(bus) if not ratio > LEAST_PIVOT_RATIO else None

@@ -5,20 +5,20 @@ from __future__ import annotations
 import numpy as np
 
 from dsse_core.observability import NO_RESIDUAL, WIDTH
-from dsse_core.radial import kernel as tree_kernel
+from dsse_core.radial import kernel as radial_kernel
 from dsse_core.radial.block import compiled
 from dsse_core.radial.iteration import branch_powers, predict
 from dsse_core.radial.kernel import coefficients_of, row_of_branch
-from dsse_core.radial.plan import N_SLOT, TreePlan
+from dsse_core.radial.plan import N_SLOT, RadialPlan
 
 
-def find_indispensable_on_tree(plan: TreePlan) -> np.ndarray:
+def find_radial_indispensable(plan: RadialPlan) -> np.ndarray:
     """Which meters, virtual ones included, leave the state undetermined when taken out, shape (n_meas,), bool."""
     n, Y = len(plan.order), plan.no_load_admittance
     length = _row_lengths(plan.parent, Y)
     exact = np.empty((n, N_SLOT))
     predict(plan.parent, Y, plan.start, plan.start_va, True, exact)
-    w = tree_kernel.absent(n)
+    w = radial_kernel.absent(n)
     w.ravel()[plan.slot] = (1 / length**2).ravel()[plan.slot]
     w[:, 2:4] = np.where(w[:, 2:4] > 0, length[:, 2:4] ** 2, w[:, 2:4])
     w[:, [6, 9]] = 0.0
@@ -26,10 +26,10 @@ def find_indispensable_on_tree(plan: TreePlan) -> np.ndarray:
     largest = np.zeros((n, N_SLOT))
     for _ in range(WIDTH):
         z = exact + length * rng.standard_normal((n, N_SLOT))
-        work = tree_kernel.Work.of(n)
+        work = radial_kernel.Work.of(n)
         at = plan.parent, Y, z, w, plan.start, plan.start_va
-        tree_kernel.eliminate(*at, False, tree_kernel.STEP, *work)
-        tree_kernel.substitute(plan.parent, work.factor, work.step)
+        radial_kernel.eliminate(*at, False, radial_kernel.STEP, *work)
+        radial_kernel.substitute(plan.parent, work.factor, work.step)
         largest = np.maximum(largest, abs(_fit_residuals(*at, work.factor, work.more, work.step)) / length)
     of_current = np.isin(plan.slot % N_SLOT, (6, 9))
     indispensable: np.ndarray = (largest.ravel()[plan.slot] < NO_RESIDUAL) & ~of_current

@@ -77,13 +77,13 @@ def build_faults(table: FaultsTable, partition: Partition) -> Faults:
     """The faults of a table that ``find_name_problems`` and ``find_link_problems`` find no fault with."""
     base_mva = partition.network.base_mva
     own = {(link.from_, link.to): link for link in table.link}
-    told_back = {(link.to, link.from_): link.lie for link in table.link if link.lie.both_ways}
+    returned = {(link.to, link.from_): link.lie for link in table.link if link.lie.both_ways}
     cuts: dict[frozenset[str], list[tuple[float, float]]] = {}
     for event in table.events:
         if event.cut is not None:
             cuts.setdefault(frozenset(event.cut), []).append((event.at_s, event.at_s + (event.for_s or 0.0)))
     links = {
-        link: _build_link(table, own.get(link), told_back.get(link), sorted(cuts.get(frozenset(link), [])), base_mva)
+        link: _build_link(table, own.get(link), returned.get(link), sorted(cuts.get(frozenset(link), [])), base_mva)
         for link in find_links(partition)
     }
     events = [FaultEvent(e.at_s, e.kind, e.names, e.for_s or 0.0) for e in table.events]  # type: ignore[arg-type]
@@ -97,11 +97,11 @@ def build_faults(table: FaultsTable, partition: Partition) -> Faults:
 def _build_link(
     table: FaultsTable,
     own: LinkTable | None,
-    told_back: LieTable | None,
+    returned: LieTable | None,
     cuts: Sequence[tuple[float, float]],
     base_mva: float,
 ) -> LinkFaults:
-    """``own``: the keys that the link has for itself instead of those of every link. ``told_back``: the lie of the
+    """``own``: the keys that the link has for itself instead of those of every link. ``returned``: the lie of the
     other direction, which this one takes back.
     """
 
@@ -111,8 +111,8 @@ def _build_link(
 
     burst = value_of("burst") or BurstTable(enter=0.0, leave=1.0)
     load, lie = (own.load, own.lie) if own else (LoadFaultTable(), LieTable())
-    if told_back is not None:
-        lie = _invert(told_back)
+    if returned is not None:
+        lie = _invert(returned)
     return LinkFaults(
         loss=value_of("loss"),
         burst_enter=burst.enter,

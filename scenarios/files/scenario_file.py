@@ -97,7 +97,7 @@ def _kind_of_areas(value: object) -> str:
     return "[lists]"
 
 
-def _refuse_both(value: object) -> object:
+def _reject_both(value: object) -> object:
     """Lists of buses beside another way to say what the areas are."""
     if isinstance(value, dict):
         lists = [name for name, item in value.items() if isinstance(item, dict)]
@@ -113,7 +113,7 @@ Areas = Annotated[
     | Annotated[CountTable, Tag("[count]")]
     | Annotated[SwitchesTable, Tag("[switches]")],
     Discriminator(_kind_of_areas),
-    BeforeValidator(_refuse_both),
+    BeforeValidator(_reject_both),
 ]
 
 
@@ -239,9 +239,9 @@ class RunTable(Table):
     timeout_s: Seconds = 30.0
 
     @model_validator(mode="after")
-    def _has_time_for_a_few_beats(self) -> Self:
+    def _has_time_for_a_few_heartbeats(self) -> Self:
         if self.timeout_s <= 2 * self.beat_s:
-            raise ValueError(f"timeout_s is {self.timeout_s}; it must exceed two beats of {self.beat_s} s")
+            raise ValueError(f"timeout_s is {self.timeout_s}; it must exceed two heartbeats of {self.beat_s} s")
         return self
 
 

@@ -25,8 +25,8 @@ def find_zero_impedance_problems(
         )
 
 
-def refuse_zero_impedances(network: Network, names: Mapping[str, str], cure: str) -> None:
-    """Refuse a whole ``network`` of another project's file for them; see ``find_zero_impedance_problems``.
+def reject_zero_impedances(network: Network, names: Mapping[str, str], cure: str) -> None:
+    """Reject a whole ``network`` of another project's file for them; see ``find_zero_impedance_problems``.
 
     Raises:
         InvalidInputError: a problem for each; or, as the median counts, for each number that no grid has.

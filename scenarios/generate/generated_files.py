@@ -39,7 +39,7 @@ injection = {{ buses = "all", sigma_percent = {injection_percent} }}
 [run]
 beat_s = {beat_s}
 """
-SHORTEST_BEAT_S, LONGEST_BEAT_S = 0.2, 2.0
+SHORTEST_HEARTBEAT_S, LONGEST_HEARTBEAT_S = 0.2, 2.0
 REPEATS_PER_S = 100  # of all areas together, each with its whole state: what one who watches has to read
 
 
@@ -100,5 +100,5 @@ def _format_scenario(
         voltmeters=[1, *sorted(drawn.tolist())],
         flow_meters=flow_meters,
         injection_percent=10.0 if meters == "standard" else 30.0,
-        beat_s=min(max(n_area / REPEATS_PER_S, SHORTEST_BEAT_S), LONGEST_BEAT_S),
+        beat_s=min(max(n_area / REPEATS_PER_S, SHORTEST_HEARTBEAT_S), LONGEST_HEARTBEAT_S),
     )

@@ -1,6 +1,6 @@
 """A MATPOWER case file as the program that it is: its matrices, after the conversions of units that follow them.
 
-Statements other than the known ones are refused, since they could change the data; readers that look for the
+Statements other than the known ones are rejected, since they could change the data; readers that look for the
 matrices only take the kW of ``case33bw`` for MW.
 """
 

@@ -17,7 +17,7 @@ from dsse_core.errors import InvalidInputError
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from dsse_core.printable import listed, on_one_line
 from scenarios.files.network_file import default_branch_id
-from scenarios.files.zero_impedances import refuse_zero_impedances
+from scenarios.files.zero_impedances import reject_zero_impedances
 from scenarios.importers.imported import (
     Imported,
     Remark,
@@ -95,7 +95,7 @@ def read_pandapower(path: Path, tree: Any) -> Imported:
         conversion, remarks = _convert(path.stem, net, sgen, ppc)
         names = {branch: f"{name} {index}" for (name, index), branch in conversion.branch_of.items()}
         cure = "put a closed switch between its two buses in its place"
-        refuse_zero_impedances(conversion.network, names, cure)
+        reject_zero_impedances(conversion.network, names, cure)
     except InvalidInputError as error:
         raise InvalidInputError(str(path), error.problems) from None
     from scenarios.importers.pandapower_measurements import read_measurements

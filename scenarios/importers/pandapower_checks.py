@@ -96,7 +96,7 @@ def _find_broken_elements(net: Any, name: str, columns: dict[str, str]) -> Itera
 def _find_lost_switches(net: Any) -> Iterator[str]:
     """Switches of elements that are not there."""
     kinds = net.switch.et
-    others = net.switch[~kinds.isin([*SWITCHED, "t3"])]  # t3: at three-winding transformers, refused by themselves
+    others = net.switch[~kinds.isin([*SWITCHED, "t3"])]  # t3: at three-winding transformers, rejected by themselves
     yield from _describe("switch", "et", f"one of {listed(list(SWITCHED))}", list(others.et.items()))
     for kind, name in SWITCHED.items():
         there = set(net[name].index)

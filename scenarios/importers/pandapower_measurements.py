@@ -53,8 +53,8 @@ def read_measurements(what: str, conversion: Conversion) -> tuple[tuple[Measurem
     if problems or sum_problems:
         raise InvalidInputError(what, [*problems, *sum_problems])
     combined, remarks = combine_readings([*readings, *sums])
-    told = [Remark("left out", f"measurement {listed(which)}: {reason}") for reason, which in left_out.items()]
-    return combined, [*remarks, *told]
+    more = [Remark("left out", f"measurement {listed(which)}: {reason}") for reason, which in left_out.items()]
+    return combined, [*remarks, *more]
 
 
 def _find_reason_to_leave_out(conversion: Conversion, row: Any) -> str:

@@ -1,7 +1,7 @@
 """Which objects a pandapower file may name: its reader imports their modules and builds them, so look before it does.
 
 Tables are JSON texts inside the JSON, and so may be what stands in their cells. pandas reads these texts with a parser
-of its own, which takes what is no JSON. So only the parser here reads the texts of the file, and refuses what it does
+of its own, which takes what is no JSON. So only the parser here reads the texts of the file, and rejects what it does
 not understand; pandapower and pandas get texts that are written anew from what it has understood and checked.
 """
 
@@ -40,7 +40,7 @@ HARMLESS_PACKAGES = ("pandapower.control.", "pandapower.protection.")
 """Whose objects stand in tables; their modules are pandapower's own."""
 KEYS = {"_module", "_class", "_object", "orient", "dtype", "is_multiindex", "is_multicolumn"}
 TABLE_KEYS = KEYS | {"typ", "index_name", "index_names", "column_name", "column_names"}
-"""Of a table; others would reach pandas' reader, which can be told to open files."""
+"""Of a table; others would reach pandas' reader, which can be made to open files."""
 PLAIN_PACKAGES = ("numpy", "builtins")
 """Of the objects made from numbers and texts; the text of any other object is JSON."""
 DEEPEST = 5  # levels of JSON text inside JSON text

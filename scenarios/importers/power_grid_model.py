@@ -16,7 +16,7 @@ from dsse_core.errors import InvalidInputError
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from dsse_core.grid.physical_ranges import find_base_problems
 from scenarios.files.network_file import default_branch_id
-from scenarios.files.zero_impedances import refuse_zero_impedances
+from scenarios.files.zero_impedances import reject_zero_impedances
 from scenarios.importers.imported import (
     Imported,
     Remark,
@@ -100,7 +100,7 @@ def _convert_checked(path: Path, data: Data, frequency_hz: float, *, measured: b
         conversion, remarks = _convert(path.stem, data, frequency_hz, measured=measured)
         names = {branch: _kind_of(data, component) for component, branch in conversion.branch_of.items()}
         cure = "put a link in its place, or where it is a source, give it an sk above 1e15 VA"
-        refuse_zero_impedances(conversion.network, names, cure)
+        reject_zero_impedances(conversion.network, names, cure)
     except InvalidInputError as error:
         raise InvalidInputError(str(path), error.problems) from None
     return conversion, remarks

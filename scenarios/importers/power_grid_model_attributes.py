@@ -1,4 +1,4 @@
-"""Attributes in power-grid-model's JSON that its reader would leave out without a word."""
+"""Attributes in power-grid-model's JSON that its reader would leave out without notice."""
 
 from __future__ import annotations
 

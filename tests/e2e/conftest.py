@@ -89,7 +89,7 @@ def start_run(tmp_path: Path) -> Iterator[Callable[..., RunUnderWay]]:
     for run in started:
         run.process.kill()
         run.process.communicate()
-        if parent := run.pids().get("parent"):  # outlives the killed run, with its process group
+        if parent := run.pids().get("parent"):  # outlasts the killed run, with its process group
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(parent, signal.SIGKILL)
 

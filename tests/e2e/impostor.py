@@ -43,13 +43,13 @@ def let_listen(keys: Path, name: str) -> None:
 
 
 class Impostor:
-    """A Zenoh session with the key of ``name``, if any, and no rules; it hears and says all that others let it."""
+    """A Zenoh session with the key of ``name``, if any, and no rules; it receives and says all that others let it."""
 
     def __init__(self, keys: Path | None, name: str, mode: str, **sections: Any) -> None:
         config = bus_config(mode, Keys(keys, name, Access("run", {})) if keys else None, **sections)
         config.pop("access_control", None)
         self.name = name
-        self.heard: set[tuple[str, str]] = set()  # (what was said, key)
+        self.received: set[tuple[str, str]] = set()  # (what was said, key)
         self.seen: set[str] = set()
         self._said: set[bytes] = set()
         self._shown: set[str] = set()
@@ -57,18 +57,18 @@ class Impostor:
         self._kept: list[Any] = []
 
     @classmethod
-    def at(cls, place: str, keys: Path | None, name: str, mode: str = "router") -> Impostor:
+    def at(cls, endpoint: str, keys: Path | None, name: str, mode: str = "router") -> Impostor:
         """Where somebody else is looked for."""
-        return cls(keys, name, mode, listen={"endpoints": [place], "exit_on_failure": True})
+        return cls(keys, name, mode, listen={"endpoints": [endpoint], "exit_on_failure": True})
 
     @classmethod
-    def calling(cls, places: Sequence[str], keys: Path | None, name: str, mode: str = "client") -> Impostor:
+    def calling(cls, endpoints: Sequence[str], keys: Path | None, name: str, mode: str = "client") -> Impostor:
         """A router, or, as a peer, all areas."""
-        connect = at_once(places, DEADLINE_S) if mode == "client" else in_the_background(places)
+        connect = at_once(endpoints, DEADLINE_S) if mode == "client" else in_the_background(endpoints)
         return cls(keys, name, mode, connect=connect, listen={"endpoints": []})
 
     def listen(self, *expressions: str) -> None:
-        """To all there is and to ``expressions``: what is too wide is refused whole."""
+        """To all there is and to ``expressions``: what is too wide is rejected whole."""
         for expression in ("dsse/**", *expressions):
             self._kept.append(self._session.declare_subscriber(expression, self._note))
             self._kept.append(
@@ -92,8 +92,8 @@ class Impostor:
 
     def _note(self, sample: zenoh.Sample) -> None:
         said = sample.payload.to_bytes()
-        if said not in self._said:  # a session hears itself
-            self.heard.add((said.decode(errors="replace")[:40], str(sample.key_expr)))
+        if said not in self._said:  # a session receives itself
+            self.received.add((said.decode(errors="replace")[:40], str(sample.key_expr)))
 
     def _see(self, key: str) -> None:
         if key not in self._shown:

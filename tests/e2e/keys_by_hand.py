@@ -10,10 +10,10 @@ from dsse_command import free_endpoint
 from system_by_hand import SystemByHand
 
 from agents.messages.keys import telemetry_key
-from agents.runtime.presence import begin_life
+from agents.runtime.presence import begin_incarnation
 from agents.security.access import Access
 from coordinator.deployment.certificates import access_of, create_keys
-from coordinator.deployment.endpoints import choose_places
+from coordinator.deployment.endpoints import choose_area_endpoints
 from coordinator.deployment.split import write_area_files
 from coordinator.plant.telemetry_messages import make_payloads
 from scenarios.scenario import load_scenario
@@ -32,9 +32,9 @@ class KeysByHand(SystemByHand):
         self.access: Access = access_of(self.scenario.partition, RUN)
         self.keys = folder / "keys"
         create_keys(self.keys, self.access, days=1, direct=self.direct)
-        self.places = choose_places(self.scenario, "tls") if self.direct else {}
-        self.endpoints = list(self.places.values()) or [free_endpoint("tls")]
-        self.files = dict(write_area_files(self.scenario, RUN, self.endpoints, folder / "areas", self.places))
+        self.area_endpoints = choose_area_endpoints(self.scenario, "tls") if self.direct else {}
+        self.endpoints = list(self.area_endpoints.values()) or [free_endpoint("tls")]
+        self.files = dict(write_area_files(self.scenario, RUN, self.endpoints, folder / "areas", self.area_endpoints))
 
     def connect(self) -> list[str]:
         connect = [part for endpoint in self.endpoints for part in ("--connect", endpoint)]
@@ -50,7 +50,7 @@ class KeysByHand(SystemByHand):
 
     def lies(self) -> dict[str, bytes]:
         """Readings that nobody made, for every area."""
-        payloads = make_payloads(replace(self.scenario, seed=99), RUN, begin_life(), 10**9)
+        payloads = make_payloads(replace(self.scenario, seed=99), RUN, begin_incarnation(), 10**9)
         return {telemetry_key(RUN, area): payload for area, payload in payloads.items()}
 
 

@@ -1,6 +1,6 @@
 """A process that should be kept out: it speaks and listens where it must not, or floods the router's port.
 
-python stranger.py speak ENDPOINT [KEYS NAME]     prints what it heard as JSON after its last word
+python stranger.py speak ENDPOINT [KEYS NAME]     prints what it received as JSON after its last message
 python stranger.py connect ENDPOINT [KEYS NAME]   prints "in", or why not
 python stranger.py flood[-wildly] ENDPOINT        until it is killed
 """
@@ -19,8 +19,8 @@ from pathlib import Path
 
 from impostor import Impostor
 
-from agents.messages.keys import all_from_neighbours, all_lives, neighbour_key, state_key, telemetry_key
-from agents.runtime.presence import begin_life
+from agents.messages.keys import all_from_neighbours, all_incarnations, neighbour_key, state_key, telemetry_key
+from agents.runtime.presence import begin_incarnation
 from agents.security.access import Access
 from agents.security.credentials import Keys
 from agents.transport.zenoh_bus import Session, TransportError
@@ -37,15 +37,15 @@ CONNECTIONS = 20
 def speak(endpoint: str, keys: Path | None, name: str) -> None:
     """As area2, tell lies in the name of others, and listen to what is not for area2."""
     scan = int(1000 * time.time()) + LATER
-    lies = make_payloads(replace(load_scenario(RUN), seed=99), RUN, begin_life(), scan)
+    lies = make_payloads(replace(load_scenario(RUN), seed=99), RUN, begin_incarnation(), scan)
     with (
-        Impostor.calling([endpoint], keys, name) as mouth,  # a session hears itself, whoever forbids it
+        Impostor.calling([endpoint], keys, name) as mouth,  # a session receives itself, whoever forbids it
         Impostor.calling([endpoint], keys, name) as ear,
     ):
         ear.listen(f"dsse/v2/{RUN}/area/*/state", telemetry_key(RUN, "area1"))
         ear.listen(all_from_neighbours(RUN, "area3"), all_from_neighbours(RUN, "area2"))  # the second is its due
-        ear.listen(all_lives(RUN, "area", "*"), all_lives(RUN, "plant", "*"))
-        ear.listen(all_lives(RUN, "area", "area1"), all_lives(RUN, "area", "area2"))
+        ear.listen(all_incarnations(RUN, "area", "*"), all_incarnations(RUN, "plant", "*"))
+        ear.listen(all_incarnations(RUN, "area", "area1"), all_incarnations(RUN, "area", "area2"))
         mouth.show(f"dsse/v2/{RUN}/live/area/area9/1-2")
         keys_of_others = {telemetry_key(RUN, area): lie for area, lie in lies.items()}
         for kind in ("information", "tally", "load"):
@@ -57,9 +57,9 @@ def speak(endpoint: str, keys: Path | None, name: str) -> None:
             for put in said:
                 put()
             pause.wait(0.002)
-        while not any(key.endswith("/area2") for _, key in ear.heard) and time.monotonic() < deadline:
+        while not any(key.endswith("/area2") for _, key in ear.received) and time.monotonic() < deadline:
             pause.wait(0.01)
-        print(json.dumps({"heard": sorted({key for _, key in ear.heard}), "seen": sorted(ear.seen), "scan": scan}))
+        print(json.dumps({"received": sorted({key for _, key in ear.received}), "seen": sorted(ear.seen), "scan": scan}))
 
 
 def connect(endpoint: str, keys: Path, name: str) -> None:

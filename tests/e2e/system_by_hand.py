@@ -89,11 +89,11 @@ class Watcher:
         self._centralised = estimate_centralised(self.scenario, self._telemetry).report
         self._observer = make_observer(self.scenario)
         self._presence = Presence()
-        self._news: queue.SimpleQueue[bytes | tuple[str, bool]] = queue.SimpleQueue()
+        self._updates: queue.SimpleQueue[bytes | tuple[str, bool]] = queue.SimpleQueue()
         self._session = Session.connect(endpoints, DEADLINE_S, load_keys(keys, "coordinator"))
         run = self.scenario.name
-        self._session.subscribe(all_states(run), lambda key, payload: self._news.put(payload))
-        self._session.watch_presence(all_live(run), lambda key, alive: self._news.put((key, alive)))
+        self._session.subscribe(all_states(run), lambda key, payload: self._updates.put(payload))
+        self._session.watch_presence(all_live(run), lambda key, alive: self._updates.put((key, alive)))
 
     def __enter__(self) -> Self:
         return self
@@ -124,16 +124,16 @@ class Watcher:
         while not holds():
             assert time.monotonic() < deadline, f"not within {deadline_s} s: {self.obstacles()}"
             try:
-                self._take(self._news.get(timeout=0.05))
+                self._take(self._updates.get(timeout=0.05))
             except queue.Empty:
                 continue
 
-    def _take(self, news: bytes | tuple[str, bool]) -> None:
+    def _take(self, updates: bytes | tuple[str, bool]) -> None:
         now = time.monotonic()
-        if isinstance(news, bytes):
+        if isinstance(updates, bytes):
             with suppress(MessageError):  # a stranger's
-                self._observer.take_state(decode(news), now)
-        elif self._presence.take(*news):
-            role, name = name_of_live(news[0])
+                self._observer.take_state(decode(updates), now)
+        elif self._presence.take(*updates):
+            role, name = name_of_live(updates[0])
             if role == "area":
-                self._observer.take_presence(name, news[1], now)
+                self._observer.take_presence(name, updates[1], now)

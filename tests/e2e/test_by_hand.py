@@ -52,7 +52,7 @@ def test_agents_started_by_hand_agree_and_end_with_exit_code_0(dsse, tmp_path: P
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="needs tgkill")
-def test_a_router_hears_a_signal_that_another_thread_of_it_has_caught():
+def test_a_router_receives_a_signal_that_another_thread_of_it_has_caught():
     """The system may hand a signal to any thread; Python acts on it in the first one, once that is awake."""
     router = subprocess.Popen(
         [*COMMAND, "router", "--listen", free_endpoint()], env=ENVIRONMENT, stdout=subprocess.PIPE, text=True

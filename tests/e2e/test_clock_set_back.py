@@ -39,7 +39,7 @@ def system(dsse, tmp_path: Path):
             yield system, watcher
 
 
-def test_five_minutes_behind_its_former_life_it_is_heard_again(system: tuple[SystemByHand, Watcher], behind):
+def test_five_minutes_behind_its_former_incarnation_it_is_received_again(system: tuple[SystemByHand, Watcher], behind):
     processes, watcher = system
     former = watcher.states["area2"].header.incarnation
     processes.start("area2", "agent", "areas/area2.toml", prefix=behind(300))

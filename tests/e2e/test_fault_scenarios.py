@@ -1,4 +1,4 @@
-"""The shipped scenarios with faults, on real processes and on the twin: the same faults, the same end."""
+"""The shipped scenarios with faults, on real processes and on the simulator: the same faults, the same end."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ KINDS = {
     "ieee33-cut": {"cut", "heal", "lost in a cut"},
     "ieee33-restart": {"kill", "restart"},
 }
-RUNS = {"processes": coordinator.run, "twin": coordinator.simulate}
+RUNS = {"processes": coordinator.run, "simulator": coordinator.simulate}
 GAP = 1e-8  # p.u. and rad
 
 
@@ -39,30 +39,30 @@ def test_faults_delay_the_centralised_estimate_and_are_counted(
     assert result.verdict.gap_vm_pu <= GAP
     assert KINDS[name] <= result.faults.keys()
     worth = {area.quality for area in result.areas}
-    assert worth == {"good"} or (run is coordinator.run and worth <= {"good", "degraded"})  # as the last word was lost
+    assert worth == {"good"} or (run is coordinator.run and worth <= {"good", "degraded"})  # as the last message was lost
     written = json.loads((tmp_path / "out" / "result.json").read_text())
     assert written["faults"] == dict(result.faults)
     assert "faults: " in format_verdict(result)
-    told = {key for event in events_of(result, "link faults") for key in event} | {
+    reported = {key for event in events_of(result, "link faults") for key in event} | {
         event["kind"] for event in events_of(result, "fault")
     }
-    assert KINDS[name] <= told
+    assert KINDS[name] <= reported
 
 
-def test_a_liar_is_named_and_there_is_neither_consensus_nor_a_good_state_of_who_hears_it(tmp_path: Path):
+def test_a_liar_is_named_and_there_is_neither_consensus_nor_a_good_state_of_who_receives_it(tmp_path: Path):
     result = coordinator.simulate("ieee33-liar", out=tmp_path / "out", plots=False)
     assert not result.verdict.consensus
     assert "area1 and area3 differ" in str(result.verdict.reason)
     assert result.faults["lied"] > 0
-    (hears,) = [area for area in result.areas if area.name == "area1"]
-    assert hears.quality == "degraded"
-    assert any("boundary mismatch with area3" in note for note in hears.notes)
+    (receives,) = [area for area in result.areas if area.name == "area1"]
+    assert receives.quality == "degraded"
+    assert any("boundary mismatch with area3" in note for note in receives.notes)
 
 
-def test_damaged_messages_are_refused_and_counted_by_reason(tmp_path: Path):
+def test_damaged_messages_are_rejected_and_counted_by_reason(tmp_path: Path):
     result = coordinator.simulate("ieee33-corruption", out=tmp_path / "out", plots=False)
-    refused = sum(area.refused.get("damaged", 0) for area in result.areas)
-    assert 0 < refused <= result.faults["corrupted"]
+    rejected = sum(area.rejected.get("damaged", 0) for area in result.areas)
+    assert 0 < rejected <= result.faults["corrupted"]
 
 
 def test_missing_and_late_readings_are_the_same_for_plant_areas_and_the_centralised_estimate(tmp_path: Path):
@@ -88,5 +88,5 @@ def test_an_area_killed_at_last_is_missed_and_its_last_state_is_not_called_good(
     assert {area.name: area.quality for area in result.areas} == {
         "area1": "degraded",
         "area2": "stale",
-        "area3": "degraded",  # which hears from area1 that something is old
+        "area3": "degraded",  # which learns from area1 that something is old
     }

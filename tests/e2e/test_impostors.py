@@ -17,9 +17,9 @@ from shown_states import a_state
 from system_by_hand import Watcher
 from waiting import wait_until
 
-from agents.messages.keys import all_live, all_lives, state_key, telemetry_key
+from agents.messages.keys import all_live, all_incarnations, state_key, telemetry_key
 from agents.messages.packing import Header, encode
-from agents.runtime.presence import begin_life
+from agents.runtime.presence import begin_incarnation
 from agents.security.access import Access, find_rights
 from coordinator.deployment.certificates import create_keys
 
@@ -30,7 +30,7 @@ def attack(impostor: Impostor, lies: dict[str, bytes]) -> None:
     """Listen to everybody, show everybody's tokens, and say ``lies``."""
     impostor.listen(*(state_key(RUN, area) for area in ("*", *AREAS)), *(telemetry_key(RUN, area) for area in AREAS))
     impostor.listen(*(f"dsse/v2/{RUN}/area/*/*/{area}" for area in AREAS), all_live(RUN))
-    impostor.listen(*(all_lives(RUN, role, name) for role, name in (*(("area", a) for a in AREAS), ("plant", "plant"))))
+    impostor.listen(*(all_incarnations(RUN, role, name) for role, name in (*(("area", a) for a in AREAS), ("plant", "plant"))))
     impostor.show(*(f"dsse/v2/{RUN}/live/area/{area}/fffffffffff-ffffffff" for area in AREAS))
     said = [put for key, lie in lies.items() for put in impostor.say([key], lie)]
     pause = threading.Event()
@@ -42,14 +42,14 @@ def attack(impostor: Impostor, lies: dict[str, bytes]) -> None:
 
 def forge_state(area: str) -> bytes:
     """A good state of ``area``, newer than any, with a note."""
-    header = Header(RUN, area, begin_life(), 10**9, 1, time.time())
+    header = Header(RUN, area, begin_incarnation(), 10**9, 1, time.time())
     return encode(replace(a_state(notes=("forged",)), header=header))
 
 
 def is_due(access: Access, name: str, key: str) -> bool:
-    """Whether ``name`` may hear or see what is on ``key``."""
+    """Whether ``name`` may receive or see what is on ``key``."""
     rights = find_rights(access)[name]
-    return any(zenoh.KeyExpr(allowed).intersects(key) for allowed in (*rights.hears, *rights.sees))
+    return any(zenoh.KeyExpr(allowed).intersects(key) for allowed in (*rights.receives, *rights.sees))
 
 
 @pytest.mark.parametrize("is_for_everything", [False, True], ids=["as made", "good for everything"])
@@ -72,29 +72,29 @@ def test_with_the_key_of_an_area_nobody_is_taken_for_the_router(
             attack(impostor, system.lies() | {state_key(RUN, area): forge_state(area) for area in AREAS})
             system.start("watch", "watch", "--once", "--json", "--timeout", "3", *system.connect())
             assert system.processes["watch"].wait(60) in (1, 2)  # nothing to be seen, or no router at all
-            assert not impostor.heard
+            assert not impostor.received
             assert not impostor.seen
         assert "forged" not in system.said("watch")
         system.start_router()
         with Watcher(RUN, system.endpoints, system.keys) as watcher:
             watcher.wait_for_consensus()
-            assert all(state.refused == {} for state in watcher.states.values())
+            assert all(state.rejected == {} for state in watcher.states.values())
         for name in (*AREAS, "plant", "router"):
             assert system.end(name) == 0, system.said(name)
 
 
-def test_between_neighbours_the_key_of_an_area_hears_and_forges_nobody_else(
+def test_between_neighbours_the_key_of_an_area_receives_and_forges_nobody_else(
     edited_scenario: Callable[..., Path], tmp_path: Path
 ):
     with KeysByHand(tmp_path, scenario_of(edited_scenario, "neighbours")) as system:
         system.start_others(AREAS[:2])  # area3 is in wrong hands
         forged = {state_key(RUN, area): forge_state(area) for area in AREAS[:2]}
         system.start("watch", "watch", "--direct", "--json", *system.connect())
-        with Impostor.at(system.places["area3"], system.keys, "area3", "peer") as impostor:
+        with Impostor.at(system.area_endpoints["area3"], system.keys, "area3", "peer") as impostor:
             wait_until(lambda: '"area2"' in system.said("watch") and '"area1"' in system.said("watch"))
             attack(impostor, system.lies() | forged)
-            wait_until(lambda: any("/telemetry/area3" in key for _, key in impostor.heard))
-            assert [key for _, key in impostor.heard if not is_due(system.access, "area3", key)] == []
+            wait_until(lambda: any("/telemetry/area3" in key for _, key in impostor.received))
+            assert [key for _, key in impostor.received if not is_due(system.access, "area3", key)] == []
             assert [key for key in impostor.seen if not is_due(system.access, "area3", key)] == []
         assert "forged" not in system.said("watch")
         for name in (*AREAS[:2], "plant"):
@@ -102,7 +102,7 @@ def test_between_neighbours_the_key_of_an_area_hears_and_forges_nobody_else(
 
 
 @pytest.mark.parametrize("name", ["area2", "area3", "plant", "coordinator", "router"])
-def test_between_neighbours_whoever_calls_everybody_hears_its_due_only(
+def test_between_neighbours_whoever_calls_everybody_receives_its_due_only(
     edited_scenario: Callable[..., Path], tmp_path: Path, name: str
 ):
     with KeysByHand(tmp_path, scenario_of(edited_scenario, "neighbours")) as system:
@@ -117,13 +117,13 @@ def test_between_neighbours_whoever_calls_everybody_hears_its_due_only(
         ):
             attack(stranger, lies | forged)
             attack(impostor, lies | forged)
-            assert not stranger.heard
+            assert not stranger.received
             assert not stranger.seen
             if name == "router":  # there is none
-                assert not impostor.heard
+                assert not impostor.received
                 assert not impostor.seen
             else:
-                assert [key for _, key in impostor.heard if not is_due(system.access, name, key)] == []
+                assert [key for _, key in impostor.received if not is_due(system.access, name, key)] == []
                 assert [key for key in impostor.seen if not is_due(system.access, name, key)] == []
         system.start("watch", "watch", "--direct", "--json", *system.connect())
         wait_until(lambda: system.said("watch").count('"state": "estimates"') >= len(AREAS))

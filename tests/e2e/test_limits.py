@@ -41,7 +41,7 @@ def test_a_run_whose_events_no_longer_fit_on_the_disk_still_ends_with_its_verdic
     assert json.loads((tmp_path / "out" / "result.json").read_text())["verdict"]["consensus"] is True
 
 
-def test_a_run_folder_without_room_for_the_area_files_is_refused(tmp_path: Path):
+def test_a_run_folder_without_room_for_the_area_files_is_rejected(tmp_path: Path):
     done = run_limited(tmp_path, resource.RLIMIT_FSIZE, 1000, "ieee33", "--out", "out")
     assert done.returncode == 2
     assert "File too large; choose another place, or make room there" in done.stderr
@@ -84,7 +84,7 @@ def test_a_tiny_disk_is_one_error_and_no_traceback(small_disk: Callable[[int], P
     assert "Traceback" not in done.stdout + done.stderr
 
 
-def test_too_few_open_files_for_the_links_of_all_areas_are_told_before_anything_starts(tmp_path: Path):
+def test_too_few_open_files_for_the_links_of_all_areas_are_reported_before_anything_starts(tmp_path: Path):
     done = run_limited(tmp_path, resource.RLIMIT_NOFILE, 30, "ieee33", "--out", "out")
     assert done.returncode == 2
     assert "a process may open 30 files here, and 3 areas need 35; raise the limit (ulimit -n 35)" in done.stderr

@@ -60,13 +60,13 @@ def test_a_host_that_is_cut_off_is_noticed_and_rejoins_when_its_link_is_back(tmp
         start_new_session=True,
     )
     try:
-        told, _ = process.communicate(timeout=3 * DEADLINE_S)
+        reported, _ = process.communicate(timeout=3 * DEADLINE_S)
     finally:
         if process.poll() is None:
             os.killpg(process.pid, signal.SIGKILL)
             process.wait()
     assert process.returncode == 0
-    happened = json.loads(told)
+    happened = json.loads(reported)
     assert happened["gap before"] <= 1e-8
     assert "area1 is not on the bus" in happened["obstacles when cut off"]
     assert all("neighbour area1 is gone" in notes for notes in happened["notes when cut off"].values())

@@ -78,7 +78,7 @@ def test_a_killed_coordinator_and_a_killed_parent_leave_nothing_for_ever(start_r
     pids = run.pids()
     run.process.kill()
     run.end()
-    os.kill(pids["area2"], signal.SIGSTOP)  # which of itself would hear of nothing
+    os.kill(pids["area2"], signal.SIGSTOP)  # which of itself would learn of nothing
     os.kill(pids["parent"], signal.SIGKILL)
     assert_nothing_left(pids)
     for area in ("area1", "area2"):
@@ -150,16 +150,16 @@ def test_the_time_limit_ends_the_run(start_run, deaf_scenario, assert_nothing_le
 def test_the_time_limit_says_what_was_missing(
     tmp_path: Path, deaf_scenario, assert_nothing_left, monkeypatch: pytest.MonkeyPatch
 ):
-    """The limit passes as soon as the areas have told so much, however long that takes them."""
+    """The limit passes as soon as the areas have reported so much, however long that takes them."""
     missing = "the angles of area1 do not count from the substation"
 
-    def pass_when_told(progress: Progress) -> None:
+    def pass_when_reported(progress: Progress) -> None:
         if any(missing in obstacle for obstacle in progress.obstacles):
             monkeypatch.setattr(clock, "find_start", lambda _: -math.inf)
 
     folder = tmp_path / "out"
-    result = coordinator.run(deaf_scenario, out=folder, timeout_s=DEADLINE_S, on_update=pass_when_told, plots=False)
-    assert clock.find_start(0.0) == -math.inf, "the areas have not told so much"
+    result = coordinator.run(deaf_scenario, out=folder, timeout_s=DEADLINE_S, on_update=pass_when_reported, plots=False)
+    assert clock.find_start(0.0) == -math.inf, "the areas have not reported so much"
     assert not result.verdict.consensus
     assert (result.verdict.reason or "").startswith(f"no consensus within {DEADLINE_S:g} s: ")
     assert missing in (result.verdict.reason or "")

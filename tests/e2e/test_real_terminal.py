@@ -21,7 +21,7 @@ from waiting import DEADLINE_S, wait_until
 
 from agents.messages.keys import live_key, state_key
 from agents.messages.packing import Header, StateMessage, encode
-from agents.runtime.presence import begin_life
+from agents.runtime.presence import begin_incarnation
 from agents.transport.zenoh_bus import Session
 
 NOTE = "[/nope] \x1b]0;owned\x07 \x1b[2J \x9b2J \rconsensus\n [bold]$\\frac$ \u202e"
@@ -62,9 +62,9 @@ def assert_harmless(output: str) -> None:
 
 def hostile_state(run: str, area: str) -> StateMessage:
     return StateMessage(
-        header=Header(run, area, begin_life(), 1, 1, 0.0),
+        header=Header(run, area, begin_incarnation(), 1, 1, 0.0),
         **dict.fromkeys(("buses", "vm", "va", "sigma_vm", "sigma_va", "removed", "critical", "old_sides"), ()),
-        **{key: {} for key in ("sent", "heard", "refused", "faults", "ages", "scans")},
+        **{key: {} for key in ("sent", "received", "rejected", "faults", "ages", "scans")},
         **{"referenced": False, "objective": 0.0, "degrees_of_freedom": 0, "checked": False},
         **{"messages": 0, "bytes": 0, "lost": 0, "notes": (NOTE,), "quality": "[/good]\x1b[8m", "telemetry_age": 0.0},
     )
@@ -97,7 +97,7 @@ def test_a_watcher_in_a_terminal_shows_what_strangers_say_and_obeys_none_of_it(t
     with SystemByHand(tmp_path) as system:
         system.start("router", "router", "--listen", endpoint)
         with Session.connect([endpoint], DEADLINE_S) as session:
-            token = live_key("run", "area", "[bold]\x1b]0;owned\x07", begin_life())
+            token = live_key("run", "area", "[bold]\x1b]0;owned\x07", begin_incarnation())
             session.declare_presence(token)
             with saying(session, [hostile_state("run", "area1")]):
                 screen = terminal(tmp_path, "watch", "--connect", endpoint, "--run", "run")
@@ -120,7 +120,7 @@ def test_a_run_in_a_terminal_ends_with_its_verdict_whatever_strangers_say(deaf_s
     out = tmp_path / "out"
     screen = terminal(tmp_path, "run", str(deaf_scenario), "--out", str(out), "--timeout", "12", "--no-plots")
     endpoints, events = out / "logs" / "router.endpoints", out / "events.jsonl"
-    # of an area's states those of the life that began last are shown
+    # of an area's states those of the incarnation that began last are shown
     wait_until(lambda: events.exists() and events.read_text().count('"appeared", "role": "area"') == 2)
     run = json.loads(events.read_text().splitlines()[0])["run"]
     lies = [hostile_state(run, f"area{k}") for k in (1, 2)]

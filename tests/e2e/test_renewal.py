@@ -66,14 +66,14 @@ def test_keys_of_a_new_authority_end_neither_a_process_nor_the_exchange(
             shutil.copy(path, system.keys / path.name)
         hang_up(system, list(system.processes))
         wait_until(all_agree)
-        with pytest.raises(TransportError, match="its certificate is refused here"):
+        with pytest.raises(TransportError, match="its certificate is rejected here"):
             Session.connect(system.endpoints, 0.5, load_keys(old, "coordinator"))
         for name in (*AREAS, "plant", *(() if system.direct else ("router",))):
             assert system.end(name) == 0, system.said(name)
 
 
 @pytest.mark.parametrize("kind", ["router", "neighbours"])
-def test_a_revoked_name_neither_speaks_nor_hears_nor_is_seen(
+def test_a_revoked_name_neither_speaks_nor_receives_nor_is_seen(
     dsse, edited_scenario: Callable[..., Path], tmp_path: Path, kind: str
 ):
     with KeysByHand(tmp_path, scenario_of(edited_scenario, kind)) as system:
@@ -87,8 +87,8 @@ def test_a_revoked_name_neither_speaks_nor_hears_nor_is_seen(
         notes = watched_areas(dsse, system)["area1"]["notes"]
         assert any("area3" in note and ("gone" in note or "absent" in note or "not" in note) for note in notes), notes
         mode = "peer" if system.direct else "client"
-        places = [place for name, place in system.places.items() if name != "area3"] or system.endpoints
-        with Impostor.calling(places, system.keys, "area3", mode) as thief:
+        endpoints = [endpoint for name, endpoint in system.area_endpoints.items() if name != "area3"] or system.endpoints
+        with Impostor.calling(endpoints, system.keys, "area3", mode) as thief:
             thief.listen(telemetry_key(RUN, "area3"), all_from_neighbours(RUN, "area3"), all_live(RUN))
             thief.show(f"dsse/v2/{RUN}/live/area/area3/1-00000001")
             said = thief.say([state_key(RUN, "area3")])
@@ -98,27 +98,27 @@ def test_a_revoked_name_neither_speaks_nor_hears_nor_is_seen(
             for put in said * 20:
                 put()
             assert set(watched_areas(dsse, system)) == {"area1", "area2"}
-            assert not thief.heard
+            assert not thief.received
             assert not thief.seen
 
 
-def test_a_router_that_has_not_been_told_brings_nothing_of_a_revoked_name_to_those_who_have(
+def test_a_router_that_has_not_been_reported_brings_nothing_of_a_revoked_name_to_those_who_have(
     dsse, edited_scenario: Callable[..., Path], tmp_path: Path
 ):
     with KeysByHand(tmp_path, scenario_of(edited_scenario, "router")) as system:
         system.start_router()
         system.start_others()
-        with Watcher(RUN, system.endpoints, system.keys) as watcher:  # has not been told either
+        with Watcher(RUN, system.endpoints, system.keys) as watcher:  # does not know either
             watcher.wait_for_consensus()
             revoke(system, "area3")
             hang_up(system, ["area1"])
             watcher.wait_until(lambda: any("area3" in note for note in watcher.states["area1"].notes))
-            watcher.wait_until(lambda: watcher.states["area1"].ages["area3"] > 2.0)  # s; never heard again
+            watcher.wait_until(lambda: watcher.states["area1"].ages["area3"] > 2.0)  # s; never received again
             assert "area3 is not on the bus" not in watcher.obstacles()
         assert set(watched_areas(dsse, system)) == {"area1", "area2"}  # a watcher that comes now reads who is revoked
 
 
-def test_no_certificate_ends_without_a_word_before(edited_scenario: Callable[..., Path], tmp_path: Path):
+def test_no_certificate_ends_without_notice_before(edited_scenario: Callable[..., Path], tmp_path: Path):
     with KeysByHand(tmp_path, scenario_of(edited_scenario, "router")) as system:
         for name in ("router", "area1"):
             let_expire(system.keys, name, in_s=3600.0)  # of two days

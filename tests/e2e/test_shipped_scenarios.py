@@ -171,10 +171,10 @@ def test_with_load_error_and_losses_real_processes_estimate_the_area_power_flows
         assert area == "area1" or abs(offset_deg) <= 0.04
 
 
-def test_a_load_error_moves_processes_as_it_moves_the_twin(tmp_path: Path):
+def test_a_load_error_moves_processes_as_it_moves_the_simulator(tmp_path: Path):
     processes = coordinator.run("ieee33-load-error", out=tmp_path / "processes", plots=False)
-    twin = coordinator.simulate("ieee33-load-error", out=tmp_path / "twin", plots=False)
+    simulator = coordinator.simulate("ieee33-load-error", out=tmp_path / "simulator", plots=False)
     assert processes.verdict.consensus, processes.verdict.reason
     for of in ("vm", "va"):
-        found = [getattr(result.comparison.decentralised, of) for result in (processes, twin)]
+        found = [getattr(result.comparison.decentralised, of) for result in (processes, simulator)]
         np.testing.assert_allclose(*found, rtol=0, atol=1e-7)

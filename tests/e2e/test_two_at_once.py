@@ -1,4 +1,4 @@
-"""Two agents of one area, or two plants: everybody who watches is told, and the older one gives way."""
+"""Two agents of one area, or two plants: every watcher is informed, and the older one gives way."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_the_older_agent_and_the_older_plant_give_way_and_the_estimate_stays(dss
         assert all(system.processes[f"{name} again"].poll() is None for name in ("area2", "plant"))
 
 
-def test_a_run_whose_area_runs_twice_says_so_with_both_lives(start_run, deaf_scenario, assert_nothing_left):
+def test_a_run_whose_area_runs_twice_says_so_with_both_incarnations(start_run, deaf_scenario, assert_nothing_left):
     run = start_run(deaf_scenario)
     run.wait_until_joined("area1", "area2")
     command = [*COMMAND, "agent", str(run.folder / "areas" / "area2.json")]
@@ -46,7 +46,7 @@ def test_a_run_whose_area_runs_twice_says_so_with_both_lives(start_run, deaf_sce
         def is_shown() -> bool:
             watch = [*COMMAND, "watch", "--connect", endpoint, "--once", "--json"]
             view = subprocess.run(watch, env=ENVIRONMENT, capture_output=True, timeout=DEADLINE_S, check=False).stdout
-            return any("2 agents of area area2 publish at once" in line for line in json.loads(view)["doubles"])
+            return any("2 agents of area area2 publish at once" in line for line in json.loads(view)["duplicates"])
 
         wait_until(is_shown)
         code, out, _ = run.end()
@@ -58,8 +58,8 @@ def test_a_run_whose_area_runs_twice_says_so_with_both_lives(start_run, deaf_sce
     assert "error: two processes run as area area2" in out
     assert "warning: 2 agents of area area2 publish at once" in out
     (event,) = (e for e in run.events() if e["event"] == "two at once")
-    (double,) = json.loads((run.folder / "result.json").read_text())["doubles"]
-    assert double == {key: event[key] for key in ("role", "name", "older", "newer")}
-    assert (double["role"], double["name"]) == ("area", "area2")
-    assert double["older"] < double["newer"]
+    (duplicate,) = json.loads((run.folder / "result.json").read_text())["duplicates"]
+    assert duplicate == {key: event[key] for key in ("role", "name", "older", "newer")}
+    assert (duplicate["role"], duplicate["name"]) == ("area", "area2")
+    assert duplicate["older"] < duplicate["newer"]
     assert_nothing_left(run.pids())

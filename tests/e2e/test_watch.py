@@ -41,7 +41,7 @@ def test_a_watcher_sees_a_system_whole_whose_coordinator_was_killed(start_run, d
     assert "plant plant" in table
     os.kill(run.pids()["area3"], signal.SIGKILL)
 
-    def sees_the_death() -> bool:  # a watcher that has never heard the dead area itself
+    def sees_the_death() -> bool:  # a watcher that has never received the dead area itself
         areas = json.loads(dsse("watch", *connect, "--once", "--json").stdout)["areas"]
         return areas["area3"]["state"] == "gone" and areas["area1"]["notes"] == ["neighbour area3 is gone"]
 
@@ -102,7 +102,7 @@ def test_a_pattern_is_no_run_to_watch(dsse):
     assert "'a/*' may only contain a-z, 0-9, _ and -" in done.stderr
 
 
-def test_a_bus_without_a_run_and_a_bus_that_is_not_there_are_told_apart(dsse):
+def test_a_bus_without_a_run_and_a_bus_that_is_not_there_are_distinguished(dsse):
     endpoint = free_endpoint()
     done = dsse("watch", "--connect", endpoint, "--timeout", "0.3")
     assert done.returncode == 2

@@ -28,14 +28,14 @@ from scenarios.scenario import load_scenario
 pytestmark = pytest.mark.xdist_group("secured")  # one system for all
 AREAS = ("area1", "area2", "area3")
 STRANGER = [sys.executable, str(ROOT / "tests" / "e2e" / "stranger.py")]
-SEE_REFUSED_MESSAGES = {"RUST_LOG": "warn,zenoh::net::routing::interceptor=trace"}
+SEE_REJECTED_MESSAGES = {"RUST_LOG": "warn,zenoh::net::routing::interceptor=trace"}
 
 
 class Secured(SystemByHand):
     """Router, plant and the three areas of ieee33, with ``keys`` or, for comparison, without."""
 
     def __init__(
-        self, folder: Path, secured: bool = True, environment: Mapping[str, str] = SEE_REFUSED_MESSAGES
+        self, folder: Path, secured: bool = True, environment: Mapping[str, str] = SEE_REJECTED_MESSAGES
     ) -> None:
         super().__init__(folder, environment)
         scenario = load_scenario(RUN)
@@ -56,14 +56,14 @@ class Secured(SystemByHand):
         self.start(area, "agent", self.files[area], *self.with_keys)
 
     def assert_unharmed(self) -> None:
-        """A watcher that comes now sees all areas agree with the centre, and that they had nothing to refuse."""
+        """A watcher that comes now sees all areas agree with the centre, and that they had nothing to reject."""
         with Watcher(RUN, [self.endpoint], self.keys) as watcher:
             gap = watcher.wait_for_consensus()
             assert gap.vm_pu is not None
             assert gap.va_deg is not None
             assert gap.vm_pu <= 1e-8
             assert math.radians(gap.va_deg) <= 1e-8
-            assert [state.refused for state in watcher.states.values()] == [{}, {}, {}]
+            assert [state.rejected for state in watcher.states.values()] == [{}, {}, {}]
 
 
 def run_stranger(*arguments: object) -> str:
@@ -104,16 +104,16 @@ def log_since(system: Secured, before: int) -> str:
     return system.said("router")[before:]
 
 
-def test_an_agent_of_another_authority_is_kept_out_and_told_why(dsse, system: Secured, others: Path):
+def test_an_agent_of_another_authority_is_kept_out_and_reported_why(dsse, system: Secured, others: Path):
     before = len(system.said("router"))
     done = dsse("agent", system.files["area3"], "--keys", others, "--timeout", "1")
     assert done.returncode == 2
-    assert f"{system.endpoint}: its certificate is refused here" in done.stderr
+    assert f"{system.endpoint}: its certificate is rejected here" in done.stderr
     assert "Traceback" not in done.stderr
     wait_until(lambda: "received fatal alert" in log_since(system, before))
 
 
-def test_a_certificate_of_another_authority_is_refused_even_if_its_owner_believes_the_router(
+def test_a_certificate_of_another_authority_is_rejected_even_if_its_owner_believes_the_router(
     dsse, system: Secured, others: Path
 ):
     shutil.copy(system.keys / "authority.crt", others / "authority.crt")  # type: ignore[operator]
@@ -121,7 +121,7 @@ def test_a_certificate_of_another_authority_is_refused_even_if_its_owner_believe
     assert done.returncode == 2
     assert "area3.crt: was issued by" in done.stderr
     before = len(system.said("router"))
-    assert f"it refuses {others / 'area3.crt'}" in run_stranger("connect", system.endpoint, others, "area3")
+    assert f"it rejects {others / 'area3.crt'}" in run_stranger("connect", system.endpoint, others, "area3")
     wait_until(lambda: "invalid peer certificate" in log_since(system, before))
 
 
@@ -137,7 +137,7 @@ def test_an_agent_without_a_certificate_is_kept_out(dsse, system: Secured):
     wait_until(lambda: "corrupt message" in log_since(system, before))
 
 
-def test_a_link_with_tls_but_without_a_certificate_is_refused(system: Secured):
+def test_a_link_with_tls_but_without_a_certificate_is_rejected(system: Secured):
     before = len(system.said("router"))
     context = ssl.create_default_context(cafile=str(system.keys / "authority.crt"))  # type: ignore[operator]
     host, port = system.endpoint.removeprefix("tls/").split(":")
@@ -158,13 +158,13 @@ def test_an_agent_with_an_expired_certificate_is_kept_out(dsse, system: Secured,
     assert done.returncode == 2
     assert f"{old / 'area3.crt'}: expired at " in done.stderr
     before = len(system.said("router"))
-    assert f"it refuses {old / 'area3.crt'}: certificate expired" in run_stranger(
+    assert f"it rejects {old / 'area3.crt'}: certificate expired" in run_stranger(
         "connect", system.endpoint, old, "area3"
     )
     wait_until(lambda: "certificate expired" in log_since(system, before))
 
 
-def test_an_agent_with_another_areas_certificate_is_refused_by_its_own_check(dsse, system: Secured, tmp_path: Path):
+def test_an_agent_with_another_areas_certificate_is_rejected_by_its_own_check(dsse, system: Secured, tmp_path: Path):
     swapped = tmp_path / "swapped"
     shutil.copytree(system.keys, swapped)  # type: ignore[arg-type]
     for ending in ("crt", "key"):
@@ -176,31 +176,31 @@ def test_an_agent_with_another_areas_certificate_is_refused_by_its_own_check(dss
 
 def test_who_has_one_areas_key_can_neither_speak_for_others_nor_listen_to_them(system: Secured):
     before = len(system.said("router"))
-    told = json.loads(run_stranger("speak", system.endpoint, system.keys, "area2"))
-    assert told["heard"], "what is meant for its own area it may hear"
-    assert all(key.endswith("/area2") for key in told["heard"])
+    reported = json.loads(run_stranger("speak", system.endpoint, system.keys, "area2"))
+    assert reported["received"], "what is meant for its own area it may receive"
+    assert all(key.endswith("/area2") for key in reported["received"])
     allowed = tuple(f"dsse/v2/{RUN}/live/area/{name}/" for name in ("area1", "area2"))  # a neighbour, and itself
-    assert all(key.startswith(allowed) for key in told["seen"])
-    refused = log_since(system, before)
+    assert all(key.startswith(allowed) for key in reported["seen"])
+    rejected = log_since(system, before)
     for key in ("telemetry/area1", "area/area3/information/area1", "area/area1/state"):
-        assert any("is unauthorized to Put" in line and key in line for line in refused.splitlines()), key
+        assert any("is unauthorized to Put" in line and key in line for line in rejected.splitlines()), key
 
 
-def test_without_keys_the_same_stranger_hears_and_moves_the_whole_grid(tmp_path: Path):
+def test_without_keys_the_same_stranger_receives_and_moves_the_whole_grid(tmp_path: Path):
     with Secured(tmp_path, secured=False) as plain:
         plain.start_all()
         with Watcher(RUN, [plain.endpoint]) as watcher:
             watcher.wait_for_consensus()
-            told = json.loads(run_stranger("speak", plain.endpoint))
-            assert any("/telemetry/area1" in key for key in told["heard"])
-            watcher.wait_until(lambda: all(s.header.scan == told["scan"] for s in watcher.states.values()))
+            reported = json.loads(run_stranger("speak", plain.endpoint))
+            assert any("/telemetry/area1" in key for key in reported["received"])
+            watcher.wait_until(lambda: all(s.header.scan == reported["scan"] for s in watcher.states.values()))
             # what area9 said, who is no neighbour of anybody, and what is no message
-            watcher.wait_until(lambda: {"unknown sender", "damaged"} <= watcher.states["area1"].refused.keys())
+            watcher.wait_until(lambda: {"unknown sender", "damaged"} <= watcher.states["area1"].rejected.keys())
 
 
 @contextmanager
 def flooding(how: str, system: Secured) -> Iterator[None]:
-    """Inside the block a stranger floods the router, which has refused it some times already."""
+    """Inside the block a stranger floods the router, which has rejected it some times already."""
     before = len(system.said("router"))
     flooder = subprocess.Popen([*STRANGER, how, system.endpoint], env=ENVIRONMENT)
     try:

@@ -80,7 +80,7 @@ def test_a_run_says_which_agent_died_with_the_end_of_its_log(start_run, deaf_sce
     assert "\n".join(line[:100] for line in log.splitlines()[-2:]) in out
 
 
-def test_a_run_says_which_agent_refused_its_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_run_says_which_agent_rejected_its_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     write = coordinator.process_run.system.write_area_files
 
     def spoil(*arguments: object) -> Iterator[tuple[str, Path]]:

@@ -99,7 +99,7 @@ def main(folder: Path) -> None:
     with linked_hosts() as there, SystemByHand(folder) as system:
         start_all(system, there)
         with Watcher(RUN, [LOCAL], folder / "keys") as watcher:
-            told: dict[str, object] = {"gap before": tell(watcher.wait_for_consensus())}
+            reported: dict[str, object] = {"gap before": tell(watcher.wait_for_consensus())}
             run("ip", "link", "set", "to_a", "down")
             cut_off = "neighbour area1 is gone"
             others: tuple[StateMessage, ...] = ()
@@ -110,12 +110,12 @@ def main(folder: Path) -> None:
                 return all(cut_off in state.notes for state in others)
 
             watcher.wait_until(noticed)
-            told["notes when cut off"] = {state.header.sender: state.notes for state in others}
-            told["obstacles when cut off"] = watcher.obstacles()
+            reported["notes when cut off"] = {state.header.sender: state.notes for state in others}
+            reported["obstacles when cut off"] = watcher.obstacles()
             run("ip", "link", "set", "to_a", "up")
-            told["gap after"] = tell(watcher.wait_for_consensus())
-        told["exit codes"] = [system.end(name) for name in reversed(list(system.processes))]
-        print(json.dumps(told))
+            reported["gap after"] = tell(watcher.wait_for_consensus())
+        reported["exit codes"] = [system.end(name) for name in reversed(list(system.processes))]
+        print(json.dumps(reported))
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from unittest import mock
 from agents.protocol.peer_table import PeerTable
 from agents.protocol.peers import Peer
 from agents.protocol.rounds import RoundsProtocol
-from agents.protocol.scan_readings import News, ScanReadings
+from agents.protocol.scan_readings import TelemetryUpdate, ScanReadings
 
 _take, _stamp = ScanReadings.take, PeerTable.stamp
 _go_on, _take_in_term = RoundsProtocol._go_on, RoundsProtocol._take_in_term
@@ -22,19 +22,19 @@ def _is_silent_when_idle() -> AbstractContextManager[object]:
 
 
 def _ignores_late_readings() -> AbstractContextManager[object]:
-    def take(self: ScanReadings, *message: Any) -> News:
-        news = _take(self, *message)
-        return News.NONE if news is News.LATE else news
+    def take(self: ScanReadings, *message: Any) -> TelemetryUpdate:
+        update = _take(self, *message)
+        return TelemetryUpdate.NONE if update is TelemetryUpdate.LATE else update
 
     return mock.patch.object(ScanReadings, "take", take)
 
 
 def _joins_within_a_term() -> AbstractContextManager[object]:
     def must_change_for(self: RoundsProtocol, name: str, message: Any, is_restart: bool) -> bool:
-        if message.hears and not is_restart and (message.header.scan, message.revision) == self.term:
+        if message.receives and not is_restart and (message.header.scan, message.revision) == self.term:
             self._round.links |= {name}
             return False
-        return is_restart or (name not in self._round.links and message.hears)
+        return is_restart or (name not in self._round.links and message.receives)
 
     return mock.patch.object(RoundsProtocol, "_must_change_for", must_change_for)
 
@@ -45,7 +45,7 @@ def _never_rejoins() -> AbstractContextManager[object]:
 
 def _ignores_restarts() -> AbstractContextManager[object]:
     def must_change_for(self: RoundsProtocol, name: str, message: Any, is_restart: bool) -> bool:
-        return name not in self._round.links and message.hears
+        return name not in self._round.links and message.receives
 
     return mock.patch.object(RoundsProtocol, "_must_change_for", must_change_for)
 
@@ -62,22 +62,22 @@ def _goes_on_while_a_change_is_due() -> AbstractContextManager[object]:
     return mock.patch.multiple(RoundsProtocol, _go_on=without(_go_on), _take_in_term=without(_take_in_term))
 
 
-def _takes_who_is_heard_for_present() -> AbstractContextManager[object]:
+def _takes_who_is_received_for_present() -> AbstractContextManager[object]:
     take = Peer.take
 
-    def hear(self: Peer, message: Any, now: float, wall: float, **more: Any) -> None:
+    def receive(self: Peer, message: Any, now: float, wall: float, **more: Any) -> None:
         take(self, message, now, wall, **more)
         self.present_at = now
 
-    return mock.patch.object(Peer, "take", hear)
+    return mock.patch.object(Peer, "take", receive)
 
 
 ABLATIONS: Mapping[str, Callable[[], AbstractContextManager[object]]] = {
     "says where it stands when idle": _is_silent_when_idle,
     "late readings raise": _ignores_late_readings,
     "the set of links is fixed within a term": _joins_within_a_term,
-    "rejoins who is heard": _never_rejoins,
+    "rejoins who is received": _never_rejoins,
     "a restart raises": _ignores_restarts,
     "while a change is due, sends and takes no Up or Down": _goes_on_while_a_change_is_due,
-    "presence is two-way": _takes_who_is_heard_for_present,
+    "presence is two-way": _takes_who_is_received_for_present,
 }

@@ -35,7 +35,7 @@ def marginal_of(y: np.ndarray, *sides: BoundaryInformation) -> tuple[np.ndarray,
 class _Triangle(NamedTuple):
     """``A[:, order] = Q [upper *; 0 0]``, ``turned = Q'r``: the rows of the sides, their columns divided by ``length``.
 
-    What ``upper`` (rank, rank) has below its diagonal means nothing. ``n_told``: rows that tell something.
+    What ``upper`` (rank, rank) has below its diagonal means nothing. ``n_known``: rows that tell something.
     """
 
     upper: np.ndarray
@@ -43,7 +43,7 @@ class _Triangle(NamedTuple):
     order: np.ndarray
     rank: int
     length: np.ndarray
-    n_told: int
+    n_known: int
 
 
 def _triangulate(y: np.ndarray, *sides: BoundaryInformation) -> _Triangle:

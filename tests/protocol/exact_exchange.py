@@ -57,7 +57,7 @@ def assert_equals_centralised(bus: SimulatedBus, report: BadDataReport) -> None:
         fixed = sigma_va[rows] < EXACT
         np.testing.assert_allclose(np.array(state.sigma_va)[~fixed], sigma_va[rows][~fixed], rtol=SIGMA)
         assert np.all(np.array(state.sigma_va)[fixed] < EXACT)
-        assert state.refused == {}
+        assert state.rejected == {}
     removed = {removed.measurement.meter.id for removed in report.removed}
     assert {meter for state in bus.states.values() for meter in state.removed} == removed
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from toy_estimation import toy_numbers
-from toy_rounds import BEAT_S, TRAVEL_S, RoundsMessage, ToyBus
+from toy_rounds import HEARTBEAT_S, TRAVEL_S, RoundsMessage, ToyBus
 
 LOST = None
 DELAYS_S = (2.3 * TRAVEL_S, 0.015)  # behind the answers to others; behind a repeat of itself
@@ -93,7 +93,7 @@ def live_through(schedule: Schedule, events: Mapping[str, Event]) -> int:
         bus.has_tokens = "crash" not in schedule.event
         bus.run(0.1)
         messages = next(number)
-        bus.run(LONG_S + BEAT_S if "long" in schedule.event else BEAT_S)
+        bus.run(LONG_S + HEARTBEAT_S if "long" in schedule.event else HEARTBEAT_S)
         bus.run_until_at_rest(LIMIT_S)
     return messages
 

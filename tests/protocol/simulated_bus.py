@@ -1,4 +1,4 @@
-"""The twin as protocol tests use it: what was delivered, what shall not be, and whether the areas have settled."""
+"""The simulator as protocol tests use it: what was delivered, what shall not be, and whether the areas have settled."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from agents.messages.checks import MessageError
 from agents.messages.packing import Message, decode
 from agents.protocol.rounds import RoundsProtocol
 from coordinator.deployment.split import area_files
-from coordinator.simulator import simulator as twin
+from coordinator.simulator import simulator
 from dsse_core.grid.measurement import Measurement
 from dsse_core.link_faults import LinkFaults
 from scenarios.scenario import Scenario, load_scenario
 from scenarios.telemetry import Telemetry, make_telemetry
 
 
-class SimulatedBus(twin.SimulatedBus):
-    """``delivered``: (time, sender, receiver, message) of all that no link lost and ``refuse_delivery`` let pass."""
+class SimulatedBus(simulator.SimulatedBus):
+    """``delivered``: (time, sender, receiver, message) of all that no link lost and ``reject_delivery`` let pass."""
 
     def __init__(
         self,
@@ -29,7 +29,7 @@ class SimulatedBus(twin.SimulatedBus):
         **watchers: Callable[..., None],
     ) -> None:
         self.delivered: list[tuple[float, str, str, Message]] = []
-        self.refuse_delivery = lambda sender, receiver, message: False
+        self.reject_delivery = lambda sender, receiver, message: False
         super().__init__(files, telemetry, **watchers)
 
     def deliver(self, sender: str, receiver: str, payload: bytes) -> None:
@@ -37,18 +37,18 @@ class SimulatedBus(twin.SimulatedBus):
             message = decode(payload)
         except MessageError:
             return super().deliver(sender, receiver, payload)
-        if not self.refuse_delivery(sender, receiver, message):
+        if not self.reject_delivery(sender, receiver, message):
             self.delivered.append((self.now, sender, receiver, message))
             super().deliver(sender, receiver, payload)
 
     @property
     def settled(self) -> bool:
-        """Every area is referenced, of the plant's scan, and has heard the last word of its neighbours."""
+        """Every area is referenced, of the plant's scan, and has received the last message of its neighbours."""
         scans = {self.scan + self.offset_of(name) for name in self.protocols}
         return self.states.keys() == self.files.keys() and all(
             state.referenced
             and {state.header.scan} == scans
-            and all(self.states[n].sent[name] == heard != (0, 0) for n, heard in state.heard.items())
+            and all(self.states[n].sent[name] == received != (0, 0) for n, received in state.received.items())
             for name, state in self.states.items()
         )
 
@@ -59,7 +59,7 @@ class SimulatedBus(twin.SimulatedBus):
 
     def set_clock_back(self, name: str, by_ms: int) -> None:
         """Of the process that an area starts in next."""
-        self._lives[name] -= by_ms
+        self._incarnations[name] -= by_ms
 
     def run_until_settled(self, limit_s: float = 120.0) -> None:
         deadline = self.now + limit_s

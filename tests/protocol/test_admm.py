@@ -34,8 +34,8 @@ def centralised_of(scenario, telemetry) -> EstimationResult:
 
 def settle(bus):
     """Until nobody has had anything to tell for two seconds."""
-    deadline, told = bus.now + 300.0, None
-    while told != (told := [state.header.sequence for state in bus.states.values()]) or not bus.settled:
+    deadline, sent = bus.now + 300.0, None
+    while sent != (sent := [state.header.sequence for state in bus.states.values()]) or not bus.settled:
         assert bus.now < deadline, {name: state.notes for name, state in bus.states.items()}
         bus.run(2.0)
 
@@ -58,10 +58,10 @@ def assert_equals_centralised(bus: SimulatedBus, centralised: EstimationResult):
         rows = [row[b] for b in state.buses]
         np.testing.assert_allclose(state.vm, centralised.vm[rows], atol=GAP)
         np.testing.assert_allclose(state.va, centralised.va[rows], atol=GAP)
-        assert state.refused == {}
+        assert state.rejected == {}
 
 
-def told_in(bus):
+def sent_in(bus):
     return [m for _, _, _, m in bus.delivered if isinstance(m, AdmmMessage)]
 
 
@@ -69,7 +69,7 @@ def iterations_to(bus, centralised, gap):
     while gap_of(bus, centralised) > gap:
         assert bus.now < 5.0
         bus.run(0.0005)
-    return max(m.iteration for m in told_in(bus))
+    return max(m.iteration for m in sent_in(bus))
 
 
 @pytest.mark.parametrize("loss", [0.0, 0.3, 0.6])
@@ -107,7 +107,7 @@ def test_random_feeders_reach_it(seed):
 
 
 @pytest.mark.parametrize("name", ["a", "c", "e"])
-def test_an_area_that_restarts_goes_on_from_what_it_hears(name):
+def test_an_area_that_restarts_goes_on_from_what_it_receives(name):
     bus, centralised = bus_with(tree_scenario(), 0.3)
     for pause in (0.1, 3.0):  # in the midst of the exchange, and long after it
         bus.run(pause)
@@ -149,7 +149,7 @@ def test_a_dead_neighbour_is_not_waited_for():
     for boundary in (2, 3, 6):
         one, other = bus.voltages()[boundary]
         assert abs(one - other) < GAP
-    assert {m.header.sender for m in told_in(bus) if m.iteration > 20} == {"a", "b", "c", "d"}
+    assert {m.header.sender for m in sent_in(bus) if m.iteration > 20} == {"a", "b", "c", "d"}
 
 
 def test_before_the_side_of_the_reference_has_spoken_angles_are_relative():
@@ -204,25 +204,25 @@ def test_another_penalty_takes_longer_to_the_same_end(penalty):
 def test_each_message_is_an_answer_that_brings_the_next_step_along():
     bus, _ = bus_with(load_scenario("industrial13"))
     settle(bus)
-    last = told_in(bus)[-1]
+    last = sent_in(bus)[-1]
     assert last.header.sequence <= last.iteration / 2 + 3
-    assert max(len(encode(m)) for m in told_in(bus)) <= 200
+    assert max(len(encode(m)) for m in sent_in(bus)) <= 200
 
 
-def test_a_lost_message_costs_no_beat():
-    """Of 30 messages every third is lost; each is repeated after a tenth of a beat of a second."""
+def test_a_lost_message_costs_no_heartbeat():
+    """Of 30 messages every third is lost; each is repeated after a tenth of a heartbeat of a second."""
     bus, centralised = bus_with(load_scenario("industrial13"), 0.3, beat_s=1.0)
     bus.run(0.9)
     assert gap_of(bus, centralised) < 1e-6
 
 
-def test_numbers_beyond_reason_are_refused_and_counted():
+def test_numbers_beyond_reason_are_rejected_and_counted():
     bus, centralised = bus_with(load_scenario("industrial13"))
     settle(bus)
-    last = [m for m in told_in(bus) if m.header.sender == "area1"][-1]
+    last = [m for m in sent_in(bus) if m.header.sender == "area1"][-1]
     header = replace(last.header, sequence=99)
     bus.post("area2", Received(replace(last, header=header, r=(1e300, 0.0, 1.0, 0.0)), "area1"))
     bus.post("area2", Received(replace(last, header=header, weight=(1.0, 1.0, 0.0, 1.0)), "area1"))
     bus.run(0.5)
-    assert bus.states["area2"].refused == {"numbers beyond reason": 2}
+    assert bus.states["area2"].rejected == {"numbers beyond reason": 2}
     assert gap_of(bus, centralised) < GAP

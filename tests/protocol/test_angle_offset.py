@@ -189,11 +189,11 @@ def test_the_local_power_flow_is_the_starting_point(estimations):
     scenario = load_scenario("ieee33")
     bus, _ = settle(scenario)
     for area in scenario.partition.areas:
-        told = {s: m.load for _, s, r, m in bus.delivered if r == area.name and isinstance(m, LoadMessage)}
+        sent = {s: m.load for _, s, r, m in bus.delivered if r == area.name and isinstance(m, LoadMessage)}
         flow = solve_power_flow(
             area.network,
             slack=(area.slack_bus, area.slack_vm),
-            extra_load={b: load.s for b, load in boundary_loads(area, told).items()},
+            extra_load={b: load.s for b, load in boundary_loads(area, sent).items()},
         )
         vm, va = [start for name, _, start in estimations if name == area.name][-1]
         np.testing.assert_allclose(vm, flow.vm, atol=1e-9)
@@ -204,14 +204,14 @@ def test_the_boundary_injection_is_as_uncertain_as_the_meters_in_the_load_messag
     """Equation [9] of docs/explanation/theory.md, at the bus of a child, where nothing but the message counts."""
     scenario = load_scenario("industrial13")
     bus, _ = settle(scenario)
-    told = [m for _, _, receiver, m in bus.delivered if receiver == "area1" and isinstance(m, LoadMessage)][-1]
+    sent = [m for _, _, receiver, m in bus.delivered if receiver == "area1" and isinstance(m, LoadMessage)][-1]
     floor = 1e-3 / scenario.network.base_mva
-    assert told.sigma > 0.5 * 0.10 * abs(told.load.s)
+    assert sent.sigma > 0.5 * 0.10 * abs(sent.load.s)
     used = [measurements for name, measurements, _ in estimations if name == "area1"][-1]
     pseudo = [m for m in used if m.meter.source is Source.PSEUDO and m.meter.kind.of_injection]
     assert [m.meter.id for m in pseudo] == ["p_injection@3", "q_injection@3"]
     for m in pseudo:
-        assert m.sigma == pytest.approx(math.sqrt((0.10 * abs(told.load.s)) ** 2 + floor**2 + told.sigma**2))
+        assert m.sigma == pytest.approx(math.sqrt((0.10 * abs(sent.load.s)) ** 2 + floor**2 + sent.sigma**2))
 
 
 def test_the_only_voltmeter_of_an_area_is_published_as_critical():

@@ -47,7 +47,7 @@ def got_stuck(report):
 PLAIN = {"chain": 0.6, "decades": 2.0, "loops": 0, "transformers": 0.0, "short": None, "slack_at_root": True}
 
 NO_VOLTAGES = MeterShares(voltage=0.0, flow=0.3, injection=0.7, boundary_injection=0.5)
-NOTHING_TOLD = {"seed": 218074, "n_bus": 3, "n_area": 2, "decades": 1.0, "short": 1e-6, "shares": NO_VOLTAGES}
+NOTHING_KNOWN = {"seed": 218074, "n_bus": 3, "n_area": 2, "decades": 1.0, "short": 1e-6, "shares": NO_VOLTAGES}
 
 WEAK = MeterShares(flow=0.3, current=0.5)
 THREE_BUSES = {"seed": 467362, "n_bus": 3, "n_area": 3, "chain": 0.9, "decades": 1.0, "loops": 2, "transformers": 0.15}
@@ -88,7 +88,7 @@ SHORT_CURRENT = PLAIN | SHORT_CURRENT | {"shares": MeterShares(voltage=0.3, angl
 @example(THREE_BUSES, 0.3, 81, "tree")  # critical after a removal
 @example(TURNED_FLOW, 0.3, 380, "dense")  # a bad injection turns a flow, and a current magnitude would keep it so
 @example(UNLIKE_IMPEDANCES, 0.0, 40, "sparse")  # critical where one area's are five thousand times those of the other
-@example(PLAIN | NOTHING_TOLD, 0.3, None, "tree")  # the same, where a voltage is not known at no load
+@example(PLAIN | NOTHING_KNOWN, 0.3, None, "tree")  # the same, where a voltage is not known at no load
 @example(PLAIN | SHORT_BRANCHES, 0.0, 24, "dense")  # over them information changes with a state that has hardly moved
 @example(BENT, 0.6, None, "sparse")  # current magnitudes make it converge by shares only
 @example(PLAIN | LOSSES_TELL, 0.6, 2, "tree")  # of a flow and its opposite, as current magnitudes do

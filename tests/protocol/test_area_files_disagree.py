@@ -35,7 +35,7 @@ def assert_both_name(states, one, other, key):
         assert np.isfinite(states[name].vm).all()
         assert len(states[name].vm) > 0
         assert any(said in note and key in note for note in states[name].notes), states[name].notes
-        assert states[name].refused["contradicts the area file"] > 0
+        assert states[name].rejected["contradicts the area file"] > 0
 
 
 def test_a_boundary_where_neither_side_looks_towards_the_hub_blocks_nobody_and_both_name_it():

@@ -13,7 +13,7 @@ from agents.protocol.quality import GOOD
 from agents.protocol.rounds import RoundsProtocol
 from dsse_core.estimation.bad_data import BadDataReport, process_bad_data
 from dsse_core.estimation.verdict import Decision, Totals, Verdict
-from dsse_core.exchange.area_estimation import Heard
+from dsse_core.exchange.area_estimation import Received
 from dsse_core.linear.boundary_information import BoundaryInformation
 from scenarios.scenario import Scenario, load_scenario
 from scenarios.telemetry import make_telemetry
@@ -24,7 +24,7 @@ SCANS = (1, 2)
 
 
 class Watched:
-    """A scenario under way on the twin; ``shown``: every state that was good when it was shown, whoever saw it."""
+    """A scenario under way on the simulator; ``shown``: every state that was good when it was shown, whoever saw it."""
 
     def __init__(self, scenario: Scenario) -> None:
         self.telemetry = {scan: make_telemetry(scenario, scan=scan) for scan in SCANS}
@@ -41,12 +41,12 @@ class Watched:
         return {name for name, state in self.bus.states.items() if state.quality == GOOD}
 
     def lose_rounds_to(self, *receivers: str) -> None:
-        self.bus.refuse_delivery = lambda _, receiver, message: (
+        self.bus.reject_delivery = lambda _, receiver, message: (
             isinstance(message, UpMessage | DownMessage) and receiver in receivers
         )
 
     def lose_nothing(self) -> None:
-        self.bus.refuse_delivery = lambda *_: False
+        self.bus.reject_delivery = lambda *_: False
 
     def _keep(self, state: StateMessage) -> None:
         if state.quality == GOOD:
@@ -80,7 +80,7 @@ def test_two_scans_under_the_label_of_one_are_not_good(ahead: str, lose_rounds: 
     world.assert_good_states_are_the_centralised_estimate()
 
 
-def test_who_has_not_heard_that_the_search_for_bad_data_began_anew_is_not_good():
+def test_who_has_not_received_that_the_search_for_bad_data_began_anew_is_not_good():
     """The substation's area restarts and uses its bad meter again until it has found it out once more."""
     scenario = load_scenario("ieee33")
     scenario = replace(scenario, telemetry=replace(scenario.telemetry, gross_errors={"p_flow@2:2-3": 20.0}))
@@ -110,10 +110,10 @@ def test_who_lacks_the_numbers_of_the_hub_for_the_last_step_is_not_good(to: str)
         verdicts.append(decide(totals))
         return verdicts[-1]
 
-    def fail_at_the_last_step(neighbour: str, heard: Heard) -> BoundaryInformation:
+    def fail_at_the_last_step(neighbour: str, received: Received) -> BoundaryInformation:
         if neighbour == to and verdicts and verdicts[-1].decision is Decision.FINAL:
             raise ArithmeticError("the digits are gone")
-        return tell(neighbour, heard)
+        return tell(neighbour, received)
 
     hub._round.decide, estimation.information_for = note, fail_at_the_last_step  # type: ignore[method-assign]
     watched.bus.next_scan(watched.telemetry[2].by_area)

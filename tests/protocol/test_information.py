@@ -60,9 +60,9 @@ def check_random_feeder(random_seed):
     assert_equals_centralised(*run_feeder(feeder, rng.choice([0, 0.3, 0.6, 0.9]), random_seed, **faults))
 
 
-def test_what_early_words_make_of_voltages_is_not_shown_where_it_is_far_from_the_start():
+def test_what_early_messages_make_of_voltages_is_not_shown_where_it_is_far_from_the_start():
     with back_end("sparse"):
-        check_random_feeder(105)  # in its first moments a8 hears of -5 p.u. at the boundary, known to 0.1 p.u.
+        check_random_feeder(105)  # in its first moments a8 receives -5 p.u. at the boundary, known to 0.1 p.u.
 
 
 def test_standard_deviations_are_as_exact_where_sigmas_and_impedances_differ_by_decades():
@@ -120,10 +120,10 @@ def check_gross_errors(random_seed):
 
 
 def test_an_angle_that_is_known_worse_than_to_half_a_turn_is_no_reference():
-    check_gross_errors(62)  # in its first moments a4 hears of -1353 rad at the boundary, known to 76 rad
+    check_gross_errors(62)  # in its first moments a4 receives -1353 rad at the boundary, known to 76 rad
 
 
-def test_equal_residuals_are_told_apart_by_the_id_of_the_meter():
+def test_equal_residuals_are_distinguished_by_the_id_of_the_meter():
     bus, report = settle(with_error(load_scenario("industrial13-thesis"), "p_flow@4:4-5", 40.0))
     (removed,) = report.removed
     assert removed.indistinguishable_from == ("p_flow@4:4-5", "p_injection@4")
@@ -140,7 +140,7 @@ def test_a_dead_voltmeter_is_removed():
     assert_equals_centralised(bus, report)
 
 
-def test_a_lying_neighbour_is_told_from_a_bad_meter():
+def test_a_lying_neighbour_is_distinguished_from_a_bad_meter():
     scenario = load_scenario("ieee33")
     bus, _ = settle(with_error(scenario, "p_flow@2:2-3", 30.0))
     assert not any("mismatch" in note for state in bus.states.values() for note in state.notes)
@@ -164,10 +164,10 @@ def test_areas_that_start_at_the_substations_busbar_reach_it_with_few_messages()
     feeder = make_star(2, busbar=True)
     bus, report = run_feeder(feeder, 0.0, 0)
     assert_equals_centralised(bus, report)
-    told = [m for _, _, _, m in bus.delivered if isinstance(m, UpMessage | DownMessage) and m.R]
+    sent = [m for _, _, _, m in bus.delivered if isinstance(m, UpMessage | DownMessage) and m.R]
     assert feeder.partition.boundaries.keys() == {1}
-    assert all(m.R[k] == 0.0 for m in told for k in (3, 6, 8, 9))  # nobody has to be told the angle of the reference
-    assert max(m.header.sequence for m in told) <= COLD
+    assert all(m.R[k] == 0.0 for m in sent for k in (3, 6, 8, 9))  # nobody needs the angle of the reference
+    assert max(m.header.sequence for m in sent) <= COLD
 
 
 def test_a_wrong_load_message_changes_nothing_but_the_start():
@@ -178,9 +178,9 @@ def test_a_wrong_load_message_changes_nothing_but_the_start():
 
 def test_messages_fit_in_370_bytes_and_few_are_needed():
     bus, _ = settle(tree_scenario())
-    told = [m for _, _, _, m in bus.delivered if isinstance(m, UpMessage | DownMessage)]
-    assert max(len(encode(m)) for m in told) <= 370
-    assert max(m.header.sequence for m in told) <= COLD
+    sent = [m for _, _, _, m in bus.delivered if isinstance(m, UpMessage | DownMessage)]
+    assert max(len(encode(m)) for m in sent) <= 370
+    assert max(m.header.sequence for m in sent) <= COLD
 
 
 def test_before_the_side_of_the_reference_has_spoken_angles_are_relative():
@@ -201,7 +201,7 @@ def test_before_the_side_of_the_reference_has_spoken_angles_are_relative():
 
 
 @pytest.mark.parametrize("name", ["industrial13", "ieee33"])
-def test_an_area_that_hears_nobody_publishes_its_own_best(name):
+def test_an_area_that_receives_nobody_publishes_its_own_best(name):
     scenario = load_scenario(name)
     bus = SimulatedBus(area_files_of(scenario, strategy="information"), make_telemetry(scenario).by_area)
     for one, other in itertools.combinations(bus.files, 2):
@@ -251,7 +251,7 @@ def test_a_meter_that_an_area_has_not_reported_is_not_removed_on_a_neighbours_wo
     assert "good" not in {state.quality for state in bus.states.values()}
 
 
-def test_information_that_is_beyond_reason_is_refused_and_counted():
+def test_information_that_is_beyond_reason_is_rejected_and_counted():
     scenario = load_scenario("industrial13")
     bus = SimulatedBus(area_files_of(scenario, strategy="information"), make_telemetry(scenario).by_area)
     settle_bus(bus)
@@ -261,10 +261,10 @@ def test_information_that_is_beyond_reason_is_refused_and_counted():
     lie = replace(last, header=replace(last.header, sequence=99), R=tuple(1e30 * v for v in last.R))
     bus.post("area2", Received(lie, "area1"))
     bus.run(0.5)
-    assert bus.states["area2"].refused == {"numbers beyond reason": 1}
+    assert bus.states["area2"].rejected == {"numbers beyond reason": 1}
 
 
-def test_a_verdict_that_does_not_follow_is_refused_and_nobody_waits_for_ever():
+def test_a_verdict_that_does_not_follow_is_rejected_and_nobody_waits_for_ever():
     """Area 1, the hub, tells area 2 of totals from which another verdict follows; both go on without each other."""
     bus = SimulatedBus(
         area_files_of(load_scenario("ieee33"), strategy="information"),
@@ -286,7 +286,7 @@ def test_a_verdict_that_does_not_follow_is_refused_and_nobody_waits_for_ever():
     assert "good" not in {state.quality for state in bus.states.values()}
 
 
-def test_a_neighbour_whose_clock_was_set_back_is_heard_again():
+def test_a_neighbour_whose_clock_was_set_back_is_received_again():
     bus, _ = settle(load_scenario("ieee33"))
     bus.kill("area2")
     bus.run(3.0)

@@ -25,12 +25,12 @@ WRONG_IN_AREA2 = [{"meter": "p_flow@7:7-8", "sigmas": 30.0}]
 NO_READING_WRONG: list[dict[str, object]] = []
 
 
-def told(sender: str, receiver: str, lie: dict[str, object], wrong: list[dict[str, object]]) -> RunOutcome:
+def run_with_lie(sender: str, receiver: str, lie: dict[str, object], wrong: list[dict[str, object]]) -> RunOutcome:
     """The verdict on ieee33 where ``sender`` lies to ``receiver``, with gross errors of the meters ``wrong``."""
     link = [{"from": sender, "to": receiver, "lie": lie}]
     changes = {"faults.link": link, "telemetry.gross_error": wrong, "run.timeout_s": 3.0}
     simulation = Simulation(load_scenario("ieee33", changes=changes))
-    return simulation.judge(simulation.run())
+    return simulation.evaluate(simulation.run())
 
 
 def areas_of(outcome: RunOutcome) -> dict[str, AreaResult]:
@@ -50,29 +50,29 @@ def largest_error(outcome: RunOutcome) -> float:
 
 
 @pytest.mark.parametrize("lie", [{"va_deg": 0.1}, {"va_deg": 0.5}], ids=str)
-@pytest.mark.parametrize(("liar", "hears"), [("area1", "area2"), ("area2", "area1")])
-def test_a_false_angle_is_named_by_who_knows_the_reference_and_takes_good_from_all(liar: str, hears: str, lie):
-    """area2 has no angle of its own to compare with: whatever it hears is right for it."""
-    areas = areas_of(told(liar, hears, lie, NO_READING_WRONG))
+@pytest.mark.parametrize(("liar", "receives"), [("area1", "area2"), ("area2", "area1")])
+def test_a_false_angle_is_named_by_who_knows_the_reference_and_takes_good_from_all(liar: str, receives: str, lie):
+    """area2 has no angle of its own to compare with: whatever it receives is right for it."""
+    areas = areas_of(run_with_lie(liar, receives, lie, NO_READING_WRONG))
     assert {area.quality for area in areas.values()} == {"degraded"}
     assert any(note.startswith("boundary mismatch with area2 at bus 6: ") for note in areas["area1"].notes)
     assert "behind area1 something is missing or old" in areas["area2"].notes
 
 
 @pytest.mark.parametrize("lie", [{"vm_pu": 0.005}, {"p_mw": 0.1}, {"q_mvar": 0.1}, {"scale": 1.01}], ids=str)
-@pytest.mark.parametrize(("liar", "hears"), [("area1", "area2"), ("area2", "area1")])
-def test_a_false_voltage_or_power_is_named_on_both_sides_of_the_boundary(liar: str, hears: str, lie):
-    outcome = told(liar, hears, lie, NO_READING_WRONG)
+@pytest.mark.parametrize(("liar", "receives"), [("area1", "area2"), ("area2", "area1")])
+def test_a_false_voltage_or_power_is_named_on_both_sides_of_the_boundary(liar: str, receives: str, lie):
+    outcome = run_with_lie(liar, receives, lie, NO_READING_WRONG)
     areas = areas_of(outcome)
     assert {area.quality for area in areas.values()} == {"degraded"}
-    for one, other in ((liar, hears), (hears, liar)):
+    for one, other in ((liar, receives), (receives, liar)):
         assert any(f"boundary mismatch with {other} at bus 6: " in note for note in areas[one].notes)
     assert not outcome.verdict.consensus
 
 
-@pytest.mark.parametrize("verdict", ["final", "judge", "step 0.5", "remove vm@22", "nonsense"])
-def test_a_verdict_that_does_not_follow_is_refused_and_named(verdict: str):
-    areas = areas_of(told("area1", "area2", {"verdict": verdict}, NO_READING_WRONG))
+@pytest.mark.parametrize("verdict", ["final", "evaluate", "step 0.5", "remove vm@22", "nonsense"])
+def test_a_verdict_that_does_not_follow_is_rejected_and_named(verdict: str):
+    areas = areas_of(run_with_lie("area1", "area2", {"verdict": verdict}, NO_READING_WRONG))
     named = f"area1 is not believed: it says '{verdict}' where its totals say 'step'"
     assert named in areas["area2"].notes
     assert "good" not in {area.quality for area in areas.values()}
@@ -88,7 +88,7 @@ def test_a_verdict_that_does_not_follow_is_refused_and_named(verdict: str):
     ids=["too early", "too late", "removes"],
 )
 def test_totals_from_which_another_end_follows_are_named_and_nobody_waits_for_ever(lie, wrong):
-    areas = areas_of(told("area1", "area2", lie, wrong))
+    areas = areas_of(run_with_lie("area1", "area2", lie, wrong))
     (teller, other) = ("area1", "area2") if lie["objective"] == 0.0 else ("area2", "area1")
     assert any(
         note.startswith(f"{other} is not believed: it is at the end after round ") for note in areas[teller].notes
@@ -98,17 +98,17 @@ def test_totals_from_which_another_end_follows_are_named_and_nobody_waits_for_ev
 
 
 @pytest.mark.parametrize(("meter", "owner"), [("p_flow@7:7-8", "area2"), ("vm@30", "area3")])
-def test_a_removal_that_the_owner_of_the_meter_has_not_asked_for_is_refused_and_named(meter: str, owner: str):
-    """area2 tells area1, which decides, that a good meter is the worst; the owner hears of it on the way down."""
-    areas = areas_of(told("area2", "area1", {"objective": 100.0, "worst": meter}, NO_READING_WRONG))
+def test_a_removal_that_the_owner_of_the_meter_has_not_asked_for_is_rejected_and_named(meter: str, owner: str):
+    """area2 tells area1, which decides, that a good meter is the worst; the owner learns of it on the way down."""
+    areas = areas_of(run_with_lie("area2", "area1", {"objective": 100.0, "worst": meter}, NO_READING_WRONG))
     assert f"area1 is not believed: it takes out {meter}, which does not stand out here" in areas[owner].notes
     assert meter not in areas[owner].removed
     assert "good" not in {area.quality for area in areas.values()}
 
 
 @pytest.mark.parametrize("meter", ["vm@22", "made-up@1"])
-def test_the_decider_does_not_take_out_its_own_meter_nor_one_that_nobody_has_for_a_neighbours_word(meter: str):
-    outcome = told("area2", "area1", {"objective": 100.0, "worst": meter}, NO_READING_WRONG)
+def test_the_decider_does_not_take_out_its_own_meter_nor_one_that_nobody_has_on_a_neighbours_message(meter: str):
+    outcome = run_with_lie("area2", "area1", {"objective": 100.0, "worst": meter}, NO_READING_WRONG)
     areas = areas_of(outcome)
     assert not any(area.removed for area in areas.values())
     assert {area.quality for area in areas.values()} == {"degraded"}
@@ -117,18 +117,18 @@ def test_the_decider_does_not_take_out_its_own_meter_nor_one_that_nobody_has_for
 
 
 @pytest.mark.parametrize(
-    ("liar", "hears", "count", "said"),
+    ("liar", "receives", "count", "said"),
     [("area1", "area2", 1, 1), ("area1", "area2", 5, 5), ("area2", "area1", 3, 5)],
 )
-def test_a_count_that_is_not_that_of_all_areas_takes_good_from_all(liar: str, hears: str, count: int, said: int):
-    areas = areas_of(told(liar, hears, {"areas": count}, NO_READING_WRONG))
+def test_a_count_that_is_not_that_of_all_areas_takes_good_from_all(liar: str, receives: str, count: int, said: int):
+    areas = areas_of(run_with_lie(liar, receives, {"areas": count}, NO_READING_WRONG))
     assert {area.quality for area in areas.values()} == {"degraded"}
-    assert f"{said} of 3 areas are counted" in areas[hears].notes
+    assert f"{said} of 3 areas are counted" in areas[receives].notes
 
 
 def test_a_consistent_lie_in_both_directions_that_moves_a_shared_voltage_is_seen_by_who_sees_both_states():
     """To each of the two the other is an honest area with another voltage; only a watcher has both numbers."""
-    outcome = told("area1", "area2", {"va_deg": 0.5, "both_ways": True}, NO_READING_WRONG)
+    outcome = run_with_lie("area1", "area2", {"va_deg": 0.5, "both_ways": True}, NO_READING_WRONG)
     areas = areas_of(outcome)
     assert not outcome.verdict.consensus
     for one, other in (("area1", "area2"), ("area2", "area1")):
@@ -137,8 +137,8 @@ def test_a_consistent_lie_in_both_directions_that_moves_a_shared_voltage_is_seen
 
 
 @pytest.mark.parametrize(("vm_pu", "removed"), [(0.005, ()), (0.05, ("vm@16",))])
-def test_a_voltage_told_consistently_in_both_directions_costs_good_meters_where_it_is_large(vm_pu: float, removed):
-    outcome = told("area1", "area2", {"vm_pu": vm_pu, "both_ways": True}, NO_READING_WRONG)
+def test_a_voltage_falsified_consistently_in_both_directions_costs_good_meters_where_it_is_large(vm_pu: float, removed):
+    outcome = run_with_lie("area1", "area2", {"vm_pu": vm_pu, "both_ways": True}, NO_READING_WRONG)
     areas = areas_of(outcome)
     assert not outcome.verdict.consensus
     assert areas["area2"].removed == removed
@@ -155,20 +155,20 @@ def assert_all_are_good(outcome: RunOutcome) -> None:
     assert {area.quality for area in outcome.areas} == {"good"}
 
 
-def test_a_false_power_told_consistently_in_both_directions_is_not_seen_though_all_are_off():
-    outcome = told("area1", "area2", {"p_mw": 0.1, "both_ways": True}, NO_READING_WRONG)
+def test_a_false_power_falsified_consistently_in_both_directions_is_not_seen_though_all_are_off():
+    outcome = run_with_lie("area1", "area2", {"p_mw": 0.1, "both_ways": True}, NO_READING_WRONG)
     assert_all_are_good(outcome)
     assert 1.0 < largest_error(outcome) < 3.0
 
 
 def test_a_larger_one_costs_a_good_meter():
-    outcome = told("area1", "area2", {"p_mw": 1.0, "both_ways": True}, NO_READING_WRONG)
+    outcome = run_with_lie("area1", "area2", {"p_mw": 1.0, "both_ways": True}, NO_READING_WRONG)
     assert_all_are_good(outcome)
     assert areas_of(outcome)["area1"].removed == ("p_injection@6",)
 
 
 def test_an_area_that_tells_too_small_a_j_of_its_own_side_hides_its_bad_meter():
-    outcome = told("area2", "area1", {"objective": 0.0}, WRONG_IN_AREA2)
+    outcome = run_with_lie("area2", "area1", {"objective": 0.0}, WRONG_IN_AREA2)
     assert_all_are_good(outcome)
     assert not any(area.removed for area in outcome.areas)
     assert outcome.centralised is not None

@@ -21,10 +21,10 @@ MOVED = {"ieee33": ("area3", 5e-3, 0.5), "industrial13": ("area1", 1.5e-3, 0.3)}
 HARDLY = 1e-4  # p.u., with all meters
 
 
-def judged(scenario: Scenario, strategy: str, *, is_wrong: bool) -> RunOutcome:
+def evaluated(scenario: Scenario, strategy: str, *, is_wrong: bool) -> RunOutcome:
     error = scenario.load_error if is_wrong else dict.fromkeys(scenario.load_error, 0j)
     simulation = Simulation(replace(scenario, strategy=strategy, load_error=error))
-    outcome = simulation.judge(simulation.run())
+    outcome = simulation.evaluate(simulation.run())
     assert outcome.verdict.consensus, outcome.verdict.reason
     return outcome
 
@@ -38,7 +38,7 @@ def find_moved(wrong: RunOutcome, right: RunOutcome, area: str) -> np.ndarray:
 def test_a_load_error_moves_the_estimate_of_an_area_that_has_no_other_meter(case: str):
     area, at_least, at_least_sigmas = MOVED[case]
     scenario = load_scenario(f"{case}-load-error")
-    wrong, right = (judged(scenario, "angle-offset", is_wrong=is_wrong) for is_wrong in (True, False))
+    wrong, right = (evaluated(scenario, "angle-offset", is_wrong=is_wrong) for is_wrong in (True, False))
     moved = find_moved(wrong, right, area)
     buses = [bus.id for bus in scenario.partition.area(area).network.buses]
     sigma = right.comparison.sigma.vm[[scenario.network.row[bus] for bus in buses]]
@@ -53,14 +53,14 @@ def test_a_load_error_moves_the_estimate_of_an_area_that_has_no_other_meter(case
 def test_with_all_meters_the_same_error_moves_hardly_anything(case: str):
     area, at_least, _ = MOVED[case]
     scenario = replace(load_scenario(case), load_error=load_scenario(f"{case}-load-error").load_error)
-    wrong, right = (judged(scenario, "angle-offset", is_wrong=is_wrong) for is_wrong in (True, False))
+    wrong, right = (evaluated(scenario, "angle-offset", is_wrong=is_wrong) for is_wrong in (True, False))
     assert find_moved(wrong, right, area).max() < HARDLY < at_least
 
 
 @pytest.mark.parametrize("case", MOVED)
 def test_a_load_error_does_not_move_strategy_information(case: str):
     scenario = load_scenario(f"{case}-load-error")
-    wrong, right = (judged(scenario, "information", is_wrong=is_wrong) for is_wrong in (True, False))
+    wrong, right = (evaluated(scenario, "information", is_wrong=is_wrong) for is_wrong in (True, False))
     for area in scenario.partition.areas:
         assert find_moved(wrong, right, area.name).max() <= 1e-9
         va = (outcome.comparison.by_area[area.name].va for outcome in (wrong, right))

@@ -10,13 +10,13 @@ from feeders import make_feeder
 from simulated_bus import SimulatedBus, area_files_of
 
 from agents.messages.packing import DownMessage, LoadMessage, UpMessage
-from agents.protocol.scan_readings import DEADLINE_BEATS
+from agents.protocol.scan_readings import DEADLINE_HEARTBEATS
 from coordinator.plant.telemetry_messages import make_message
-from coordinator.simulator import simulator as twin
+from coordinator.simulator import simulator
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 
-BEAT = 0.2
+HEARTBEAT_S = 0.2
 WARM, COLD = 3, 4  # rounds that a scan takes, each of one message in either direction
 
 
@@ -70,10 +70,10 @@ def test_a_scan_under_way_is_not_shown_and_its_end_no_more_than_twice():
     assert max(Counter(state.header.sender for _, state in shown).values()) <= 2  # at its end, and when all agree
 
 
-def test_a_scan_that_does_not_end_takes_good_from_all_at_the_beat():
+def test_a_scan_that_does_not_end_takes_good_from_all_at_the_heartbeat():
     bus, _ = new_scan()
-    bus.refuse_delivery = lambda sender, receiver, message: isinstance(message, UpMessage)
-    bus.run(1.5 * BEAT)
+    bus.reject_delivery = lambda sender, receiver, message: isinstance(message, UpMessage)
+    bus.run(1.5 * HEARTBEAT_S)
     assert {state.quality for state in bus.states.values()} == {"degraded"}
 
 
@@ -100,24 +100,24 @@ def test_areas_in_a_row_take_no_more_rounds_than_a_few(n_area):
 
 
 def test_who_gets_its_readings_late_is_waited_for_until_the_deadline():
-    bus, shown = new_scan(late_s={"area3": 0.5 * DEADLINE_BEATS * BEAT})
-    bus.run(DEADLINE_BEATS * BEAT)
+    bus, shown = new_scan(late_s={"area3": 0.5 * DEADLINE_HEARTBEATS * HEARTBEAT_S})
+    bus.run(DEADLINE_HEARTBEATS * HEARTBEAT_S)
     assert {(state.header.scan, state.quality) for state in bus.states.values()} == {(2, "good")}
     assert not any("no readings" in note for _, state in shown for note in state.notes)
 
 
 def test_who_gets_its_readings_after_the_deadline_is_first_done_without_and_then_counted():
-    bus, _ = new_scan(late_s={"area3": 2 * DEADLINE_BEATS * BEAT})
-    bus.run(1.5 * DEADLINE_BEATS * BEAT)
+    bus, _ = new_scan(late_s={"area3": 2 * DEADLINE_HEARTBEATS * HEARTBEAT_S})
+    bus.run(1.5 * DEADLINE_HEARTBEATS * HEARTBEAT_S)
     qualities = {name: state.quality for name, state in bus.states.items()}
     assert qualities == {"area1": "degraded", "area2": "degraded", "area3": "stale"}
     assert "no readings of this scan in area3" in bus.states["area1"].notes
-    bus.run(DEADLINE_BEATS * BEAT)
+    bus.run(DEADLINE_HEARTBEATS * HEARTBEAT_S)
     assert {(state.header.scan, state.quality) for state in bus.states.values()} == {(2, "good")}
 
 
 def test_where_the_time_between_scans_is_known_nobody_is_waited_for_longer_than_a_quarter_of_it():
-    scan_s = 2 * DEADLINE_BEATS * BEAT
+    scan_s = 2 * DEADLINE_HEARTBEATS * HEARTBEAT_S
     files = [replace(f, scan_s=scan_s) for f in area_files_of(load_scenario("ieee33"), strategy="information")]
     telemetry = make_telemetry(load_scenario("ieee33")).by_area
     bus = SimulatedBus(files, telemetry)
@@ -148,11 +148,11 @@ def test_a_reading_that_is_marked_invalid_moves_no_estimate_and_is_named(strateg
         )
         return replace(message, values=values, valid=tuple(name != bad for name in message.meters))
 
-    monkeypatch.setattr(twin, "make_message", mark)
+    monkeypatch.setattr(simulator, "make_message", mark)
     bus = SimulatedBus(files, telemetry)
     bus.run_until_settled()
     for name, state in bus.states.items():
         np.testing.assert_allclose(state.vm, expected.states[name].vm, atol=1e-9)
     assert f"1 readings are marked invalid, the first is of {bad}" in bus.states["area2"].notes
-    assert bus.states["area2"].refused["marked invalid"] >= 1
+    assert bus.states["area2"].rejected["marked invalid"] >= 1
     assert not any("no reading from" in note for note in bus.states["area2"].notes)

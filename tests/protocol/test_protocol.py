@@ -1,4 +1,4 @@
-"""The protocol, without sockets and without sleeping: order, loss, restarts, refusals, repeats."""
+"""The protocol, without sockets and without sleeping: order, loss, restarts, rejections, repeats."""
 
 from dataclasses import replace
 
@@ -8,7 +8,7 @@ from simulated_bus import SimulatedBus, area_files_of, bus_of
 
 from agents.messages.packing import AdmmMessage, BoundaryMessage, Header, HeartbeatMessage, Incarnation, LoadMessage
 from agents.protocol.choose import make_protocol
-from agents.protocol.events import Finish, PresenceChanged, Publish, Received, Refused, StopRequested
+from agents.protocol.events import Finish, PresenceChanged, Publish, Received, Rejected, StopRequested
 from coordinator.plant.telemetry_messages import make_message
 from coordinator.simulator.simulator import STARTED_AT
 from scenarios.scenario import load_scenario
@@ -57,7 +57,7 @@ def test_a_cut_link_delays_consensus_but_does_not_change_it():
     np.testing.assert_allclose(bus.states["area2"].va, whole.states["area2"].va, atol=1e-9)
 
 
-def test_a_lost_last_message_is_repeated_at_the_beat():
+def test_a_lost_last_message_is_repeated_at_the_heartbeat():
     bus, _, _ = bus_of("industrial13")
     lost = []
 
@@ -66,12 +66,12 @@ def test_a_lost_last_message_is_repeated_at_the_beat():
         lost.append((sender, receiver, message.kind, message.header.sequence))
         return first
 
-    bus.refuse_delivery = lose_each_sequence_once
+    bus.reject_delivery = lose_each_sequence_once
     bus.run_until_settled()
     assert lost
 
 
-def test_a_restarted_area_is_heard_at_once_and_finds_the_same_state():
+def test_a_restarted_area_is_received_at_once_and_finds_the_same_state():
     bus, _, _ = bus_of("ieee33")
     bus.run_until_settled()
     before = bus.states["area2"]
@@ -146,7 +146,7 @@ def last_state(actions):
     return [a.message for a in actions if isinstance(a, Publish) and a.to is None][-1]
 
 
-def test_neighbours_are_told_before_the_state_is_shown(area1):
+def test_neighbours_get_messages_before_the_state_is_shown(area1):
     protocol, telemetry, content = area1
     receivers = [action.to for action in protocol.handle([telemetry], 0.0) if action.message.kind != "load"]
     assert receivers == [*(n.area for n in content.area.neighbours), None]
@@ -165,14 +165,14 @@ def act_until(protocol, start, end):
     return done
 
 
-def test_without_news_an_area_only_repeats_itself_until_the_beat(area1):
+def test_without_update_an_area_only_repeats_itself_until_the_heartbeat(area1):
     protocol, telemetry, content = area1
     first = [a.message for a in act(protocol, [telemetry], 0.0)]
     assert act(protocol, [telemetry], 0.01) == []
-    told = {(m.kind, m.header.order) for m in first if m.kind != "state"}
+    sent = {(m.kind, m.header.order) for m in first if m.kind != "state"}
     quiet = {(m.kind, m.header.order) for m in (a.message for a in act_until(protocol, 0.01, content.beat_s))}
-    assert told <= quiet | {("heartbeat", (Incarnation(1, 1), 1))}
-    assert quiet <= told | {("heartbeat", (Incarnation(1, 1), 1))}
+    assert sent <= quiet | {("heartbeat", (Incarnation(1, 1), 1))}
+    assert quiet <= sent | {("heartbeat", (Incarnation(1, 1), 1))}
     assert last_state(act(protocol, [], content.beat_s)).header.order == first[-1].header.order
 
 
@@ -186,8 +186,8 @@ def test_a_repeat_is_the_same_message_with_the_same_number_and_stops_when_it_is_
         assert action.message.header.order == said.header.order
         assert (action.message.vm, action.message.va) == (said.vm, said.va)
     now = 0.5 * content.beat_s
-    heard = Received(heartbeat_from_area2(received=(0, first["area2"].header.sequence)), "area2")
-    assert act(protocol, [heard], now)
+    reply = Received(heartbeat_from_area2(received=(0, first["area2"].header.sequence)), "area2")
+    assert act(protocol, [reply], now)
     later = [a.to for a in act_until(protocol, now, 2 * content.beat_s) if a.message.kind == "boundary"]
     assert set(later) == {"area3"}
 
@@ -214,27 +214,27 @@ def test_a_repeat_is_the_same_message_with_the_same_number_and_stops_when_it_is_
         (AdmmMessage(load_from_area2().header, 6, 1, (), (), (), True, True), "area2", "other strategy"),
     ],
 )
-def test_what_should_not_have_come_is_refused_and_counted(area1, message, key_sender, reason):
+def test_what_should_not_have_come_is_rejected_and_counted(area1, message, key_sender, reason):
     protocol, telemetry, content = area1
     act(protocol, [telemetry], 0.0)
     said = act(protocol, [Received(message, key_sender)], 0.01)
     assert [a.message.kind for a in said] == (["state"] if reason == "time in the future" else [])
     state = last_state(act(protocol, [], content.beat_s))
-    assert state.refused == {reason: 1}
-    assert state.heard["area2"] == (0, 0)
+    assert state.rejected == {reason: 1}
+    assert state.received["area2"] == (0, 0)
 
 
-def test_a_clock_that_is_behind_is_named_once_as_the_cause_until_the_sender_is_heard(area1):
+def test_a_clock_that_is_behind_is_named_once_as_the_cause_until_the_sender_is_received(area1):
     protocol, telemetry, _ = area1
     act(protocol, [telemetry], 0.0)
     ahead = Received(load_from_area2(time=STARTED_AT + 1e4), "area2")
     state = last_state(act(protocol, [ahead], 0.0))
     assert [
-        n for n in state.notes if n.startswith("area2 is refused, from 10000 s in the future: the clock of this area")
+        n for n in state.notes if n.startswith("area2 is rejected, from 10000 s in the future: the clock of this area")
     ]
-    assert act(protocol, [ahead] * 3, 0.01) == [], "a flood of them is no news"
+    assert act(protocol, [ahead] * 3, 0.01) == [], "a flood of them is no update"
     state = last_state(act(protocol, [Received(load_from_area2(time=STARTED_AT), "area2")], 0.02))
-    assert not [n for n in state.notes if "refused" in n]
+    assert not [n for n in state.notes if "rejected" in n]
 
 
 def test_an_agent_whose_clock_is_behind_says_so_in_place_of_an_estimate(area1):
@@ -242,13 +242,13 @@ def test_an_agent_whose_clock_is_behind_says_so_in_place_of_an_estimate(area1):
     header = replace(telemetry.message.header, time=STARTED_AT + 700.0)
     state = last_state(act(protocol, [Received(replace(telemetry.message, header=header), "")], 0.0))
     assert state.notes[0] == "no telemetry yet"
-    assert state.notes[1].startswith("telemetry is refused, from 700 s in the future")
+    assert state.notes[1].startswith("telemetry is rejected, from 700 s in the future")
 
 
 def test_payloads_that_cannot_be_decoded_are_counted_by_reason(area1):
     protocol, telemetry, _ = area1
-    state = last_state(act(protocol, [telemetry, Refused("malformed", 2), Refused("malformed", 1)], 0.0))
-    assert state.refused == {"malformed": 2}
+    state = last_state(act(protocol, [telemetry, Rejected("malformed", 2), Rejected("malformed", 1)], 0.0))
+    assert state.rejected == {"malformed": 2}
 
 
 def test_an_overtaken_message_changes_nothing(area1):
@@ -258,33 +258,33 @@ def test_an_overtaken_message_changes_nothing(area1):
     assert [a.message.kind for a in said] == ["heartbeat"]  # which acknowledges the newest
 
 
-def test_a_message_of_a_former_life_changes_nothing(area1):
+def test_a_message_of_a_former_incarnation_changes_nothing(area1):
     protocol, telemetry, content = area1
     act(protocol, [telemetry, Received(load_from_area2(1), "area2")], 0.0)
     late = load_from_area2(99, incarnation=Incarnation(4, 9))
     assert {a.message.kind for a in act(protocol, [Received(late, "area2")], 0.01)} <= {"heartbeat"}
     said = act(protocol, [Received(heartbeat_from_area2(), "area2")], 0.02)
     answers = [a.message.received for a in said if isinstance(a.message, HeartbeatMessage)]
-    assert answers == [(1, 0)]  # the newest load is still that of the present life
-    assert last_state(act(protocol, [], content.beat_s)).refused == {}
+    assert answers == [(1, 0)]  # the newest load is still that of the present incarnation
+    assert last_state(act(protocol, [], content.beat_s)).rejected == {}
 
 
 def test_a_gone_neighbour_is_named(area1):
     protocol, telemetry, _ = area1
     act(protocol, [telemetry, PresenceChanged("area2", alive=True)], 0.0)
-    left = last_state(act(protocol, [PresenceChanged("area2", alive=False, farewell="SIGTERM")], 0.005))
+    left = last_state(act(protocol, [PresenceChanged("area2", alive=False, leave_reason="SIGTERM")], 0.005))
     assert "neighbour area2 has left: SIGTERM" in left.notes
     act(protocol, [PresenceChanged("area2", alive=True)], 0.007)
     state = last_state(act(protocol, [PresenceChanged("area2", alive=False)], 0.01))
     assert "neighbour area2 is gone" in state.notes
 
 
-def test_readings_of_unknown_meters_are_refused_and_missing_ones_named(area1):
+def test_readings_of_unknown_meters_are_rejected_and_missing_ones_named(area1):
     protocol, telemetry, _ = area1
     message = telemetry.message
     strange = replace(message, meters=("vm@999", *message.meters[1:]))
     state = last_state(act(protocol, [Received(strange, "")], 0.0))
-    assert state.refused == {"unknown meter": 1}
+    assert state.rejected == {"unknown meter": 1}
     assert "no reading from 1 meters, the first is vm@1" in state.notes
 
 
@@ -293,13 +293,13 @@ def test_a_stop_finishes_with_its_reason(area1):
     assert act(protocol, [StopRequested("SIGTERM")], 0.0) == [Finish("SIGTERM")]
 
 
-def test_a_flood_of_refused_payloads_is_no_news(area1):
+def test_a_flood_of_rejected_payloads_is_no_update(area1):
     protocol, telemetry, content = area1
     before = last_state(act(protocol, [telemetry], 0.0))
-    assert act(protocol, [Refused("unknown sender", 10_000)], 0.01) == []
+    assert act(protocol, [Rejected("unknown sender", 10_000)], 0.01) == []
     after = last_state(act(protocol, [], content.beat_s))
     assert after.header.order == before.header.order
-    assert after.refused == {"unknown sender": 10_000}
+    assert after.rejected == {"unknown sender": 10_000}
 
 
 @pytest.mark.parametrize(
@@ -312,10 +312,10 @@ def test_a_flood_of_refused_payloads_is_no_news(area1):
         (lambda m: replace(m, sigmas=(0.0, *m.sigmas[1:])), "sigma not positive"),
     ],
 )
-def test_telemetry_that_cannot_be_is_refused_and_counted(area1, change, reason):
+def test_telemetry_that_cannot_be_is_rejected_and_counted(area1, change, reason):
     protocol, telemetry, _ = area1
     state = last_state(act(protocol, [Received(change(telemetry.message), "")], 0.0))
-    assert state.refused == {reason: 1}
+    assert state.rejected == {reason: 1}
 
 
 ALL_THREE = ("area1", "area2", "area3")
@@ -348,11 +348,11 @@ def test_readings_that_break_the_iteration_are_forgotten_with_the_next_scan(stra
 
 
 @pytest.mark.parametrize("late", ["area1", "area2"])
-def test_a_new_scan_with_the_same_readings_is_told_on_although_a_neighbour_was_faster(late):
+def test_a_new_scan_with_the_same_readings_is_passed_on_although_a_neighbour_was_faster(late):
     scenario = load_scenario("industrial13")
     telemetry = make_telemetry(scenario).by_area
     bus = SimulatedBus(area_files_of(scenario), telemetry)
     bus.run_until_settled()
-    bus.next_scan(telemetry, late_s={late: 1.0})  # when the neighbour no longer uses words of the former scan
+    bus.next_scan(telemetry, late_s={late: 1.0})  # when the neighbour no longer uses messages of the former scan
     bus.run(5.0)
     assert {(state.header.scan, state.quality) for state in bus.states.values()} == {(2, "good")}

@@ -12,7 +12,7 @@ from simulated_bus import SimulatedBus, area_files_of, with_links
 from tree_of_areas import tree_scenario
 
 from agents.messages.packing import HeartbeatMessage
-from agents.protocol.freshness import FRESH_BEATS, PATIENCE_BEATS
+from agents.protocol.freshness import FRESH_HEARTBEATS, PATIENCE_HEARTBEATS
 from coordinator.simulator.simulate import Simulation
 from dsse_core.errors import NotObservableError
 from dsse_core.estimation.bad_data import process_bad_data
@@ -21,8 +21,8 @@ from dsse_core.link_faults import LinkFaults
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 
-BEAT = 0.2
-SOON = (FRESH_BEATS + 1) * BEAT
+HEARTBEAT_S = 0.2
+SOON = (FRESH_HEARTBEATS + 1) * HEARTBEAT_S
 
 
 @pytest.fixture
@@ -59,11 +59,11 @@ def test_all_is_good_once_nothing_is_missing(strategy: str):
     bus.run(2.0)
     assert set(qualities(bus).values()) == {"good"}
     for state in bus.states.values():
-        assert max(state.ages.values()) <= BEAT + 0.01
+        assert max(state.ages.values()) <= HEARTBEAT_S + 0.01
         assert set(state.scans.values()) == {1}
 
 
-def test_before_telemetry_there_is_no_estimate_to_judge(bus: SimulatedBus):
+def test_before_telemetry_there_is_no_estimate_to_evaluate(bus: SimulatedBus):
     bus.plant_speaks = False
     bus.kill("area3")
     bus.start("area3")
@@ -85,15 +85,15 @@ def test_when_an_area_has_gone_all_are_degraded_at_once_and_good_again_after_its
 
 
 @pytest.mark.parametrize("strategy", ["information", "angle-offset", "admm"])
-def test_a_cut_link_degrades_the_whole_feeder_after_three_beats(strategy: str):
+def test_a_cut_link_degrades_the_whole_feeder_after_three_heartbeats(strategy: str):
     bus = five_areas_at_rest(strategy)
     bus.cut("a", "b")
-    bus.run((FRESH_BEATS - 1) * BEAT)
+    bus.run((FRESH_HEARTBEATS - 1) * HEARTBEAT_S)
     assert set(qualities(bus).values()) == {"good"}
-    bus.run(2 * BEAT)
+    bus.run(2 * HEARTBEAT_S)
     assert set(qualities(bus).values()) == {"degraded"}
     bus.heal("a", "b")
-    bus.run(BEAT + 0.02)
+    bus.run(HEARTBEAT_S + 0.02)
     assert set(qualities(bus).values()) == {"good"}
 
 
@@ -101,11 +101,11 @@ def test_a_cut_link_degrades_the_whole_feeder_after_three_beats(strategy: str):
 @pytest.mark.parametrize("direction", [("a", "b"), ("b", "a")])
 def test_a_link_that_passes_messages_one_way_only_leaves_no_area_good(strategy: str, direction: tuple[str, str]):
     bus = five_areas_at_rest(strategy)
-    bus.refuse_delivery = lambda sender, receiver, message: (sender, receiver) == direction
-    bus.run((2 * PATIENCE_BEATS + FRESH_BEATS) * BEAT)  # one side falls silent for the other, which then hears so
+    bus.reject_delivery = lambda sender, receiver, message: (sender, receiver) == direction
+    bus.run((2 * PATIENCE_HEARTBEATS + FRESH_HEARTBEATS) * HEARTBEAT_S)  # one side falls silent for the other, which then learns so
     assert "good" not in set(qualities(bus).values())
-    bus.refuse_delivery = lambda sender, receiver, message: False
-    bus.run(2 * BEAT)
+    bus.reject_delivery = lambda sender, receiver, message: False
+    bus.run(2 * HEARTBEAT_S)
     assert set(qualities(bus).values()) == {"good"}
 
 
@@ -114,7 +114,7 @@ def test_an_area_without_telemetry_is_missed_in_the_whole_feeder(bus: SimulatedB
     bus.send_telemetry = lambda name: None if name == "area2" else send(name)
     bus.run(SOON)
     assert qualities(bus) == {"area1": "degraded", "area2": "stale", "area3": "degraded"}
-    assert (bus.states["area3"].telemetry_age < BEAT, max(bus.states["area3"].ages.values()) < BEAT) == (True, True)
+    assert (bus.states["area3"].telemetry_age < HEARTBEAT_S, max(bus.states["area3"].ages.values()) < HEARTBEAT_S) == (True, True)
 
 
 def test_what_is_old_far_away_moves_no_estimate_and_changes_no_number():
@@ -137,14 +137,14 @@ def test_two_lost_repeats_in_a_row_are_no_matter_for_others():
     while not [m for _, sender, _, m in bus.delivered if sender == "a" and isinstance(m, HeartbeatMessage)]:
         bus.run(0.01)
     bus.cut("a", "b")
-    bus.run(2.5 * BEAT)
+    bus.run(2.5 * HEARTBEAT_S)
     bus.heal("a", "b")
-    bus.run(BEAT)
+    bus.run(HEARTBEAT_S)
     assert all(m.complete for _, _, _, m in bus.delivered if isinstance(m, HeartbeatMessage))
     assert set(qualities(bus).values()) == {"good"}
 
 
-def test_the_side_of_the_reference_is_missed_as_soon_as_its_news_is_of_a_former_scan(bus: SimulatedBus):
+def test_the_side_of_the_reference_is_missed_as_soon_as_its_update_is_of_a_former_scan(bus: SimulatedBus):
     """Then the parent's message is no longer used: angles are the area's own, and so are the standard deviations."""
     before = bus.states["area2"]
     bus.kill("area1")
@@ -164,7 +164,7 @@ def test_information_of_a_former_scan_degrades_and_the_sigmas_of_those_who_do_wi
     telemetry = make_telemetry(scenario, scan=2)
     bus.cut("area1", "area2")
     bus.next_scan(telemetry.by_area)
-    bus.run((PATIENCE_BEATS + 2) * BEAT)
+    bus.run((PATIENCE_HEARTBEATS + 2) * HEARTBEAT_S)
     central = process_bad_data(scenario.network, telemetry.union).result
     assert set(qualities(bus).values()) == {"degraded", "relative-angle"}
     for state in bus.states.values():
@@ -178,9 +178,9 @@ def test_a_silent_plant_makes_every_estimate_stale_visibly(bus: SimulatedBus):
     bus.plant_speaks = False
     bus.run(SOON)
     assert set(qualities(bus).values()) == {"stale"}
-    assert all(state.telemetry_age >= FRESH_BEATS * BEAT for state in bus.states.values())
+    assert all(state.telemetry_age >= FRESH_HEARTBEATS * HEARTBEAT_S for state in bus.states.values())
     bus.plant_speaks = True
-    bus.run(BEAT + 0.01)
+    bus.run(HEARTBEAT_S + 0.01)
     assert set(qualities(bus).values()) == {"good"}
 
 
@@ -193,7 +193,7 @@ def test_one_late_area_degrades_those_who_are_ahead_and_itself(bus: SimulatedBus
     assert set(qualities(bus).values()) == {"good"}
 
 
-def test_what_a_paused_area_says_when_it_wakes_does_not_pass_for_news():
+def test_what_a_paused_area_says_when_it_wakes_does_not_pass_for_update():
     scenario, shown = load_scenario("ieee33"), []
     files, telemetry = area_files_of(scenario), make_telemetry(scenario).by_area
     bus = SimulatedBus(files, telemetry, on_state=lambda at, state: shown.append(state))
@@ -220,7 +220,7 @@ def test_quality_is_no_change_of_the_state_and_keeps_its_number(bus: SimulatedBu
     assert after.header.time > before.header.time
 
 
-def test_with_many_losses_areas_are_good_only_while_they_hear_each_other():
+def test_with_many_losses_areas_are_good_only_while_they_receive_each_other():
     scenario = tree_scenario()
     shown = []
     files = with_links(area_files_of(scenario, strategy="information"), LinkFaults(loss=0.8))
@@ -230,29 +230,29 @@ def test_with_many_losses_areas_are_good_only_while_they_hear_each_other():
     assert {"good", "degraded"} <= found
     for _, state in shown:
         if state.quality == "good":
-            assert max(state.ages.values()) < FRESH_BEATS * BEAT
+            assert max(state.ages.values()) < FRESH_HEARTBEATS * HEARTBEAT_S
             assert set(state.scans.values()) == {state.header.scan}
 
 
 def test_a_contradiction_is_never_good():
     link = [{"from": "area3", "to": "area1", "lie": {"vm_pu": 0.02}}]
     scenario = load_scenario("ieee33", changes={"faults.link": link, "run.timeout_s": 3.0})
-    areas = {area.name: area for area in _judged(scenario).areas}
+    areas = {area.name: area for area in _evaluated(scenario).areas}
     assert areas["area1"].quality == "degraded"
     assert any("boundary mismatch with area3 at bus 6" in note for note in areas["area1"].notes)
     assert any("boundary mismatch with area1 at bus 6" in note for note in areas["area3"].notes)
 
 
-def _judged(scenario):
+def _evaluated(scenario):
     simulation = Simulation(replace(scenario, strategy="information"))
-    return simulation.judge(simulation.run())
+    return simulation.evaluate(simulation.run())
 
 
 def test_a_scan_whose_readings_do_not_determine_the_state_is_unobservable_and_no_consensus():
     """The only voltmeter is silent: without the buses and the meter named, 0.028 p.u. off would pass for good."""
     changes = {"measurements.voltage.buses": [1], "faults.telemetry.missing": 0.02, "run.timeout_s": 20.0}
     simulation = Simulation(replace(load_scenario("ieee33", changes=changes), seed=14))
-    result = simulation.judge(simulation.run())
+    result = simulation.evaluate(simulation.run())
     assert not result.verdict.consensus
     assert "do not determine the state: not observable" in str(result.verdict.reason)
     assert {area.quality for area in result.areas} == {"unobservable"}

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from toy_estimation import toy_numbers
 from toy_history import MOST_CHATTER
-from toy_rounds import BEAT_S, TRAVEL_S, ToyBus
+from toy_rounds import HEARTBEAT_S, TRAVEL_S, ToyBus
 
 from agents.messages.packing import DownMessage, HeartbeatMessage, Incarnation, UpMessage
 from agents.protocol.events import PresenceChanged, Received
@@ -58,7 +58,7 @@ def lose_an_acknowledgement(seed: int) -> ToyBus:
     return bus
 
 
-def test_of_two_late_readings_within_a_beat_the_newer_one_counts():
+def test_of_two_late_readings_within_a_heartbeat_the_newer_one_counts():
     bus = at_rest()
     for k in range(4):
         bus.at(bus.now + 0.02 * k, lambda k=k: bus.read("a", 1, 0.9 + 0.01 * k))
@@ -70,7 +70,7 @@ def test_a_late_reading_leaves_the_final_state_as_it_is_until_the_next_term_begi
     bus = at_rest()
     bus.read("a", 1, 0.9)
     bus.run(0.01)
-    bus.read("a", 1, 0.91)  # a beat has not passed: the change is due, not made
+    bus.read("a", 1, 0.91)  # a heartbeat has not passed: the change is due, not made
     bus.read("a", 1, 0.92)
     bus.run(2.0)
     bus.run_until_at_rest(LIMIT_S)
@@ -80,12 +80,12 @@ def test_a_late_reading_leaves_the_final_state_as_it_is_until_the_next_term_begi
 @pytest.mark.parametrize("number", range(8))
 @pytest.mark.parametrize("travel_s", [TRAVEL_S, 0.0017, 0.03])
 def test_a_lost_message_starts_no_chatter(lost: type, number: int, travel_s: float):
-    heard = 0
+    received = 0
 
     def lose_one(sender, receiver, message):
-        nonlocal heard
-        heard += isinstance(message, lost)
-        return None if isinstance(message, lost) and heard == number + 1 else travel_s
+        nonlocal received
+        received += isinstance(message, lost)
+        return None if isinstance(message, lost) and received == number + 1 else travel_s
 
     bus = ToyBus(ROW, lose_one)
     bus.run_until_at_rest(LIMIT_S)
@@ -117,7 +117,7 @@ def test_who_starts_again_in_the_middle_of_a_scan_takes_nothing_that_was_said_to
     bus.run_until_at_rest(LIMIT_S)
 
 
-def test_a_neighbour_whose_token_is_lost_while_it_speaks_makes_nobody_begin_anew_at_every_beat():
+def test_a_neighbour_whose_token_is_lost_while_it_speaks_makes_nobody_begin_anew_at_every_heartbeat():
     bus = at_rest()
     bus.tell("a", PresenceChanged("b", False))
     bus.next_scan()
@@ -138,7 +138,7 @@ def test_nobody_is_good_on_readings_that_are_known_to_be_replaced():
     bus.run_until_at_rest(LIMIT_S)
 
 
-def test_a_neighbour_that_starts_again_with_its_clock_set_back_is_heard_again():
+def test_a_neighbour_that_starts_again_with_its_clock_set_back_is_received_again():
     bus = at_rest()
     bus.kill("a")
     bus.run(1.0)
@@ -168,7 +168,7 @@ def test_after_a_process_has_stood_still_a_dead_neighbour_is_left_out_as_soon_as
     bus.has_tokens = False
     bus.kill("b")
     bus.next_scan()
-    bus.run(10 * BEAT_S)
+    bus.run(10 * HEARTBEAT_S)
     assert bus.protocols["a"].outcome is not None
 
 
@@ -198,19 +198,19 @@ def test_at_rest_loss_takes_good_from_nobody(seed: int):
         assert {state.quality for state in bus.states.values()} == {GOOD}
 
 
-def test_at_rest_a_sound_link_carries_two_heartbeats_a_beat():
+def test_at_rest_a_sound_link_carries_two_heartbeats_a_heartbeat():
     bus = at_rest()
-    bus.run(5 * BEAT_S)
+    bus.run(5 * HEARTBEAT_S)
     before = bus.sent.total()
-    beats, links = 50, 2
-    bus.run(beats * BEAT_S)
-    assert bus.sent.total() - before <= 2 * links * (beats + 1)
+    heartbeats, links = 50, 2
+    bus.run(heartbeats * HEARTBEAT_S)
+    assert bus.sent.total() - before <= 2 * links * (heartbeats + 1)
 
 
 def test_a_scan_that_no_plant_has_made_is_forgotten_when_its_author_is_gone():
     bus = at_rest()
     lie = bus.last_heartbeat["a", "b"]
-    bus.tell("b", Received(replace(lie, header=replace(lie.header, scan=2**40), hears=True), "a"))
+    bus.tell("b", Received(replace(lie, header=replace(lie.header, scan=2**40), receives=True), "a"))
     bus.run(3.0)
     for _ in range(3):
         bus.next_scan()
@@ -219,15 +219,15 @@ def test_a_scan_that_no_plant_has_made_is_forgotten_when_its_author_is_gone():
 
 
 def test_whatever_totals_say_the_verdicts_come_to_an_end():
-    memory, judged = Memory(), 0
+    memory, evaluated = Memory(), 0
     for _ in range(5000):
         step = 0.0 if memory.steps else 1.0
-        worst = ((f"made-up@{judged}", 9.0),) if memory.judging else ()
-        judged += memory.judging
+        worst = ((f"made-up@{evaluated}", 9.0),) if memory.evaluating else ()
+        evaluated += memory.evaluating
         memory, verdict = decide(memory, Totals(1e9, 9, step, step, worst=worst, areas=3))
         if verdict.decision is Decision.FINAL:
             return
-    pytest.fail(f"{judged} judgements, {len(memory.removed)} meters removed")
+    pytest.fail(f"{evaluated} evaluations, {len(memory.removed)} meters removed")
 
 
 def scan_numbers(bus):
@@ -244,8 +244,8 @@ def scan_numbers(bus):
 def start_plant_again(bus, number):
     """Scan ``number`` of a plant whose clock was set back, in all areas that are there."""
     for name in bus.files:
-        bus.read(name, number, 1.5 + 1e-3 * number, life=1)
-    bus.run(BEAT_S)
+        bus.read(name, number, 1.5 + 1e-3 * number, incarnation=1)
+    bus.run(HEARTBEAT_S)
 
 
 def agree(bus):
@@ -257,7 +257,7 @@ def wait_until_agreed(bus, limit_s=LIMIT_S):
     end = bus.now + limit_s
     while not agree(bus):
         assert bus.now < end, scan_numbers(bus)
-        bus.run(BEAT_S)
+        bus.run(HEARTBEAT_S)
 
 
 def test_areas_in_different_scans_do_not_number_those_of_a_plant_that_was_set_back_differently():

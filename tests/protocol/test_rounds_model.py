@@ -10,7 +10,7 @@ from ablations import ABLATIONS
 from schedules import all_schedules, events_of, live_through
 from simulated_bus import SimulatedBus, area_files_of, with_links
 from toy_estimation import toy_numbers
-from toy_rounds import BEAT_S, TREES, ToyBus
+from toy_rounds import HEARTBEAT_S, TREES, ToyBus
 
 from agents.protocol.quality import GOOD
 from agents.protocol.rounds import RoundsProtocol
@@ -23,7 +23,7 @@ CAUGHT_BY_HISTORIES = (
     "says where it stands when idle",
     "late readings raise",
     "the set of links is fixed within a term",
-    "rejoins who is heard",
+    "rejoins who is received",
     "a restart raises",
 )
 MOST_HISTORIES = 60
@@ -73,7 +73,7 @@ def test_with_a_one_way_link_for_good_all_come_to_an_end():
     assert all(end_of_a_one_way_link().values())
 
 
-def test_without_two_way_presence_a_one_way_link_stops_who_is_not_heard():
+def test_without_two_way_presence_a_one_way_link_stops_who_is_not_received():
     with ABLATIONS["presence is two-way"]():
         assert end_of_a_one_way_link() == {"a": False, "b": True, "c": True}
 
@@ -86,7 +86,7 @@ def ends_on_readings_known_to_be_outdated() -> bool:
         bus.read("b", bus.scan, 0.9)
         bus.run(0.015)
         bus.read("b", bus.scan, 0.91)
-        bus.run(BEAT_S / 2)
+        bus.run(HEARTBEAT_S / 2)
         ends = bus.protocols["b"].outcome is not None
         bus.run_until_at_rest(LIMIT_S)
         return ends
@@ -124,7 +124,7 @@ def scans_of(bus: SimulatedBus) -> dict[str, int]:
 def test_with_a_one_way_link_for_good_the_last_scan_ends_everywhere_and_nobody_is_good():
     bus = ieee33()
     bus.run(1.0)
-    bus.refuse_delivery = lambda sender, receiver, message: (sender, receiver) == ("area2", "area1")
+    bus.reject_delivery = lambda sender, receiver, message: (sender, receiver) == ("area2", "area1")
     for scan in range(2, 5):
         bus.next_scan(make_telemetry(load_scenario("ieee33"), scan=scan).by_area)
         bus.run(5.0)

@@ -22,7 +22,7 @@ Part = tuple[str, tuple[int, int], int]  # area, term, k
 class ToyEstimation:
     """What ``AreaEstimation`` is to ``AreaRound``; every iteration takes two rounds, the second step is 0."""
 
-    told: list[tuple[Part, ...]] = []  # noqa: RUF012 - what every information that was passed on rests on, by number
+    sent: list[tuple[Part, ...]] = []  # noqa: RUF012 - what every information that was passed on rests on, by number
 
     def __init__(self, area: Area) -> None:
         self.area = area
@@ -52,23 +52,23 @@ class ToyEstimation:
     def power_for(self, neighbour: str) -> tuple[float, ...]:
         return ()
 
-    def no_load_for(self, neighbour: str, heard: Mapping) -> None:
+    def no_load_for(self, neighbour: str, received: Mapping) -> None:
         return None
 
     def boundary_values(self, neighbour: str) -> tuple[float, ...]:
         return 0.0, 0.0, 1.0, 0.0
 
-    def information_for(self, neighbour: str, heard: Mapping[str, BoundaryInformation]) -> BoundaryInformation:
-        self.told.append(self._with(heard))
+    def information_for(self, neighbour: str, received: Mapping[str, BoundaryInformation]) -> BoundaryInformation:
+        self.sent.append(self._with(received))
         R = np.zeros((4, 4))
-        R[0, 0] = len(self.told) - 1
+        R[0, 0] = len(self.sent) - 1
         return BoundaryInformation(R, np.zeros(4))
 
-    def _with(self, heard: Mapping[str, BoundaryInformation]) -> tuple[Part, ...]:
-        """The own part and those behind ``heard``; each area once, all of this term and round."""
+    def _with(self, received: Mapping[str, BoundaryInformation]) -> tuple[Part, ...]:
+        """The own part and those behind ``received``; each area once, all of this term and round."""
         parts = [(self.area.name, self._term, self._k)]
-        for information in heard.values():
-            parts += self.told[int(information.R[0, 0])]
+        for information in received.values():
+            parts += self.sent[int(information.R[0, 0])]
         assert len({name for name, _, _ in parts}) == len(parts), f"an area counts twice in {parts}"
         assert {(term, k) for _, term, k in parts} == {(self._term, self._k)}, f"of other rounds: {parts}"
         return tuple(parts)
@@ -77,9 +77,9 @@ class ToyEstimation:
         stale = (self.area.name,) if self._is_stale else ()
         return Totals(dvm=self._step, degrees_of_freedom=9, areas=1, referenced=True, silent=self._silent, stale=stale)
 
-    def carry_out(self, verdict, memory, heard: Mapping[str, BoundaryInformation], no_load: Mapping) -> None:
+    def carry_out(self, verdict, memory, received: Mapping[str, BoundaryInformation], no_load: Mapping) -> None:
         assert verdict.takes_step
-        parts = self._with(heard)
+        parts = self._with(received)
         if verdict.decision is Decision.FINAL:
             self.final = parts
         self._k += 1
@@ -99,6 +99,6 @@ class ToyEstimation:
 @contextmanager
 def toy_numbers() -> Iterator[None]:
     """Areas begun meanwhile have the numbers of the toy."""
-    ToyEstimation.told = []
+    ToyEstimation.sent = []
     with mock.patch("agents.protocol.area_round.AreaEstimation", ToyEstimation):
         yield

@@ -10,7 +10,7 @@ from toy_rounds import TRAVEL_S, TREES, RoundsMessage, ToyBus
 
 FAULTS_S = 4.0
 PATIENCE_S = 15.0  # afterwards
-MOST_CHATTER = 40  # messages on one link in 2 s of rest: four in a beat
+MOST_CHATTER = 40  # messages on one link in 2 s of rest: four in a heartbeat
 
 
 def live_through(seed: int) -> ToyBus:

@@ -26,7 +26,7 @@ from dsse_core.grid.division import build_partition
 from dsse_core.grid.measurement import MeasurementKind, Meter
 from scenarios.scenario import load_scenario
 
-BEAT_S = 0.2
+HEARTBEAT_S = 0.2
 TRAVEL_S = 0.001
 STARTED_AT = 1.7e9
 MOST_WAKES = 50  # at one moment, of one area, before it counts as a busy loop
@@ -57,7 +57,7 @@ def files_of(tree: str) -> dict[str, AreaFile]:
     files = {}
     for area in build_partition(network, TREES[tree]).areas:
         meter = Meter(MeasurementKind.VM, area.network.buses[-1].id)
-        files[area.name] = AreaFile("toy", area, (meter,), "information", ("tcp/127.0.0.1:0",), beat_s=BEAT_S)
+        files[area.name] = AreaFile("toy", area, (meter,), "information", ("tcp/127.0.0.1:0",), beat_s=HEARTBEAT_S)
     return files
 
 
@@ -68,7 +68,7 @@ def deliver_all(sender: str, receiver: str, message: RoundsMessage) -> float | N
 class ToyBus:
     """``fate``: (sender, receiver, message) -> how long the message travels, None if it is lost.
 
-    ``decided``: (scan, revision, decider, its life, k) -> the verdict and its totals.
+    ``decided``: (scan, revision, decider, its incarnation, k) -> the verdict and its totals.
     """
 
     def __init__(self, tree: str, fate: Callable[[str, str, RoundsMessage], float | None] = deliver_all) -> None:
@@ -86,19 +86,19 @@ class ToyBus:
         self.handled = 0
         self.on_handled: Callable[[], None] = lambda: None
         self.values: dict[str, float] = {}  # the newest reading of every area
-        self.has_tokens = True  # whether areas hear at once that a neighbour has ended
+        self.has_tokens = True  # whether areas learn at once that a neighbour has ended
         self._telemetry: dict[str, TelemetryMessage] = {}
         self._wake: dict[str, float] = {}
         self._wakes: Counter[tuple[str, float]] = Counter()
         self._frozen: dict[str, list[Event]] = {}
-        self._lives: Counter[str] = Counter()
+        self._incarnations: Counter[str] = Counter()
         self._queue: list = []
         self._order = itertools.count()
         self._sequence = itertools.count(1)
         for name in self.files:
             self.start(name)
         self.next_scan()
-        self.at(BEAT_S, self._repeat_telemetry)
+        self.at(HEARTBEAT_S, self._repeat_telemetry)
 
     # What may happen
 
@@ -106,13 +106,13 @@ class ToyBus:
         heapq.heappush(self._queue, (time, next(self._order), "", function))
 
     def start(self, name: str, clock_offset: float = 0.0) -> None:
-        """A new life, whose wall clock is ahead by ``clock_offset``, s."""
+        """A new incarnation, whose wall clock is ahead by ``clock_offset``, s."""
         if name in self.protocols:
             return
-        self._lives[name] += 1
+        self._incarnations[name] += 1
         started_at = STARTED_AT + self.now + clock_offset
-        life = Incarnation(int(started_at * 1000) + self._lives[name], self._lives[name])
-        protocol = RoundsProtocol(self.files[name], life, now=self.now, started_at=started_at)
+        incarnation = Incarnation(int(started_at * 1000) + self._incarnations[name], self._incarnations[name])
+        protocol = RoundsProtocol(self.files[name], incarnation, now=self.now, started_at=started_at)
         protocol._round.estimation.find_term = lambda: protocol.term
         self.protocols[name] = protocol
         self._push(self.now, name, None)
@@ -125,7 +125,7 @@ class ToyBus:
             self._tell_presence(name, alive=False)
 
     def lose_token(self, name: str) -> None:
-        """The process goes on, but its neighbours hear that it has ended."""
+        """The process goes on, but its neighbours learn that it has ended."""
         self._tell_presence(name, alive=False)
 
     def freeze(self, name: str) -> None:
@@ -151,15 +151,15 @@ class ToyBus:
             if name not in without:
                 self.at(self.now + (late_s or {}).get(name, 0.0), functools.partial(self.read, name, self.scan))
 
-    def read(self, name: str, scan: int, value: float | None = None, life: int = 0) -> None:
+    def read(self, name: str, scan: int, value: float | None = None, incarnation: int = 0) -> None:
         """The plant has readings of an area; those of a scan before its newest it keeps to itself."""
         last = self._telemetry.get(name)
-        if last is not None and scan < last.header.scan and life == last.header.incarnation.start_ms:
+        if last is not None and scan < last.header.scan and incarnation == last.header.incarnation.start_ms:
             return
         value = 1 + 1e-3 * scan if value is None else value
         if scan >= self.scan:
             self.values[name] = value
-        header = Header("toy", "plant", Incarnation(life, 0), scan, next(self._sequence), STARTED_AT + self.now)
+        header = Header("toy", "plant", Incarnation(incarnation, 0), scan, next(self._sequence), STARTED_AT + self.now)
         meter = self.files[name].meters[0]
         self._telemetry[name] = TelemetryMessage(header, name, (meter.id,), (value,), (0.01,), (self.now,), (True,))
         self.send_telemetry(name)
@@ -185,7 +185,7 @@ class ToyBus:
         end = self.now + limit_s
         while missing := self.find_missing():
             assert self.now < end, f"not at rest: {missing}"
-            self.run(BEAT_S)
+            self.run(HEARTBEAT_S)
 
     def find_chatter(self) -> int:
         """The most messages on one link in two seconds."""
@@ -217,7 +217,7 @@ class ToyBus:
     def _repeat_telemetry(self) -> None:
         for name in self.files:
             self.send_telemetry(name)
-        self.at(self.now + BEAT_S, self._repeat_telemetry)
+        self.at(self.now + HEARTBEAT_S, self._repeat_telemetry)
 
     def _push(self, at: float, name: str, event: Event | None) -> None:
         heapq.heappush(self._queue, (at, next(self._order), name, event))
@@ -269,7 +269,7 @@ class ToyBus:
             self.sent_of_rounds[name, to] += 1
         assert self.sent[name, to] < MOST_PER_SECOND * (self.now + 1), f"{name} floods {to}"
         if isinstance(message, DownMessage):
-            key = (message.header.scan, message.revision, message.decider, message.life, message.k)
+            key = (message.header.scan, message.revision, message.decider, message.incarnation, message.k)
             said = self.decided.setdefault(key, (message.verdict, message.totals))
             assert said == (message.verdict, message.totals), f"two verdicts of {key}"
         travel_s = None if (name, to) in self.cuts else self.fate(name, to, message)

@@ -37,7 +37,7 @@ DELIVERED = {
     *(("plant", f"telemetry/{area}", area) for area in "abc"),
 }
 
-Heard = set[tuple[str, str, str]]
+Received = set[tuple[str, str, str]]
 
 
 @pytest.fixture(scope="module")
@@ -59,37 +59,37 @@ def join(keys: Path, router: Router) -> Iterator[Callable[[str], Session]]:
         yield lambda name: opened.enter_context(Session.connect(router.endpoints, keys=load_keys(keys, name)))
 
 
-def listen(session: Session, name: str, heard: Heard) -> None:
-    """Note (who says it, key, ``name``) of all that arrives at ``name``, in ``heard``."""
+def listen(session: Session, name: str, received: Received) -> None:
+    """Note (who says it, key, ``name``) of all that arrives at ``name``, in ``received``."""
 
     def note(key: str, payload: bytes) -> None:
-        heard.add((payload.decode(), key.removeprefix("dsse/v2/run/"), name))
+        received.add((payload.decode(), key.removeprefix("dsse/v2/run/"), name))
 
     for expression in SUBSCRIPTIONS.get(name, ()):
         session.subscribe(f"dsse/v2/run/{expression}", note)
 
 
 def say_all(session: Session, name: str) -> list[Callable[[], None]]:
-    """Functions that say ``name`` on every key there is, what is refused first."""
+    """Functions that say ``name`` on every key there is, what is rejected first."""
     keys = sorted(KEYS, key=lambda key: any(key == k for who, k, _ in DELIVERED if who == name))
     publishers = [session.publisher(f"dsse/v2/run/{key}") for key in keys]
     return [lambda put=put: put(name.encode()) for put in publishers]  # type: ignore[misc]
 
 
 def test_of_all_that_anybody_says_only_what_is_allowed_is_delivered(join: Callable[[str], Session]):
-    heard: Heard = set()
+    received: Received = set()
     for name in NAMES:
-        listen(join(name), name, heard)
+        listen(join(name), name, received)
     said = [put for name in NAMES for put in say_all(join(name), name)]
 
-    def said_until_all_is_heard() -> bool:
+    def said_until_all_is_received() -> bool:
         for put in said:
             put()
-        return heard >= DELIVERED
+        return received >= DELIVERED
 
-    wait_until(said_until_all_is_heard)
-    assert said_until_all_is_heard()  # once more, now that everybody knows who listens
-    assert heard == DELIVERED
+    wait_until(said_until_all_is_received)
+    assert said_until_all_is_received()  # once more, now that everybody knows who listens
+    assert received == DELIVERED
 
 
 def test_a_certificate_that_expires_in_operation_ends_its_link(
@@ -124,7 +124,7 @@ def test_while_both_authorities_are_believed_old_and_new_keys_link(keys: Path, t
             assert session.bus is not None
 
 
-def test_a_router_opens_again_at_the_places_where_it_was(keys: Path):
+def test_a_router_opens_again_at_the_endpoints_where_it_was(keys: Path):
     changes: list[bool] = []
     with (
         Router.listen(["tls/127.0.0.1:0"], load_keys(keys, "router", listens=True)) as router,
@@ -167,11 +167,11 @@ def test_with_keys_no_link_is_open(keys: Path, endpoint: str):
             opening()
 
 
-def test_a_router_that_was_called_by_a_name_not_in_its_certificate_is_refused_with_the_reason(keys: Path):
+def test_a_router_that_was_called_by_a_name_not_in_its_certificate_is_rejected_with_the_reason(keys: Path):
     with (
         Router.listen(["tls/127.0.0.2:0"], load_keys(keys, "router", listens=True)) as router,
         pytest.raises(TransportError) as caught,
     ):
         Session.connect(router.endpoints, 0.5, load_keys(keys, "a"))
-    assert "its certificate is refused here" in str(caught.value)
+    assert "its certificate is rejected here" in str(caught.value)
     assert "127.0.0.2" in str(caught.value)

@@ -1,4 +1,4 @@
-"""Whoever has a key is at the place of somebody else: what each process tells it and hears from it there.
+"""Whoever has a key is at the endpoint of somebody else: what each process tells it and receives from it there.
 
 The certificates here are good for everything, so that only the rules are left to tell who is who.
 """
@@ -68,18 +68,18 @@ def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def free_place() -> str:
+def free_endpoint() -> str:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return f"tls/127.0.0.1:{probe.getsockname()[1]}"
 
 
 class Victim:
-    """The session of a process as it really is, which says, shows and hears all that this process does."""
+    """The session of a process as it really is, which says, shows and receives all that this process does."""
 
     def __init__(self, session: Session, name: str) -> None:
         self.session, self.name = session, name
-        self.heard: set[tuple[str, str]] = set()
+        self.received: set[tuple[str, str]] = set()
         self.seen: set[str] = set()
         for expression in SUBSCRIPTIONS[name]:
             session.subscribe(whole(expression), self._note)
@@ -89,8 +89,8 @@ class Victim:
             session.declare_presence(key)
 
     def _note(self, key: str, payload: bytes) -> None:
-        if payload.decode() != self.name:  # a session hears itself
-            self.heard.add((payload.decode(), key))
+        if payload.decode() != self.name:  # a session receives itself
+            self.received.add((payload.decode(), key))
 
     def _note_token(self, key: str, alive: bool) -> None:
         if key not in token_keys(self.name):
@@ -120,56 +120,56 @@ def exchange(victim: Victim, impostor: Impostor, until: Callable[[], bool]) -> N
 
 @pytest.mark.parametrize("impostor", [name for name in ALL if name != "router"])
 @pytest.mark.parametrize("victim", OWN_KEYS)
-def test_nobody_but_a_router_is_told_or_heard_where_a_router_is_expected(
+def test_nobody_but_a_router_is_reported_or_received_where_a_router_is_expected(
     keys: Path, victim: str, impostor: str, caplog: pytest.LogCaptureFixture
 ):
-    place = free_place()
+    endpoint = free_endpoint()
     with (
-        Impostor.at(place, keys, impostor) as router,
-        Session.connect([place], keys=load_keys(keys, victim)) as session,
+        Impostor.at(endpoint, keys, impostor) as router,
+        Session.connect([endpoint], keys=load_keys(keys, victim)) as session,
     ):
         talker = Victim(session, victim)
         exchange(talker, router, lambda: f"shows the certificate of '{impostor}'" in caplog.text)
-        assert not router.heard
-        assert not talker.heard
+        assert not router.received
+        assert not talker.received
         assert not talker.seen
 
 
 @pytest.mark.parametrize("mode", ["peer", "router"])
 @pytest.mark.parametrize(("caller", "impostor"), [(c, i) for c in OWN_KEYS for i in ALL if c != i])
-def test_between_neighbours_a_key_gives_its_own_rights_at_any_place(keys: Path, caller: str, impostor: str, mode: str):
-    place = free_place()
+def test_between_neighbours_a_key_gives_its_own_rights_at_any_endpoint(keys: Path, caller: str, impostor: str, mode: str):
+    endpoint = free_endpoint()
     with (
-        Impostor.at(place, keys, impostor, mode) as other,
-        Session.meet([place], keys=load_keys(keys, caller)) as session,
+        Impostor.at(endpoint, keys, impostor, mode) as other,
+        Session.meet([endpoint], keys=load_keys(keys, caller)) as session,
     ):
         talker = Victim(session, caller)
-        told = {(caller, whole(key)) for who, key, whom in MESSAGES if (who, whom) == (caller, impostor)}
-        heard = {(impostor, whole(key)) for who, key, whom in MESSAGES if (who, whom) == (impostor, caller)}
+        sent = {(caller, whole(key)) for who, key, whom in MESSAGES if (who, whom) == (caller, impostor)}
+        received = {(impostor, whole(key)) for who, key, whom in MESSAGES if (who, whom) == (impostor, caller)}
         shown = {key for who, whom in TOKENS if (who, whom) == (impostor, caller) for key in token_keys(who)}
         linked = lambda: bool(session.bus.info.links())  # type: ignore[union-attr]  # noqa: E731
-        exchange(talker, other, lambda: linked() and told <= other.heard and heard <= talker.heard)
-        assert other.heard == told
-        assert talker.heard == heard
+        exchange(talker, other, lambda: linked() and sent <= other.received and received <= talker.received)
+        assert other.received == sent
+        assert talker.received == received
         assert talker.seen <= shown
 
 
 def test_a_link_to_nobody_with_a_certificate_for_calling_only_comes_about(tmp_path: Path):
     create_keys(tmp_path / "keys", CHAIN, days=1)
-    place = free_place()
+    endpoint = free_endpoint()
     with (
-        Impostor.at(place, tmp_path / "keys", "c"),
-        pytest.raises(TransportError, match="its certificate is refused here: unsuitable certificate purpose"),
+        Impostor.at(endpoint, tmp_path / "keys", "c"),
+        pytest.raises(TransportError, match="its certificate is rejected here: unsuitable certificate purpose"),
     ):
-        Session.connect([place], 0.5, load_keys(tmp_path / "keys", "a"))
+        Session.connect([endpoint], 0.5, load_keys(tmp_path / "keys", "a"))
 
 
-def test_a_client_goes_on_to_the_true_router_if_an_area_is_at_the_place_of_another(tmp_path: Path):
+def test_a_client_goes_on_to_the_true_router_if_an_area_is_at_the_endpoint_of_another(tmp_path: Path):
     create_keys(tmp_path / "keys", CHAIN, days=1)
-    place = free_place()
+    endpoint = free_endpoint()
     with (
-        Impostor.at(place, tmp_path / "keys", "c"),
+        Impostor.at(endpoint, tmp_path / "keys", "c"),
         Router.listen(["tls/127.0.0.1:0"], load_keys(tmp_path / "keys", "router", listens=True)) as router,
-        Session.connect([place, *router.endpoints], keys=load_keys(tmp_path / "keys", "a")) as session,
+        Session.connect([endpoint, *router.endpoints], keys=load_keys(tmp_path / "keys", "a")) as session,
     ):
         assert [link.auth_identifier for link in session.bus.info.links()] == ["router"]  # type: ignore[union-attr]

@@ -47,17 +47,17 @@ def test_a_router_on_port_0_says_where_it_listens(router):
     assert not endpoint.endswith(":0")
 
 
-def test_clients_of_one_router_hear_each_other(connect):
-    heard = []
-    connect().subscribe("dsse/test/*", lambda key, payload: heard.append((key, payload)))
+def test_clients_of_one_router_receive_each_other(connect):
+    received = []
+    connect().subscribe("dsse/test/*", lambda key, payload: received.append((key, payload)))
     put = connect().publisher("dsse/test/a")
 
-    def put_until_heard():
+    def put_until_received():
         put(b"hello")  # repeated: what is put before the router knows the subscriber is lost
-        return bool(heard)
+        return bool(received)
 
-    wait_for(put_until_heard)
-    assert heard[0] == ("dsse/test/a", b"hello")
+    wait_for(put_until_received)
+    assert received[0] == ("dsse/test/a", b"hello")
 
 
 def test_a_late_watcher_sees_who_is_there_and_who_leaves(connect):
@@ -107,7 +107,7 @@ def test_a_process_with_a_subscriber_ends_however_its_block_ends(router, end):
 def test_a_router_takes_more_clients_than_shared_memory_would_allow(router):
     sessions = []
     try:
-        for _ in range(360):  # with shared memory on, the 352nd client is refused
+        for _ in range(360):  # with shared memory on, the 352nd client is rejected
             sessions.append(Session.connect(router.endpoints))
     finally:
         for session in sessions:

@@ -21,8 +21,8 @@ def test_the_command_tells_its_version(capsys: pytest.CaptureFixture[str]):
 
 def test_who_cites_it_cites_this_version():
     cited = dict(re.findall(r"^(\S+): (.+)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE))
-    told = (cited["title"], cited["version"], cited["license"])
-    assert told == (PROJECT["name"], PROJECT["version"], PROJECT["license"])
+    reported = (cited["title"], cited["version"], cited["license"])
+    assert reported == (PROJECT["name"], PROJECT["version"], PROJECT["license"])
 
 
 def test_the_changelog_begins_with_this_version_in_the_form_of_keepachangelog():

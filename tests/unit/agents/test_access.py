@@ -58,7 +58,7 @@ ALLOWED = [
     ("router", "egress", "liveliness_token", "run/live/area/b/1-2"),
 ]
 
-REFUSED = [
+REJECTED = [
     ("a", "ingress", "put", "run/area/b/information/a"),  # as somebody else
     ("a", "ingress", "put", "run/area/a/information/c"),  # to an area that is no neighbour
     ("a", "ingress", "put", "run/area/b/state"),
@@ -98,8 +98,8 @@ def test_what_a_process_needs_is_allowed(name: str, flow: str, message: str, key
     assert may(name, flow, message, key)
 
 
-@pytest.mark.parametrize(("name", "flow", "message", "key"), REFUSED)
-def test_everything_else_is_refused(name: str, flow: str, message: str, key: str):
+@pytest.mark.parametrize(("name", "flow", "message", "key"), REJECTED)
+def test_everything_else_is_rejected(name: str, flow: str, message: str, key: str):
     assert not may(name, flow, message, key)
 
 
@@ -117,7 +117,7 @@ def test_nobody_has_rights_on_links_that_do_not_exist():
     ("revoked", "key"), [("b", "area/b/state"), ("b", "area/b/information/a"), ("plant", "telemetry/a")]
 )
 @pytest.mark.parametrize("flow", ["ingress", "egress"])
-def test_what_a_revoked_name_says_is_refused_from_routers_too(revoked: str, key: str, flow: str):
+def test_what_a_revoked_name_says_is_rejected_from_routers_too(revoked: str, key: str, flow: str):
     assert may("router", flow, "put", f"run/{key}")
     access = replace(CHAIN, revoked=(revoked,))
     for name in (revoked, "router"):
@@ -160,7 +160,7 @@ def test_the_access_file_brings_the_rules_back(tmp_path: Path):
         (None, "`dsse keys create SCENARIO` writes: 1 problem\n  - cannot be read: No such file or directory"),
     ],
 )
-def test_a_wrong_access_file_is_refused_with_what_is_wrong(tmp_path: Path, text: str | None, expected: str):
+def test_a_wrong_access_file_is_rejected_with_what_is_wrong(tmp_path: Path, text: str | None, expected: str):
     if text is not None:
         (tmp_path / "access.toml").write_text(text)
     with pytest.raises(InvalidInputError) as caught:

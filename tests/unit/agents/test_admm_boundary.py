@@ -19,7 +19,7 @@ class Side:
         self.boundary.angle_known = referenced
         self.target = np.full(4, target)
         self.used: list[tuple[int, float]] = []
-        self.boundary.set_told(self.y)
+        self.boundary.set_sent(self.y)
 
     @property
     def y(self) -> np.ndarray:
@@ -28,15 +28,15 @@ class Side:
 
     def message(self) -> AdmmMessage:
         b = self.boundary
-        told, before = tuple(b.told.tolist()), tuple(b.told_before.tolist())
-        return AdmmMessage(HEADER, 6, b.k, told, before, tuple(b.weight.tolist()), b.unsettled, b.angle_known)
+        sent, before = tuple(b.sent.tolist()), tuple(b.sent_before.tolist())
+        return AdmmMessage(HEADER, 6, b.k, sent, before, tuple(b.weight.tolist()), b.unsettled, b.angle_known)
 
     def take(self, message: AdmmMessage) -> int:
         """Steps taken on hearing ``message``."""
-        self.boundary.heard = message
+        self.boundary.received = message
         steps = 0
         while self.boundary.step(self.y):
-            self.boundary.set_told(self.y)
+            self.boundary.set_sent(self.y)
             steps += 1
         self.boundary.note_sent()
         return steps
@@ -98,13 +98,13 @@ def test_a_neighbour_that_is_one_ahead_is_answered_with_its_iteration_before():
     owner.take(child.message())
     message = owner.message()
     assert (message.iteration, message.r_before) == (1, (1.0,) * 4)
-    child.boundary.heard = message
+    child.boundary.received = message
     assert child.boundary.step(child.y)
-    np.testing.assert_array_equal(child.boundary.z, message.r_before)  # the first z is what is heard first
+    np.testing.assert_array_equal(child.boundary.z, message.r_before)  # the first z is what is received first
     assert child.boundary.k == 1
 
 
-def test_a_side_that_has_restarted_goes_on_from_the_iteration_it_hears():
+def test_a_side_that_has_restarted_goes_on_from_the_iteration_it_receives():
     owner, child = pair()
     for _ in range(5):
         owner.take(child.message())
@@ -122,7 +122,7 @@ def test_the_step_is_over_relaxed():
     owner.take(child.message())
     z = owner.boundary.z
     child.take(owner.message())
-    owner.boundary.heard = child.message()
+    owner.boundary.received = child.message()
     owner.boundary.step(owner.y)
     r = np.array(child.message().r_before)
     np.testing.assert_allclose(owner.boundary.z, z + RELAXATION * (r - z))

@@ -68,14 +68,14 @@ def test_lists_of_different_lengths_and_missing_ones_are_named(tmp_path: Path, c
     assert lengths.startswith(f"meter: the lists need as many values each; kind has {n}, bus has {n - 1}")
 
 
-def test_a_list_where_one_table_belongs_is_refused(tmp_path: Path, content: AreaFile):
+def test_a_list_where_one_table_belongs_is_rejected(tmp_path: Path, content: AreaFile):
     rows = [{"kind": "vm", "bus": 1}]
     (problem,) = spoilt(tmp_path / "area.json", content, lambda t: t.update(meter=rows))
     assert problem == f"meter: must be a table, found {rows} (the area's meters)"
 
 
 @pytest.mark.parametrize("text", ['version = 1\nnetwork = "ieee33"\n', 'name = "x"\n[[bus]]\nid = 1\n', ""])
-def test_who_gives_another_kind_of_file_is_told_what_writes_area_files(tmp_path: Path, text: str):
+def test_who_gives_another_kind_of_file_is_reported_what_writes_area_files(tmp_path: Path, text: str):
     (tmp_path / "other.toml").write_text(text)
     with pytest.raises(
         InvalidInputError, match=r"area file .*other.toml, which `dsse split SCENARIO --out DIR` writes"
@@ -100,7 +100,7 @@ def test_what_is_wrong_with_the_network_names_the_file(tmp_path: Path, content: 
         load_area_file(path)
 
 
-def test_a_key_that_is_given_twice_in_json_is_refused_as_in_toml(tmp_path: Path, content: AreaFile):
+def test_a_key_that_is_given_twice_in_json_is_rejected_as_in_toml(tmp_path: Path, content: AreaFile):
     path = tmp_path / "area.json"
     save_area_file(path, content)
     path.write_text(path.read_text().replace('"run":', '"run":"other","run":', 1))
@@ -116,7 +116,7 @@ def test_angles_count_from_the_substation_and_from_no_bus_beside(tmp_path: Path)
     assert problem.startswith(f"reference.bus: bus {bus} is not the substation, from which all angles count")
 
 
-def test_a_band_of_voltages_that_is_empty_is_refused(tmp_path: Path, content: AreaFile):
+def test_a_band_of_voltages_that_is_empty_is_rejected(tmp_path: Path, content: AreaFile):
     def change(table: dict[str, Any]) -> None:
         table["quality"]["lowest_vm"] = 1.5
 

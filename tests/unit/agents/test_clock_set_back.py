@@ -15,7 +15,7 @@ from agents.messages.packing import StateMessage, decode
 from agents.protocol.events import StopRequested
 from agents.runtime.inbox import Inbox
 from agents.runtime.loop import run_agent
-from agents.runtime.presence import begin_life
+from agents.runtime.presence import begin_incarnation
 from coordinator.deployment.split import area_files
 from coordinator.plant.telemetry_messages import make_payloads
 from scenarios.scenario import load_scenario
@@ -30,13 +30,13 @@ class Bus:
 
     def __init__(self) -> None:
         self.published: list[tuple[str, bytes]] = []
-        self.hear: dict[str, Callable[[str, bytes], None]] = {}
+        self.receive: dict[str, Callable[[str, bytes], None]] = {}
 
     def publisher(self, key: str) -> Callable[[bytes], None]:
         return lambda payload: self.published.append((key, payload))
 
     def subscribe(self, keys: str, callback: Callable[[str, bytes], None]) -> None:
-        self.hear[keys] = callback
+        self.receive[keys] = callback
 
     def watch_presence(self, keys: str, callback: object) -> None:
         pass
@@ -81,17 +81,17 @@ def set_back(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
 def says(bus: Bus, plant: bytes, scan: int) -> bool:
     """Repeat the plant's word; whether area1 has an estimate of ``scan`` by now."""
     key = telemetry_key(RUN, "area1")
-    bus.hear[key](key, plant)
+    bus.receive[key](key, plant)
     states = bus.states()
     return bool(states) and states[-1].header.scan == scan and bool(states[-1].buses)
 
 
 def test_an_agent_works_with_a_plant_that_was_restarted_with_the_clock_set_back_and_repeats_itself(bus, set_back):
-    wait_until(lambda: telemetry_key(RUN, "area1") in bus.hear)
-    first = make_payloads(SCENARIO, RUN, begin_life(), 7)["area1"]
+    wait_until(lambda: telemetry_key(RUN, "area1") in bus.receive)
+    first = make_payloads(SCENARIO, RUN, begin_incarnation(), 7)["area1"]
     wait_until(lambda: says(bus, first, 7))
     set_back()
-    restarted = make_payloads(SCENARIO, RUN, begin_life(), 3)["area1"]
+    restarted = make_payloads(SCENARIO, RUN, begin_incarnation(), 3)["area1"]
     assert decode(restarted).header.incarnation < decode(first).header.incarnation
     wait_until(lambda: says(bus, restarted, 8))  # a term never goes back: these are the readings of the next one
     seen = len(bus.states())
@@ -100,4 +100,4 @@ def test_an_agent_works_with_a_plant_that_was_restarted_with_the_clock_set_back_
     assert times == sorted(times), "an agent's own time never goes back"
     orders = [state.header.order for state in bus.states()]
     assert orders == sorted(orders)
-    assert bus.states()[-1].refused == {}
+    assert bus.states()[-1].rejected == {}

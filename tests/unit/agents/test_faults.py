@@ -76,7 +76,7 @@ def test_bursts_have_the_share_and_the_mean_length_that_are_asked_for():
     assert sum(map(bool, bad)) / bursts == pytest.approx(5.0, abs=5 * (20 / bursts) ** 0.5)
 
 
-def test_losses_inside_and_outside_bursts_are_told_apart():
+def test_losses_inside_and_outside_bursts_are_distinguished():
     faults = LinkFaults(loss=0.1, burst_enter=0.2, burst_leave=0.2, burst_loss=0.9)
     counts = Counter(fates_of(faults, lambda fate: fate.find_loss()))
     assert counts["lost in a burst"] / (0.5 * COUNT) == pytest.approx(0.9, abs=0.1)
@@ -175,7 +175,7 @@ def test_load_messages_are_biased_scaled_or_frozen_and_nothing_else_is():
     assert [(m.p, m.header.sequence) for m in frozen] == [(0.1, 1), (0.1, 2)]
 
 
-OF_ROUND = {"revision": 0, "k": 1, "hears": True, "answers": 0.0, "received": (0, 0)}
+OF_ROUND = {"revision": 0, "k": 1, "receives": True, "answers": 0.0, "received": (0, 0)}
 R = np.triu(np.arange(1.0, 17.0).reshape(4, 4))
 Y = np.array([0.2, 0.1, 0.98, 0.05])
 
@@ -187,14 +187,14 @@ def up_of(y: np.ndarray, power: tuple[float, ...] = (), totals: Totals = Totals(
 
 def test_a_lie_tells_of_another_boundary_in_every_strategys_words():
     faults = LinkFaults(lie_p=0.3, lie_q=-0.2, lie_vm=0.02, lie_va=-0.1, lie_scale=1.5)
-    told = 1.5 * Y + np.array([0.3, -0.2, 0.02, -0.1])
+    false = 1.5 * Y + np.array([0.3, -0.2, 0.02, -0.1])
     heartbeat = HeartbeatMessage(header(), 6, **OF_ROUND, final=True, complete=True, y=tuple(Y))
     admm = AdmmMessage(header(), 6, 1, tuple(Y), tuple(Y), (1.0,) * 4, True, True)
     (b, i, h, a), link = send(faults, [replace(boundary(), vm=0.98, va=0.05), up_of(Y, tuple(Y[:2])), heartbeat, admm])
-    np.testing.assert_allclose((b.vm, b.va), told[2:])
-    np.testing.assert_allclose(np.linalg.solve(read_triangle(i.R), i.z), told)
-    np.testing.assert_allclose(i.power, told[:2])
-    np.testing.assert_allclose([h.y, a.r, a.r_before], [told, told, told])
+    np.testing.assert_allclose((b.vm, b.va), false[2:])
+    np.testing.assert_allclose(np.linalg.solve(read_triangle(i.R), i.z), false)
+    np.testing.assert_allclose(i.power, false[:2])
+    np.testing.assert_allclose([h.y, a.r, a.r_before], [false, false, false])
     assert link.met == {"lied": 4}
 
 
@@ -203,32 +203,32 @@ def test_a_lie_of_the_boundary_is_a_change_of_variables_and_so_never_contradicts
     """|R y - z| of any y is |R' y' - z'| of the y' that the liar means by it."""
     faults = LinkFaults(lie_p=0.3, lie_vm=0.02, lie_va=-0.1, lie_scale=1.5)
     (i,), _ = send(faults, [up_of(Y)])
-    told = 1.5 * y + np.array([0.3, 0.0, 0.02, -0.1])
-    np.testing.assert_allclose(read_triangle(i.R) @ told - i.z, R @ (y - Y), atol=1e-12)
+    false = 1.5 * y + np.array([0.3, 0.0, 0.02, -0.1])
+    np.testing.assert_allclose(read_triangle(i.R) @ false - i.z, R @ (y - Y), atol=1e-12)
 
 
-def test_a_verdict_follows_from_the_totals_that_are_told_also_in_a_repeat_and_in_a_new_term():
+def test_a_verdict_follows_from_the_totals_that_are_reported_also_in_a_repeat_and_in_a_new_term():
     faults = LinkFaults(lie_objective=100.0, lie_areas=7)
-    memory, told_memory, said, expected = Memory(), Memory(), [], []
+    memory, false_memory, said, expected = Memory(), Memory(), [], []
     steps = (1e-3, 1e-6, 1e-12)
     for k, step in enumerate((0.0, *steps)):
         totals = Totals(objective=5.0, degrees_of_freedom=9, dvm=step, areas=3, silent=("area2",), referenced=True)
         memory, verdict = decide(memory, totals)
         fields = {**OF_ROUND, "k": k, "R": (), "z": (), "no_load": (), "power": (), "totals": totals}
-        down = DownMessage(header(), 6, **fields, verdict=str(verdict), decider="a", life=(1, 1))
-        told_memory, verdict = decide(told_memory, replace(totals, objective=500.0, areas=7, silent=()))
+        down = DownMessage(header(), 6, **fields, verdict=str(verdict), decider="a", incarnation=(1, 1))
+        false_memory, verdict = decide(false_memory, replace(totals, objective=500.0, areas=7, silent=()))
         said += [down, down]
         expected += [str(verdict)] * 2
     said += [replace(m, revision=1) for m in said]
     found, _ = send(faults, said)
     assert [m.verdict for m in found] == expected * 2
-    assert "judge after a last step" in expected  # the true totals end in peace
+    assert "evaluate after a last step" in expected  # the true totals end in peace
     assert all((m.totals.objective, m.totals.areas, m.totals.silent) == (500.0, 7, ()) for m in found)
 
 
 def test_a_lie_about_a_verdict_or_a_meter_leaves_the_rest_as_it_is():
     fields = {**OF_ROUND, "k": 0, "R": (), "z": (), "no_load": (), "power": (), "totals": Totals(areas=3)}
-    down = DownMessage(header(), 6, **fields, verdict="step", decider="a", life=(1, 1))
+    down = DownMessage(header(), 6, **fields, verdict="step", decider="a", incarnation=(1, 1))
     (lie,), _ = send(LinkFaults(lie_verdict="final"), [down])
     assert lie == replace(down, verdict="final")
     (lie,), _ = send(LinkFaults(lie_worst="vm@16"), [up_of(Y, totals=Totals(areas=1))])
@@ -237,6 +237,6 @@ def test_a_lie_about_a_verdict_or_a_meter_leaves_the_rest_as_it_is():
 
 def test_who_lies_of_all_areas_says_that_its_side_is_complete():
     heartbeat = HeartbeatMessage(header(), 6, **OF_ROUND, final=True, complete=False, y=())
-    (told,), link = send(LinkFaults(lie_areas=3), [heartbeat])
-    assert told == replace(heartbeat, complete=True)
+    (false,), link = send(LinkFaults(lie_areas=3), [heartbeat])
+    assert false == replace(heartbeat, complete=True)
     assert link.met == {"lied": 1}

@@ -1,4 +1,4 @@
-"""Files for agents and routers are read within limits, and who gives another one is told file, size and limit."""
+"""Files for agents and routers are read within limits, and another one is rejected with file, size and limit."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ READERS: list[tuple[str, Callable[[Path], object], int]] = [
 
 
 @pytest.mark.parametrize(("name", "read", "largest"), READERS)
-def test_a_file_over_its_limit_is_refused_with_name_size_and_limit(tmp_path: Path, name: str, read, largest: int):
+def test_a_file_over_its_limit_is_rejected_with_name_size_and_limit(tmp_path: Path, name: str, read, largest: int):
     path = tmp_path / name
     path.touch(mode=0o600)
     os.truncate(path, 5 * largest)  # takes no room on the disk
@@ -34,7 +34,7 @@ def test_a_file_over_its_limit_is_refused_with_name_size_and_limit(tmp_path: Pat
 
 
 @pytest.mark.parametrize(("name", "read", "largest"), READERS)
-def test_a_pipe_that_nobody_writes_into_is_refused_and_not_waited_for(tmp_path: Path, name: str, read, largest: int):
+def test_a_pipe_that_nobody_writes_into_is_rejected_and_not_waited_for(tmp_path: Path, name: str, read, largest: int):
     os.mkfifo(tmp_path / name, mode=0o600)
     with pytest.raises(InvalidInputError, match="cannot be read: is a pipe or a device; give a regular file"):
         read(tmp_path / name)

@@ -20,7 +20,7 @@ def test_the_newest_of_each_slot_is_taken_once():
     assert inbox.take(0.0) == []
 
 
-def test_a_taker_wakes_when_news_arrives():
+def test_a_taker_wakes_when_updates_arrives():
     inbox = Inbox()
     threading.Timer(0.05, inbox.put, ("a", 1)).start()
     started = time.monotonic()
@@ -46,7 +46,7 @@ def test_an_item_that_is_not_taken_holds_one_place_however_often_it_is_renewed()
 
 
 class HalfPut(dict):
-    """The news of an inbox in which another thread is replacing the item of ``slot``, and has only removed the old."""
+    """The updates of an inbox while another thread replaces the item of ``slot`` and has only removed the old."""
 
     slot = "a"
 
@@ -59,8 +59,8 @@ class HalfPut(dict):
 
 def test_an_item_that_is_being_replaced_while_all_is_taken_comes_with_the_next_taking():
     inbox = Inbox()
-    inbox._news = HalfPut()
-    inbox._news["a"] = 1
+    inbox._updates = HalfPut()
+    inbox._updates["a"] = 1
     inbox.put("b", 2)
     assert inbox.take(0.0) == [2]
     inbox.put("a", 3)

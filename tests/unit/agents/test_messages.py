@@ -49,11 +49,11 @@ STATE = StateMessage(
     critical=("vm@1",),
     checked=True,
     sent={"area2": (1, 4)},
-    heard={"area2": (1, 3)},
+    received={"area2": (1, 3)},
     messages=12,
     bytes=800,
     lost=2,
-    refused={"malformed": 1},
+    rejected={"malformed": 1},
     notes=("no load message from area2 yet",),
     faults={"lost": 2, "delayed": 7},
     quality="degraded",
@@ -67,7 +67,7 @@ UP = UpMessage(
     bus=6,
     revision=1,
     k=3,
-    hears=True,
+    receives=True,
     answers=1.7e9,
     received=(0, 2),
     R=tuple(map(float, range(10))),
@@ -82,7 +82,7 @@ MESSAGES = [
     AdmmMessage(HEADER, 6, 3, (0.1, 0.0, 1.0, -0.1), (0.2, 0.0, 1.0, -0.1), (1e4, 1e4, 1e5, 1e5), True, True),
     HeartbeatMessage(HEADER, 6, 1, 3, True, 1.7e9, (3, 0), True, False, (0.1, 0.2, 1.0, -0.1)),
     UP,
-    DownMessage(**{**vars(UP), "power": ()}, verdict="judge", decider="area1", life=(1, 2)),
+    DownMessage(**{**vars(UP), "power": ()}, verdict="evaluate", decider="area1", incarnation=(1, 2)),
     TelemetryMessage(HEADER, "area1", ("vm@1",), (1.0,), (0.002,), (1.7952e9,), (False,)),
     ClockMessage(HEADER, 12.5),
     STATE,
@@ -140,7 +140,7 @@ HEADER_PLACE, VM, REFERENCED = 2, 4, 6  # of a boundary message
         (lambda places: places[HEADER_PLACE].append(0), "malformed"),
     ],
 )
-def test_a_changed_place_is_refused_with_its_reason(change, reason):
+def test_a_changed_place_is_rejected_with_its_reason(change, reason):
     places = places_of(BoundaryMessage(HEADER, 6, 0.95, -0.02, True))
     change(places)
     with pytest.raises(MessageError) as caught:
@@ -155,7 +155,7 @@ def test_a_whole_number_may_stand_for_a_number():
 
 
 @pytest.mark.parametrize("kind", sorted(MESSAGE_TYPES))
-def test_recorded_bytes_of_wire_version_1_are_refused_by_name(kind):
+def test_recorded_bytes_of_wire_version_1_are_rejected_by_name(kind):
     recorded = json.loads((Path(__file__).parent / "wire_version_1.json").read_text())
     with pytest.raises(
         MessageError, match="speaks wire version 1, this is version 2: upgrade the other side"
@@ -181,9 +181,9 @@ def test_arrays_of_a_state_must_have_one_length():
         decode(encode(replace(STATE, vm=(1.0,))))
 
 
-def test_a_key_given_twice_is_refused():
+def test_a_key_given_twice_is_rejected():
     places = places_of(STATE)
-    places[2 + [f.name for f in fields(STATE)].index("refused")] = [["malformed", 1], ["malformed", 2]]
+    places[2 + [f.name for f in fields(STATE)].index("rejected")] = [["malformed", 1], ["malformed", 2]]
     with pytest.raises(MessageError, match="given twice"):
         decode(seal(msgspec.msgpack.encode(places)))
 
@@ -208,37 +208,37 @@ def with_variables(message, variables):
 @pytest.mark.parametrize("message", SPEAK_OF_BOUNDARIES, ids=lambda m: m.kind)
 @pytest.mark.parametrize("variables", [THREE_PHASES, ("p.a", "q.a", "vm.a", "va.a"), ("p@6", "q@6", "vm@7", "va@7")])
 def test_a_boundary_may_have_any_number_of_variables(message, variables):
-    told = with_variables(message, variables)
-    assert decode(encode(told)) == told
+    sent = with_variables(message, variables)
+    assert decode(encode(sent)) == sent
 
 
 @pytest.mark.parametrize("message", SPEAK_OF_BOUNDARIES, ids=lambda m: m.kind)
 @pytest.mark.parametrize("variables", [THREE_PHASES, ONE_PHASE])
 def test_no_array_about_a_boundary_has_another_length_than_its_variables_ask_for(message, variables):
-    told = with_variables(message, variables)
-    for name in {"R", "z", "no_load", "power", "y", "r", "r_before", "weight"} & {f.name for f in fields(told)}:
-        for wrong in (getattr(told, name)[:-1], (*getattr(told, name), 0.0)):
+    sent = with_variables(message, variables)
+    for name in {"R", "z", "no_load", "power", "y", "r", "r_before", "weight"} & {f.name for f in fields(sent)}:
+        for wrong in (getattr(sent, name)[:-1], (*getattr(sent, name), 0.0)):
             with pytest.raises(MessageError, match=f"{name} has {len(wrong)} numbers, not .* with {len(variables)}"):
-                decode(encode(replace(told, **{name: wrong})))
+                decode(encode(replace(sent, **{name: wrong})))
 
 
 @pytest.mark.parametrize("variables", [(), ("p", "p", "vm", "va"), ("p", "q", "vm", "VA"), ("p", "q", "vm", "va.")])
-def test_variables_that_no_boundary_has_are_refused(variables):
+def test_variables_that_no_boundary_has_are_rejected(variables):
     with pytest.raises(MessageError, match="variable"):
         decode(encode(with_variables(UP, variables)))
 
 
 def test_information_with_three_phases_survives_as_a_matrix():
     R = np.triu(np.arange(1.0, 145.0).reshape(12, 12))
-    told = replace(with_variables(UP, THREE_PHASES), R=write_triangle(R))
-    np.testing.assert_array_equal(read_triangle(decode(encode(told)).R), R)
+    sent = replace(with_variables(UP, THREE_PHASES), R=write_triangle(R))
+    np.testing.assert_array_equal(read_triangle(decode(encode(sent)).R), R)
 
 
-@pytest.mark.parametrize("place", ["removed", "old_sides", "quality", "refused", "sent", "run", "sender"])
-def test_a_name_longer_than_any_name_is_refused(place):
+@pytest.mark.parametrize("place", ["removed", "old_sides", "quality", "rejected", "sent", "run", "sender"])
+def test_a_name_longer_than_any_name_is_rejected(place):
     longest = "a" * LONGEST_NAME
     for name, passes in ((longest, True), (longest + "a", False)):
-        values = {"refused": {name: 1}, "sent": {name: (1, 1)}, "quality": name}
+        values = {"rejected": {name: 1}, "sent": {name: (1, 1)}, "quality": name}
         if place in ("run", "sender"):
             state = replace(STATE, header=replace(HEADER, **{place: name}))
         else:
@@ -267,14 +267,14 @@ def test_notes_are_few_and_short(notes, passes):
             decode(encode(state))
 
 
-def test_an_area_with_much_to_note_is_not_refused_for_it():
+def test_an_area_with_much_to_note_is_not_rejected_for_it():
     notes = [f"neighbour area{k} is gone" for k in range(200)] + ["no estimate: bus " + ", ".join(map(str, range(999)))]
     kept = limit_notes(notes[-1:] + notes)
     assert decode(encode(replace(STATE, notes=kept))).notes == kept
     assert (len(kept), len(kept[0]), kept[0][-3:], kept[-1]) == (MOST_NOTES, LONGEST_NOTE, "...", "and 153 more")
 
 
-def test_an_oversized_payload_is_refused_unread():
+def test_an_oversized_payload_is_rejected_unread():
     with pytest.raises(MessageError) as caught:
         decode(bytes(8 * 1024 * 1024 + 1))
     assert caught.value.reason == "too large"
@@ -315,7 +315,7 @@ def array_around(value):
         (array_around(b"\xc3"), "malformed"),
     ],
 )
-def test_what_could_exhaust_or_confuse_the_reader_is_refused_shortly(packed, reason):
+def test_what_could_exhaust_or_confuse_the_reader_is_rejected_shortly(packed, reason):
     with pytest.raises(MessageError) as caught:
         decode(seal(packed))
     assert caught.value.reason == reason
@@ -324,7 +324,7 @@ def test_what_could_exhaust_or_confuse_the_reader_is_refused_shortly(packed, rea
 
 
 @pytest.mark.parametrize("text", [b"\xd9\xff" + b"\xff" * 255, b"\xdb\x00\x10\x00\x00" + b"x" * 2**20])
-def test_a_name_that_is_not_utf_8_or_a_mebibyte_long_is_refused(text):
+def test_a_name_that_is_not_utf_8_or_a_mebibyte_long_is_rejected(text):
     packed = msgspec.msgpack.encode(places_of(MESSAGES[0])).replace(b"\xa5run-1", text)
     with pytest.raises(MessageError) as caught:
         decode(seal(packed))
@@ -371,7 +371,7 @@ def test_totals_that_say_nothing_are_left_out():
         (lambda parts: parts[0].append(1), "malformed"),
     ],
 )
-def test_totals_that_a_verdict_could_not_follow_from_are_refused(change, why):
+def test_totals_that_a_verdict_could_not_follow_from_are_rejected(change, why):
     with pytest.raises(MessageError, match=why):
         totals_read(change)
 
@@ -380,8 +380,8 @@ def test_totals_of_an_unknown_kind_that_is_optional_are_passed_over():
     assert totals_read(lambda parts: parts.insert(3, ["losses?", 1.0])) == UP.totals
 
 
-def refusal_of(payload):
-    """The reason for which ``payload`` is refused, None if it is a message; any other exception is a defect."""
+def rejection_of(payload):
+    """The reason for which ``payload`` is rejected, None if it is a message; any other exception is a defect."""
     try:
         decode(payload)
     except MessageError as error:
@@ -391,20 +391,20 @@ def refusal_of(payload):
 
 @settings(max_examples=100)
 @given(st.binary(max_size=300))
-def test_any_bytes_decode_or_are_refused(payload):
-    assert refusal_of(payload) != ""
-    assert refusal_of(seal(payload)) != ""
+def test_any_bytes_decode_or_are_rejected(payload):
+    assert rejection_of(payload) != ""
+    assert rejection_of(seal(payload)) != ""
 
 
 @settings(max_examples=100)
 @given(st.sampled_from(MESSAGES), st.data())
-def test_a_message_with_flipped_bytes_decodes_or_is_refused(message, data):
+def test_a_message_with_flipped_bytes_decodes_or_is_rejected(message, data):
     payload = bytearray(encode(message))
     for _ in range(data.draw(st.integers(1, 4))):
         payload[data.draw(st.integers(0, len(payload) - 1))] = data.draw(st.integers(0, 255))
     cut = bytes(payload[: data.draw(st.integers(0, len(payload)))])
-    assert refusal_of(cut) != ""
-    assert refusal_of(seal(cut)) != ""  # damaged before it was sealed
+    assert rejection_of(cut) != ""
+    assert rejection_of(seal(cut)) != ""  # damaged before it was sealed
 
 
 def test_a_restarted_area_is_newer_than_its_past_whatever_the_sequence():

@@ -7,37 +7,37 @@ from dataclasses import replace
 import pytest
 
 from agents.messages.packing import BoundaryMessage, Header, HeartbeatMessage, Incarnation, LoadMessage
-from agents.protocol.freshness import PATIENCE_BEATS
+from agents.protocol.freshness import PATIENCE_HEARTBEATS
 from agents.protocol.peer_table import PeerTable
 from agents.protocol.peers import FIRST_WAIT_S, LEAST_LONGEST_WAIT_S, Peer
 from dsse_core.grid.partition import Neighbour
 
-BEAT_S = 0.2
-OVER_S = PATIENCE_BEATS * BEAT_S
+HEARTBEAT_S = 0.2
+OVER_S = PATIENCE_HEARTBEATS * HEARTBEAT_S
 WALL = 1.7e9  # at monotonic time 0
 FIRST, SET_BACK = Incarnation(2_000, 1), Incarnation(1_000, 2)
 
 
-def header(life: Incarnation = FIRST, sequence: int = 1, time: float = WALL) -> Header:
-    return Header("run", "area2", life, scan=1, sequence=sequence, time=time)
+def header(incarnation: Incarnation = FIRST, sequence: int = 1, time: float = WALL) -> Header:
+    return Header("run", "area2", incarnation, scan=1, sequence=sequence, time=time)
 
 
-def load(life: Incarnation = FIRST, sequence: int = 1) -> LoadMessage:
-    return LoadMessage(header(life, sequence), 6, float(sequence), 0.0, 0.1)
+def load(incarnation: Incarnation = FIRST, sequence: int = 1) -> LoadMessage:
+    return LoadMessage(header(incarnation, sequence), 6, float(sequence), 0.0, 0.1)
 
 
-def heartbeat(life: Incarnation = FIRST, *, time: float = WALL, **changes: object) -> HeartbeatMessage:
-    said = HeartbeatMessage(header(life, time=time), 6, 0, 0, True, 0.0, (0, 0), False, False, ())
+def heartbeat(incarnation: Incarnation = FIRST, *, time: float = WALL, **changes: object) -> HeartbeatMessage:
+    said = HeartbeatMessage(header(incarnation, time=time), 6, 0, 0, True, 0.0, (0, 0), False, False, ())
     return replace(said, **changes)
 
 
 def boundary(sequence: int, *, time: float = WALL, complete: bool = False) -> BoundaryMessage:
-    return BoundaryMessage(header(sequence=sequence, time=time), 6, 1.0, 0.0, True, hears=True, complete=complete)
+    return BoundaryMessage(header(sequence=sequence, time=time), 6, 1.0, 0.0, True, receives=True, complete=complete)
 
 
 @pytest.fixture
 def peers() -> PeerTable:
-    return PeerTable([Neighbour("area2", 6, is_parent=False)], BEAT_S, 0.0, WALL)
+    return PeerTable([Neighbour("area2", 6, is_parent=False)], HEARTBEAT_S, 0.0, WALL)
 
 
 @pytest.fixture
@@ -45,7 +45,7 @@ def peer(peers: PeerTable) -> Peer:
     return peers["area2"]
 
 
-def hear(peer: Peer, message: HeartbeatMessage | BoundaryMessage, now: float) -> None:
+def receive(peer: Peer, message: HeartbeatMessage | BoundaryMessage, now: float) -> None:
     peer.take(message, now, WALL + now, is_awake=True)
 
 
@@ -56,28 +56,28 @@ def test_neither_a_repeat_nor_an_older_message_is_new(peer: Peer):
     assert peer.take_load(load(sequence=3))
 
 
-def test_a_former_incarnation_is_not_heard_while_the_newest_speaks(peers: PeerTable, peer: Peer):
+def test_a_former_incarnation_is_not_received_while_the_newest_speaks(peers: PeerTable, peer: Peer):
     for now in (0.0, 0.9 * OVER_S):
-        hear(peer, heartbeat(time=WALL + now), now)
-    assert peers.is_of_former_life(header(SET_BACK), 1.8 * OVER_S)
-    assert not peers.is_of_former_life(header(SET_BACK), 2.0 * OVER_S)
+        receive(peer, heartbeat(time=WALL + now), now)
+    assert peers.is_of_former_incarnation(header(SET_BACK), 1.8 * OVER_S)
+    assert not peers.is_of_former_incarnation(header(SET_BACK), 2.0 * OVER_S)
 
 
-def test_a_load_of_a_restarted_area_whose_clock_was_set_back_counts_once_it_has_been_heard(peer: Peer):
+def test_a_load_of_a_restarted_area_whose_clock_was_set_back_counts_once_it_has_been_received(peer: Peer):
     peer.take_load(load(sequence=9))
-    hear(peer, heartbeat(), 0.0)
+    receive(peer, heartbeat(), 0.0)
     assert not peer.take_load(load(SET_BACK))
-    hear(peer, heartbeat(SET_BACK), 2 * OVER_S)
+    receive(peer, heartbeat(SET_BACK), 2 * OVER_S)
     assert peer.received == (0, 0)  # the load that is kept is of a process that is no more
     assert peer.take_load(load(SET_BACK))
     assert peer.received == (1, 0)
 
 
 def test_of_two_messages_of_one_number_the_later_one_says_whether_the_side_is_complete(peer: Peer):
-    hear(peer, boundary(1, time=WALL + 1.0, complete=True), 1.0)
-    hear(peer, boundary(1, time=WALL + 0.5, complete=False), 1.1)  # overtaken
+    receive(peer, boundary(1, time=WALL + 1.0, complete=True), 1.0)
+    receive(peer, boundary(1, time=WALL + 0.5, complete=False), 1.1)  # overtaken
     assert peer.complete
-    hear(peer, boundary(1, time=WALL + 1.2, complete=False), 1.2)
+    receive(peer, boundary(1, time=WALL + 1.2, complete=False), 1.2)
     assert not peer.complete
 
 
@@ -90,16 +90,16 @@ def test_a_message_is_repeated_until_its_number_is_acknowledged_and_no_slower_th
         due.append(now)
     assert due == pytest.approx([FIRST_WAIT_S * k for k in range(1, 5)])
     for number in (3, 5):  # an earlier one, and one that was said to a former incarnation of this area
-        hear(peer, heartbeat(received=(number, 0), time=WALL + now), now)
+        receive(peer, heartbeat(received=(number, 0), time=WALL + now), now)
         assert peer.load.repeat
-    hear(peer, heartbeat(received=(4, 0), time=WALL + now), now)
+    receive(peer, heartbeat(received=(4, 0), time=WALL + now), now)
     assert peer.load.repeat is None
 
 
 def test_repeats_follow_the_measured_round_trip(peers: PeerTable, peer: Peer):
     for k in range(20):
         now = 0.1 * k
-        hear(peer, heartbeat(answers=WALL + now - 0.03, time=WALL + now), now)
+        receive(peer, heartbeat(answers=WALL + now - 0.03, time=WALL + now), now)
     assert peer.round_trip.mean == pytest.approx(0.03, abs=1e-6)
     peer.await_answer(peer.exchange, boundary(1), now)
     assert peer.exchange.repeat.wait_s < 2 * 0.03
@@ -109,20 +109,20 @@ def test_repeats_follow_the_measured_round_trip(peers: PeerTable, peer: Peer):
 @pytest.mark.parametrize("answers", [1e-300, 1.0, WALL - 1.0, WALL + 10.0])
 def test_what_was_never_said_tells_no_round_trip(peer: Peer, answers: float):
     """Of before this process began, or of later than now."""
-    hear(peer, heartbeat(answers=answers), 1.0)
+    receive(peer, heartbeat(answers=answers), 1.0)
     assert peer.round_trip.longest_wait_s == FIRST_WAIT_S
 
 
 def test_nothing_is_repeated_to_a_process_that_is_no_more(peer: Peer):
-    hear(peer, heartbeat(), 0.0)
+    receive(peer, heartbeat(), 0.0)
     peer.await_answer(peer.load, load(sequence=4), 0.0)
-    hear(peer, heartbeat(Incarnation(3_000, 1)), 0.1)
+    receive(peer, heartbeat(Incarnation(3_000, 1)), 0.1)
     assert peer.load.repeat is None
     assert peer.load.message is not None  # for when it says that it lacks it
 
 
 def test_nothing_is_repeated_to_a_neighbour_that_is_not_there(peers: PeerTable, peer: Peer):
-    hear(peer, heartbeat(hears=False), 0.0)
+    receive(peer, heartbeat(receives=False), 0.0)
     peer.await_answer(peer.load, load(), 0.0)
-    assert list(peers.take_due_repeats(PATIENCE_BEATS * BEAT_S)) == []
+    assert list(peers.take_due_repeats(PATIENCE_HEARTBEATS * HEARTBEAT_S)) == []
     assert peer.load.repeat is None

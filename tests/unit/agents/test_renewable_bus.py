@@ -31,7 +31,7 @@ class Bus:
 
 
 class Opener:
-    """Opens buses, or fails as often as it is told."""
+    """Opens buses, or fails as often as ordered."""
 
     def __init__(self) -> None:
         self.opened: list[Bus] = []

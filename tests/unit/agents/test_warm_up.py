@@ -10,17 +10,17 @@ from dsse_core.linear.radial import RadialSolver
 
 def test_warming_up_goes_through_every_pass_of_the_tree(monkeypatch: pytest.MonkeyPatch):
     pytest.importorskip("numba")
-    from dsse_core.radial import boundary as tree_boundary
-    from dsse_core.radial import root as tree_root
+    from dsse_core.radial import boundary as radial_boundary
+    from dsse_core.radial import root as radial_root
 
     declined: list[str] = []
     monkeypatch.setattr(RadialSolver, "_decline", lambda self, reason: declined.append(reason))
     warm_up()
     assert not declined
     for kernel in (
-        tree_boundary.pass_upward,
-        tree_root.describe_root,
-        tree_boundary.step_downward,
-        tree_boundary.variances_downward,
+        radial_boundary.pass_upward,
+        radial_root.describe_root,
+        radial_boundary.step_downward,
+        radial_boundary.variances_downward,
     ):
         assert len(kernel.signatures) >= 1

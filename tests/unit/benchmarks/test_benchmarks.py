@@ -131,7 +131,7 @@ def test_a_call_that_fails_says_why_and_leaves_the_others_alone(function, argume
         call_limited(function, argument, limit_s=0.1 if function is time.sleep else 60, limit_gib=4)
 
 
-def test_a_network_that_the_peers_cannot_be_given_is_refused():
+def test_a_network_that_the_peers_cannot_be_given_is_rejected():
     network = build_network(33)
     first, *others = network.buses
     changed = replace(network, buses=(replace(first, b_shunt=0.1), *others), generators=())
@@ -140,7 +140,7 @@ def test_a_network_that_the_peers_cannot_be_given_is_refused():
 
 
 @pytest.mark.parametrize(("option", "value"), [("--sizes", "33,two"), ("--sets", "half"), ("--sizes", "2")])
-def test_a_wrong_option_is_refused_with_what_to_give(option, value):
+def test_a_wrong_option_is_rejected_with_what_to_give(option, value):
     finished = subprocess.run(
         [sys.executable, "-m", "benchmarks", option, value], cwd=ROOT, capture_output=True, text=True, check=False
     )

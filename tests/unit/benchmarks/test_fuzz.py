@@ -19,7 +19,7 @@ def test_the_same_number_makes_the_same_input(name):
 
 @pytest.mark.random_cases(few=3, many=100)
 @pytest.mark.parametrize("name", TARGETS)
-def test_spoilt_input_is_accepted_or_refused(name, random_seed, tmp_path):
+def test_spoilt_input_is_accepted_or_rejected(name, random_seed, tmp_path):
     for number in range(10 if name == "messages" else 1):
         outcome = try_input(name, make_input(name, random_seed, number), tmp_path)
         assert not outcome.startswith(FINDING), outcome

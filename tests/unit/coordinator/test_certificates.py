@@ -1,4 +1,4 @@
-"""Keys: what is created, and what is told about files that cannot be used."""
+"""Keys: what is created, and what is reported about files that cannot be used."""
 
 import datetime
 import os
@@ -80,7 +80,7 @@ def test_nobody_is_called_at_the_host_of_another(tmp_path: Path):
         assert [str(entry.value) for entry in names][len(HERE) :] == own
 
 
-def test_keys_for_areas_that_do_not_listen_are_refused_where_they_do(keys: Path):
+def test_keys_for_areas_that_do_not_listen_are_rejected_where_they_do(keys: Path):
     with pytest.raises(InvalidInputError, match=r"area2.crt: is for a process that only calls others"):
         check_keys(keys, ACCESS, direct=True)
     with pytest.raises(InvalidInputError, match=r"make keys for this scenario with `dsse keys create SCENARIO`"):
@@ -108,12 +108,12 @@ def modes_of(paths: Iterable[Path]) -> set[int]:
 
 
 @pytest.mark.parametrize("name", ["authority.crt", "area1.crt", "access.toml"])
-def test_a_file_that_anybody_may_change_is_refused(keys: Path, name: str):
+def test_a_file_that_anybody_may_change_is_rejected(keys: Path, name: str):
     (keys / name).chmod(0o666)
     assert f"anybody on this host may change this file; chmod o-w {keys / name}" in problems_of(keys)
 
 
-def test_whose_name_is_revoked_is_told_at_the_start(keys: Path):
+def test_whose_name_is_revoked_is_reported_at_the_start(keys: Path):
     save_access(keys / ACCESS_FILE, replace(ACCESS, revoked=("area1",)))
     assert "revoked: names 'area1', and this process would be 'area1'" in problems_of(keys)
     with pytest.raises(InvalidInputError, match="revoked: area1 is denied everything"):
@@ -139,7 +139,7 @@ def test_the_rules_of_a_scenario_name_its_neighbours():
     assert access.neighbours == {"area1": ("area2", "area3"), "area2": ("area1",), "area3": ("area1",)}
 
 
-def test_a_name_that_fits_into_no_certificate_is_refused(tmp_path: Path):
+def test_a_name_that_fits_into_no_certificate_is_rejected(tmp_path: Path):
     with pytest.raises(InvalidInputError, match="longer than the 64 letters"):
         create_keys(tmp_path / "keys", Access("run", {"a" * 65: ()}), days=1)
     with pytest.raises(InvalidInputError, match="would be those of the authority"):
@@ -160,14 +160,14 @@ def test_an_expired_certificate_is_named_with_its_date(tmp_path: Path):
     assert f"{tmp_path / 'authority.crt'}: expired" in text
 
 
-def test_a_certificate_of_another_area_is_told_from_ones_own(keys: Path):
+def test_a_certificate_of_another_area_is_distinguished_from_ones_own(keys: Path):
     (keys / "area1.crt").write_bytes((keys / "area2.crt").read_bytes())
     text = problems_of(keys)
     assert "area1.crt: is the certificate of 'area2', and 'area1' is needed" in text
     assert "area1.key: does not belong to" in text
 
 
-def test_a_certificate_of_another_authority_is_told_from_ones_own(keys: Path, tmp_path: Path):
+def test_a_certificate_of_another_authority_is_distinguished_from_ones_own(keys: Path, tmp_path: Path):
     create_keys(tmp_path / "others", ACCESS, days=10)
     (keys / "authority.crt").write_bytes((tmp_path / "others" / "authority.crt").read_bytes())
     assert "area1.crt: was issued by 'CN=authority of grid', not by the authority in" in problems_of(keys)
@@ -190,18 +190,18 @@ def test_a_key_that_cannot_be_read_is_named(keys: Path):
     assert "area1.key: cannot be read: is a folder" in problems_of(keys)
 
 
-def test_a_key_that_anybody_may_read_is_refused(keys: Path):
+def test_a_key_that_anybody_may_read_is_rejected(keys: Path):
     (keys / "area1.key").chmod(0o644)
     assert f"chmod o-rwx {keys / 'area1.key'}" in problems_of(keys)
 
 
-def test_keys_for_other_areas_are_refused(keys: Path):
+def test_keys_for_other_areas_are_rejected(keys: Path):
     with pytest.raises(InvalidInputError) as caught:
         check_keys(keys, Access("grid", {"area1": (), "area2": ()}))
     assert "area area1 has neighbours area2 there, none in the scenario" in str(caught.value)
 
 
-def test_dsse_keys_create_says_what_it_made_and_refuses_to_do_it_again(tmp_path: Path, capsys):
+def test_dsse_keys_create_says_what_it_made_and_rejects_to_do_it_again(tmp_path: Path, capsys):
     out = tmp_path / "keys"
     command = ["keys", "create", "industrial13", "--out", str(out), "--days", "3", "--run", "trial"]
     assert run_command(command) == 0
@@ -230,6 +230,6 @@ def test_dsse_keys_create_says_what_it_made_and_refuses_to_do_it_again(tmp_path:
         (["--out", "/dev/null/keys"], "cannot be made: a file is in its way"),
     ],
 )
-def test_dsse_keys_create_refuses_what_cannot_be(tmp_path: Path, capsys, options: list[str], expected: str):
+def test_dsse_keys_create_rejects_what_cannot_be(tmp_path: Path, capsys, options: list[str], expected: str):
     assert run_command(["keys", "create", "industrial13", "--out", str(tmp_path / "keys"), *options]) == 2
     assert expected in capsys.readouterr().err

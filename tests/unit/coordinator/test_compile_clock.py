@@ -37,7 +37,7 @@ def test_the_clock_starts_when_all_is_compiled_here_and_in_the_parent(time: Time
     assert clock.find_start(130.0) == 130.0
 
 
-def test_the_user_is_told_once_whether_it_will_happen_again():
+def test_the_user_is_reported_once_whether_it_will_happen_again():
     said: list[str] = []
     clock = CompileClock()
     clock.say = said.append

@@ -47,7 +47,7 @@ def test_an_area_that_never_published_is_not_close():
 
 def test_a_run_ends_with_the_gap_that_its_verdict_states():
     simulation = Simulation(choose_scenario("ieee33", strategy="angle-offset"))
-    outcome = simulation.judge(simulation.run())
+    outcome = simulation.evaluate(simulation.run())
     series = gap_history(outcome)
     assert list(series) == ["area1", "area2", "area3"]
     last = np.array([rows[-1] for rows in series.values()])

@@ -1,4 +1,4 @@
-"""Every kind of file with tables is refused in the same words, with the same counting, all problems at once."""
+"""Every kind of file with tables is rejected in the same words, with the same counting, all problems at once."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def test_a_number_in_quotes_is_no_number_in_any_file_and_items_count_from_1(
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("text", ["x = 1\nx = 2\n", "run = "])
-def test_a_key_given_twice_or_no_toml_is_refused_in_the_same_words(tmp_path: Path, kind: str, text: str) -> None:
+def test_a_key_given_twice_or_no_toml_is_rejected_in_the_same_words(tmp_path: Path, kind: str, text: str) -> None:
     path = tmp_path / "mine.toml"
     path.write_text(text)
     with pytest.raises(InvalidInputError) as caught:

@@ -44,7 +44,7 @@ def case(tmp_path: Path) -> Path:
     return path
 
 
-def test_an_imported_case_is_told_checked_and_runs(dsse, tmp_path: Path, case: Path) -> None:
+def test_an_imported_case_is_reported_checked_and_runs(dsse, tmp_path: Path, case: Path) -> None:
     code, out, _ = dsse("import", case, "--out", tmp_path / "new", "--areas", 2, "--name", "town")
     assert code == 0
     assert out.splitlines() == [
@@ -69,7 +69,7 @@ def test_files_that_are_there_are_not_overwritten(dsse, tmp_path: Path, case: Pa
     assert all(f"{name} is there already" in err for name in ("network.toml", "scenario.toml", "import.txt"))
 
 
-def test_more_areas_than_the_network_has_are_refused(dsse, tmp_path: Path, case: Path) -> None:
+def test_more_areas_than_the_network_has_are_rejected(dsse, tmp_path: Path, case: Path) -> None:
     code, _, err = dsse("import", case, "--out", tmp_path / "new", "--areas", 9)
     assert code == 2
     assert "3" in err

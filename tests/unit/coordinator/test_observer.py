@@ -9,24 +9,24 @@ import pytest
 from shown_states import said_by
 
 from agents.messages.packing import Header, Incarnation, StateMessage
-from agents.protocol.freshness import PATIENCE_BEATS
+from agents.protocol.freshness import PATIENCE_HEARTBEATS
 from coordinator.observe.observer import Observer, Standing
 from coordinator.observe.progress import describe_progress
 from scenarios.scenario import load_scenario
 
 PARTITION = load_scenario("ieee33").partition
 AREAS = tuple(area.name for area in PARTITION.areas)
-BEAT = 0.2
+HEARTBEAT_S = 0.2
 
 
 def a_state(area: str, sequence: int = 1, **changes: object) -> StateMessage:
-    """A state of an area that agrees with everybody: 1 p.u. at 0 rad, everything heard."""
+    """A state of an area that agrees with everybody: 1 p.u. at 0 rad, everything received."""
     here = PARTITION.area(area)
     n = len(here.network.buses)
     said = {neighbour.area: (1, 2) for neighbour in here.neighbours}
     shown = {
         **{"buses": tuple(bus.id for bus in here.network.buses), "vm": (1.0,) * n, "va": (0.0,) * n},
-        **{"sigma_vm": (0.001,) * n, "sigma_va": (0.001,) * n, "sent": said, "heard": said, "lost": 1},
+        **{"sigma_vm": (0.001,) * n, "sigma_va": (0.001,) * n, "sent": said, "received": said, "lost": 1},
         **{"telemetry_age": 0.0, "ages": {}},
     }
     state = said_by(area, Incarnation(1, 1), **(shown | changes))
@@ -37,28 +37,28 @@ def with_scan(state: StateMessage, scan: int) -> StateMessage:
     return replace(state, header=replace(state.header, scan=scan))
 
 
-def watch(*states: StateMessage, beats: int = 3, alive: tuple[str, ...] = AREAS, magnitudes: bool = False) -> Observer:
-    """An observer that has seen ``states`` in place of the agreeing ones, and all of them ``beats`` times again."""
-    observer = Observer(PARTITION, tolerance_va=1e-6, tolerance_vm=1e-6, beat_s=BEAT, compare_magnitudes=magnitudes)
+def watch(*states: StateMessage, heartbeats: int = 3, alive: tuple[str, ...] = AREAS, magnitudes: bool = False) -> Observer:
+    """An observer of agreeing states, with ``states`` in their place, and all of them ``heartbeats`` times again."""
+    observer = Observer(PARTITION, tolerance_va=1e-6, tolerance_vm=1e-6, beat_s=HEARTBEAT_S, compare_magnitudes=magnitudes)
     for area in alive:
         observer.take_presence(area, True, 0.0)
     shown = {area: a_state(area) for area in AREAS} | {state.header.sender: state for state in states}
-    for beat in range(beats + 1):
+    for heartbeat in range(heartbeats + 1):
         for state in shown.values():
-            observer.take_state(state, beat * BEAT)
+            observer.take_state(state, heartbeat * HEARTBEAT_S)
     return observer
 
 
-def obstacles(observer: Observer, beats: int = 3) -> str:
-    return "; ".join(observer.standing(beats * BEAT).obstacles)
+def obstacles(observer: Observer, heartbeats: int = 3) -> str:
+    return "; ".join(observer.standing(heartbeats * HEARTBEAT_S).obstacles)
 
 
 def shifted(state: StateMessage, vm: float = 0.0, va: float = 0.0) -> StateMessage:
     return replace(state, vm=tuple(v + vm for v in state.vm), va=tuple(a + va for a in state.va))
 
 
-def test_areas_that_agree_and_have_heard_all_words_are_in_consensus_at_once():
-    assert watch(beats=0).standing(0.0) == Standing(())
+def test_areas_that_agree_and_have_received_all_messages_are_in_consensus_at_once():
+    assert watch(heartbeats=0).standing(0.0) == Standing(())
 
 
 def test_an_area_that_is_not_on_the_bus_keeps_the_run_from_consensus():
@@ -67,14 +67,14 @@ def test_an_area_that_is_not_on_the_bus_keeps_the_run_from_consensus():
 
 def test_an_area_that_vanishes_is_missed_and_one_that_returns_is_waited_for():
     observer = watch()
-    observer.take_presence("area2", False, 3 * BEAT)
+    observer.take_presence("area2", False, 3 * HEARTBEAT_S)
     assert "area2 is not on the bus" in obstacles(observer, 20)
-    observer.take_presence("area2", True, 4 * BEAT)
+    observer.take_presence("area2", True, 4 * HEARTBEAT_S)
     assert "changed" in obstacles(observer, 20)  # nobody has repeated itself since
 
 
 def test_an_area_without_a_state_keeps_the_run_from_consensus():
-    observer = Observer(PARTITION, 1e-6, 1e-6, BEAT, False)
+    observer = Observer(PARTITION, 1e-6, 1e-6, HEARTBEAT_S, False)
     observer.take_presence("area1", True, 0.0)
     assert "area1 has not shown a state" in obstacles(observer)
 
@@ -122,40 +122,40 @@ def test_magnitudes_count_only_where_the_strategy_reconciles_them(magnitudes: bo
     assert obstacles(watch(shifted(a_state("area2"), vm=0.01), magnitudes=magnitudes)) == expected
 
 
-@pytest.mark.parametrize(("heard", "kind"), [((0, 2), "load"), ((1, 1), "boundary")])
-def test_last_words_that_were_not_heard_are_named(heard: tuple[int, int], kind: str):
+@pytest.mark.parametrize(("received", "kind"), [((0, 2), "load"), ((1, 1), "boundary")])
+def test_last_messages_that_were_not_received_are_named(received: tuple[int, int], kind: str):
     assert (
-        obstacles(watch(a_state("area2", heard={"area1": heard})))
-        == f"area2 has not heard the last {kind} message of area1"
+        obstacles(watch(a_state("area2", received={"area1": received})))
+        == f"area2 has not received the last {kind} message of area1"
     )
 
 
-def test_an_area_that_has_told_its_neighbour_nothing_is_named():
+def test_an_area_that_has_reported_its_neighbour_nothing_is_named():
     silent = a_state("area2", sent={"area1": (1, 0)})
-    text = obstacles(watch(silent, a_state("area1", heard={"area2": (1, 0), "area3": (1, 2)})))
+    text = obstacles(watch(silent, a_state("area1", received={"area2": (1, 0), "area3": (1, 2)})))
     assert text == "area2 has sent area1 no boundary message"
 
 
 def restarted(area: str) -> StateMessage:
-    """The state of another life, which numbers its words like the life before."""
+    """The state of another incarnation, which numbers its words like the incarnation before."""
     state = a_state(area)
     return replace(state, header=replace(state.header, incarnation=Incarnation(2, 0)))
 
 
-def test_after_a_restart_nothing_must_have_changed_for_two_beats():
+def test_after_a_restart_nothing_must_have_changed_for_two_heartbeats():
     observer = watch()
-    observer.take_state(restarted("area1"), 3 * BEAT)
-    assert obstacles(observer, 3) == "something has changed within the last 2 beats, after a restart or another fault"
-    for beat in (4, 5, 6):
+    observer.take_state(restarted("area1"), 3 * HEARTBEAT_S)
+    assert obstacles(observer, 3) == "something has changed within the last 2 heartbeats, after a restart or another fault"
+    for heartbeat in (4, 5, 6):
         for state in (restarted("area1"), a_state("area2"), a_state("area3")):
-            observer.take_state(state, beat * BEAT)
+            observer.take_state(state, heartbeat * HEARTBEAT_S)
     assert obstacles(observer, 6) == ""
 
 
-def test_after_a_restart_silence_is_not_quiet_because_every_area_must_be_heard_to_repeat_itself():
+def test_after_a_restart_silence_is_not_quiet_because_every_area_must_be_received_to_repeat_itself():
     observer = watch()
-    observer.take_state(restarted("area1"), 3 * BEAT)
-    assert obstacles(observer, 100) == "something has changed within the last 2 beats, after a restart or another fault"
+    observer.take_state(restarted("area1"), 3 * HEARTBEAT_S)
+    assert obstacles(observer, 100) == "something has changed within the last 2 heartbeats, after a restart or another fault"
 
 
 def test_an_older_message_does_not_replace_a_newer_one():
@@ -170,19 +170,19 @@ def test_a_repeat_brings_newer_counts():
     assert observer.states["area1"].messages == 99
 
 
-def test_a_restarted_area_is_heard_at_once_although_it_counts_from_one_again():
+def test_a_restarted_area_is_received_at_once_although_it_counts_from_one_again():
     observer = watch(a_state("area1", sequence=9))
     assert observer.take_state(restarted("area1"), 1.0)
     assert observer.states["area1"].header.incarnation == Incarnation(2, 0)
 
 
-def test_an_area_restarted_with_its_clock_set_back_is_heard_once_its_former_life_is_over():
+def test_an_area_restarted_with_its_clock_set_back_is_received_once_its_former_incarnation_is_over():
     observer = watch()
-    last_heard = 3 * BEAT
+    last_received = 3 * HEARTBEAT_S
     earlier = a_state(AREAS[0], vm=(1.01,) * len(a_state(AREAS[0]).buses))
     earlier = replace(earlier, header=replace(earlier.header, incarnation=Incarnation(0, 7)))
-    assert not observer.take_state(earlier, last_heard + PATIENCE_BEATS * BEAT)
-    assert observer.take_state(earlier, last_heard + (PATIENCE_BEATS + 1) * BEAT)
+    assert not observer.take_state(earlier, last_received + PATIENCE_HEARTBEATS * HEARTBEAT_S)
+    assert observer.take_state(earlier, last_received + (PATIENCE_HEARTBEATS + 1) * HEARTBEAT_S)
     assert observer.states[AREAS[0]].vm[0] == 1.01
 
 
@@ -205,61 +205,61 @@ def test_history_keeps_every_changed_estimate_with_its_time():
     assert [sample.time for sample in observer.history if sample.area == "area1"] == [0.0, 9.0]
 
 
-def test_progress_shows_state_and_gap_of_every_area():
+def test_progress_shows_state_and_mismatch_of_every_area():
     progress = describe_progress(watch(shifted(a_state("area2"), va=0.1)), 1.5, ("area2 adjusts",))
     assert [area.name for area in progress.areas] == list(AREAS)
     by_name = {area.name: area for area in progress.areas}
     assert by_name["area2"].state == "adjusts"
-    assert by_name["area2"].gap_va == pytest.approx(0.1)
+    assert by_name["area2"].mismatch_va == pytest.approx(0.1)
     assert by_name["area3"].state == "agrees"
     assert progress.obstacles == ("area2 adjusts",)
 
 
-def test_after_a_fault_every_area_must_have_been_heard_again():
+def test_after_a_fault_every_area_must_have_been_received_again():
     observer = watch()
-    assert not observer.standing(5 * BEAT).obstacles
-    observer.take_fault(5 * BEAT)
-    for beat in (6, 7):
-        for state in (a_state("area1"), a_state("area2")):  # area3 was killed, and nobody has told yet
-            observer.take_state(state, beat * BEAT)
-    assert obstacles(observer, 8) == "something has changed within the last 2 beats, after a restart or another fault"
-    for beat in (8, 9):
-        observer.take_state(a_state("area3"), beat * BEAT)
+    assert not observer.standing(5 * HEARTBEAT_S).obstacles
+    observer.take_fault(5 * HEARTBEAT_S)
+    for heartbeat in (6, 7):
+        for state in (a_state("area1"), a_state("area2")):  # area3 was killed, and nobody has reported it yet
+            observer.take_state(state, heartbeat * HEARTBEAT_S)
+    assert obstacles(observer, 8) == "something has changed within the last 2 heartbeats, after a restart or another fault"
+    for heartbeat in (8, 9):
+        observer.take_state(a_state("area3"), heartbeat * HEARTBEAT_S)
     assert obstacles(observer, 9) == ""
 
 
 def test_areas_that_agree_on_stale_estimates_are_no_consensus_and_after_long_a_dead_end_that_names_the_scan():
     observer = watch(a_state("area2", quality="stale", telemetry_age=1.0))
-    assert obstacles(observer) == "area2 has heard no telemetry for 1.0 s"
-    assert observer.standing(3 * BEAT).dead_end is None
-    assert observer.standing((3 + PATIENCE_BEATS) * BEAT).dead_end is None, "the plant may be slow"
+    assert obstacles(observer) == "area2 has received no telemetry for 1.0 s"
+    assert observer.standing(3 * HEARTBEAT_S).dead_end is None
+    assert observer.standing((3 + PATIENCE_HEARTBEATS) * HEARTBEAT_S).dead_end is None, "the plant may be slow"
     later = 5.0
     for state in (a_state("area1"), a_state("area3")):
         observer.take_state(state, later)
     reason = observer.standing(later).dead_end
     assert reason is not None
-    assert "stale estimates: area2 heard the last telemetry, of scan 1, 5.4 s ago" in reason
+    assert "stale estimates: area2 received the last telemetry, of scan 1, 5.4 s ago" in reason
     observer.take_state(shifted(a_state("area1", sequence=2), va=0.1), later)
     assert observer.standing(later).dead_end is None, "areas that differ may still come to agree"
 
 
-def test_after_a_fault_every_area_must_have_heard_its_telemetry_again_which_a_dead_plant_has_not_sent():
+def test_after_a_fault_every_area_must_have_received_its_telemetry_again_which_a_dead_plant_has_not_sent():
     observer = watch()
-    observer.take_fault(3 * BEAT)
-    for beat in (4, 5, 6):
+    observer.take_fault(3 * HEARTBEAT_S)
+    for heartbeat in (4, 5, 6):
         for area in AREAS:
-            heard = 0.0 if area != "area3" else (beat - 3) * BEAT + 0.01
-            observer.take_state(a_state(area, telemetry_age=heard), beat * BEAT)
-    assert obstacles(observer, 6) == "area3 has heard no telemetry for 0.6 s"
-    observer.take_state(a_state("area3"), 7 * BEAT)
+            received = 0.0 if area != "area3" else (heartbeat - 3) * HEARTBEAT_S + 0.01
+            observer.take_state(a_state(area, telemetry_age=received), heartbeat * HEARTBEAT_S)
+    assert obstacles(observer, 6) == "area3 has received no telemetry for 0.6 s"
+    observer.take_state(a_state("area3"), 7 * HEARTBEAT_S)
     assert obstacles(observer, 7) == ""
 
 
-def test_the_state_of_an_area_that_is_gone_or_not_heard_is_no_longer_good():
-    observer = watch(beats=0)
-    assert observer.quality_of("area1", 2 * BEAT) == "good"
-    assert observer.quality_of("area1", 4 * BEAT) == "stale"
-    observer.take_state(a_state("area1"), 4 * BEAT)
-    assert observer.quality_of("area1", 4 * BEAT) == "good"
-    observer.take_presence("area1", False, 4 * BEAT)
-    assert observer.quality_of("area1", 4 * BEAT) == "stale"
+def test_the_state_of_an_area_that_is_gone_or_not_received_is_no_longer_good():
+    observer = watch(heartbeats=0)
+    assert observer.quality_of("area1", 2 * HEARTBEAT_S) == "good"
+    assert observer.quality_of("area1", 4 * HEARTBEAT_S) == "stale"
+    observer.take_state(a_state("area1"), 4 * HEARTBEAT_S)
+    assert observer.quality_of("area1", 4 * HEARTBEAT_S) == "good"
+    observer.take_presence("area1", False, 4 * HEARTBEAT_S)
+    assert observer.quality_of("area1", 4 * HEARTBEAT_S) == "stale"

@@ -1,4 +1,4 @@
-"""``dsse partition`` and ``dsse generate`` as a user meets them: tables, pictures, files, and what is refused."""
+"""``dsse partition`` and ``dsse generate`` as a user meets them: tables, pictures, files, and what is rejected."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def test_areas_are_drawn_into_a_new_folder(dsse, tmp_path: Path) -> None:
         (("--out", "areas.bmp"), "none of the endings .png, .pdf, .svg"),
     ],
 )
-def test_what_cannot_be_cut_or_drawn_is_refused(dsse, options: tuple[str, ...], reason: str) -> None:
+def test_what_cannot_be_cut_or_drawn_is_rejected(dsse, options: tuple[str, ...], reason: str) -> None:
     code, out, err = dsse("partition", "ieee33", *options)
     assert (code, out) == (2, "")
     assert reason in err
@@ -123,7 +123,7 @@ def test_the_generated_scenario_says_by_which_command(dsse, tmp_path: Path) -> N
         (("--buses", "5", "--areas", "5"), "ask for fewer"),
     ],
 )
-def test_what_cannot_be_generated_is_refused(dsse, tmp_path: Path, options: tuple[str, ...], reason: str) -> None:
+def test_what_cannot_be_generated_is_rejected(dsse, tmp_path: Path, options: tuple[str, ...], reason: str) -> None:
     code, _, err = dsse("generate", *options, "--out", tmp_path / "feeder")
     assert code == 2
     assert reason in err

@@ -11,7 +11,7 @@ import pytest
 
 from agents.area_files.reader import load_area_file
 from agents.messages.packing import Incarnation, TelemetryMessage, decode
-from agents.runtime.duplicate_guard import Succession
+from agents.runtime.duplicate_guard import DuplicateGuard
 from agents.runtime.inbox import Inbox
 from agents.transport.renewable_bus import RenewableBus
 from coordinator.deployment.split import choose_run_id, default_run_id, write_area_files
@@ -90,7 +90,7 @@ def test_the_time_between_scans_reaches_every_area_and_no_other_scenario_has_one
 
 
 @pytest.mark.parametrize("scan_s", [0.0, -1.0, 1e-4, 1e6])
-def test_a_time_between_scans_that_cannot_be_is_refused(scan_s: float):
+def test_a_time_between_scans_that_cannot_be_is_rejected(scan_s: float):
     with pytest.raises(InvalidInputError, match="scan_s"):
         load_scenario("ieee33", changes={"run.scan_s": scan_s})
 
@@ -117,8 +117,8 @@ def no_bus() -> RenewableBus:
 def test_a_plant_whose_scans_follow_at_once_publishes_each_and_can_be_stopped():
     published: list[bytes] = []
     inbox = Inbox()
-    succession = Succession("plant", Incarnation(1, 1), 0.0, beat_s=0.2)
-    voice = _Voice({"area1": published.append}, inbox, beat_s=0.2, succession=succession, bus=no_bus())
+    guard = DuplicateGuard("plant", Incarnation(1, 1), 0.0, beat_s=0.2)
+    voice = _Voice({"area1": published.append}, inbox, beat_s=0.2, guard=guard, bus=no_bus())
     assert not voice.serve({"area1": b"scan 1"}, {}, duration_s=1e-9)
     inbox.put("stop", None)
     assert voice.serve({"area1": b"scan 2"}, {}, duration_s=1e-9)
@@ -129,15 +129,15 @@ def test_a_plant_says_much_in_pieces_and_who_waits_when_a_scan_ends_is_first_in_
     said: list[str] = []
     areas = [f"area{k}" for k in range(1, 4)]
     publishers = {area: lambda payload, area=area: said.append(f"{area} {payload[:1].decode()}") for area in areas}
-    succession = Succession("plant", Incarnation(1, 1), 0.0, beat_s=LONGEST_S)
-    voice = _Voice(publishers, Inbox(), beat_s=LONGEST_S, succession=succession, bus=no_bus())
+    guard = DuplicateGuard("plant", Incarnation(1, 1), 0.0, beat_s=LONGEST_S)
+    voice = _Voice(publishers, Inbox(), beat_s=LONGEST_S, guard=guard, bus=no_bus())
     for scan in (b"1", b"2", b"3"):
         assert not voice.serve({area: scan * BURST for area in areas}, {}, duration_s=1e-9)
     assert said == ["area1 1", "area2 2", "area3 3"]
 
 
 def test_a_scan_that_was_made_elsewhere_is_published_as_the_plant_would_make_it():
-    scenario, life = load_scenario("industrial13"), Incarnation(1, 0)
+    scenario, incarnation = load_scenario("industrial13"), Incarnation(1, 0)
     own, made = OwnScans(scenario, many=False), MadeScan.of(scenario, make_telemetry(scenario))
     for scans in (own, made):
         assert scans.beat_s == scenario.run.beat_s
@@ -145,7 +145,7 @@ def test_a_scan_that_was_made_elsewhere_is_published_as_the_plant_would_make_it(
     contents = [
         {
             area: replace(decode(payload), header=None, times=())
-            for area, payload in scans.payloads("run", life, 1).items()
+            for area, payload in scans.payloads("run", incarnation, 1).items()
         }  # type: ignore[arg-type, type-var]
         for scans in (own, made)
     ]

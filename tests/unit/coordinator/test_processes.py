@@ -1,4 +1,4 @@
-"""The warmed parent: processes start, their end is told, and none is left behind."""
+"""The warmed parent: processes start, their end is reported, and none is left behind."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ import psutil
 import pytest
 
 from coordinator.process_run.fork_server import IO_ERROR_CODE, Ended, Started
-from coordinator.process_run.processes import Launcher, LaunchError, News, describe_end, read_end
+from coordinator.process_run.processes import Launcher, LaunchError, Updates, describe_end, read_end
 
 DEADLINE_S = 20.0
 
 
-def take_until(news: News, kind: type, name: str):
-    """The first ``kind`` of news about process ``name``."""
-    return take_all(news, kind, name)[name]
+def take_until(updates: Updates, kind: type, name: str):
+    """The first ``kind`` of updates about process ``name``."""
+    return take_all(updates, kind, name)[name]
 
 
-def take_all(news: News, kind: type, *names: str):
-    """Name -> the first ``kind`` of news about it, however the news came together."""
+def take_all(updates: Updates, kind: type, *names: str):
+    """Name -> the first ``kind`` of updates about it, however the updates came together."""
     deadline = time.monotonic() + DEADLINE_S
     found = {}
     while not found.keys() >= set(names):
         assert time.monotonic() < deadline, f"no {kind.__name__} of {set(names) - found.keys()} within {DEADLINE_S} s"
-        found |= {item.name: item for item in news.take(0.1) if isinstance(item, kind) and item.name not in found}
+        found |= {item.name: item for item in updates.take(0.1) if isinstance(item, kind) and item.name not in found}
     return found
 
 
@@ -45,32 +45,32 @@ def is_gone(pid: int) -> bool:
 
 
 def test_a_process_runs_its_target_with_its_output_in_its_log(tmp_path: Path):
-    news = News()
-    with Launcher(news.put) as launcher:
+    updates = Updates()
+    with Launcher(updates.put) as launcher:
         launcher.start("one", "builtins:print", "hello", log=tmp_path / "one.log")
-        assert take_until(news, Ended, "one").code == 0
+        assert take_until(updates, Ended, "one").code == 0
     assert read_end(tmp_path / "one.log") == "hello"
 
 
 def test_an_exception_ends_in_the_log_and_in_exit_code_1(tmp_path: Path):
-    news = News()
-    with Launcher(news.put) as launcher:
+    updates = Updates()
+    with Launcher(updates.put) as launcher:
         launcher.start("one", "builtins:int", "no number", log=tmp_path / "one.log")
-        assert take_until(news, Ended, "one").code == 1
+        assert take_until(updates, Ended, "one").code == 1
     assert "ValueError" in read_end(tmp_path / "one.log")
 
 
 def test_a_process_that_cannot_write_its_log_ends_without_a_traceback_and_is_no_second_parent(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ):
-    news, tmp = News(), tmp_path / "no folder" / "two.log"
-    with Launcher(news.put) as launcher:
+    updates, tmp = Updates(), tmp_path / "no folder" / "two.log"
+    with Launcher(updates.put) as launcher:
         launcher.start("one", "builtins:print", "hello", log=Path("/dev/full"))
         launcher.start("two", "builtins:print", "hello", log=tmp)
-        codes = {name: ended.code for name, ended in take_all(news, Ended, "one", "two").items()}
+        codes = {name: ended.code for name, ended in take_all(updates, Ended, "one", "two").items()}
         assert psutil.Process(launcher.pid).children() == []
         launcher.start("three", "builtins:print", "hello", log=tmp_path / "three.log")
-        assert take_until(news, Ended, "three").code == 0
+        assert take_until(updates, Ended, "three").code == 0
     assert codes == {"one": IO_ERROR_CODE, "two": IO_ERROR_CODE}
     assert "is the disk full?" in describe_end(IO_ERROR_CODE)
     said = capfd.readouterr().err
@@ -78,72 +78,72 @@ def test_a_process_that_cannot_write_its_log_ends_without_a_traceback_and_is_no_
     assert f"error: {tmp}: No such file or directory" in said
 
 
-def test_the_exit_code_of_a_process_is_told(tmp_path: Path):
-    news = News()
-    with Launcher(news.put) as launcher:
+def test_the_exit_code_of_a_process_is_reported(tmp_path: Path):
+    updates = Updates()
+    with Launcher(updates.put) as launcher:
         launcher.start("one", "sys:exit", 7, log=tmp_path / "one.log")
         launcher.start("two", "builtins:int", 5, log=tmp_path / "two.log")
         codes = {}
         while len(codes) < 2:
-            codes |= {item.name: item.code for item in news.take(DEADLINE_S) if isinstance(item, Ended)}
+            codes |= {item.name: item.code for item in updates.take(DEADLINE_S) if isinstance(item, Ended)}
     assert codes == {"one": 7, "two": 5}
 
 
 def test_a_nice_process_gives_way_to_the_others(tmp_path: Path):
-    news = News()
-    with Launcher(news.put) as launcher:
+    updates = Updates()
+    with Launcher(updates.put) as launcher:
         launcher.start("usual", "os:nice", 0, log=tmp_path / "usual.log")
         launcher.start("nice", "os:nice", 0, log=tmp_path / "nice.log", nice=3)
-        niceness = {name: ended.code for name, ended in take_all(news, Ended, "usual", "nice").items()}
+        niceness = {name: ended.code for name, ended in take_all(updates, Ended, "usual", "nice").items()}
     assert niceness == {"usual": os.nice(0), "nice": min(os.nice(0) + 3, 19)}
 
 
-def test_a_killed_process_is_told_with_its_signal(tmp_path: Path):
-    news = News()
-    with Launcher(news.put) as launcher:
+def test_a_killed_process_is_reported_with_its_signal(tmp_path: Path):
+    updates = Updates()
+    with Launcher(updates.put) as launcher:
         launcher.start("one", "time:sleep", 60, log=tmp_path / "one.log")
-        os.kill(take_until(news, Started, "one").pid, signal.SIGKILL)
-        assert describe_end(take_until(news, Ended, "one").code) == "signal SIGKILL"
+        os.kill(take_until(updates, Started, "one").pid, signal.SIGKILL)
+        assert describe_end(take_until(updates, Ended, "one").code) == "signal SIGKILL"
 
 
 def test_leaving_the_block_stops_all_processes(tmp_path: Path):
-    news = News()
-    with Launcher(news.put) as launcher:
+    updates = Updates()
+    with Launcher(updates.put) as launcher:
         for name in ("one", "two"):
             launcher.start(name, "time:sleep", 60, log=tmp_path / f"{name}.log")
-        pids = [started.pid for started in take_all(news, Started, "one", "two").values()]
+        pids = [started.pid for started in take_all(updates, Started, "one", "two").values()]
     assert all(is_gone(pid) for pid in [*pids, launcher.pid])
 
 
 def test_a_process_that_ignores_sigterm_is_killed(tmp_path: Path):
-    news = News()
-    with Launcher(news.put) as launcher:
+    updates = Updates()
+    with Launcher(updates.put) as launcher:
         ignore = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); print('deaf'); time.sleep(60)"
         launcher.start("deaf", "builtins:exec", ignore, log=tmp_path / "deaf.log")
-        pid = take_until(news, Started, "deaf").pid
+        pid = take_until(updates, Started, "deaf").pid
         deadline = time.monotonic() + DEADLINE_S
         while read_end(tmp_path / "deaf.log") != "deaf" and time.monotonic() < deadline:
-            news.take(0.02)
+            updates.take(0.02)
     assert is_gone(pid)
 
 
 def test_an_exception_in_the_block_leaves_nothing_behind(tmp_path: Path):
-    news = News()
-    with pytest.raises(RuntimeError, match="mine"), Launcher(news.put) as launcher:  # noqa: PT012
+    updates = Updates()
+    with pytest.raises(RuntimeError, match="mine"), Launcher(updates.put) as launcher:  # noqa: PT012
         launcher.start("one", "time:sleep", 60, log=tmp_path / "one.log")
-        pid = take_until(news, Started, "one").pid
+        pid = take_until(updates, Started, "one").pid
         raise RuntimeError("mine")
     assert is_gone(pid)
     assert is_gone(launcher.pid)
 
 
-def test_the_end_of_the_parent_is_told_and_its_children_are_stopped(tmp_path: Path):
-    news = News()
-    with Launcher(news.put) as launcher:
+def test_the_end_of_the_parent_is_reported_and_its_children_are_stopped(tmp_path: Path):
+    updates = Updates()
+    with Launcher(updates.put) as launcher:
         launcher.start("one", "time:sleep", 60, log=tmp_path / "one.log")
-        pid = take_until(news, Started, "one").pid
+        pid = take_until(updates, Started, "one").pid
         os.kill(launcher.pid, signal.SIGKILL)
-        assert take_until(news, Ended, "parent of all processes").code == -signal.SIGKILL
+        assert take_until(updates, Ended, "parent of all processes").code == -signal.SIGKILL
         with pytest.raises(LaunchError, match="SIGKILL"):
             launcher.start("two", "time:sleep", 60, log=tmp_path / "two.log")
     assert is_gone(pid)
@@ -156,21 +156,21 @@ def test_a_launcher_that_started_nothing_closes_at_once():
 
 
 def test_an_order_to_a_process_that_is_not_ready_for_it_waits_and_does_not_end_it(tmp_path: Path):
-    news = News()
-    with Launcher(news.put) as launcher:
+    updates = Updates()
+    with Launcher(updates.put) as launcher:
         launcher.start("one", "signal:sigwait", {signal.SIGUSR1}, log=tmp_path / "one.log")
         launcher.signal("one", signal.SIGUSR1)  # long before it waits for it
-        assert take_until(news, Ended, "one").code == signal.SIGUSR1
+        assert take_until(updates, Ended, "one").code == signal.SIGUSR1
 
 
 def test_a_process_that_ignores_sigterm_does_not_outlive_its_killed_parent(tmp_path: Path):
-    news = News()
-    with Launcher(news.put) as launcher:
+    updates = Updates()
+    with Launcher(updates.put) as launcher:
         ignore = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); print('deaf'); time.sleep(600)"
         launcher.start("deaf", "builtins:exec", ignore, log=tmp_path / "deaf.log")
-        pid = take_until(news, Started, "deaf").pid
+        pid = take_until(updates, Started, "deaf").pid
         deadline = time.monotonic() + DEADLINE_S
         while read_end(tmp_path / "deaf.log") != "deaf" and time.monotonic() < deadline:
-            news.take(0.02)
+            updates.take(0.02)
         os.kill(launcher.pid, signal.SIGKILL)
         assert is_gone(pid)  # inside the block: on leaving it the launcher would kill the group

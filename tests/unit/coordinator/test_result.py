@@ -46,7 +46,7 @@ def a_state_of(area, central, va_shift: float = 0.0) -> StateMessage:
         removed=("vm@6",),
         critical=("vm@1",),
         sent=said,
-        heard=said,
+        received=said,
         lost=1,
         notes=("neighbour area3 is gone",) if area.name == "area1" else (),
         quality="degraded" if area.name == "area1" else "good",
@@ -78,7 +78,7 @@ def a_result(folder: Path, missing: str | None = None, relative: str | None = No
         history=tuple(observer.history),
         timing_s={"verdict": 1.0},
         faults={"lost": 3, "kill": 1},
-        doubles=(),
+        duplicates=(),
     )
 
 
@@ -110,7 +110,7 @@ def test_no_gap_of_the_verdict_is_lost_by_rounding_in_a_file(tmp_path: Path):
         assert va == pytest.approx(verdict[f"{gap}_va_deg"], abs=2 * np.spacing(180.0))  # a wrapped angle passes 180
 
 
-def test_gaps_are_told_per_area(tmp_path: Path):
+def test_gaps_are_reported_per_area(tmp_path: Path):
     areas = as_json(a_result(tmp_path))["areas"]
     assert areas["area2"]["gap_va_deg"] == pytest.approx(0.5)
     assert areas["area1"]["gap_va_deg"] == pytest.approx(0.0, abs=1e-9)

@@ -115,7 +115,7 @@ def router_events(*events: dict[str, object]) -> object:
     return load_scenario("ieee33", changes=changes)
 
 
-def test_on_the_twin_too_one_of_two_routers_may_die_unnoticed_and_both_may_not(tmp_path: Path):
+def test_on_the_simulator_too_one_of_two_routers_may_die_unnoticed_and_both_may_not(tmp_path: Path):
     first, second = {"at_s": 0.01, "kill": "router"}, {"at_s": 0.02, "kill": "router2"}
     one = simulate(tmp_path / "one", router_events(first, {"at_s": 0.05, "restart": "router"}))  # type: ignore[arg-type]
     assert one.verdict.consensus
@@ -126,7 +126,7 @@ def test_on_the_twin_too_one_of_two_routers_may_die_unnoticed_and_both_may_not(t
 
 
 @pytest.mark.parametrize(("name", "passes"), [("router", False), ("router2", True)])
-def test_on_the_twin_too_a_frozen_router_holds_up_those_who_are_linked_to_it_until_they_give_it_up(
+def test_on_the_simulator_too_a_frozen_router_holds_up_those_who_are_linked_to_it_until_they_give_it_up(
     tmp_path: Path, name: str, passes: bool
 ):
     simulate(tmp_path / "out", router_events({"at_s": 0.001, "pause": name, "for_s": 5.0}))  # type: ignore[arg-type]

@@ -39,22 +39,22 @@ def test_the_processes_of_a_run_are_known_by_their_command_line(
 
 
 def test_a_number_that_is_anothers_by_now_is_not_signalled(tmp_path: Path):
-    heard: list[int] = []
-    before = signal.signal(signal.SIGTERM, lambda number, _: heard.append(number))
+    received: list[int] = []
+    before = signal.signal(signal.SIGTERM, lambda number, _: received.append(number))
     try:
         run, count = stop_run(make_folder(tmp_path, mark="0123456789abcdef"))
     finally:
         signal.signal(signal.SIGTERM, before)
-    assert (run.id, count, heard) == ("mine", 0, [])
+    assert (run.id, count, received) == ("mine", 0, [])
 
 
 @pytest.mark.parametrize("about", [{}, {"mark": ""}, {"mark": 7}, {"mark": "python"}, {"mark": "0123456789ABCDEF"}])
-def test_a_folder_of_no_run_is_refused(tmp_path: Path, about: dict[str, object]):
+def test_a_folder_of_no_run_is_rejected(tmp_path: Path, about: dict[str, object]):
     with pytest.raises(InvalidInputError, match="give the run folder of `dsse run`"):
         read_started_run(make_folder(tmp_path, **about))
 
 
-def test_a_folder_without_events_is_refused(tmp_path: Path):
+def test_a_folder_without_events_is_rejected(tmp_path: Path):
     with pytest.raises(InvalidInputError, match=r"events\.jsonl: 1 problem\n  - cannot be read: No such file"):
         read_started_run(tmp_path)
 
@@ -70,7 +70,7 @@ def test_a_run_that_was_killed_before_its_first_event_has_nothing_to_stop(
     assert said.out == f"{tmp_path}: nothing to stop; the run was killed before it had started a process\n"
 
 
-def test_a_folder_with_other_things_and_no_events_is_still_refused(tmp_path: Path):
+def test_a_folder_with_other_things_and_no_events_is_still_rejected(tmp_path: Path):
     (tmp_path / "areas").mkdir()
     (tmp_path / "areas" / "area1.toml").touch()
     with pytest.raises(InvalidInputError, match="cannot be read: No such file"):

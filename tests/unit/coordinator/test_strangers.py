@@ -14,23 +14,23 @@ from agents.messages.keys import live_key
 from agents.messages.packing import Header, Incarnation
 from agents.runtime import presence
 from agents.runtime.link_faults import LOST
-from agents.runtime.presence import MAX_LIVES, Presence
+from agents.runtime.presence import MAX_INCARNATIONS, Presence
 from coordinator.observe import watch
 from coordinator.observe.state_log import StateLog
 from coordinator.observe.watch import Watcher
 from coordinator.process_run import processes
-from coordinator.process_run.processes import News
+from coordinator.process_run.processes import Updates
 from coordinator.process_run.run_status import listen
 from scenarios.scenario import load_scenario
 
-LIFE = Incarnation(1, 1)
+INCARNATION = Incarnation(1, 1)
 
 
 class Bus:
     """Keeps what a listener asks of its session."""
 
     def subscribe(self, keys: str, callback) -> None:
-        self.farewell = callback  # the last one
+        self.leave_reason = callback  # the last one
 
     def watch_presence(self, keys: str, callback) -> None:
         self.token = callback
@@ -40,54 +40,54 @@ class Bus:
 
 
 def test_a_run_takes_in_the_tokens_of_its_own_processes_only():
-    bus, clock = Bus(), SimpleNamespace(life=LIFE)
-    run = SimpleNamespace(id="run", news=News(), scenario=load_scenario("ieee33"), clock=clock)
+    bus, clock = Bus(), SimpleNamespace(incarnation=INCARNATION)
+    run = SimpleNamespace(id="run", updates=Updates(), scenario=load_scenario("ieee33"), clock=clock)
     listen(run, bus)  # type: ignore[arg-type]
     for role, name in (("area", "area99"), ("plant", "other"), ("stranger", "area1")):
-        bus.token(live_key("run", role, name, LIFE), True)
-        bus.farewell(live_key("run", role, name, LIFE), b"SIGTERM")
-    assert run.news.take(0.0) == []
+        bus.token(live_key("run", role, name, INCARNATION), True)
+        bus.leave_reason(live_key("run", role, name, INCARNATION), b"SIGTERM")
+    assert run.updates.take(0.0) == []
     for role, name in (("area", "area1"), ("plant", "plant"), ("coordinator", "coordinator")):
-        bus.token(live_key("run", role, name, LIFE), True)
-    assert len(run.news.take(0.0)) == 3
+        bus.token(live_key("run", role, name, INCARNATION), True)
+    assert len(run.updates.take(0.0)) == 3
 
 
 def test_states_and_tokens_that_nobody_takes_in_do_not_pile_up(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(processes, "MAX_WAITING", 10)
-    news = News()
+    updates = Updates()
     for k in range(100):
-        news.offer(k)
+        updates.offer(k)
     for k in range(100):
-        news.offer(-k, said_once=True)
-    news.put("the end of a process")
-    assert news.take(0.0) == [*range(10), *range(0, -10, -1), "the end of a process"]
+        updates.offer(-k, said_once=True)
+    updates.put("the end of a process")
+    assert updates.take(0.0) == [*range(10), *range(0, -10, -1), "the end of a process"]
 
 
-def test_of_one_name_no_more_lives_are_kept_than_anybody_needs_and_no_more_names(monkeypatch: pytest.MonkeyPatch):
+def test_of_one_name_no_more_incarnations_are_kept_than_anybody_needs_and_no_more_names(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(presence, "MAX_NAMES", 3)
     kept = Presence()
-    for start in range(2 * MAX_LIVES):
+    for start in range(2 * MAX_INCARNATIONS):
         kept.take(live_key("run", "area", "area1", Incarnation(start, 1)), True)
-    assert len(kept.lives_of("area", "area1")) == MAX_LIVES
+    assert len(kept.incarnations_of("area", "area1")) == MAX_INCARNATIONS
     for k in range(10):
-        kept.take(live_key("run", "area", f"stranger{k}", LIFE), True)
+        kept.take(live_key("run", "area", f"stranger{k}", INCARNATION), True)
     assert len(kept.names) == 3
-    kept.take(live_key("run", "area", "stranger0", LIFE), False)
-    assert kept.take(live_key("run", "area", "area2", LIFE), True), "there is room again"
-    assert not kept.take(live_key("run", "area", "x" * (LONGEST_NAME + 1), LIFE), True)
+    kept.take(live_key("run", "area", "stranger0", INCARNATION), False)
+    assert kept.take(live_key("run", "area", "area2", INCARNATION), True), "there is room again"
+    assert not kept.take(live_key("run", "area", "x" * (LONGEST_NAME + 1), INCARNATION), True)
 
 
 def test_a_watcher_keeps_so_many_areas_and_no_more(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(watch, "MAX_NAMES", 5)
     watcher = Watcher("run")
     for k in range(20):
-        watcher.take_state(said_by(f"area{k}", LIFE, sent={f"made-up{j}": (1, 1) for j in range(20)}), 0.0)
-        watcher.take_farewell(live_key("run", "area", f"area{k}", LIFE), "SIGTERM")
+        watcher.take_state(said_by(f"area{k}", INCARNATION, sent={f"made-up{j}": (1, 1) for j in range(20)}), 0.0)
+        watcher.take_leave(live_key("run", "area", f"area{k}", INCARNATION), "SIGTERM")
     assert len(watcher.look(0.0).areas) == 5
-    assert len(watcher._heard) == len(watcher._farewells) == 5
+    assert len(watcher._received) == len(watcher._leave_reasons) == 5
 
 
-def test_faults_that_no_link_has_and_ever_new_lives_leave_no_trace_in_a_runs_sums():
+def test_faults_that_no_link_has_and_ever_new_incarnations_leave_no_trace_in_a_runs_sums():
     log = StateLog(None)
     for start in range(50):
         state = a_state(faults={LOST: 2, f"made up {start}": 5})

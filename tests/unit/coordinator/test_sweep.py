@@ -1,4 +1,4 @@
-"""``dsse sweep``: what is run, what is kept, what is gone on with, and what is refused."""
+"""``dsse sweep``: what is run, what is kept, what is gone on with, and what is rejected."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ SMALL = ["industrial13", "--vary", "faults.loss=0,0.3", "--strategies", "informa
 def runs(monkeypatch: pytest.MonkeyPatch) -> list[tuple[float, str, int]]:
     """(loss, strategy, seed) of every run that is done in this process."""
     done: list[tuple[float, str, int]] = []
-    real = sweep_module.run_on_twin
+    real = sweep_module.run_on_simulator
 
     def run(scenario):
         done.append((next(iter(scenario.faults.links.values())).loss, scenario.strategy, scenario.seed))
         return real(scenario)
 
-    monkeypatch.setattr(sweep_module, "run_on_twin", run)
+    monkeypatch.setattr(sweep_module, "run_on_simulator", run)
     return done
 
 
@@ -78,7 +78,7 @@ def test_runs_that_the_table_has_are_not_run_again(tmp_path: Path, runs: list):
 
 
 @pytest.mark.long
-def test_a_row_that_was_cut_off_is_run_again_and_told(tmp_path: Path, runs: list, capsys: pytest.CaptureFixture[str]):
+def test_a_row_that_was_cut_off_is_run_again_and_reported(tmp_path: Path, runs: list, capsys: pytest.CaptureFixture[str]):
     sweep(tmp_path / "s")
     path = tmp_path / "s" / "sweep.csv"
     text = path.read_text()
@@ -93,7 +93,7 @@ def test_a_row_that_was_cut_off_is_run_again_and_told(tmp_path: Path, runs: list
 def test_an_interrupted_sweep_keeps_what_is_done_and_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
-    real, done = sweep_module.run_on_twin, []
+    real, done = sweep_module.run_on_simulator, []
 
     def interrupted_after_one(scenario):
         if done:
@@ -101,11 +101,11 @@ def test_an_interrupted_sweep_keeps_what_is_done_and_goes_on(
         done.append(scenario)
         return real(scenario)
 
-    monkeypatch.setattr(sweep_module, "run_on_twin", interrupted_after_one)
+    monkeypatch.setattr(sweep_module, "run_on_simulator", interrupted_after_one)
     assert sweep(tmp_path / "s") == 1
     assert len(rows_in(tmp_path / "s")) == 1
     assert f"--out {tmp_path / 's'} goes on from there" in capsys.readouterr().err
-    monkeypatch.setattr(sweep_module, "run_on_twin", real)
+    monkeypatch.setattr(sweep_module, "run_on_simulator", real)
     assert sweep(tmp_path / "s") == 0
     assert len(rows_in(tmp_path / "s")) == 4
 
@@ -141,7 +141,7 @@ def test_a_scenario_file_that_has_changed_is_another_scenario(tmp_path: Path):
     assert sweep(tmp_path / "s", seeds=1, base=mine) == 2
 
 
-def test_a_foreign_table_is_refused_and_left_as_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_foreign_table_is_rejected_and_left_as_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     (tmp_path / "sweep.csv").write_text("a,b\n1,2\n")
     assert sweep(tmp_path) == 2
     assert "holds something that is no sweep" in capsys.readouterr().err
@@ -149,7 +149,7 @@ def test_a_foreign_table_is_refused_and_left_as_it_is(tmp_path: Path, capsys: py
 
 
 @pytest.mark.parametrize("text", ["a,b\n1,2\n", ""])
-def test_a_table_with_other_columns_or_lines_is_refused(tmp_path: Path, text: str, capsys: pytest.CaptureFixture[str]):
+def test_a_table_with_other_columns_or_lines_is_rejected(tmp_path: Path, text: str, capsys: pytest.CaptureFixture[str]):
     sweep(tmp_path / "s", seeds=1)
     path = tmp_path / "s" / "sweep.csv"
     broken = text or path.read_text() + "0.5,information,x\n"
@@ -233,7 +233,7 @@ def test_values_are_a_range_or_a_list_as_toml_writes_them(vary: str, values: lis
         ("a..b=1", "'a..b' is no key"),
     ],
 )
-def test_a_key_or_value_that_the_scenario_refuses_is_one_clear_error(
+def test_a_key_or_value_that_the_scenario_rejects_is_one_clear_error(
     vary: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     assert run_command(["sweep", "industrial13", "--vary", vary, "--out", str(tmp_path / "s")]) == 2
@@ -241,7 +241,7 @@ def test_a_key_or_value_that_the_scenario_refuses_is_one_clear_error(
     assert not (tmp_path / "s").exists()
 
 
-def test_an_unknown_scenario_is_told_once(capsys: pytest.CaptureFixture[str]):
+def test_an_unknown_scenario_is_reported_once(capsys: pytest.CaptureFixture[str]):
     assert run_command(["sweep", "ieee34", "--vary", "faults.loss=0:1:5"]) == 2
     assert capsys.readouterr().err.count("no shipped scenario") == 1
 

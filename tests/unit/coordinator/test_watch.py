@@ -42,7 +42,7 @@ def test_an_area_that_is_there_and_silent_for_long_is_stale_whatever_it_said():
     assert "stale (said good)" in format_view(watcher.look(8.4))
 
 
-def test_an_area_with_a_slow_beat_is_not_silent_between_two_of_its_words():
+def test_an_area_with_a_slow_heartbeat_is_not_silent_between_two_of_its_messages():
     watcher = Watcher("run")
     watcher.take_presence(ONE, True)
     for at in (0.0, 10.0):
@@ -56,21 +56,21 @@ def test_what_never_was_an_estimate_does_not_become_a_stale_one():
     assert seen(watcher, 6.0).quality == "none"
 
 
-def test_a_farewell_belongs_to_one_life_so_that_a_later_death_is_told():
+def test_a_leave_message_belongs_to_one_incarnation_so_that_a_later_death_is_reported():
     watcher = Watcher("run")
     watcher.take_presence(ONE, True)
-    watcher.take_farewell(ONE, "SIGTERM")
+    watcher.take_leave(ONE, "SIGTERM")
     assert seen_state(watcher) == "left"
     watcher.take_presence(OTHER, True)
     watcher.take_presence(OTHER, False)
     assert seen_state(watcher) == "gone"
 
 
-def test_the_farewell_of_a_former_life_does_not_outlast_the_next_one():
+def test_the_leave_message_of_a_former_incarnation_does_not_outlast_the_next_one():
     watcher = Watcher("run")
     watcher.take_presence(ONE, True)
     watcher.take_presence(OTHER, True)
-    watcher.take_farewell(ONE, "SIGTERM")
+    watcher.take_leave(ONE, "SIGTERM")
     watcher.take_presence(OTHER, False)
     assert seen_state(watcher) == "gone"
 
@@ -80,7 +80,7 @@ def seen_state(watcher: Watcher) -> str:
     return seen(watcher, 5.0).state
 
 
-def test_a_life_whose_clock_was_set_back_is_shown_once_the_newer_one_was_silent_for_long():
+def test_an_incarnation_whose_clock_was_set_back_is_shown_once_the_newer_one_was_silent_for_long():
     watcher = Watcher("run")
     watcher.take_state(said_by("area1", Incarnation(2, 1), messages=1), 0.0)
     watcher.take_state(said_by("area1", Incarnation(1, 1), messages=2), 0.9 * OVER_S)
@@ -89,14 +89,14 @@ def test_a_life_whose_clock_was_set_back_is_shown_once_the_newer_one_was_silent_
     assert seen(watcher, 2 * OVER_S).messages == 2
 
 
-def test_gaps_are_the_largest_to_a_neighbour_at_a_bus_that_both_show():
+def test_mismatches_are_the_largest_to_a_neighbour_at_a_bus_that_both_show():
     watcher = Watcher("run")
-    life, neighbours = Incarnation(1, 1), {"area2": (1, 1), "area3": (1, 1)}
-    watcher.take_state(said_by("area1", life, sent=neighbours), 0.0)
-    assert seen(watcher, 0.0).gap_vm_pu is None
-    watcher.take_state(said_by("area2", life, vm=(1.01,)), 0.0)
-    watcher.take_state(said_by("area3", life, vm=(0.97,)), 0.0)
-    assert seen(watcher, 0.0).gap_vm_pu == pytest.approx(0.03)
+    incarnation, neighbours = Incarnation(1, 1), {"area2": (1, 1), "area3": (1, 1)}
+    watcher.take_state(said_by("area1", incarnation, sent=neighbours), 0.0)
+    assert seen(watcher, 0.0).mismatch_vm_pu is None
+    watcher.take_state(said_by("area2", incarnation, vm=(1.01,)), 0.0)
+    watcher.take_state(said_by("area3", incarnation, vm=(0.97,)), 0.0)
+    assert seen(watcher, 0.0).mismatch_vm_pu == pytest.approx(0.03)
 
 
 @pytest.mark.parametrize("name", ["a/*", "**", "", "IEEE33"])
@@ -127,16 +127,16 @@ def test_one_area_does_not_fill_the_terminal():
     assert len(table.splitlines()) < 100
 
 
-def test_an_area_and_a_plant_that_run_twice_are_named_with_their_lives_as_long_as_they_do():
+def test_an_area_and_a_plant_that_run_twice_are_named_with_their_incarnations_as_long_as_they_do():
     watcher = Watcher("run")
     for key in (OTHER, ONE, *(live_key("run", "plant", "plant", Incarnation(start, 1)) for start in (3, 4))):
         watcher.take_presence(key, True)
-    one, other = watcher.look(0.0).doubles
-    assert "2 agents of area area1 publish at once, lives 1-00000001 and 2-00000001" in one
+    one, other = watcher.look(0.0).duplicates
+    assert "2 agents of area area1 publish at once: 1-00000001 and 2-00000001" in one
     assert "2 plants publish at once" in other
     assert other in format_view(watcher.look(0.0))
     watcher.take_presence(ONE, False)
-    assert watcher.look(0.0).doubles == (other,)
+    assert watcher.look(0.0).duplicates == (other,)
 
 
 def test_areas_of_another_wire_version_are_named_instead_of_nothing_being_shown():

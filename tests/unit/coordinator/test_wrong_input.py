@@ -94,7 +94,7 @@ CASES = {
 
 @pytest.mark.parametrize(("edits", "expected"), CASES.values(), ids=CASES.keys())
 @pytest.mark.parametrize("command", ["check", "run"])
-def test_a_wrong_scenario_is_refused_with_what_is_wrong(
+def test_a_wrong_scenario_is_rejected_with_what_is_wrong(
     dsse, edited_scenario, command: str, edits: list[tuple[str, str]], expected: list[str]
 ):
     code, _, err = dsse(command, edited_scenario("ieee33", *edits))
@@ -122,7 +122,7 @@ def test_a_loop_of_areas_is_named(dsse, edited_scenario, tmp_path: Path):
     assert "area3" in err
 
 
-def test_text_that_is_not_toml_is_refused_with_its_line(dsse, tmp_path: Path):
+def test_text_that_is_not_toml_is_rejected_with_its_line(dsse, tmp_path: Path):
     (tmp_path / "broken.toml").write_text("version = 1\nseed = = 2\n")
     code, _, err = dsse("check", "broken.toml")
     assert code == 2
@@ -156,13 +156,13 @@ def test_a_run_folder_that_holds_something_is_not_touched(dsse, tmp_path: Path):
     ],
     ids=lambda arguments: " ".join(arguments[:2]),
 )
-def test_a_number_that_is_not_finite_is_refused(dsse, arguments: tuple[str, ...]):
+def test_a_number_that_is_not_finite_is_rejected(dsse, arguments: tuple[str, ...]):
     code, _, err = dsse(*arguments)
     assert code == 2
     assert "is not a finite number" in err
 
 
-def test_an_unknown_command_and_a_bad_option_are_refused(dsse):
+def test_an_unknown_command_and_a_bad_option_are_rejected(dsse):
     assert dsse("frobnicate")[0] == 2
     assert dsse("run", "industrial13", "--seed", "-1")[0] == 2
     assert dsse("run", "industrial13", "--timeout", "-1")[0] == 2
@@ -177,7 +177,7 @@ def test_every_command_explains_itself_with_an_example(dsse, command: str):
 
 @pytest.mark.parametrize("timeout", ["nan", "inf", "0", "-1"])
 @pytest.mark.parametrize("command", [("run", "industrial13"), ("plant", "industrial13"), ("agent", "area1.toml")])
-def test_a_time_limit_that_is_none_is_refused(dsse, command, timeout: str):
+def test_a_time_limit_that_is_none_is_rejected(dsse, command, timeout: str):
     code, _, err = dsse(*command, "--timeout", timeout)
     assert code == 2
     assert "Traceback" not in err
@@ -199,7 +199,7 @@ def test_area_files_cannot_be_written_where_a_file_stands(dsse, tmp_path: Path):
     assert "Traceback" not in err
 
 
-def test_an_endpoint_that_is_none_is_refused_before_files_are_written(dsse, tmp_path: Path):
+def test_an_endpoint_that_is_none_is_rejected_before_files_are_written(dsse, tmp_path: Path):
     code, _, err = dsse("split", "ieee33", "--out", "areas", "--connect", "garbage")
     assert code == 2
     assert "'garbage' is no Zenoh endpoint" in err

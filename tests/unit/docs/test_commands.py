@@ -19,7 +19,7 @@ COMMANDS = sorted({(name_of(page), tuple(words)) for page in PAGES for words in 
 
 
 def find_mistake(words: tuple[str, ...]) -> str | None:
-    """What ``dsse`` refuses of a command line; a placeholder such as NAME stands for any value."""
+    """What ``dsse`` rejects of a command line; a placeholder such as NAME stands for any value."""
     try:
         if words[0] == "agent":
             if len(words) > 1:
@@ -29,7 +29,7 @@ def find_mistake(words: tuple[str, ...]) -> str | None:
     except click.UsageError as error:
         return error.format_message()
     except SystemExit:
-        return "the agent's parser refuses it"
+        return "the agent's parser rejects it"
 
 
 def find_mistake_of(group: click.Group, words: tuple[str, ...]) -> str | None:
@@ -85,7 +85,7 @@ def test_a_command_of_a_page_is_understood(page: str, words: tuple[str, ...]):
     ],
     ids=" ".join,
 )
-def test_a_command_that_the_program_refuses_is_found(words: tuple[str, ...]):
+def test_a_command_that_the_program_rejects_is_found(words: tuple[str, ...]):
     assert find_mistake(words) is not None
 
 

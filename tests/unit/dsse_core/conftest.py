@@ -20,11 +20,11 @@ from scenarios.files.network_file import load_case
 Kind = MeasurementKind
 
 
-@pytest.fixture(params=["sparse", "tree"])
+@pytest.fixture(params=["sparse", "radial"])
 def backend(request) -> str:
     """Every test with this fixture runs on both back ends of the estimate."""
-    if request.param == "tree":
-        pytest.importorskip("numba", reason="the tree back end needs numba: pip install 'consensus-dsse[fast]'")
+    if request.param == "radial":
+        pytest.importorskip("numba", reason="the radial back end needs numba: pip install 'consensus-dsse[fast]'")
     return str(request.param)
 
 
@@ -44,7 +44,7 @@ def process(backend) -> Callable[..., BadDataReport]:
 def rich(backend, meshed) -> Network:
     """``meshed``, and for the tree its loops opened."""
     opened = tuple(b for b in meshed.branches if b.id not in ("2-3#2", "4-2"))
-    return replace(meshed, branches=opened) if backend == "tree" else meshed
+    return replace(meshed, branches=opened) if backend == "radial" else meshed
 
 
 @pytest.fixture

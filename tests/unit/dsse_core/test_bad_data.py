@@ -1,4 +1,4 @@
-"""Detection, identification and removal of gross errors; critical measurements are told, not divided by zero."""
+"""Detection, identification and removal of gross errors; critical measurements are reported, not divided by zero."""
 
 from dataclasses import replace
 
@@ -272,7 +272,7 @@ def test_several_dead_voltmeters_are_left_out_where_the_rest_determines_the_stat
     np.testing.assert_array_equal(report.result.vm, without.result.vm)
 
 
-def test_a_nearly_critical_pair_is_told_apart_by_its_residuals_and_not_by_its_ids(chain, read, estimate, process):
+def test_a_nearly_critical_pair_is_distinguished_by_its_residuals_and_not_by_its_ids(chain, read, estimate, process):
     """A rough third voltmeter makes the residuals of the pair differ by less than a percent: that decides."""
     network = chain(3)
     truth = solve_power_flow(network)
@@ -287,7 +287,7 @@ def test_a_nearly_critical_pair_is_told_apart_by_its_residuals_and_not_by_its_id
     assert removed.indistinguishable_from == ()
 
 
-def test_a_critical_pair_cannot_be_told_apart_so_the_id_decides_and_the_other_is_named(chain, read, process):
+def test_a_critical_pair_cannot_be_distinguished_so_the_id_decides_and_the_other_is_named(chain, read, process):
     network = chain(3)
     meters = [Meter(Kind.VM, 1), Meter(Kind.VM, 2), *(Meter(k, 2, "2-3") for k in FLOWS)]
     meters += [Meter(k, 1, "1-2") for k in FLOWS]

@@ -1,4 +1,4 @@
-"""Texts that two readers take differently, or that cost far more than their length, are refused unread."""
+"""Texts that two readers take differently, or that cost far more than their length, are rejected unread."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_strings_without_an_end_are_looked_at_once(text: str) -> None:
         parse_toml(text)
 
 
-def test_more_headers_than_fit_into_memory_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_more_headers_than_fit_into_memory_are_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bounded_parsing, "MOST_KEY_PARTS", 10)
     assert parse_toml("[[a]]\nb.c = 1.5\n" * 3)
     with pytest.raises(ValueError, match="headers and dotted keys have 12 parts, the limit is 10"):
@@ -68,19 +68,19 @@ def test_more_headers_than_fit_into_memory_are_refused(monkeypatch: pytest.Monke
 
 
 @pytest.mark.parametrize("text", ['{"a": 1, "b": 2, "a": 3}', '[{"x": {"a": 1, "\\u0061": 1}}]'])
-def test_a_key_given_twice_is_refused_whatever_its_values(text: str) -> None:
+def test_a_key_given_twice_is_rejected_whatever_its_values(text: str) -> None:
     with pytest.raises(ValueError, match="key 'a' is given twice; keep one of them"):
         parse_json(text)
 
 
 @pytest.mark.parametrize("text", ['{"\\ud800_module": 1}', '["\\uDFFF"]', '["\\ude00\\ud83d"]', '["\ud800"]'])
-def test_half_of_a_character_which_other_readers_leave_out_is_refused(text: str) -> None:
+def test_half_of_a_character_which_other_readers_leave_out_is_rejected(text: str) -> None:
     with pytest.raises(ValueError, match="half of a character"):
         parse_json(text)
     assert parse_json('["\\ud83d\\ude00", "\\\\ud800"]') == ["\U0001f600", "\\ud800"]
 
 
-def test_more_values_than_fit_into_memory_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_more_values_than_fit_into_memory_are_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bounded_parsing, "MOST_VALUES", 10)
     assert parse_json("[" + "0," * 9 + "0]")
     with pytest.raises(ValueError, match="it has 11 values, the limit is 10"):

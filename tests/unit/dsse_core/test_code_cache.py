@@ -70,7 +70,7 @@ def test_a_link_to_code_elsewhere_is_not_followed(place: Path, tmp_path: Path):
     assert "neither folder nor file" in (find_fault(place) or "")
 
 
-def test_a_link_is_judged_by_where_it_leads(place: Path, tmp_path: Path):
+def test_a_link_is_evaluated_by_where_it_leads(place: Path, tmp_path: Path):
     (tmp_path / "link").symlink_to(place)
     assert find_fault(tmp_path / "link") is None
     place.chmod(0o777)
@@ -108,9 +108,9 @@ def faults_seen_by(user: int, folders: list[Path]) -> list[str | None]:
             os._exit(0)
     os.close(writer)
     with os.fdopen(reader, "rb") as file:
-        told = file.read()
+        reported = file.read()
     os.waitpid(child, 0)
-    faults: list[str | None] = json.loads(told)
+    faults: list[str | None] = json.loads(reported)
     return faults
 
 

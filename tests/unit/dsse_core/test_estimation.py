@@ -1,4 +1,4 @@
-"""The WLS estimate: exact round trips, its statistics against dense algebra, and what it refuses."""
+"""The WLS estimate: exact round trips, its statistics against dense algebra, and what it rejects."""
 
 import math
 from dataclasses import replace
@@ -180,7 +180,7 @@ def test_a_reference_elsewhere_stands_at_zero_or_at_the_angle_of_the_start(rich,
     assert started.iterations == 2  # one step, which is none, and the one that may then be the last
 
 
-def test_a_wrong_reference_is_refused(rich, meters_of, read, estimate):
+def test_a_wrong_reference_is_rejected(rich, meters_of, read, estimate):
     perfect = read(solve_power_flow(rich), meters_of(rich, Kind.VM, Kind.VA))
     with pytest.raises(InvalidInputError, match="bus 99"):
         estimate(rich, perfect, reference=99)
@@ -269,7 +269,7 @@ def test_short_branches_and_small_sigmas_do_not_keep_the_iteration_from_ending(s
     np.testing.assert_allclose(result.vm, truth.vm, atol=1e-6)
 
 
-def test_a_state_that_explains_nothing_is_refused_with_the_worst_meter(chain, meters_of, read, estimate):
+def test_a_state_that_explains_nothing_is_rejected_with_the_worst_meter(chain, meters_of, read, estimate):
     network = chain(4)
     perfect = read(solve_power_flow(network), meters_of(network, Kind.VM, *INJECTIONS))
     absurd = [replace(m, value=-500.0) if m.meter.id == "p_injection@3" else m for m in perfect]

@@ -10,7 +10,7 @@ import pytest
 
 from dsse_core.errors import EstimationDivergedError, InvalidInputError, NotObservableError
 from dsse_core.estimation.estimator import estimate_state, estimate_with_plan
-from dsse_core.estimation.plan import FEWEST_BUSES_OF_TREE, build_estimation_plan
+from dsse_core.estimation.plan import FEWEST_BUSES_OF_RADIAL, build_estimation_plan
 from dsse_core.grid.measurement import MeasurementKind, Meter
 from dsse_core.power_flow.newton_raphson import solve_power_flow
 
@@ -78,28 +78,28 @@ def test_no_success_on_a_step_that_was_shortened(chain, read, meters_of, backend
     assert estimate_state(network, high, tolerance=10.0, backend=backend).vm[1] > 1.85
 
 
-def test_the_choice_is_told_with_its_reason(case, meshed, meters_of):
+def test_the_choice_is_reported_with_its_reason(case, meshed, meters_of):
     small = build_estimation_plan(case("ieee33"), meters_of(case("ieee33"), Kind.VM, *FLOWS))
-    assert (small.backend, "33 buses" in str(small.tree)) == ("sparse", True)
+    assert (small.backend, "33 buses" in str(small.radial)) == ("sparse", True)
     asked = build_estimation_plan(meshed, meters_of(meshed, Kind.VM, *FLOWS), backend="sparse")
-    assert "asked for" in str(asked.tree)
+    assert "asked for" in str(asked.radial)
 
 
 def test_from_a_number_of_buses_on_the_tree_is_chosen_where_it_can_serve(chain, meters_of, monkeypatch):
-    pytest.importorskip("numba", reason="the tree back end needs numba: pip install 'consensus-dsse[fast]'")
-    monkeypatch.setattr("dsse_core.estimation.plan.FEWEST_BUSES_OF_TREE", 20)
-    assert build_estimation_plan(chain(20), meters_of(chain(20), Kind.VM, *FLOWS)).backend == "tree"
+    pytest.importorskip("numba", reason="the radial back end needs numba: pip install 'consensus-dsse[fast]'")
+    monkeypatch.setattr("dsse_core.estimation.plan.FEWEST_BUSES_OF_RADIAL", 20)
+    assert build_estimation_plan(chain(20), meters_of(chain(20), Kind.VM, *FLOWS)).backend == "radial"
     assert build_estimation_plan(chain(19), meters_of(chain(19), Kind.VM, *FLOWS)).backend == "sparse"
     monkeypatch.setattr("importlib.util.find_spec", lambda name, *rest: None)
     without = build_estimation_plan(chain(20), meters_of(chain(20), Kind.VM, *FLOWS))
-    assert (without.backend, without.tree) == ("sparse", "numba is not installed")
+    assert (without.backend, without.radial) == ("sparse", "numba is not installed")
 
 
-def test_a_back_end_that_cannot_serve_or_does_not_exist_is_refused_with_the_reason(meshed, meters_of):
+def test_a_back_end_that_cannot_serve_or_does_not_exist_is_rejected_with_the_reason(meshed, meters_of):
     meters = meters_of(meshed, Kind.VM, *FLOWS)
     with pytest.raises(InvalidInputError, match=r"(?s)not radial.*'sparse'|numba is not installed"):
-        build_estimation_plan(meshed, meters, backend="tree")
-    with pytest.raises(InvalidInputError, match="choose one of auto, tree, sparse"):
+        build_estimation_plan(meshed, meters, backend="radial")
+    with pytest.raises(InvalidInputError, match="choose one of auto, radial, sparse"):
         build_estimation_plan(meshed, meters, backend="dense")
 
 
@@ -110,7 +110,7 @@ def test_numba_is_not_imported_for_small_networks():
         "from scenarios.telemetry import make_telemetry; s = load_scenario('ieee33');"
         "estimate_state(s.network, make_telemetry(s).union); sys.exit('numba' in sys.modules)"
     )
-    assert FEWEST_BUSES_OF_TREE > 33
+    assert FEWEST_BUSES_OF_RADIAL > 33
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
@@ -119,20 +119,20 @@ def test_readings_that_cannot_be_are_all_named(case, scan, backend):
     plan = build_estimation_plan(case("ieee33"), [m.meter for m in measurements], backend=backend)
     values, sigmas = arrays(measurements)
     values[0], sigmas[3] = math.nan, 0.0
-    with pytest.raises(InvalidInputError) as refusal:
+    with pytest.raises(InvalidInputError) as rejection:
         estimate_with_plan(plan, values, sigmas)
-    assert [m.meter.id in "".join(refusal.value.problems) for m in measurements[:4]] == [True, False, False, True]
+    assert [m.meter.id in "".join(rejection.value.problems) for m in measurements[:4]] == [True, False, False, True]
     with pytest.raises(InvalidInputError, match="the plan has"):
         estimate_with_plan(plan, values[1:], sigmas[1:])
 
 
-def test_an_estimate_that_does_not_converge_is_refused_and_names_the_worst_meter(case, scan, backend):
+def test_an_estimate_that_does_not_converge_is_rejected_and_names_the_worst_meter(case, scan, backend):
     absurd = [replace(m, value=1e6, sigma=1e-3) if m.meter.id == "p_injection@18" else m for m in scan(5)]
     with pytest.raises(EstimationDivergedError, match="p_injection@18"):
         estimate_state(case("ieee33"), absurd, backend=backend)
 
 
-def test_too_few_meters_are_refused_with_the_buses_named(case, meters_of, backend):
+def test_too_few_meters_are_rejected_with_the_buses_named(case, meters_of, backend):
     network = case("ieee33")
     with pytest.raises(NotObservableError, match="18"):
         build_estimation_plan(
@@ -155,15 +155,15 @@ def test_a_plan_without_some_meters_is_the_plan_of_the_others(case, scan, backen
 
 
 def test_where_the_tree_cannot_serve_after_a_removal_the_sparse_back_end_does(case, meters_of):
-    pytest.importorskip("numba", reason="the tree back end needs numba: pip install 'consensus-dsse[fast]'")
+    pytest.importorskip("numba", reason="the radial back end needs numba: pip install 'consensus-dsse[fast]'")
     meters = [*meters_of(case("ieee33"), Kind.VM, *POWERS[:2])]
-    plan = build_estimation_plan(case("ieee33"), meters, backend="tree")
+    plan = build_estimation_plan(case("ieee33"), meters, backend="radial")
     without = plan.without([k for k, meter in enumerate(meters) if meter.bus == 18])
-    assert (without.backend, "above bus 18" in str(without.tree)) == ("sparse", True)
+    assert (without.backend, "above bus 18" in str(without.radial)) == ("sparse", True)
 
 
 @pytest.mark.parametrize("meter", [Meter(Kind.VM, 99), Meter(Kind.VM, 1), Meter(Kind.P_FLOW, 1, "none")])
-def test_meters_that_do_not_fit_are_refused(meter, case, meters_of, backend):
+def test_meters_that_do_not_fit_are_rejected(meter, case, meters_of, backend):
     network = case("ieee33")
     with pytest.raises(InvalidInputError, match=r"1 problem"):
         build_estimation_plan(network, [*meters_of(network, Kind.VM, *POWERS), meter], backend=backend)

@@ -18,24 +18,24 @@ from dsse_core.power_flow.newton_raphson import solve_power_flow
 
 has_numba = importlib.util.find_spec("numba") is not None
 needs_numba = pytest.mark.skipif(not has_numba, reason="the tree needs numba: pip install 'consensus-dsse[fast]'")
-each_back_end = pytest.mark.parametrize("backend", [pytest.param("tree", marks=needs_numba), "dense"])
+each_back_end = pytest.mark.parametrize("backend", [pytest.param("radial", marks=needs_numba), "dense"])
 
 CLOSE = 1e-9  # of a step or a variance; p.u., rad
-ROUNDS = 12  # after which every area has heard of all the others
+ROUNDS = 12  # after which every area has received from all the others
 
 
 @dataclass(frozen=True)
 class Case:
-    """One area in some state, with what it has heard, on two back ends."""
+    """One area in some state, with what it has received, on two back ends."""
 
     sparse: AreaModel
     other: AreaModel
     x: np.ndarray
-    heard: Mapping[str, BoundaryInformation]
+    received: Mapping[str, BoundaryInformation]
 
 
-def cases_of(feeder: Feeder, rng: np.random.Generator, backend: Backend = "tree") -> Iterator[Case]:
-    """All areas near the true state, after they have told each other all they know."""
+def cases_of(feeder: Feeder, rng: np.random.Generator, backend: Backend = "radial") -> Iterator[Case]:
+    """All areas near the true state, after they have sent each other all they know."""
     truth, telemetry = solve_power_flow(feeder.network), feeder.telemetry()
     models, states = {}, {}
     for area in feeder.partition.areas:
@@ -47,26 +47,26 @@ def cases_of(feeder: Feeder, rng: np.random.Generator, backend: Backend = "tree"
             va[area.network.row[reference]] = truth.va[feeder.network.row[reference]]
         powers = rng.normal(0, 0.1, model.size - 2 * len(rows))
         models[area.name], states[area.name] = model, np.concatenate([va, vm, powers])
-    heard: dict[str, dict[str, BoundaryInformation]] = {name: {} for name in models}
+    received: dict[str, dict[str, BoundaryInformation]] = {name: {} for name in models}
     for _ in range(ROUNDS):
-        told = {name: dict(messages) for name, messages in heard.items()}
+        sent = {name: dict(messages) for name, messages in received.items()}
         for name, model in models.items():
             for n in model.area.neighbours:
-                told[n.area][name] = model.linear.information(states[name], n, heard[name])
-        heard = told
+                sent[n.area][name] = model.linear.information(states[name], n, received[name])
+        received = sent
     for name, model in models.items():
-        yield Case(model, replace(model, backend=backend), states[name], heard[name])
+        yield Case(model, replace(model, backend=backend), states[name], received[name])
 
 
 def assert_same(case: Case) -> int:
     """All functions agree; how many of them the tree left to the sparse path."""
-    sparse, fast, x, heard = case.sparse, case.other, case.x, case.heard
+    sparse, fast, x, received = case.sparse, case.other, case.x, case.received
     voltages = slice(0, 2 * len(sparse.area.network.buses))
-    one, other = (m.linear.step(x, heard)[voltages] for m in (sparse, fast))
+    one, other = (m.linear.step(x, received)[voltages] for m in (sparse, fast))
     np.testing.assert_allclose(other, one, rtol=0, atol=CLOSE * max(abs(one).max(), 1e-3))
-    one, other = (m.linear.variances(x, heard)[0] for m in (sparse, fast))
+    one, other = (m.linear.variances(x, received)[0] for m in (sparse, fast))
     np.testing.assert_allclose(other, one, rtol=CLOSE, atol=1e-20)
-    one, other = (m.linear.variances(x, heard)[1] / sparse.sigma**2 for m in (sparse, fast))
+    one, other = (m.linear.variances(x, received)[1] / sparse.sigma**2 for m in (sparse, fast))
     np.testing.assert_allclose(other, one, rtol=0, atol=CLOSE)
     for neighbour in sparse.area.neighbours:
         assert_same_information(case, neighbour)
@@ -76,10 +76,10 @@ def assert_same(case: Case) -> int:
 
 def assert_same_information(case: Case, neighbour: Neighbour) -> None:
     """What both sides together then know of the boundary is the same, and so is what a message tells alone."""
-    one, other = (m.linear.information(case.x, neighbour, case.heard) for m in (case.sparse, case.other))
+    one, other = (m.linear.information(case.x, neighbour, case.received) for m in (case.sparse, case.other))
     y, _ = case.sparse.boundary(case.x, neighbour)
-    theirs = case.heard[neighbour.area]
-    (mean, sigma), (other_mean, other_sigma) = (marginal_of(y, told, theirs) for told in (one, other))
+    theirs = case.received[neighbour.area]
+    (mean, sigma), (other_mean, other_sigma) = (marginal_of(y, sent, theirs) for sent in (one, other))
     assert sigma is not None
     assert other_sigma is not None
     np.testing.assert_allclose(other_sigma, sigma, rtol=1e-8)
@@ -136,11 +136,11 @@ def test_an_unmetered_bus_is_left_to_the_sparse_path_where_digits_would_be_lost_
 def test_the_back_end_is_the_tree_for_large_radial_areas_only():
     small = make_feeder(1, n_bus=20, n_area=1).partition.areas[0]
     large = make_feeder(1, n_bus=80, n_area=1).partition.areas[0]
-    assert [choose_backend(small), choose_backend(small, "tree")] == ["dense", "tree"]
-    assert [choose_backend(large), choose_backend(large, "sparse")] == ["tree", "sparse"]
+    assert [choose_backend(small), choose_backend(small, "radial")] == ["dense", "radial"]
+    assert [choose_backend(large), choose_backend(large, "sparse")] == ["radial", "sparse"]
     meshed = make_grid(2, 30, 1, 0.3, 0.0, 3, 0.0, None, True, MeterShares()).partition.areas[0]
     assert len(meshed.network.active_branches) >= len(meshed.network.buses)
-    assert choose_backend(meshed, "tree") == "sparse"
+    assert choose_backend(meshed, "radial") == "sparse"
 
 
 def test_small_areas_are_dense_unless_asked_otherwise():
@@ -150,7 +150,7 @@ def test_small_areas_are_dense_unless_asked_otherwise():
     assert build_area_model(large, (), None).linear.name != "dense"
 
 
-@pytest.mark.parametrize("backend", [pytest.param("tree", marks=needs_numba), "sparse", "dense"])
+@pytest.mark.parametrize("backend", [pytest.param("radial", marks=needs_numba), "sparse", "dense"])
 def test_the_same_meters_read_anew_give_what_a_new_model_gives(backend):
     feeder = make_feeder(7, n_bus=20, n_area=1)
     (area,) = feeder.partition.areas

@@ -57,9 +57,9 @@ def test_a_smaller_tolerance_bounds_the_step_to_come(tolerance, count):
 
 
 def test_the_compiled_rule_is_the_same():
-    pytest.importorskip("numba", reason="the tree back end needs numba: pip install 'consensus-dsse[fast]'")
-    from dsse_core.radial import iteration as tree_iteration
+    pytest.importorskip("numba", reason="the radial back end needs numba: pip install 'consensus-dsse[fast]'")
+    from dsse_core.radial import iteration as radial_iteration
 
     sizes = [10.0**k for k in range(-12, 0)]
     cases = [(s, b, c, t) for s in sizes for b in (0.0, *sizes) for c in (False, True) for t in (1e-5, 1e-9)]
-    assert [tree_iteration.is_last(*case) for case in cases] == [is_last(*case) for case in cases]
+    assert [radial_iteration.is_last(*case) for case in cases] == [is_last(*case) for case in cases]

@@ -1,4 +1,4 @@
-"""A network refuses everything that it cannot mean, all of it at once."""
+"""A network rejects everything that it cannot mean, all of it at once."""
 
 import math
 
@@ -52,7 +52,7 @@ def test_every_problem_is_reported_at_once():
         assert expected in text
 
 
-def test_a_network_without_a_bus_is_refused():
+def test_a_network_without_a_bus_is_rejected():
     with pytest.raises(InvalidInputError, match="it has no bus"):
         Network("empty", 1.0, (), ())
 

@@ -126,7 +126,7 @@ def test_the_angle_of_the_reference_is_given_and_the_reference_can_be_any_bus(ch
         check_observable(network, meters, reference=9)
 
 
-def test_meters_that_do_not_fit_are_refused_before_the_analysis(meshed):
+def test_meters_that_do_not_fit_are_rejected_before_the_analysis(meshed):
     with pytest.raises(InvalidInputError) as caught:
         check_observable(meshed, [Meter(Kind.VM, 99), Meter(P_FLOW, 6, "6-2")])
     assert len(caught.value.problems) == 2
@@ -232,7 +232,7 @@ def test_a_meter_is_indispensable_when_the_others_do_not_determine_the_state(gri
 
 
 @pytest.mark.parametrize("short", [(), (5, 20)])
-def test_indispensable_meters_of_a_feeder_of_5000_buses_are_told_from_hardly_checked_ones(chain, short, backend):
+def test_indispensable_meters_of_a_feeder_of_5000_buses_are_distinguished_from_hardly_checked_ones(chain, short, backend):
     """With injections alone nothing can be spared; a second voltmeter at the far end checks every one of them."""
     network = chain(5000 if not short else 500, short=short)
     n = len(network.buses)

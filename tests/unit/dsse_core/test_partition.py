@@ -1,4 +1,4 @@
-"""Areas form a tree; every way in which they do not is told; load messages add up to the load of the grid."""
+"""Areas form a tree; every way in which they do not is reported; load messages add up to the load of the grid."""
 
 import math
 from dataclasses import replace
@@ -122,7 +122,7 @@ def test_the_longest_path_runs_between_the_two_areas_farthest_apart():
     assert build_partition(row(3), {"all": [1, 2, 3]}).longest_path == ("all",)
 
 
-def test_all_slips_in_the_lists_of_buses_are_told_at_once():
+def test_all_slips_in_the_lists_of_buses_are_reported_at_once():
     problems = problems_of(
         row(6),
         {"a": [1, 2, 2], "b": [2, 3, 99], "c": []},
@@ -139,13 +139,13 @@ def test_all_slips_in_the_lists_of_buses_are_told_at_once():
     assert "area a: slack_vm is -0.5" in text
 
 
-def test_a_branch_between_two_areas_is_told_with_its_buses():
+def test_a_branch_between_two_areas_is_reported_with_its_buses():
     (problem,) = problems_of(row(4), {"a": [1, 2], "b": [3, 4]})
     assert problem.startswith("branch 2-3 is in no area")
     assert "2 and 3" in problem
 
 
-def test_an_area_in_pieces_is_told_with_the_pieces():
+def test_an_area_in_pieces_is_reported_with_the_pieces():
     network = row(5)
     problems = problems_of(network, {"a": [1, 2, 4, 5], "b": [2, 3, 4]})
     assert problems == ("area a is not connected by its own branches: it falls into buses 1, 2 | 4, 5",)
@@ -156,11 +156,11 @@ def test_an_area_of_a_single_bus_has_no_branch():
     assert "area b has a single bus" in problem
 
 
-def test_no_area_at_all_is_told():
+def test_no_area_at_all_is_reported():
     assert problems_of(row(2), {})[0].startswith("there is no area")
 
 
-def test_buses_beyond_an_open_switch_are_told():
+def test_buses_beyond_an_open_switch_are_reported():
     network = Network(
         "grid",
         1.0,
@@ -230,17 +230,17 @@ def divided_trees(draw):
 
 @settings(max_examples=150, deadline=None)
 @given(divided_trees())
-def test_what_an_area_owns_and_hears_is_the_net_load_of_the_whole_grid(divided):
+def test_what_an_area_owns_and_receives_is_the_net_load_of_the_whole_grid(divided):
     network, areas = divided
     total = -sum((network.scheduled_injection(bus.id) for bus in network.buses), 0j)
     total -= 1j * sum(bus.b_shunt for bus in network.buses) + 1j * sum(branch.b for branch in network.branches)
     partition = build_partition(network, areas)
-    heard = scheduled_load_messages(partition)
+    received = scheduled_load_messages(partition)
     for area in partition.areas:
-        assert set(heard[area.name]) == {n.area for n in area.neighbours}
-        everything = own_net_load(area).s + sum((load.s for load in heard[area.name].values()), 0j)
+        assert set(received[area.name]) == {n.area for n in area.neighbours}
+        everything = own_net_load(area).s + sum((load.s for load in received[area.name].values()), 0j)
         assert everything == pytest.approx(total, abs=1e-9)
-        at_boundaries = boundary_loads(area, heard[area.name], error=0.3 + 0.3j)
+        at_boundaries = boundary_loads(area, received[area.name], error=0.3 + 0.3j)
         assert set(at_boundaries) == set(area.boundary_buses)
         beyond = sum((load.s for load in at_boundaries.values()), 0j)
         expected = total - own_net_load(area).s + (0.3 + 0.3j) * len(area.boundary_buses)
@@ -277,11 +277,11 @@ def test_a_shunt_counts_as_the_load_that_it_is_at_nominal_voltage_also_where_the
             replace(plain, p_load=plain.p_load + 0.05, q_load=plain.q_load - 0.6),
         )
     )
-    told = [
+    reported = [
         scheduled_load_messages(build_partition(n, {"a": [1, 2, 3], "b": [3, 4, 5]}))["b"]["a"].s
         for n in (as_shunt, as_load)
     ]
-    assert told[0] == pytest.approx(told[1])
+    assert reported[0] == pytest.approx(reported[1])
 
     area = build_partition(as_shunt, {"a": [1, 2, 3], "b": [3, 4, 5]}).area("a")
     read = NetLoad(-as_shunt.scheduled_injection(2), variance=1e-4)  # an injection meter does not see the shunt
@@ -289,8 +289,8 @@ def test_a_shunt_counts_as_the_load_that_it_is_at_nominal_voltage_also_where_the
     assert own_net_load(area, {2: read}).variance == 1e-4
 
 
-def test_an_unheard_neighbour_leaves_its_boundary_bus_out():
+def test_an_unacknowledged_neighbour_leaves_its_boundary_bus_out():
     partition = build_partition(row(7), {"a": [1, 2, 3], "b": [3, 4, 5], "c": [5, 6, 7]})
     area = partition.area("b")
-    heard = scheduled_load_messages(partition)["b"]
-    assert set(boundary_loads(area, {"a": heard["a"]})) == {3}
+    received = scheduled_load_messages(partition)["b"]
+    assert set(boundary_loads(area, {"a": received["a"]})) == {3}

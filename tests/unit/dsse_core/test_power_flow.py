@@ -112,7 +112,7 @@ def test_extra_load_comes_on_top_of_the_load_of_the_network(solve):
 
 
 @pytest.mark.parametrize("load", [20 + 10j, 1e6 + 0j])
-def test_a_load_beyond_the_nose_of_the_voltage_curve_is_refused_with_the_bus(load, solve):
+def test_a_load_beyond_the_nose_of_the_voltage_curve_is_rejected_with_the_bus(load, solve):
     with pytest.raises(PowerFlowDivergedError, match="bus 2") as caught:
         solve(two_buses(load=load))
     assert caught.value.bus == 2
@@ -141,7 +141,7 @@ def test_an_unknown_local_slack_is_an_error_with_its_name(meshed):
         solve_power_flow(meshed, slack=(99, 1.0))
 
 
-def test_a_network_without_slack_is_refused():
+def test_a_network_without_slack_is_rejected():
     network = replace(two_buses(), generators=())
     with pytest.raises(InvalidInputError, match="no slack bus"):
         solve_power_flow(network)
@@ -177,12 +177,12 @@ def test_a_perfect_meter_reads_what_the_result_says(meshed):
         (Meter(Kind.P_FLOW, 10, "3-4"), "does not end at bus 10"),
     ],
 )
-def test_a_meter_that_does_not_fit_is_refused_instead_of_read(meshed, meter, text):
+def test_a_meter_that_does_not_fit_is_rejected_instead_of_read(meshed, meter, text):
     with pytest.raises(InvalidInputError, match=text):
         solve_power_flow(meshed).read(meter)
 
 
-def test_all_meters_are_read_at_once_as_one_by_one_and_their_problems_told_together(meshed, meters_of):
+def test_all_meters_are_read_at_once_as_one_by_one_and_their_problems_reported_together(meshed, meters_of):
     result = solve_power_flow(meshed)
     meters = meters_of(meshed, *Kind)
     assert result.read_all(meters) == pytest.approx([result.read(meter) for meter in meters], abs=1e-14)
@@ -248,7 +248,7 @@ def test_where_sweeps_do_not_converge_newton_does():
     assert result.vm[1] == pytest.approx(solve_power_flow(heavy, method="newton").vm[1], abs=1e-10)
 
 
-def test_sweeps_that_cannot_serve_are_refused_with_the_reason(meshed):
+def test_sweeps_that_cannot_serve_are_rejected_with_the_reason(meshed):
     with pytest.raises(InvalidInputError, match=r"not radial|hold their voltage|numba is not installed"):
         solve_power_flow(meshed, method="sweep")
     with pytest.raises(InvalidInputError, match="choose one of auto, sweep, newton"):

@@ -51,7 +51,7 @@ def test_a_step_beyond_all_states_begins_anew_at_the_flat_start_and_then_ends():
 
 def test_nothing_is_removed_where_the_last_step_has_brought_j_below_the_limit():
     memory, said = decide(Memory(steps=3, before=1e-3, stepped=True), totals(1e-6, objective=2 * LIMIT))
-    assert said.decision is Decision.JUDGE
+    assert said.decision is Decision.EVALUATE
     worst = (("p_flow@1:1-2", 5.0),)
     assert decide(memory, totals(1e-9, objective=LIMIT / 2, worst=worst))[1].decision is Decision.FINAL
     assert decide(memory, totals(1e-9, objective=2 * LIMIT, worst=worst))[1].decision is Decision.ANEW
@@ -92,10 +92,10 @@ def outcome(network, measurements, backend: str):
 
 @pytest.mark.random_cases(few=25, many=1000)
 def test_the_compiled_iteration_decides_the_same(random_seed):
-    pytest.importorskip("numba", reason="the tree back end needs numba: pip install 'consensus-dsse[fast]'")
+    pytest.importorskip("numba", reason="the radial back end needs numba: pip install 'consensus-dsse[fast]'")
     grid = draw_grid(random_seed)
     try:
-        compiled = outcome(grid.network, grid.measurements, "tree")
+        compiled = outcome(grid.network, grid.measurements, "radial")
     except (InvalidInputError, DsseError):
         pytest.skip("the tree cannot serve, or the state is not observable")
     assert compiled == outcome(grid.network, grid.measurements, "sparse")

@@ -72,7 +72,7 @@ def test_faults_name_the_areas_that_were_cut(tmp_path: Path) -> None:
     assert problems == ("faults.load_error.area3: there is no area 'area3'; areas: area1, area2",)
 
 
-def test_a_gap_of_the_areas_of_a_cut_is_told_beside_other_problems(tmp_path: Path) -> None:
+def test_a_gap_of_the_areas_of_a_cut_is_reported_beside_other_problems(tmp_path: Path) -> None:
     areas = "areas = { count = 33 }"
     problems = problems_of(tmp_path, areas, '[[telemetry.gross_error]]\nmeter = "vm@99"\nsigmas = 3.0\n')
     assert problems[0].startswith("areas: 33 areas are asked for")
@@ -80,7 +80,7 @@ def test_a_gap_of_the_areas_of_a_cut_is_told_beside_other_problems(tmp_path: Pat
     assert problems[1].startswith("telemetry.gross_error[1].meter: 'vm@99' is no meter")
 
 
-def test_wrong_switches_are_told_with_their_key(tmp_path: Path) -> None:
+def test_wrong_switches_are_reported_with_their_key(tmp_path: Path) -> None:
     assert problems_of(tmp_path, 'areas = { switches = ["6-77"] }') == (
         "areas: there is no branch '6-77'; did you mean '6-7'?",
     )
@@ -102,14 +102,14 @@ def test_wrong_switches_are_told_with_their_key(tmp_path: Path) -> None:
         ("areas = 3", ["areas: must be a table, found 3 (one [areas.NAME] with its buses for each area, or { count"]),
     ],
 )
-def test_every_wrong_key_of_areas_is_told(tmp_path: Path, areas: str, expected: list[str]) -> None:
+def test_every_wrong_key_of_areas_is_reported(tmp_path: Path, areas: str, expected: list[str]) -> None:
     problems = problems_of(tmp_path, areas)
     assert len(problems) == len(expected)
     for problem, start in zip(problems, expected, strict=True):
         assert problem.startswith(start)
 
 
-def test_bus_lists_that_form_a_loop_are_refused_with_the_cycle(tmp_path: Path) -> None:
+def test_bus_lists_that_form_a_loop_are_rejected_with_the_cycle(tmp_path: Path) -> None:
     (tmp_path / "ring.toml").write_text(RING, encoding="utf-8")
     head = HEAD.replace('network = "ieee33"', 'network = "ring.toml"')
     areas = "[areas.a]\nbuses = [4, 1, 2]\n[areas.b]\nbuses = [2, 3]\n[areas.c]\nbuses = [3, 4]"

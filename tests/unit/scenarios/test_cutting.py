@@ -141,7 +141,7 @@ def test_loops_stay_inside_an_area() -> None:
     assert cut_into(network, 4) == {"area1": [1, 2], "area2": [2, 3, 4], "area3": [4, 5], "area4": [5, 6]}
 
 
-def test_more_areas_than_pieces_are_refused_with_the_largest_number() -> None:
+def test_more_areas_than_pieces_are_rejected_with_the_largest_number() -> None:
     network = grid((1, 2), (2, 3), (3, 4), (4, 2), (4, 5))
     (problem,) = problems_of(cut_into, network, 4)
     assert "falls into 3 pieces at most" in problem
@@ -195,7 +195,7 @@ def test_areas_by_switches_are_a_partition_in_which_every_switch_begins_an_area(
         assert home.parent is None or home.parent.bus == block.top
 
 
-def test_all_wrong_switches_are_told_at_once() -> None:
+def test_all_wrong_switches_are_reported_at_once() -> None:
     network = grid((1, 2), (2, 3), (3, 4), (4, 2), (4, 5), (5, 6), (6, 1), open_ids=["6-1"])
     problems = problems_of(cut_at, network, ["2-3", "4-6", "6-1", "4-5", "4-5"])
     text = "\n".join(problems)
@@ -212,12 +212,12 @@ def test_a_long_loop_is_not_listed_whole() -> None:
     assert "and 20 more" in problem
 
 
-def test_a_switch_that_cuts_nothing_off_is_refused() -> None:
+def test_a_switch_that_cuts_nothing_off_is_rejected() -> None:
     (problem,) = problems_of(cut_at, row(4), ["1-2"])
     assert "branch 1-2 is the only branch at the substation" in problem
 
 
-def test_buses_beyond_an_open_branch_are_told_before_any_cut() -> None:
+def test_buses_beyond_an_open_branch_are_reported_before_any_cut() -> None:
     network = grid((1, 2), (2, 3), open_ids=["2-3"])
     for problems in (problems_of(cut_into, network, 2), problems_of(cut_at, network, ["1-2"])):
         assert problems == ("no path of branches in service joins bus 3 to the substation",)

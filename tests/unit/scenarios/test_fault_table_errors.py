@@ -1,4 +1,4 @@
-"""Every mistake in the faults of a scenario is refused, naming key, what was found and what is allowed."""
+"""Every mistake in the faults of a scenario is rejected, naming key, what was found and what is allowed."""
 
 from __future__ import annotations
 
@@ -15,35 +15,35 @@ from scenarios.scenario import load_scenario
 
 
 @pytest.mark.parametrize("loss", ["-0.1", "1.5"])
-def test_a_loss_that_is_no_probability_is_refused(tmp_path: Path, loss: str) -> None:
+def test_a_loss_that_is_no_probability_is_rejected(tmp_path: Path, loss: str) -> None:
     problem = the_only(problems_of(tmp_path, GOOD + f"\n[faults]\nloss = {loss}\n"))
     assert problem.startswith("faults.loss: must be ")
     assert f"found {loss}" in problem
 
 
-def test_a_load_error_of_an_unknown_area_is_refused(tmp_path: Path) -> None:
+def test_a_load_error_of_an_unknown_area_is_rejected(tmp_path: Path) -> None:
     text = GOOD + "\n[faults.load_error.area9]\np_mw = 0.3\nq_mvar = 0.3\n"
     assert the_only(problems_of(tmp_path, text)) == (
         "faults.load_error.area9: there is no area 'area9'; areas: area1, area2, area3"
     )
 
 
-def test_a_load_error_without_its_reactive_part_is_refused(tmp_path: Path) -> None:
+def test_a_load_error_without_its_reactive_part_is_rejected(tmp_path: Path) -> None:
     problem = the_only(problems_of(tmp_path, GOOD + "\n[faults.load_error.area1]\np_mw = 0.3\n"))
     assert problem.startswith("faults.load_error.area1.q_mvar: missing;")
 
 
-def test_a_link_of_an_unknown_area_is_refused(tmp_path: Path) -> None:
+def test_a_link_of_an_unknown_area_is_rejected(tmp_path: Path) -> None:
     problem = the_only(problems_of(tmp_path, GOOD + link("area1", "area9")))
     assert problem == "faults.link[1].to: there is no area 'area9'; areas: area1, area2, area3"
 
 
-def test_a_link_between_areas_that_are_not_neighbours_is_refused_with_the_links(tmp_path: Path) -> None:
+def test_a_link_between_areas_that_are_not_neighbours_is_rejected_with_the_links(tmp_path: Path) -> None:
     problem = the_only(problems_of(tmp_path, GOOD + link("area2", "area3")))
     assert problem.startswith("faults.link[1]: area2 and area3 are not neighbours; links: area2 to area1,")
 
 
-def test_a_link_that_is_given_twice_is_refused(tmp_path: Path) -> None:
+def test_a_link_that_is_given_twice_is_rejected(tmp_path: Path) -> None:
     problem = the_only(problems_of(tmp_path, GOOD + 2 * link("area1", "area2")))
     assert problem == "faults.link[2]: the link from area1 to area2 is given twice; keep one"
 
@@ -52,7 +52,7 @@ def events(*lines: str) -> str:
     return "\n[faults]\nevents = [" + ", ".join(f"{{ {line} }}" for line in lines) + "]\n"
 
 
-def test_every_event_that_cannot_happen_is_refused_with_its_number(tmp_path: Path) -> None:
+def test_every_event_that_cannot_happen_is_rejected_with_its_number(tmp_path: Path) -> None:
     text = GOOD + events(
         'at_s = 1, kill = "area9"',
         'at_s = 1, cut = ["area2", "area3"], for_s = 1',
@@ -70,7 +70,7 @@ def test_every_event_that_cannot_happen_is_refused_with_its_number(tmp_path: Pat
     )
 
 
-def test_events_that_meet_what_is_dead_frozen_silent_or_cut_already_are_refused(tmp_path: Path) -> None:
+def test_events_that_meet_what_is_dead_frozen_silent_or_cut_already_are_rejected(tmp_path: Path) -> None:
     text = GOOD + events(
         'at_s = 9, kill = "area1"',  # lines need not be in the order of time
         'at_s = 1, kill = "area1"',
@@ -146,8 +146,8 @@ def test_a_link_takes_what_it_does_not_say_from_all_links_and_cuts_from_events(t
     assert faults.over_s == 5.0
 
 
-def test_a_lie_told_both_ways_is_taken_back_in_the_other_direction() -> None:
-    """Who believes y' = scale y + offset is told in return (y' - offset) / scale of what it says."""
+def test_a_lie_reported_both_ways_is_taken_back_in_the_other_direction() -> None:
+    """Who believes y' = scale y + offset receives in return (y' - offset) / scale of what it says."""
     lie = {"p_mw": 0.3, "vm_pu": 0.02, "va_deg": -1.0, "scale": 1.25, "both_ways": True}
     links = load_scenario(
         "ieee33", changes={"faults.link": [{"from": "area1", "to": "area2", "lie": lie}]}
@@ -159,7 +159,7 @@ def test_a_lie_told_both_ways_is_taken_back_in_the_other_direction() -> None:
     assert links["area1", "area3"] == LinkFaults()
 
 
-def test_a_lie_both_ways_beside_a_lie_of_the_other_direction_is_refused(tmp_path: Path) -> None:
+def test_a_lie_both_ways_beside_a_lie_of_the_other_direction_is_rejected(tmp_path: Path) -> None:
     text = GOOD + link("area1", "area2") + "lie = { vm_pu = 0.1, both_ways = true }\n"
     text += link("area2", "area1") + "lie = { va_deg = 1.0 }\n"
     assert the_only(problems_of(tmp_path, text)) == (
@@ -167,6 +167,6 @@ def test_a_lie_both_ways_beside_a_lie_of_the_other_direction_is_refused(tmp_path
     )
 
 
-def test_a_band_of_voltages_that_is_empty_is_refused(tmp_path: Path) -> None:
+def test_a_band_of_voltages_that_is_empty_is_rejected(tmp_path: Path) -> None:
     problem = the_only(problems_of(tmp_path, GOOD + "\n[quality]\nlowest_vm_pu = 1.6\n"))
     assert "lowest_vm_pu is 1.6; it must be below highest_vm_pu, 1.5" in problem

@@ -64,7 +64,7 @@ def test_pv_generators_stand_at_loads_and_produce_their_share_together() -> None
     assert sum(g.p for g in pv) == pytest.approx(PV_SHARE * load, rel=1e-3)
 
 
-def test_what_cannot_be_generated_is_refused_with_all_reasons() -> None:
+def test_what_cannot_be_generated_is_rejected_with_all_reasons() -> None:
     with pytest.raises(InvalidInputError) as caught:
         generate_feeder(1, rng(), lowest_vm=1.2)
     assert [problem.split(";")[0] for problem in caught.value.problems] == [
@@ -75,7 +75,7 @@ def test_what_cannot_be_generated_is_refused_with_all_reasons() -> None:
         generate_feeder(33, rng(), n_pv=50)
 
 
-def test_a_lowest_voltage_that_is_no_number_is_refused() -> None:
+def test_a_lowest_voltage_that_is_no_number_is_rejected() -> None:
     with pytest.raises(InvalidInputError, match="out of range"):
         generate_feeder(10, rng(), lowest_vm=float("nan"))
 
@@ -99,7 +99,7 @@ def test_a_large_network_is_written_as_json_and_read_back(tmp_path: Path, monkey
     assert [area.name for area in small.partition.areas] == [area.name for area in large.partition.areas]
 
 
-def test_broken_json_is_refused_with_its_place(tmp_path: Path) -> None:
+def test_broken_json_is_rejected_with_its_place(tmp_path: Path) -> None:
     path = tmp_path / "network.json"
     path.write_text('{"name": "x",}')
     with pytest.raises(InvalidInputError, match=r"not valid JSON: .*line 1 column"):
@@ -115,7 +115,7 @@ def test_meters_do_not_change_the_network(tmp_path: Path) -> None:
     assert len(many.meters) > len(few.meters) + 200
 
 
-def test_more_areas_than_branches_are_refused_before_anything_is_written(tmp_path: Path) -> None:
+def test_more_areas_than_branches_are_rejected_before_anything_is_written(tmp_path: Path) -> None:
     with pytest.raises(InvalidInputError, match="5 areas are asked for, but 5 buses have 4 branches"):
         write_generated(tmp_path / "out", 5, 1, n_area=5)
     assert not (tmp_path / "out").exists()

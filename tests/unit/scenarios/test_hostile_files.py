@@ -1,4 +1,4 @@
-"""Files that would hang, exhaust or take over the reader are refused as every other mistake is."""
+"""Files that would hang, exhaust or take over the reader are rejected as every other mistake is."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_what_is_no_file_of_its_kind_is_one_error(tmp_path: Path, name: str, rea
     assert "set_int_max_str_digits" not in str(caught.value)
 
 
-def test_a_file_over_the_limit_is_refused_with_the_limit(tmp_path: Path):
+def test_a_file_over_the_limit_is_rejected_with_the_limit(tmp_path: Path):
     path = tmp_path / "scenario.toml"
     with path.open("wb") as file:
         file.truncate(LARGEST_TOML + 1)
@@ -97,7 +97,7 @@ def in_a_cell(content: object) -> dict[str, object]:
         (TABLE | {"_object": "{}", "compression": "gzip"}, "the key 'compression'"),
     ],
 )
-def test_a_pandapower_file_that_names_foreign_objects_is_refused_unread(
+def test_a_pandapower_file_that_names_foreign_objects_is_rejected_unread(
     tmp_path: Path, evil: Path, content, words: str
 ):
     path = tmp_path / "net.json"
@@ -217,12 +217,12 @@ def test_the_module_would_be_imported_by_pandapower_itself(evil: Path):
     """What the allow-list is for; if this fails, pandapower has become careful itself."""
     pandapower = pytest.importorskip("pandapower")
     net = {"_module": "pandapower.auxiliary", "_class": "pandapowerNet", "_object": {"bus": EVIL}}
-    with pytest.raises(Exception):  # noqa: B017, PT011  # it refuses to build the class, but only after the import
+    with pytest.raises(Exception):  # noqa: B017, PT011  # it rejects to build the class, but only after the import
         pandapower.from_json_string(json.dumps(net))
     assert evil.exists()
 
 
-def test_a_network_file_of_json_with_a_key_twice_is_refused(tmp_path: Path):
+def test_a_network_file_of_json_with_a_key_twice_is_rejected(tmp_path: Path):
     path = tmp_path / "network.json"
     path.write_text('{"name": "a", "base_mva": 1, "base_mva": 100}')
     with pytest.raises(InvalidInputError, match="not valid JSON: key 'base_mva' is given twice; keep one of them"):

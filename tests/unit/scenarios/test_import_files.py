@@ -101,7 +101,7 @@ def test_an_open_end_draws_what_the_branch_draws_with_nothing_behind_it() -> Non
         ("grid.m", "", "mpc.bus, mpc.branch and mpc.gen are all missing"),
     ],
 )
-def test_a_file_of_no_known_format_is_refused(tmp_path: Path, name: str, content: str, words: str) -> None:
+def test_a_file_of_no_known_format_is_rejected(tmp_path: Path, name: str, content: str, words: str) -> None:
     path = tmp_path / name
     path.write_text(content, encoding="utf-8")
     with pytest.raises(InvalidInputError, match="problem") as caught:

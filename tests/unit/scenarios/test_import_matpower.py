@@ -1,4 +1,4 @@
-"""MATPOWER cases: the power flow is that of MATPOWER's own equations, and what is not understood is refused."""
+"""MATPOWER cases: the power flow is that of MATPOWER's own equations, and what is not understood is rejected."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def test_the_elements_keep_their_numbers_states_and_meanings(tmp_path: Path) -> 
     ]
 
 
-def test_conversions_after_the_matrices_are_done_and_told(tmp_path: Path) -> None:
+def test_conversions_after_the_matrices_are_done_and_reported(tmp_path: Path) -> None:
     imported = read(tmp_path, DISTRIBUTION)
     network = imported.network
     z_base = 12.66**2 / 10
@@ -138,9 +138,9 @@ def test_conversions_after_the_matrices_are_done_and_told(tmp_path: Path) -> Non
     assert network.branch("2-3").x == pytest.approx(0.2511 / z_base)
     assert network.bus(2).p_load == pytest.approx(0.1 / 10)
     assert network.bus(3).q_load == pytest.approx(0.04 / 10)
-    told = [remark.text for remark in imported.remarks if remark.what == "changed"]
-    assert any("ohm" in text for text in told)
-    assert any("kW" in text for text in told)
+    reported = [remark.text for remark in imported.remarks if remark.what == "changed"]
+    assert any("ohm" in text for text in reported)
+    assert any("kW" in text for text in reported)
 
 
 def test_a_power_factor_turns_apparent_into_active_and_reactive_load(tmp_path: Path) -> None:
@@ -155,7 +155,7 @@ def test_a_power_factor_turns_apparent_into_active_and_reactive_load(tmp_path: P
     assert (bus.p_load, bus.q_load) == pytest.approx((0.1 * 0.8 / 10, 0.1 * 0.6 / 10))
 
 
-def test_every_statement_that_is_not_known_is_refused_with_its_line(tmp_path: Path) -> None:
+def test_every_statement_that_is_not_known_is_rejected_with_its_line(tmp_path: Path) -> None:
     text = DISTRIBUTION + "mpc.bus(2, PD) = 7;\nscale = rand(1);\n"
     problems = problems_of(tmp_path, text)
     line = text[: text.index("mpc.bus(2")].count("\n") + 1
@@ -187,11 +187,11 @@ def test_every_statement_that_is_not_known_is_refused_with_its_line(tmp_path: Pa
         ("  0  0  0  0  0  0  1  -360  360;\n    2  3", "  0\n    2  3", "has 5 columns, at least 11"),
     ],
 )
-def test_a_case_that_the_network_model_cannot_hold_is_refused(tmp_path: Path, old: str, new: str, words: str) -> None:
+def test_a_case_that_the_network_model_cannot_hold_is_rejected(tmp_path: Path, old: str, new: str, words: str) -> None:
     assert words in "\n".join(problems_of(tmp_path, changed(DISTRIBUTION, old, new)))
 
 
-def test_buses_without_supply_are_left_out_and_told(tmp_path: Path) -> None:
+def test_buses_without_supply_are_left_out_and_reported(tmp_path: Path) -> None:
     text = changed(
         DISTRIBUTION,
         "    3  1  90 ",
@@ -199,12 +199,12 @@ def test_buses_without_supply_are_left_out_and_told(tmp_path: Path) -> None:
     )
     imported = read(tmp_path, text)
     assert list(imported.network.row) == [1, 2, 3]
-    told = [remark.text for remark in imported.remarks if remark.what == "left out"]
-    assert told[0].startswith("bus 5 with 0.05 MW of load")
-    assert told[1].startswith("bus 4 with 0.05 MW of load")
+    reported = [remark.text for remark in imported.remarks if remark.what == "left out"]
+    assert reported[0].startswith("bus 5 with 0.05 MW of load")
+    assert reported[1].startswith("bus 4 with 0.05 MW of load")
 
 
-def test_an_island_that_holds_its_own_voltage_is_refused(tmp_path: Path) -> None:
+def test_an_island_that_holds_its_own_voltage_is_rejected(tmp_path: Path) -> None:
     text = changed(DISTRIBUTION, "    3  1  90 ", "    4  2  50   0   0  0  1  1  0  12.66  1  1  1;\n    3  1  90 ")
     text = changed(text, "mpc.gen = [ 1", "mpc.gen = [ 4  1  0  10  -10  1  100  1  10  0; 1")
     assert "bus 4 holds a voltage there" in "\n".join(problems_of(tmp_path, text))
@@ -255,13 +255,13 @@ def test_buses_that_a_branch_without_impedance_joins_become_one_with_all_that_st
         ("1-2", True), ("2-5", True), ("5-2", True), ("1-5", False),
     ]  # fmt: skip
     assert [(g.bus, g.control) for g in network.generators] == [(1, Control.SLACK), (2, Control.VOLTAGE)]
-    told = {(remark.what, remark.text) for remark in imported.remarks}
+    reported = {(remark.what, remark.text) for remark in imported.remarks}
     assert (
         "fused",
         "bus 3, 4 into bus 2, joined by branch 3-2 (1e-09 p.u.), 3-4 (1e-09 p.u.), which has no impedance beside the "
         "median of 0.0253 p.u.",
-    ) in told
-    assert ("left out", "branch 2-4, 2-3: both ends are at one bus now, it carries nothing") in told
+    ) in reported
+    assert ("left out", "branch 2-4, 2-3: both ends are at one bus now, it carries nothing") in reported
 
 
 def test_the_power_flow_of_fused_buses_is_that_of_a_short_line_between_them(tmp_path: Path) -> None:
@@ -329,19 +329,19 @@ def test_a_file_that_is_no_case_is_one_problem(tmp_path: Path) -> None:
 
 
 def test_no_field_and_no_column_is_left_out_in_silence(tmp_path: Path) -> None:
-    def told_of(text: str) -> list[str]:
+    def reported_of(text: str) -> list[str]:
         return [remark.text for remark in read(tmp_path, text).remarks if remark.what == "left out"]
 
     more = "mpc.foo = [ 1 2 ];\nmpc.gencost = [ 2 0 0 3 0 20 0 ];\nmpc.Branch = { 'x' };\n"
-    assert told_of(BUSBARS + more) == [
+    assert reported_of(BUSBARS + more) == [
         "branch 2-4, 2-3: both ends are at one bus now, it carries nothing",
         "mpc.foo (line 25): a field that is not read; no power flow here needs it",
         "mpc.Branch (line 27): a field that is not read; no power flow here needs it",
     ]
     gen = "mpc.gen = [ 1  0  0  10  -10  1  100  1  10  0"
-    assert told_of(changed(DISTRIBUTION, gen, gen + 11 * "  0")) == []
-    (told,) = told_of(changed(DISTRIBUTION, gen, gen + 16 * "  0"))
-    assert told == "mpc.gen (line 10): the last 1 columns, which MATPOWER does not know"
+    assert reported_of(changed(DISTRIBUTION, gen, gen + 11 * "  0")) == []
+    (reported,) = reported_of(changed(DISTRIBUTION, gen, gen + 16 * "  0"))
+    assert reported == "mpc.gen (line 10): the last 1 columns, which MATPOWER does not know"
 
 
 DEADLINE_S = 120

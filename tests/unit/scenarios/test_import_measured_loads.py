@@ -80,7 +80,7 @@ def test_no_random_pandapower_network_has_another_estimate_than_its_exact_readin
     np.testing.assert_allclose(estimated_vm(grid), net.res_bus.vm_pu, rtol=0, atol=1e-8)
 
 
-def test_a_constant_current_is_refused_where_nothing_measures_it(tmp_path: Path) -> None:
+def test_a_constant_current_is_rejected_where_nothing_measures_it(tmp_path: Path) -> None:
     net = pandapower_feeder([(0, 1)], [(1, 4.0, 1.0, 0.0, 10.0)])
     with pytest.raises(InvalidInputError, match="load 0: const_i_p_percent is not 0"):
         imported_from_pandapower(tmp_path, net)

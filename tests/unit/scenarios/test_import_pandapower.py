@@ -1,4 +1,4 @@
-"""pandapower networks: power flow and estimate are pandapower's own; what the model cannot hold is refused by name."""
+"""pandapower networks: power flow and estimate are pandapower's own; what the model cannot hold is rejected by name."""
 
 from __future__ import annotations
 
@@ -83,17 +83,17 @@ def check_power_flow(grid: Imported, net: Any) -> None:
     np.testing.assert_allclose(np.exp(1j * result.va), np.exp(1j * np.radians(theirs.va_degree)), rtol=0, atol=1e-8)
 
 
-def test_switches_islands_open_ends_and_taps_are_as_in_pandapower_and_told(tmp_path: Path) -> None:
+def test_switches_islands_open_ends_and_taps_are_as_in_pandapower_and_reported(tmp_path: Path) -> None:
     net = small_grid()
     grid = imported(tmp_path, net)
     check_power_flow(grid, net)
     assert list(grid.network.row) == [5, 10, 11, 12, 13, 14, 16]
     assert grid.network.bus(16).name == "B16"
-    told = {(remark.what, remark.text) for remark in grid.remarks}
-    assert ("fused", "bus 15 into bus 14, joined by closed switches") in told
-    assert ("changed", "line 6: open at one end, written as the shunt that it is") in told
-    assert ("left out", "bus 30, 31 with 4.5 MW of load: out of service or unsupplied") in told
-    assert ("left out", "line 7, 8: out of service, open at both ends or unsupplied") in told
+    reported = {(remark.what, remark.text) for remark in grid.remarks}
+    assert ("fused", "bus 15 into bus 14, joined by closed switches") in reported
+    assert ("changed", "line 6: open at one end, written as the shunt that it is") in reported
+    assert ("left out", "bus 30, 31 with 4.5 MW of load: out of service or unsupplied") in reported
+    assert ("left out", "line 7, 8: out of service, open at both ends or unsupplied") in reported
 
 
 def test_loads_of_constant_impedance_become_shunts(tmp_path: Path) -> None:
@@ -123,7 +123,7 @@ def test_everything_that_the_model_cannot_hold_is_named_at_once(tmp_path: Path) 
         assert words in text
 
 
-def test_an_impedance_that_differs_by_direction_is_refused(tmp_path: Path) -> None:
+def test_an_impedance_that_differs_by_direction_is_rejected(tmp_path: Path) -> None:
     net = small_grid()
     pp.create_impedance(net, 11, 13, 0.01, 0.02, 10, rtf_pu=0.03)
     assert "impedance 0: its two ends differ" in problems_of(tmp_path, net)
@@ -174,12 +174,12 @@ def test_the_estimate_from_the_measurement_table_is_pandapowers(tmp_path: Path) 
     np.testing.assert_allclose(result.vm, theirs.vm_pu, rtol=0, atol=1e-6)
     np.testing.assert_allclose(result.va, np.radians(theirs.va_degree), rtol=0, atol=1e-6)
     assert grid.zero_injection == "measured"
-    told = {remark.text for remark in grid.remarks}
-    assert "2 readings of vm@13: their weighted mean" in told
-    assert any("unsupplied" in text and text.startswith("measurement ") for text in told)
+    reported = {remark.text for remark in grid.remarks}
+    assert "2 readings of vm@13: their weighted mean" in reported
+    assert any("unsupplied" in text and text.startswith("measurement ") for text in reported)
 
 
-def test_a_half_measured_bus_of_closed_switches_is_refused(tmp_path: Path) -> None:
+def test_a_half_measured_bus_of_closed_switches_is_rejected(tmp_path: Path) -> None:
     net = measured_grid()
     net.measurement = net.measurement[~((net.measurement.element == 14) & (net.measurement.measurement_type == "p"))]
     text = problems_of(tmp_path, net)
@@ -207,7 +207,7 @@ def test_a_missing_package_is_named_with_the_command_that_installs_it(
         import_grid(path)
 
 
-def test_a_line_without_impedance_is_refused_by_its_name(tmp_path: Path) -> None:
+def test_a_line_without_impedance_is_rejected_by_its_name(tmp_path: Path) -> None:
     net = small_grid()
     net.line.loc[[2, 4], "length_km"] = 1e-8
     text = problems_of(tmp_path, net)
@@ -275,21 +275,21 @@ def test_a_table_without_a_column_is_named(tmp_path: Path, table: str, column: s
     assert f"table {table} has {len(net[table])} elements but no column {column}" in problems_of(tmp_path, net)
 
 
-def test_a_line_beside_a_closed_switch_is_left_out_and_told(tmp_path: Path) -> None:
+def test_a_line_beside_a_closed_switch_is_left_out_and_reported(tmp_path: Path) -> None:
     net = measured_grid()
     pp.create_line(net, 14, 15, 3, "NA2XS2Y 1x185 RM/25 12/20 kV")
     pp.create_measurement(net, "p", "line", 0.1, 0.02, 9, side="from")
     grid = imported(tmp_path, net)
     check_power_flow(grid, net)  # its charging included
-    told = {(remark.what, remark.text) for remark in grid.remarks}
+    reported = {(remark.what, remark.text) for remark in grid.remarks}
     text = "line 9: closed switches join its two ends, it carries nothing; what it draws stays as a shunt"
-    assert ("left out", text) in told
+    assert ("left out", text) in reported
     last = net.measurement.index[-1]
-    assert ("left out", f"measurement {last}: of a branch whose two ends closed switches join") in told
+    assert ("left out", f"measurement {last}: of a branch whose two ends closed switches join") in reported
     assert grid.network.bus(14).b_shunt > 0
 
 
-def test_measurements_without_a_value_or_a_weight_are_left_out_and_told(tmp_path: Path) -> None:
+def test_measurements_without_a_value_or_a_weight_are_left_out_and_reported(tmp_path: Path) -> None:
     net = measured_grid()
     whole = {m.meter.id for m in imported(tmp_path, net).readings}
     kinds = net.measurement.measurement_type
@@ -300,13 +300,13 @@ def test_measurements_without_a_value_or_a_weight_are_left_out_and_told(tmp_path
     net.measurement.loc[p_5, "std_dev"] = np.inf
     grid = imported(tmp_path, net)
     assert whole - {m.meter.id for m in grid.readings} >= {"vm@5", "vm@11", "p_injection@5"}
-    told = {remark.text for remark in grid.remarks if remark.what == "left out"}
-    assert f"measurement {at_5}, {p_5}: without a value or a std_dev" in told  # to_json writes no inf
+    reported = {remark.text for remark in grid.remarks if remark.what == "left out"}
+    assert f"measurement {at_5}, {p_5}: without a value or a std_dev" in reported  # to_json writes no inf
     text = "with a standard deviation above 1e+06 p.u., infinite ones included, which says nothing"
-    assert any(remark.endswith(text) and str(at_11) in remark for remark in told)
+    assert any(remark.endswith(text) and str(at_11) in remark for remark in reported)
 
 
-def test_two_external_grids_of_separate_islands_are_told_how_to_be_split(tmp_path: Path) -> None:
+def test_two_external_grids_of_separate_islands_are_reported_how_to_be_split(tmp_path: Path) -> None:
     net = small_grid()
     pp.create_ext_grid(net, 30)
     text = problems_of(tmp_path, net)
@@ -319,7 +319,7 @@ def test_two_external_grids_of_separate_islands_are_told_how_to_be_split(tmp_pat
     assert "no source in service holds voltage and angle" in problems_of(tmp_path, net)
 
 
-def test_two_external_grids_of_one_island_are_told_so(tmp_path: Path) -> None:
+def test_two_external_grids_of_one_island_are_reported_so(tmp_path: Path) -> None:
     net = small_grid()
     pp.create_ext_grid(net, 13)
     assert "ext_grid 0 at bus 5, ext_grid 1 at bus 13 feed one island" in problems_of(tmp_path, net)
@@ -333,10 +333,10 @@ def test_no_column_or_table_that_pandapower_does_not_know_is_left_out_in_silence
     net.line["max_loading_percent"] = 100.0  # pandapower knows it
     net["streets"] = net.bus.copy()[["name"]]
     pp.control.ContinuousTapControl(net, 0, 1.0)
-    told = {remark.text for remark in imported(tmp_path, net).remarks if remark.what == "left out"}
+    reported = {remark.text for remark in imported(tmp_path, net).remarks if remark.what == "left out"}
     assert (
         "columns of table load that pandapower does not know: const_z_percent; did you mean 'const_z_q_percent'?, "
         "profile"
-    ) in told
-    assert "table streets: pandapower has no elements of this name" in told
-    assert "controller 0: not run, taps stay where they are" in told
+    ) in reported
+    assert "table streets: pandapower has no elements of this name" in reported
+    assert "controller 0: not run, taps stay where they are" in reported

@@ -1,4 +1,4 @@
-"""power-grid-model input: power flow and Newton-Raphson estimate are its own; what the model cannot hold is refused."""
+"""power-grid-model input: power flow and estimate are its own; what the model cannot hold is rejected."""
 
 from __future__ import annotations
 
@@ -111,16 +111,16 @@ def without_link(data: Data) -> Data:
     return data
 
 
-def test_links_fuse_nodes_open_ends_become_shunts_and_all_is_told(tmp_path: Path) -> None:
+def test_links_fuse_nodes_open_ends_become_shunts_and_all_is_reported(tmp_path: Path) -> None:
     data = small_grid()
     grid = imported(tmp_path, data)
     assert list(grid.network.row) == [1, 2, 3, 4, 5, 6, 7, 10]
-    told = {(remark.what, remark.text) for remark in grid.remarks}
-    assert ("fused", "bus 9 into bus 4, joined by links") in told
-    assert ("changed", "branch 33: open at one end, written as the shunt that it is") in told
-    assert ("left out", "branch 34: open at both ends") in told
-    assert ("note", "bus 10 is new: the inside of the source at bus 1") in told
-    assert any(what == "left out" and text.startswith("bus 8 with 0 MW") for what, text in told)
+    reported = {(remark.what, remark.text) for remark in grid.remarks}
+    assert ("fused", "bus 9 into bus 4, joined by links") in reported
+    assert ("changed", "branch 33: open at one end, written as the shunt that it is") in reported
+    assert ("left out", "branch 34: open at both ends") in reported
+    assert ("note", "bus 10 is new: the inside of the source at bus 1") in reported
+    assert any(what == "left out" and text.startswith("bus 8 with 0 MW") for what, text in reported)
     result = solve_power_flow(grid.network)
     rows, vm, _ = voltages_there(grid, pgm.PowerGridModel(data).calculate_power_flow(error_tolerance=1e-8))
     np.testing.assert_allclose(result.vm[rows], vm, atol=1e-5)
@@ -228,7 +228,7 @@ def test_a_node_where_nothing_stands_injects_exactly_nothing_whatever_its_sensor
     assert any("power sensor 300 of node 2: nothing stands there" in remark.text for remark in grid.remarks)
 
 
-def test_one_angle_only_turns_the_grid_and_is_told(tmp_path: Path) -> None:
+def test_one_angle_only_turns_the_grid_and_is_reported(tmp_path: Path) -> None:
     data = measured_grid()
     data["sym_voltage_sensor"]["u_angle_measured"] = [0.3] + [NAN] * 7
     assert any("the angle of voltage sensor 101" in remark.text for remark in imported(tmp_path, data).remarks)
@@ -277,7 +277,7 @@ def test_a_current_sensor_with_a_local_angle_is_not_reduced_to_its_magnitude(tmp
     assert not any("the angle of current sensor" in remark.text for remark in grid.remarks)
 
 
-def test_a_local_angle_without_a_voltage_beside_it_is_told(tmp_path: Path) -> None:
+def test_a_local_angle_without_a_voltage_beside_it_is_reported(tmp_path: Path) -> None:
     data = measured_grid()
     data["sym_current_sensor"] = table(
         "sym_current_sensor", id=[301], measured_object=[32], measured_terminal_type=[BRANCH_TO],
@@ -305,7 +305,7 @@ def test_a_sensor_without_weight_does_not_divide_by_zero(tmp_path: Path, sigma: 
     assert all(m.sigma < 1e6 for m in grid.readings)
 
 
-def test_a_line_beside_a_closed_link_is_left_out_and_told(tmp_path: Path) -> None:
+def test_a_line_beside_a_closed_link_is_left_out_and_reported(tmp_path: Path) -> None:
     data = small_grid()
     extra = data["line"][:1].copy()
     extra["id"], extra["from_node"], extra["to_node"], extra["c1"] = 35, 4, 9, 4e-5
@@ -320,7 +320,7 @@ def test_a_line_beside_a_closed_link_is_left_out_and_told(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("field", "value"), [("uk", 1.2), ("uk", 0.0005), ("i0", 1.5), ("i0", 1e-5), ("pk", 8e6), ("p0", 1e6)]
 )
-def test_a_transformer_that_power_grid_model_computes_with_is_not_refused(
+def test_a_transformer_that_power_grid_model_computes_with_is_not_rejected(
     tmp_path: Path, field: str, value: float
 ) -> None:
     data = without_link(small_grid())
@@ -345,7 +345,7 @@ def test_the_type_of_a_load_is_not_asked_where_sensors_are(tmp_path: Path) -> No
     assert "60" in problems_of(tmp_path, data)
 
 
-def test_sources_of_separate_islands_are_told_how_to_be_split(tmp_path: Path) -> None:
+def test_sources_of_separate_islands_are_reported_how_to_be_split(tmp_path: Path) -> None:
     data = small_grid()
     data["line"]["from_status"][:2] = 0
     data["line"]["to_status"][:2] = 0
@@ -366,7 +366,7 @@ def test_everything_that_the_model_cannot_hold_is_named(tmp_path: Path) -> None:
     assert "sym_load 60: constant current" in text
 
 
-def test_components_that_are_not_balanced_are_refused(tmp_path: Path) -> None:
+def test_components_that_are_not_balanced_are_rejected(tmp_path: Path) -> None:
     data = small_grid()
     data["asym_load"] = table(
         "asym_load", id=[90], node=[4], status=[1], type=[0], p_specified=[[1e3] * 3], q_specified=[[1e3] * 3]
@@ -389,7 +389,7 @@ def test_every_sensor_that_no_meter_can_be_is_named(tmp_path: Path) -> None:
         assert words in text
 
 
-def test_data_that_power_grid_model_finds_wrong_is_refused_with_its_words(tmp_path: Path) -> None:
+def test_data_that_power_grid_model_finds_wrong_is_rejected_with_its_words(tmp_path: Path) -> None:
     data = small_grid()
     data["line"]["from_node"][0] = 77
     assert "power-grid-model: " in problems_of(tmp_path, data)
@@ -405,7 +405,7 @@ def test_a_missing_package_is_named_with_the_command_that_installs_it(
         import_grid(path)
 
 
-def test_branches_without_impedance_are_refused_by_their_names(tmp_path: Path) -> None:
+def test_branches_without_impedance_are_rejected_by_their_names(tmp_path: Path) -> None:
     data = small_grid()
     data["line"]["r1"][1], data["line"]["x1"][1] = 1e-9, 0.0
     data["source"]["sk"] = 5e14
@@ -447,14 +447,14 @@ def test_an_unknown_attribute_of_compact_data_is_named_as_well(tmp_path: Path) -
         import_grid(path)
 
 
-def test_descriptions_are_left_out_and_told(tmp_path: Path) -> None:
+def test_descriptions_are_left_out_and_reported(tmp_path: Path) -> None:
     def change(tree: Data) -> None:
         tree["data"]["node"][2]["extra"] = {"name": "Harbour"}
         tree["frequency"] = 60
 
-    told = {(remark.what, remark.text) for remark in import_grid(changed_file(tmp_path, change)).remarks}
-    assert ("left out", "'extra' of node, which describes them") in told
-    assert ("left out", "beside the data: frequency, which power-grid-model does not know") in told
+    reported = {(remark.what, remark.text) for remark in import_grid(changed_file(tmp_path, change)).remarks}
+    assert ("left out", "'extra' of node, which describes them") in reported
+    assert ("left out", "beside the data: frequency, which power-grid-model does not know") in reported
 
 
 @pytest.mark.parametrize(

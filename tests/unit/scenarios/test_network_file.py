@@ -1,4 +1,4 @@
-"""Network files: engineering units become per unit; every mistake is refused with its key path."""
+"""Network files: engineering units become per unit; every mistake is rejected with its key path."""
 
 from __future__ import annotations
 
@@ -77,17 +77,17 @@ def test_a_default_id_makes_way_for_the_same_id_given_to_a_later_branch(tmp_path
     assert [b.id for b in load(tmp_path, text).branches] == ["1-2#2", "1-2#3", "2-3", "1-2"]
 
 
-def test_mixed_units_are_refused(tmp_path: Path) -> None:
+def test_mixed_units_are_rejected(tmp_path: Path) -> None:
     (problem,) = problems_of(tmp_path, changed("b_us = 100.0", "b_pu = 0.1"))
     assert problem.startswith("branch[1]: mixes ohm and microsiemens with r_pu/x_pu/b_pu/g_pu")
 
 
-def test_half_an_impedance_is_refused(tmp_path: Path) -> None:
+def test_half_an_impedance_is_rejected(tmp_path: Path) -> None:
     (problem,) = problems_of(tmp_path, changed("r_pu = 0.01, ", ""))
     assert problem == "branch[3]: has no complete impedance; give r_ohm and x_ohm, or r_pu and x_pu"
 
 
-def test_an_impedance_in_ohm_between_two_voltage_levels_is_refused(tmp_path: Path) -> None:
+def test_an_impedance_in_ohm_between_two_voltage_levels_is_rejected(tmp_path: Path) -> None:
     (problem,) = problems_of(tmp_path, changed("r_pu = 0.01, x_pu = 0.05, b_pu = 0.002", "r_ohm = 1.0, x_ohm = 1.0"))
     assert problem.startswith("branch[3].r_ohm: the branch joins bus 2 of 20.0 kV and bus 3 of 0.4 kV")
 
@@ -117,7 +117,7 @@ def test_all_problems_are_reported_at_once(tmp_path: Path) -> None:
     assert [p.split(":")[0] for p in problems_of(tmp_path, text)] == ["base_mva", "bus[3].base_kv", "bus[3].base"]
 
 
-def test_an_unknown_case_is_refused_with_those_that_are_shipped() -> None:
+def test_an_unknown_case_is_rejected_with_those_that_are_shipped() -> None:
     with pytest.raises(InvalidInputError, match="shipped: ieee33, industrial13; did you mean 'ieee33'"):
         load_case("iee33")
 
@@ -163,7 +163,7 @@ def assert_same(one: Network, other: Network) -> None:
             assert getattr(ours, field.name) == expected, field.name
 
 
-def test_an_id_that_a_network_file_cannot_hold_is_refused_when_writing(tmp_path: Path) -> None:
+def test_an_id_that_a_network_file_cannot_hold_is_rejected_when_writing(tmp_path: Path) -> None:
     branches = (Branch("1-2#2", 1, 2, 0.01, 0.01), Branch("Main St", 2, 3, 0.01, 0.01))
     network = Network("named", 1.0, tuple(Bus(i, 20.0) for i in (1, 2, 3)), branches)
     with pytest.raises(InvalidInputError) as caught:
@@ -178,7 +178,7 @@ def test_conductance_is_read_in_microsiemens_or_per_unit(tmp_path: Path) -> None
     assert network.branch("2-3").g == pytest.approx(0.001)
 
 
-def test_branches_without_impedance_beside_the_others_are_refused_one_by_one(tmp_path: Path) -> None:
+def test_branches_without_impedance_beside_the_others_are_rejected_one_by_one(tmp_path: Path) -> None:
     text = GOOD.replace("r_pu = 0.01, x_pu = 0.05, b_pu = 0.002", "r_pu = 0, x_pu = 1e-8, b_pu = 0.002")
     more = "{ from = 3, to = 1, r_pu = 1e-9, x_pu = 0 }, { from = 3, to = 1, r_pu = 0.2, x_pu = 0.2 },"
     text = text.replace("branch = [", f"branch = [ {more}")

@@ -35,14 +35,14 @@ def problems_of(read: Callable[[Path], object], path: Path) -> list[str]:
 
 
 @pytest.mark.parametrize("load", ["1e308", "-1e7", "1000001"])
-def test_a_matpower_case_is_refused_with_the_bus_the_value_and_the_range(tmp_path: Path, load: str) -> None:
+def test_a_matpower_case_is_rejected_with_the_bus_the_value_and_the_range(tmp_path: Path, load: str) -> None:
     path = tmp_path / "case.m"
     path.write_text(CASE.replace("LOAD", load))
     (problem,) = problems_of(import_grid, path)
     assert problem == f"bus 2: active load is {float(load):g} MW; {RANGE}"
 
 
-def test_a_pandapower_network_is_refused_alike(tmp_path: Path) -> None:
+def test_a_pandapower_network_is_rejected_alike(tmp_path: Path) -> None:
     pandapower: Any = pytest.importorskip("pandapower")
     net = pandapower.create_empty_network()
     one, two = (pandapower.create_bus(net, 20) for _ in range(2))
@@ -65,7 +65,7 @@ def test_a_pandapower_network_is_refused_alike(tmp_path: Path) -> None:
         ("transformer", "u2", 1e200, "it has numbers that cannot be computed with (OverflowError)"),
     ],
 )
-def test_power_grid_model_data_are_refused_alike(
+def test_power_grid_model_data_are_rejected_alike(
     tmp_path: Path, component: str, attribute: str, value: float, expected: str
 ) -> None:
     pytest.importorskip("power_grid_model")
@@ -96,7 +96,7 @@ def test_power_grid_model_data_are_refused_alike(
         ("= 33", "= 9" + 400 * "9", "bus 99999999999999999999...: a number of a bus lies within 1e+15 of 0"),
     ],
 )
-def test_a_network_file_is_refused_alike(tmp_path: Path, old: str, new: str, expected: str) -> None:
+def test_a_network_file_is_rejected_alike(tmp_path: Path, old: str, new: str, expected: str) -> None:
     text = find_shipped("cases")["ieee33"].read_text()
     assert old in text
     path = tmp_path / "network.toml"

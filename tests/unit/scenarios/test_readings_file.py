@@ -1,4 +1,4 @@
-"""Readings files: engineering units become per unit; every mistake is refused with its line; the truth is unknown."""
+"""Readings files: engineering units become per unit; every mistake is rejected with its line; the truth is unknown."""
 
 from __future__ import annotations
 
@@ -153,7 +153,7 @@ vm@5,1.0
         ('meter,value_pu,sigma_pu\n"vm@1,1,1\n', "not valid CSV"),
     ],
 )
-def test_a_wrong_header_or_an_empty_file_is_refused(tmp_path: Path, text: str, words: str) -> None:
+def test_a_wrong_header_or_an_empty_file_is_rejected(tmp_path: Path, text: str, words: str) -> None:
     assert words in "\n".join(problems_of(tmp_path, text))
 
 
@@ -196,11 +196,11 @@ def scenario_problems(tmp_path: Path, more: str, readings: tuple[Measurement, ..
         ('[measurements]\nzero_injection = "all"', 'must be "virtual", "measured" or a list of bus numbers'),
     ],
 )
-def test_what_contradicts_real_readings_is_refused(tmp_path: Path, more: str, words: str) -> None:
+def test_what_contradicts_real_readings_is_rejected(tmp_path: Path, more: str, words: str) -> None:
     assert words in scenario_problems(tmp_path, more)
 
 
-def test_a_file_without_source_and_a_source_without_file_are_refused(tmp_path: Path) -> None:
+def test_a_file_without_source_and_a_source_without_file_are_rejected(tmp_path: Path) -> None:
     text = SCENARIO.replace('file = "readings.csv"\n', "")
     (tmp_path / "real.toml").write_text(text, encoding="utf-8")
     with pytest.raises(InvalidInputError, match="source 'file' needs the path of the readings"):
@@ -216,7 +216,7 @@ def test_problems_of_the_readings_are_those_of_the_scenario(tmp_path: Path) -> N
         load_scenario(tmp_path / "real.toml", strategies=("information",))
 
 
-def test_a_reading_where_nothing_is_injected_is_refused_or_the_bus_is_declared_measured(tmp_path: Path) -> None:
+def test_a_reading_where_nothing_is_injected_is_rejected_or_the_bus_is_declared_measured(tmp_path: Path) -> None:
     industrial = SCENARIO.replace('"ieee33"', '"industrial13"')
     network = load_case("industrial13")
     save_readings(tmp_path / "readings.csv", network, [Measurement(Meter(KIND.P_INJECTION, 2), 0.0, 0.01)])

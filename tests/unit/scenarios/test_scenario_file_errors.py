@@ -1,4 +1,4 @@
-"""Every mistake in a scenario file is refused, naming key, what was found and what is allowed; all at once."""
+"""Every mistake in a scenario file is rejected, naming key, what was found and what is allowed; all at once."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ def changed(old: str, new: str) -> str:
     return GOOD.replace(old, new, 1)
 
 
-def test_an_unknown_key_is_refused_with_the_allowed_ones_and_the_closest(tmp_path: Path) -> None:
+def test_an_unknown_key_is_rejected_with_the_allowed_ones_and_the_closest(tmp_path: Path) -> None:
     problem = the_only(problems_of(tmp_path, changed("noise = true", "noise = true\nnois = true")))
     allowed = "source, file, noise, gross_error"
     assert problem == f"telemetry.nois: unknown key; allowed here: {allowed}; did you mean 'noise'?"
 
 
-def test_an_unknown_key_at_the_top_is_refused(tmp_path: Path) -> None:
+def test_an_unknown_key_at_the_top_is_rejected(tmp_path: Path) -> None:
     problem = the_only(problems_of(tmp_path, changed("seed = 1", "seeed = 1")))
     assert problem.startswith("seeed: unknown key; allowed here: version, name, description, seed, network,")
 
 
-def test_an_unknown_key_inside_a_named_area_is_refused_with_what_an_area_allows(tmp_path: Path) -> None:
+def test_an_unknown_key_inside_a_named_area_is_rejected_with_what_an_area_allows(tmp_path: Path) -> None:
     problem = the_only(problems_of(tmp_path, changed("[areas.area2]", "[areas.area2]\nbusses = [1]")))
     assert problem == (
         "areas.area2.busses: unknown key; allowed here: buses, slack_bus, slack_vm_pu; did you mean 'buses'?"
     )
 
 
-def test_an_unknown_key_inside_a_list_of_tables_is_refused_with_its_position(tmp_path: Path) -> None:
+def test_an_unknown_key_inside_a_list_of_tables_is_rejected_with_its_position(tmp_path: Path) -> None:
     text = GOOD + '\n[[faults.link]]\nfrom = "area1"\nto = "area2"\nloss = 0.1\ndelay = 1\n'
     assert the_only(problems_of(tmp_path, text)) == (
         "faults.link[1].delay: unknown key; allowed here: from, to, loss, burst, delay_ms, jitter_ms, duplicate, "
@@ -99,26 +99,26 @@ def test_a_file_that_is_no_text_is_reported(tmp_path: Path) -> None:
         load_scenario(path)
 
 
-def test_an_unknown_shipped_scenario_is_refused_with_the_names_and_the_closest() -> None:
+def test_an_unknown_shipped_scenario_is_rejected_with_the_names_and_the_closest() -> None:
     with pytest.raises(InvalidInputError, match=r"shipped: ieee33, ieee33-bursts.*did you mean 'ieee33-lossy'"):
         load_scenario("ieee33-losy")
 
 
-def test_another_version_is_refused(tmp_path: Path) -> None:
+def test_another_version_is_rejected(tmp_path: Path) -> None:
     problem = the_only(problems_of(tmp_path, changed("version = 1", "version = 2")))
     assert problem.startswith("version: must be 1, found 2")
 
 
-def test_a_negative_seed_is_refused(tmp_path: Path) -> None:
+def test_a_negative_seed_is_rejected(tmp_path: Path) -> None:
     assert the_only(problems_of(tmp_path, changed("seed = 1", "seed = -1"))).startswith("seed: must be greater")
 
 
-def test_a_text_in_place_of_a_number_is_refused(tmp_path: Path) -> None:
+def test_a_text_in_place_of_a_number_is_rejected(tmp_path: Path) -> None:
     problem = the_only(problems_of(tmp_path, changed("floor_kva = 1.0", 'floor_kva = "1"')))
     assert problem.startswith("measurements.floor_kva: must be a valid number, found '1'")
 
 
-def test_an_infinite_number_is_refused(tmp_path: Path) -> None:
+def test_an_infinite_number_is_rejected(tmp_path: Path) -> None:
     problem = the_only(problems_of(tmp_path, changed("floor_kva = 1.0", "floor_kva = inf")))
     assert problem.startswith("measurements.floor_kva: must be a finite number")
 
@@ -129,7 +129,7 @@ def test_a_whole_number_is_good_enough_for_a_quantity(tmp_path: Path) -> None:
     assert load_scenario(path).meters
 
 
-def test_an_unknown_strategy_is_refused_with_the_allowed_ones(tmp_path: Path) -> None:
+def test_an_unknown_strategy_is_rejected_with_the_allowed_ones(tmp_path: Path) -> None:
     problem = the_only(problems_of(tmp_path, changed('"information"', '"magic"')))
     assert problem == "strategy: unknown strategy 'magic'; allowed: angle-offset, information"
 
@@ -140,7 +140,7 @@ def test_a_strategy_that_the_caller_knows_is_accepted(tmp_path: Path) -> None:
     assert load_scenario(path, strategies=("angle-offset", "admm")).strategy == "admm"
 
 
-def test_an_unknown_network_is_refused_with_those_that_are_shipped(tmp_path: Path) -> None:
+def test_an_unknown_network_is_rejected_with_those_that_are_shipped(tmp_path: Path) -> None:
     problem = the_only(problems_of(tmp_path, changed('network = "ieee33"', 'network = "ieee34"')))
     assert "shipped: ieee33, industrial13; did you mean 'ieee33'?" in problem
     assert problem.startswith("network: ")
@@ -159,7 +159,7 @@ def test_problems_inside_the_network_file_appear_in_the_report_of_the_scenario(t
 
 
 @pytest.mark.parametrize("sigma", ["0.0", "-0.2", "1e-200"])
-def test_a_sigma_that_is_not_positive_in_the_squares_is_refused(tmp_path: Path, sigma: str) -> None:
+def test_a_sigma_that_is_not_positive_in_the_squares_is_rejected(tmp_path: Path, sigma: str) -> None:
     problem = the_only(problems_of(tmp_path, changed("sigma_percent = 0.2", f"sigma_percent = {sigma}")))
     assert problem.startswith(
         "measurements.voltage.sigma_percent: must be greater than or equal to 0.000000001, found "
@@ -167,33 +167,33 @@ def test_a_sigma_that_is_not_positive_in_the_squares_is_refused(tmp_path: Path, 
 
 
 @pytest.mark.parametrize(("sigmas", "found"), [("", "neither"), (", sigma_percent = 1.0, sigma_pu = 0.1", "both")])
-def test_two_sigmas_or_none_are_refused(tmp_path: Path, sigmas: str, found: str) -> None:
+def test_two_sigmas_or_none_are_rejected(tmp_path: Path, sigmas: str, found: str) -> None:
     problem = the_only(problems_of(tmp_path, changed(", sigma_percent = 0.2", sigmas)))
     assert problem.startswith("measurements.voltage: give exactly one of sigma_percent")
     assert problem.endswith(f"found {found}")
 
 
-def test_a_scenario_without_any_meter_is_refused(tmp_path: Path) -> None:
+def test_a_scenario_without_any_meter_is_rejected(tmp_path: Path) -> None:
     text = "\n".join(line for line in GOOD.splitlines() if not line.startswith(("voltage", "flow", "injection")))
     assert the_only(problems_of(tmp_path, text)).startswith("measurements: there is no meter")
 
 
-def test_a_selection_that_is_neither_all_nor_a_list_is_refused(tmp_path: Path) -> None:
+def test_a_selection_that_is_neither_all_nor_a_list_is_rejected(tmp_path: Path) -> None:
     problem = the_only(problems_of(tmp_path, changed('branches = "all"', 'branches = "some"')))
     assert problem.startswith('measurements.flow.branches: must be "all" or a list of branch ids')
 
 
-def test_half_a_local_slack_is_refused(tmp_path: Path) -> None:
+def test_half_a_local_slack_is_rejected(tmp_path: Path) -> None:
     problem = the_only(problems_of(tmp_path, changed("[areas.area2]", "[areas.area2]\nslack_bus = 16")))
     assert problem == "areas.area2: slack_bus and slack_vm_pu belong together; give both or none"
 
 
-def test_a_local_slack_outside_its_area_is_refused(tmp_path: Path) -> None:
+def test_a_local_slack_outside_its_area_is_rejected(tmp_path: Path) -> None:
     text = changed("[areas.area2]", "[areas.area2]\nslack_bus = 1\nslack_vm_pu = 1.0")
     assert the_only(problems_of(tmp_path, text)) == "areas: area area2: slack_bus 1 is not one of its buses"
 
 
-def test_an_area_name_with_a_blank_or_a_capital_is_refused(tmp_path: Path) -> None:
+def test_an_area_name_with_a_blank_or_a_capital_is_rejected(tmp_path: Path) -> None:
     problem = the_only(problems_of(tmp_path, changed("[areas.area2]", '[areas."Area 2"]')))
     assert problem.startswith("areas.Area 2: must match pattern")
 
@@ -222,7 +222,7 @@ def test_meters_at_unknown_and_repeated_places_are_named_with_their_keys(tmp_pat
     assert len(problems) == 3
 
 
-def test_a_meter_on_a_branch_out_of_service_is_refused(tmp_path: Path) -> None:
+def test_a_meter_on_a_branch_out_of_service_is_rejected(tmp_path: Path) -> None:
     problem = the_only(problems_of(tmp_path, changed('branches = "all"', 'branches = ["1-2", "25-29"]')))
     assert problem == ("measurements.flow.branches: branch '25-29' is out of service; remove it from the list")
 
@@ -231,26 +231,26 @@ def gross_error(meter: str) -> str:
     return f'\n[[telemetry.gross_error]]\nmeter = "{meter}"\nsigmas = 20.0\n'
 
 
-def test_a_gross_error_of_an_unknown_meter_is_refused_with_the_closest(tmp_path: Path) -> None:
+def test_a_gross_error_of_an_unknown_meter_is_rejected_with_the_closest(tmp_path: Path) -> None:
     problem = the_only(problems_of(tmp_path, GOOD + gross_error("p_flow@4:3-4")))
     assert problem.startswith("telemetry.gross_error[1].meter: 'p_flow@4:3-4' is no meter of this scenario")
     assert "did you mean 'p_flow@" in problem
 
 
-def test_a_gross_error_of_an_exact_zero_injection_is_refused(tmp_path: Path) -> None:
+def test_a_gross_error_of_an_exact_zero_injection_is_rejected(tmp_path: Path) -> None:
     text = find_shipped("shipped")["industrial13"].read_text(encoding="utf-8") + gross_error("p_injection@2")
     assert "p_injection@2 is an exact zero injection" in the_only(problems_of(tmp_path, text))
 
 
-def test_a_listening_address_that_is_no_endpoint_is_refused(tmp_path: Path) -> None:
+def test_a_listening_address_that_is_no_endpoint_is_rejected(tmp_path: Path) -> None:
     problem = the_only(problems_of(tmp_path, GOOD + '\n[transport]\nlisten = "127.0.0.1"\n'))
     assert problem.startswith("transport.listen: must match pattern")
     assert "tcp/HOST:PORT; port 0 takes a free one" in problem
 
 
-def test_a_time_limit_shorter_than_two_beats_is_refused(tmp_path: Path) -> None:
+def test_a_time_limit_shorter_than_two_heartbeats_is_rejected(tmp_path: Path) -> None:
     problem = the_only(problems_of(tmp_path, GOOD + "\n[run]\nbeat_s = 20.0\n"))
-    assert problem == "run: timeout_s is 30.0; it must exceed two beats of 20.0 s"
+    assert problem == "run: timeout_s is 30.0; it must exceed two heartbeats of 20.0 s"
 
 
 def test_all_problems_of_keys_and_types_are_reported_at_once(tmp_path: Path) -> None:
@@ -269,7 +269,7 @@ def test_all_problems_of_areas_meters_and_faults_are_reported_at_once(tmp_path: 
         assert any(p.startswith(key) for p in problems), key
 
 
-def test_a_penalty_of_admm_out_of_range_is_refused(tmp_path: Path) -> None:
+def test_a_penalty_of_admm_out_of_range_is_rejected(tmp_path: Path) -> None:
     problems = problems_of(tmp_path, GOOD + "\n[admm]\npenalty = 0\npenelty = 1\n")
     assert any(problem.startswith("admm.penalty: ") for problem in problems)
     assert any(problem.startswith("admm.penelty: unknown key; allowed here: penalty") for problem in problems)

@@ -128,7 +128,7 @@ def test_an_area_that_its_own_meters_do_not_observe_is_named_with_its_buses() ->
     assert area.startswith("area area2: the measurements do not determine the state of bus 17, 18;")
 
 
-def test_angle_meters_are_refused_where_each_area_reads_its_own_power_flow() -> None:
+def test_angle_meters_are_rejected_where_each_area_reads_its_own_power_flow() -> None:
     scenario = load_scenario("ieee33-thesis")
     angles = tuple(Meter(MeasurementKind.VA, bus) for bus in (16, 30))
     with pytest.raises(InvalidInputError) as caught:
@@ -149,7 +149,7 @@ def test_only_the_substations_area_is_checked_with_its_angle_meters() -> None:
 
 
 @pytest.mark.parametrize("missing", [MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION])
-def test_a_substation_without_injection_meters_is_refused_where_generation_is_telemetered(
+def test_a_substation_without_injection_meters_is_rejected_where_generation_is_telemetered(
     missing: MeasurementKind,
 ) -> None:
     scenario = load_scenario("ieee33")

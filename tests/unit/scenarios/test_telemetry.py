@@ -172,6 +172,6 @@ def test_readings_of_the_network_ignore_the_load_error() -> None:
 def test_area_power_flow_without_a_local_slack_voltage_names_the_area_and_the_keys() -> None:
     scenario = load_scenario("industrial13")
     scenario = replace(scenario, telemetry=replace(scenario.telemetry, source="area-power-flow"))
-    for refuse in (make_telemetry, check_scenario):
+    for reject in (make_telemetry, check_scenario):
         with pytest.raises(InvalidInputError, match=r"areas\.area1: .* bus 3; give slack_bus and slack_vm_pu"):
-            refuse(scenario)
+            reject(scenario)

@@ -1,4 +1,4 @@
-"""The twin: repeatable to the bit, and what its links do to messages delays the answer and does not change it."""
+"""The simulator: repeatable to the bit, and what its links do to messages delays the answer and does not change it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from scenarios.telemetry import make_telemetry
 WILD = LinkFaults(loss=0.3, delay_s=0.004, jitter_s=0.1, duplicate=0.4)
 
 
-def told(seed: int, faults: LinkFaults = WILD) -> list[StateMessage]:
+def states_of(seed: int, faults: LinkFaults = WILD) -> list[StateMessage]:
     """Every state that the areas of a lossy run publish in two seconds."""
     files = with_links(area_files_of(load_scenario("ieee33"), seed=seed), faults)
     shown: list[StateMessage] = []
@@ -32,16 +32,16 @@ def told(seed: int, faults: LinkFaults = WILD) -> list[StateMessage]:
 
 
 def test_the_same_seed_twice_gives_the_same_history_to_the_bit():
-    assert told(seed=3) == told(seed=3)
+    assert states_of(seed=3) == states_of(seed=3)
 
 
 def test_another_seed_gives_another_history():
-    assert told(seed=3) != told(seed=4)
+    assert states_of(seed=3) != states_of(seed=4)
 
 
 def test_link_faults_alone_change_the_history():
-    assert told(seed=3) != told(seed=3, faults=replace(WILD, jitter_s=0.05))
-    assert told(seed=3) != told(seed=3, faults=replace(WILD, duplicate=0.0))
+    assert states_of(seed=3) != states_of(seed=3, faults=replace(WILD, jitter_s=0.05))
+    assert states_of(seed=3) != states_of(seed=3, faults=replace(WILD, duplicate=0.0))
 
 
 @pytest.mark.parametrize("strategy", ["information", "admm"])
@@ -101,7 +101,7 @@ def test_presence_reaches_neighbours_and_watchers():
     assert bus.states["area1"].notes == ()
 
 
-def test_time_passes_exactly_as_asked_and_beats_come_in_it():
+def test_time_passes_exactly_as_asked_and_heartbeats_come_in_it():
     bus = SimulatedBus(area_files_of(load_scenario("ieee33")), make_telemetry(load_scenario("ieee33")).by_area)
     bus.run(1.1)
     sent = sum(link.messages for link in bus.links.values())
@@ -111,7 +111,7 @@ def test_time_passes_exactly_as_asked_and_beats_come_in_it():
     assert sum(link.messages for link in bus.links.values()) - sent == links * kinds * round(1.0 / beat_s)
 
 
-def test_impossible_changes_of_links_are_refused_all_at_once():
+def test_impossible_changes_of_links_are_rejected_all_at_once():
     with pytest.raises(InvalidInputError) as error:
         change_links(load_scenario("ieee33").faults, {"delay_s": -1.0, "jitter_s": 1e9, "duplicate": 2.0})
     assert len(error.value.problems) == 3

@@ -1,4 +1,4 @@
-"""``python -m benchmarks.twin``: the twin with many areas; whether an area's messages grow with their number."""
+"""``python -m benchmarks.simulator``: many areas on the simulator: do an area's messages grow with their number?"""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ HEADER = (
 
 
 @dataclass(frozen=True)
-class TwinRun:
+class SimulatorRun:
     """One run: what ``result.json`` says, and what the process took."""
 
     n_area: int
@@ -68,7 +68,7 @@ def main(areas: Sequence[int], buses: int, meters: str, timeout_s: float, delay_
         click.echo(_run(n_area, buses, meters, timeout_s, delay_ms).as_row())
 
 
-def _run(n_area: int, buses: int, meters: str, timeout_s: float, delay_ms: float) -> TwinRun:
+def _run(n_area: int, buses: int, meters: str, timeout_s: float, delay_ms: float) -> SimulatorRun:
     n_bus = n_area * buses
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "run"
@@ -78,7 +78,7 @@ def _run(n_area: int, buses: int, meters: str, timeout_s: float, delay_ms: float
         limits = ["--timeout", str(timeout_s), "--delay-ms", str(delay_ms)]
         cpu_s, memory_mib = _call("simulate", scenario, "--quiet", "--no-plots", *limits, "--out", str(out))
         result = json.loads((out / "result.json").read_text(encoding="utf-8"))
-    return TwinRun(n_area, n_bus, result, cpu_s, memory_mib)
+    return SimulatorRun(n_area, n_bus, result, cpu_s, memory_mib)
 
 
 def _call(*arguments: str) -> tuple[float, float]:

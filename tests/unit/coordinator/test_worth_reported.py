@@ -1,4 +1,4 @@
-"""Word, notes, `degraded`, report, watcher and exit code never contradict each other, whatever is found."""
+"""Quality, notes, `degraded`, report, watcher and exit code never contradict each other, whatever is found."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import pytest
 from shown_states import said_by
 
 from agents.messages.packing import Incarnation, StateMessage
-from agents.protocol.quality import DEGRADED, GOOD, NONE, RELATIVE_ANGLE, STALE, UNOBSERVABLE, WORDS, Finding, weigh
-from coordinator.evaluation.evaluation import Centralised, judge, make_observer
+from agents.protocol.quality import DEGRADED, GOOD, NONE, RELATIVE_ANGLE, STALE, UNOBSERVABLE, QUALITIES, Finding, weigh
+from coordinator.evaluation.evaluation import Centralised, evaluate, make_observer
 from coordinator.evaluation.result import RunResult, as_json
 from coordinator.observe.watch import Watcher
 from coordinator.report.text import format_verdict
@@ -21,23 +21,23 @@ from scenarios.telemetry import make_telemetry
 
 SCENARIO = load_scenario("industrial13")
 TELEMETRY = make_telemetry(SCENARIO)
-FINDINGS = [Finding(word, f"it is {word}") for word in WORDS] + [Finding(DEGRADED, "a second reason")]
+FINDINGS = [Finding(quality, f"it is {quality}") for quality in QUALITIES] + [Finding(DEGRADED, "a second reason")]
 SETS = [found for n in range(len(FINDINGS) + 1) for found in itertools.combinations(FINDINGS, n)]
-LIFE = Incarnation(1, 1)
+INCARNATION = Incarnation(1, 1)
 
 
 def a_state_with(area, found: tuple[Finding, ...]) -> StateMessage:
     """As an area publishes it that has found this."""
-    word, notes = weigh(found)
-    words = {finding.word for finding in found}
+    quality, notes = weigh(found)
+    qualities = {finding.quality for finding in found}
     numbers = {"buses": (), "vm": (), "va": (), "sigma_vm": (), "sigma_va": ()}
-    if not words & {NONE, UNOBSERVABLE}:
+    if not qualities & {NONE, UNOBSERVABLE}:
         n = len(area.network.buses)
         numbers = {"buses": tuple(b.id for b in area.network.buses), "vm": (1.0,) * n, "va": (0.0,) * n}
         numbers |= {"sigma_vm": (0.001,) * n, "sigma_va": (0.001,) * n}
     said = {neighbour.area: (1, 1) for neighbour in area.neighbours}
-    changes = {"quality": word, "notes": notes, "referenced": RELATIVE_ANGLE not in words, "sent": said, "heard": said}
-    return said_by(area.name, LIFE, **numbers, **changes, telemetry_age=0.0)
+    changes = {"quality": quality, "notes": notes, "referenced": RELATIVE_ANGLE not in qualities, "sent": said, "received": said}
+    return said_by(area.name, INCARNATION, **numbers, **changes, telemetry_age=0.0)
 
 
 def results(found: tuple[Finding, ...], *, is_gone: bool) -> Iterator[tuple[RunResult, Watcher]]:
@@ -45,7 +45,7 @@ def results(found: tuple[Finding, ...], *, is_gone: bool) -> Iterator[tuple[RunR
     observer, watcher = make_observer(SCENARIO), Watcher("run")
     for area in SCENARIO.partition.areas:
         observer.take_presence(area.name, True, 0.0)
-        watcher.take_presence(f"dsse/v2/run/live/area/{area.name}/{LIFE}", True)
+        watcher.take_presence(f"dsse/v2/run/live/area/{area.name}/{INCARNATION}", True)
     states = [a_state_with(area, found if area.name == "area1" else ()) for area in SCENARIO.partition.areas]
     for now in (1.0, 100.0):
         for state in states:
@@ -53,10 +53,10 @@ def results(found: tuple[Finding, ...], *, is_gone: bool) -> Iterator[tuple[RunR
             watcher.take_state(replace(state, header=replace(state.header, run="run")), now)
         if is_gone:
             observer.take_presence("area1", False, now)
-            watcher.take_presence(f"dsse/v2/run/live/area/area1/{LIFE}", False)
+            watcher.take_presence(f"dsse/v2/run/live/area/area1/{INCARNATION}", False)
         standing = observer.standing(now)
         reason = "; ".join(standing.obstacles) or standing.dead_end
-        outcome = judge(
+        outcome = evaluate(
             SCENARIO,
             "run",
             observer,
@@ -72,13 +72,13 @@ def results(found: tuple[Finding, ...], *, is_gone: bool) -> Iterator[tuple[RunR
         yield outcome.in_folder(Path("nowhere")), watcher
 
 
-def test_a_word_has_its_reason_first_and_a_good_state_has_none():
+def test_a_quality_has_its_reason_first_and_a_good_state_has_none():
     for found in SETS:
-        word, notes = weigh(found)
+        quality, notes = weigh(found)
         assert set(notes) == {finding.note for finding in found}
-        reasons = [finding.note for finding in found if finding.word == word != GOOD]
-        assert (word == GOOD) == (not reasons)
-        assert word == GOOD or notes[0] in reasons
+        reasons = [finding.note for finding in found if finding.quality == quality != GOOD]
+        assert (quality == GOOD) == (not reasons)
+        assert quality == GOOD or notes[0] in reasons
 
 
 @pytest.mark.parametrize("is_gone", [False, True], ids=["there", "gone"])
@@ -87,13 +87,13 @@ def test_run_report_and_watcher_say_the_same_of_every_combination_of_findings(is
         for result, watcher in results(found, is_gone=is_gone):
             (area,) = [area for area in result.areas if area.name == "area1"]
             (view,) = [view for view in watcher.look(1.0).areas if view.name == "area1"]
-            told = as_json(result)["areas"]["area1"]
-            assert told["degraded"] == (told["quality"] != GOOD)
+            reported = as_json(result)["areas"]["area1"]
+            assert reported["degraded"] == (reported["quality"] != GOOD)
             assert area.quality == view.quality
             assert area.quality == GOOD or area.notes
             lines = format_verdict(result).splitlines()
-            told_of = [line for line in lines if ": area1: " in line]
-            assert told_of == [f"{area.quality if area.degraded else 'note'}: area1: {'; '.join(area.notes)}"] * bool(
+            reported_of = [line for line in lines if ": area1: " in line]
+            assert reported_of == [f"{area.quality if area.degraded else 'note'}: area1: {'; '.join(area.notes)}"] * bool(
                 area.notes
             )
             assert any(line.startswith("area1 ") and line.endswith(f" {area.quality}") for line in lines)
@@ -110,17 +110,17 @@ def test_run_report_and_watcher_say_the_same_of_every_combination_of_findings(is
                 assert result.verdict.reason
 
 
-@pytest.mark.parametrize("found", [found for found in SETS if not {f.word for f in found} & {NONE, UNOBSERVABLE}])
+@pytest.mark.parametrize("found", [found for found in SETS if not {f.quality for f in found} & {NONE, UNOBSERVABLE}])
 def test_an_area_whose_neighbour_publishes_another_voltage_is_not_good_even_if_it_says_so(found: tuple[Finding, ...]):
     observer = make_observer(SCENARIO)
     for area in SCENARIO.partition.areas:
         observer.take_presence(area.name, True, 0.0)
         state = a_state_with(area, found)
         observer.take_state(replace(state, vm=tuple(vm + 0.01 * (area.name == "area2") for vm in state.vm)), 1.0)
-    is_compared = RELATIVE_ANGLE not in {f.word for f in found}
+    is_compared = RELATIVE_ANGLE not in {f.quality for f in found}
     for area in SCENARIO.partition.areas:
-        word, notes = observer.worth_of(area.name, 1.0)
+        quality, notes = observer.worth_of(area.name, 1.0)
         assert any("differ by 0.01 p.u. at bus 3" in note for note in notes) == is_compared
-        said = weigh(found).word
-        assert word == (DEGRADED if said == GOOD else said)
+        said = weigh(found).quality
+        assert quality == (DEGRADED if said == GOOD else said)
     assert observer.standing(1.0).obstacles

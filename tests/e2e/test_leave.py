@@ -1,4 +1,4 @@
-"""An area that ends in order is told from one that dies, by its neighbours and by who watches."""
+"""An area that ends in order is distinguished from one that dies, by its neighbours and by who watches."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def test_neighbours_and_watchers_tell_an_orderly_end_from_a_death(dsse, tmp_path
                 system.end("area2", number)
                 note = NOTES[number]
                 watcher.wait_until(lambda note=note: note in watcher.states["area1"].notes)
-                # the watcher, too, or the next life would be killed before it is there
+                # the watcher, too, or the next incarnation would be killed before it is there
                 watcher.wait_until(lambda: "area2 is not on the bus" in watcher.obstacles())
         done = dsse("watch", "--connect", endpoint, *keys, "--once", "--json")
         areas = json.loads(done.stdout)["areas"]

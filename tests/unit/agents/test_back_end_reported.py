@@ -1,4 +1,4 @@
-"""Which back end computes the exchange is told at the start, and in the end what that had to leave to another."""
+"""Which back end computes the exchange is reported at the start, and in the end what that had to leave to another."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from agents.messages.packing import Incarnation
 from agents.protocol.choose import make_protocol
 
 
-@pytest.mark.parametrize(("n_bus", "expected"), [(20, "dense"), (50, "sparse"), (80, "tree")])
+@pytest.mark.parametrize(("n_bus", "expected"), [(20, "dense"), (50, "sparse"), (80, "radial")])
 def test_the_back_end_is_known_before_anything_is_computed(n_bus: int, expected: str):
-    if expected == "tree":
+    if expected == "radial":
         pytest.importorskip("numba")
     (content,) = make_feeder(1, n_bus=n_bus, n_area=1).area_files(0.0, 0)
     protocol = make_protocol(content, Incarnation(1, 1), now=0.0, started_at=1.7e9)
     assert protocol.describe_backend() == expected
 
 
-def test_messages_away_from_the_reference_are_told_as_calls_that_the_tree_has_left():
-    with back_end("tree"):
+def test_messages_away_from_the_reference_are_reported_as_calls_that_the_tree_has_left():
+    with back_end("radial"):
         feeder = make_feeder(5, n_bus=60, n_area=6, decades=1.0)
         bus = SimulatedBus(feeder.area_files(0.0, 0), feeder.telemetry())
         bus.run_until_settled()
-        told = {area.name: bus.protocols[area.name].describe_backend() for area in feeder.partition.areas}
+        reported = {area.name: bus.protocols[area.name].describe_backend() for area in feeder.partition.areas}
         for area in feeder.partition.areas:
             if area.reference is not None and area.reference[0] not in area.boundary_buses:
-                assert told[area.name].startswith("tree, calls left to sparse matrices: ")
-                assert "for a boundary away from the reference" in told[area.name]
-        assert "tree" in told.values()
+                assert reported[area.name].startswith("radial, calls left to sparse matrices: ")
+                assert "for a boundary away from the reference" in reported[area.name]
+        assert "radial" in reported.values()

@@ -1,4 +1,4 @@
-"""The estimate on the tree is that of the sparse back end: state, variances, refusals, for every kind of meter."""
+"""The estimate on the tree is that of the sparse back end: state, variances, rejections, for every kind of meter."""
 
 import math
 import os
@@ -18,17 +18,17 @@ from dsse_core.estimation.plan import build_estimation_plan
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from dsse_core.power_flow.newton_raphson import solve_power_flow
-from dsse_core.radial.plan import build_tree_plan
+from dsse_core.radial.plan import build_radial_plan
 from scenarios.generate.feeder import generate_feeder
 
-pytest.importorskip("numba", reason="the tree back end needs numba: pip install 'consensus-dsse[fast]'")
+pytest.importorskip("numba", reason="the radial back end needs numba: pip install 'consensus-dsse[fast]'")
 
 Kind = MeasurementKind
 POWERS = (Kind.P_INJECTION, Kind.Q_INJECTION, Kind.P_FLOW, Kind.Q_FLOW)
 
 
 def on_tree(network, measurements, **options) -> EstimationResult:
-    return estimate_state(network, measurements, backend="tree", **options)
+    return estimate_state(network, measurements, backend="radial", **options)
 
 
 def on_sparse(network, measurements, **options) -> EstimationResult:
@@ -116,7 +116,7 @@ def test_other_threads_go_on_while_the_tree_computes():
     network, _ = generate_feeder(150, rng)  # numpy lets others go on where arrays have 500 numbers
     meters = [Meter(Kind.VM, 1), *(Meter(kind, bus.id) for bus in network.buses for kind in POWERS[:2])]
     measurements = noisy(network, meters, rng)
-    plan = build_estimation_plan(network, meters, backend="tree")
+    plan = build_estimation_plan(network, meters, backend="radial")
     values, sigmas = np.array([m.value for m in measurements]), np.array([m.sigma for m in measurements])
     begin, went_on = threading.Event(), threading.Event()
     other = threading.Thread(target=lambda: begin.wait() and went_on.set())
@@ -168,7 +168,7 @@ def test_the_tree_agrees_with_the_sparse_estimate_on_any_radial_grid(random_seed
     else:
         assert_same(grid.network, grid.measurements, decades=decades)
     meters = [m.meter for m in grid.measurements]
-    plans = [build_estimation_plan(grid.network, meters, backend=backend) for backend in ("tree", "sparse")]
+    plans = [build_estimation_plan(grid.network, meters, backend=backend) for backend in ("radial", "sparse")]
     np.testing.assert_array_equal(*(plan.indispensable for plan in plans))
 
 
@@ -207,13 +207,13 @@ def test_a_dead_voltmeter_does_not_throw_all_voltages_to_zero(case, meters_of):
 
 
 def test_a_meshed_network_is_declined_with_the_reason(meshed, meters_of):
-    assert "not radial" in str(build_tree_plan(meshed, meters_of(meshed, *Kind)))
+    assert "not radial" in str(build_radial_plan(meshed, meters_of(meshed, *Kind)))
 
 
 def test_a_bus_known_only_through_its_parents_balance_is_declined(case, meters_of):
     network = case("ieee33")
     meters = [m for m in meters_of(network, Kind.VM, *POWERS[:2]) if m.bus != 18]
-    assert "above bus 18" in str(build_tree_plan(network, meters))
+    assert "above bus 18" in str(build_radial_plan(network, meters))
 
 
 def test_a_network_of_one_bus_and_one_of_two_are_trees():
@@ -226,7 +226,7 @@ def test_a_network_of_one_bus_and_one_of_two_are_trees():
 
 def test_without_numba_the_reason_is_given(monkeypatch, case, meters_of):
     monkeypatch.setattr("importlib.util.find_spec", lambda name, *rest: None)
-    assert "numba is not installed" in str(build_tree_plan(case("ieee33"), meters_of(case("ieee33"), *Kind)))
+    assert "numba is not installed" in str(build_radial_plan(case("ieee33"), meters_of(case("ieee33"), *Kind)))
 
 
 @pytest.mark.parametrize(

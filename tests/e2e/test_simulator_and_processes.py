@@ -1,4 +1,4 @@
-"""The twin beside real processes over real Zenoh: the same areas, so the same answer."""
+"""The simulator beside real processes over real Zenoh: the same areas, so the same answer."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ import coordinator
 
 
 @pytest.mark.parametrize("name", ["ieee33", "ieee33-lossy"])
-def test_the_twin_ends_where_real_processes_do(name: str, tmp_path: Path):
+def test_the_simulator_ends_where_real_processes_do(name: str, tmp_path: Path):
     real = coordinator.run(name, out=tmp_path / "real", strategy="information", plots=False)
-    twin = coordinator.simulate(name, out=tmp_path / "twin", strategy="information", plots=False)
+    simulator = coordinator.simulate(name, out=tmp_path / "simulator", strategy="information", plots=False)
     assert real.verdict.consensus
-    assert twin.verdict.consensus
-    np.testing.assert_array_equal(real.comparison.centralised.vm, twin.comparison.centralised.vm)
-    np.testing.assert_allclose(real.comparison.decentralised.vm, twin.comparison.decentralised.vm, atol=1e-8)
-    np.testing.assert_allclose(real.comparison.decentralised.va, twin.comparison.decentralised.va, atol=1e-8)
+    assert simulator.verdict.consensus
+    np.testing.assert_array_equal(real.comparison.centralised.vm, simulator.comparison.centralised.vm)
+    np.testing.assert_allclose(real.comparison.decentralised.vm, simulator.comparison.decentralised.vm, atol=1e-8)
+    np.testing.assert_allclose(real.comparison.decentralised.va, simulator.comparison.decentralised.va, atol=1e-8)
     assert real.verdict.gap_vm_pu is not None
     assert real.verdict.gap_va_deg is not None
     assert real.verdict.gap_vm_pu <= 1e-8
     assert real.verdict.gap_va_deg <= np.degrees(1e-8)
-    assert real.verdict.gap_vm_pu == pytest.approx(twin.verdict.gap_vm_pu, abs=1e-8)
-    assert real.verdict.gap_va_deg == pytest.approx(twin.verdict.gap_va_deg, abs=np.degrees(1e-8))
-    assert (real.verdict.virtual_s, twin.verdict.virtual_s is None) == (None, False)
+    assert real.verdict.gap_vm_pu == pytest.approx(simulator.verdict.gap_vm_pu, abs=1e-8)
+    assert real.verdict.gap_va_deg == pytest.approx(simulator.verdict.gap_va_deg, abs=np.degrees(1e-8))
+    assert (real.verdict.virtual_s, simulator.verdict.virtual_s is None) == (None, False)
 
 
 def test_compare_runs_real_processes_too(dsse, tmp_path: Path):

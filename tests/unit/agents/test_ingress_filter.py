@@ -1,0 +1,69 @@
+"""The ingress filter lets in what belongs here, counts the rest, and does not grow."""
+
+import logging
+from dataclasses import replace
+
+import pytest
+
+from agents.messages.packing import MAX_NEIGHBOUR_BYTES, Header, Incarnation, LoadMessage, encode
+from agents.protocol.events import Received, Rejected
+from agents.runtime.inbox import Inbox
+from agents.runtime.ingress_filter import IngressFilter
+
+KEY, TELEMETRY = "dsse/v2/r/area/area2/load/area1", "dsse/v2/r/telemetry/area1"
+LOAD = LoadMessage(Header("r", "area2", Incarnation(1, 1), 1, 1, 0.0), 6, 0.1, 0.0, 0.01)
+
+
+@pytest.fixture
+def door():
+    inbox = Inbox()
+    return IngressFilter({KEY}, TELEMETRY, inbox), inbox
+
+
+def test_a_message_on_a_known_key_is_let_in_with_the_owner_of_the_key(door):
+    ingress_filter, inbox = door
+    ingress_filter.take(KEY, encode(LOAD))
+    assert inbox.take(0.0) == [Received(LOAD, "area2")]
+
+
+def test_repeats_are_let_in_and_what_is_new_or_damaged_is_not_taken_for_one(door):
+    ingress_filter, inbox = door
+    newer = replace(LOAD, header=replace(LOAD.header, sequence=2))
+    for message in (LOAD, LOAD, newer, LOAD, LOAD):
+        ingress_filter.take(KEY, encode(message))
+        assert inbox.take(0.0) == [Received(message, "area2")]
+    ingress_filter.take(KEY, encode(LOAD)[:-1] + b"?")
+    assert inbox.take(0.0) == [Rejected("damaged", 1)]
+    ingress_filter.take(KEY, encode(LOAD))
+    assert inbox.take(0.0) == [Received(LOAD, "area2")]
+
+
+def test_strangers_take_one_slot_however_many_keys_they_have(door, caplog):
+    ingress_filter, inbox = door
+    with caplog.at_level(logging.WARNING):
+        for k in range(12_345):
+            ingress_filter.take(f"dsse/v2/r/area/stranger{k}/load/area1", encode(LOAD))
+    assert inbox.take(0.0) == [Rejected("unknown sender", 12_345)]
+    assert len(caplog.records) == 5  # number 1, 10, 100, 1000, 10000
+
+
+def test_a_known_neighbour_cannot_invent_kinds_either(door):
+    ingress_filter, inbox = door
+    ingress_filter.take("dsse/v2/r/area/area2/gossip/area1", encode(LOAD))
+    assert inbox.take(0.0) == [Rejected("unknown sender", 1)]
+
+
+def test_neighbours_have_less_room_than_telemetry(door):
+    ingress_filter, inbox = door
+    payload = bytes(MAX_NEIGHBOUR_BYTES + 1)
+    ingress_filter.take(KEY, payload)
+    ingress_filter.take(TELEMETRY, payload)
+    assert inbox.take(0.0) == [Rejected("too large", 1), Rejected("damaged", 1)]
+
+
+def test_rejections_do_not_push_out_what_has_been_let_in(door):
+    ingress_filter, inbox = door
+    ingress_filter.take(KEY, encode(LOAD))
+    for _ in range(100):
+        ingress_filter.take(KEY, encode(LOAD)[:-1])
+    assert inbox.take(0.0) == [Received(LOAD, "area2"), Rejected("damaged", 100)]
