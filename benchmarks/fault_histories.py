@@ -94,7 +94,7 @@ def _run(seeds: Sequence[int], jobs: int) -> Iterator[HistoryOutcome]:
 
 
 def _start_worker() -> None:
-    """In a process of its own, small areas too are solved by the compiled radial back end, where there is one: it is faster."""
+    """In a process of its own, small areas, too, use the compiled back end, where there is one: it is faster."""
     choose.RADIAL_FROM = 0
 
 

@@ -56,7 +56,9 @@ def main(name: str, scans: int) -> None:
     """Time scans to consensus between processes on Zenoh, beside Zenoh's and HELICS's round trips; medians."""
     scenario = prepare_scenario(name)
     incarnation = begin_incarnation()
-    prepared = [_make_scan(scenario, make_payloads(scenario, RUN, incarnation, n, draw=n), n) for n in range(1, scans + 3)]
+    prepared = [
+        _make_scan(scenario, make_payloads(scenario, RUN, incarnation, n, draw=n), n) for n in range(1, scans + 3)
+    ]
     with tempfile.TemporaryDirectory() as folder, Launcher() as launcher:
         with _start(scenario, launcher, Path(folder)) as session:
             latencies, pings = _measure(scenario, session, prepared)
@@ -100,7 +102,9 @@ def _start(scenario: Scenario, launcher: Launcher, folder: Path) -> Iterator[Ses
     launcher.start("echo", "benchmarks.timed_agent:run_echo", endpoint, log=folder / "echo.log")
     present: set[str] = set()
     with Session.connect([endpoint]) as session:
-        session.watch_presence(all_incarnations(RUN, "area", "*"), lambda key, alive: present.add(key) if alive else None)
+        session.watch_presence(
+            all_incarnations(RUN, "area", "*"), lambda key, alive: present.add(key) if alive else None
+        )
         for area, path in write_area_files(scenario, RUN, [endpoint], folder / "areas", suffix=".json"):
             order = (str(path), str(folder / f"{area}.timing"))
             launcher.start(area, "benchmarks.timed_agent:run_timed_agent", *order, log=folder / f"{area}.log")

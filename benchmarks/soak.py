@@ -56,7 +56,9 @@ class Soak:
     draws: random.Random
     down: dict[str, tuple[str, float]] = field(default_factory=dict)  # name -> (what was done, until when)
     counts: Counter[str] = field(default_factory=Counter)
-    rss_mib: dict[tuple[str, int], list[float]] = field(default_factory=dict)  # of one incarnation of a process, once a second
+    rss_mib: dict[tuple[str, int], list[float]] = field(
+        default_factory=dict
+    )  # of one incarnation of a process, once a second
     scans: set[int] = field(default_factory=set)  # of which all areas have shown the centralised estimate
 
     def go_on(self, duration_s: float) -> None:
@@ -99,7 +101,9 @@ class Soak:
             return
         for incarnation in self.live.system.pids.items():
             with suppress(psutil.NoSuchProcess):
-                self.rss_mib.setdefault(incarnation, []).append(psutil.Process(incarnation[1]).memory_info().rss / 2**20)
+                self.rss_mib.setdefault(incarnation, []).append(
+                    psutil.Process(incarnation[1]).memory_info().rss / 2**20
+                )
 
 
 def build_scenario(seed: int, duration_s: float) -> Scenario:
@@ -140,7 +144,9 @@ def soak(folder: Path, seed: int, duration_s: float) -> dict[str, object]:
             "duration_s": duration_s,
             "faults of processes": dict(sorted(under_way.counts.items())),
             "cuts": len(scenario.faults.events),
-            "faults of links, of the last incarnations": dict(sum((Counter(state.faults) for state in last), Counter())),
+            "faults of links, of the last incarnations": dict(
+                sum((Counter(state.faults) for state in last), Counter())
+            ),
             "rejected, by the last incarnations": dict(sum((Counter(state.rejected) for state in last), Counter())),
             "scans that all areas had solved at once": len(under_way.scans),
             "scan at the end": max(state.header.scan for state in last),

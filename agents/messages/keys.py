@@ -9,8 +9,8 @@
 ``area/<i>/state``              what area i knows, for whoever watches
 ``telemetry/<i>``               meter readings for area i, from the plant or a gateway
 ``clock``                       how long the run has lasted, from the coordinator; only injected faults count by it
-``live/<role>/<name>/<incarnation>``   presence tokens of areas, plant and coordinator, one for each incarnation of a process
-==============================  ====================================================
+``live/<role>/<name>/<incarnation>``   presence tokens of areas, plant and coordinator, one for each incarnation of a
+process ==============================  ====================================================
 """
 
 import re

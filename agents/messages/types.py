@@ -76,8 +76,9 @@ class LoadMessage:
 class BoundaryMessage:
     """The sender's corrected state at a boundary bus, p.u. and rad.
 
-    ``referenced``: its angle counts from the substation. ``receives``, ``answers``, ``received``, ``complete``, in every
-    boundary message: as in a heartbeat. They hold at ``header.time`` and may differ between two messages of one number.
+    ``referenced``: its angle counts from the substation. ``receives``, ``answers``, ``received``, ``complete``, in
+    every boundary message: as in a heartbeat. They hold at ``header.time`` and may differ between two messages of one
+    number.
     """
 
     kind: ClassVar[str] = "boundary"
@@ -127,13 +128,13 @@ class HeartbeatMessage:
     """Where the sender stands: in (scan, ``revision``) it has come to round ``k``, and whether that is ``final``.
 
     Asynchronous strategies have no rounds: there ``k`` is the number of the newest boundary message to the receiver.
-    ``receives``: it receives messages of the receiver. ``answers``: send time of the receiver's newest message plus the time it has lain
-    here, from which the receiver finds the round trip; 0 without one. ``received``: numbers of the newest load message
-    and of the newest message of the strategy that it has accepted of the receiver, 0 without one. ``complete``: all on
-    its side is of this scan, received and fresh. ``y``: at rest, the d ``variables`` of the boundary in its final state.
-    ``plant``, ``offset``: the scan of terms is the number that this incarnation of the plant gives it, plus so much
-    (``agents/protocol/scan_readings.py``). ``towards_hub``, ``is_parent``: what the receiver is to the sender;
-    ``areas``: of the grid; ``base_mva``: all as the sender's area file says (``agents/protocol/agreement.py``).
+    ``receives``: it receives messages of the receiver. ``answers``: send time of the receiver's newest message plus the
+    time it has lain here, from which the receiver finds the round trip; 0 without one. ``received``: numbers of the
+    newest load message and of the newest message of the strategy that it has accepted of the receiver, 0 without one.
+    ``complete``: all on its side is of this scan, received and fresh. ``y``: at rest, the d ``variables`` of the
+    boundary in its final state. ``plant``, ``offset``: the scan of terms is the number that this incarnation of the
+    plant gives it, plus so much (``agents/protocol/scan_readings.py``). ``towards_hub``, ``is_parent``: what the
+    receiver is to the sender; ``areas``: of the grid; ``base_mva``: all from the sender's area file (``agreement.py``).
     """
 
     kind: ClassVar[str] = "heartbeat"
@@ -254,8 +255,8 @@ class StateMessage:
     ``buses``, ``vm``, ``va``, ``sigma_vm``, ``sigma_va``: the estimate (empty before the first), p.u. and rad.
     ``referenced``: angles count from the substation. ``removed``: meters taken out as bad data.
     ``critical``: meters that cannot be spared, whatever they read. ``checked``: bad data have been looked for.
-    ``sent``, ``received``: per neighbour the last sequence numbers of load messages and of boundary messages or those of
-    rounds; 0 before any.
+    ``sent``, ``received``: per neighbour the last sequence numbers of load messages and of boundary messages or those
+    of rounds; 0 before any.
     ``messages``, ``bytes``, ``lost``: totals handed to the bus, ``lost`` of them dropped by the links; ``faults``:
     what the links have done to them, by kind. ``rejected``: received payloads by reason of rejection.
     ``quality``: what the state is worth (docs/explanation/quality.md). ``notes``: why, the worst first, then remarks.

@@ -79,7 +79,11 @@ class AreaProtocol(ABC):
         yield self._next_heartbeat
         yield from self._peers.due_times(self._now, self._is_at_rest)
         yield from self._peers.aging_times(self._now)
-        yield from (at for heartbeats in (FRESH_HEARTBEATS, PASSED_ON_HEARTBEATS) if (at := self._scan.fresh_until(heartbeats)) > self._now)
+        yield from (
+            at
+            for heartbeats in (FRESH_HEARTBEATS, PASSED_ON_HEARTBEATS)
+            if (at := self._scan.fresh_until(heartbeats)) > self._now
+        )
 
     def handle(self, events: Sequence[Event], now: float) -> Iterator[Action]:
         """Take in ``events``, all that arrived since the last call, and say what to do.
@@ -187,7 +191,9 @@ class AreaProtocol(ABC):
         is_restart = peer.incarnation not in (None, message.header.incarnation)
         peer.is_owed_reply |= is_restart or not self._peers.receives(name, self._now)  # that it is received
         peer.take(message, self._now, self._now + self._clock_offset, is_awake=self._is_awake)
-        peer.is_owed_reply |= self._is_at_rest and peer.has_been_left_alone(self._now)  # it repeats until it receives us
+        peer.is_owed_reply |= self._is_at_rest and peer.has_been_left_alone(
+            self._now
+        )  # it repeats until it receives us
         if message.receives:
             self._peers.gone.pop(name, None)  # the token was lost, not the process
         return is_restart
@@ -229,7 +235,12 @@ class AreaProtocol(ABC):
     def _heartbeat(self, name: str) -> Publish:
         standing, peer = self._describe_standing(name), self._peers[name]
         plant, offset = self._scan.numbering
-        link: dict[str, Any] = {"receives": False, "answers": 0.0, "received": (0, 0), "complete": False}  # as it is sent
+        link: dict[str, Any] = {
+            "receives": False,
+            "answers": 0.0,
+            "received": (0, 0),
+            "complete": False,
+        }  # as it is sent
         standing |= link | describe_boundary(self._area, name)
         return self._publish(
             name, HeartbeatMessage(header=self._header(1), bus=peer.bus, **standing, plant=plant, offset=offset)

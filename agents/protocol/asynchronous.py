@@ -13,7 +13,14 @@ from typing import Any, cast
 import numpy as np
 
 from agents.area_files.area_file import AreaFile
-from agents.messages.packing import BoundaryUpdate, HeartbeatMessage, Incarnation, LinkMessage, Message, TelemetryMessage
+from agents.messages.packing import (
+    BoundaryUpdate,
+    HeartbeatMessage,
+    Incarnation,
+    LinkMessage,
+    Message,
+    TelemetryMessage,
+)
 from agents.protocol.area_protocol import AreaProtocol
 from agents.protocol.events import Action, Publish
 from agents.protocol.freshness import FRESH_HEARTBEATS, PASSED_ON_HEARTBEATS
@@ -174,7 +181,9 @@ class AsynchronousProtocol(AreaProtocol):
             message = peer.boundary
             if message is None or message in self._set_aside:
                 continue
-            is_ahead = message.header.scan > self.scan and self._now - peer.received_at < FRESH_HEARTBEATS * self._beat_s
+            is_ahead = (
+                message.header.scan > self.scan and self._now - peer.received_at < FRESH_HEARTBEATS * self._beat_s
+            )
             if waits or is_ahead or message.header.scan == self.scan:
                 usable[name] = message
         return usable

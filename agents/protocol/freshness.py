@@ -14,7 +14,8 @@ PATIENCE_HEARTBEATS = 8  # of silence after which a process counts as gone, and 
 
 
 def is_old(header: Header, last: Header, silence_s: float, over_s: float) -> bool:
-    """Whether ``last``, not received for ``silence_s``, is newer: a later message of its incarnation, or of a later one.
+    """Whether ``last``, not received for ``silence_s``, is newer: a later message of its incarnation, or of a later
+    one.
 
     An incarnation that was silent for more than ``over_s`` is over; the clock of the next one may have been set back.
     """

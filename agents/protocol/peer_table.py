@@ -16,8 +16,8 @@ M = TypeVar("M", bound=LinkMessage)
 
 
 class PeerTable:
-    """``gone``: neighbours whose processes have ended -> their leave message. ``distrusted``: neighbour -> why its messages
-    are not used in this scan.
+    """``gone``: neighbours whose processes have ended -> their leave message. ``distrusted``: neighbour -> why its
+    messages are not used in this scan.
 
     Args:
         clock_offset: from monotonic to wall-clock time, s.
@@ -118,8 +118,8 @@ class PeerTable:
 
     def _quiet_s(self, name: str, now: float, is_at_rest: bool) -> float:
         """How long nothing is said: ever longer since what heartbeats say has changed, as one may be lost, or on this
-        link several; at rest a heartbeat at most, before no longer than patience allows. At rest a message to a neighbour that
-        is there is repeated until that is received.
+        link several; at rest a heartbeat at most, before no longer than patience allows. At rest a message to a
+        neighbour that is there is repeated until that is received.
         """
         peer = self._peers[name]
         longest_s = self._beat_s if is_at_rest else min(self._beat_s, self._patience_s(peer) / peer.patience_messages)

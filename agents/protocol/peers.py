@@ -1,7 +1,7 @@
 """What an area knows of its neighbours as processes: which incarnation, where it stands, how long a message takes.
 
-Presence is two-way: a neighbour is there only if it is received and says that it receives us, so that both sides of a link
-that passes messages one way only come to the same conclusion.
+Presence is two-way: a neighbour is there only if it is received and says that it receives us, so that both sides of a
+link that passes messages one way only come to the same conclusion.
 """
 
 from __future__ import annotations
@@ -86,9 +86,10 @@ class Peer:
     """One neighbour. Times are of the own monotonic clock, s; -inf for never.
 
     ``present_at``: when it last said that it receives us, as far as that is believed; ``received_at``: when it was last
-    received. ``term``, ``k``, ``final``, ``complete``, ``y``: where it stood then. ``load``, ``exchange``: the last load
-    message and the last message of the strategy to it; ``received_load``, ``boundary``: its newest ones, the latter of
-    asynchronous strategies; ``received_sequence``: number of its newest message of the strategy in this incarnation.
+    received. ``term``, ``k``, ``final``, ``complete``, ``y``: where it stood then. ``load``, ``exchange``: the last
+    load message and the last message of the strategy to it; ``received_load``, ``boundary``: its newest ones, the
+    latter of asynchronous strategies; ``received_sequence``: number of its newest message of the strategy in this
+    incarnation.
     """
 
     bus: int

@@ -1,8 +1,8 @@
 """What a published state is worth, in one quality and why. docs/explanation/quality.md says what each quality promises.
 
-Whoever says anything of an estimate says it as a ``Finding``: a sentence, and the best quality that it leaves. The quality
-of a state is the worst of its findings, and its notes are their sentences, the worst first. So neither can be without
-the other: a state that is not good has a note that says why, and one without such a note is good.
+Whoever says anything of an estimate says it as a ``Finding``: a sentence, and the best quality that it leaves. The
+quality of a state is the worst of its findings, and its notes are their sentences, the worst first. So neither can be
+without the other: a state that is not good has a note that says why, and one without such a note is good.
 """
 
 from __future__ import annotations
@@ -54,7 +54,10 @@ def weigh_from_outside(said: StateMessage | None, silence: str, disputes: Sequen
         return Worth(NONE, (silence or "never received",))
     quality, notes = Worth(said.quality, said.notes)
     if disputes:
-        quality, notes = DEGRADED if quality == GOOD else quality, (*disputes, *notes) if quality == GOOD else (*notes, *disputes)
+        quality, notes = (
+            DEGRADED if quality == GOOD else quality,
+            (*disputes, *notes) if quality == GOOD else (*notes, *disputes),
+        )
     if silence:
         quality, notes = quality if quality == NONE else STALE, (silence, *notes)
     return Worth(quality, limit_notes(notes))
@@ -95,7 +98,9 @@ def find_missing_side(name: str) -> Finding:
 
 def find_gone(name: str, leave_reason: str) -> Finding:
     """That the process of a neighbour has ended."""
-    return Finding(DEGRADED, f"neighbour {name} has left: {leave_reason}" if leave_reason else f"neighbour {name} is gone")
+    return Finding(
+        DEGRADED, f"neighbour {name} has left: {leave_reason}" if leave_reason else f"neighbour {name} is gone"
+    )
 
 
 def find_rejected_clocks(ahead: Mapping[str, float]) -> Iterator[Finding]:

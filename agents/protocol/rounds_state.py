@@ -65,7 +65,9 @@ class RoundsState:
         self._outcome: Outcome | None = None  # which the estimate is of
         self._of_scan = 0
         self._findings: tuple[Finding, ...] = ()  # of the outcome
-        self._kept_mismatches: dict[str, tuple[Outcome, tuple[float, ...], tuple[float, float]]] = {}  # as _find_mismatch found them
+        self._kept_mismatches: dict[
+            str, tuple[Outcome, tuple[float, ...], tuple[float, float]]
+        ] = {}  # as _find_mismatch found them
 
     def show(self, term: Term, now: float, *, is_heartbeat: bool) -> StateMessage | None:
         """The state to be published at time ``now``, if any is; passing notes alone wait for the heartbeat."""
@@ -84,8 +86,8 @@ class RoundsState:
         return self.show(term, now, is_heartbeat=False) if is_new else None
 
     def _is_first_way_through(self, term: Term) -> bool:
-        """Whether a scan is under way, and nothing has happened to it: its estimate is shown, or at the heartbeat that it
-        is not there; what was said of the last scan still holds of that.
+        """Whether a scan is under way, and nothing has happened to it: its estimate is shown, or at the heartbeat
+        that it is not there; what was said of the last scan still holds of that.
         """
         if self._round.outcome is not None:
             return False

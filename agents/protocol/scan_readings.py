@@ -1,8 +1,8 @@
 """The readings that an area has of its current scan and of later ones, and whether they are late.
 
-The scan of terms is the number that the plant gives it plus an *offset*, of which each incarnation of the plant has one: 0, or
-what is needed so that no term goes back where a plant numbers lower than the one before, its clock having been set
-back. Areas may find different offsets needed. They tell each other theirs, and the largest counts for all.
+The scan of terms is the number that the plant gives it plus an *offset*, of which each incarnation of the plant has
+one: 0, or what is needed so that no term goes back where a plant numbers lower than the one before, its clock having
+been set back. Areas may find different offsets needed. They tell each other theirs, and the largest counts for all.
 """
 
 from __future__ import annotations
@@ -15,7 +15,9 @@ from agents.messages.packing import NO_INCARNATION, Incarnation, TelemetryMessag
 from agents.protocol.freshness import FRESH_HEARTBEATS, PATIENCE_HEARTBEATS, is_old
 from agents.protocol.readings import Readings
 
-MOST_AHEAD = 10  # scans by which a neighbour may be ahead of telemetry that is received; with more, one of them is wrong
+MOST_AHEAD = (
+    10  # scans by which a neighbour may be ahead of telemetry that is received; with more, one of them is wrong
+)
 DEADLINE_HEARTBEATS = 5  # after which an area goes on without its own readings; or
 DEADLINE_SHARE = 1 / 4  # of the time between two scans, where that is known
 
@@ -124,8 +126,11 @@ class ScanReadings:
         """Find the offset of an incarnation of the plant that is received for the first time, or again."""
         last, incarnation, number = self._last, message.header.incarnation, message.header.scan
         if last is None or incarnation != last.header.incarnation:
-            self._later.clear()  # a former incarnation says nothing more: to enter its scans would leave this one behind
-            self._offset = max((offset for its_incarnation, offset in self._of_neighbours.values() if its_incarnation == incarnation), default=0)
+            self._later.clear()  # of a former incarnation: to enter its scans would leave this one behind
+            self._offset = max(
+                (offset for its_incarnation, offset in self._of_neighbours.values() if its_incarnation == incarnation),
+                default=0,
+            )
             if last is not None and number + self._offset < self.scan:
                 self._offset = self.scan + self.are_there - number
 

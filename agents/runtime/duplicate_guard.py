@@ -1,7 +1,8 @@
 """Two processes under one name: the older incarnation gives way, because a receiver of both takes the newer one.
 
-Each shows a token and watches those of its own name. An incarnation that has been killed may be seen for a while after its
-end; if the clock was set back since, it even looks newer. So nobody gives way before the bus must have noticed a death.
+Each shows a token and watches those of its own name. An incarnation that has been killed may be seen for a while after
+its end; if the clock was set back since, it even looks newer. So nobody gives way before the bus must have noticed a
+death.
 """
 
 from __future__ import annotations
@@ -12,7 +13,10 @@ from agents.protocol.rejections import LONGEST_LEAD_S
 from agents.runtime.presence import MAX_INCARNATIONS
 from dsse_core.errors import DsseError
 
-OVERLAP_S, OVERLAP_HEARTBEATS = 3.0, 4.5  # the larger: longer than the bus takes to notice a death (2 s or 3 heartbeats)
+OVERLAP_S, OVERLAP_HEARTBEATS = (
+    3.0,
+    4.5,
+)  # the larger: longer than the bus takes to notice a death (2 s or 3 heartbeats)
 GIVES_WAY = "gives way to a newer incarnation"  # leave message of the older one
 REPLACED_CODE = 3  # its exit code: started again, it would be the newer one, and the other one would have to go
 

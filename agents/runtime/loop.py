@@ -24,7 +24,7 @@ from agents.messages.keys import (
 from agents.messages.packing import ClockMessage, StateMessage, decode
 from agents.protocol.choose import kinds_of, make_protocol
 from agents.protocol.events import Event, Finish, PresenceChanged, Publish
-from agents.runtime.duplicate_guard import GIVES_WAY, ReplacedError, DuplicateGuard
+from agents.runtime.duplicate_guard import GIVES_WAY, DuplicateGuard, ReplacedError
 from agents.runtime.heap import give_back
 from agents.runtime.inbox import Inbox
 from agents.runtime.ingress_filter import IngressFilter
@@ -123,9 +123,13 @@ def _listen(content: AreaFile, session: Session, kinds: Sequence[str], inbox: In
     session.subscribe(all_from_neighbours(run, name), ingress_filter.take)
     session.subscribe(telemetry_key(run, name), ingress_filter.take)
     if any(faults.has_windows for faults in content.links.values()):
-        session.subscribe(clock_key(run), lambda key, payload: inbox.put(key, _ClockReceived(time.monotonic(), payload)))
+        session.subscribe(
+            clock_key(run), lambda key, payload: inbox.put(key, _ClockReceived(time.monotonic(), payload))
+        )
     for neighbour in neighbours:
-        session.subscribe(all_incarnations(run, "area", neighbour), lambda key, payload: _put_leave(inbox, key, payload))
+        session.subscribe(
+            all_incarnations(run, "area", neighbour), lambda key, payload: _put_leave(inbox, key, payload)
+        )
     for area in (*neighbours, name):
         session.watch_presence(all_incarnations(run, "area", area), lambda key, alive: _put_token(inbox, key, alive))
 

@@ -1,8 +1,8 @@
 """Who is there: every incarnation of a process shows a presence token of its own, which vanishes with it.
 
 A process that ends in order says so on the key of its token before it goes (``read_leave``); one that dies does
-not. A process that was killed and started again may be there before the bus notices the end of its former incarnation; a
-name is present as long as any of its incarnations is.
+not. A process that was killed and started again may be there before the bus notices the end of its former incarnation;
+a name is present as long as any of its incarnations is.
 """
 
 from __future__ import annotations
@@ -36,7 +36,9 @@ class Presence:
     """Keeps the incarnations of every name whose tokens are there; what is not written as an incarnation is none."""
 
     def __init__(self) -> None:
-        self._incarnations: dict[tuple[str, str], set[Incarnation]] = {}  # role and name -> those whose tokens are there
+        self._incarnations: dict[
+            tuple[str, str], set[Incarnation]
+        ] = {}  # role and name -> those whose tokens are there
 
     @property
     def names(self) -> set[tuple[str, str]]:
@@ -72,7 +74,11 @@ class Presence:
             if not incarnations:
                 del self._incarnations[name]
             return not incarnations
-        is_too_much = len(self._incarnations) >= MAX_NAMES if name not in self._incarnations else len(incarnations) >= MAX_INCARNATIONS
+        is_too_much = (
+            len(self._incarnations) >= MAX_NAMES
+            if name not in self._incarnations
+            else len(incarnations) >= MAX_INCARNATIONS
+        )
         if is_too_much or max(map(len, key.split("/"))) > LONGEST_NAME:
             return False
         self._incarnations.setdefault(name, incarnations).add(incarnation)

@@ -12,8 +12,8 @@ from typing import Any
 
 from agents.messages.keys import (
     all_from_neighbours,
-    all_live,
     all_incarnations,
+    all_live,
     all_of_run,
     all_states,
     clock_key,

@@ -109,7 +109,8 @@ class Admm(Strategy):
     def _receive(self, known: Knowledge) -> bool:
         """Take in the newest messages; whether what they say beside r changes how the area is pulled.
 
-        The first message of a boundary is one of the scan: an iteration that went astray may have ended with the one before.
+        The first message of a boundary is one of the scan: an iteration that went astray may have ended with the one
+        before.
         """
         before = [b.terms for b in self._boundaries.values()]
         messages = {name: m for name, m in known.boundary.items() if isinstance(m, AdmmMessage)}

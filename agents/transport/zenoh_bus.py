@@ -224,7 +224,12 @@ def _with_watched_links(bus: AnyBus, meets: Sequence[str]) -> AnyBus:
     def on_link(event: zenoh.LinkEvent) -> None:
         endpoint, name = event.link.dst, event.link.auth_identifier or ""
         has_rights = bus.keys is not None and name in meets and name not in bus.keys.access.revoked
-        if event.kind == zenoh.SampleKind.PUT and not has_rights and (endpoint, name) not in logged and len(logged) < MAX_LOGGED:
+        if (
+            event.kind == zenoh.SampleKind.PUT
+            and not has_rights
+            and (endpoint, name) not in logged
+            and len(logged) < MAX_LOGGED
+        ):
             logged.add((endpoint, name))
             log.warning("%s shows the certificate of %r, who has no rights here: nothing passes", endpoint, name)
 

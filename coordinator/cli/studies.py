@@ -81,8 +81,8 @@ def simulate(
 ) -> int:
     """Run SCENARIO, a shipped name or a file, on the simulator: the same areas on a simulated bus, in this process.
 
-    Virtual time passes while messages travel and areas wait for their heartbeat; computing takes none. Verdict, files and
-    exit codes are those of `dsse run`.
+    Virtual time passes while messages travel and areas wait for their heartbeat; computing takes none. Verdict, files
+    and exit codes are those of `dsse run`.
 
     \b
     Examples:  dsse simulate ieee33-lossy --strategy information

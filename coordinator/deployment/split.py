@@ -23,7 +23,8 @@ def area_files(
 ) -> list[AreaFile]:
     """What each area is to know, in scenario order.
 
-    ``endpoints``: of the routers. ``area_endpoints``: instead, where each area listens; of two neighbours the child calls.
+    ``endpoints``: of the routers. ``area_endpoints``: instead, where each area listens; of two neighbours the child
+    calls.
     """
     area_endpoints = area_endpoints or {}
     partition = scenario.partition
@@ -34,7 +35,9 @@ def area_files(
             area=area,
             meters=tuple(meters[area.name]),
             strategy=scenario.strategy,
-            endpoints=tuple(area_endpoints[n.area] for n in area.neighbours if n.is_parent) if area_endpoints else tuple(endpoints),
+            endpoints=tuple(area_endpoints[n.area] for n in area.neighbours if n.is_parent)
+            if area_endpoints
+            else tuple(endpoints),
             listen=(area_endpoints[area.name],) if area_endpoints else (),
             beat_s=scenario.run.beat_s,
             scan_s=scenario.run.scan_s,

@@ -11,7 +11,9 @@ from scenarios.scenario import Scenario
 from scenarios.telemetry import Telemetry
 
 
-def start_reference_estimate(scenario: Scenario, telemetry: Telemetry, when_done: Callable[[], None]) -> Future[Centralised]:
+def start_reference_estimate(
+    scenario: Scenario, telemetry: Telemetry, when_done: Callable[[], None]
+) -> Future[Centralised]:
     """Make the centralised estimate on a thread, which does not hold up the end of the program."""
     future: Future[Centralised] = Future()
 

@@ -19,7 +19,7 @@ from coordinator.observe.observer import Observer, Sample, count_exchanges
 from dsse_core.estimation.bad_data import BadDataReport
 from scenarios.scenario import Scenario
 
-VERSION = 1
+VERSION = 2
 DISTRIBUTIONS = ("consensus-dsse", "numpy", "scipy", "eclipse-zenoh", "msgspec")
 
 
@@ -82,8 +82,8 @@ class AreaResult:
 class RunOutcome:
     """Everything about one run. ``timing_s``: moments in seconds since the call, on the simulator in virtual time.
 
-    ``faults``: kind -> how often it has happened, to messages and to processes. ``duplicates``: areas and plants that ran
-    twice at once.
+    ``faults``: kind -> how often it has happened, to messages and to processes. ``duplicates``: areas and plants that
+    ran twice at once.
 
     ``centralised`` is None where that estimate failed; ``centralised_failure`` says why.
     """

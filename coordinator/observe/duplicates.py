@@ -42,7 +42,9 @@ class Duplicates:
     def __init__(self, beat_s: float) -> None:
         self._sure_s = max(SURE_S, SURE_HEARTBEATS * beat_s)
         self.found: list[Duplicate] = []
-        self._since: dict[tuple[str, str], dict[Incarnation, float]] = {}  # role and name -> incarnation -> first seen, s
+        self._since: dict[
+            tuple[str, str], dict[Incarnation, float]
+        ] = {}  # role and name -> incarnation -> first seen, s
 
     def take(self, key: str, alive: bool, now: float, leave_reason: str = "") -> Duplicate | None:
         """Note that the token on ``key`` appeared or vanished; ``leave_reason``: what its process has said before."""
@@ -55,7 +57,9 @@ class Duplicates:
         elif not alive:
             incarnations.pop(incarnation, None)  # gone already, if the end of the token has overtaken the leave message
             newest = max(incarnations, default=incarnation)
-            return self._note(whose, incarnation, newest) if newest > incarnation and leave_reason == GIVES_WAY else None
+            return (
+                self._note(whose, incarnation, newest) if newest > incarnation and leave_reason == GIVES_WAY else None
+            )
         return None
 
     def find_lasting(self, now: float) -> list[Duplicate]:
@@ -70,7 +74,9 @@ class Duplicates:
 
     def _note(self, whose: tuple[str, str], older: Incarnation, newer: Incarnation) -> Duplicate | None:
         duplicate = Duplicate(*whose, str(older), str(newer))
-        if len(self.found) >= MAX_INCARNATIONS or any((d.name, d.older) == (duplicate.name, duplicate.older) for d in self.found):
+        if len(self.found) >= MAX_INCARNATIONS or any(
+            (d.name, d.older) == (duplicate.name, duplicate.older) for d in self.found
+        ):
             return None
         self.found.append(duplicate)
         return duplicate

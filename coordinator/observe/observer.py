@@ -2,10 +2,10 @@
 
 Consensus: every area is alive, has an estimate of the current scan whose angles count from the substation,
 agrees with the others at every boundary bus and has received the last messages of its neighbours. Areas show
-themselves at rest, and only a new message can wake them: when all messages sent have been received, no more will follow.
-After a restart, whose messages are numbered from one again, and after whatever else the scenario did to processes or
-links, nothing must have changed for two heartbeats besides, of which every area has repeated itself, and every
-area must have received its telemetry since: estimates that the areas agree on may have lost their plant.
+themselves at rest, and only a new message can wake them: when all messages sent have been received, no more will
+follow. After a restart, whose messages are numbered from one again, and after whatever else the scenario did to
+processes or links, nothing must have changed for two heartbeats besides, of which every area has repeated itself, and
+every area must have received its telemetry since: estimates that the areas agree on may have lost their plant.
 """
 
 from __future__ import annotations
@@ -109,7 +109,9 @@ class Observer:
         if watched is None or not self._is_of_its_area(state):
             return False
         last = watched.state
-        if last is not None and is_old(state.header, last.header, now - watched.received_at, PATIENCE_HEARTBEATS * self.beat_s):
+        if last is not None and is_old(
+            state.header, last.header, now - watched.received_at, PATIENCE_HEARTBEATS * self.beat_s
+        ):
             return False
         if last is not None and state.header.incarnation != last.header.incarnation:
             self._disturbed_at = now
@@ -179,7 +181,9 @@ class Observer:
             return Standing(tuple(disunity), self._find_unobservable(now))
         ages = self._find_cut_off(now)
         obstacles = tuple(f"{name} has received no telemetry for {age:.1f} s" for name, age in ages.items())
-        if now - self.changed_at < SETTLING_HEARTBEATS * self.beat_s:  # in which areas learn that their neighbours are done
+        if (
+            now - self.changed_at < SETTLING_HEARTBEATS * self.beat_s
+        ):  # in which areas learn that their neighbours are done
             worth = {name: self.quality_of(name, now) for name in self._watched}
             obstacles += tuple(f"{name} is {quality}" for name, quality in worth.items() if quality != GOOD)
         return Standing(obstacles, self._find_dead_end(ages))
@@ -298,7 +302,8 @@ class Observer:
                 if sender is None or receiver is None:
                     continue
                 sent, received = (
-                    numbers.get(name, (0, 0)) for numbers, name in ((sender.sent, n.area), (receiver.received, area.name))
+                    numbers.get(name, (0, 0))
+                    for numbers, name in ((sender.sent, n.area), (receiver.received, area.name))
                 )
                 for kind, said, got in zip(("load", "boundary"), sent, received, strict=True):
                     if said == 0:

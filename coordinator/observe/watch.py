@@ -25,10 +25,10 @@ SILENT_PAUSES = 3  # an area that was not received for so many of its longest pa
 class AreaView:
     """One area as a watcher sees it; everything but ``present`` is what it published ``age_s`` ago.
 
-    ``mismatch_vm_pu``, ``mismatch_va_deg``: the largest differences to a neighbour at a bus that both publish, None where there
-    is none. ``neighbours``: those that it speaks to. ``age_s``: None if it was never received. ``leave_reason``: what it said
-    when it left, empty if it died. ``silent``: it has said nothing for long, though its token may be there.
-    ``said_quality``: what it said of its own state (docs/explanation/quality.md); ``quality``: the same, and
+    ``mismatch_vm_pu``, ``mismatch_va_deg``: the largest differences to a neighbour at a bus that both publish, None
+    where there is none. ``neighbours``: those that it speaks to. ``age_s``: None if it was never received.
+    ``leave_reason``: what it said when it left, empty if it died. ``silent``: it has said nothing for long, though its
+    token may be there. ``said_quality``: what it said of its own state (docs/explanation/quality.md); ``quality``: the same, and
     stale once it is gone or silent. ``telemetry_age_s`` and ``ages_s`` (of each neighbour's information) have gone on
     counting since.
     """
@@ -73,8 +73,8 @@ class AreaView:
 class View:
     """A run at one moment. ``others``: plant, coordinators and watchers that are there, as ``role name``.
 
-    ``duplicates``: in words, which area or plant runs more than once; one that has just been started again may, for 2 s.
-    ``other_versions``: in words, who speaks another wire version, of whom nothing else can be shown.
+    ``duplicates``: in words, which area or plant runs more than once; one that has just been started again may, for 2
+    s. ``other_versions``: in words, who speaks another wire version, of whom nothing else can be shown.
     """
 
     run: str

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from agents.messages.keys import all_incarnations, live_key, name_of_live, telemetry_key
-from agents.runtime.duplicate_guard import GIVES_WAY, REPLACED_CODE, ReplacedError, DuplicateGuard
+from agents.runtime.duplicate_guard import GIVES_WAY, REPLACED_CODE, DuplicateGuard, ReplacedError
 from agents.runtime.inbox import Inbox
 from agents.runtime.log_format import start_log
 from agents.runtime.presence import begin_incarnation
@@ -66,7 +66,9 @@ def run_plant(
                 all_incarnations(run, "area", "*"),
                 lambda key, alive: inbox.put(name_of_live(key), key) if alive and _is_known(key, payloads) else None,
             )
-            session.watch_presence(all_incarnations(run, "plant", PLANT), lambda key, alive: inbox.put(key, (key, alive)))
+            session.watch_presence(
+                all_incarnations(run, "plant", PLANT), lambda key, alive: inbox.put(key, (key, alive))
+            )
             own_token = live_key(run, "plant", PLANT, incarnation)
             send_leave = session.publisher(own_token)
             session.declare_presence(own_token)

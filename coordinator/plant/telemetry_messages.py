@@ -36,7 +36,9 @@ def read(measurements: Sequence[Measurement], measured_at: float) -> Readings:
     )
 
 
-def make_payloads(scenario: Scenario, run: str, incarnation: Incarnation, scan: int = 1, draw: int = DRAW) -> dict[str, bytes]:
+def make_payloads(
+    scenario: Scenario, run: str, incarnation: Incarnation, scan: int = 1, draw: int = DRAW
+) -> dict[str, bytes]:
     """Area -> its encoded readings with noise ``draw``."""
     by_area = make_telemetry(scenario, draw).by_area
     now = time.time()

@@ -28,8 +28,8 @@ from coordinator.process_run.run_status import (
     listen_to_processes,
     note_duplicates,
     note_ends,
-    take_update,
     take_process_update,
+    take_update,
 )
 from coordinator.process_run.system import System
 from coordinator.run_folder import EVENTS, PARTS, make_run_folder
@@ -138,7 +138,9 @@ def _run_with_router(run: RunUnderWay, on_update: Callable[[Progress], None] | N
         telemetry = make_telemetry(scenario)  # of fewer areas while they join
         if reason is None:
             run.system.start_plant(telemetry)
-        reference_estimate = start_reference_estimate(scenario, telemetry, lambda: run.note_time("centralised_estimated"))
+        reference_estimate = start_reference_estimate(
+            scenario, telemetry, lambda: run.note_time("centralised_estimated")
+        )
         reason = reason or _watch(run, observer, on_update, until=lambda obstacles: not obstacles)
         wall_s = time.monotonic() - run.started
     run.timing_s["last_change"] = max(0.0, observer.changed_at - run.started)

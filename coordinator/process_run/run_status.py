@@ -123,7 +123,9 @@ def take_update(run: RunUnderWay, observer: Observer, item: object) -> str | Non
             if not (run.presence.take_leave(key) if leave_reason else run.presence.take(key, alive)):
                 return None
             role, name = name_of_live(key)
-            what, why = ("left", {"leave_reason": leave_reason}) if leave_reason else ("appeared" if alive else "vanished", {})
+            what, why = (
+                ("left", {"leave_reason": leave_reason}) if leave_reason else ("appeared" if alive else "vanished", {})
+            )
             run.events.write(what, at, role=role, name=name, **why)
             if role == "area":
                 observer.take_presence(name, alive, at)

@@ -19,8 +19,8 @@ class StudyRow:
     """One run. ``gap``: decentralised to centralised over all buses, None where either is incomplete.
 
     ``below_*_s``: the time from which on every area stays closer than that (p.u. and rad) to the centralised
-    estimate, at all buses that it sees; None if never. ``end_s``: time of the verdict. Both are virtual on the simulator.
-    ``reason``: why there is no consensus, or why the run is not possible; then there are no figures.
+    estimate, at all buses that it sees; None if never. ``end_s``: time of the verdict. Both are virtual on the
+    simulator. ``reason``: why there is no consensus, or why the run is not possible; then there are no figures.
     """
 
     strategy: str

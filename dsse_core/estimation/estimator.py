@@ -29,9 +29,9 @@ class EstimationResult:
     ``values``, ``sigmas`` (n_meas,): the readings of the plan's meters, sigma 0 where a reading holds exactly.
     ``objective`` is J(x) (eq. 3.9), which under the model's assumptions is chi-square distributed with
     ``degrees_of_freedom`` = measurements + constraints - state variables. What is not stored is computed when it is
-    asked for, by the radial back end where that is chosen, and else, or where it does not tell, by sparse factorisation.
-    ``iterations``: steps since the start that it ended from. ``memory``: what later verdicts rest on; ``evaluating`` where
-    J has exceeded the chi-square limit.
+    asked for, by the radial back end where that is chosen, and else, or where it does not tell, by sparse
+    factorisation. ``iterations``: steps since the start that it ended from. ``memory``: what later verdicts rest on;
+    ``evaluating`` where J has exceeded the chi-square limit.
     """
 
     plan: EstimationPlan

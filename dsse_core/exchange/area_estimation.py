@@ -254,7 +254,9 @@ class AreaEstimation:
                 case Decision.EVALUATE:
                     self._evaluate()
                 case Decision.FINAL:
-                    last = {name: information for name, information in self._received.items() if name not in self._silent}
+                    last = {
+                        name: information for name, information in self._received.items() if name not in self._silent
+                    }
                     self._aged |= {n: BoundaryInformation(AGED * m.R, AGED * m.z) for n, m in last.items()}
         except FAILURES as error:
             self.fail(error)

@@ -1,4 +1,4 @@
-"""The kinds of files with tables: what each is called, who takes it, and by which keys it is distinguished from the others."""
+"""The kinds of files with tables: what each is called, who takes it, and the keys that distinguish it."""
 
 from __future__ import annotations
 

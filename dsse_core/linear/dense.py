@@ -9,7 +9,7 @@ import numpy as np
 from dsse_core.grid.measurement_model import stack_models
 from dsse_core.grid.partition import Neighbour
 from dsse_core.linear.boundary_information import ROUNDING
-from dsse_core.linear.interface import Received, Matrix, Rows
+from dsse_core.linear.interface import Matrix, Received, Rows
 from dsse_core.matrices.augmented_dense import DenseFactor
 
 if TYPE_CHECKING:

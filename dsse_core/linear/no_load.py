@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dsse_core.linear.interface import Factor, Received, Matrix
+from dsse_core.linear.interface import Factor, Matrix, Received
 from dsse_core.linear.rows import RowSolver
 
 NO_LOAD_NOT_YET = 1e-18  # information given to what nothing determines, relative to what rows tell where less than 1

@@ -23,7 +23,7 @@ from dsse_core.linear.boundary_information import (
     factor_inverse,
     put_together,
 )
-from dsse_core.linear.interface import NOT_YET, NOT_YET_OF_POWER, Received, LinearArea
+from dsse_core.linear.interface import NOT_YET, NOT_YET_OF_POWER, LinearArea, Received
 from dsse_core.radial.plan import (
     N_SLOT,
     RadialLayout,
@@ -195,7 +195,13 @@ class RadialSolver(LinearArea):
         t = self._rooted.get(root) or self._root_at(root)
         for k, n in enumerate(self._area.neighbours):
             message = received.get(n.area) if n.area != addressee else None
-            t.role[k] = radial_boundary.ADDRESSEE if n.area == addressee else radial_boundary.SILENT if message is None else radial_boundary.RECEIVED
+            t.role[k] = (
+                radial_boundary.ADDRESSEE
+                if n.area == addressee
+                else radial_boundary.SILENT
+                if message is None
+                else radial_boundary.RECEIVED
+            )
             t.R[k], t.message_z[k] = (0.0, 0.0) if message is None else (message.R, message.z)
             if n.is_parent:
                 t.w[t.at[k], 2:4] = -1.0

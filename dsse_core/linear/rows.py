@@ -17,7 +17,7 @@ from dsse_core.linear.boundary_information import (
     factor_inverse,
     put_together,
 )
-from dsse_core.linear.interface import NOT_YET, NOT_YET_OF_POWER, Factor, Received, LinearArea, Matrix, Rows
+from dsse_core.linear.interface import NOT_YET, NOT_YET_OF_POWER, Factor, LinearArea, Matrix, Received, Rows
 
 if TYPE_CHECKING:
     from dsse_core.linear.area_model import AreaModel

@@ -11,7 +11,7 @@ import scipy.sparse as sp
 
 from dsse_core.grid.partition import Neighbour
 from dsse_core.linear.boundary_information import ROUNDING
-from dsse_core.linear.interface import Received, Matrix, Rows
+from dsse_core.linear.interface import Matrix, Received, Rows
 from dsse_core.matrices.augmented import AugmentedFactor
 
 if TYPE_CHECKING:

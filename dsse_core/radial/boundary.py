@@ -1,10 +1,10 @@
 """Boundary messages on the tree of one area's buses, compiled: a neighbour's is the message of one more branch.
 
 What a neighbour tells of ``y = (p, q, vm_b, va_b)``, rows ``[P X; 0 N]``, is information about the voltage of bus b and
-a power that leaves it, as a bus tells its parent in ``radial_kernel``: covariance ``V = (P'P)^-1``, slope ``A = P^-1 X``,
-information ``N'N``. A child's power is a variable of the area; the power that the parent speaks of is the sum of the
-powers into the area's own branches, which an exact balance at b says. What this area tells is what is left at the root
-of a tree with b on top.
+a power that leaves it, as a bus tells its parent in ``radial_kernel``: covariance ``V = (P'P)^-1``, slope ``A = P^-1
+X``, information ``N'N``. A child's power is a variable of the area; the power that the parent speaks of is the sum of
+the powers into the area's own branches, which an exact balance at b says. What this area tells is what is left at the
+root of a tree with b on top.
 """
 
 from __future__ import annotations
@@ -52,7 +52,9 @@ def pass_upward(
             p, q = x[c], x[c + 1]
             sign, d = 1.0, damping[1]
         _add_message(above[i], message_of[k], R[k], message_z[k], p, q, abs(v[i]), va[i], sign, d)
-        if (w[i, 2] >= 0.0 or w[i, 3] >= 0.0) and not _is_spread(message_of[k, 0], message_of[k, 1], message_of[k, 2], least_spread):
+        if (w[i, 2] >= 0.0 or w[i, 3] >= 0.0) and not _is_spread(
+            message_of[k, 0], message_of[k, 1], message_of[k, 2], least_spread
+        ):
             return False
     eliminate(parent, Y, z, w, v, va, True, UPWARD, above, factor, more, block, step, least_of_flow)
     for i in range(1, n):

@@ -23,9 +23,9 @@ def estimate(
     """The whole iteration in one call, from the first step to the last one, or to the end of patience.
 
     Fills ``state`` (2, n_bus), vm and va in network order, and ``residual`` (n_meas,), makes ``sigmas`` 0 where a
-    reading is ``exact``, and returns how it ended, steps, the last one and J. FINAL, EVALUATE: the verdict that the last
-    step was taken along with, ``limit`` being that of J. LOST: ``most_steps`` or LARGEST_STEP. UNUSABLE: readings that
-    cannot be.
+    reading is ``exact``, and returns how it ended, steps, the last one and J. FINAL, EVALUATE: the verdict that the
+    last step was taken along with, ``limit`` being that of J. LOST: ``most_steps`` or LARGEST_STEP. UNUSABLE: readings
+    that cannot be.
     """
     if not _are_usable(exact, values, sigmas):
         return UNUSABLE, 0, np.inf, np.inf

@@ -59,7 +59,9 @@ def speak(endpoint: str, keys: Path | None, name: str) -> None:
             pause.wait(0.002)
         while not any(key.endswith("/area2") for _, key in ear.received) and time.monotonic() < deadline:
             pause.wait(0.01)
-        print(json.dumps({"received": sorted({key for _, key in ear.received}), "seen": sorted(ear.seen), "scan": scan}))
+        print(
+            json.dumps({"received": sorted({key for _, key in ear.received}), "seen": sorted(ear.seen), "scan": scan})
+        )
 
 
 def connect(endpoint: str, keys: Path, name: str) -> None:

@@ -39,7 +39,9 @@ def test_faults_delay_the_centralised_estimate_and_are_counted(
     assert result.verdict.gap_vm_pu <= GAP
     assert KINDS[name] <= result.faults.keys()
     worth = {area.quality for area in result.areas}
-    assert worth == {"good"} or (run is coordinator.run and worth <= {"good", "degraded"})  # as the last message was lost
+    assert worth == {"good"} or (
+        run is coordinator.run and worth <= {"good", "degraded"}
+    )  # as the last message was lost
     written = json.loads((tmp_path / "out" / "result.json").read_text())
     assert written["faults"] == dict(result.faults)
     assert "faults: " in format_verdict(result)

@@ -17,7 +17,7 @@ from shown_states import a_state
 from system_by_hand import Watcher
 from waiting import wait_until
 
-from agents.messages.keys import all_live, all_incarnations, state_key, telemetry_key
+from agents.messages.keys import all_incarnations, all_live, state_key, telemetry_key
 from agents.messages.packing import Header, encode
 from agents.runtime.presence import begin_incarnation
 from agents.security.access import Access, find_rights
@@ -30,7 +30,9 @@ def attack(impostor: Impostor, lies: dict[str, bytes]) -> None:
     """Listen to everybody, show everybody's tokens, and say ``lies``."""
     impostor.listen(*(state_key(RUN, area) for area in ("*", *AREAS)), *(telemetry_key(RUN, area) for area in AREAS))
     impostor.listen(*(f"dsse/v2/{RUN}/area/*/*/{area}" for area in AREAS), all_live(RUN))
-    impostor.listen(*(all_incarnations(RUN, role, name) for role, name in (*(("area", a) for a in AREAS), ("plant", "plant"))))
+    impostor.listen(
+        *(all_incarnations(RUN, role, name) for role, name in (*(("area", a) for a in AREAS), ("plant", "plant")))
+    )
     impostor.show(*(f"dsse/v2/{RUN}/live/area/{area}/fffffffffff-ffffffff" for area in AREAS))
     said = [put for key, lie in lies.items() for put in impostor.say([key], lie)]
     pause = threading.Event()

@@ -77,7 +77,10 @@ def test_a_plant_that_is_to_be_silent_from_the_start_is_silent_and_alive(
     assert code == 0, out + err
     events = run.events()
     reported = events[: next(i for i, e in enumerate(events) if e.get("kind") == "speak")]
-    assert {e["quality"] for e in {e["area"]: e for e in reported if e["event"] == "quality"}.values()} <= {"none", "stale"}
+    assert {e["quality"] for e in {e["area"]: e for e in reported if e["event"] == "quality"}.values()} <= {
+        "none",
+        "stale",
+    }
     assert_nothing_left(run.pids())
 
 
@@ -89,7 +92,9 @@ def test_a_run_whose_plant_died_is_no_consensus_although_the_areas_agree(
     run = start_run(scenario)
     code, out, err = run.end()
     assert code == 1, out + err
-    assert "the areas agree, but on stale estimates: area1, area2, area3 received the last telemetry, of scan 1, " in out
+    assert (
+        "the areas agree, but on stale estimates: area1, area2, area3 received the last telemetry, of scan 1, " in out
+    )
     result = json.loads((run.folder / "result.json").read_text())
     assert {area["quality"] for area in result["areas"].values()} == {"stale"}
     assert result["verdict"]["gap_vm_pu"] <= 1e-8

@@ -87,7 +87,9 @@ def test_a_revoked_name_neither_speaks_nor_receives_nor_is_seen(
         notes = watched_areas(dsse, system)["area1"]["notes"]
         assert any("area3" in note and ("gone" in note or "absent" in note or "not" in note) for note in notes), notes
         mode = "peer" if system.direct else "client"
-        endpoints = [endpoint for name, endpoint in system.area_endpoints.items() if name != "area3"] or system.endpoints
+        endpoints = [
+            endpoint for name, endpoint in system.area_endpoints.items() if name != "area3"
+        ] or system.endpoints
         with Impostor.calling(endpoints, system.keys, "area3", mode) as thief:
             thief.listen(telemetry_key(RUN, "area3"), all_from_neighbours(RUN, "area3"), all_live(RUN))
             thief.show(f"dsse/v2/{RUN}/live/area/area3/1-00000001")

@@ -11,7 +11,7 @@ from unittest import mock
 from agents.protocol.peer_table import PeerTable
 from agents.protocol.peers import Peer
 from agents.protocol.rounds import RoundsProtocol
-from agents.protocol.scan_readings import TelemetryUpdate, ScanReadings
+from agents.protocol.scan_readings import ScanReadings, TelemetryUpdate
 
 _take, _stamp = ScanReadings.take, PeerTable.stamp
 _go_on, _take_in_term = RoundsProtocol._go_on, RoundsProtocol._take_in_term

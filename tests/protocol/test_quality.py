@@ -102,7 +102,9 @@ def test_a_cut_link_degrades_the_whole_feeder_after_three_heartbeats(strategy: s
 def test_a_link_that_passes_messages_one_way_only_leaves_no_area_good(strategy: str, direction: tuple[str, str]):
     bus = five_areas_at_rest(strategy)
     bus.reject_delivery = lambda sender, receiver, message: (sender, receiver) == direction
-    bus.run((2 * PATIENCE_HEARTBEATS + FRESH_HEARTBEATS) * HEARTBEAT_S)  # one side falls silent for the other, which then learns so
+    bus.run(
+        (2 * PATIENCE_HEARTBEATS + FRESH_HEARTBEATS) * HEARTBEAT_S
+    )  # one side falls silent for the other, which then learns so
     assert "good" not in set(qualities(bus).values())
     bus.reject_delivery = lambda sender, receiver, message: False
     bus.run(2 * HEARTBEAT_S)
@@ -114,7 +116,10 @@ def test_an_area_without_telemetry_is_missed_in_the_whole_feeder(bus: SimulatedB
     bus.send_telemetry = lambda name: None if name == "area2" else send(name)
     bus.run(SOON)
     assert qualities(bus) == {"area1": "degraded", "area2": "stale", "area3": "degraded"}
-    assert (bus.states["area3"].telemetry_age < HEARTBEAT_S, max(bus.states["area3"].ages.values()) < HEARTBEAT_S) == (True, True)
+    assert (bus.states["area3"].telemetry_age < HEARTBEAT_S, max(bus.states["area3"].ages.values()) < HEARTBEAT_S) == (
+        True,
+        True,
+    )
 
 
 def test_what_is_old_far_away_moves_no_estimate_and_changes_no_number():

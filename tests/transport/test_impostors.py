@@ -137,7 +137,9 @@ def test_nobody_but_a_router_is_reported_or_received_where_a_router_is_expected(
 
 @pytest.mark.parametrize("mode", ["peer", "router"])
 @pytest.mark.parametrize(("caller", "impostor"), [(c, i) for c in OWN_KEYS for i in ALL if c != i])
-def test_between_neighbours_a_key_gives_its_own_rights_at_any_endpoint(keys: Path, caller: str, impostor: str, mode: str):
+def test_between_neighbours_a_key_gives_its_own_rights_at_any_endpoint(
+    keys: Path, caller: str, impostor: str, mode: str
+):
     endpoint = free_endpoint()
     with (
         Impostor.at(endpoint, keys, impostor, mode) as other,

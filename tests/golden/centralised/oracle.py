@@ -97,7 +97,7 @@ def save_oracle(path: Path, cases: Sequence[Frozen], about: Mapping[str, Any]) -
 
 
 def load_oracle(path: Path = FILE) -> tuple[list[Frozen], dict[str, Any]]:
-    """The cases, and what is reported about them: command, commit, versions, tolerance."""
+    """The cases, and what is told about them: command, commit, versions, tolerance."""
     with np.load(path, allow_pickle=False) as stored:
         text = json.loads(stored["index"].tobytes())
         columns = {name: stored[name] for name in stored.files if name != "index"}

@@ -17,7 +17,9 @@ def test_loopback_alone_is_private():
     assert find_open_endpoints([*OPEN, *PRIVATE]) == OPEN
 
 
-@pytest.mark.parametrize("listen", [Router.listen, lambda endpoints: Session.meet([], endpoints)], ids=["router", "area"])
+@pytest.mark.parametrize(
+    "listen", [Router.listen, lambda endpoints: Session.meet([], endpoints)], ids=["router", "area"]
+)
 @pytest.mark.parametrize("endpoint", [OPEN[0], PRIVATE[0]])
 def test_nobody_listens_to_everybody_without_keys_and_without_notice(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, listen, endpoint: str
@@ -30,7 +32,10 @@ def test_nobody_listens_to_everybody_without_keys_and_without_notice(
         listen([endpoint])
     reported = [r.getMessage() for r in caplog.records if r.levelno == logging.WARNING]
     assert bool(reported) == (endpoint in OPEN)
-    assert all(f"listening without keys on {endpoint}: everybody who reaches it may receive and send" in line for line in reported)
+    assert all(
+        f"listening without keys on {endpoint}: everybody who reaches it may receive and send" in line
+        for line in reported
+    )
 
 
 def test_with_keys_it_is_not_mentioned(caplog: pytest.LogCaptureFixture):

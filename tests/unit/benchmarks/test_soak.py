@@ -30,7 +30,11 @@ def test_a_soak_that_ended_well_has_no_failure():
         ("processes alive of", [AREAS + 1, AREAS + 2], "a process is lost"),
         ("ended unasked", ["Ended(area1)"], "a process is lost"),
         ("trouble in logs", ["area1.log: Traceback"], "a log tells of an exception"),
-        ("growth of the longest incarnations in their second half, MiB", {"area1": 9.0}, "a process grew by more than 3 MiB"),
+        (
+            "growth of the longest incarnations in their second half, MiB",
+            {"area1": 9.0},
+            "a process grew by more than 3 MiB",
+        ),
     ],
 )
 def test_each_failure_is_found(key: str, value: object, failure: str):

@@ -37,9 +37,13 @@ def with_scan(state: StateMessage, scan: int) -> StateMessage:
     return replace(state, header=replace(state.header, scan=scan))
 
 
-def watch(*states: StateMessage, heartbeats: int = 3, alive: tuple[str, ...] = AREAS, magnitudes: bool = False) -> Observer:
+def watch(
+    *states: StateMessage, heartbeats: int = 3, alive: tuple[str, ...] = AREAS, magnitudes: bool = False
+) -> Observer:
     """An observer of agreeing states, with ``states`` in their place, and all of them ``heartbeats`` times again."""
-    observer = Observer(PARTITION, tolerance_va=1e-6, tolerance_vm=1e-6, beat_s=HEARTBEAT_S, compare_magnitudes=magnitudes)
+    observer = Observer(
+        PARTITION, tolerance_va=1e-6, tolerance_vm=1e-6, beat_s=HEARTBEAT_S, compare_magnitudes=magnitudes
+    )
     for area in alive:
         observer.take_presence(area, True, 0.0)
     shown = {area: a_state(area) for area in AREAS} | {state.header.sender: state for state in states}
@@ -145,7 +149,9 @@ def restarted(area: str) -> StateMessage:
 def test_after_a_restart_nothing_must_have_changed_for_two_heartbeats():
     observer = watch()
     observer.take_state(restarted("area1"), 3 * HEARTBEAT_S)
-    assert obstacles(observer, 3) == "something has changed within the last 2 heartbeats, after a restart or another fault"
+    assert (
+        obstacles(observer, 3) == "something has changed within the last 2 heartbeats, after a restart or another fault"
+    )
     for heartbeat in (4, 5, 6):
         for state in (restarted("area1"), a_state("area2"), a_state("area3")):
             observer.take_state(state, heartbeat * HEARTBEAT_S)
@@ -155,7 +161,10 @@ def test_after_a_restart_nothing_must_have_changed_for_two_heartbeats():
 def test_after_a_restart_silence_is_not_quiet_because_every_area_must_be_received_to_repeat_itself():
     observer = watch()
     observer.take_state(restarted("area1"), 3 * HEARTBEAT_S)
-    assert obstacles(observer, 100) == "something has changed within the last 2 heartbeats, after a restart or another fault"
+    assert (
+        obstacles(observer, 100)
+        == "something has changed within the last 2 heartbeats, after a restart or another fault"
+    )
 
 
 def test_an_older_message_does_not_replace_a_newer_one():
@@ -222,7 +231,9 @@ def test_after_a_fault_every_area_must_have_been_received_again():
     for heartbeat in (6, 7):
         for state in (a_state("area1"), a_state("area2")):  # area3 was killed, and nobody has reported it yet
             observer.take_state(state, heartbeat * HEARTBEAT_S)
-    assert obstacles(observer, 8) == "something has changed within the last 2 heartbeats, after a restart or another fault"
+    assert (
+        obstacles(observer, 8) == "something has changed within the last 2 heartbeats, after a restart or another fault"
+    )
     for heartbeat in (8, 9):
         observer.take_state(a_state("area3"), heartbeat * HEARTBEAT_S)
     assert obstacles(observer, 9) == ""

@@ -85,7 +85,7 @@ def a_result(folder: Path, missing: str | None = None, relative: str | None = No
 def test_the_verdict_has_every_documented_key_and_the_gap_that_was_put_in(tmp_path: Path):
     write_result(a_result(tmp_path))
     content = json.loads((tmp_path / "result.json").read_text())
-    assert content["version"] == 1
+    assert content["version"] == 2
     verdict = content["verdict"]
     assert verdict["consensus"] is True
     assert verdict["gap_vm_pu"] == pytest.approx(0.0, abs=1e-12)

@@ -63,7 +63,9 @@ def test_states_and_tokens_that_nobody_takes_in_do_not_pile_up(monkeypatch: pyte
     assert updates.take(0.0) == [*range(10), *range(0, -10, -1), "the end of a process"]
 
 
-def test_of_one_name_no_more_incarnations_are_kept_than_anybody_needs_and_no_more_names(monkeypatch: pytest.MonkeyPatch):
+def test_of_one_name_no_more_incarnations_are_kept_than_anybody_needs_and_no_more_names(
+    monkeypatch: pytest.MonkeyPatch,
+):
     monkeypatch.setattr(presence, "MAX_NAMES", 3)
     kept = Presence()
     for start in range(2 * MAX_INCARNATIONS):

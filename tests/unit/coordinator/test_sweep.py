@@ -78,7 +78,9 @@ def test_runs_that_the_table_has_are_not_run_again(tmp_path: Path, runs: list):
 
 
 @pytest.mark.long
-def test_a_row_that_was_cut_off_is_run_again_and_reported(tmp_path: Path, runs: list, capsys: pytest.CaptureFixture[str]):
+def test_a_row_that_was_cut_off_is_run_again_and_reported(
+    tmp_path: Path, runs: list, capsys: pytest.CaptureFixture[str]
+):
     sweep(tmp_path / "s")
     path = tmp_path / "s" / "sweep.csv"
     text = path.read_text()

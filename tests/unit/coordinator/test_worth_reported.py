@@ -11,7 +11,7 @@ import pytest
 from shown_states import said_by
 
 from agents.messages.packing import Incarnation, StateMessage
-from agents.protocol.quality import DEGRADED, GOOD, NONE, RELATIVE_ANGLE, STALE, UNOBSERVABLE, QUALITIES, Finding, weigh
+from agents.protocol.quality import DEGRADED, GOOD, NONE, QUALITIES, RELATIVE_ANGLE, STALE, UNOBSERVABLE, Finding, weigh
 from coordinator.evaluation.evaluation import Centralised, evaluate, make_observer
 from coordinator.evaluation.result import RunResult, as_json
 from coordinator.observe.watch import Watcher
@@ -36,7 +36,13 @@ def a_state_with(area, found: tuple[Finding, ...]) -> StateMessage:
         numbers = {"buses": tuple(b.id for b in area.network.buses), "vm": (1.0,) * n, "va": (0.0,) * n}
         numbers |= {"sigma_vm": (0.001,) * n, "sigma_va": (0.001,) * n}
     said = {neighbour.area: (1, 1) for neighbour in area.neighbours}
-    changes = {"quality": quality, "notes": notes, "referenced": RELATIVE_ANGLE not in qualities, "sent": said, "received": said}
+    changes = {
+        "quality": quality,
+        "notes": notes,
+        "referenced": RELATIVE_ANGLE not in qualities,
+        "sent": said,
+        "received": said,
+    }
     return said_by(area.name, INCARNATION, **numbers, **changes, telemetry_age=0.0)
 
 
@@ -93,9 +99,9 @@ def test_run_report_and_watcher_say_the_same_of_every_combination_of_findings(is
             assert area.quality == GOOD or area.notes
             lines = format_verdict(result).splitlines()
             reported_of = [line for line in lines if ": area1: " in line]
-            assert reported_of == [f"{area.quality if area.degraded else 'note'}: area1: {'; '.join(area.notes)}"] * bool(
-                area.notes
-            )
+            assert reported_of == [
+                f"{area.quality if area.degraded else 'note'}: area1: {'; '.join(area.notes)}"
+            ] * bool(area.notes)
             assert any(line.startswith("area1 ") and line.endswith(f" {area.quality}") for line in lines)
             if is_gone:
                 assert area.quality in (STALE, NONE)

@@ -232,7 +232,9 @@ def test_a_meter_is_indispensable_when_the_others_do_not_determine_the_state(gri
 
 
 @pytest.mark.parametrize("short", [(), (5, 20)])
-def test_indispensable_meters_of_a_feeder_of_5000_buses_are_distinguished_from_hardly_checked_ones(chain, short, backend):
+def test_indispensable_meters_of_a_feeder_of_5000_buses_are_distinguished_from_hardly_checked_ones(
+    chain, short, backend
+):
     """With injections alone nothing can be spared; a second voltmeter at the far end checks every one of them."""
     network = chain(5000 if not short else 500, short=short)
     n = len(network.buses)
