@@ -113,8 +113,9 @@ def test_what_an_area_says_is_shown_and_never_obeyed():
         watcher.take_state(replace(said, header=replace(said.header, run="[/run]")), 0.0)
     table = format_view(watcher.look(0.0))
     assert table.replace("\n", "").isprintable()
-    for part in ("run [/run]", r"[/link]\x9b2J", r"[/nope]\x1b]0;owned", ":smile:", r"\x1b[8m[/x]"):
-        assert part in table
+    text = "".join(table.replace("│", "").split())  # cells may be broken into lines
+    for part in ("run[/run]", r"[/link]\x9b2J", r"[/nope]\x1b]0;own", ":smile:", r"\x1b[8m[/x]"):
+        assert part in text
 
 
 def test_one_area_does_not_fill_the_terminal():
