@@ -20,6 +20,7 @@ from coordinator.deployment.split import write_area_files
 from coordinator.evaluation.comparison import Gap
 from scenarios.scenario import load_scenario
 
+pytestmark = pytest.mark.xdist_group("two routers")  # one system for all
 RUN = "ieee33"
 THERE = ("area2", "area3")  # the neighbours of area 1 and not of each other
 GONE = "neighbour area1 is gone"

@@ -76,6 +76,17 @@ def test_a_late_reading_leaves_the_final_state_as_it_is_until_the_next_term_begi
     bus.run_until_at_rest(LIMIT_S)
 
 
+def test_a_late_reading_that_goes_back_to_the_one_in_use_replaces_the_one_that_waits():
+    bus = at_rest()
+    bus.read("a", 1, 0.9)
+    bus.run(0.01)
+    bus.read("a", 1, 0.91)  # a heartbeat has not passed: the change is due, not made
+    bus.run(0.01)
+    bus.read("a", 1, 0.9)
+    bus.run(2.0)
+    bus.run_until_at_rest(LIMIT_S)
+
+
 @pytest.mark.parametrize("lost", [HeartbeatMessage, UpMessage, DownMessage])
 @pytest.mark.parametrize("number", range(8))
 @pytest.mark.parametrize("travel_s", [TRAVEL_S, 0.0017, 0.03])
