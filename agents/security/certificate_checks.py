@@ -14,8 +14,7 @@ from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric.types import PrivateKeyTypes
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from agents.security.credential_files import find_mode_problems
-from agents.security.credentials import Credentials
+from agents.security.credential_files import Credentials, find_mode_problems
 from dsse_core.files.bounded_file import LARGEST_PEM, read_bounded
 
 PROBE_S = 2.0  # time for a handshake that only asks why there is no connection

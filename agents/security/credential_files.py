@@ -4,9 +4,26 @@ from __future__ import annotations
 
 import os
 import stat
+from dataclasses import dataclass
 from pathlib import Path
 
+AUTHORITY = "authority"
 PRIVATE_FILE, PUBLIC_FILE, PRIVATE_FOLDER = 0o600, 0o644, 0o700
+
+
+@dataclass(frozen=True, slots=True)
+class Credentials:
+    """Files in PEM: ``authority`` is whom to believe, ``certificate`` and ``key`` are one's own."""
+
+    name: str
+    authority: Path
+    certificate: Path
+    key: Path
+
+
+def credentials_in(folder: Path, name: str) -> Credentials:
+    """Where the credentials of process ``name`` are in ``folder``, whether or not they are there."""
+    return Credentials(name, folder / f"{AUTHORITY}.crt", folder / f"{name}.crt", folder / f"{name}.key")
 
 
 def make_private_folder(folder: Path) -> None:

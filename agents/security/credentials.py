@@ -11,24 +11,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from agents.security.access import Access
+from agents.security.credential_files import Credentials, credentials_in
 from dsse_core.errors import InvalidInputError
-
-AUTHORITY = "authority"
-
-
-@dataclass(frozen=True, slots=True)
-class Credentials:
-    """Files in PEM: ``authority`` is whom to believe, ``certificate`` and ``key`` are one's own."""
-
-    name: str
-    authority: Path
-    certificate: Path
-    key: Path
-
-
-def credentials_in(folder: Path, name: str) -> Credentials:
-    """Where the credentials of process ``name`` are in ``folder``, whether or not they are there."""
-    return Credentials(name, folder / f"{AUTHORITY}.crt", folder / f"{name}.crt", folder / f"{name}.key")
 
 
 @dataclass(frozen=True, slots=True)

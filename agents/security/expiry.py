@@ -6,7 +6,7 @@ import datetime
 import logging
 import threading
 
-from agents.security.credentials import Credentials
+from agents.security.credential_files import Credentials
 
 log = logging.getLogger(__name__)
 AHEAD = datetime.timedelta(days=30)

@@ -8,7 +8,8 @@ from typing import Any
 
 from agents.messages.packing import MAX_BYTES
 from agents.security.access import zenoh_access_control
-from agents.security.credentials import Credentials, Keys
+from agents.security.credential_files import Credentials
+from agents.security.credentials import Keys
 
 SHORTEST_LEASE_S = 2.0
 LEASE_HEARTBEATS = 3  # by then, what has come over the link is stale anyway; where there are many, heartbeats are long

@@ -17,7 +17,8 @@ from typing import Any, TypeVar, cast
 import zenoh
 
 from agents.security.access import ROUTER
-from agents.security.credentials import Credentials, Keys
+from agents.security.credential_files import Credentials
+from agents.security.credentials import Keys
 from agents.transport.bus_config import (
     at_once,
     bus_config,

@@ -15,8 +15,8 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from agents.security.access import ROUTER, Access
 from agents.security.access_file import ACCESS_FILE, load_access, save_access
-from agents.security.credential_files import make_private_folder, write_private, write_public
-from agents.security.credentials import AUTHORITY, check_credentials, credentials_in
+from agents.security.credential_files import AUTHORITY, credentials_in, make_private_folder, write_private, write_public
+from agents.security.credentials import check_credentials
 from coordinator.run_folder import folder_error
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.partition import Partition

@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 
 from agents.security.access import COORDINATOR
-from agents.security.credentials import AUTHORITY, credentials_in
+from agents.security.credential_files import AUTHORITY, credentials_in
 from coordinator.deployment.split import default_run_id
 from coordinator.evaluation.evaluation import choose_scenario, evaluate, make_observer, no_consensus_within
 from coordinator.evaluation.reference_estimate import start_reference_estimate

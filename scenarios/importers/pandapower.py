@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -30,31 +30,12 @@ from scenarios.importers.imported import (
 from scenarios.importers.matpower import BR_B, BS, BUS_I, F_BUS, GS, SHIFT, T_BUS, TAP
 from scenarios.importers.matpower_program import BASE_KV, BR_R, BR_X, PD, QD
 from scenarios.importers.pandapower_checks import find_broken, find_constant_currents, find_unsupported
+from scenarios.importers.pandapower_measurements import Conversion, read_measurements
 from scenarios.importers.pandapower_objects import write_anew
 from scenarios.importers.pandapower_unread import find_unread
 
 BRANCHES = ("line", "trafo", "impedance", "switch")
 COUNTED = ("line", "trafo", "impedance", "load", "gen", "shunt", "ward", "motor", "storage")
-
-
-@dataclass(frozen=True)
-class Conversion:
-    """What pandapower made of its network, and how its elements are called here.
-
-    ``network`` has loads of constant power: what a load draws at which voltage does not matter where it is measured.
-    ``sgen``: the static generators, which are out of service in ``net``.
-    ``bus_of``: index of a supplied bus -> its bus id here; ``branch_of``: (element type, index) -> branch id;
-    ``open_ends``, ``loops``: the branches that are now shunts, as (element type, index), since an end is open or since
-    closed switches join the two.
-    """
-
-    net: Any
-    sgen: Any
-    network: Network
-    bus_of: dict[int, int]
-    branch_of: dict[tuple[str, int], str]
-    open_ends: frozenset[tuple[str, int]]
-    loops: frozenset[tuple[str, int]]
 
 
 def read_pandapower(path: Path, tree: Any) -> Imported:
@@ -98,8 +79,6 @@ def read_pandapower(path: Path, tree: Any) -> Imported:
         reject_zero_impedances(conversion.network, names, cure)
     except InvalidInputError as error:
         raise InvalidInputError(str(path), error.problems) from None
-    from scenarios.importers.pandapower_measurements import read_measurements
-
     readings, reading_remarks = read_measurements(str(path), conversion)
     network = conversion.network if readings else _with_impedance_loads(str(path), conversion)
     converted = {"buses": len(network.buses)}

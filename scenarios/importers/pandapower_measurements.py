@@ -7,22 +7,41 @@ buses, the powers measured at them add up; that is their injection only if all o
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import Any
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter
+from dsse_core.grid.network import Network
 from dsse_core.limits import LARGEST_SIGMA
 from dsse_core.printable import listed
 from scenarios.importers.imported import SAYS_NOTHING, Remark, combine_readings, sum_readings
-
-if TYPE_CHECKING:
-    from scenarios.importers.pandapower import Conversion
 
 KIND = MeasurementKind
 AT_BUS = {"v": KIND.VM, "va": KIND.VA, "p": KIND.P_INJECTION, "q": KIND.Q_INJECTION}
 ON_BRANCH = {"p": KIND.P_FLOW, "q": KIND.Q_FLOW, "i": KIND.CURRENT}
 SIDES = {"line": ("from", "to"), "trafo": ("hv", "lv")}
 FEEDING = ("load", "sgen", "gen", "ext_grid", "motor", "storage", "ward")
+
+
+@dataclass(frozen=True)
+class Conversion:
+    """What pandapower made of its network, and how its elements are called here.
+
+    ``network`` has loads of constant power: what a load draws at which voltage does not matter where it is measured.
+    ``sgen``: the static generators, which are out of service in ``net``.
+    ``bus_of``: index of a supplied bus -> its bus id here; ``branch_of``: (element type, index) -> branch id;
+    ``open_ends``, ``loops``: the branches that are now shunts, as (element type, index), since an end is open or since
+    closed switches join the two.
+    """
+
+    net: Any
+    sgen: Any
+    network: Network
+    bus_of: dict[int, int]
+    branch_of: dict[tuple[str, int], str]
+    open_ends: frozenset[tuple[str, int]]
+    loops: frozenset[tuple[str, int]]
 
 
 def read_measurements(what: str, conversion: Conversion) -> tuple[tuple[Measurement, ...], list[Remark]]:

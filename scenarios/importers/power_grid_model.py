@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -40,28 +40,12 @@ from scenarios.importers.power_grid_model_data import (
     rows,
     working_sources,
 )
+from scenarios.importers.power_grid_model_sensors import Conversion, read_sensors
 
 BASE_VA = 1e6
 IN_PARALLEL = "links join its two ends, it carries nothing; what it draws stays as a shunt"
 STIFF = 1e-9  # p.u.; a source's impedance below it is none
 CONSTANT_POWER, CONSTANT_IMPEDANCE = 0, 1
-
-
-@dataclass(frozen=True)
-class Conversion:
-    """The network made of ``data``, and how its components are called here.
-
-    ``measured``: there are sensors, so that a load draws what they say, at whatever voltage; else it has its own law.
-    ``bus_of``: node -> bus; ``branch_of``: branch component or source -> branch id, the ``to`` bus of a source's branch
-    being its node; ``shunted``: buses with shunts, which loads of constant impedance are, too, unless ``measured``.
-    """
-
-    data: Data
-    measured: bool
-    network: Network
-    bus_of: dict[int, int]
-    branch_of: dict[int, str]
-    shunted: frozenset[int]
 
 
 def read_power_grid_model(path: Path, tree: Any, frequency_hz: float) -> Imported:
@@ -74,8 +58,6 @@ def read_power_grid_model(path: Path, tree: Any, frequency_hz: float) -> Importe
             model cannot hold; every sensor that no meter can be.
     """
     data, remarks_of_data = load_data(str(path), tree)
-    from scenarios.importers.power_grid_model_sensors import read_sensors
-
     measured = has_sensors(data)
     conversion, remarks = _convert_checked(path, data, frequency_hz, measured=measured)
     readings, sensor_remarks = read_sensors(str(path), conversion)

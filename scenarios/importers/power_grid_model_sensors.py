@@ -10,17 +10,15 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter
+from dsse_core.grid.network import Network
 from dsse_core.limits import LARGEST_SIGMA
 from dsse_core.printable import listed
 from scenarios.importers.imported import SAYS_NOTHING, Remark, combine_readings, sum_readings
-from scenarios.importers.power_grid_model_data import APPLIANCES, rows
-
-if TYPE_CHECKING:
-    from scenarios.importers.power_grid_model import Conversion
+from scenarios.importers.power_grid_model_data import APPLIANCES, Data, rows
 
 KIND = MeasurementKind
 BASE_VA = 1e6
@@ -28,6 +26,23 @@ BRANCH_FROM, BRANCH_TO, SOURCE, SHUNT, LOAD, GENERATOR, NODE = 0, 1, 2, 3, 4, 5,
 LOCAL_ANGLE = 0  # of a current, counted from the voltage at its place
 SIGN_AT_APPLIANCE = {LOAD: -1.0, GENERATOR: 1.0, SOURCE: 1.0}
 PARTS = (("p", KIND.P_INJECTION, KIND.P_FLOW), ("q", KIND.Q_INJECTION, KIND.Q_FLOW))
+
+
+@dataclass(frozen=True)
+class Conversion:
+    """The network made of ``data``, and how its components are called here.
+
+    ``measured``: there are sensors, so that a load draws what they say, at whatever voltage; else it has its own law.
+    ``bus_of``: node -> bus; ``branch_of``: branch component or source -> branch id, the ``to`` bus of a source's branch
+    being its node; ``shunted``: buses with shunts, which loads of constant impedance are, too, unless ``measured``.
+    """
+
+    data: Data
+    measured: bool
+    network: Network
+    bus_of: dict[int, int]
+    branch_of: dict[int, str]
+    shunted: frozenset[int]
 
 
 @dataclass

@@ -9,7 +9,7 @@ from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from agents.security.credentials import credentials_in
+from agents.security.credential_files import credentials_in
 
 
 def let_expire(keys: Path, name: str, in_s: float) -> None:

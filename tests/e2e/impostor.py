@@ -14,7 +14,8 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from agents.security.access import Access
-from agents.security.credentials import Keys, credentials_in
+from agents.security.credential_files import credentials_in
+from agents.security.credentials import Keys
 from agents.transport.bus_config import at_once, bus_config, in_the_background
 from coordinator.deployment.certificates import HERE, _host
 

@@ -10,7 +10,7 @@ from waiting import wait_until
 
 from agents.security import expiry
 from agents.security.access import Access
-from agents.security.credentials import Credentials, credentials_in
+from agents.security.credential_files import Credentials, credentials_in
 from agents.security.expiry import ExpiryWatch, describe_expiry
 from coordinator.deployment.certificates import create_keys
 

@@ -13,7 +13,8 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from agents.security.access import Access
 from agents.security.access_file import ACCESS_FILE, load_access, save_access
-from agents.security.credentials import credentials_in, load_keys
+from agents.security.credential_files import credentials_in
+from agents.security.credentials import load_keys
 from coordinator.cli.main import run_command
 from coordinator.deployment.certificates import HERE, access_of, check_keys, create_keys
 from dsse_core.errors import InvalidInputError
