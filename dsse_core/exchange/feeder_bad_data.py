@@ -120,4 +120,4 @@ def build_no_load_model(area: Area, measurements: Sequence[Measurement], referen
     of_power = ~np.isin(model.kinds, (MeasurementKind.VM, MeasurementKind.VA))
     typical = np.median([1 / abs(complex(b.r, b.x)) for b in area.network.active_branches])
     model = replace(model, z=model.predict(x), sigma=np.where(of_power, typical, 1.0))
-    return NoLoadModel(model, make_no_load(model), x, tuple(m.meter.id for m in unit), float(typical))
+    return NoLoadModel(model, make_no_load(model, model.rows), x, tuple(m.meter.id for m in unit), float(typical))

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from dsse_core.grid.partition import Area
+from dsse_core.linear.area_measurements import AreaMeasurements, Backend
 from dsse_core.linear.dense import DenseRows
 from dsse_core.linear.interface import LinearArea, Rows
 from dsse_core.linear.no_load import NoLoadSolver
@@ -12,10 +13,6 @@ from dsse_core.linear.radial import RadialSolver, find_why_not_radial
 from dsse_core.linear.rows import RowSolver
 from dsse_core.linear.sparse import SparseRows
 
-if TYPE_CHECKING:
-    from dsse_core.linear.area_model import AreaModel
-
-Backend = Literal["auto", "radial", "sparse", "dense"]
 RADIAL_FROM = 60  # buses of an area, from which radial repays the loading of numba
 DENSE_BELOW = 40  # buses of an area, below which dense matrices cost less than sparse ones
 
@@ -33,17 +30,17 @@ def needs_compiled_code(area: Area) -> bool:
     return choose_backend(area) == "radial"
 
 
-def make_rows(model: AreaModel) -> Rows:
+def make_rows(model: AreaMeasurements) -> Rows:
     return DenseRows(model) if choose_backend(model.area, model.backend) == "dense" else SparseRows(model)
 
 
-def make_linear(model: AreaModel) -> LinearArea:
-    """The numerics of ``model``: compiled where its area and meters allow, else by rows."""
+def make_linear(model: AreaMeasurements, rows: Rows) -> LinearArea:
+    """The numerics of ``model`` with its ``rows``: compiled where its area and meters allow, else by rows."""
     chosen = choose_backend(model.area, model.backend)
-    by_rows = RowSolver(model, model.rows, "sparse" if chosen == "radial" else chosen)
+    by_rows = RowSolver(model, rows, "sparse" if chosen == "radial" else chosen)
     return RadialSolver(model, by_rows) if chosen == "radial" and model.prior is None else by_rows
 
 
-def make_no_load(model: AreaModel) -> NoLoadSolver:
+def make_no_load(model: AreaMeasurements, rows: Rows) -> NoLoadSolver:
     """The numerics of a model without load."""
-    return NoLoadSolver(model, model.rows, "no load")
+    return NoLoadSolver(model, rows, "no load")

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import numpy as np
 
 from dsse_core.grid.measurement_model import stack_models
 from dsse_core.grid.partition import Neighbour
+from dsse_core.linear.area_measurements import AreaMeasurements
 from dsse_core.linear.boundary_information import ROUNDING
 from dsse_core.linear.interface import Matrix, Received, Rows
 from dsse_core.matrices.augmented_dense import DenseFactor
-
-if TYPE_CHECKING:
-    from dsse_core.linear.area_model import AreaModel
 
 
 class DenseRows(Rows):
@@ -22,7 +20,7 @@ class DenseRows(Rows):
     The first two of the parent's are P and Q into the area's own branches; all others read one variable of x.
     """
 
-    def __init__(self, area: AreaModel) -> None:
+    def __init__(self, area: AreaMeasurements) -> None:
         model, into_area, into_children = area.model, area.into_area, area.into_children
         boundaries = sorted(area.area.neighbours, key=lambda n: not n.is_parent)
         picked = [column for n in boundaries for column in area.boundary_columns(n)]

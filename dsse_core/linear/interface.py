@@ -5,16 +5,14 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Protocol, Self, TypeAlias
+from typing import Protocol, Self, TypeAlias
 
 import numpy as np
 import scipy.sparse as sp
 
 from dsse_core.grid.partition import Neighbour
+from dsse_core.linear.area_measurements import AreaMeasurements
 from dsse_core.linear.boundary_information import BoundaryInformation
-
-if TYPE_CHECKING:
-    from dsse_core.linear.area_model import AreaModel
 
 Matrix: TypeAlias = sp.csr_array | np.ndarray
 Received: TypeAlias = Mapping[str, BoundaryInformation]
@@ -44,7 +42,7 @@ class LinearArea(ABC):
         """diag(G^-1), shape (size,), and diag(Omega) of the area's own measurements, shape (n_meas,) (eq. 3.22)."""
 
     @abstractmethod
-    def with_readings(self, model: AreaModel) -> Self:
+    def with_readings(self, model: AreaMeasurements) -> Self:
         """The same meters read anew, as ``model`` has them: what rests on topology and meters is kept."""
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from dsse_core.grid.network import Network
 from dsse_core.grid.partition import Neighbour
+from dsse_core.linear.area_measurements import AreaMeasurements
 from dsse_core.linear.boundary_information import (
     NOTHING_OF_VOLTAGE,
     BoundaryInformation,
@@ -35,7 +36,6 @@ from dsse_core.radial.plan import (
 )
 
 if TYPE_CHECKING:
-    from dsse_core.linear.area_model import AreaModel
     from dsse_core.radial.kernel import Work
 
 LEAST_OF_FLOW = 1e-12  # information given to powers through branches that nothing determines yet
@@ -75,7 +75,7 @@ class RadialSolver(LinearArea):
 
     name = "radial"
 
-    def __init__(self, model: AreaModel, by_rows: LinearArea) -> None:
+    def __init__(self, model: AreaMeasurements, by_rows: LinearArea) -> None:
         self.declined = Counter()
         self._model, self._by_rows = model, by_rows
         self._area, self._reference = model.area, model.reference
@@ -84,7 +84,7 @@ class RadialSolver(LinearArea):
             [-1 if n.is_parent else model.boundary_columns(n)[0] for n in self._area.neighbours], dtype=np.int64
         )
 
-    def with_readings(self, model: AreaModel) -> Self:
+    def with_readings(self, model: AreaMeasurements) -> Self:
         """Trees and the memory of the passes are shared."""
         other = copy.copy(self)
         other._model, other._by_rows = model, self._by_rows.with_readings(model)

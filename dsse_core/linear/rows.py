@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import copy
 from collections import Counter
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 import numpy as np
 
 from dsse_core.grid.partition import Neighbour
+from dsse_core.linear.area_measurements import AreaMeasurements
 from dsse_core.linear.boundary_information import (
     NOTHING_OF_VOLTAGE,
     VA,
@@ -19,12 +20,9 @@ from dsse_core.linear.boundary_information import (
 )
 from dsse_core.linear.interface import NOT_YET, NOT_YET_OF_POWER, Factor, LinearArea, Matrix, Received, Rows
 
-if TYPE_CHECKING:
-    from dsse_core.linear.area_model import AreaModel
-
 PRIOR_SIGMA = 0.3  # p.u. and rad: a voltage lies that near to what it was, whatever happens
 MOST_TURNS = 4  # of the axes of (p, q)
-DEGREES_OF_BOUNDARY = np.array([2.0, 2.0, 1.0, 0.0])  # the power k for which y grows as c^k, see AreaModel.degrees
+DEGREES_OF_BOUNDARY = np.array([2.0, 2.0, 1.0, 0.0])  # the power k for which y grows as c^k, see ``degrees``
 
 
 class RowSolver(LinearArea):
@@ -32,12 +30,12 @@ class RowSolver(LinearArea):
 
     nothing_of_voltage = NOTHING_OF_VOLTAGE
 
-    def __init__(self, model: AreaModel, rows: Rows, name: str) -> None:
+    def __init__(self, model: AreaMeasurements, rows: Rows, name: str) -> None:
         self.name = name
         self.declined = Counter()
         self.model, self.rows = model, rows
 
-    def with_readings(self, model: AreaModel) -> Self:
+    def with_readings(self, model: AreaMeasurements) -> Self:
         other = copy.copy(self)
         other.model = model
         return other
@@ -69,7 +67,7 @@ class RowSolver(LinearArea):
         """
         received = {name: message for name, message in received.items() if name != neighbour.area}
         H, r, sigma = self.stack(x, received)
-        B, dp = _responses_to_shift(self.model, x, neighbour, received, H)
+        B, dp = _responses_to_shift(self.model, self.rows, x, neighbour, received, H)
         y, T = self.rows.boundary(x, neighbour)
         u = self.model.eliminated[neighbour.area]
         C = T[:2, u]
@@ -97,7 +95,7 @@ class RowSolver(LinearArea):
         """
         model, rows = self.model, self.rows
         messages, of_messages = rows.messages(x, received)
-        parts, of_parts = [rows.jacobian(x), *messages], [model.residual(x), *of_messages]
+        parts, of_parts = [rows.jacobian(x), *messages], [model.residual_of(rows.predict(x)), *of_messages]
         if model.prior is not None:
             parts.append(rows.voltages())
             of_parts.append((model.prior - x)[: 2 * len(model.area.network.buses)])
@@ -128,7 +126,7 @@ def _find_power(factor: Factor, C: Matrix, A: np.ndarray, du: np.ndarray) -> tup
 
 
 def _responses_to_shift(
-    model: AreaModel, x: np.ndarray, neighbour: Neighbour, received: Received, H: Matrix
+    model: AreaMeasurements, rows: Rows, x: np.ndarray, neighbour: Neighbour, received: Received, H: Matrix
 ) -> tuple[np.ndarray, np.ndarray]:
     """How all rows H of ``stack_rows``, shape (rows, 2), and (p, q) at the boundary, shape (2, 2), answer to dv.
 
@@ -139,14 +137,14 @@ def _responses_to_shift(
     (vm_column, va_column), fixed, m = model.voltage_columns(neighbour), model.fixed, len(model.z)
     vm_b = float(x[vm_column])
     B = np.zeros((H.shape[0], 2))
-    B[:m, 0], B[model.angles, 1] = model.degrees * model.predict(x) / vm_b, 1.0
+    B[:m, 0], B[model.angles, 1] = model.degrees * rows.predict(x) / vm_b, 1.0
     dy, dp = np.zeros((4, 2)), np.zeros((2, 2))
     dy[VA, 1] = 1.0
     end = m
     for n in model.area.neighbours:
-        dy[:, 0] = model.boundary_values(x, n) * DEGREES_OF_BOUNDARY / vm_b
+        dy[:, 0] = rows.boundary_values(x, n) * DEGREES_OF_BOUNDARY / vm_b
         if n.area == neighbour.area:
-            dp[:, 0], dp[:, 1] = dy[:2, 0], -model.boundary(x, n)[1][:2, fixed].sum(axis=1)
+            dp[:, 0], dp[:, 1] = dy[:2, 0], -rows.boundary(x, n)[1][:2, fixed].sum(axis=1)
         elif (message := received.get(n.area)) is not None:
             first, end = end, end + len(message.rows[0])
             B[first:end] = message.rows[0] @ dy

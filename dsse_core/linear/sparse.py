@@ -4,24 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import numpy as np
 import scipy.sparse as sp
 
 from dsse_core.grid.partition import Neighbour
+from dsse_core.linear.area_measurements import AreaMeasurements
 from dsse_core.linear.boundary_information import ROUNDING
 from dsse_core.linear.interface import Matrix, Received, Rows
 from dsse_core.matrices.augmented import AugmentedFactor
-
-if TYPE_CHECKING:
-    from dsse_core.linear.area_model import AreaModel
 
 
 class SparseRows(Rows):
     """The rows of the meters, and of each boundary when they are asked for."""
 
-    def __init__(self, area: AreaModel) -> None:
+    def __init__(self, area: AreaMeasurements) -> None:
         self._area = area
         self._n = len(area.area.network.buses)
 

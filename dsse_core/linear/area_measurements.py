@@ -1,0 +1,96 @@
+"""What one area measures, and what its variables are: all that back ends need to know of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+import scipy.sparse as sp
+
+from dsse_core.grid.measurement import MeasurementKind, Meter, Source
+from dsse_core.grid.measurement_model import MeasurementModel
+from dsse_core.grid.partition import Area, Neighbour
+
+Backend = Literal["auto", "radial", "sparse", "dense"]
+
+
+@dataclass(frozen=True)
+class AreaMeasurements:
+    """The measurements of one area as functions of ``x = [va; vm; p_1, q_1, p_2, q_2, ...]``, one pair per child.
+
+    ``free``: the variables that are unknown, all but a reference angle. ``backend``: see ``linear.choose_backend``.
+    ``prior``: a state, shape (size,), whose voltages count as measured with PRIOR_SIGMA, where neighbours or readings
+    are missing; radial cannot serve then.
+    """
+
+    area: Area
+    model: MeasurementModel
+    into_children: sp.csr_array  # (n_meas, 2 n_child): 1 where an injection meter counts a child's power
+    into_area: MeasurementModel | None  # P and Q from the parent's bus into the area's own branches
+    z: np.ndarray
+    sigma: np.ndarray
+    free: np.ndarray
+    meters: tuple[Meter, ...]
+    reference: int | None
+    backend: Backend = "auto"
+    prior: np.ndarray | None = None
+
+    @cached_property
+    def virtual(self) -> np.ndarray:
+        """Which measurements are virtual, shape (n_meas,)."""
+        return np.array([meter.source is Source.VIRTUAL for meter in self.meters], dtype=bool)
+
+    @property
+    def size(self) -> int:
+        return 2 * self._n + int(self.into_children.shape[1])
+
+    @property
+    def _n(self) -> int:
+        return len(self.area.network.buses)
+
+    @property
+    def kinds(self) -> np.ndarray:
+        return self.model.kinds
+
+    @cached_property
+    def angles(self) -> np.ndarray:
+        """Rows of angle meters."""
+        return np.flatnonzero(self.kinds == MeasurementKind.VA)
+
+    @cached_property
+    def degrees(self) -> np.ndarray:
+        """The power k for which h grows as c^k when all voltages grow by c, shape (n_meas,)."""
+        once = np.isin(self.kinds, (MeasurementKind.VM, MeasurementKind.CURRENT))
+        return np.where(once, 1.0, np.where(self.kinds == MeasurementKind.VA, 0.0, 2.0))
+
+    @cached_property
+    def eliminated(self) -> dict[str, np.ndarray]:
+        """Neighbour -> the ``free`` variables but the voltage at the boundary to it."""
+        return {n.area: self.free[~np.isin(self.free, self.voltage_columns(n))] for n in self.area.neighbours}
+
+    @cached_property
+    def fixed(self) -> np.ndarray:
+        """The variables that are not ``free``."""
+        return np.setdiff1d(np.arange(self.size), self.free)
+
+    def residual_of(self, h: np.ndarray) -> np.ndarray:
+        """z - h, shape (n_meas,); angles wrapped to (-pi, pi]."""
+        return self.model.subtract(self.z, h)
+
+    def voltage_columns(self, neighbour: Neighbour) -> list[int]:
+        row = self.area.network.row[neighbour.bus]
+        return [self._n + row, row]
+
+    def boundary_columns(self, neighbour: Neighbour) -> list[int]:
+        """Where x has y of the boundary to a child; to the parent its voltage alone, as the power is none of x."""
+        if neighbour.is_parent:
+            return self.voltage_columns(neighbour)
+        first = self._first_power[neighbour.area]
+        return [first, first + 1, *self.voltage_columns(neighbour)]
+
+    @cached_property
+    def _first_power(self) -> dict[str, int]:
+        children = [n.area for n in self.area.neighbours if not n.is_parent]
+        return {area: 2 * (self._n + k) for k, area in enumerate(children)}
