@@ -134,18 +134,30 @@ def run(
     return finish_run(result, no_plots)
 
 
-@commands.command(short_help="Check a scenario without running it.")
+@commands.command(short_help="Check a scenario or an area file without running it.")
 @scenario_argument
 def check(scenario: str) -> None:
     """Check SCENARIO without running it: keys, network, areas, meters, observability of the grid and each area.
 
-    \b
-    Example:  dsse check my/scenario.toml
-    """
-    from coordinator.evaluation.evaluation import prepare_scenario
-    from coordinator.report.text import format_check
+    An area file in its place is checked as `dsse agent` would.
 
-    show(format_check(prepare_scenario(scenario)))
+    \b
+    Examples:  dsse check my/scenario.toml
+               dsse check areas/area1.toml
+    """
+    from agents.area_files.reader import load_area_file
+    from agents.protocol.choose import STRATEGIES
+    from coordinator.evaluation.evaluation import prepare_scenario
+    from coordinator.report.text import format_area_check, format_check
+    from dsse_core.files.kinds import AREA_FILE
+    from dsse_core.files.strict_table import OtherKindError
+
+    try:
+        show(format_check(prepare_scenario(scenario)))
+    except OtherKindError as error:
+        if error.found is not AREA_FILE:
+            raise
+        show(format_area_check(load_area_file(Path(scenario), STRATEGIES)))
 
 
 @commands.command()

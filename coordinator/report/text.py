@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from agents.area_files.area_file import AreaFile
 from coordinator.evaluation.result import AreaResult, RunResult, Verdict
 from dsse_core.estimation.bad_data import BadDataReport, SuspectKept
+from dsse_core.grid.partition import Area
 from dsse_core.power_flow.newton_raphson import PowerFlowResult
 from dsse_core.printable import printable, printable_lines
 from scenarios.scenario import Scenario
@@ -177,13 +179,24 @@ def format_check(scenario: Scenario) -> str:
     ]
     for area in partition.areas:
         meters = sum(partition.area_of_meter(meter) == area.name for meter in scenario.meters)
-        towards = f"beyond {area.parent.area} at bus {area.parent.bus}" if area.parent else "with the substation"
-        slack = "voltage received from there" if area.slack_vm is None else f"{area.slack_vm:g} p.u."
-        lines.append(
-            f"  {area.name}: {len(area.network.buses)} buses, {towards}, {meters} meters, "
-            f"local slack bus {area.slack_bus} ({slack})"
-        )
+        lines.append(f"  {_describe_area(area, meters)}")
     return "\n".join(map(printable, lines))
+
+
+def format_area_check(file: AreaFile) -> str:
+    """What a checked area file consists of."""
+    neighbours = ", ".join(n.area for n in file.area.neighbours) or "none"
+    lines = [f"{file.area.name} of run {file.run} is sound: strategy {file.strategy}, neighbours {neighbours}"]
+    return "\n".join(map(printable, [*lines, f"  {_describe_area(file.area, len(file.meters))}"]))
+
+
+def _describe_area(area: Area, meters: int) -> str:
+    towards = f"beyond {area.parent.area} at bus {area.parent.bus}" if area.parent else "with the substation"
+    slack = "voltage received from there" if area.slack_vm is None else f"{area.slack_vm:g} p.u."
+    return (
+        f"{area.name}: {len(area.network.buses)} buses, {towards}, {meters} meters, "
+        f"local slack bus {area.slack_bus} ({slack})"
+    )
 
 
 def _pu(value: float | None) -> str:

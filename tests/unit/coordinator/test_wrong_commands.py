@@ -67,3 +67,14 @@ def test_values_to_vary_that_no_reader_takes_are_one_error(capsys: pytest.Captur
     said = capsys.readouterr().err
     assert said.startswith("error: ")
     assert len(said) < 5000
+
+
+def test_an_area_file_is_checked_as_its_agent_would(folder: Path, capsys: pytest.CaptureFixture[str]):
+    assert run_command(["check", "areas/area2.toml"]) == 0
+    assert "area2 of run ieee33 is sound: strategy information, neighbours area1" in capsys.readouterr().out
+    path = folder / "areas" / "area2.toml"
+    path.write_text(path.read_text().replace('"information"', '"infomation"').replace("beat_s", "baet_s"))
+    assert run_command(["check", "areas/area2.toml"]) == 2
+    said = capsys.readouterr().err
+    assert "area file areas/area2.toml, which `dsse split SCENARIO --out DIR` writes: 1 problem" in said
+    assert "baet_s: unknown key; allowed here: " in said
