@@ -123,9 +123,12 @@ def plant(
 ) -> int:
     """Publish the meter readings of SCENARIO on the bus until Ctrl-C; in the field a gateway does this.
 
+    With `kind = "neighbours"` it links with every area, where the scenario or --connect says that it listens.
+
     \b
     Example:  dsse plant ieee33 --connect tcp/192.0.2.7:7447
     """
+    from coordinator.deployment.endpoints import known_area_endpoints
     from coordinator.deployment.split import choose_run_id
     from coordinator.evaluation.evaluation import prepare_scenario
     from coordinator.plant.plant import run_plant
@@ -135,8 +138,10 @@ def plant(
     every = every or prepared.run.scan_s
     # a plant that is started anew has new readings: the clock is ahead of all numbers of its last incarnation
     scan = int(time.time() / SHORTEST_SCAN_S)
-    endpoints = choose_endpoints(endpoints, keys is not None)
     direct = prepared.transport.kind == "neighbours"
+    if direct and not endpoints:
+        endpoints = tuple(known_area_endpoints(prepared, "tls" if keys else "tcp").values())
+    endpoints = choose_endpoints(endpoints, keys is not None)
     return run_plant(
         OwnScans(prepared, many=bool(every)),
         choose_run_id(prepared, run_id),

@@ -29,6 +29,21 @@ def choose_area_endpoints(scenario: Scenario, protocol: str = "tcp") -> dict[str
     return {name: f"{protocol}/{host}:{port}" for name, port in zip(names, ports, strict=True)}
 
 
+def known_places(scenario: Scenario, protocol: str = "tcp") -> dict[str, str]:
+    """``choose_area_endpoints`` where every call comes to the same, for who has not started the areas.
+
+    Raises:
+        InvalidInputError: the areas took free ports, or there are not so many.
+    """
+    if scenario.transport.listen.endswith(":0"):
+        problem = (
+            "port 0 lets each area take a free one, which nobody else knows; give --connect once for each area, with "
+            "`listen` of its area file, or fix the port in the scenario and split it again"
+        )
+        raise InvalidInputError("transport.listen", [problem])
+    return choose_area_endpoints(scenario, protocol)
+
+
 def _find_free_ports(host: str, count: int) -> list[int]:
     """Ports of this host that nobody listens on at this moment."""
     with ExitStack() as open_sockets:

@@ -47,7 +47,8 @@ def run_plant(
     An area is served when it appears and then at every heartbeat: it subscribes before it shows itself. ``scan``: above
     that of any plant before it in the same run. ``every_s``: time from one scan to the next; None: there is one only.
     Signal ``SILENT`` makes it publish nothing until signal ``SPEAK``. ``keys``: folder of the plant's credentials.
-    ``direct``: ``endpoints`` are those of all areas, not of routers.
+    ``direct``: ``endpoints`` are those of all areas, not of routers. If no area shows itself for ``timeout_s``, a
+    warning says so.
     """
     start_log()
     inbox = Inbox()
@@ -75,6 +76,7 @@ def run_plant(
             log.info("plant of run %s, seed %s, %s areas", run, scans.seed, len(payloads))
             guard = DuplicateGuard(f"plant of run {run}", incarnation, time.monotonic(), scans.beat_s)
             voice = _Voice(publishers, inbox, scans.beat_s, guard, session)
+            voice.alone = _Alone(time.monotonic() + timeout_s, f"of run {run} within {timeout_s:g} s", endpoints)
             for number in (SILENT, SPEAK):
                 signal.signal(number, voice.be_silent)
             signal.pthread_sigmask(signal.SIG_UNBLOCK, (SILENT, SPEAK))  # a run's plant may have its orders already
@@ -98,6 +100,23 @@ def _is_known(key: str, areas: Collection[str]) -> bool:
 
 
 @dataclass
+class _Alone:
+    """Says once that no area is received ``until`` then, which may be as it should: areas may be started later."""
+
+    until: float = math.inf
+    where: str = ""
+    endpoints: Sequence[str] = ()
+
+    def check(self, areas: Sequence[str], now: float) -> None:
+        """``areas`` have just shown themselves."""
+        if areas:
+            self.until = math.inf
+        elif now >= self.until:
+            self.until = math.inf
+            log.warning("no area %s has shown itself; looking on at %s", self.where, ", ".join(self.endpoints))
+
+
+@dataclass
 class _Voice:
     """Publishes one scan after the other. A silent one publishes nothing and keeps time."""
 
@@ -107,6 +126,7 @@ class _Voice:
     guard: DuplicateGuard
     bus: RenewableBus
     silent: bool = False
+    alone: _Alone = field(default_factory=_Alone)
     _newest: dict[str, bytes] = field(default_factory=dict)  # area -> the readings that have come in
     _due: dict[str, None] = field(default_factory=dict)  # areas to be served, in this order; a new scan goes on with it
 
@@ -137,9 +157,10 @@ class _Voice:
             if None in updates:
                 return True
             self._mind_successors([item for item in updates if isinstance(item, tuple)])
+            names = [name_of_live(key)[1] for key in updates if isinstance(key, str)]
+            self.alone.check(names, time.monotonic())
             if time.monotonic() >= over:
                 return False
-            names = [name_of_live(key)[1] for key in updates if isinstance(key, str)]
             self._due |= dict.fromkeys(name for name in names if name in payloads)
 
     def _publish_some(self, payloads: Mapping[str, bytes], late_s: Mapping[str, float], elapsed_s: float) -> int:

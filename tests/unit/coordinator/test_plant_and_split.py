@@ -8,14 +8,17 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
 from agents.area_files.reader import load_area_file
+from agents.messages.keys import live_key
 from agents.messages.packing import Incarnation, TelemetryMessage, decode
 from agents.runtime.duplicate_guard import DuplicateGuard
 from agents.runtime.inbox import Inbox
 from agents.transport.renewable_bus import RenewableBus
+from coordinator.cli.processes import plant
 from coordinator.deployment.split import choose_run_id, default_run_id, write_area_files
-from coordinator.plant.plant import BURST, _Voice
+from coordinator.plant.plant import BURST, _Alone, _Voice
 from coordinator.plant.scans import MadeScan, OwnScans
 from coordinator.plant.telemetry_messages import make_payloads
 from dsse_core.errors import InvalidInputError
@@ -134,6 +137,46 @@ def test_a_plant_says_much_in_pieces_and_who_waits_when_a_scan_ends_is_first_in_
     for scan in (b"1", b"2", b"3"):
         assert not voice.serve({area: scan * BURST for area in areas}, {}, duration_s=1e-9)
     assert said == ["area1 1", "area2 2", "area3 3"]
+
+
+@pytest.mark.parametrize("given", [(), ("tcp/192.0.2.7:1", "tcp/192.0.2.7:2")])
+def test_a_plant_of_neighbours_calls_the_areas_where_they_listen_and_never_a_router(
+    monkeypatch, tmp_path: Path, given: tuple[str, ...]
+):
+    called: list[tuple[str, ...]] = []
+    monkeypatch.setattr("coordinator.plant.plant.run_plant", lambda scans, run, endpoints, *_: called.append(endpoints))
+    path = scenario_of_neighbours(tmp_path, 'listen = "tcp/127.0.0.1:7501"')
+    connect = [part for endpoint in given for part in ("--connect", endpoint)]
+    done = CliRunner().invoke(plant, [str(path), *connect], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    assert called == [given or tuple(f"tcp/127.0.0.1:{port}" for port in (7501, 7502, 7503))]
+
+
+def test_a_plant_of_neighbours_on_free_ports_says_what_to_do(tmp_path: Path):
+    with pytest.raises(InvalidInputError, match="give --connect once for each area"):
+        CliRunner().invoke(plant, [str(scenario_of_neighbours(tmp_path))], catch_exceptions=False)
+
+
+def scenario_of_neighbours(folder: Path, more: str = "") -> Path:
+    path = folder / "near.toml"
+    shipped = Path(__file__).parents[3] / "scenarios" / "shipped" / "ieee33.toml"
+    path.write_text(f'{shipped.read_text()}\n[transport]\nkind = "neighbours"\n{more}\n')
+    return path
+
+
+@pytest.mark.parametrize("is_received", [False, True])
+def test_a_plant_that_no_area_receives_says_so_once(caplog, is_received: bool):
+    inbox = Inbox()
+    guard = DuplicateGuard("plant", Incarnation(1, 1), 0.0, beat_s=0.2)
+    voice = _Voice({"area1": lambda _: None}, inbox, beat_s=0.2, guard=guard, bus=no_bus())
+    voice.alone = _Alone(0.0, "of run near within 1 s", ["tcp/127.0.0.1:7501"])
+    if is_received:
+        key = live_key("near", "area", "area1", Incarnation(1, 1))
+        inbox.put(key, key)
+    for _ in range(2):
+        voice.serve({"area1": b"scan"}, {}, duration_s=0.01)
+    said = "no area of run near within 1 s has shown itself; looking on at tcp/127.0.0.1:7501"
+    assert caplog.messages == ([] if is_received else [said])
 
 
 def test_a_scan_that_was_made_elsewhere_is_published_as_the_plant_would_make_it():
