@@ -87,8 +87,13 @@ class ScanReadings:
 
     @property
     def deadline(self) -> float:
-        """When the scan goes on without its readings; infinity if they are there."""
-        return float("inf") if self.are_there or not self.scan else self.entered_at + self._deadline_s
+        """When the scan goes on without its readings; infinity if they are there.
+
+        At once where those of a later scan are: the plant says one after the other, so they have been replaced unread.
+        """
+        if self.are_there or not self.scan:
+            return float("inf")
+        return self.entered_at + (0.0 if self.next_scan else self._deadline_s)
 
     @property
     def has_been_read(self) -> bool:
@@ -176,7 +181,9 @@ class ScanReadings:
         self._later = {later: message for later, message in self._later.items() if later > scan}
 
     def go_on_without(self) -> None:
-        """The last readings stand in for those of the scan."""
+        """The newest readings stand in for those of the scan."""
+        if self.next_scan:
+            self._read(self._later[self.next_scan])
         self.are_there = self.stale = True
 
     def _read(self, message: TelemetryMessage) -> None:

@@ -9,8 +9,8 @@ from exact_exchange import settle_bus
 from feeders import make_feeder
 from simulated_bus import SimulatedBus, area_files_of
 
-from agents.messages.packing import DownMessage, LoadMessage, UpMessage
-from agents.protocol.scan_readings import DEADLINE_HEARTBEATS
+from agents.messages.packing import DownMessage, Header, Incarnation, LoadMessage, UpMessage
+from agents.protocol.scan_readings import DEADLINE_HEARTBEATS, ScanReadings
 from coordinator.plant.telemetry_messages import make_message
 from coordinator.simulator import simulator
 from scenarios.scenario import load_scenario
@@ -114,6 +114,41 @@ def test_who_gets_its_readings_after_the_deadline_is_first_done_without_and_then
     assert "no readings of this scan in area3" in bus.states["area1"].notes
     bus.run(DEADLINE_HEARTBEATS * HEARTBEAT_S)
     assert {(state.header.scan, state.quality) for state in bus.states.values()} == {(2, "good")}
+
+
+def test_readings_that_a_newer_scan_has_replaced_unread_are_not_waited_for():
+    bus, shown = new_scan(late_s={"area3": np.inf})
+    bus.run(0.01)
+    assert {state.header.scan for state in bus.states.values()} == {1}  # area3 may still get its readings
+    scenario = load_scenario("ieee33")
+    bus.next_scan(make_telemetry(scenario, scan=3).by_area, late_s={"area1": np.inf, "area2": np.inf})
+    bus.run(0.25 * DEADLINE_HEARTBEATS * HEARTBEAT_S)
+    of_scan = {state.header.sender: state for _, state in reversed(shown) if state.header.scan == 2}  # the first ones
+    assert of_scan.keys() == {"area1", "area2", "area3"}
+    assert of_scan["area3"].quality == "stale"
+    assert "no readings of this scan; the last ones stand in" in of_scan["area3"].notes
+    assert "no readings of this scan in area3" in of_scan["area1"].notes
+
+
+def test_the_newest_readings_stand_in_for_those_that_are_lost():
+    content = next(f for f in area_files_of(load_scenario("ieee33")) if f.area.name == "area3")
+    readings = ScanReadings(content, 0.0)
+    for scan in (1, 3):
+        header = Header("sim", "plant", Incarnation(1, 1), scan, scan, 0.0)
+        telemetry = make_telemetry(load_scenario("ieee33"), scan=scan).by_area["area3"]
+        readings.take(make_message(header, "area3", telemetry), now=0.1)
+        if scan == 1:
+            readings.enter(1, 0.1)
+            readings.enter(2, 0.2)
+            assert readings.deadline > 0.2
+    assert readings.deadline <= 0.2
+    readings.go_on_without()
+    newest = {m.meter.id: m.value for m in telemetry}
+    assert all(newest[m.meter.id] == m.value for m in readings.readings.measurements if m.meter.id in newest)
+    assert readings.stale
+    readings.enter(3, 0.3)
+    assert readings.are_there
+    assert not readings.stale
 
 
 def test_where_the_time_between_scans_is_known_nobody_is_waited_for_longer_than_a_quarter_of_it():
