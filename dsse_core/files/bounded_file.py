@@ -42,9 +42,15 @@ def read_bounded(path: Path, largest: int) -> bytes:
 
 
 def read_text(
-    path: Path, *, largest: int = LARGEST_TEXT, encoding: str = "utf-8", errors: str = "strict", what: str | None = None
+    path: Path,
+    *,
+    largest: int = LARGEST_TEXT,
+    encoding: str = "utf-8-sig",
+    errors: str = "strict",
+    what: str | None = None,
 ) -> str:
-    """The text in ``path``, which errors call ``what`` if that is given, at most ``largest`` bytes of it.
+    """The text in ``path``, which errors call ``what`` if that is given,
+    at most ``largest`` bytes of it, without a byte order mark.
 
     Raises:
         InvalidInputError: the file cannot be read, is no regular file, is too large, or is no such text.

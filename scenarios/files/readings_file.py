@@ -18,6 +18,7 @@ from dsse_core.files.bounded_file import read_text
 from dsse_core.files.wording import Suggestions, suggest
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, find_meter_problems
 from dsse_core.grid.network import Network
+from dsse_core.grid.physical_ranges import ANGLE, POWER, REACTIVE_POWER, VOLTAGE, Range
 from dsse_core.limits import LARGEST_SIGMA, SMALLEST_SIGMA
 
 KIND = MeasurementKind
@@ -59,7 +60,7 @@ def load_readings(path: Path, network: Network) -> tuple[Measurement, ...]:
         InvalidInputError: the file cannot be read, or every problem of its header, or else of its rows, with line
             numbers: unknown meters, meters given twice, wrong units, values that are no numbers.
     """
-    text = read_text(path, encoding="utf-8-sig")
+    text = read_text(path)
     rows = csv.reader(io.StringIO(text, newline=""), strict=True)
     table = _Table(network)
     try:
@@ -153,7 +154,7 @@ class _Table:
             )
         elif not problems:
             value, sigma = (n * unit_size(filled[0], meter, self.network) for n in numbers if n is not None)
-            problems += _find_value_problems(meter, value, sigma)
+            problems += _find_value_problems(meter, value, sigma, self.network.base_mva)
             self.readings.append(Measurement(meter, value, sigma))
         yield from problems
 
@@ -172,7 +173,7 @@ def parse_meter(text: str, meant: Suggestions | None = None) -> Meter | str:
     return Meter(KIND(kind_name), int(bus), branch or None)
 
 
-def _find_value_problems(meter: Meter, value: float, sigma: float) -> Iterable[str]:
+def _find_value_problems(meter: Meter, value: float, sigma: float, base_mva: float) -> Iterable[str]:
     if not SMALLEST_SIGMA <= sigma <= LARGEST_SIGMA:
         yield (
             f"meter {meter.id}: sigma is {sigma:.3g} in p.u. or rad; it must lie between {SMALLEST_SIGMA:g} and "
@@ -180,6 +181,21 @@ def _find_value_problems(meter: Meter, value: float, sigma: float) -> Iterable[s
         )
     if value < 0 and meter.kind in (KIND.VM, KIND.CURRENT):
         yield f"meter {meter.id}: the value is negative; a magnitude is not"
+        return
+    limits, size = _RANGES[meter.kind]
+    yield from limits.find_problem(f"meter {meter.id}: the value", value * (base_mva if size is None else size))
+
+
+_RANGES: Mapping[MeasurementKind, tuple[Range, float | None]] = {
+    KIND.VM: (Range(0.0, VOLTAGE.most, VOLTAGE.unit), 1.0),  # a dead voltmeter reads 0
+    KIND.VA: (ANGLE, math.degrees(1)),
+    KIND.CURRENT: (Range(0.0, POWER.most, "MVA at the base voltage"), None),
+    KIND.P_INJECTION: (POWER, None),
+    KIND.P_FLOW: (POWER, None),
+    KIND.Q_INJECTION: (REACTIVE_POWER, None),
+    KIND.Q_FLOW: (REACTIVE_POWER, None),
+}
+"""Kind -> what it can read, and how large a p.u. or rad is in that unit; None: as ``base_mva``."""
 
 
 def _number(cell: str) -> float | None:

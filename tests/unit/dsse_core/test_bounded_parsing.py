@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import tracemalloc
+from pathlib import Path
 
 import pytest
 
 from dsse_core.files import bounded_parsing
+from dsse_core.files.bounded_file import read_text
 from dsse_core.files.bounded_parsing import DEEPEST_KEY, parse_json, parse_toml
 
 DEEP = ".".join("a" * 40_000)
@@ -85,3 +87,9 @@ def test_more_values_than_fit_into_memory_are_rejected(monkeypatch: pytest.Monke
     assert parse_json("[" + "0," * 9 + "0]")
     with pytest.raises(ValueError, match="it has 11 values, the limit is 10"):
         parse_json("[" + "0," * 10 + "0]")
+
+
+def test_a_byte_order_mark_is_no_part_of_a_text(tmp_path: Path):
+    path = tmp_path / "marked.toml"
+    path.write_bytes(b"\xef\xbb\xbfversion = 1\n")
+    assert parse_toml(read_text(path)) == {"version": 1}

@@ -226,3 +226,17 @@ def test_a_reading_where_nothing_is_injected_is_rejected_or_the_bus_is_declared_
     (tmp_path / "real.toml").write_text(industrial + "[measurements]\nzero_injection = [6, 7]\n", encoding="utf-8")
     meters = load_scenario(tmp_path / "real.toml", strategies=("information",)).meters
     assert {m.bus for m in meters if m.source is Source.VIRTUAL} == {6, 7}
+
+
+@pytest.mark.parametrize("row", ["vm@1,1e308,0.01", "vm@1,11,0.01", "p_flow@3:3-4,1e308,0.01", "current@3:3-4,1e12,1"])
+def test_a_reading_that_no_grid_has_is_rejected_with_its_range(tmp_path: Path, row: str):
+    path = tmp_path / "readings.csv"
+    path.write_text(f"meter,value_pu,sigma_pu\n{row}\n")
+    with pytest.raises(InvalidInputError, match=r"line 2: meter .*: the value is .* it must lie between"):
+        load_readings(path, NETWORK)
+
+
+def test_a_dead_voltmeter_is_no_mistake_of_the_file(tmp_path: Path):
+    path = tmp_path / "readings.csv"
+    path.write_text("meter,value_pu,sigma_pu\nvm@1,0,0.01\n")
+    assert load_readings(path, NETWORK)[0].value == 0.0
