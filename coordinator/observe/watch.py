@@ -28,9 +28,9 @@ class AreaView:
     ``mismatch_vm_pu``, ``mismatch_va_deg``: the largest differences to a neighbour at a bus that both publish, None
     where there is none. ``neighbours``: those that it speaks to. ``age_s``: None if it was never received.
     ``leave_reason``: what it said when it left, empty if it died. ``silent``: it has said nothing for long, though its
-    token may be there. ``said_quality``: what it said of its own state (docs/explanation/quality.md); ``quality``: the same,
-    and stale once it is gone or silent. ``telemetry_age_s`` and ``ages_s`` (of each neighbour's information) have gone on
-    counting since.
+    token may be there. ``said_quality``: what it said of its own state (docs/explanation/quality.md); ``quality``: the
+    same, and stale once it is gone or silent. ``telemetry_age_s`` and ``ages_s`` (of each neighbour's information) have
+    gone on counting since.
     """
 
     name: str
