@@ -9,6 +9,11 @@ from hypothesis import HealthCheck, Phase, settings
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line has it; before anything loads numpy
 
 UNITS = Path(__file__).parent / "unit"
+# Loading pandapower takes 9 s.
+LOAD_PANDAPOWER = (
+    "test_against_pandapower.py",
+    "test_import_pandapower.py",
+)  # all long
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -34,6 +39,10 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     if marker is not None:
         count = marker.kwargs["many" if metafunc.config.getoption("--thorough") else "few"]
         metafunc.parametrize("random_seed", range(count))
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    return True if config.option.markexpr == "quick" and collection_path.name in LOAD_PANDAPOWER else None
 
 
 @pytest.hookimpl(tryfirst=True)  # before ``-m`` chooses

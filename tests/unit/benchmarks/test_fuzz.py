@@ -8,6 +8,8 @@ import pytest
 from benchmarks.fuzz import FINDING, make_input, try_input
 from benchmarks.fuzz_targets import TARGETS
 
+pytestmark = pytest.mark.long
+
 
 @pytest.mark.parametrize("name", TARGETS)
 def test_the_same_number_makes_the_same_input(name):
@@ -25,7 +27,6 @@ def test_spoilt_input_is_accepted_or_rejected(name, random_seed, tmp_path):
         assert not outcome.startswith(FINDING), outcome
 
 
-@pytest.mark.long
 def test_a_module_that_a_file_has_imported_is_a_finding(monkeypatch, tmp_path):
     monkeypatch.setattr("scenarios.importers.pandapower.write_anew", lambda _, tree: json.dumps(tree))
     outcomes = (
@@ -35,7 +36,6 @@ def test_a_module_that_a_file_has_imported_is_a_finding(monkeypatch, tmp_path):
     assert any(outcome.startswith("FINDING: TwoReadingsError") and "was imported" in outcome for outcome in outcomes)
 
 
-@pytest.mark.long
 def test_a_key_given_twice_and_a_deep_one_that_are_read_are_findings(monkeypatch, tmp_path):
     monkeypatch.setattr("dsse_core.files.strict_table.parse_json", json.loads)
     monkeypatch.setattr("benchmarks.fuzz_parsing.parse_toml", tomllib.loads)

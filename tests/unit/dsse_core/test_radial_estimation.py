@@ -229,6 +229,7 @@ def test_without_numba_the_reason_is_given(monkeypatch, case, meters_of):
     assert "numba is not installed" in str(build_radial_plan(case("ieee33"), meters_of(case("ieee33"), *Kind)))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "settings", [{"NUMBA_CACHE_DIR": "/proc/nowhere"}, {"NUMBA_CACHE_LOCATOR_CLASSES": "UserProvidedCacheLocator"}]
 )

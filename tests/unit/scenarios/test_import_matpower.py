@@ -87,6 +87,7 @@ def changed(text: str, old: str, new: str) -> str:
     return text.replace(old, new, 1)
 
 
+@pytest.mark.long
 def test_the_power_flow_meets_matpowers_own_equations(tmp_path: Path) -> None:
     makeybus = pytest.importorskip("pandapower.pypower.makeYbus")
     network = read(tmp_path, MESHED).network
