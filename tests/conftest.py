@@ -9,11 +9,13 @@ from hypothesis import HealthCheck, Phase, settings
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line has it; before anything loads numpy
 
 UNITS = Path(__file__).parent / "unit"
-# Loading pandapower takes 9 s.
-LOAD_PANDAPOWER = (
+# Loading pandapower takes 9 s; all tests of these modules are long, or run processes.
+LOAD_PANDAPOWER = {
     "test_against_pandapower.py",
+    "test_import.py",
+    "test_import_measured_loads.py",
     "test_import_pandapower.py",
-)  # all long
+}
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
