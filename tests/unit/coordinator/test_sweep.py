@@ -41,6 +41,7 @@ def rows_in(folder: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
+@pytest.mark.long
 def test_every_value_strategy_and_seed_is_run_once_and_has_its_row(tmp_path: Path, runs: list):
     assert sweep(tmp_path / "s", "--strategies", "information,angle-offset") == 0
     expected = {(v, s, n) for v in (0.0, 0.3) for s in ("information", "angle-offset") for n in (1, 2)}
@@ -92,6 +93,7 @@ def test_a_row_that_was_cut_off_is_run_again_and_reported(
     assert "half written" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_an_interrupted_sweep_keeps_what_is_done_and_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
