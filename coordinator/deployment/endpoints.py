@@ -29,7 +29,7 @@ def choose_area_endpoints(scenario: Scenario, protocol: str = "tcp") -> dict[str
     return {name: f"{protocol}/{host}:{port}" for name, port in zip(names, ports, strict=True)}
 
 
-def known_places(scenario: Scenario, protocol: str = "tcp") -> dict[str, str]:
+def known_area_endpoints(scenario: Scenario, protocol: str = "tcp") -> dict[str, str]:
     """``choose_area_endpoints`` where every call comes to the same, for who has not started the areas.
 
     Raises:

@@ -22,7 +22,11 @@ def choose_backend(area: Area, backend: Backend = "auto") -> Literal["radial", "
     n_bus = len(area.network.buses)
     if backend == "radial" or (backend == "auto" and n_bus >= RADIAL_FROM):
         return "sparse" if find_why_not_radial(area.network) else "radial"
-    return "dense" if backend == "dense" or (backend == "auto" and n_bus < DENSE_BELOW) else "sparse"
+    return "dense" if _is_dense(area, backend) else "sparse"
+
+
+def _is_dense(area: Area, backend: Backend) -> bool:
+    return backend == "dense" or (backend == "auto" and len(area.network.buses) < DENSE_BELOW)
 
 
 def needs_compiled_code(area: Area) -> bool:
@@ -31,7 +35,7 @@ def needs_compiled_code(area: Area) -> bool:
 
 
 def make_rows(model: AreaMeasurements) -> Rows:
-    return DenseRows(model) if choose_backend(model.area, model.backend) == "dense" else SparseRows(model)
+    return DenseRows(model) if _is_dense(model.area, model.backend) else SparseRows(model)
 
 
 def make_linear(model: AreaMeasurements, rows: Rows) -> LinearArea:

@@ -22,15 +22,39 @@ class SparseRows(Rows):
     def __init__(self, area: AreaMeasurements) -> None:
         self._area = area
         self._n = len(area.area.network.buses)
+        self._at = b""  # the x of what is kept: steps, messages and variances ask for that of one state in turn
+        self._h: np.ndarray | None = None
+        self._H: sp.csr_array | None = None
+        self._boundaries: dict[str, tuple[np.ndarray, sp.csr_array]] = {}
 
     def predict(self, x: np.ndarray) -> np.ndarray:
-        return np.asarray(self._area.model.predict(x[: 2 * self._n]) + self._area.into_children @ x[2 * self._n :])
+        """See ``Rows``; not to be changed."""
+        self._move_to(x)
+        if self._h is None:
+            own = self._area.model.predict(x[: 2 * self._n])
+            self._h = np.asarray(own + self._area.into_children @ x[2 * self._n :])
+        return self._h
 
     def jacobian(self, x: np.ndarray) -> sp.csr_array:
-        own = self._area.model.jacobian(x[: 2 * self._n])
-        return sp.csr_array(sp.hstack([own, self._area.into_children], format="csr"))
+        """See ``Rows``; not to be changed."""
+        self._move_to(x)
+        if self._H is None:
+            own = self._area.model.jacobian(x[: 2 * self._n])
+            self._H = sp.csr_array(sp.hstack([own, self._area.into_children], format="csr"))
+        return self._H
 
     def boundary(self, x: np.ndarray, neighbour: Neighbour) -> tuple[np.ndarray, sp.csr_array]:
+        """See ``Rows``; not to be changed."""
+        self._move_to(x)
+        if neighbour.area not in self._boundaries:
+            self._boundaries[neighbour.area] = self._find_boundary(x, neighbour)
+        return self._boundaries[neighbour.area]
+
+    def _move_to(self, x: np.ndarray) -> None:
+        if (at := x.tobytes()) != self._at:
+            self._at, self._h, self._H, self._boundaries = at, None, None, {}
+
+    def _find_boundary(self, x: np.ndarray, neighbour: Neighbour) -> tuple[np.ndarray, sp.csr_array]:
         columns = self._area.boundary_columns(neighbour)
         if not neighbour.is_parent:
             return x[columns], self._select(columns)

@@ -163,3 +163,20 @@ def test_the_same_meters_read_anew_give_what_a_new_model_gives(backend):
     np.testing.assert_array_equal(old.with_readings(second).linear.step(x, {}), built.linear.step(x, {}))
     np.testing.assert_array_equal(old.linear.step(x, {}), before)
     assert abs(built.linear.step(x, {}) - before).max() > 1e-6
+
+
+@pytest.mark.parametrize("backend", ["sparse", "dense"])
+def test_rows_are_found_once_for_a_state_and_never_those_of_another(backend: Backend):
+    feeder = make_feeder(1, n_bus=12, n_area=3)
+    case = next(case for case in cases_of(feeder, np.random.default_rng(0), "dense") if case.sparse.area.parent)
+    model, x, parent = replace(case.sparse, backend=backend), case.x.copy(), case.sparse.area.parent
+    assert np.shares_memory(
+        *(H if backend == "dense" else H.data for H in (model.jacobian(x), model.jacobian(x.copy())))
+    )
+    before = model.predict(x).copy(), model.boundary(x, parent)[0].copy()
+    x += 1e-3
+    fresh = replace(model)
+    assert abs(model.predict(x) - before[0]).max() > 1e-6
+    assert abs(model.boundary(x, parent)[0] - before[1]).max() > 1e-6
+    np.testing.assert_array_equal(model.predict(x), fresh.predict(x))
+    np.testing.assert_array_equal(model.boundary(x, parent)[0], fresh.boundary(x, parent)[0])
