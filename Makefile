@@ -18,5 +18,5 @@ recovery:  ## how long deaths take to be noticed and made good
 exchange:  ## messages and virtual times of scans: feeders, rows, loss, long hops
 	$(PYTHON) -m benchmarks.exchange
 
-freeze-oracle:  ## golden answers of the centralised estimator, from the one of today: tests/golden/centralised/README.md
+freeze-oracle:  ## golden answers of the centralised estimator, from the present one: tests/golden/centralised/README.md
 	OPENBLAS_NUM_THREADS=1 PYTHONPATH=.:tests/protocol:tests/golden/centralised $(PYTHON) -m freeze

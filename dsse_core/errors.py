@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dsse_core.printable import listed, printable, printable_lines, shortened_inside
 
 BELIEVABLE = 5.0  # sigma; one reading in two million is farther off by noise alone
-MOST_SHOWN = 50  # problems of one input; who has more mends these first
+MOST_SHOWN = 50  # problems of one input that are shown; the rest is counted
 LONGEST_LINE = 1000  # characters; of a longer one the beginning, which says where, and the end, which says what to do
 MOST_NAMED = 100  # buses in one text
 POSITION = re.compile(r"\w\[\d+\]")

@@ -6,7 +6,7 @@
 ``area/<i>/heartbeat/<j>``      where area i stands in its rounds, and that it receives neighbour j
 ``area/<i>/admm/<j>``           the same of strategy admm
 ``area/<i>/load/<j>``           load messages of area i for neighbour j
-``area/<i>/state``              what area i knows, for whoever watches
+``area/<i>/state``              what area i knows, for watchers
 ``telemetry/<i>``               meter readings for area i, from the plant or a gateway
 ``clock``                       how long the run has lasted, from the coordinator; only injected faults count by it
 ``live/<role>/<name>/<incarnation>``   presence tokens of areas, plant and coordinator, one for each incarnation of a

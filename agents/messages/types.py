@@ -250,7 +250,7 @@ class ClockMessage:
 
 @dataclass(frozen=True, slots=True)
 class StateMessage:
-    """What an area knows and on what it rests, for whoever watches.
+    """What an area knows and on what it rests, for watchers.
 
     ``buses``, ``vm``, ``va``, ``sigma_vm``, ``sigma_va``: the estimate (empty before the first), p.u. and rad.
     ``referenced``: angles count from the substation. ``removed``: meters taken out as bad data.

@@ -42,7 +42,7 @@ Event = Received | Rejected | PresenceChanged | StopRequested
 
 @dataclass(frozen=True, slots=True)
 class Publish:
-    """Send ``message`` to neighbour ``to``, or show it to whoever watches (None)."""
+    """Send ``message`` to neighbour ``to``, or show it to watchers (None)."""
 
     message: Message
     to: str | None

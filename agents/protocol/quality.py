@@ -1,6 +1,6 @@
 """What a published state is worth, in one quality and why. docs/explanation/quality.md says what each quality promises.
 
-Whoever says anything of an estimate says it as a ``Finding``: a sentence, and the best quality that it leaves. The
+Everything that is said of an estimate is a ``Finding``: a sentence, and the best quality that it leaves. The
 quality of a state is the worst of its findings, and its notes are their sentences, the worst first. So neither can be
 without the other: a state that is not good has a note that says why, and one without such a note is good.
 """

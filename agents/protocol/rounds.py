@@ -172,7 +172,7 @@ class RoundsProtocol(AreaProtocol):
         return any(self._peers.is_present(name, self._now) for name in unacknowledged)
 
     def _enter_next_scan(self) -> Iterator[Action]:
-        """Leave this scan for a later one with readings, at its end: that comes, as whoever is silent is left out."""
+        """Leave this scan for a later one with readings, at its end: that comes, as silent neighbours are left out."""
         if self._scan.next_scan and self._is_at_rest and not self._owes_final():
             yield from self._enter((self._scan.next_scan, 0))
 

@@ -52,7 +52,7 @@ class FaultyLinks:
         self._began = at
 
     def send(self, message: Message, to: str | None, now: float) -> None:
-        """Hand ``message`` to the bus for neighbour ``to``, or for whoever watches (None; nothing befalls it)."""
+        """Hand ``message`` to the bus for neighbour ``to``, or for watchers (None; without faults)."""
         if to is None:
             self.put(None, message.kind, encode(self.with_counts(message)))
             return

@@ -1,4 +1,4 @@
-"""The log of a process: one printable line for each record, whoever chose the words in it."""
+"""The log of a process: one printable line for each record, whatever its words."""
 
 from __future__ import annotations
 

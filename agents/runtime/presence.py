@@ -29,7 +29,7 @@ def begin_incarnation() -> Incarnation:
 
 
 MAX_NAMES = 20_000  # that are kept in mind, and
-MAX_INCARNATIONS = 100  # of each: whoever may show tokens may show many
+MAX_INCARNATIONS = 100  # of each name: a process that may show tokens may show many
 
 
 class Presence:

@@ -128,7 +128,7 @@ def zenoh_access_control(access: Access, meets: Iterable[str]) -> dict[str, Any]
     """The rules for links with ``meets`` as Zenoh's configuration ``access_control``: what is not allowed is rejected.
 
     A link with anybody else, or with a revoked name, may be there, and nothing passes. What revoked names alone may
-    say is rejected whoever passes it on.
+    say is rejected, also where another process passes it on.
     """
     names = [name for name in meets if name not in access.revoked]
     rights = find_rights(access)

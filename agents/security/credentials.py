@@ -17,7 +17,7 @@ from dsse_core.errors import InvalidInputError
 
 @dataclass(frozen=True, slots=True)
 class Keys:
-    """The credentials of a process and the rules of its run: whoever has the ones applies the others to all its links.
+    """The credentials of a process and the rules of its run, which it applies to all its links.
 
     ``listens``: whether others call this process.
     """
@@ -54,7 +54,7 @@ def load_keys(folder: Path | None, name: str, run: str | None = None, *, listens
 
 
 def _load(folder: Path, name: str, run: str | None, listens: bool) -> Keys:
-    from agents.security.access_file import ACCESS_FILE, load_access  # whoever has no keys need not wait for it
+    from agents.security.access_file import ACCESS_FILE, load_access  # without keys nobody waits for it
 
     check_credentials(folder, [name], [name] if listens else [])
     access = load_access(folder / ACCESS_FILE)
@@ -71,7 +71,7 @@ def check_credentials(folder: Path, names: Sequence[str], listeners: Collection[
 
     ``listeners``: those of them that others call.
     """
-    from agents.security.certificate_checks import find_credential_problems  # whoever has no keys need not wait for it
+    from agents.security.certificate_checks import find_credential_problems  # without keys nobody waits for it
 
     problems = [
         problem

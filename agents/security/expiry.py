@@ -19,7 +19,7 @@ def describe_expiry(credentials: Credentials, now: datetime.datetime) -> list[st
 
     ``now``: with its time zone.
     """
-    from agents.security.certificate_checks import read_validity  # whoever has no keys need not wait for it
+    from agents.security.certificate_checks import read_validity  # without keys nobody waits for it
 
     lines = []
     for path in (credentials.authority, credentials.certificate):

@@ -295,7 +295,7 @@ def _reason(endpoints: Sequence[str], credentials: Credentials | None) -> str:
     """What a secured endpoint and we have against each other; empty if that is not the reason."""
     if credentials is None:
         return ""
-    from agents.security.certificate_checks import explain_rejection  # whoever has no keys need not wait for it
+    from agents.security.certificate_checks import explain_rejection  # without keys nobody waits for it
 
     reasons = {endpoint: explain_rejection(endpoint, credentials) for endpoint in endpoints}
     return "; ".join(f"{endpoint}: {reason}" for endpoint, reason in reasons.items() if reason)

@@ -47,7 +47,7 @@ def watch(
     as_json: bool,
     timeout: float,
 ) -> int:
-    """Watch the areas of a running system, whoever started it: what they estimate, receive and lack.
+    """Watch the areas of a running system, started by any command: what they estimate, receive and lack.
 
     Ctrl-C ends the watching and nothing else. Exit code 1: with --once, no area was received.
 

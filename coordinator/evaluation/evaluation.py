@@ -122,7 +122,7 @@ def evaluate(
     """Compare what the areas have published with the centralised estimate and the truth, and sum up.
 
     ``reason``: None at consensus. ``started``: when the run began on the observer's clock, s. ``faults``: kind -> how
-    often it has happened. ``duplicates``: whoever ran twice.
+    often it has happened. ``duplicates``: areas and plants that ran twice.
     """
     comparison = compare(scenario.partition, observer.states, telemetry.truth, centralised.report)
     return RunOutcome(

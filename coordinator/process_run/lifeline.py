@@ -1,6 +1,6 @@
 """A forked process ends with its parent, however that ends: by a pipe whose other end only the parent holds.
 
-The system closes that end with the parent, even at SIGKILL, and whoever reads the pipe learns of it at once, on every
+The system closes that end with the parent, even at SIGKILL, and the reader of the pipe learns of it at once, on every
 POSIX system. A signal ordered from the system (PR_SET_PDEATHSIG) would do on Linux only.
 """
 

@@ -24,7 +24,7 @@ from scenarios.scenario import Scenario
 from scenarios.telemetry import Telemetry
 
 ROUTER_START_S = 10.0
-NICE_OF_AREAS = 10  # hundreds that compute leave router and plant, and whoever starts the rest, what little these need
+NICE_OF_AREAS = 10  # hundreds that compute leave router, plant and the fork server the little that these need
 HELD_S = LONGEST_S  # for which a held scan stays
 
 

@@ -88,7 +88,7 @@ class AugmentedFactor:
     ``variance`` (n_meas,): sigma squared.
 
     Raises:
-        RuntimeError: the matrix is exactly singular, and no damping mends that.
+        RuntimeError: the matrix is exactly singular, and damping does not help.
     """
 
     def __init__(

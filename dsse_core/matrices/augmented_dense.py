@@ -19,7 +19,7 @@ class DenseFactor:
     ``variance`` (n_meas,): sigma squared.
 
     Raises:
-        RuntimeError: the matrix is exactly singular, and no damping mends that.
+        RuntimeError: the matrix is exactly singular, and damping does not help.
     """
 
     def __init__(self, H: np.ndarray, sigma: np.ndarray, damping: np.ndarray) -> None:

@@ -103,7 +103,7 @@ def test_a_key_given_twice_or_no_toml_is_rejected_in_the_same_words(tmp_path: Pa
     assert problem.startswith("not valid TOML: ")
 
 
-@pytest.mark.parametrize(("kind", "other"), permutations(KINDS, 2))
+@pytest.mark.parametrize(("kind", "other"), list(permutations(KINDS, 2)))
 def test_a_file_of_another_kind_is_called_by_its_name(tmp_path: Path, kind: str, other: str) -> None:
     path = tmp_path / "mine.toml"
     KINDS[other][0](path)
