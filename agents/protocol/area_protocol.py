@@ -191,9 +191,8 @@ class AreaProtocol(ABC):
         is_restart = peer.incarnation not in (None, message.header.incarnation)
         peer.is_owed_reply |= is_restart or not self._peers.receives(name, self._now)  # that it is received
         peer.take(message, self._now, self._now + self._clock_offset, is_awake=self._is_awake)
-        peer.is_owed_reply |= self._is_at_rest and peer.has_been_left_alone(
-            self._now
-        )  # it repeats until it receives us
+        is_asking = self._is_at_rest and peer.has_been_left_alone(self._now)  # it repeats until it receives us
+        peer.is_owed_reply |= is_asking
         if message.receives:
             self._peers.gone.pop(name, None)  # the token was lost, not the process
         return is_restart
@@ -235,12 +234,8 @@ class AreaProtocol(ABC):
     def _heartbeat(self, name: str) -> Publish:
         standing, peer = self._describe_standing(name), self._peers[name]
         plant, offset = self._scan.numbering
-        link: dict[str, Any] = {
-            "receives": False,
-            "answers": 0.0,
-            "received": (0, 0),
-            "complete": False,
-        }  # as it is sent
+        # what holds of the link is filled in as it is sent
+        link: dict[str, Any] = {"receives": False, "answers": 0.0, "received": (0, 0), "complete": False}
         standing |= link | describe_boundary(self._area, name)
         return self._publish(
             name, HeartbeatMessage(header=self._header(1), bus=peer.bus, **standing, plant=plant, offset=offset)

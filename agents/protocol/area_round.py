@@ -204,10 +204,7 @@ class AreaRound:
         parent = self._area.parent.area if self._area.parent else ""
         for name in lower:
             if name != parent:
-                yield (
-                    name,
-                    find_content(name),
-                )  # each as soon as it is known: it computes while others are still to receive
+                yield name, find_content(name)  # as soon as it is known: its receiver computes meanwhile
         for_parent = find_content(parent) if parent in lower else None
         estimation.carry_out(verdict, self._memory, known, no_load)
         if down is not None and down.power and self.towards_hub:

@@ -22,9 +22,8 @@ class StateLog:
     def take(self, state: StateMessage, at: float, is_new: bool) -> None:
         """Note ``state``, an area's newest, shown at time ``at``; ``is_new``: it says more than a repeat would."""
         area = state.header.sender
-        counted = Counter(
-            {kind: state.faults[kind] for kind in KINDS if kind in state.faults}
-        )  # a liar may make up more
+        # a liar may make up more kinds
+        counted = Counter({kind: state.faults[kind] for kind in KINDS if kind in state.faults})
         incarnation, before = self._counted.get(area, (state.header.incarnation, Counter()))
         before = before if incarnation == state.header.incarnation else Counter()
         more = counted - before
