@@ -69,9 +69,9 @@ def format_view(view: View) -> str:
 WATCHED = (
     "quality",
     "scan",
-    "received s ago",
-    "telemetry s old",
-    "neighbours s old",
+    "age s",
+    "telemetry s",
+    "neighbours s",
     "mismatch deg",
     "mismatch p.u.",
     "exchanges",

@@ -31,7 +31,9 @@ OF_RICH = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")  # how it draws: colours, and wh
 
 def terminal(folder: Path, *arguments: str) -> pexpect.spawn:
     """``dsse`` with ``arguments`` in a terminal of its own, 500 columns wide so that no text is broken."""
-    environment = {**ENVIRONMENT, "TERM": "xterm-256color"}
+    of_worker = ("COLUMNS", "LINES")  # a test worker's own, which would count more than the terminal's
+    environment = {name: value for name, value in ENVIRONMENT.items() if name not in of_worker}
+    environment["TERM"] = "xterm-256color"
     command, *first = COMMAND
     return pexpect.spawn(
         command,

@@ -31,7 +31,7 @@ def test_a_watcher_sees_a_system_whole_whose_coordinator_was_killed(start_run, d
         view = json.loads(done.stdout)
         assert view["run"] == run.events()[0]["run"]
         seen.update(view["areas"])
-        return all(area["state"] == "estimates" and area["gap_vm_pu"] < 1e-6 for area in seen.values())
+        return all(area["state"] == "estimates" and area["mismatch_vm_pu"] < 1e-6 for area in seen.values())
 
     wait_until(all_estimate)
     assert list(seen) == AREAS

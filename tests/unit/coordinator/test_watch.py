@@ -114,7 +114,7 @@ def test_what_an_area_says_is_shown_and_never_obeyed():
     table = format_view(watcher.look(0.0))
     assert table.replace("\n", "").isprintable()
     text = "".join(table.replace("│", "").split())  # cells may be broken into lines
-    for part in ("run[/run]", r"[/link]\x9b2J", r"[/nope]\x1b]0;own", ":smile:", r"\x1b[8m[/x]"):
+    for part in ("run[/run]", r"[/link]\x9b2J", r"[/nope]\x1b]0;owned", ":smile:", r"\x1b[8m[/x]"):
         assert part in text
 
 
