@@ -1,16 +1,16 @@
-"""Key expressions on the bus, all below ``dsse/v<wire version>/<run>/``; every chunk is made of ``[a-z0-9_-]``.
+"""Key expressions on the bus, all below ``dsse/v<wire version>/<run>/``; chunks are of letters, digits, ``_``, ``-``.
 
-==============================  ====================================================
-``area/<i>/boundary/<j>``       boundary messages of area i for neighbour j, angle-offset
-``area/<i>/up/<j>``, ``down``   messages of rounds of strategy information, towards the hub and from it
-``area/<i>/heartbeat/<j>``      where area i stands in its rounds, and that it receives neighbour j
-``area/<i>/admm/<j>``           the same of strategy admm
-``area/<i>/load/<j>``           load messages of area i for neighbour j
-``area/<i>/state``              what area i knows, for watchers
-``telemetry/<i>``               meter readings for area i, from the plant or a gateway
-``clock``                       how long the run has lasted, from the coordinator; only injected faults count by it
-``live/<role>/<name>/<incarnation>``   presence tokens of areas, plant and coordinator, one for each incarnation of a
-process ==============================  ====================================================
+=====================================  ============================================================================
+``area/<i>/boundary/<j>``              boundary messages of area i for neighbour j, angle-offset
+``area/<i>/up/<j>``, ``down``          messages of rounds of strategy information, towards the hub and from it
+``area/<i>/heartbeat/<j>``             where area i stands in its rounds, and that it receives neighbour j
+``area/<i>/admm/<j>``                  the same of strategy admm
+``area/<i>/load/<j>``                  load messages of area i for neighbour j
+``area/<i>/state``                     what area i knows, for watchers
+``telemetry/<i>``                      meter readings for area i, from the plant or a gateway
+``clock``                              how long the run has lasted, from the coordinator, for injected faults only
+``live/<role>/<name>/<incarnation>``   presence tokens of areas, plant and coordinator, one for each incarnation
+=====================================  ============================================================================
 """
 
 import re

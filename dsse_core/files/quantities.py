@@ -18,5 +18,5 @@ Milliseconds = Annotated[float, Field(ge=0, le=1000 * LONGEST_S)]
 Sigma = Annotated[float, Field(ge=SMALLEST_SIGMA, le=LARGEST_SIGMA)]
 Seed = Annotated[int, Field(ge=0)]
 Penalty = Annotated[float, Field(ge=1e-6, le=1e6)]
-Name = Annotated[str, StringConstraints(pattern=r"^[a-z0-9_-]+$", max_length=LONGEST_NAME)]
+Name = Annotated[str, StringConstraints(pattern=r"^[_a-z0-9-]+$", max_length=LONGEST_NAME)]
 """Of an area or a run: a part of keys on the bus, and of names in certificates."""

@@ -148,7 +148,7 @@ def test_the_access_file_brings_the_rules_back(tmp_path: Path):
         ('run = "r"', "neighbours: missing; area"),
         ('run = "r"\ncolour = 1\n[neighbours]\na = []', "colour: unknown key"),
         ('run = "r"\n[neighbours]\na = ["b"]\nb = []', "'b' does not name 'a' as its neighbour; add it there"),
-        ('run = "r"\n[neighbours]\n"a/**" = []', "neighbours.a/**: must match pattern '^[a-z0-9_-]+$'"),
+        ('run = "r"\n[neighbours]\n"a/**" = []', "neighbours.a/**: must match pattern '^[_a-z0-9-]+$'"),
         ("run = ", "not valid TOML"),
         ('run = "r"\n[neighbours]\nrouter = []', "no area can be called 'router', as another process is"),
         (
