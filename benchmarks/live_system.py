@@ -13,7 +13,7 @@ import numpy as np
 
 from agents.messages.keys import all_states, clock_key
 from agents.messages.packing import StateMessage, decode
-from agents.protocol.freshness import PATIENCE_HEARTBEATS, is_old
+from agents.peers.freshness import PATIENCE_HEARTBEATS, is_old
 from agents.runtime.presence import begin_incarnation
 from agents.security.access import COORDINATOR
 from coordinator.evaluation.comparison import rows_of

@@ -21,13 +21,13 @@ from agents.messages.packing import (
     Message,
     TelemetryMessage,
 )
-from agents.protocol.agreement import describe_boundary, find_contradiction
+from agents.peers.agreement import describe_boundary, find_contradiction
+from agents.peers.freshness import FRESH_HEARTBEATS, PASSED_ON_HEARTBEATS
+from agents.peers.peer_table import PeerTable
+from agents.peers.peers import M, Outgoing
+from agents.peers.rejections import CONTRADICTION, Rejections, find_rejection
 from agents.protocol.events import Action, Event, Finish, PresenceChanged, Publish, Received, Rejected, StopRequested
-from agents.protocol.freshness import FRESH_HEARTBEATS, PASSED_ON_HEARTBEATS
-from agents.protocol.peer_table import PeerTable
-from agents.protocol.peers import M, Outgoing
 from agents.protocol.published_state import PublishedState
-from agents.protocol.rejections import CONTRADICTION, Rejections, find_rejection
 from agents.protocol.scan_readings import ScanReadings
 from dsse_core.exchange.boundary_load import NetLoad, load_message_for
 

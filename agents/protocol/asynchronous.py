@@ -21,10 +21,11 @@ from agents.messages.packing import (
     Message,
     TelemetryMessage,
 )
+from agents.peers.freshness import FRESH_HEARTBEATS, PASSED_ON_HEARTBEATS
+from agents.peers.peers import Term
+from agents.peers.rejections import find_unreasonable
 from agents.protocol.area_protocol import AreaProtocol
 from agents.protocol.events import Action, Publish
-from agents.protocol.freshness import FRESH_HEARTBEATS, PASSED_ON_HEARTBEATS
-from agents.protocol.peers import Term
 from agents.protocol.quality import (
     DEGRADED,
     NONE,
@@ -39,7 +40,6 @@ from agents.protocol.quality import (
     find_rejected_clocks,
     weigh,
 )
-from agents.protocol.rejections import find_unreasonable
 from agents.strategies.interface import Estimate, Knowledge, Strategy
 from agents.strategies.start import find_no_load
 from dsse_core.exchange.boundary_load import NetLoad

@@ -9,9 +9,9 @@ from dataclasses import replace
 from typing import Any
 
 from agents.messages.packing import Header, StateMessage, content_of
-from agents.protocol.peer_table import PeerTable
+from agents.peers.peer_table import PeerTable
+from agents.peers.rejections import Rejections
 from agents.protocol.quality import Worth
-from agents.protocol.rejections import Rejections
 from agents.protocol.scan_readings import ScanReadings
 from agents.strategies.interface import Estimate
 from dsse_core.grid.partition import Area

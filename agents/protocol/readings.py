@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from agents.area_files.area_file import AreaFile
 from agents.messages.packing import TelemetryMessage
-from agents.protocol.rejections import find_reading_rejection
+from agents.peers.rejections import find_reading_rejection
 from dsse_core.exchange.boundary_load import NetLoad, measured_net_loads, own_net_load
 from dsse_core.grid.measurement import Measurement, Source
 

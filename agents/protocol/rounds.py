@@ -29,10 +29,10 @@ from agents.messages.packing import (
     UpMessage,
 )
 from agents.messages.triangle import write_triangle
+from agents.peers.peers import Peer, Term
 from agents.protocol.area_protocol import AreaProtocol
 from agents.protocol.area_round import AreaRound, Content, Decider, Outcome
 from agents.protocol.events import Action, Publish
-from agents.protocol.peers import Peer, Term
 from agents.protocol.rounds_state import RoundsState
 from agents.protocol.scan_readings import TelemetryUpdate
 from dsse_core.estimation.verdict import Totals

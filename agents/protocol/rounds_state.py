@@ -8,10 +8,11 @@ from dataclasses import replace
 
 from agents.area_files.area_file import AreaFile
 from agents.messages.packing import StateMessage
+from agents.peers.freshness import PASSED_ON_HEARTBEATS
+from agents.peers.peer_table import PeerTable
+from agents.peers.peers import Term
+from agents.peers.rejections import Rejections
 from agents.protocol.area_round import AreaRound, Outcome
-from agents.protocol.freshness import PASSED_ON_HEARTBEATS
-from agents.protocol.peer_table import PeerTable
-from agents.protocol.peers import Term
 from agents.protocol.published_state import PublishedState
 from agents.protocol.quality import (
     DEGRADED,
@@ -29,7 +30,6 @@ from agents.protocol.quality import (
     find_rejected_clocks,
     weigh,
 )
-from agents.protocol.rejections import Rejections
 from agents.protocol.scan_readings import ScanReadings
 from agents.strategies.interface import Estimate
 from dsse_core.estimation.residuals import chi_square_limit

@@ -12,7 +12,7 @@ from enum import Enum, auto
 
 from agents.area_files.area_file import AreaFile
 from agents.messages.packing import NO_INCARNATION, Incarnation, TelemetryMessage
-from agents.protocol.freshness import FRESH_HEARTBEATS, PATIENCE_HEARTBEATS, is_old
+from agents.peers.freshness import FRESH_HEARTBEATS, PATIENCE_HEARTBEATS, is_old
 from agents.protocol.readings import Readings
 
 MOST_AHEAD = (

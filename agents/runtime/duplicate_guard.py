@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from agents.messages.keys import incarnation_of
 from agents.messages.packing import Incarnation
-from agents.protocol.rejections import LONGEST_LEAD_S
+from agents.peers.rejections import LONGEST_LEAD_S
 from agents.runtime.presence import MAX_INCARNATIONS
 from dsse_core.errors import DsseError
 

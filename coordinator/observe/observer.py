@@ -16,7 +16,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from agents.messages.packing import StateMessage
-from agents.protocol.freshness import FRESH_HEARTBEATS, PATIENCE_HEARTBEATS, is_old
+from agents.peers.freshness import FRESH_HEARTBEATS, PATIENCE_HEARTBEATS, is_old
 from agents.protocol.quality import GOOD, NONE, STALE, UNOBSERVABLE, Worth, weigh_from_outside
 from dsse_core.grid.partition import Partition
 from dsse_core.printable import printable

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from agents.messages.keys import name_of_live, version_of
 from agents.messages.packing import WIRE_VERSION, StateMessage, describe_other_version
-from agents.protocol.freshness import is_old
+from agents.peers.freshness import is_old
 from agents.protocol.quality import NONE, weigh_from_outside
 from agents.runtime.presence import MAX_NAMES, Presence
 from coordinator.observe.duplicates import NOUNS, describe_duplicate

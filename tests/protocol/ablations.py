@@ -8,8 +8,8 @@ from contextlib import AbstractContextManager
 from typing import Any
 from unittest import mock
 
-from agents.protocol.peer_table import PeerTable
-from agents.protocol.peers import Peer
+from agents.peers.peer_table import PeerTable
+from agents.peers.peers import Peer
 from agents.protocol.rounds import RoundsProtocol
 from agents.protocol.scan_readings import ScanReadings, TelemetryUpdate
 

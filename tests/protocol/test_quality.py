@@ -12,7 +12,7 @@ from simulated_bus import SimulatedBus, area_files_of, with_links
 from tree_of_areas import tree_scenario
 
 from agents.messages.packing import HeartbeatMessage
-from agents.protocol.freshness import FRESH_HEARTBEATS, PATIENCE_HEARTBEATS
+from agents.peers.freshness import FRESH_HEARTBEATS, PATIENCE_HEARTBEATS
 from coordinator.simulator.simulate import Simulation
 from dsse_core.errors import NotObservableError
 from dsse_core.estimation.bad_data import process_bad_data

@@ -6,7 +6,7 @@ import pytest
 
 from agents.messages.keys import live_key
 from agents.messages.packing import Incarnation
-from agents.protocol.rejections import LONGEST_LEAD_S
+from agents.peers.rejections import LONGEST_LEAD_S
 from agents.runtime.duplicate_guard import OVERLAP_S, DuplicateGuard, ReplacedError
 
 START_MS = 1_700_000_000_000

@@ -7,9 +7,9 @@ from dataclasses import replace
 import pytest
 
 from agents.messages.packing import BoundaryMessage, Header, HeartbeatMessage, Incarnation, LoadMessage
-from agents.protocol.freshness import PATIENCE_HEARTBEATS
-from agents.protocol.peer_table import PeerTable
-from agents.protocol.peers import FIRST_WAIT_S, LEAST_LONGEST_WAIT_S, Peer
+from agents.peers.freshness import PATIENCE_HEARTBEATS
+from agents.peers.peer_table import PeerTable
+from agents.peers.peers import FIRST_WAIT_S, LEAST_LONGEST_WAIT_S, Peer
 from dsse_core.grid.partition import Neighbour
 
 HEARTBEAT_S = 0.2

@@ -9,7 +9,7 @@ import pytest
 from shown_states import said_by
 
 from agents.messages.packing import Header, Incarnation, StateMessage
-from agents.protocol.freshness import PATIENCE_HEARTBEATS
+from agents.peers.freshness import PATIENCE_HEARTBEATS
 from coordinator.observe.observer import Observer, Standing
 from coordinator.observe.progress import describe_progress
 from scenarios.scenario import load_scenario

@@ -8,8 +8,8 @@ from dataclasses import replace
 from typing import Any, TypeVar
 
 from agents.messages.packing import BoundaryUpdate, Header, HeartbeatMessage, LinkMessage
-from agents.protocol.freshness import FRESH_HEARTBEATS, PASSED_ON_HEARTBEATS, PATIENCE_HEARTBEATS
-from agents.protocol.peers import Peer, Term, term_of
+from agents.peers.freshness import FRESH_HEARTBEATS, PASSED_ON_HEARTBEATS, PATIENCE_HEARTBEATS
+from agents.peers.peers import Peer, Term, term_of
 from dsse_core.grid.partition import Neighbour
 
 M = TypeVar("M", bound=LinkMessage)
