@@ -15,7 +15,7 @@ import click  # noqa: E402
 from benchmarks.cases import SETS, SHARP  # noqa: E402
 from benchmarks.comparison import Limits, Row, compare, compare_draws  # noqa: E402
 from benchmarks.machine import describe_machine  # noqa: E402
-from benchmarks.methods import OURS, OURS_WITH_RESIDUALS, PEERS  # noqa: E402
+from benchmarks.methods.compared import OURS, OURS_WITH_RESIDUALS, PEERS  # noqa: E402
 from benchmarks.report import format_draws, format_estimates, write_report  # noqa: E402
 from dsse_core.errors import InvalidInputError  # noqa: E402
 

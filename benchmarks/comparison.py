@@ -9,7 +9,7 @@ from typing import TypeVar
 from benchmarks.cases import SHARP, build_case, build_network
 from benchmarks.limits import LimitedCallError, call_limited
 from benchmarks.machine import find_version
-from benchmarks.method import Method
+from benchmarks.methods.method import Method
 from benchmarks.timing import Draws, Outcome, measure, try_draws
 
 Answer = TypeVar("Answer")

@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from benchmarks.ours import PACKAGE
+from benchmarks.methods.ours import PACKAGE
 
 
 def find_version(package: str) -> str | None:

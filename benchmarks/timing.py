@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.cases import Case, build_case
-from benchmarks.method import Method, NotConvergedError, State
+from benchmarks.methods.method import Method, NotConvergedError, State
 from dsse_core.grid.network import Network
 
 FEWEST_RUNS = 3

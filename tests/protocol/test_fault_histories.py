@@ -11,8 +11,8 @@ import pytest
 from back_ends import back_end
 from click.testing import CliRunner
 
-from benchmarks import fault_histories
-from benchmarks.fault_history import GAP, HistoryOutcome, run_history
+from benchmarks.fault_histories import command as fault_histories
+from benchmarks.fault_histories.history import GAP, HistoryOutcome, run_history
 
 
 @pytest.mark.random_cases(few=6, many=1000)

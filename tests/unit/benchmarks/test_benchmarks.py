@@ -14,8 +14,8 @@ import pytest
 from benchmarks import comparison
 from benchmarks.cases import build_case, build_network
 from benchmarks.limits import GIB, LimitedCallError, call_limited
-from benchmarks.methods import OURS, OURS_WITH_RESIDUALS, PEERS
-from benchmarks.physical import describe_lines
+from benchmarks.methods.compared import OURS, OURS_WITH_RESIDUALS, PEERS
+from benchmarks.methods.physical import describe_lines
 from dsse_core.errors import InvalidInputError
 
 pytestmark = [pytest.mark.long, pytest.mark.xdist_group("benchmarks")]

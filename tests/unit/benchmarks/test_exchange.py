@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.exchange import QUICK, predict, summarise, write_line
-from benchmarks.exchange_watch import WatchedBus
-from benchmarks.exchange_worlds import draw_feeder, draw_row
+from benchmarks.exchange.command import QUICK, predict, summarise, write_line
+from benchmarks.exchange.watch import WatchedBus
+from benchmarks.exchange.worlds import draw_feeder, draw_row
 
 pytestmark = pytest.mark.long
 

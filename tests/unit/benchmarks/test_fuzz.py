@@ -5,8 +5,8 @@ import tomllib
 
 import pytest
 
-from benchmarks.fuzz import FINDING, make_input, try_input
-from benchmarks.fuzz_targets import TARGETS
+from benchmarks.fuzz.command import FINDING, make_input, try_input
+from benchmarks.fuzz.targets import TARGETS
 
 pytestmark = pytest.mark.long
 
@@ -38,12 +38,12 @@ def test_a_module_that_a_file_has_imported_is_a_finding(monkeypatch, tmp_path):
 
 def test_a_key_given_twice_and_a_deep_one_that_are_read_are_findings(monkeypatch, tmp_path):
     monkeypatch.setattr("dsse_core.files.strict_table.parse_json", json.loads)
-    monkeypatch.setattr("benchmarks.fuzz_parsing.parse_toml", tomllib.loads)
+    monkeypatch.setattr("benchmarks.fuzz.parsing.parse_toml", tomllib.loads)
     for name, what in (("lenient-network.json", "a key is given twice"), ("keys.toml", "parts was accepted")):
         outcomes = (try_input(name, make_input(name, 1, number), tmp_path) for number in range(200))
         assert any(outcome.startswith("FINDING: TwoReadingsError") and what in outcome for outcome in outcomes)
 
 
 def test_anything_else_is_a_finding(monkeypatch, tmp_path):
-    monkeypatch.setattr("benchmarks.fuzz_targets.messages.decode", lambda *_: 1 / 0)
+    monkeypatch.setattr("benchmarks.fuzz.targets.messages.decode", lambda *_: 1 / 0)
     assert try_input("messages", b"", tmp_path).startswith("FINDING: ZeroDivisionError in test_fuzz.py")

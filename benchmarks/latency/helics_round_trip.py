@@ -9,6 +9,7 @@ import time
 from importlib.util import find_spec
 from typing import Any
 
+THIS = "benchmarks.latency.helics_round_trip"
 LIMIT_S = 60.0
 FOREVER = 1e9  # of federation time
 ASK, ANSWER = "ask", "answer"
@@ -18,7 +19,7 @@ def time_helics_round_trips(size: int, count: int) -> list[float] | str:
     """Seconds of ``count`` round trips of ``size`` bytes, or why there are none."""
     if find_spec("helics") is None:
         return "not installed"
-    command = [sys.executable, "-m", "benchmarks.helics_round_trip", ASK, str(size), str(count)]
+    command = [sys.executable, "-m", THIS, ASK, str(size), str(count)]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT_S, check=True)
     except subprocess.TimeoutExpired:
@@ -33,7 +34,7 @@ def _ask(size: int, count: int) -> None:
     import helics
 
     broker = helics.helicsCreateBroker("zmq", "", "--federates=2")
-    with subprocess.Popen([sys.executable, "-m", "benchmarks.helics_round_trip", ANSWER, str(size), str(count)]):
+    with subprocess.Popen([sys.executable, "-m", THIS, ANSWER, str(size), str(count)]):
         federate, endpoint = _join(ASK)
         times = []
         for _ in range(count):

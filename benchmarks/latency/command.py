@@ -22,9 +22,9 @@ from agents.messages.keys import all_incarnations, all_states, telemetry_key
 from agents.messages.packing import StateMessage, decode
 from agents.runtime.presence import begin_incarnation
 from agents.transport.zenoh_bus import Session
-from benchmarks.helics_round_trip import time_helics_round_trips
+from benchmarks.latency.helics_round_trip import time_helics_round_trips
+from benchmarks.latency.timed_agent import PING, PONG
 from benchmarks.machine import describe_machine
-from benchmarks.timed_agent import PING, PONG
 from coordinator.deployment.split import write_area_files
 from coordinator.evaluation.evaluation import estimate_centralised, prepare_scenario
 from coordinator.plant.telemetry_messages import make_payloads
@@ -91,7 +91,7 @@ def _make_scan(scenario: Scenario, payloads: dict[str, bytes], draw: int) -> Sca
 @contextmanager
 def _start(scenario: Scenario, launcher: Launcher, folder: Path) -> Iterator[Session]:
     """Router, echo and agents as processes, and a session of ours; all are there."""
-    launcher.preload("coordinator.process_run.router_process", "benchmarks.timed_agent")
+    launcher.preload("coordinator.process_run.router_process", "benchmarks.latency.timed_agent")
     said = folder / "router.endpoints"
     arguments = ["--listen", "tcp/127.0.0.1:0", "--endpoints-file", str(said)]
     launcher.start(
@@ -99,7 +99,7 @@ def _start(scenario: Scenario, launcher: Launcher, folder: Path) -> Iterator[Ses
     )
     _wait(said.exists)
     endpoint = said.read_text().split()[0]
-    launcher.start("echo", "benchmarks.timed_agent:run_echo", endpoint, log=folder / "echo.log")
+    launcher.start("echo", "benchmarks.latency.timed_agent:run_echo", endpoint, log=folder / "echo.log")
     present: set[str] = set()
     with Session.connect([endpoint]) as session:
         session.watch_presence(
@@ -107,7 +107,7 @@ def _start(scenario: Scenario, launcher: Launcher, folder: Path) -> Iterator[Ses
         )
         for area, path in write_area_files(scenario, RUN, [endpoint], folder / "areas", suffix=".json"):
             order = (str(path), str(folder / f"{area}.timing"))
-            launcher.start(area, "benchmarks.timed_agent:run_timed_agent", *order, log=folder / f"{area}.log")
+            launcher.start(area, "benchmarks.latency.timed_agent:run_timed_agent", *order, log=folder / f"{area}.log")
         _wait(lambda: len(present) == len(scenario.partition.areas))
         yield session
 
@@ -189,7 +189,3 @@ def _wait(done: Callable[[], bool]) -> None:
         if time.monotonic() > deadline:
             raise DsseError(f"the processes are not there after {DEADLINE_S:g} s")
         time.sleep(0.01)
-
-
-if __name__ == "__main__":
-    main(prog_name="python -m benchmarks.latency")

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.cases import Case
-from benchmarks.method import MAX_ITERATIONS, TOLERANCE, State
-from benchmarks.physical import LineNetwork, describe_lines
+from benchmarks.methods.method import MAX_ITERATIONS, TOLERANCE, State
+from benchmarks.methods.physical import LineNetwork, describe_lines
 
 FREQUENCY_HZ = 50.0
 

@@ -14,9 +14,9 @@ from dataclasses import asdict, dataclass
 
 import click
 
-from benchmarks.exchange_watch import ScanFigures, WatchedBus
-from benchmarks.exchange_worlds import SCANS, draw_feeder, draw_row, read_ieee33
-from benchmarks.fault_history import World
+from benchmarks.exchange.watch import ScanFigures, WatchedBus
+from benchmarks.exchange.worlds import SCANS, draw_feeder, draw_row, read_ieee33
+from benchmarks.fault_histories.history import World
 from benchmarks.machine import describe_machine
 
 EXACT = "information"
@@ -237,7 +237,3 @@ def _finite(value: object) -> object:
     if isinstance(value, tuple):
         return [_finite(part) for part in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-if __name__ == "__main__":
-    main(prog_name="python -m benchmarks.exchange")

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from benchmarks.method import Method
-from benchmarks.ours import Ours
-from benchmarks.peer_gridstate import GridstateMethod
-from benchmarks.peer_pandapower import PandapowerMethod
-from benchmarks.peer_power_grid_model import PowerGridModelMethod
+from benchmarks.methods.gridstate import GridstateMethod
+from benchmarks.methods.method import Method
+from benchmarks.methods.ours import Ours
+from benchmarks.methods.pandapower import PandapowerMethod
+from benchmarks.methods.power_grid_model import PowerGridModelMethod
 
 OURS: tuple[Method, ...] = (Ours("ours, radial", "radial"), Ours("ours, sparse", "sparse"))
 """Every peer is timed beside each of these; ratios are given to each."""

@@ -24,7 +24,7 @@ from typing import Any
 
 import click
 
-from benchmarks.fuzz_targets import TARGETS
+from benchmarks.fuzz.targets import TARGETS
 from benchmarks.limits import GIB
 
 GROUPS = {
@@ -175,7 +175,3 @@ def main(group: str, count: int, only: str | None, seed: int, workers: int, out:
         bad |= bool(findings)
     if bad:
         raise SystemExit(1)
-
-
-if __name__ == "__main__":
-    main(prog_name="python -m benchmarks.fuzz")

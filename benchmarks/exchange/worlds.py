@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.fault_history import World, draw_meters, read_meters
+from benchmarks.fault_histories.history import World, draw_meters, read_meters
 from dsse_core.estimation.bad_data import process_bad_data
 from dsse_core.grid.division import build_partition
 from dsse_core.grid.measurement import Measurement, Meter

@@ -24,8 +24,8 @@ from agents.area_files.reader import load_area_file
 from agents.messages import packing as messages
 from agents.messages.boundary_variables import ONE_PHASE
 from agents.messages.checks import MessageError
-from benchmarks import fuzz_parsing
-from benchmarks.fuzz_mutations import STEERING, spoil_bytes, spoil_text, spoil_tree
+from benchmarks.fuzz import parsing
+from benchmarks.fuzz.mutations import STEERING, spoil_bytes, spoil_text, spoil_tree
 from coordinator.deployment.split import area_files
 from coordinator.observe.live import format_view
 from coordinator.observe.watch import Watcher
@@ -255,9 +255,9 @@ def _file_target(samples: Callable[[], tuple[bytes, ...]], language: str, load: 
 
 def _lenient_target(samples: Callable[[], tuple[bytes, ...]], load: Callable[[Path], object]) -> Target:
     def make(rng: random.Random) -> bytes:
-        return fuzz_parsing.spoil_json(rng, rng.choice(samples()).decode()).encode("utf-8", "surrogatepass")
+        return parsing.spoil_json(rng, rng.choice(samples()).decode()).encode("utf-8", "surrogatepass")
 
-    return Target(make, fuzz_parsing.read_json(load))
+    return Target(make, parsing.read_json(load))
 
 
 def _load_readings(path: Path) -> object:
@@ -274,11 +274,11 @@ TARGETS: dict[str, Target] = {
     "readings.csv": _file_target(readings_samples, "text", _load_readings),
     "matpower.m": _file_target(matpower_samples, "text", import_grid),
     "pandapower.json": _file_target(pandapower_samples, "json", import_grid),
-    "keys.toml": Target(fuzz_parsing.make_keys, fuzz_parsing.read_keys),
+    "keys.toml": Target(parsing.make_keys, parsing.read_keys),
     "lenient-network.json": _lenient_target(network_samples_as_json, load_network),
     "lenient-area.json": _lenient_target(area_samples_as_json, load_area_file),
     "lenient-power_grid_model.json": _lenient_target(power_grid_model_samples, import_grid),
-    "foreign-pandapower.json": Target(fuzz_parsing.make_pandapower(pandapower_samples), fuzz_parsing.read_pandapower),
+    "foreign-pandapower.json": Target(parsing.make_pandapower(pandapower_samples), parsing.read_pandapower),
     "power_grid_model.json": _file_target(power_grid_model_samples, "json", import_grid),
 }
 """Name, which for files is that of the input, -> target."""

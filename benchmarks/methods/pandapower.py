@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.cases import Case
-from benchmarks.method import MAX_ITERATIONS, TOLERANCE, NotConvergedError, State
-from benchmarks.physical import describe_lines
+from benchmarks.methods.method import MAX_ITERATIONS, TOLERANCE, NotConvergedError, State
+from benchmarks.methods.physical import describe_lines
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from agents.messages.packing import Message, StateMessage, decode
 from agents.protocol.quality import GOOD
-from benchmarks.fault_history import World
+from benchmarks.fault_histories.history import World
 from coordinator.simulator.simulator import SimulatedBus
 from dsse_core.link_faults import LinkFaults
 

@@ -18,7 +18,7 @@ import click  # noqa: E402
 from rich.console import Console  # noqa: E402
 from rich.progress import track  # noqa: E402
 
-from benchmarks.fault_history import GAP, HistoryOutcome, run_history  # noqa: E402
+from benchmarks.fault_histories.history import GAP, HistoryOutcome, run_history  # noqa: E402
 from dsse_core.linear import choose  # noqa: E402
 
 COLUMNS = tuple(field.name for field in fields(HistoryOutcome))
@@ -96,7 +96,3 @@ def _run(seeds: Sequence[int], jobs: int) -> Iterator[HistoryOutcome]:
 def _start_worker() -> None:
     """In a process of its own, small areas, too, use the compiled back end, where there is one: it is faster."""
     choose.RADIAL_FROM = 0
-
-
-if __name__ == "__main__":
-    main()

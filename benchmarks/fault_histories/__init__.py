@@ -1,0 +1,1 @@
+"""``python -m benchmarks.fault_histories``: seeded histories of faults on the simulator."""

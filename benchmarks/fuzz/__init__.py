@@ -1,0 +1,1 @@
+"""``python -m benchmarks.fuzz``: hostile inputs for every decoder."""
