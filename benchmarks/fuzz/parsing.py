@@ -14,7 +14,7 @@ from typing import Any
 from dsse_core.errors import InvalidInputError
 from dsse_core.files.bounded_parsing import DEEPEST_KEY, parse_json, parse_toml
 from scenarios.importers import import_grid
-from scenarios.importers.pandapower_objects import write_anew
+from scenarios.importers.pandapower.objects import write_anew
 
 CANARY = "tabnanny"  # a harmless module that nobody here imports
 LENIENT = (

@@ -39,7 +39,7 @@ def import_grid(path: Path, *, name: str | None = None, frequency_hz: float = 50
 
 def _read(path: Path, frequency_hz: float) -> Imported:
     if path.suffix == ".m":
-        from scenarios.importers.matpower import read_matpower
+        from scenarios.importers.matpower.reader import read_matpower
 
         return read_matpower(path)
     if path.suffix != ".json":
@@ -51,7 +51,7 @@ def _read(path: Path, frequency_hz: float) -> Imported:
     except ValueError as error:
         raise InvalidInputError(str(path), [f"not JSON: {error}"]) from None
     if isinstance(content, dict) and content.get("_class") == "pandapowerNet":
-        from scenarios.importers.pandapower import read_pandapower
+        from scenarios.importers.pandapower.reader import read_pandapower
 
         return read_pandapower(path, content)
     if isinstance(content, dict) and "is_batch" in content and "data" in content:
@@ -60,7 +60,7 @@ def _read(path: Path, frequency_hz: float) -> Imported:
                 f"power-grid-model data of type {content.get('type')!r}, batch {content['is_batch']}; give input data"
             )
             raise InvalidInputError(str(path), [problem])
-        from scenarios.importers.power_grid_model import read_power_grid_model
+        from scenarios.importers.power_grid_model.reader import read_power_grid_model
 
         return read_power_grid_model(path, content, frequency_hz)
     raise InvalidInputError(

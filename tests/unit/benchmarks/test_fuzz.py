@@ -28,7 +28,7 @@ def test_spoilt_input_is_accepted_or_rejected(name, random_seed, tmp_path):
 
 
 def test_a_module_that_a_file_has_imported_is_a_finding(monkeypatch, tmp_path):
-    monkeypatch.setattr("scenarios.importers.pandapower.write_anew", lambda _, tree: json.dumps(tree))
+    monkeypatch.setattr("scenarios.importers.pandapower.reader.write_anew", lambda _, tree: json.dumps(tree))
     outcomes = (
         try_input("foreign-pandapower.json", make_input("foreign-pandapower.json", 1, number), tmp_path)
         for number in range(9, 12)

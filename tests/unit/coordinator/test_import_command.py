@@ -79,7 +79,7 @@ def test_more_areas_than_the_network_has_are_rejected(dsse, tmp_path: Path, case
 def test_an_import_that_cannot_be_estimated_leaves_no_folder_behind(
     dsse, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, case: Path
 ) -> None:
-    from scenarios.importers import matpower
+    from scenarios.importers.matpower import reader as matpower
 
     read = matpower.read_matpower
     one = (Measurement(Meter(MeasurementKind.VM, 1), 1.0, 0.01),)

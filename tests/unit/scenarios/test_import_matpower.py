@@ -348,7 +348,7 @@ def test_no_field_and_no_column_is_left_out_in_silence(tmp_path: Path) -> None:
 DEADLINE_S = 120
 PROBE = """
 import sys
-from scenarios.importers.matpower_program import run_program
+from scenarios.importers.matpower.program import run_program
 print(len(run_program(sys.stdin.read()).problems))
 """
 ENDLESS = {

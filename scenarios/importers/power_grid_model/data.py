@@ -10,8 +10,8 @@ from typing import Any
 from dsse_core.errors import InvalidInputError
 from dsse_core.printable import listed, on_one_line
 from scenarios.importers.imported import Remark, load_extra
-from scenarios.importers.power_grid_model_attributes import find_descriptions, find_unknown_attributes
-from scenarios.importers.power_grid_model_branches import BUILDERS
+from scenarios.importers.power_grid_model.attributes import find_descriptions, find_unknown_attributes
+from scenarios.importers.power_grid_model.branches import BUILDERS
 
 APPLIANCES = {"sym_load": -1, "sym_gen": 1}
 """Component -> sign of its power as an injection."""

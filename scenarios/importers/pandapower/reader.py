@@ -27,12 +27,12 @@ from scenarios.importers.imported import (
     loop_shunt,
     open_end_shunt,
 )
-from scenarios.importers.matpower import BR_B, BS, BUS_I, F_BUS, GS, SHIFT, T_BUS, TAP
-from scenarios.importers.matpower_program import BASE_KV, BR_R, BR_X, PD, QD
-from scenarios.importers.pandapower_checks import find_broken, find_constant_currents, find_unsupported
-from scenarios.importers.pandapower_measurements import Conversion, read_measurements
-from scenarios.importers.pandapower_objects import write_anew
-from scenarios.importers.pandapower_unread import find_unread
+from scenarios.importers.matpower.program import BASE_KV, BR_R, BR_X, PD, QD
+from scenarios.importers.matpower.reader import BR_B, BS, BUS_I, F_BUS, GS, SHIFT, T_BUS, TAP
+from scenarios.importers.pandapower.checks import find_broken, find_constant_currents, find_unsupported
+from scenarios.importers.pandapower.measurements import Conversion, read_measurements
+from scenarios.importers.pandapower.objects import write_anew
+from scenarios.importers.pandapower.unread import find_unread
 
 BRANCHES = ("line", "trafo", "impedance", "switch")
 COUNTED = ("line", "trafo", "impedance", "load", "gen", "shunt", "ward", "motor", "storage")

@@ -28,8 +28,8 @@ from scenarios.importers.imported import (
     loop_shunt,
     open_end_shunt,
 )
-from scenarios.importers.power_grid_model_branches import BUILDERS
-from scenarios.importers.power_grid_model_data import (
+from scenarios.importers.power_grid_model.branches import BUILDERS
+from scenarios.importers.power_grid_model.data import (
     APPLIANCES,
     IGNORED,
     SENSORS,
@@ -40,7 +40,7 @@ from scenarios.importers.power_grid_model_data import (
     rows,
     working_sources,
 )
-from scenarios.importers.power_grid_model_sensors import Conversion, read_sensors
+from scenarios.importers.power_grid_model.sensors import Conversion, read_sensors
 
 BASE_VA = 1e6
 IN_PARALLEL = "links join its two ends, it carries nothing; what it draws stays as a shunt"

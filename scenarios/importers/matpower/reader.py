@@ -19,7 +19,7 @@ from scenarios.importers.imported import (
     leave_out_islands,
     without_buses,
 )
-from scenarios.importers.matpower_program import BASE_KV, BR_R, BR_X, PD, QD, Case, Matrix, run_program
+from scenarios.importers.matpower.program import BASE_KV, BR_R, BR_X, PD, QD, Case, Matrix, run_program
 
 BUS_I, BUS_TYPE, GS, BS, VA_BUS = 0, 1, 4, 5, 8
 F_BUS, T_BUS, BR_B, TAP, SHIFT, BR_STATUS = 0, 1, 4, 8, 9, 10

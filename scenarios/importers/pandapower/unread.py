@@ -13,7 +13,7 @@ from typing import Any
 from dsse_core.files.wording import Suggestions
 from dsse_core.printable import listed, shortened
 from scenarios.importers.imported import Remark
-from scenarios.importers.pandapower_checks import ALL_COLUMNS
+from scenarios.importers.pandapower.checks import ALL_COLUMNS
 
 LONGEST_SHOWN = 80  # characters of a name
 NOT_NEEDED = {"bus_geodata", "line_geodata", "characteristic", "poly_cost", "pwl_cost", "group", "measurement"}

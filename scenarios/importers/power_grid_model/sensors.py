@@ -18,7 +18,7 @@ from dsse_core.grid.network import Network
 from dsse_core.limits import LARGEST_SIGMA
 from dsse_core.printable import listed
 from scenarios.importers.imported import SAYS_NOTHING, Remark, combine_readings, sum_readings
-from scenarios.importers.power_grid_model_data import APPLIANCES, Data, rows
+from scenarios.importers.power_grid_model.data import APPLIANCES, Data, rows
 
 KIND = MeasurementKind
 BASE_VA = 1e6

@@ -1,0 +1,1 @@
+"""Networks of MATPOWER: case files, version 2."""

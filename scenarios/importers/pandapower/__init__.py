@@ -1,0 +1,1 @@
+"""Networks and measurements of pandapower, as `to_json` writes them."""
