@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from feeders import make_feeder
 from grids import MeterShares, make_grid, with_gross_errors
-from test_imported_cases import MATPOWER, PANDAPOWER, make_pandapower, scenario_of
+from imported_cases import MATPOWER, PANDAPOWER, make_pandapower, scenario_of
 
 from dsse_core.grid.measurement import Measurement
 from dsse_core.grid.network import Network

@@ -12,9 +12,9 @@ import pytest
 from comparison import SIGMA, STATE, Answer, find_differences, fits_better
 from dense_reference import DenseAnswer, NoReferenceError, estimate_densely
 from freeze import TOLERANCE
+from imported_cases import MATPOWER, PANDAPOWER
 from oracle import Frozen, hash_of, load_oracle, numbers_of
 from oracle_cases import Readings, read_again
-from test_imported_cases import MATPOWER, PANDAPOWER
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.bad_data import process_bad_data

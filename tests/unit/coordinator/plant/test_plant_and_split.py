@@ -159,7 +159,7 @@ def test_a_plant_of_neighbours_on_free_ports_says_what_to_do(tmp_path: Path):
 
 def scenario_of_neighbours(folder: Path, more: str = "") -> Path:
     path = folder / "near.toml"
-    shipped = Path(__file__).parents[3] / "scenarios" / "shipped" / "ieee33.toml"
+    shipped = Path(__file__).parents[4] / "scenarios" / "shipped" / "ieee33.toml"
     path.write_text(f'{shipped.read_text()}\n[transport]\nkind = "neighbours"\n{more}\n')
     return path
 

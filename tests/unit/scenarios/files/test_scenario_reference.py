@@ -11,7 +11,7 @@ from pydantic.fields import FieldInfo
 from dsse_core.files.strict_table import Table
 from scenarios.files import fault_tables, network_file, scenario_file
 
-REFERENCE = Path(__file__).parents[3] / "docs" / "reference" / "scenario-files.md"
+REFERENCE = Path(__file__).parents[4] / "docs" / "reference" / "scenario-files.md"
 
 TABLE_OF_HEADING: dict[str, list[type[Table]]] = {
     "Scenario file": [scenario_file.ScenarioFile],

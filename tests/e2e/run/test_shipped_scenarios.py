@@ -14,7 +14,7 @@ from agents.runtime.link_faults import draw_fate
 from coordinator.evaluation.result import RunResult
 from scenarios.scenario import Scenario, load_scenario
 
-GOLDEN = Path(__file__).parents[1] / "golden"
+GOLDEN = Path(__file__).parents[2] / "golden"
 
 # (p.u., degrees) to the centralised estimate and to the truth: five standard deviations of what an area knows.
 #

@@ -25,7 +25,7 @@ from dsse_core.estimation.bad_data import process_bad_data
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[4]
 SHIFT = np.radians(0.5)  # of area2's published angles
 
 

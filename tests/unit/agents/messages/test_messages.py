@@ -415,7 +415,7 @@ def test_a_restarted_area_is_newer_than_its_past_whatever_the_sequence():
 
 @pytest.mark.parametrize("kind", sorted(MESSAGE_TYPES))
 def test_the_documentation_gives_every_message_as_it_is_packed(kind):
-    page = (Path(__file__).parents[3] / "docs" / "reference" / "messages.md").read_text()
+    page = (Path(__file__).parents[4] / "docs" / "reference" / "messages.md").read_text()
     (row,) = (line for line in page.splitlines() if line.startswith(f"| `{kind}` | ") and line.count("|") == 3)
     names = [field.name for field in fields(MESSAGE_TYPES[kind])]
     assert row == f"| `{kind}` | {', '.join(names[1:])} |"

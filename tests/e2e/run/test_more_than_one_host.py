@@ -51,7 +51,7 @@ def test_the_command_of_every_unit_is_one_that_dsse_knows(dsse, name: str):
 def test_a_host_that_is_cut_off_is_noticed_and_rejoins_when_its_link_is_back(tmp_path: Path):
     if reason := why_no_namespaces():
         pytest.skip(f"network namespaces are not allowed here: {reason}")
-    script = Path(__file__).with_name("three_hosts.py")
+    script = Path(__file__).parents[1] / "three_hosts.py"
     process = subprocess.Popen(
         [*OWN_NETWORK, sys.executable, "-P", str(script), str(tmp_path)],
         env={**ENVIRONMENT, "PYTHONPATH": os.pathsep.join([ENVIRONMENT["PYTHONPATH"], str(script.parent)])},
