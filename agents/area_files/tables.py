@@ -17,13 +17,13 @@ from dsse_core.files.quantities import (
     Moment,
     Name,
     NotNegative,
-    Penalty,
     Positive,
     Probability,
     ScanSeconds,
     Seconds,
     Seed,
 )
+from dsse_core.files.shared_tables import AdmmTable, GenerationTable, require_a_band
 from dsse_core.files.strict_table import FileTable, Table
 from dsse_core.grid.measurement import Meter
 from dsse_core.grid.network import Branch, Bus, Generator
@@ -57,18 +57,11 @@ class ExchangeTable(Table):
     entry_va: float = Field(description="angle there in rad")
 
 
-class LoadMessagesTable(Table):
+class LoadMessagesTable(GenerationTable):
     """``[load_messages]``."""
 
-    generation: Literal["telemetered", "scheduled"] = "telemetered"
     p_error: float = 0.0
     q_error: float = 0.0
-
-
-class AdmmTable(Table):
-    """``[admm]``."""
-
-    penalty: Penalty = 1.0
 
 
 class QualityTable(Table):
@@ -80,9 +73,7 @@ class QualityTable(Table):
 
     @model_validator(mode="after")
     def _is_a_band(self) -> Self:
-        if self.lowest_vm >= self.highest_vm:
-            raise ValueError(f"lowest_vm is {self.lowest_vm}; it must be below highest_vm, {self.highest_vm}")
-        return self
+        return require_a_band(self, "lowest_vm", "highest_vm")
 
 
 class ColumnsTable(Table):

@@ -11,7 +11,6 @@ from dsse_core.files.kinds import SCENARIO_FILE, FileKind
 from dsse_core.files.quantities import (
     Name,
     NotNegative,
-    Penalty,
     Positive,
     Probability,
     ScanSeconds,
@@ -19,6 +18,7 @@ from dsse_core.files.quantities import (
     Seed,
     Sigma,
 )
+from dsse_core.files.shared_tables import AdmmTable, GenerationTable, require_a_band
 from dsse_core.files.strict_table import FileTable, Table
 from dsse_core.limits import LONGEST_NAME
 from scenarios.files.fault_tables import FaultsTable
@@ -195,18 +195,6 @@ class TelemetryTable(Table):
         return self
 
 
-class LoadMessagesTable(Table):
-    """``[load_messages]``."""
-
-    generation: Literal["telemetered", "scheduled"] = "telemetered"
-
-
-class AdmmTable(Table):
-    """``[admm]``."""
-
-    penalty: Penalty = 1.0
-
-
 class QualityTable(Table):
     """``[quality]``."""
 
@@ -216,11 +204,7 @@ class QualityTable(Table):
 
     @model_validator(mode="after")
     def _is_a_band(self) -> Self:
-        if self.lowest_vm_pu >= self.highest_vm_pu:
-            raise ValueError(
-                f"lowest_vm_pu is {self.lowest_vm_pu}; it must be below highest_vm_pu, {self.highest_vm_pu}"
-            )
-        return self
+        return require_a_band(self, "lowest_vm_pu", "highest_vm_pu")
 
 
 class TolerancesTable(Table):
@@ -283,7 +267,7 @@ class ScenarioFile(FileTable):
     )
     measurements: MeasurementsTable = MeasurementsTable()
     telemetry: TelemetryTable = TelemetryTable()
-    load_messages: LoadMessagesTable = LoadMessagesTable()
+    load_messages: GenerationTable = GenerationTable()
     admm: AdmmTable = AdmmTable()
     faults: FaultsTable = FaultsTable()
     quality: QualityTable = QualityTable()

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from pydantic.fields import FieldInfo
 
+from dsse_core.files import shared_tables
 from dsse_core.files.strict_table import Table
 from scenarios.files import fault_tables, network_file, scenario_file
 
@@ -24,8 +25,8 @@ TABLE_OF_HEADING: dict[str, list[type[Table]]] = {
     "`measurements.angle`": [scenario_file.AngleMeterTable],
     "`[telemetry]`": [scenario_file.TelemetryTable],
     "`[[telemetry.gross_error]]`": [scenario_file.GrossErrorTable],
-    "`[load_messages]`": [scenario_file.LoadMessagesTable],
-    "`[admm]`": [scenario_file.AdmmTable],
+    "`[load_messages]`": [shared_tables.GenerationTable],
+    "`[admm]`": [shared_tables.AdmmTable],
     "`[faults]`": [fault_tables.FaultsTable],
     "`faults.burst`": [fault_tables.BurstTable],
     "`[[faults.link]]`": [fault_tables.LinkTable],
@@ -73,7 +74,7 @@ def default_text(field: FieldInfo) -> str | None:
 def test_every_table_has_its_heading() -> None:
     tables = {
         value
-        for module in (scenario_file, fault_tables, network_file)
+        for module in (scenario_file, shared_tables, fault_tables, network_file)
         for value in vars(module).values()
         if isinstance(value, type) and issubclass(value, Table) and value.__module__ == module.__name__
     }

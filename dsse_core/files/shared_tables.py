@@ -1,0 +1,34 @@
+"""Tables that stand in scenario files and in area files alike."""
+
+from __future__ import annotations
+
+from typing import Literal, TypeVar
+
+from dsse_core.files.quantities import Penalty
+from dsse_core.files.strict_table import Table
+
+AnyTable = TypeVar("AnyTable", bound=Table)
+
+
+class AdmmTable(Table):
+    """``[admm]``."""
+
+    penalty: Penalty = 1.0
+
+
+class GenerationTable(Table):
+    """``[load_messages]``: what load messages say of generators."""
+
+    generation: Literal["telemetered", "scheduled"] = "telemetered"
+
+
+def require_a_band(table: AnyTable, lowest: str, highest: str) -> AnyTable:
+    """``table``, whose key ``lowest`` is below its key ``highest``.
+
+    Raises:
+        ValueError: it is not.
+    """
+    low, high = getattr(table, lowest), getattr(table, highest)
+    if low >= high:
+        raise ValueError(f"{lowest} is {low}; it must be below {highest}, {high}")
+    return table
