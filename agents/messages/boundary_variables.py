@@ -13,6 +13,8 @@ from collections.abc import Mapping, Sequence
 ONE_PHASE = ("p", "q", "vm", "va")  # one bus, one phase: d = 4, all that the estimation knows today
 MOST_VARIABLES = 1000
 NAME = re.compile(r"(?P<kind>[a-z]{1,8})(@[0-9]{1,16})?(\.[a-z]{1,8})?")
+Lengths = Mapping[str, tuple[int, Sequence[int]]]
+"""Field of a message -> how many numbers it has, and how many it may have."""
 POWERS = ("p", "q")  # kinds of which the child of a boundary tells the parent the value at x_k
 
 
@@ -38,7 +40,7 @@ def count_powers(variables: tuple[str, ...]) -> int:
     return sum(kind in POWERS for kind in kinds)
 
 
-def find_wrong_length(variables: Sequence[str], lengths: Mapping[str, tuple[int, Sequence[int]]]) -> str:
+def find_wrong_length(variables: Sequence[str], lengths: Lengths) -> str:
     """The first of ``lengths``, name -> (found, possible), that is not possible with so many ``variables``."""
     for name, (found, possible) in lengths.items():
         if found not in possible:

@@ -11,6 +11,7 @@ from typing import ClassVar
 
 from agents.messages.boundary_variables import (
     ONE_PHASE,
+    Lengths,
     count_powers,
     count_triangle,
     find_wrong_length,
@@ -94,7 +95,40 @@ class BoundaryMessage:
 
 
 @dataclass(frozen=True, slots=True)
-class AdmmMessage:
+class VariablesMessage:
+    """A message at boundary ``bus`` with numbers of its d ``variables`` y."""
+
+    header: Header
+    bus: Count
+    variables: Names = field(default=ONE_PHASE, kw_only=True)
+
+    def lengths(self) -> Lengths:
+        """Field -> how many numbers it has, and how many it may have."""
+        raise NotImplementedError
+
+    def find_misfit(self) -> str:
+        return find_wrong_variable(self.variables) or find_wrong_length(self.variables, self.lengths())
+
+
+@dataclass(frozen=True, slots=True)
+class PlaceMessage(VariablesMessage):
+    """A message from round ``k`` of the term (scan, ``revision``), which also tells of the link.
+
+    ``receives``: the sender receives messages of the receiver. ``answers``: send time of the receiver's newest message
+    plus the time it has lain here, from which the receiver finds the round trip; 0 without one. ``received``: numbers
+    of the newest load message and of the newest message of the strategy that it has accepted of the receiver, 0 without
+    one.
+    """
+
+    revision: Count
+    k: Count
+    receives: bool
+    answers: Number
+    received: tuple[Count, Count]
+
+
+@dataclass(frozen=True, slots=True)
+class AdmmMessage(VariablesMessage):
     """What the sender tells in its ``iteration`` at a boundary: ``r = 2 y - z`` of its d ``variables`` y.
 
     ``r_before``: that of the iteration before, should its message have been lost. ``weight``: the sender's own
@@ -103,9 +137,6 @@ class AdmmMessage:
     """
 
     kind: ClassVar[str] = "admm"
-    header: Header
-    bus: Count
-    variables: Names = field(default=ONE_PHASE, kw_only=True)
     iteration: Count
     r: Numbers
     r_before: Numbers
@@ -117,20 +148,16 @@ class AdmmMessage:
     received: tuple[Count, Count] = (0, 0)
     complete: bool = False
 
-    def find_misfit(self) -> str:
+    def lengths(self) -> Lengths:
         d = len(self.variables)
-        lengths = {"r": (len(self.r), (d,)), "r_before": (len(self.r_before), (d,)), "weight": (len(self.weight), (d,))}
-        return find_wrong_variable(self.variables) or find_wrong_length(self.variables, lengths)
+        return {"r": (len(self.r), (d,)), "r_before": (len(self.r_before), (d,)), "weight": (len(self.weight), (d,))}
 
 
 @dataclass(frozen=True, slots=True)
-class HeartbeatMessage:
+class HeartbeatMessage(PlaceMessage):
     """Where the sender stands: in (scan, ``revision``) it has come to round ``k``, and whether that is ``final``.
 
     Asynchronous strategies have no rounds: there ``k`` is the number of the newest boundary message to the receiver.
-    ``receives``: it receives messages of the receiver. ``answers``: send time of the receiver's newest message plus the
-    time it has lain here, from which the receiver finds the round trip; 0 without one. ``received``: numbers of the
-    newest load message and of the newest message of the strategy that it has accepted of the receiver, 0 without one.
     ``complete``: all on its side is of this scan, received and fresh. ``y``: at rest, the d ``variables`` of the
     boundary in its final state. ``plant``, ``offset``: the scan of terms is the number that this incarnation of the
     plant gives it, plus so much (``agents/protocol/scan_readings.py``). ``towards_hub``, ``is_parent``: what the
@@ -138,14 +165,6 @@ class HeartbeatMessage:
     """
 
     kind: ClassVar[str] = "heartbeat"
-    header: Header
-    bus: Count
-    variables: Names = field(default=ONE_PHASE, kw_only=True)
-    revision: Count
-    k: Count
-    receives: bool
-    answers: Number
-    received: tuple[Count, Count]
     final: bool
     complete: bool
     y: Numbers
@@ -156,47 +175,35 @@ class HeartbeatMessage:
     areas: Count = 1
     base_mva: Number = 1.0
 
-    def find_misfit(self) -> str:
-        lengths = {"y": (len(self.y), (0, len(self.variables)))}
-        return find_wrong_variable(self.variables) or find_wrong_length(self.variables, lengths)
+    def lengths(self) -> Lengths:
+        return {"y": (len(self.y), (0, len(self.variables)))}
 
 
 @dataclass(frozen=True)
-class RoundMessage:
+class RoundMessage(PlaceMessage):
     """One side's part in round ``k`` of the term (scan, ``revision``): all that the sender's side knows at x_k.
 
-    ``receives``, ``answers``, ``received``: as in a heartbeat. ``R``, ``z``: the side's cost-to-go at the boundary,
-    ``1/2 |R y - z|^2`` of its d ``variables`` y, R the upper triangle of a (d, d) matrix row by row; empty where no
-    step is to come. ``no_load``: R of the no-load model in round 0, of (p, q) / vm_b^2, dvm / vm_b and dva, vm_b being
-    the sender's no-load voltage; empty where something is missing. ``power``: the powers among y, from a child.
+    ``R``, ``z``: the side's cost-to-go at the boundary, ``1/2 |R y - z|^2``, R the upper triangle of a (d, d) matrix
+    row by row; empty where no step is to come. ``no_load``: R of the no-load model in round 0, of (p, q) / vm_b^2,
+    dvm / vm_b and dva, vm_b being the sender's no-load voltage; empty where something is missing. ``power``: the powers
+    among y, from a child.
     """
 
-    header: Header
-    bus: Count
-    variables: Names = field(default=ONE_PHASE, kw_only=True)
-    revision: Count
-    k: Count
-    receives: bool
-    answers: Number
-    received: tuple[Count, Count]
     R: Numbers
     z: Numbers
     no_load: Numbers
     power: Numbers
     totals: Totals
 
-    def find_misfit(self) -> str:
-        if wrong := find_wrong_variable(self.variables):
-            return wrong
+    def lengths(self) -> Lengths:
         d = len(self.variables)
         triangle = count_triangle(d)
-        lengths = {
+        return {
             "R": (len(self.R), (0, triangle)),
             "z": (len(self.z), (d,) if self.R else (0,)),
             "no_load": (len(self.no_load), (0, triangle)),
             "power": (len(self.power), (0, count_powers(self.variables))),
         }
-        return find_wrong_length(self.variables, lengths)
 
 
 @dataclass(frozen=True)

@@ -76,13 +76,24 @@ UP = UpMessage(
     power=(0.1, 0.2),
     totals=Totals(12.5, -2, 1e-3, 2e-3, 3, (("vm@1", 4.5),), 2, True, ("area4",), (), ("7", "9-12"), ()),
 )
+
+
+def fields_of(message):
+    return {field.name: getattr(message, field.name) for field in fields(message)}
+
+
 MESSAGES = [
     LoadMessage(HEADER, 6, 0.25, -0.1, 0.01),
     BoundaryMessage(HEADER, 6, 0.95, -0.02, True),
     AdmmMessage(HEADER, 6, 3, (0.1, 0.0, 1.0, -0.1), (0.2, 0.0, 1.0, -0.1), (1e4, 1e4, 1e5, 1e5), True, True),
     HeartbeatMessage(HEADER, 6, 1, 3, True, 1.7e9, (3, 0), True, False, (0.1, 0.2, 1.0, -0.1)),
     UP,
-    DownMessage(**{**vars(UP), "power": ()}, verdict="evaluate", decider="area1", incarnation=(1, 2)),
+    DownMessage(
+        **{f.name: getattr(UP, f.name) for f in fields(UP)} | {"power": ()},
+        verdict="evaluate",
+        decider="area1",
+        incarnation=(1, 2),
+    ),
     TelemetryMessage(HEADER, "area1", ("vm@1",), (1.0,), (0.002,), (1.7952e9,), (False,)),
     ClockMessage(HEADER, 12.5),
     STATE,
