@@ -1,10 +1,13 @@
 """Options of the test run."""
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, Phase, settings
+
+from scenarios.files.shipped_files import find_shipped
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line has it; before anything loads numpy
 
@@ -53,3 +56,19 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if UNITS in item.path.parents and item.get_closest_marker("long") is None:
             item.add_marker("quick")
+
+
+@pytest.fixture
+def edited_scenario(tmp_path: Path) -> Callable[..., Path]:
+    """A copy of a shipped scenario with some of its text replaced."""
+
+    def edit(name: str, *replacements: tuple[str, str]) -> Path:
+        text = find_shipped("shipped")[name].read_text()
+        for old, new in replacements:
+            assert text.count(old) == 1, f"{old!r} stands {text.count(old)} times in {name}.toml"
+            text = text.replace(old, new)
+        path = tmp_path / "edited.toml"
+        path.write_text(text)
+        return path
+
+    return edit

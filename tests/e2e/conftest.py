@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from dsse_command import COMMAND, ENVIRONMENT, ROOT
+from dsse_command import COMMAND, ENVIRONMENT
 from waiting import DEADLINE_S, is_gone, wait_until
 
 signal.signal(signal.SIGHUP, signal.SIG_DFL)  # what nohup and background jobs ignore, commands would ignore, too
@@ -103,22 +103,6 @@ def assert_nothing_left() -> Callable[[dict[str, int]], None]:
         wait_until(lambda: all(is_gone(pid) for pid in pids.values()), 20.0)
 
     return check
-
-
-@pytest.fixture
-def edited_scenario(tmp_path: Path) -> Callable[..., Path]:
-    """A copy of a shipped scenario with some of its text replaced."""
-
-    def edit(name: str, *replacements: tuple[str, str]) -> Path:
-        text = (ROOT / "scenarios" / "shipped" / f"{name}.toml").read_text()
-        for old, new in replacements:
-            assert text.count(old) == 1, f"{old!r} stands {text.count(old)} times in {name}.toml"
-            text = text.replace(old, new)
-        path = tmp_path / "edited.toml"
-        path.write_text(text)
-        return path
-
-    return edit
 
 
 @pytest.fixture

@@ -30,22 +30,6 @@ def dsse(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest
     return run
 
 
-@pytest.fixture
-def edited_scenario(tmp_path: Path) -> Callable[..., Path]:
-    """A copy of a shipped scenario with some of its text replaced."""
-
-    def edit(name: str, *replacements: tuple[str, str]) -> Path:
-        text = find_shipped("shipped")[name].read_text()
-        for old, new in replacements:
-            assert text.count(old) == 1, f"{old!r} stands {text.count(old)} times in {name}.toml"
-            text = text.replace(old, new)
-        path = tmp_path / "edited.toml"
-        path.write_text(text)
-        return path
-
-    return edit
-
-
 AREA1 = "buses = [1, 2, 3, 4, 5, 6, 19, 20, 21, 22, 23, 24, 25]"
 AREA2 = "buses = [16, 17, 18, 15, 14, 13, 12, 11, 10, 9, 8, 7, 6]"
 AREA3 = "buses = [30, 31, 32, 33, 29, 28, 27, 26, 6]"
