@@ -113,7 +113,8 @@ def build_case(network: Network, set_name: str, draw: int | None = None) -> Case
     floor = (SHARP_FLOOR_MVA if sharp else FLOOR_MVA) / network.base_mva
     v = truth.vm * np.exp(1j * truth.va)
     from_row = np.array([network.row[branch.from_bus] for branch in network.active_branches])
-    flow = (v[from_row] * (build_admittance(network).yf @ v).conj())[flow_row]
+    from_rows = slice(len(v), len(v) + len(from_row))
+    flow = (v[from_row] * (build_admittance(network).stacked @ v)[from_rows].conj())[flow_row]
     injection = truth.injection[buses]
     return Case(
         network=network,

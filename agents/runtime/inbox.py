@@ -8,7 +8,7 @@ SUPERSEDED = object()  # a newer item of the slot is being put at this very mome
 
 
 class Inbox:
-    """Many threads put, one takes. ``overflowed`` counts what was dropped because too many slots hold unread items.
+    """Many threads put, one takes. What finds ``MAX_WAITING`` slots with unread items is dropped.
 
     No lock, because ``put`` is called by signal handlers too, which may interrupt ``take``: each operation on the
     dict and on the queue is atomic by itself, and ``take`` takes all there is, however often it was announced.
@@ -17,12 +17,10 @@ class Inbox:
     def __init__(self) -> None:
         self._updates: dict[Any, Any] = {}
         self._announced: queue.SimpleQueue[None] = queue.SimpleQueue()
-        self.overflowed = 0
 
     def put(self, slot: Any, item: Any) -> None:
         """Leave ``item``; an earlier item of the same ``slot`` that has not been taken is superseded."""
         if slot not in self._updates and len(self._updates) >= MAX_WAITING:
-            self.overflowed += 1
             return
         self._updates.pop(slot, None)  # the newest goes to the end of the order
         self._updates[slot] = item

@@ -75,7 +75,6 @@ class SimulatedBus:
         self._queue: list[tuple[float, int, str, Event | _Wake | _Call]] = []
         self._order = itertools.count()
         self._wake: dict[str, float] = {}
-        self._cut: set[tuple[str, str]] = set()
         self._paused: dict[str, list[Event]] = {}  # what has arrived meanwhile
         self._incarnations: Counter[str] = Counter()
         self._telemetry: dict[str, TelemetryMessage] = {}  # what the plant repeats
@@ -124,13 +123,6 @@ class SimulatedBus:
             self._push(self.now, name, event)
         self._push(self.now, name, WAKE)
         self._wake[name] = self.now
-
-    def cut(self, one: str, other: str) -> None:
-        """Let nothing pass between two areas."""
-        self._cut |= {(one, other), (other, one)}
-
-    def heal(self, one: str, other: str) -> None:
-        self._cut -= {(one, other), (other, one)}
 
     def stop_router(self) -> None:
         """Let nothing pass at all; everybody misses everybody's presence."""
@@ -251,7 +243,7 @@ class SimulatedBus:
 
     def _put(self, sender: str, receiver: str | None, payload: bytes) -> None:
         """What a link hands to the bus for a neighbour."""
-        if receiver is not None and self.router_runs and (sender, receiver) not in self._cut:
+        if receiver is not None and self.router_runs:
             self.deliver(sender, receiver, payload)
 
     def _push(self, at: float, name: str, event: Event | _Wake | _Call) -> None:

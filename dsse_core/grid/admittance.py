@@ -14,10 +14,9 @@ from dsse_core.grid.network import Network
 
 @dataclass(frozen=True)
 class Admittance:
-    """``ybus`` (n, n), ``yf`` and ``yt`` (n_branch, n): currents ``ybus v``, ``yf v``, ``yt v`` for voltages ``v``.
+    """``stacked`` (n + 2 n_branch, n): ``ybus`` (n, n), ``yf`` and ``yt`` (n_branch, n) below each other.
 
-    ``stacked`` (n + 2 n_branch, n) has them below each other.
-
+    For voltages ``v`` the currents are ``ybus v`` into the network, ``yf v`` and ``yt v`` into the ends of branches.
     Rows of ``ybus`` follow ``network.buses``, rows of ``yf`` and ``yt`` follow ``network.active_branches``.
     Every row stores an entry, be it zero, for its own bus.
     """
@@ -27,18 +26,6 @@ class Admittance:
     @cached_property
     def ybus(self) -> sp.csr_array:
         return sp.csr_array(self.stacked[: self.stacked.shape[1]])
-
-    @cached_property
-    def yf(self) -> sp.csr_array:
-        return sp.csr_array(self._of_branches[: self._of_branches.shape[0] // 2])
-
-    @cached_property
-    def yt(self) -> sp.csr_array:
-        return sp.csr_array(self._of_branches[self._of_branches.shape[0] // 2 :])
-
-    @cached_property
-    def _of_branches(self) -> sp.csr_array:
-        return sp.csr_array(self.stacked[self.stacked.shape[1] :])
 
 
 def build_admittance(network: Network, *, with_shunts: bool = True) -> Admittance:

@@ -29,14 +29,25 @@ class SimulatedBus(simulator.SimulatedBus):
         **watchers: Callable[..., None],
     ) -> None:
         self.delivered: list[tuple[float, str, str, Message]] = []
+        self._cut: set[tuple[str, str]] = set()
         self.reject_delivery = lambda sender, receiver, message: False
         super().__init__(files, telemetry, **watchers)
 
+    def cut(self, one: str, other: str) -> None:
+        """Let nothing pass between two areas."""
+        self._cut |= {(one, other), (other, one)}
+
+    def heal(self, one: str, other: str) -> None:
+        self._cut -= {(one, other), (other, one)}
+
     def deliver(self, sender: str, receiver: str, payload: bytes) -> None:
+        if (sender, receiver) in self._cut:
+            return
         try:
             message = decode(payload)
         except MessageError:
-            return super().deliver(sender, receiver, payload)
+            super().deliver(sender, receiver, payload)
+            return
         if not self.reject_delivery(sender, receiver, message):
             self.delivered.append((self.now, sender, receiver, message))
             super().deliver(sender, receiver, payload)

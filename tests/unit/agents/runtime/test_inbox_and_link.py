@@ -28,12 +28,11 @@ def test_a_taker_wakes_when_updates_arrives():
     assert time.monotonic() - started < 10.0
 
 
-def test_a_flood_is_dropped_and_counted():
+def test_a_flood_is_dropped():
     inbox = Inbox()
     for k in range(MAX_WAITING + 5):
         inbox.put(k, k)
-    assert inbox.overflowed == 5
-    assert len(inbox.take(0.0)) == MAX_WAITING
+    assert inbox.take(0.0) == list(range(MAX_WAITING))
 
 
 def test_an_item_that_is_not_taken_holds_one_place_however_often_it_is_renewed():
@@ -41,7 +40,6 @@ def test_an_item_that_is_not_taken_holds_one_place_however_often_it_is_renewed()
     for k in range(3 * MAX_WAITING):
         inbox.put("a", k)
     inbox.put("b", -1)
-    assert inbox.overflowed == 0
     assert inbox.take(0.0) == [3 * MAX_WAITING - 1, -1]
 
 
