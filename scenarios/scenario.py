@@ -22,7 +22,14 @@ from scenarios.faults.faults import Faults, build_faults, find_link_problems, fi
 from scenarios.faults.order import find_order_problems, find_time_problems
 from scenarios.files.network_file import load_case, load_network
 from scenarios.files.readings_file import load_readings
-from scenarios.files.scenario_file import CountTable, ScenarioFile, SwitchesTable
+from scenarios.files.scenario_file import (
+    CountTable,
+    RunTable,
+    ScenarioFile,
+    SwitchesTable,
+    TolerancesTable,
+    TransportTable,
+)
 from scenarios.files.shipped_files import find_shipped
 from scenarios.generate.cutting import cut_at, cut_into
 from scenarios.meters import SigmaRule, build_meters, build_sigma_rule, find_place_problems, find_virtual_buses
@@ -44,43 +51,9 @@ class TelemetrySettings:
     readings: dict[str, Measurement] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True)
-class Tolerances:
-    """When areas agree (``consensus_va`` rad, ``consensus_vm`` p.u.) and when an estimator stops (rad and p.u.)."""
-
-    consensus_va: float
-    consensus_vm: float
-    estimator: float
-
-
-@dataclass(frozen=True, slots=True)
-class RunSettings:
-    """``beat_s``: time between two heartbeats at rest; ``timeout_s``: when a run without consensus ends.
-
-    ``scan_s``: time between two scans, None where there is one only.
-    """
-
-    beat_s: float
-    timeout_s: float
-    scan_s: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class TransportSettings:
-    """How messages travel.
-
-    ``kind``: through ``routers`` (linked ones, if two), or on direct links between neighbouring areas. ``listen``:
-    the endpoint ``tcp/HOST:PORT`` of the first router or area; port 0 takes free ones.
-    """
-
-    kind: Literal["router", "neighbours"]
-    routers: int
-    listen: str
-
-
 @dataclass(frozen=True)
 class Scenario:
-    """A checked scenario, in p.u. and rad.
+    """A checked scenario, in p.u. and rad; ``tolerances``, ``run`` and ``transport`` are the tables of its file.
 
     ``meters`` are all that the telemetry reads: with ``area-power-flow`` no injection at boundary buses, because an
     area's own power flow knows only its net load there. ``load_error`` has every area.
@@ -100,9 +73,9 @@ class Scenario:
     admm_penalty: float
     load_error: dict[str, complex]
     faults: Faults
-    tolerances: Tolerances
-    run: RunSettings
-    transport: TransportSettings
+    tolerances: TolerancesTable
+    run: RunTable
+    transport: TransportTable
     limits: StateLimits
 
 
@@ -301,13 +274,9 @@ def _build_scenario(
         admm_penalty=file.admm.penalty,
         load_error={area.name: errors.get(area.name, 0j) for area in partition.areas},
         faults=build_faults(file.faults, partition),
-        tolerances=Tolerances(
-            consensus_va=file.tolerances.consensus_va_rad,
-            consensus_vm=file.tolerances.consensus_vm_pu,
-            estimator=file.tolerances.estimator,
-        ),
-        run=RunSettings(beat_s=file.run.beat_s, timeout_s=file.run.timeout_s, scan_s=file.run.scan_s),
-        transport=TransportSettings(**file.transport.model_dump()),
+        tolerances=file.tolerances,
+        run=file.run,
+        transport=file.transport,
         limits=StateLimits(
             lowest_vm=file.quality.lowest_vm_pu,
             highest_vm=file.quality.highest_vm_pu,

@@ -66,7 +66,7 @@ def choose_scenario(
     if timeout_s is not None:
         if not 0 < timeout_s <= LONGEST_S:
             raise InvalidInputError("time limit", [f"is {timeout_s} s; it must be positive and at most {LONGEST_S} s"])
-        scenario = replace(scenario, run=replace(scenario.run, timeout_s=timeout_s))
+        scenario = replace(scenario, run=scenario.run.model_copy(update={"timeout_s": timeout_s}))
     return replace(scenario, faults=change_links(scenario.faults, links)) if links else scenario
 
 
@@ -74,8 +74,8 @@ def make_observer(scenario: Scenario) -> Observer:
     """An observer that asks of the areas what ``scenario`` does."""
     return Observer(
         scenario.partition,
-        tolerance_va=scenario.tolerances.consensus_va,
-        tolerance_vm=scenario.tolerances.consensus_vm,
+        tolerance_va=scenario.tolerances.consensus_va_rad,
+        tolerance_vm=scenario.tolerances.consensus_vm_pu,
         beat_s=scenario.run.beat_s,
         compare_magnitudes=scenario.strategy != "angle-offset",  # which does not reconcile them
     )

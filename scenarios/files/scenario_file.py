@@ -208,7 +208,7 @@ class QualityTable(Table):
 
 
 class TolerancesTable(Table):
-    """``[tolerances]``."""
+    """``[tolerances]``: when areas agree, and when an estimator stops (rad and p.u.)."""
 
     consensus_va_rad: Positive = 1e-6
     consensus_vm_pu: Positive = 1e-6
@@ -216,7 +216,11 @@ class TolerancesTable(Table):
 
 
 class RunTable(Table):
-    """``[run]``."""
+    """``[run]``.
+
+    ``beat_s``: time between two heartbeats at rest; ``timeout_s``: when a run without consensus ends. ``scan_s``: time
+    between two scans, None where there is one only.
+    """
 
     beat_s: Seconds = 0.2
     scan_s: ScanSeconds | None = None
@@ -230,7 +234,10 @@ class RunTable(Table):
 
 
 class TransportTable(Table):
-    """``[transport]``."""
+    """``[transport]``: through ``routers`` (linked ones, if two), or on direct links between neighbouring areas.
+
+    ``listen``: the endpoint of the first router or area.
+    """
 
     kind: Literal["router", "neighbours"] = "router"
     routers: Annotated[int, Field(ge=1, le=2)] = 1
