@@ -1,0 +1,60 @@
+"""Messages about a boundary may have any number of variables, and no array of another length."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from sample_messages import MESSAGES, UP
+
+from agents.messages.boundary_variables import ONE_PHASE
+from agents.messages.checks import MessageError
+from agents.messages.packing import (
+    decode,
+    encode,
+)
+from agents.messages.triangle import read_triangle, write_triangle
+
+THREE_PHASES = tuple(f"{kind}.{phase}" for kind in ("p", "q", "vm", "va") for phase in "abc")
+SPEAK_OF_BOUNDARIES = [UP, *(m for m in MESSAGES if m.kind in ("down", "admm", "heartbeat"))]
+
+
+def with_variables(message, variables):
+    """``message`` about a boundary with ``variables``, all arrays as long as they then are."""
+    d = len(variables)
+    numbers = tuple(0.1 * k for k in range(d * (d + 1) // 2))
+    match message.kind:
+        case "heartbeat":
+            return replace(message, variables=variables, y=numbers[:d])
+        case "admm":
+            return replace(message, variables=variables, **dict.fromkeys(("r", "r_before", "weight"), numbers[:d]))
+    powers = sum(name[0] in "pq" for name in variables)
+    return replace(message, variables=variables, R=numbers, z=numbers[:d], no_load=numbers, power=numbers[:powers])
+
+
+@pytest.mark.parametrize("message", SPEAK_OF_BOUNDARIES, ids=lambda m: m.kind)
+@pytest.mark.parametrize("variables", [THREE_PHASES, ("p.a", "q.a", "vm.a", "va.a"), ("p@6", "q@6", "vm@7", "va@7")])
+def test_a_boundary_may_have_any_number_of_variables(message, variables):
+    sent = with_variables(message, variables)
+    assert decode(encode(sent)) == sent
+
+
+@pytest.mark.parametrize("message", SPEAK_OF_BOUNDARIES, ids=lambda m: m.kind)
+@pytest.mark.parametrize("variables", [THREE_PHASES, ONE_PHASE])
+def test_no_array_about_a_boundary_has_another_length_than_its_variables_ask_for(message, variables):
+    sent = with_variables(message, variables)
+    for name in {"R", "z", "no_load", "power", "y", "r", "r_before", "weight"} & {f.name for f in fields(sent)}:
+        for wrong in (getattr(sent, name)[:-1], (*getattr(sent, name), 0.0)):
+            with pytest.raises(MessageError, match=f"{name} has {len(wrong)} numbers, not .* with {len(variables)}"):
+                decode(encode(replace(sent, **{name: wrong})))
+
+
+@pytest.mark.parametrize("variables", [(), ("p", "p", "vm", "va"), ("p", "q", "vm", "VA"), ("p", "q", "vm", "va.")])
+def test_variables_that_no_boundary_has_are_rejected(variables):
+    with pytest.raises(MessageError, match="variable"):
+        decode(encode(with_variables(UP, variables)))
+
+
+def test_information_with_three_phases_survives_as_a_matrix():
+    R = np.triu(np.arange(1.0, 145.0).reshape(12, 12))
+    sent = replace(with_variables(UP, THREE_PHASES), R=write_triangle(R))
+    np.testing.assert_array_equal(read_triangle(decode(encode(sent)).R), R)
