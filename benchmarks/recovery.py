@@ -23,7 +23,7 @@ from agents.protocol.quality import GOOD
 from agents.security.access import ROUTER, SECOND_ROUTER
 from benchmarks.live_system import GAP, LiveSystem, States
 from benchmarks.machine import describe_machine
-from coordinator.evaluation.evaluation import prepare_scenario
+from scenarios.check import check_scenario
 from scenarios.scenario import Scenario, load_scenario
 
 AREAS = 12
@@ -40,7 +40,7 @@ Times = dict[str, list[float]]
 def build_scenario(areas: int, routers: int, beat_s: float) -> Scenario:
     """The feeder in so many areas, with one router or two linked ones."""
     changes = {"areas": {"count": areas}, "transport.routers": routers, "run.beat_s": beat_s}
-    return prepare_scenario(load_scenario("ieee33", changes=changes))
+    return check_scenario(load_scenario("ieee33", changes=changes))
 
 
 def kill_area(live: LiveSystem, victim: str) -> dict[str, float]:

@@ -29,7 +29,7 @@ from agents.protocol.quality import GOOD
 from agents.security.access import PLANT, ROUTER
 from benchmarks.live_system import GAP, LiveSystem
 from benchmarks.machine import describe_machine
-from coordinator.evaluation.evaluation import prepare_scenario
+from scenarios.check import check_scenario
 from scenarios.scenario import Scenario, load_scenario
 
 AREAS = 12
@@ -121,7 +121,7 @@ def build_scenario(seed: int, duration_s: float) -> Scenario:
     ]
     losses = [{"from": one, "to": other, "loss": draws.uniform(0, MOST_LOSS)} for one, other in links]
     faults = {"until_s": duration_s, "events": cuts, "link": losses, **OF_ALL_LINKS}
-    return prepare_scenario(load_scenario("ieee33", changes=plain | {"seed": seed, "faults": faults}))
+    return check_scenario(load_scenario("ieee33", changes=plain | {"seed": seed, "faults": faults}))
 
 
 def soak(folder: Path, seed: int, duration_s: float) -> dict[str, object]:

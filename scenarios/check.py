@@ -18,8 +18,8 @@ from scenarios.telemetry import find_missing_local_slacks
 FEWEST_BUSES_OF_PLAN = 20_000
 
 
-def check_scenario(scenario: Scenario) -> None:
-    """Check that all meters together observe the grid and, under ``angle-offset``, each area's own meters its part.
+def check_scenario(scenario: Scenario) -> Scenario:
+    """``scenario``, whose meters observe the grid together and, under ``angle-offset``, each area's own its part.
 
     Raises:
         InvalidInputError: naming every area and bus that is not observable, with a meter that would cure it,
@@ -38,6 +38,7 @@ def check_scenario(scenario: Scenario) -> None:
             problems += _find_gaps(f"area {area.name}", area.network, local, reference)
     if problems:
         raise InvalidInputError(f"scenario {scenario.name!r}", problems)
+    return scenario
 
 
 def meters_in_area(area: Area, own: Sequence[Meter]) -> list[Meter]:

@@ -147,13 +147,14 @@ def check(scenario: str) -> None:
     """
     from agents.area_files.reader import load_area_file
     from agents.protocol.choose import STRATEGIES
-    from coordinator.evaluation.evaluation import prepare_scenario
+    from coordinator.evaluation.evaluation import choose_scenario
     from coordinator.report.text import format_area_check, format_check
     from dsse_core.files.kinds import AREA_FILE
     from dsse_core.files.strict_table import OtherKindError
+    from scenarios.check import check_scenario
 
     try:
-        show(format_check(prepare_scenario(scenario)))
+        show(format_check(check_scenario(choose_scenario(scenario))))
     except OtherKindError as error:
         if error.found is not AREA_FILE:
             raise
@@ -199,12 +200,13 @@ def estimate(scenario: str, seed: int | None) -> None:
     \b
     Example:  dsse estimate ieee33 --seed 7
     """
-    from coordinator.evaluation.evaluation import prepare_scenario
+    from coordinator.evaluation.evaluation import choose_scenario
     from coordinator.report.text import format_estimate
     from dsse_core.estimation.bad_data import process_bad_data
+    from scenarios.check import check_scenario
     from scenarios.telemetry import make_telemetry
 
-    prepared = prepare_scenario(scenario, seed)
+    prepared = check_scenario(choose_scenario(scenario, seed))
     telemetry = make_telemetry(prepared)
     report = process_bad_data(prepared.network, telemetry.union, tolerance=prepared.tolerances.estimator)
     show(format_estimate(report, telemetry.truth))

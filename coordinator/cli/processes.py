@@ -44,10 +44,11 @@ def split(
     """
     from coordinator.deployment.endpoints import choose_area_endpoints
     from coordinator.deployment.split import choose_run_id, write_area_files
-    from coordinator.evaluation.evaluation import prepare_scenario
+    from coordinator.evaluation.evaluation import choose_scenario
+    from scenarios.check import check_scenario
     from scenarios.files.whole_folder import written_whole
 
-    prepared = prepare_scenario(scenario, seed)
+    prepared = check_scenario(choose_scenario(scenario, seed))
     endpoints = choose_endpoints(endpoints, secure)
     direct = prepared.transport.kind == "neighbours"
     area_endpoints = choose_area_endpoints(prepared, "tls" if secure else "tcp") if direct else {}
@@ -130,11 +131,12 @@ def plant(
     """
     from coordinator.deployment.endpoints import known_area_endpoints
     from coordinator.deployment.split import choose_run_id
-    from coordinator.evaluation.evaluation import prepare_scenario
+    from coordinator.evaluation.evaluation import choose_scenario
     from coordinator.plant.plant import run_plant
     from coordinator.plant.scans import OwnScans
+    from scenarios.check import check_scenario
 
-    prepared = prepare_scenario(scenario, seed)
+    prepared = check_scenario(choose_scenario(scenario, seed))
     every = every or prepared.run.scan_s
     # a plant that is started anew has new readings: the clock is ahead of all numbers of its last incarnation
     scan = int(time.time() / SHORTEST_SCAN_S)

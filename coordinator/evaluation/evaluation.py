@@ -15,7 +15,6 @@ from dsse_core.errors import DsseError, InvalidInputError
 from dsse_core.estimation.bad_data import BadDataReport, process_bad_data
 from dsse_core.files.wording import describe_unknown
 from dsse_core.limits import LONGEST_S
-from scenarios.check import check_scenario
 from scenarios.faults.faults import LinkChanges, change_links
 from scenarios.scenario import Scenario, load_scenario
 from scenarios.telemetry import Telemetry
@@ -23,23 +22,6 @@ from scenarios.telemetry import Telemetry
 NO_CHANGES: LinkChanges = {}
 MAX_NAMED = 20  # obstacles
 REFERENCE_ESTIMATE = 1e-9  # p.u. and rad: the largest last step of an estimate that others are measured against
-
-
-def prepare_scenario(
-    scenario: str | Path | Scenario,
-    seed: int | None = None,
-    strategy: str | None = None,
-    timeout_s: float | None = None,
-    links: LinkChanges = NO_CHANGES,
-) -> Scenario:
-    """Load a scenario by name or path, replace what is given, and check that it can be estimated.
-
-    Raises:
-        InvalidInputError: every problem found.
-    """
-    scenario = choose_scenario(scenario, seed, strategy, timeout_s, links)
-    check_scenario(scenario)
-    return scenario
 
 
 def choose_scenario(

@@ -11,11 +11,11 @@ from agents.messages.packing import StateMessage
 from coordinator.deployment.split import area_files, default_run_id
 from coordinator.evaluation.evaluation import (
     NO_CHANGES,
+    choose_scenario,
     estimate_centralised,
     evaluate,
     make_observer,
     no_consensus_within,
-    prepare_scenario,
 )
 from coordinator.evaluation.result import RunOutcome, RunResult, write_files
 from coordinator.observe.events import EventLog
@@ -25,6 +25,7 @@ from coordinator.process_run.fault_schedule import FaultSchedule
 from coordinator.run_folder import make_run_folder
 from coordinator.simulator.faults import SimulatorFaults
 from coordinator.simulator.simulator import SimulatedBus
+from scenarios.check import check_scenario
 from scenarios.faults.faults import LinkChanges
 from scenarios.scenario import Scenario
 from scenarios.telemetry import find_lateness, make_telemetry
@@ -44,7 +45,7 @@ def simulate_scenario(
     links: LinkChanges = NO_CHANGES,
 ) -> RunResult:
     """Run ``scenario`` on the simulator and write the files of a run; see ``coordinator.simulate``."""
-    scenario = prepare_scenario(scenario, seed, strategy, timeout_s, links)
+    scenario = check_scenario(choose_scenario(scenario, seed, strategy, timeout_s, links))
     folder = make_run_folder(out, default_run_id(scenario))
     with EventLog(folder / "events.jsonl", 0.0) as events:
         simulation = Simulation(scenario, events, on_update)

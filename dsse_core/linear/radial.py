@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import copy
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -112,17 +113,13 @@ class RadialSolver(LinearArea):
 
     def _find_step(self, x: np.ndarray, received: Received, damping: tuple[float, float]) -> np.ndarray | None:
         """``damping``: of voltages and of powers."""
-        from dsse_core.radial import boundary as radial_boundary
+        from dsse_core.radial.boundary import step_downward
 
         t = self._pass(self._top, x, received, damping, 0.0)
         if t is None:
             return None
         dx = np.empty(self._model.size)
-        finite = radial_boundary.step_downward(
-            t.layout.order, t.layout.parent, t.admittance, t.z, t.w, t.at, self._column, t.v, t.va, t.message_of,
-            t.work.above, t.work.factor, t.work.block, t.work.step, self._reference is not None, dx,
-        )  # fmt: skip
-        if not finite:
+        if not self._downward(step_downward, t, t.work.block, t.work.step, dx):
             self._decline("a step beyond all numbers")
             return None
         return dx
@@ -130,20 +127,26 @@ class RadialSolver(LinearArea):
     def _find_variances(
         self, x: np.ndarray, received: Received, damping: tuple[float, float]
     ) -> tuple[np.ndarray, np.ndarray] | None:
-        from dsse_core.radial import boundary as radial_boundary
+        from dsse_core.radial.boundary import variances_downward
 
         t = self._pass(self._top, x, received, damping, 0.0)
         if t is None:
             return None
         variance = np.empty(self._model.size)
-        omega, enough = radial_boundary.variances_downward(
-            t.layout.order, t.layout.parent, t.admittance, t.z, t.w, t.at, self._column, t.v, t.va, t.message_of,
-            t.work.above, t.work.factor, t.work.more, t.work.block, self._reference is not None, variance,
-        )  # fmt: skip
+        omega, enough = self._downward(variances_downward, t, t.work.more, t.work.block, variance)
         if not enough:
             self._decline("a variance lost in that of a power")
             return None
         return variance, omega.ravel()[t.slot]
+
+    def _downward(
+        self, compiled: Callable[..., Any], t: _Rooted, one: np.ndarray, other: np.ndarray, found: np.ndarray
+    ) -> Any:
+        """What ``compiled`` returns and writes into ``found``, from the top down; ``one`` and ``other``: its memory."""
+        return compiled(
+            t.layout.order, t.layout.parent, t.admittance, t.z, t.w, t.at, self._column, t.v, t.va, t.message_of,
+            t.work.above, t.work.factor, one, other, self._reference is not None, found,
+        )  # fmt: skip
 
     def _find_information(self, x: np.ndarray, neighbour: Neighbour, received: Received) -> BoundaryInformation | None:
         from dsse_core.radial import root as radial_root

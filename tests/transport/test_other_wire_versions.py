@@ -5,16 +5,10 @@ from __future__ import annotations
 import pytest
 
 from agents.messages.packing import WIRE_VERSION
-from agents.transport.zenoh_bus import Router, Session, TransportError
+from agents.transport.zenoh_bus import Session, TransportError
 from coordinator.cli.watch_session import attach
 
 FORMER, LATER = WIRE_VERSION - 1, WIRE_VERSION + 1
-
-
-@pytest.fixture
-def router():
-    with Router.listen(["tcp/127.0.0.1:0"]) as router:
-        yield router
 
 
 @pytest.fixture

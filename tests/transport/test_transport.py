@@ -23,12 +23,6 @@ def wait_for(condition):
 
 
 @pytest.fixture
-def router():
-    with Router.listen(["tcp/127.0.0.1:0"]) as router:
-        yield router
-
-
-@pytest.fixture
 def connect(router):
     sessions = []
 
