@@ -48,6 +48,14 @@ class Watched:
     def lose_nothing(self) -> None:
         self.bus.reject_delivery = lambda *_: False
 
+    def end_well(self) -> None:
+        """Lose nothing more: all become good, and whatever was shown as good is the centralised estimate."""
+        self.lose_nothing()
+        self.bus.run_until_settled()
+        self.bus.run(0.5)
+        assert self.good_now == self.bus.files.keys()
+        self.assert_good_states_are_the_centralised_estimate()
+
     def _keep(self, state: StateMessage) -> None:
         if state.quality == GOOD:
             self.shown.append(state)
@@ -73,11 +81,7 @@ def test_two_scans_under_the_label_of_one_are_not_good(ahead: str, lose_rounds: 
     others = set(world.bus.files) - {ahead, "c"}
     world.bus.next_scan(world.telemetry[2].by_area, late_s={"c": 0.2} | dict.fromkeys(others, 0.4))
     world.bus.run(1.0)
-    world.lose_nothing()
-    world.bus.run_until_settled()
-    world.bus.run(0.5)
-    assert world.good_now == world.bus.files.keys()
-    world.assert_good_states_are_the_centralised_estimate()
+    world.end_well()
 
 
 def test_who_has_not_received_that_the_search_for_bad_data_began_anew_is_not_good():
@@ -91,11 +95,7 @@ def test_who_has_not_received_that_the_search_for_bad_data_began_anew_is_not_goo
     world.bus.run(0.3)
     world.bus.start("area1")
     world.bus.run(1.0)
-    world.lose_nothing()
-    world.bus.run_until_settled()
-    world.bus.run(0.5)
-    assert world.good_now == world.bus.files.keys()
-    world.assert_good_states_are_the_centralised_estimate()
+    world.end_well()
 
 
 @pytest.mark.parametrize("to", ["area2", "area3"])
