@@ -1,6 +1,7 @@
 """Options of the test run."""
 
 import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,6 +11,9 @@ from hypothesis import HealthCheck, Phase, settings
 from scenarios.files.shipped_files import find_shipped
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line has it; before anything loads numpy
+# Containers often keep Python from keeping bytecode: hundreds of processes would compile all modules of ours anew.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 UNITS = Path(__file__).parent / "unit"
 # Loading pandapower takes 9 s; all tests of these modules are long, or run processes.

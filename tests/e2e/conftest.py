@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from dsse_command import COMMAND, ENVIRONMENT
+from forked import end_parent, parent
 from waiting import DEADLINE_S, is_gone, wait_until
 
 signal.signal(signal.SIGHUP, signal.SIG_DFL)  # what nohup and background jobs ignore, commands would ignore, too
@@ -48,9 +49,35 @@ class RunUnderWay:
         return self.process.returncode, out, err
 
 
+@pytest.fixture(scope="session", autouse=True)
+def forked_processes_end() -> Iterator[None]:
+    yield
+    end_parent()
+
+
 @pytest.fixture
-def dsse(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
-    """Run ``dsse`` with arguments in an empty folder and wait for its end."""
+def dsse(tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[..., subprocess.CompletedProcess[str]]:
+    """Run ``dsse`` with arguments in an empty folder, in a forked process, and wait for its end."""
+    said = tmp_path_factory.mktemp("said")
+
+    def run(*arguments: object) -> subprocess.CompletedProcess[str]:
+        command = list(map(str, arguments))
+        out, err = said / "out", said / "err"
+        for file in (out, err):
+            file.write_text("")
+        process = parent().start(command, tmp_path, ENVIRONMENT, out, err)
+        try:
+            code = process.wait(DEADLINE_S)
+        finally:
+            process.kill()
+        return subprocess.CompletedProcess(command, code, out.read_text(), err.read_text())
+
+    return run
+
+
+@pytest.fixture
+def dsse_from_nothing(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
+    """The same in a process that starts as a user's does: Python finds and imports what it needs."""
 
     def run(*arguments: object) -> subprocess.CompletedProcess[str]:
         return subprocess.run(

@@ -13,6 +13,7 @@ from types import TracebackType
 from typing import Self
 
 from dsse_command import COMMAND, ENVIRONMENT, free_endpoint
+from forked import ForkedProcess, parent
 from waiting import DEADLINE_S
 
 from agents.messages.checks import MessageError
@@ -44,15 +45,18 @@ class SystemByHand:
 
     def __init__(self, folder: Path, environment: Mapping[str, str] | None = None) -> None:
         self.folder = folder
-        self.processes: dict[str, subprocess.Popen[bytes]] = {}
+        self.processes: dict[str, subprocess.Popen[bytes] | ForkedProcess] = {}
         self._environment = {**ENVIRONMENT, **(environment or {})}
 
     def start(self, name: str, *arguments: object, prefix: Sequence[str] = ()) -> None:
-        """Start ``dsse`` with ``arguments``; ``prefix``: the command that runs it elsewhere."""
-        with self.log_of(name).open("ab") as log:
-            command = [*prefix, *COMMAND, *map(str, arguments)]
+        """Start ``dsse`` with ``arguments``, in a forked process; ``prefix``: the command that runs it elsewhere."""
+        said, words = self.log_of(name), list(map(str, arguments))
+        if not prefix:
+            self.processes[name] = parent().start(words, self.folder, self._environment, said, said)
+            return
+        with said.open("ab") as log:
             self.processes[name] = subprocess.Popen(
-                command, cwd=self.folder, env=self._environment, stdout=log, stderr=subprocess.STDOUT
+                [*prefix, *COMMAND, *words], cwd=self.folder, env=self._environment, stdout=log, stderr=log
             )
 
     def log_of(self, name: str) -> Path:

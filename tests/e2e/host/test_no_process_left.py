@@ -217,9 +217,9 @@ def test_a_script_without_a_main_guard_may_run_a_scenario(tmp_path: Path, assert
     assert_nothing_left(started_in(events_in(tmp_path / "out")))
 
 
-def test_folders_of_the_user_with_our_names_do_not_disturb(tmp_path: Path, dsse):
+def test_folders_of_the_user_with_our_names_do_not_disturb(tmp_path: Path, dsse_from_nothing):
     for name in ("agents", "scenarios"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").write_text("raise ImportError('not ours')")
-    done = dsse("run", "industrial13", "--no-plots", "--quiet")
+    done = dsse_from_nothing("run", "industrial13", "--no-plots", "--quiet")
     assert done.returncode == 0, done.stderr
