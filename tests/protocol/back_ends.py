@@ -13,6 +13,7 @@ BACK_ENDS = ("sparse", "radial", "dense")
 @contextmanager
 def back_end(name: str) -> Iterator[None]:
     """Have all areas use the tree wherever there is one, or dense matrices, or sparse ones."""
+    assert name in BACK_ENDS
     if name == "radial":
         pytest.importorskip("numba", reason="the radial back end needs numba: pip install 'consensus-dsse[fast]'")
     with pytest.MonkeyPatch.context() as patch:

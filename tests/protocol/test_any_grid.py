@@ -85,16 +85,16 @@ SHORT_CURRENT = PLAIN | SHORT_CURRENT | {"shares": MeterShares(voltage=0.3, angl
 
 
 @seed(1)  # the same grids whatever the words of this test
-@example(THREE_BUSES, 0.3, 81, "tree")  # critical after a removal
+@example(THREE_BUSES, 0.3, 81, "radial")  # critical after a removal
 @example(TURNED_FLOW, 0.3, 380, "dense")  # a bad injection turns a flow, and a current magnitude would keep it so
 @example(UNLIKE_IMPEDANCES, 0.0, 40, "sparse")  # critical where one area's are five thousand times those of the other
-@example(PLAIN | NOTHING_KNOWN, 0.3, None, "tree")  # the same, where a voltage is not known at no load
+@example(PLAIN | NOTHING_KNOWN, 0.3, None, "radial")  # the same, where a voltage is not known at no load
 @example(PLAIN | SHORT_BRANCHES, 0.0, 24, "dense")  # over them information changes with a state that has hardly moved
 @example(BENT, 0.6, None, "sparse")  # current magnitudes make it converge by shares only
-@example(PLAIN | LOSSES_TELL, 0.6, 2, "tree")  # of a flow and its opposite, as current magnitudes do
+@example(PLAIN | LOSSES_TELL, 0.6, 2, "radial")  # of a flow and its opposite, as current magnitudes do
 @example(FULL_TURN, 0.3, None, "dense")  # transformers turn one bus past half a turn, another not
 @example(LONE_ANGLE, 0.3, 107, "sparse")  # behind a phase-shifting transformer, all that is known of an area's power
-@example(TWO_ANGLES, 0.6, 0, "tree")  # magnitudes and angles tell each other's, across a transformer's tap, too
+@example(TWO_ANGLES, 0.6, 0, "radial")  # magnitudes and angles tell each other's, across a transformer's tap, too
 @example(SHORT_CURRENT, 0.3, None, "dense")  # a step from next to the minimum leads to another, at J of 4e7
 @given(GRIDS, st.sampled_from([0.0, 0.3, 0.6]), st.one_of(st.none(), st.integers(0, 1000)), st.sampled_from(BACK_ENDS))
 def test_any_grid_with_any_meters_reaches_it(grid, loss, gross_errors, areas_on):
