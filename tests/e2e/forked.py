@@ -70,6 +70,8 @@ class Parent:
         self, arguments: Sequence[str], folder: Path, environment: Mapping[str, str], out: Path, err: Path
     ) -> ForkedProcess:
         """Start ``dsse`` with ``arguments`` in ``folder``; it appends to the files ``out`` and ``err``."""
+        for file in (out, err):
+            file.touch()  # now: the process itself opens it some time later
         name = str(len(self._processes))
         process = self._processes[name] = ForkedProcess()
         become = (list(arguments), folder.absolute(), dict(environment), out.absolute())
