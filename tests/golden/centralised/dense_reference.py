@@ -20,7 +20,7 @@ from functools import cached_property
 import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from dsse_core.grid.admittance import build_admittance
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Source
@@ -177,7 +177,7 @@ class _Fit:
     def limit(self) -> float:
         """Of J, by chi-square."""
         freedom = len(self._ids) - len(self._free)
-        return float(chi2.isf(1 - CONFIDENCE, freedom)) if freedom > 0 else np.inf
+        return 2 * float(gammaincinv(freedom / 2, CONFIDENCE)) if freedom > 0 else np.inf
 
     def _iterate(self, x: np.ndarray) -> np.ndarray:
         used = ~self._rows.is_current
