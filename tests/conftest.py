@@ -1,8 +1,10 @@
 """Options of the test run."""
 
 import os
+import subprocess
 import sys
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -40,6 +42,25 @@ def pytest_configure(config: pytest.Config) -> None:
         suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
     )
     settings.load_profile("documented")
+    if config.option.markexpr == "quick":  # after each change of dsse_core, compiling would take half a minute
+        os.environ.setdefault("NUMBA_DISABLE_JIT", "1")
+    elif config.getoption("numprocesses", None) and not config.option.collectonly and find_spec("numba"):
+        compile_ahead(config)
+
+
+def compile_ahead(config: pytest.Config) -> None:
+    """Beside the first tests, once for all workers: each of them would compile the same."""
+    command = [sys.executable, "-P", "-m", "coordinator", "compile"]
+    silent = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    environment = {**os.environ, "PYTHONPATH": str(config.rootpath)}
+    silent = subprocess.DEVNULL
+    compiling = subprocess.Popen(command, env=environment, start_new_session=True, stdout=silent, stderr=silent)
+
+    def end() -> None:
+        compiling.kill()
+        compiling.wait()
+
+    config.add_cleanup(end)
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
@@ -51,7 +72,12 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    return True if config.option.markexpr == "quick" and collection_path.name in LOAD_PANDAPOWER else None
+    """For the quick ones, modules that have none of them are not even imported."""
+    if config.option.markexpr != "quick" or collection_path.suffix != ".py":
+        return None
+    if UNITS in collection_path.parents:
+        return True if collection_path.name in LOAD_PANDAPOWER else None
+    return None if "pytest.mark.quick" in collection_path.read_text() else True
 
 
 @pytest.hookimpl(tryfirst=True)  # before ``-m`` chooses

@@ -8,6 +8,7 @@ from agents.runtime.warm_up import warm_up
 from dsse_core.linear.radial import RadialSolver
 
 
+@pytest.mark.long  # it compiles
 def test_warming_up_goes_through_every_pass_of_the_tree(monkeypatch: pytest.MonkeyPatch):
     pytest.importorskip("numba")
     from dsse_core.radial import boundary as radial_boundary

@@ -122,6 +122,7 @@ def test_residual_variances_survive_impedances_near_zero_and_sigmas_over_four_de
     np.testing.assert_allclose(result.residual_variance / sigmas**2, 1 - (Q**2).sum(axis=1), atol=1e-10)
 
 
+@pytest.mark.long
 def test_the_objective_is_chi_square_distributed_with_the_degrees_of_freedom(
     rich, meters_of, zero_injections, read, estimate
 ):

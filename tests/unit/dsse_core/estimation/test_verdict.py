@@ -90,6 +90,7 @@ def outcome(network, measurements, backend: str):
     return removed, report.result.iterations, report.result.memory.from_flat_start, report.detected
 
 
+@pytest.mark.long
 @pytest.mark.random_cases(few=25, many=1000)
 def test_the_compiled_iteration_decides_the_same(random_seed):
     pytest.importorskip("numba", reason="the radial back end needs numba: pip install 'consensus-dsse[fast]'")

@@ -158,6 +158,7 @@ def test_a_feeder_of_5000_buses_is_checked_sparsely(chain, by):
     assert peak < 100e6  # one dense 10,000 x 10,000 matrix takes 800 MB
 
 
+@pytest.mark.long
 def test_the_gap_in_a_feeder_of_5000_buses_is_named_with_its_cure(chain):
     network = chain(5000)
     meters = [Meter(Kind.VM, 1)]
@@ -231,6 +232,7 @@ def test_a_meter_is_indispensable_when_the_others_do_not_determine_the_state(gri
     assert find_indispensable(network, meters, 1) == needed
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("short", [(), (5, 20)])
 def test_indispensable_meters_of_a_feeder_of_5000_buses_are_distinguished_from_hardly_checked_ones(
     chain, short, backend

@@ -222,6 +222,7 @@ def test_sweeps_agree_with_newton_on_a_generated_feeder_and_are_chosen_by_its_si
     assert solve_power_flow(network).method == "newton"
 
 
+@pytest.mark.long
 @pytest.mark.random_cases(few=30, many=500)
 def test_sweeps_agree_with_newton_on_any_radial_grid(random_seed):
     rng = np.random.default_rng([random_seed, 32])

@@ -136,6 +136,7 @@ def test_other_threads_go_on_while_the_tree_computes():
         other.join()
 
 
+@pytest.mark.long
 @pytest.mark.random_cases(few=40, many=1000)
 def test_the_tree_agrees_with_the_sparse_estimate_on_any_radial_grid(random_seed):
     rng = np.random.default_rng([random_seed, 31])

@@ -19,6 +19,7 @@ SCARCE = (  # one meter in thirty to spare; a few more; branches metered and mos
 )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("backend", ["sparse", "dense"])
 @pytest.mark.parametrize("shares", SCARCE)
 @pytest.mark.parametrize("seed", range(4))

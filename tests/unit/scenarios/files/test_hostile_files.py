@@ -256,6 +256,7 @@ def test_wrong_names_do_not_each_list_all_right_ones(tmp_path: Path):
     assert all(len(problem) < 300 for problem in caught.value.problems)
 
 
+@pytest.mark.long
 def test_a_file_of_unknown_keys_is_answered_with_the_first_and_the_number_of_the_others(tmp_path: Path):
     """It took 54 MB of text, and a search for what each may have been."""
     path = tmp_path / "scenario.toml"
