@@ -35,7 +35,7 @@ def pytest_configure(config: pytest.Config) -> None:
     """Properties without a number of examples of their own are those that the documentation gives a number for."""
     settings.register_profile(
         "documented",
-        max_examples=300 if config.getoption("--thorough") else 25,
+        max_examples=300 if config.getoption("--thorough") else 12,
         deadline=None,
         phases=[Phase.explicit, Phase.generate],  # examples are grids of given sizes: shrinking them takes an hour
         derandomize=True,
@@ -51,7 +51,6 @@ def pytest_configure(config: pytest.Config) -> None:
 def compile_ahead(config: pytest.Config) -> None:
     """Beside the first tests, once for all workers: each of them would compile the same."""
     command = [sys.executable, "-P", "-m", "coordinator", "compile"]
-    silent = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     environment = {**os.environ, "PYTHONPATH": str(config.rootpath)}
     silent = subprocess.DEVNULL
     compiling = subprocess.Popen(command, env=environment, start_new_session=True, stdout=silent, stderr=silent)

@@ -15,12 +15,13 @@ from waiting import DEADLINE_S
 
 NOBODY = 65534
 CAN_DROP = os.geteuid() != 0 or shutil.which("setpriv") is not None
+SMALL = ["--seeds", "1", "--strategies", "information", "--jobs", "1"]
 COMMANDS = {
     "import": ["import", "feeder.m", "--out"],
     "generate": ["generate", "--buses", "40", "--out"],
     "split": ["split", "ieee33", "--out"],
     "keys": ["keys", "create", "ieee33", "--out"],
-    "sweep": ["sweep", "ieee33", "--vary", "faults.loss=0,0.1", "--seeds", "1", "--strategies", "information", "--out"],
+    "sweep": ["sweep", "ieee33", "--vary", "faults.loss=0,0.1", *SMALL, "--out"],
     "compare": ["compare", "ieee33", "--strategies", "information", "--out"],
     "simulate": ["simulate", "ieee33", "--no-plots", "--out"],
     "run": ["run", "ieee33", "--no-plots", "--out"],
