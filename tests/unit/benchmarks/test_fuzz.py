@@ -39,8 +39,9 @@ def test_a_module_that_a_file_has_imported_is_a_finding(monkeypatch, tmp_path):
 def test_a_key_given_twice_and_a_deep_one_that_are_read_are_findings(monkeypatch, tmp_path):
     monkeypatch.setattr("dsse_core.files.strict_table.parse_json", json.loads)
     monkeypatch.setattr("benchmarks.fuzz.parsing.parse_toml", tomllib.loads)
-    for name, what in (("lenient-network.json", "a key is given twice"), ("keys.toml", "parts was accepted")):
-        outcomes = (try_input(name, make_input(name, 1, number), tmp_path) for number in range(200))
+    lenient, deep = ("lenient-network.json", "a key is given twice"), ("keys.toml", "parts was accepted")
+    for (name, what), first in ((lenient, 0), (deep, 19)):  # some before it take tomllib many seconds
+        outcomes = (try_input(name, make_input(name, 1, number), tmp_path) for number in range(first, 200))
         assert any(outcome.startswith("FINDING: TwoReadingsError") and what in outcome for outcome in outcomes)
 
 
