@@ -50,7 +50,7 @@ class RoundsProtocol(AreaProtocol):
         self._round = AreaRound(content.area)
         self._revision = 0
         self._is_change_due = False
-        self._has_loads_to_tell = False  # which only stand in for what is missing: rounds go first
+        self._has_loads_to_tell = False  # which only stand in for what is missing
         self._raised_at = -math.inf  # when this area itself last raised the revision
         self._state = RoundsState(content, self._peers, self._round, self._scan, self._rejections, self._published)
 
@@ -283,13 +283,17 @@ class RoundsProtocol(AreaProtocol):
         if self._is_change_due or (is_someone_silent and not self._is_at_rest):
             yield from self._change()
         yield from self._enter_next_scan()
-        if self._has_loads_to_tell:
-            self._has_loads_to_tell = False
-            yield from self._tell_loads()
 
     def _show(self, *, is_heartbeat: bool) -> Iterator[Publish]:
-        """The state once a scan at rest, anew at every heartbeat, and when its quality changes."""
+        """The state once a scan at rest, anew at every heartbeat, and when its quality changes.
+
+        Load messages come last: nobody waits for them. But for the first ones they wait for rest, or the heartbeat.
+        """
         yield from self._publish_state(self._state.show(self.term, self._now, is_heartbeat=is_heartbeat))
+        is_first = any(peer.load.message is None for _, peer in self._peers.items())
+        if self._has_loads_to_tell and (self._is_at_rest or is_heartbeat or is_first):
+            self._has_loads_to_tell = False
+            yield from self._tell_loads()
 
     def _publish_state(self, state: StateMessage | None) -> Iterator[Publish]:
         if state is not None:

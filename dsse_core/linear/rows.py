@@ -34,6 +34,8 @@ class RowSolver(LinearArea):
         self.name = name
         self.declined = Counter()
         self.model, self.rows = model, rows
+        n_voltage = 2 * len(model.area.network.buses)
+        self._least = np.where(np.arange(model.size) < n_voltage, NOT_YET, NOT_YET_OF_POWER)
 
     def with_readings(self, model: AreaMeasurements) -> Self:
         other = copy.copy(self)
@@ -43,7 +45,9 @@ class RowSolver(LinearArea):
     def step(self, x: np.ndarray, received: Received, damping: float = 0.0) -> np.ndarray:
         H, r, sigma = self.stack(x, received)
         free = self.model.free
-        least = np.maximum(self.least_information(free), damping)
+        least = self.least_information(free)
+        if damping:
+            least = np.maximum(least, damping)
         dx = np.zeros(self.model.size)
         dx[free] = self.rows.factor(H[:, free], sigma, least).solve(r, np.zeros(len(free)))[1]
         return dx
@@ -87,7 +91,7 @@ class RowSolver(LinearArea):
 
     def least_information(self, columns: np.ndarray) -> np.ndarray:
         """The damping of variables that nothing determines yet, shape of ``columns``."""
-        return np.where(columns < 2 * len(self.model.area.network.buses), NOT_YET, NOT_YET_OF_POWER)
+        return self._least[columns]
 
     def stack(self, x: np.ndarray, received: Received) -> tuple[Matrix, np.ndarray, np.ndarray]:
         """H, residual and sigma of the area's own measurements, of the messages ``received``, up to four rows each, and

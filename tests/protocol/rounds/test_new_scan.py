@@ -86,6 +86,25 @@ def test_no_load_message_delays_a_message_of_a_round():
         assert any(isinstance(m, LoadMessage) for m in sent)
 
 
+def test_no_load_message_comes_before_the_end_of_a_later_scan():
+    bus, shown = new_scan()
+    bus.run(0.1)
+    ended_at = {state.header.sender: at for at, state in reversed(shown)}
+    loads = [(at, sender, receiver) for at, sender, receiver, m in bus.delivered if isinstance(m, LoadMessage)]
+    assert all(at >= ended_at[sender] for at, sender, _ in loads)
+    assert {(sender, receiver) for _, sender, receiver in loads} == {
+        ("area1", "area2"), ("area2", "area1"), ("area1", "area3"), ("area3", "area1")
+    }  # fmt: skip
+
+
+def test_load_messages_of_a_scan_that_does_not_end_come_at_the_heartbeat():
+    bus, _ = new_scan()
+    bus.reject_delivery = lambda sender, receiver, message: isinstance(message, UpMessage)
+    bus.run(1.5 * HEARTBEAT_S)
+    assert all(protocol.outcome is None for protocol in bus.protocols.values())
+    assert {m.header.scan for *_, m in bus.delivered if isinstance(m, LoadMessage)} == {2}
+
+
 @pytest.mark.parametrize("n_area", [10, 60])
 def test_areas_in_a_row_take_no_more_rounds_than_a_few(n_area):
     feeder = make_feeder(1, n_bus=n_area + 1, n_area=n_area + 1, shape=1.0)
