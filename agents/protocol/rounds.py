@@ -287,11 +287,11 @@ class RoundsProtocol(AreaProtocol):
     def _show(self, *, is_heartbeat: bool) -> Iterator[Publish]:
         """The state once a scan at rest, anew at every heartbeat, and when its quality changes.
 
-        Load messages come last: nobody waits for them. But for the first ones they wait for rest, or the heartbeat.
+        Load messages come last, as nobody waits for them, and after the first ones with the heartbeat.
         """
         yield from self._publish_state(self._state.show(self.term, self._now, is_heartbeat=is_heartbeat))
         is_first = any(peer.load.message is None for _, peer in self._peers.items())
-        if self._has_loads_to_tell and (self._is_at_rest or is_heartbeat or is_first):
+        if self._has_loads_to_tell and (is_heartbeat or is_first):
             self._has_loads_to_tell = False
             yield from self._tell_loads()
 

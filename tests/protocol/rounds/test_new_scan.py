@@ -77,24 +77,31 @@ def test_a_scan_that_does_not_end_takes_good_from_all_at_the_heartbeat():
     assert {state.quality for state in bus.states.values()} == {"degraded"}
 
 
+def loads_of(bus):
+    return {(sender, receiver): m for _, sender, receiver, m in bus.delivered if isinstance(m, LoadMessage)}
+
+
 def test_no_load_message_delays_a_message_of_a_round():
-    bus, _ = new_scan()
-    bus.run(0.1)
-    for sender, receiver in (("area2", "area1"), ("area3", "area1")):
-        sent = [m for _, a, b, m in bus.delivered if (a, b) == (sender, receiver)]
-        assert isinstance(sent[0], UpMessage)
-        assert any(isinstance(m, LoadMessage) for m in sent)
-
-
-def test_no_load_message_comes_before_the_end_of_a_later_scan():
     bus, shown = new_scan()
-    bus.run(0.1)
-    ended_at = {state.header.sender: at for at, state in reversed(shown)}
-    loads = [(at, sender, receiver) for at, sender, receiver, m in bus.delivered if isinstance(m, LoadMessage)]
-    assert all(at >= ended_at[sender] for at, sender, _ in loads)
-    assert {(sender, receiver) for _, sender, receiver in loads} == {
-        ("area1", "area2"), ("area2", "area1"), ("area1", "area3"), ("area3", "area1")
-    }  # fmt: skip
+    while {state.quality for _, state in shown[-3:]} != {"good"}:
+        bus.run(0.001)
+    assert len(rounds_of(bus)) == 2 * 2 * WARM
+    assert not loads_of(bus)
+    bus.run(2 * HEARTBEAT_S)
+    boundaries = {("area1", "area2"), ("area2", "area1"), ("area1", "area3"), ("area3", "area1")}
+    assert loads_of(bus).keys() == boundaries
+    assert {m.header.scan for m in loads_of(bus).values()} == {2}
+
+
+def test_the_first_load_messages_come_before_the_end_of_the_first_scan_and_after_the_messages_of_its_first_round():
+    scenario = load_scenario("ieee33")
+    bus = SimulatedBus(area_files_of(scenario, strategy="information"), make_telemetry(scenario).by_area)
+    while any(protocol.outcome is None for protocol in bus.protocols.values()):
+        bus.run(0.001)
+    assert len(loads_of(bus)) == 4
+    for sender in ("area2", "area3"):
+        kinds = [type(m) for _, a, _, m in bus.delivered if a == sender and isinstance(m, UpMessage | LoadMessage)]
+        assert kinds[0] is UpMessage
 
 
 def test_load_messages_of_a_scan_that_does_not_end_come_at_the_heartbeat():
@@ -102,7 +109,7 @@ def test_load_messages_of_a_scan_that_does_not_end_come_at_the_heartbeat():
     bus.reject_delivery = lambda sender, receiver, message: isinstance(message, UpMessage)
     bus.run(1.5 * HEARTBEAT_S)
     assert all(protocol.outcome is None for protocol in bus.protocols.values())
-    assert {m.header.scan for *_, m in bus.delivered if isinstance(m, LoadMessage)} == {2}
+    assert {m.header.scan for m in loads_of(bus).values()} == {2}
 
 
 @pytest.mark.parametrize("n_area", [10, 60])
