@@ -63,6 +63,7 @@ class AreaRound:
         self._ups: dict[str, UpMessage] = {}
         self._is_passed_on = False  # Up(k) has been sent, or decided on
         self._has_begun = False
+        self._decided: tuple[Memory, Totals, tuple[Memory, Verdict]] | None = None
 
     @property
     def towards_hub(self) -> str | None:
@@ -162,8 +163,14 @@ class AreaRound:
 
     def decide(self, totals: Totals) -> Verdict:
         """The verdict on the totals of all areas."""
-        self._memory, verdict = decide(self._memory, totals)
+        self._memory, verdict = self._decide(totals)
         return verdict
+
+    def _decide(self, totals: Totals) -> tuple[Memory, Verdict]:
+        """See ``decide``: of totals that are checked, then followed, found once."""
+        if self._decided is None or self._decided[0] is not self._memory or self._decided[1] is not totals:
+            self._decided = self._memory, totals, decide(self._memory, totals)
+        return self._decided[2]
 
     def is_waited_for(self) -> bool:
         """Whether Down(k) may come."""
@@ -171,7 +178,7 @@ class AreaRound:
 
     def find_lie(self, message: DownMessage) -> str:
         """What is wrong with Down(k): a verdict that does not follow, or a meter in which nothing stands out here."""
-        memory, verdict = decide(self._memory, message.totals)
+        memory, verdict = self._decide(message.totals)
         if str(verdict) != message.verdict:
             return f"it says {message.verdict!r} where its totals say {str(verdict)!r}"
         newest = set(memory.removed[-1:] if verdict.decision is Decision.ANEW else ()) - set(self._memory.removed)

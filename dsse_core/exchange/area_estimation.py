@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -58,6 +58,7 @@ class AreaEstimation:
         self.reported: set[str] = set()  # own meters that have been named as the worst in this term
         self.own_meters: frozenset[str] = frozenset()  # that have a reading
         self._readings: tuple[Measurement, ...] = ()
+        self._meters_read: tuple[Meter, ...] = ()
         self._silent: frozenset[str] = frozenset()
         self._is_stale = False
         self._start = self.x
@@ -102,7 +103,8 @@ class AreaEstimation:
         its information as long as that has never been received.
         """
         self._readings, self._silent, self._is_stale = tuple(readings), frozenset(silent), stale
-        self.own_meters = frozenset(m.meter.id for m in self._readings)
+        if (meters := tuple(m.meter for m in self._readings)) != self._meters_read:
+            self._meters_read, self.own_meters = meters, frozenset(meter.id for meter in meters)
         self.reported = set()
         self._stand_ins = {name: _stand_in_of(self._by_name[name], load) for name, load in (loads or {}).items()}
         self._start = self._flat if self.failure else self.x
@@ -120,8 +122,9 @@ class AreaEstimation:
     @property
     def dead_voltmeters(self) -> tuple[str, ...]:
         """Ids of those that are left out because no grid works at what they read."""
-        rows = find_dead([m.meter for m in self._readings], [m.value for m in self._readings])
-        return tuple(self._readings[k].meter.id for k in rows)
+        voltmeters = [m for m in self._readings if m.meter.kind is MeasurementKind.VM]
+        rows = find_dead([m.meter for m in voltmeters], [m.value for m in voltmeters])
+        return tuple(voltmeters[k].meter.id for k in rows)
 
     def _in_use(self) -> list[Measurement]:
         out = {*self.removed, *self.dead_voltmeters}
@@ -207,25 +210,24 @@ class AreaEstimation:
         """The area's own part at x_k."""
         name, model, n = self.area.name, self.model, self._n
         not_owned = self.area.parent.bus if self.area.parent else None
-        own = Totals(
+        numbers: dict[str, Any] = {"failed": (name,)}
+        if not self.failure:
+            size = abs(self._step)
+            numbers = {
+                "objective": find_objective(model, self.x),
+                "degrees_of_freedom": count_freedom(model),
+                "dva": float(size[:n].max()),
+                "dvm": float(size[n : 2 * n].max()),
+                "held_back": 0 if self._uses_currents else self._n_current,
+                "worst": self._worst,
+            }
+        return Totals(
+            **numbers,
             areas=1,
             referenced=self.area.reference is not None or bool(model.angles.size),
             silent=tuple(sorted(self._silent)),
             stale=(name,) if self._is_stale else (),
             unobservable=_as_ranges([bus for bus in self.unobservable if bus != not_owned]),
-            failed=(name,) if self.failure else (),
-        )
-        if self.failure:
-            return own
-        size = abs(self._step)
-        return replace(
-            own,
-            objective=find_objective(model, self.x),
-            degrees_of_freedom=count_freedom(model),
-            dva=float(size[:n].max()),
-            dvm=float(size[n : 2 * n].max()),
-            held_back=0 if self._uses_currents else self._n_current,
-            worst=self._worst,
         )
 
     # Carrying out what is decided
@@ -287,8 +289,7 @@ class AreaEstimation:
         no_load = self._no_load
         self.unobservable, found = self._keep((), received, lambda: no_load.examine(received)) or ((), frozenset())
         if not self.unobservable:
-            real = {m.id for m in self.model.meters if m.source is not Source.VIRTUAL}
-            self.critical = tuple(sorted(found & real))
+            self.critical = tuple(sorted(found & self.model.real_ids))
 
     def _evaluate(self) -> None:
         """Which meters are critical, and the largest normalised residual of the others."""
@@ -313,8 +314,8 @@ class AreaEstimation:
         """Ids of the meters that cannot be spared at no load, or whose residual says nothing; ``variance``: Omega."""
         model = self.model
         without_check = (variance <= CRITICAL_REDUNDANCY * model.sigma**2) & ~model.virtual
-        critical = {*self.critical, *(model.meters[k].id for k in np.flatnonzero(without_check))}
-        return tuple(meter.id for meter in model.meters if meter.id in critical)
+        critical = {*self.critical, *(model.ids[k] for k in np.flatnonzero(without_check))}
+        return tuple(meter_id for meter_id in model.ids if meter_id in critical)
 
     @property
     def no_load_va(self) -> np.ndarray:

@@ -42,6 +42,16 @@ class AreaMeasurements:
         """Which measurements are virtual, shape (n_meas,)."""
         return np.array([meter.source is Source.VIRTUAL for meter in self.meters], dtype=bool)
 
+    @cached_property
+    def ids(self) -> tuple[str, ...]:
+        """Of the meters."""
+        return tuple(meter.id for meter in self.meters)
+
+    @cached_property
+    def real_ids(self) -> frozenset[str]:
+        """Of the meters that are not virtual."""
+        return frozenset(meter.id for meter in self.meters if meter.source is not Source.VIRTUAL)
+
     @property
     def size(self) -> int:
         return 2 * self._n + int(self.into_children.shape[1])

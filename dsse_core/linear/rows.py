@@ -91,7 +91,7 @@ class RowSolver(LinearArea):
 
     def least_information(self, columns: np.ndarray) -> np.ndarray:
         """The damping of variables that nothing determines yet, shape of ``columns``."""
-        return self._least[columns]
+        return np.asarray(self._least[columns])
 
     def stack(self, x: np.ndarray, received: Received) -> tuple[Matrix, np.ndarray, np.ndarray]:
         """H, residual and sigma of the area's own measurements, of the messages ``received``, up to four rows each, and
@@ -148,7 +148,9 @@ def _responses_to_shift(
     for n in model.area.neighbours:
         dy[:, 0] = rows.boundary_values(x, n) * DEGREES_OF_BOUNDARY / vm_b
         if n.area == neighbour.area:
-            dp[:, 0], dp[:, 1] = dy[:2, 0], -rows.boundary(x, n)[1][:2, fixed].sum(axis=1)
+            dp[:, 0] = dy[:2, 0]
+            if fixed.size:
+                dp[:, 1] = -rows.boundary(x, n)[1][:2, fixed].sum(axis=1)
         elif (message := received.get(n.area)) is not None:
             first, end = end, end + len(message.rows[0])
             B[first:end] = message.rows[0] @ dy

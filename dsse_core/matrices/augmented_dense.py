@@ -26,13 +26,14 @@ class DenseFactor:
         m, n = H.shape
         self._n_meas = m
         self.variance = sigma * sigma
-        row_scale = reciprocal_root(np.einsum("ij,ij->i", H, H))
+        row_scale = reciprocal_root(np.vecdot(H, H))
         scaled_variance = self.variance * row_scale * row_scale
-        positive = np.sort(scaled_variance[scaled_variance > 0])
+        positive = scaled_variance[scaled_variance > 0]
+        positive.sort()
         self._a = PIVOT_SCALE / float(positive[len(positive) // 2]) if len(positive) else 1.0
         scaled = H * row_scale[:, None]
         below = damping / self._a
-        column_scale = reciprocal_root(np.einsum("ij,ij->j", scaled, scaled) + below)
+        column_scale = reciprocal_root(np.vecdot(scaled.T, scaled.T) + below)
         scaled *= column_scale
         self._scale = np.concatenate([row_scale, column_scale])
         below = below * column_scale * column_scale
@@ -72,7 +73,7 @@ class DenseFactor:
                 break
             inverse = inverse + inverse @ rest
             rest = unit - self._tableau @ inverse
-        diagonal = inverse.diagonal() + np.einsum("ij,ji->i", inverse, rest)
+        diagonal = inverse.diagonal() + np.vecdot(inverse, rest.T)
         return np.asarray(self._scale * diagonal * self._scale)
 
     def _solve(self, b: np.ndarray, refined: bool) -> np.ndarray:
