@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import click
 
 from agents.protocol.rounds import RoundsProtocol
-from benchmarks.exchange_worlds import SCANS, draw_row, read_ieee33
-from benchmarks.fault_history import World
+from benchmarks.exchange.worlds import SCANS, draw_row, read_ieee33
+from benchmarks.fault_histories.history import World
 from benchmarks.machine import describe_machine
 from coordinator.simulator.simulator import SimulatedBus
 from dsse_core.link_faults import LinkFaults

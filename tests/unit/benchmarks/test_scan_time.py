@@ -5,7 +5,7 @@ import pytest
 from click.testing import CliRunner
 
 from benchmarks import scan_time
-from benchmarks.exchange_worlds import draw_row
+from benchmarks.exchange.worlds import draw_row
 
 pytestmark = pytest.mark.long
 
