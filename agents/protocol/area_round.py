@@ -80,6 +80,11 @@ class AreaRound:
         """The meters of all areas that this term has taken out as bad data, in order."""
         return self._memory.removed
 
+    @property
+    def kept(self) -> str:
+        """The meter without which no estimate was found, so that it has not been taken out; empty if there is none."""
+        return self._memory.kept
+
     def enter(self, links: frozenset[str]) -> None:
         """A new term with the neighbours ``links``; round 0 waits for ``begin``."""
         self.links, self.outcome, self._has_begun = links, None, False

@@ -168,6 +168,12 @@ class RoundsState:
             yield Finding(DEGRADED, f"no estimate in {', '.join(totals.failed)}")
         elif reason:
             yield Finding(DEGRADED, f"the iteration has not converged: last step {totals.step:.3g} p.u. or rad")
+        elif kept := self._round.kept:
+            yield Finding(
+                DEGRADED,
+                f"readings contradict each other (J {totals.objective:.4g} with {totals.degrees_of_freedom} degrees of "
+                f"freedom); {kept} stands out, and stays because without it the iteration does not converge",
+            )
         elif _exceeds_limit(totals):
             yield Finding(
                 DEGRADED,

@@ -22,7 +22,7 @@ from dsse_core.estimation.residuals import (
     keep_tied,
     normalize_residuals,
 )
-from dsse_core.estimation.verdict import Decision, Memory, Totals, decide
+from dsse_core.estimation.verdict import Decision, Memory, Totals, decide, put_back
 from dsse_core.gauss_newton import LAST_STEP
 from dsse_core.grid.measurement import Measurement, Meter
 from dsse_core.grid.network import Network
@@ -113,8 +113,8 @@ def process_bad_data_with_plan(
     The verdicts are those of ``verdict.decide``, to which the whole grid is one area without neighbours. It stops when
     the test passes or when no normalised residual exceeds ``threshold``. Equal residuals are broken by meter id; the
     others of the tie are reported as indistinguishable. A critical measurement stays, and the next largest residual is
-    looked at. If without a measurement the estimation diverges, the last good estimate stands, and ``detected`` with
-    it. Dead voltmeters (``find_dead``) are left out from the start and stand first among the removed ones.
+    looked at. If without a measurement the estimation diverges, it stays, the estimate before stands, and ``detected``
+    with it. Dead voltmeters (``find_dead``) are left out from the start and stand first among the removed ones.
 
     Raises:
         NotObservableError: without dead voltmeters, which it names.
@@ -130,8 +130,9 @@ def process_bad_data_with_plan(
             break
         row = [meter.id for meter in result.plan.meters].index(memory.removed[-1])
         try:
-            following = _estimate_without(row, result, start, tolerance, memory)
+            following = _estimate_without([row], result, start, tolerance, memory)
         except EstimationDivergedError:
+            result = _estimate_without([], result, start, tolerance, put_back(memory))
             break
         removed.append(_describe(row, result))
         result = following
@@ -158,10 +159,15 @@ def _leave_out_dead(
 
 
 def _estimate_without(
-    row: int, result: EstimationResult, start: tuple[np.ndarray, np.ndarray] | None, tolerance: float, memory: Memory
+    rows: list[int],
+    result: EstimationResult,
+    start: tuple[np.ndarray, np.ndarray] | None,
+    tolerance: float,
+    memory: Memory,
 ) -> EstimationResult:
-    readings = np.delete(result.values, row), np.delete(result.sigmas, row)
-    return estimate_with_plan(result.plan.without([row]), *readings, start=start, tolerance=tolerance, memory=memory)
+    plan = result.plan.without(rows) if rows else result.plan
+    readings = np.delete(result.values, rows), np.delete(result.sigmas, rows)
+    return estimate_with_plan(plan, *readings, start=start, tolerance=tolerance, memory=memory)
 
 
 def _totals_of(result: EstimationResult, worst: dict[str, float]) -> Totals:
@@ -211,8 +217,8 @@ def _report(result: EstimationResult, removed: Sequence[RemovedMeasurement], thr
 
 def _find_suspect(result: EstimationResult, threshold: float, critical: Collection[str]) -> SuspectKept | None:
     """The largest normalised residual where removal has ended, with what keeps its meter."""
-    normalized = normalized_residuals(result)
-    worst = int(np.argmax(normalized))
+    normalized, kept = normalized_residuals(result), result.memory.kept
+    worst = [meter.id for meter in result.plan.meters].index(kept) if kept else int(np.argmax(normalized))
     if normalized[worst] <= threshold:
         return None
     meter = result.plan.meters[worst]

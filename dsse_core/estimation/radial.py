@@ -10,7 +10,7 @@ import numpy as np
 
 from dsse_core.errors import EstimationDivergedError
 from dsse_core.estimation.residuals import CONFIDENCE, chi_square_limit
-from dsse_core.estimation.verdict import Memory, most_steps
+from dsse_core.estimation.verdict import Memory, begin_at_flat_start, most_steps
 from dsse_core.gauss_newton import Solution
 from dsse_core.grid.measurement import check_readings
 from dsse_core.radial.plan import N_SLOT, RadialPlan
@@ -47,12 +47,12 @@ def estimate_radial(
             check_readings(plan.network, plan.meters, values, sigmas)
         if end != compiled.LOST or memory.from_flat_start:
             break
-        memory = Memory(removed=memory.removed, from_flat_start=True)
+        memory = begin_at_flat_start(memory)
     if end == compiled.LOST:
         weighted = abs(residual) / np.where(sigmas > 0, sigmas, np.inf)
         worst = int(np.argmax(weighted))
         raise EstimationDivergedError(steps, step, str(plan.meters[worst]), float(weighted[worst]))
-    if end == compiled.EVALUATE:
+    if end == compiled.EVALUATE and not memory.kept:
         memory = replace(memory, evaluating=True)
     return memory, (state[0], state[1], residual, objective, steps)
 

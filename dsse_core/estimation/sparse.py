@@ -75,10 +75,10 @@ def estimate_sparse(
     Raises:
         EstimationDivergedError: names the measurement with the largest weighted residual.
     """
-    grid = SparseIteration(plan, values, sigmas, start, from_flat_start=memory.from_flat_start)
+    grid, removed = SparseIteration(plan, values, sigmas, start, from_flat_start=memory.from_flat_start), memory.removed
     while True:
         memory, verdict = decide(memory, grid.totals(), tolerance)
-        if verdict.reason:
+        if verdict.reason or memory.removed != removed:  # of the plan's meters there is no estimate
             raise grid.diverged()
         grid.carry_out(verdict)
         if verdict.decision in (Decision.EVALUATE, Decision.FINAL):

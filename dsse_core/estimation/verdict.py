@@ -111,11 +111,14 @@ def _add_names(parts: Iterable[tuple[str, ...]]) -> tuple[str, ...]:
 class Memory:
     """What the decisions of a term rest on beside the totals; everybody in the term has the same.
 
-    ``removed``: meters taken out as bad data, in order. ``steps``: since the last start. ``before``: the size of the
-    last full step since a decision, 0 without one. ``stepped``: the totals' step was taken in full.
+    ``removed``: meters taken out as bad data, in order. ``kept``: the meter without which no estimate was found; it is
+    in use again, and no other is taken out. ``steps``: since the last start. ``before``: the size of the last full step
+    since a decision, 0 without one. ``stepped``: the totals' step was taken in full. ``from_flat_start``: the start of
+    the scan has led to no end with these meters.
     """
 
     removed: tuple[str, ...] = ()
+    kept: str = ""
     steps: int = 0
     before: float = 0.0
     stepped: bool = False
@@ -147,7 +150,7 @@ def decide(memory: Memory, totals: Totals, tolerance: float = LAST_STEP) -> tupl
     if totals.unobservable:
         return memory, Verdict(Decision.FINAL, reason=UNOBSERVABLE)
     if totals.failed:
-        return memory, Verdict(Decision.FINAL, reason=NO_ESTIMATE)
+        return _give_up(memory, NO_ESTIMATE)
     if memory.evaluating:
         return _remove_worst(memory, totals)
     taken, is_lost = _share_of(memory.steps), not totals.step <= LARGEST_STEP
@@ -158,16 +161,33 @@ def decide(memory: Memory, totals: Totals, tolerance: float = LAST_STEP) -> tupl
         if totals.held_back and not memory.uses_currents and totals.step < FLOWS_KNOWN:
             return replace(memory, stepped=False, before=0.0, uses_currents=True), Verdict(Decision.USE_CURRENTS)
         if (memory.uses_currents or not totals.held_back) and _comes_last(memory, totals, tolerance):
-            if _exceeds_limit(totals):
+            if _exceeds_limit(totals) and not memory.kept:
                 return replace(memory, evaluating=True), Verdict(Decision.EVALUATE, with_step=True)
             return memory, Verdict(Decision.FINAL, with_step=True)
     if is_lost or memory.steps >= most_steps(memory):
         if memory.from_flat_start:
-            return memory, Verdict(Decision.FINAL, reason=DIVERGED)
-        return Memory(removed=memory.removed, from_flat_start=True), Verdict(Decision.ANEW)
+            return _give_up(memory, DIVERGED)
+        return begin_at_flat_start(memory), Verdict(Decision.ANEW)
     share = _share_of(memory.steps + 1)
     before = totals.step if memory.stepped and share == taken else 0.0
     return replace(memory, steps=memory.steps + 1, before=before, stepped=True), Verdict(Decision.STEP, share)
+
+
+def begin_at_flat_start(memory: Memory) -> Memory:
+    """With the same meters once more, as the start of the scan has led to no end."""
+    return Memory(removed=memory.removed, kept=memory.kept, from_flat_start=True)
+
+
+def _give_up(memory: Memory, reason: str) -> tuple[Memory, Verdict]:
+    """Without an estimate: once more with the meter that was taken out last; where none was, the end."""
+    if memory.removed and not memory.kept:
+        return put_back(memory), Verdict(Decision.ANEW)
+    return memory, Verdict(Decision.FINAL, reason=reason)
+
+
+def put_back(memory: Memory) -> Memory:
+    """What follows where no estimate is found without the meter that was taken out last: the one before stands."""
+    return Memory(removed=memory.removed[:-1], kept=memory.removed[-1])
 
 
 def _share_of(step: int) -> float:
@@ -188,7 +208,7 @@ def _remove_worst(memory: Memory, totals: Totals) -> tuple[Memory, Verdict]:
     if not totals.worst or not _exceeds_limit(totals) or len(memory.removed) >= MOST_REMOVED:
         return replace(memory, evaluating=False), Verdict(Decision.FINAL)
     removed = (*memory.removed, totals.worst[0][0])
-    return Memory(removed=removed, from_flat_start=memory.from_flat_start), Verdict(Decision.ANEW)
+    return Memory(removed=removed), Verdict(Decision.ANEW)
 
 
 def _comes_last(memory: Memory, totals: Totals, tolerance: float) -> bool:

@@ -61,7 +61,7 @@ class AreaEstimation:
         self._meters_read: tuple[Meter, ...] = ()
         self._silent: frozenset[str] = frozenset()
         self._is_stale = False
-        self._start = self.x
+        self._start = self._start_of_term = self.x
         self._before, self._step = self.x, np.zeros_like(self.x)
         self._worst: tuple[tuple[str, float], ...] = ()
         self._uses_currents = False
@@ -107,11 +107,11 @@ class AreaEstimation:
             self._meters_read, self.own_meters = meters, frozenset(meter.id for meter in meters)
         self.reported = set()
         self._stand_ins = {name: _stand_in_of(self._by_name[name], load) for name, load in (loads or {}).items()}
-        self._start = self._flat if self.failure else self.x
-        self.failure = ""
+        self._start = self._start_of_term = self._flat if self.failure else self.x
         self._start_anew(())
 
     def _start_anew(self, removed: Sequence[str]) -> None:
+        self.failure = ""
         self.removed = tuple(meter for meter in removed if meter in self.own_meters)
         self.x = self._before = self._start
         self._step = np.zeros_like(self.x)
@@ -251,7 +251,7 @@ class AreaEstimation:
                     self._step = np.zeros_like(self.x)
                     self._build()
                 case Decision.ANEW:
-                    self._start = self._flat if memory.from_flat_start else self._start
+                    self._start = self._flat if memory.from_flat_start else self._start_of_term
                     self._start_anew(memory.removed)
                 case Decision.EVALUATE:
                     self._evaluate()

@@ -9,8 +9,8 @@ from feeders import KIND, Feeder, make_feeder, read_with_noise
 
 from dsse_core.errors import PowerFlowDivergedError
 from dsse_core.grid.division import build_partition
-from dsse_core.grid.measurement import Meter, Source
-from dsse_core.grid.network import Network
+from dsse_core.grid.measurement import Measurement, Meter, Source
+from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from dsse_core.power_flow.newton_raphson import solve_power_flow
 
 HALVINGS = 12  # of the interval that holds the largest load
@@ -68,3 +68,26 @@ def _has_solution(network: Network) -> bool:
 def _scale(network: Network, factor: float) -> Network:
     buses = tuple(replace(b, p_load=b.p_load * factor, q_load=b.q_load * factor) for b in network.buses)
     return replace(network, buses=buses)
+
+
+def make_outvoted_feeder() -> Feeder:
+    """A feeder whose power meters agree on a load that no voltage can carry; the only voltmeter there says otherwise.
+
+    The voltmeter's normalised residual is the largest, and without it the readings have no state near them.
+    """
+    p, q, bus = 1.9, 0.76, 3
+    buses = (Bus(1, 20.0, 0.0, 0.0), Bus(2, 20.0, 0.0, 0.0), Bus(bus, 20.0, p, q))
+    branches = (Branch("1-2", 1, 2, r=1e-4, x=1e-4), Branch("2-3", 2, bus, r=0.1, x=0.1))
+    network = Network("outvoted", 1.0, buses, branches, (Generator(1, Control.SLACK),))
+    virtual = [Meter(kind, 2, source=Source.VIRTUAL) for kind in (KIND.P_INJECTION, KIND.Q_INJECTION)]
+    measurements = [Measurement(Meter(KIND.VM, k), vm, 0.01) for k, vm in ((1, 1.0), (2, 1.0), (bus, 0.9))]
+    measurements += [Measurement(meter, 0.0, 0.01) for meter in virtual]
+    measurements += [
+        Measurement(Meter(KIND.P_INJECTION, bus), -p, 0.01),
+        Measurement(Meter(KIND.Q_INJECTION, bus), -q, 0.01),
+    ]
+    measurements += [
+        Measurement(Meter(KIND.P_FLOW, bus, "2-3"), -p, 0.01),
+        Measurement(Meter(KIND.Q_FLOW, bus, "2-3"), -q, 0.01),
+    ]
+    return Feeder(network, build_partition(network, {"a1": [1, 2], "a2": [2, 3]}), tuple(measurements))

@@ -12,10 +12,10 @@ from unittest import mock
 import numpy as np
 import pytest
 from back_ends import BACK_ENDS, back_end
-from exact_exchange import assert_equals_centralised, settle_bus
+from exact_exchange import assert_equals_centralised, assert_same_decisions, settle_bus
 from feeders import Feeder, make_feeder
 from grids import MeterShares, make_grid, with_gross_errors
-from loaded_feeders import make_loaded_feeder
+from loaded_feeders import make_loaded_feeder, make_outvoted_feeder
 from oracle_cases import Drawn, draw_examples, draw_feeders, draw_grids
 from simulated_bus import SimulatedBus
 
@@ -176,3 +176,19 @@ def test_near_the_limit_of_loading_undamped_steps_end_in_areas_and_centre_alike(
     assert {trace.verdicts == centre.verdicts for trace in traces.values()} == {True}
     assert_equals_centralised(bus, report)
     assert max(find_gaps(feeder, traces, centre)) < ALL
+
+
+@pytest.mark.usefixtures("each_back_end")
+def test_where_a_removal_makes_the_iteration_diverge_areas_and_centre_rest_on_the_estimate_before():
+    feeder = make_outvoted_feeder()
+    report = process_bad_data(feeder.network, feeder.measurements, backend="sparse")
+    assert report.detected
+    assert report.removed == ()
+    assert (report.suspect.meter.id, report.suspect.reason) == ("vm@3", "diverges")
+    bus = SimulatedBus(feeder.area_files(0.0, 0), feeder.telemetry())
+    bus.run(1.0)
+    assert_equals_centralised(bus, report)
+    assert_same_decisions(bus, report)
+    for state in bus.states.values():
+        assert state.quality == "degraded"
+        assert "vm@3 stands out, and stays because without it the iteration does not converge" in state.notes[0]

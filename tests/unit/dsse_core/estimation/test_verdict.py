@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from grids import MeterShares, make_grid, with_gross_errors
+from loaded_feeders import make_outvoted_feeder
 
 from dsse_core.errors import DsseError, EstimationDivergedError, InvalidInputError
 from dsse_core.estimation import verdict
@@ -57,6 +60,25 @@ def test_nothing_is_removed_where_the_last_step_has_brought_j_below_the_limit():
     assert decide(memory, totals(1e-9, objective=2 * LIMIT, worst=worst))[1].decision is Decision.ANEW
 
 
+def test_without_an_estimate_the_meter_that_was_taken_out_last_comes_back_and_stays():
+    """Once: the estimate before stands, whatever its J is."""
+    without = Memory(removed=("a", "b"), steps=3, stepped=True, from_flat_start=True)
+    for lost in (totals(2 * LARGEST_STEP), totals(failed=("a1",))):
+        memory, said = decide(without, lost)
+        assert (said.decision, memory) == (Decision.ANEW, Memory(removed=("a",), kept="b"))
+    memory = replace(memory, steps=3, before=1e-3, stepped=True)
+    assert decide(memory, totals(1e-6, objective=2 * LIMIT))[1] == verdict.Verdict(Decision.FINAL, with_step=True)
+    memory, said = decide(memory, totals(2 * LARGEST_STEP))
+    assert (said.decision, memory) == (Decision.ANEW, Memory(removed=("a",), kept="b", from_flat_start=True))
+    assert decide(memory, totals(2 * LARGEST_STEP))[1] == verdict.Verdict(Decision.FINAL, reason=verdict.DIVERGED)
+
+
+def test_without_a_meter_the_start_of_the_scan_is_tried_first():
+    memory = Memory(steps=3, before=1e-3, stepped=True, from_flat_start=True, evaluating=True)
+    memory, _ = decide(memory, totals(1e-9, objective=2 * LIMIT, worst=(("a", 5.0),)))
+    assert memory == Memory(removed=("a",))
+
+
 def draw_grid(seed: int):
     rng = np.random.default_rng([seed, 8])
     shares = MeterShares(
@@ -100,6 +122,15 @@ def test_the_compiled_iteration_decides_the_same(random_seed):
     except (InvalidInputError, DsseError):
         pytest.skip("the tree cannot serve, or the state is not observable")
     assert compiled == outcome(grid.network, grid.measurements, "sparse")
+
+
+def test_the_compiled_iteration_rests_on_the_same_estimate_where_a_removal_diverges():
+    pytest.importorskip("numba", reason="the radial back end needs numba: pip install 'consensus-dsse[fast]'")
+    feeder = make_outvoted_feeder()
+    compiled, sparse = (process_bad_data(feeder.network, feeder.measurements, backend=b) for b in ("radial", "sparse"))
+    assert (compiled.result.memory, compiled.suspect.reason) == (Memory(steps=0, kept="vm@3"), "diverges")
+    np.testing.assert_allclose(compiled.result.vm, sparse.result.vm, atol=1e-9)
+    assert sparse.result.memory.kept == "vm@3"
 
 
 @pytest.mark.parametrize("most", [1, 2, 3, 4])
