@@ -29,7 +29,7 @@ from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Sour
 from dsse_core.grid.partition import Area, Neighbour
 from dsse_core.linear import choose_backend
 from dsse_core.linear.area_model import AreaModel, build_area_model
-from dsse_core.linear.boundary_information import BoundaryInformation
+from dsse_core.linear.boundary_information import BoundaryInformation, are_within_reason
 
 AGED = 0.1  # of the weight of what a neighbour that is no longer received has last said; its sigmas grow tenfold
 UNSURE_OF_LOAD = 0.1  # of a load message, which neglects losses, and
@@ -180,7 +180,8 @@ class AreaEstimation:
         Raises:
             FAILURES: numbers that no estimate can have.
         """
-        return self.model.linear.information(self.x, self._by_name[neighbour], self._with_aged(received))
+        found = self.model.linear.information(self.x, self._by_name[neighbour], self._with_aged(received))
+        return _checked(found)
 
     def no_load_for(self, neighbour: str, received: Mapping[str, BoundaryInformation]) -> BoundaryInformation | None:
         """The same of no-load information; None where some of this side is missing."""
@@ -189,7 +190,9 @@ class AreaEstimation:
             return None
         assert self._no_load is not None  # ``begin`` was called
         no_load, beyond = self._no_load, {name: received[name] for name in others}
-        return self._keep((neighbour,), beyond, lambda: no_load.information_for(self._by_name[neighbour], beyond))
+        return self._keep(
+            (neighbour,), beyond, lambda: _checked(no_load.information_for(self._by_name[neighbour], beyond))
+        )
 
     def _keep(self, what: tuple[str, ...], received: Received, find: Callable[[], T]) -> T | None:
         """What ``find`` makes of the no-load model and ``received``, found anew only where these differ."""
@@ -326,6 +329,17 @@ class AreaEstimation:
     def voltages(self) -> tuple[np.ndarray, np.ndarray]:
         """(vm, va), shape (n_bus,), p.u. and rad."""
         return self.x[self._n : 2 * self._n], self.x[: self._n]
+
+
+def _checked(information: BoundaryInformation) -> BoundaryInformation:
+    """``information``, which its receiver takes: of what that rejects, the areas would wait for each other for ever.
+
+    Raises:
+        ArithmeticError: it does not.
+    """
+    if not are_within_reason((*information.R.flat, *information.z)):
+        raise ArithmeticError("the information of this side is beyond reason")
+    return information
 
 
 def _stand_in_of(neighbour: Neighbour, load: NetLoad) -> BoundaryInformation:
