@@ -6,12 +6,11 @@ import numpy as np
 from back_ends import BACK_ENDS, back_end
 from exact_exchange import assert_equals_centralised, assert_same_decisions, run_feeder
 from grids import MeterShares, make_grid, with_gross_errors
-from hypothesis import event, example, given, reject, seed
+from hypothesis import example, given, reject, seed
 from hypothesis import strategies as st
 
 from dsse_core.errors import EstimationDivergedError, NotObservableError
-from dsse_core.estimation.bad_data import normalized_residuals, process_bad_data
-from dsse_core.estimation.residuals import THRESHOLD
+from dsse_core.estimation.bad_data import process_bad_data
 
 GRIDS = st.fixed_dictionaries(
     dict(
@@ -35,13 +34,6 @@ GRIDS = st.fixed_dictionaries(
         ),
     )
 )
-
-
-def got_stuck(report):
-    """Whether the centralised estimate diverges without the worst meter: what it has left is no answer."""
-    suspected = normalized_residuals(report.result) > THRESHOLD
-    left = {meter.id for meter, is_suspected in zip(report.result.plan.meters, suspected, strict=True) if is_suspected}
-    return report.detected and not left <= set(report.critical)
 
 
 PLAIN = {"chain": 0.6, "decades": 2.0, "loops": 0, "transformers": 0.0, "short": None, "slack_at_root": True}
@@ -104,11 +96,8 @@ def test_any_grid_with_any_meters_reaches_it(grid, loss, gross_errors, areas_on)
     if gross_errors is not None:
         feeder = with_gross_errors(np.random.default_rng(gross_errors), feeder)
     try:
-        report = process_bad_data(feeder.network, feeder.measurements, tolerance=1e-11)
+        process_bad_data(feeder.network, feeder.measurements, tolerance=1e-11)
     except (NotObservableError, EstimationDivergedError):
-        reject()
-    if got_stuck(report):
-        event("the centralised estimate got stuck")
         reject()
     with back_end(areas_on):
         bus, report = run_feeder(feeder, loss, 0)

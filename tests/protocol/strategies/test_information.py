@@ -16,6 +16,8 @@ from agents.messages.packing import DownMessage, UpMessage, decode, encode
 from agents.protocol.events import Received
 from dsse_core.estimation.residuals import chi_square_limit
 from dsse_core.grid.measurement import Source
+from dsse_core.linear.boundary_information import BoundaryInformation
+from dsse_core.linear.rows import RowSolver
 from dsse_core.link_faults import LinkFaults
 from dsse_core.power_flow.newton_raphson import solve_power_flow
 from scenarios.scenario import load_scenario
@@ -262,6 +264,17 @@ def test_information_that_is_beyond_reason_is_rejected_and_counted():
     bus.post("area2", Received(lie, "area1"))
     bus.run(0.5)
     assert bus.states["area2"].rejected == {"numbers beyond reason": 1}
+
+
+def test_an_area_whose_numbers_nobody_takes_has_none_and_nobody_waits_for_it(monkeypatch):
+    scenario = load_scenario("ieee33")
+    beyond = BoundaryInformation(1e20 * np.eye(4), np.zeros(4))
+    monkeypatch.setattr(RowSolver, "information", lambda *_: beyond)
+    bus = SimulatedBus(area_files_of(scenario, strategy="information"), make_telemetry(scenario).by_area)
+    bus.run(3.0)
+    assert all(protocol.outcome is not None for protocol in bus.protocols.values())
+    assert not any(state.rejected for state in bus.states.values())
+    assert "no estimate: ArithmeticError: the information of this side is beyond reason" in bus.states["area2"].notes
 
 
 def test_a_verdict_that_does_not_follow_is_rejected_and_nobody_waits_for_ever():

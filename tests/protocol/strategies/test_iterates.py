@@ -100,7 +100,6 @@ def find_gaps(feeder: Feeder, traces: dict[str, Trace], centre: Trace) -> list[f
 class Compared:
     gaps: list[float] = field(default_factory=list)
     ends: list[float] = field(default_factory=list)
-    ties: list[str] = field(default_factory=list)
 
     def compare(self, feeder: Feeder, name: str) -> None:
         try:
@@ -112,15 +111,24 @@ class Compared:
         by_areas = {protocol.removed for protocol in bus.protocols.values()}
         assert len(by_areas) == 1, name
         if by_areas != {removed}:
+            assert_are_tied(report, *by_areas)
             objective = sum(state.objective for state in bus.states.values())
             assert objective == pytest.approx(report.objective, rel=SAME_FIT), (name, removed, by_areas)
-            self.ties.append(name)
             return
         for trace in traces.values():
             assert trace.verdicts == centre.verdicts, name
         gaps = find_gaps(feeder, traces, centre)
         self.gaps += gaps
         self.ends.append(gaps[-1])
+
+
+def assert_are_tied(report: BadDataReport, by_areas: tuple[str, ...]) -> None:
+    """Where the areas first take out another meter than the centre, that cannot tell the two apart."""
+    for removed, other in zip(report.removed, by_areas, strict=False):
+        if other != removed.measurement.meter.id:
+            assert other in removed.indistinguishable_from
+            return
+    pytest.fail(f"areas take out {len(by_areas)} meters, the centre {len(report.removed)}")
 
 
 def has_load(feeder: Feeder) -> bool:
@@ -137,8 +145,7 @@ def compare_all(drawn: Iterator[Drawn]) -> Compared:
     return compared
 
 
-def assert_are_the_centres(compared: Compared, ties: int) -> None:
-    assert len(compared.ties) <= ties, compared.ties
+def assert_are_the_centres(compared: Compared) -> None:
     assert max(compared.gaps) < ALL
     assert max(compared.ends) < AT_THE_END
     assert np.quantile(compared.gaps, MOST) < MOST_OF_ALL
@@ -151,17 +158,23 @@ def thorough(request: pytest.FixtureRequest) -> bool:
 
 
 def test_on_the_examples_of_any_grid():
-    assert_are_the_centres(compare_all(draw_examples()), ties=0)
+    assert_are_the_centres(compare_all(draw_examples()))
 
 
 def test_on_random_grids(thorough):
-    assert_are_the_centres(
-        compare_all(itertools.islice(draw_grids(), 300 if thorough else 12)), ties=3 if thorough else 0
-    )
+    assert_are_the_centres(compare_all(itertools.islice(draw_grids(), 300 if thorough else 12)))
+
+
+def test_areas_where_rounding_is_larger_than_the_least_damping_come_to_an_end():
+    """Of grid 71 the hub is a busbar whose neighbours determine one sum of what flows into one of them."""
+    compared = Compared()
+    with back_end("dense"):
+        compared.compare(feeder_of(next(itertools.islice(draw_grids(), 71, None))), "grid 71")
+    assert_are_the_centres(compared)
 
 
 def test_on_random_feeders_sound_and_with_gross_errors(thorough):
-    assert_are_the_centres(compare_all(itertools.islice(draw_feeders(), 0, None, 1 if thorough else 40)), ties=0)
+    assert_are_the_centres(compare_all(itertools.islice(draw_feeders(), 0, None, 1 if thorough else 40)))
 
 
 @pytest.mark.random_cases(few=2, many=50)
@@ -186,7 +199,7 @@ def test_where_a_removal_makes_the_iteration_diverge_areas_and_centre_rest_on_th
     assert report.removed == ()
     assert (report.suspect.meter.id, report.suspect.reason) == ("vm@3", "diverges")
     bus = SimulatedBus(feeder.area_files(0.0, 0), feeder.telemetry())
-    bus.run(1.0)
+    settle_bus(bus)
     assert_equals_centralised(bus, report)
     assert_same_decisions(bus, report)
     for state in bus.states.values():
