@@ -1,10 +1,17 @@
 # What takes minutes and is therefore not among the tests. Everything else: CONTRIBUTING.md.
 PYTHON ?= .venv/bin/python
 
-.PHONY: docs soak soak-short recovery exchange freeze-oracle
+.PHONY: docs docs-commands linkcheck soak soak-short recovery exchange freeze-oracle
 docs:  ## the site, below build/docs; a warning, or a link that leads nowhere, is an error
 	rm -rf docs/reference/api  # pages of modules that are gone
 	$(PYTHON) -m sphinx -q -W --keep-going -n docs build/docs
+
+docs-commands:  ## runs the commands of all pages in order, as printed; what is not run says so in its page
+	$(PYTHON) -m pytest -q docs/test_commands_run.py
+
+linkcheck:  ## follows the links to other sites; needs a network, so CI does not run it
+	rm -rf docs/reference/api
+	$(PYTHON) -m sphinx -q -b linkcheck docs build/linkcheck
 
 soak:  ## ten minutes of faults, then whole again
 	$(PYTHON) -m benchmarks.soak --minutes 10
