@@ -14,9 +14,10 @@ import click  # noqa: E402
 
 from benchmarks.cases import SETS, SHARP  # noqa: E402
 from benchmarks.comparison import Limits, Row, compare, compare_draws  # noqa: E402
+from benchmarks.figures import figures_option, write_section  # noqa: E402
 from benchmarks.machine import describe_machine  # noqa: E402
 from benchmarks.methods.compared import OURS, OURS_WITH_RESIDUALS, PEERS  # noqa: E402
-from benchmarks.report import format_draws, format_estimates, write_report  # noqa: E402
+from benchmarks.report import format_draws, format_estimates, format_ratios, write_report  # noqa: E402
 from dsse_core.errors import InvalidInputError  # noqa: E402
 
 ALL_SETS = (*SETS, *(name + SHARP for name in SETS))
@@ -50,6 +51,7 @@ def _parse_sets(_context: click.Context, _option: click.Parameter, text: str) ->
 @click.option("--limit-s", type=click.FloatRange(1), default=600.0, help="Seconds for a case with one method.")
 @click.option("--limit-gib", type=click.FloatRange(1), default=8.0, help="Memory for a case with one method.")
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), default=Path("runs/benchmarks"))
+@figures_option
 def main(
     sizes: list[int] | None,
     sets: list[str],
@@ -60,6 +62,7 @@ def main(
     limit_s: float,
     limit_gib: float,
     out: Path,
+    figures: str | None,
 ) -> None:
     """Time our centralised estimate side by side with power-grid-model, pandapower and gridstate.
 
@@ -82,6 +85,8 @@ def main(
         raise click.ClickException(str(error)) from None
     except OSError as error:
         raise click.ClickException(f"{out}: {error.strerror or error}") from None
+    if figures:
+        write_section(figures, machine, format_draws(solved) if solved else format_ratios(rows))
     click.echo(format_estimates(rows))
     if solved:
         click.echo("\n" + format_draws(solved))

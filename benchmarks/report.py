@@ -75,6 +75,27 @@ def format_estimates(rows: Sequence[Row]) -> str:
     return "\n".join(lines)
 
 
+def format_ratios(rows: Sequence[Row]) -> str:
+    """One row per measurement set and method, a column for each size: warm ms of ours, warm ratios of the others."""
+    sizes = list(dict.fromkeys(row.n_bus for row in rows))
+    ours = list(dict.fromkeys(own for row in rows for own in row.ratios))
+    head = ["set", "method; warm, divided by " + " / ".join(ours), *(f"{n} buses" for n in sizes)]
+    lines = [_line(head), "|" + "---|" * len(head)]
+    for set_name, method in dict.fromkeys((row.set_name, row.method) for row in rows):
+        found = {row.n_bus: row for row in rows if (row.set_name, row.method) == (set_name, method)}
+        unit = f"{method}, ms" if method in ours else method
+        lines.append(_line([set_name, unit, *(_warm(found.get(n), method in ours) for n in sizes)]))
+    return "\n".join(lines)
+
+
+def _warm(row: Row | None, is_ours: bool) -> str:
+    if row is None or row.outcome is None:
+        return row.remark if row else ""
+    if is_ours:
+        return f"{row.outcome.timing.warm_ms:.2g}"
+    return " / ".join(f"{warm:.2g}" for _, warm in row.ratios.values())
+
+
 def format_draws(draws: Sequence[DrawRow]) -> str:
     """One row per measurement set and method."""
     lines = [_line(["buses", "set", "method", "draws", "estimated", "at the minimum", "failures"]), "|" + "---|" * 7]

@@ -1,7 +1,7 @@
 """`make docs-commands`: the commands of each page are run in order, as printed, in a temporary folder.
 
-They are no part of the test suite, which is to be short. The folder stands for a checkout: it links to all that this one
-holds. Processes by hand use the port that they use by default; it must be free.
+They are no part of the test suite, which is to be short. The folder stands for a checkout: it links to all that this
+one holds. Processes by hand use the port that they use by default; it must be free.
 """
 
 from __future__ import annotations

@@ -17,6 +17,7 @@ import click
 from benchmarks.exchange.watch import ScanFigures, WatchedBus
 from benchmarks.exchange.worlds import SCANS, draw_feeder, draw_row, read_ieee33
 from benchmarks.fault_histories.history import World
+from benchmarks.figures import figures_option, write_section
 from benchmarks.machine import describe_machine
 
 EXACT = "information"
@@ -218,7 +219,8 @@ def _pair(values: tuple[float, float]) -> str:
 @click.command(context_settings={"show_default": True})
 @click.option("--quick", is_flag=True, help="Small sizes, to see that it runs.")
 @click.option("--json", "as_json", is_flag=True, help="JSON in place of the table; infinite times are null.")
-def main(quick: bool, as_json: bool) -> None:
+@figures_option
+def main(quick: bool, as_json: bool, figures: str | None) -> None:
     """Count messages and take virtual times of scans: random feeders, rows, loss, long hops. Ten minutes and more."""
     machine = describe_machine(PACKAGES)
     rows = measure(QUICK if quick else Extent())
@@ -228,9 +230,13 @@ def main(quick: bool, as_json: bool) -> None:
         return
     for name, text in machine.items():
         click.echo(f"{name}: {text}")
-    click.echo("\n| " + " | ".join(COLUMNS) + " |\n|" + "---|" * len(COLUMNS))
+    lines = ["| " + " | ".join(COLUMNS) + " |", "|" + "---|" * len(COLUMNS)]
+    click.echo("\n" + "\n".join(lines))
     for row in rows:
-        click.echo(write_line(row))
+        lines.append(write_line(row))
+        click.echo(lines[-1])
+    if figures:
+        write_section(figures, machine, "\n".join(lines))
 
 
 def _finite(value: object) -> object:

@@ -24,8 +24,10 @@ from typing import Any
 
 import click
 
+from benchmarks.figures import figures_option, write_section
 from benchmarks.fuzz.targets import TARGETS
 from benchmarks.limits import GIB
+from benchmarks.machine import describe_machine
 
 GROUPS = {
     "messages": ("messages",),
@@ -39,6 +41,7 @@ GROUPS = {
         "foreign-pandapower.json",
     ),
 }
+PACKAGES = ("msgspec", "pydantic")
 LONGEST_S = 30.0  # of one input
 MOST_MEMORY = 4 * GIB
 BATCH = 1000
@@ -158,20 +161,24 @@ def fuzz(name: str, seed: int, count: int, workers: int) -> tuple[Counter[str], 
 @click.option("--seed", type=int, default=1)
 @click.option("--workers", type=click.IntRange(1), default=2)
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), default=Path("runs/fuzz"))
-def main(group: str, count: int, only: str | None, seed: int, workers: int, out: Path) -> None:
+@figures_option
+def main(group: str, count: int, only: str | None, seed: int, workers: int, out: Path, figures: str | None) -> None:
     """Feed hostile inputs to decoders. Exits with 1 if anything but acceptance or the promised rejection happens."""
-    bad = False
+    bad, lines = False, ["| decoder | seed | inputs | outcomes |", "|---|---|---|---|"]
     for name in [only] if only else GROUPS[group]:
         started = time.monotonic()
         make_input(name, seed, 0)  # the samples, before the processes that share them
         outcomes, findings = fuzz(name, seed, count, workers)
         summary = ", ".join(f"{n} {outcome}" for outcome, n in outcomes.most_common())
         click.echo(f"{name}, seed {seed}, {count} inputs, {time.monotonic() - started:.0f} s: {summary}")
+        lines.append(f"| `{name}` | {seed} | {count} | {summary} |")
         for number, what in sorted(findings.items()):
             out.mkdir(parents=True, exist_ok=True)
             saved = out / f"{seed}-{number}-{name}"
             saved.write_bytes(make_input(name, seed, number))
             click.echo(f"  input {number}: {what}; saved as {saved}")
         bad |= bool(findings)
+    if figures:
+        write_section(figures, describe_machine(PACKAGES), "\n".join(lines))
     if bad:
         raise SystemExit(1)

@@ -23,6 +23,13 @@ def find_links(page: Path) -> list[str]:
     return [link for link in LINK.findall(text) if "://" not in link and not link.startswith("mailto:")]
 
 
+def find_external_links(page: Path) -> list[str]:
+    """Addresses at other sites, in links, pictures and between angle brackets, outside code."""
+    text = re.sub(r"`[^`\n]*`", "`", FENCE.sub("", page.read_text()))
+    found = [*LINK.findall(text), *re.findall(r"<([a-z]+://[^<>]+)>", text)]
+    return [link for link in found if "://" in link]
+
+
 def anchors_of(page: Path) -> set[str]:
     """The names that GitHub gives to the headings of a page, repeated ones numbered."""
     found: list[str] = []

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import pytest
-from pages import PAGES, ROOT, anchors_of, find_links, name_of
+from pages import PAGES, ROOT, anchors_of, find_external_links, find_links, name_of
 
 
 def find_dead_links(page: Path) -> list[str]:
@@ -54,3 +56,36 @@ def test_pages_name_only_modules_that_exist():
     }
     assert len(named) > 60
     assert [(page, path) for page, path in sorted(named) if not any(ROOT.glob(path))] == []
+
+
+# Links to other sites: `make linkcheck` follows them; here, without a network, their form is checked.
+
+
+def find_malformed(links: Iterable[str]) -> list[str]:
+    """Links that are no plain https addresses, and those that differ from another only in case, slash or www."""
+    listed = sorted(set(links))
+    plain = [re.sub(r"^https?://(www\.)?", "", link).rstrip("/").lower() for link in listed]
+    return [
+        link
+        for link, address in zip(listed, plain, strict=True)
+        if urlsplit(link).scheme != "https"
+        or not re.fullmatch(r"[a-z0-9-]+(\.[a-z0-9-]+)+", urlsplit(link).netloc)
+        or re.search(r"\s", link)
+        or plain.count(address) > 1
+    ]
+
+
+def test_links_to_other_sites_are_well_formed_and_alike_on_all_pages():
+    links = [link for page in PAGES for link in find_external_links(page)]
+    assert "https://semver.org/" in links
+    assert find_malformed(links) == []
+
+
+def test_a_malformed_link_to_another_site_is_found(tmp_path: Path):
+    page = tmp_path / "page.md"
+    page.write_text(
+        "[a](http://a.org) [b](https://b.org/x) <https://www.b.org/x/> <https://localhost> `https://code`\n"
+    )
+    assert find_malformed(find_external_links(page)) == [
+        *("http://a.org", "https://b.org/x", "https://localhost", "https://www.b.org/x/")
+    ]
