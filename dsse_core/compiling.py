@@ -1,11 +1,36 @@
-"""Who learns when this process begins and ends to compile: it takes long, and users wonder why."""
+"""Whether this process compiles, and who learns when it does: it takes long, and users wonder why."""
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Callable
+
+from dsse_core.code_places import has_whole_estimate
 
 Listener = Callable[[bool, str | None], None]
 _listeners: list[Listener] = []
+_only_loads = False
+
+
+def only_load() -> None:
+    """From now on this process loads what is kept and compiles nothing that it has a choice about: it answers one
+    question, which takes less than compiling.
+    """
+    global _only_loads
+    _only_loads = True
+
+
+def find_obstacle() -> str | None:
+    """Why this process does not use the compiled code of estimates and power flows, as text.
+
+    Raises:
+        InvalidInputError: NUMBA_CACHE_DIR is set to a place that others can write.
+    """
+    if importlib.util.find_spec("numba") is None:
+        return "numba is not installed"
+    if _only_loads and not has_whole_estimate():
+        return "the compiled solver is not there yet; `dsse compile` makes it, once, in some 20 s"
+    return None
 
 
 def listen(listener: Listener) -> None:

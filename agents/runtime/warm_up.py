@@ -44,7 +44,7 @@ def warm_up() -> None:
 
 
 def warm_up_estimate() -> None:
-    """Go once through power flow, estimate and bad data of a whole radial network."""
+    """Go once through power flow, estimate and bad data of a whole radial network, and note where all of it is kept."""
     flow = solve_power_flow(NETWORK, method="sweep")
     meters = [Meter(MeasurementKind.VM, bus.id) for bus in NETWORK.buses]
     meters += [Meter(kind, bus.id) for bus in NETWORK.buses for kind in MeasurementKind if kind.of_injection]
@@ -53,3 +53,6 @@ def warm_up_estimate() -> None:
     bad = [replace(readings[0], value=readings[0].value + 100 * SIGMA), *readings[1:]]
     report = process_bad_data(NETWORK, bad, backend="radial")
     estimate_state(NETWORK, readings, start=(report.result.vm, report.result.va), backend="radial")
+    from dsse_core.code_cache import note_whole_estimate  # numba, which is loaded by now
+
+    note_whole_estimate()

@@ -149,10 +149,12 @@ def check(scenario: str) -> None:
     from agents.protocol.choose import STRATEGIES
     from coordinator.evaluation.evaluation import choose_scenario
     from coordinator.report.text import format_area_check, format_check
+    from dsse_core import compiling
     from dsse_core.files.kinds import AREA_FILE
     from dsse_core.files.strict_table import OtherKindError
     from scenarios.check import check_scenario
 
+    compiling.only_load()
     try:
         show(format_check(check_scenario(choose_scenario(scenario))))
     except OtherKindError as error:
@@ -185,9 +187,11 @@ def powerflow(scenario: str) -> None:
     Example:  dsse powerflow industrial13
     """
     from coordinator.report.text import format_power_flow
+    from dsse_core import compiling
     from dsse_core.power_flow.newton_raphson import solve_power_flow
     from scenarios.scenario import load_scenario
 
+    compiling.only_load()
     show(format_power_flow(solve_power_flow(load_scenario(scenario).network)))
 
 
@@ -202,10 +206,12 @@ def estimate(scenario: str, seed: int | None) -> None:
     """
     from coordinator.evaluation.evaluation import choose_scenario
     from coordinator.report.text import format_estimate
+    from dsse_core import compiling
     from dsse_core.estimation.bad_data import process_bad_data
     from scenarios.check import check_scenario
     from scenarios.telemetry import make_telemetry
 
+    compiling.only_load()
     prepared = check_scenario(choose_scenario(scenario, seed))
     telemetry = make_telemetry(prepared)
     report = process_bad_data(prepared.network, telemetry.union, tolerance=prepared.tolerances.estimator)

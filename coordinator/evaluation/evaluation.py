@@ -11,6 +11,7 @@ from coordinator.evaluation.comparison import compare
 from coordinator.evaluation.result import RunOutcome, make_area_results, make_verdict
 from coordinator.observe.duplicates import Duplicate
 from coordinator.observe.observer import Observer
+from dsse_core.code_places import has_whole_estimate
 from dsse_core.errors import DsseError, InvalidInputError
 from dsse_core.estimation.bad_data import BadDataReport, process_bad_data
 from dsse_core.files.wording import describe_unknown
@@ -72,12 +73,20 @@ class Centralised:
 
 
 def estimate_centralised(scenario: Scenario, telemetry: Telemetry) -> Centralised:
-    """What a control centre would make of the telemetry of all areas."""
+    """What a control centre would make of the telemetry of all areas.
+
+    Where it is compiled for that, so is the rest of what a single estimate needs, which never waits for a compiler.
+    """
     try:
         tolerance = min(scenario.tolerances.estimator, REFERENCE_ESTIMATE)
-        return Centralised(process_bad_data(scenario.network, telemetry.union, tolerance=tolerance), None)
+        report = process_bad_data(scenario.network, telemetry.union, tolerance=tolerance)
     except DsseError as error:
         return Centralised(None, str(error))
+    if report.result.backend == "radial" and not has_whole_estimate():
+        from agents.runtime.warm_up import warm_up_estimate  # which most runs do not need
+
+        warm_up_estimate()
+    return Centralised(report, None)
 
 
 def no_consensus_within(scenario: Scenario, obstacles: tuple[str, ...]) -> str:

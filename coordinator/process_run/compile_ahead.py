@@ -27,7 +27,8 @@ def compile_ahead() -> CompiledAhead:
     if importlib.util.find_spec("numba") is None:
         problem = "numba is not installed, and nothing is compiled without it; pip install 'consensus-dsse[fast]'"
         raise InvalidInputError("dsse compile", [problem])
-    from dsse_core.code_cache import find_folder_to_keep_in, find_places, not_kept
+    from dsse_core.code_cache import not_kept
+    from dsse_core.code_places import find_folder_to_keep_in, find_places
 
     if find_folder_to_keep_in() is None:
         faults = [f"{place.folder}: {place.fault or 'cannot be written'}" for place in find_places()]

@@ -137,10 +137,16 @@ def format_estimate(report: BadDataReport, truth: PowerFlowResult | None) -> str
     return "\n".join([table, "", *map(printable, _format_bad_data(report))])
 
 
+def _describe_backend(report: BadDataReport) -> str:
+    """By which the state was found, and why not by the compiled one."""
+    radial = report.result.plan.radial
+    return f"{report.result.backend}: {radial}" if isinstance(radial, str) else report.result.backend
+
+
 def _format_bad_data(report: BadDataReport) -> list[str]:
     lines = [
         f"J = {report.objective:.4g} with {report.degrees_of_freedom} degrees of freedom, "
-        f"limit {report.chi_square_limit:.4g}; {report.result.iterations} iterations, back end {report.result.backend}"
+        f"limit {report.chi_square_limit:.4g}; {report.result.iterations} iterations, back end {_describe_backend(report)}"
     ]
     for removed in report.removed:
         others = removed.indistinguishable_from

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
+from dsse_core import compiling
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.measurement import MeasurementKind, Meter, find_meter_problems
 from dsse_core.grid.network import Network
@@ -74,8 +74,8 @@ class RadialLayout:
 
 def lay_out_radial(network: Network, root: int) -> RadialLayout | str:
     """The tree of ``network`` with bus ``root`` on top, or, as text, why the compiled passes cannot serve it."""
-    if importlib.util.find_spec("numba") is None:
-        return "numba is not installed"
+    if (obstacle := compiling.find_obstacle()) is not None:
+        return obstacle
     if isinstance(tree := find_tree(network, root), str):
         return tree
     number = np.empty(len(tree.order), dtype=np.int64)

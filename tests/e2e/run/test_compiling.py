@@ -21,7 +21,7 @@ WITHOUT_A_PLACE_TO_KEEP_IN = """
 import os, sys
 os.access = lambda *_: False  # as in an administrator's folder; root may write everywhere
 from dsse_core import compiling
-from dsse_core.code_cache import find_folder_to_keep_in
+from dsse_core.code_places import find_folder_to_keep_in
 from agents.runtime.warm_up import warm_up, warm_up_estimate
 compiling.listen(lambda begins, folder: sys.exit("compiles"))
 assert find_folder_to_keep_in() is None
@@ -70,6 +70,15 @@ def test_compiling_does_not_count_against_the_time_limit_and_is_said_once(dsse: 
     assert LINE not in dsse("run", scenario, "--timeout", LIMIT_S, "--no-plots").stderr
 
 
+def test_a_single_estimate_does_not_wait_for_a_compiler(feeders: Path, tmp_path: Path):
+    scenario = str(feeders / "1200" / "scenario.toml")
+    environment = {**ENVIRONMENT, "NUMBA_CACHE_DIR": str(tmp_path / "empty")}
+    done = subprocess.run([*COMMAND, "estimate", scenario], env=environment, capture_output=True, text=True, check=True)
+    assert done.stderr == ""
+    assert "back end sparse: the compiled solver is not there yet; `dsse compile` makes it" in done.stdout
+    assert list(tmp_path.rglob("*.nb?")) == []
+
+
 def test_what_was_compiled_ahead_is_not_compiled_again(dsse: Dsse, feeders: Path, place: Path):
     ahead = dsse("compile")
     assert ahead.returncode == 0, ahead.stderr
@@ -82,6 +91,9 @@ def test_what_was_compiled_ahead_is_not_compiled_again(dsse: Dsse, feeders: Path
         done = dsse("simulate", scenario, "--strategy", strategy, "--no-plots", "--out", strategy)
         assert done.returncode in (0, 1), done.stderr
         assert LINE not in done.stderr
+    estimated = dsse("estimate", scenario)
+    assert estimated.stderr == ""
+    assert "back end radial" in estimated.stdout
     environment = {**ENVIRONMENT, "NUMBA_CACHE_DIR": str(place)}
     code = [sys.executable, "-P", "-c", WITHOUT_A_PLACE_TO_KEEP_IN]
     done = subprocess.run(code, env=environment, capture_output=True, text=True, check=False)

@@ -11,8 +11,8 @@ import pytest
 
 pytest.importorskip("numba")
 
-from dsse_core import code_cache
-from dsse_core.code_cache import find_fault, find_places
+from dsse_core import code_cache, code_places, compiling
+from dsse_core.code_places import find_fault, find_places
 from dsse_core.errors import InvalidInputError
 
 STRANGER = 54321
@@ -90,7 +90,7 @@ def test_without_a_choice_an_administrators_place_comes_before_the_users(monkeyp
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(place))
     beside, of_user = (found.folder for found in find_places.__wrapped__())
-    assert beside == code_cache.SOURCES / "__pycache__"
+    assert beside == code_places.SOURCES / "__pycache__"
     assert of_user.parent == place / "dsse"
 
 
@@ -155,11 +155,49 @@ def test_code_that_finds_no_room_is_not_said_to_be_kept(place: Path, monkeypatch
 
 
 def test_code_is_compiled_anew_when_a_source_in_any_room_changes(tmp_path, monkeypatch):
-    monkeypatch.setattr(code_cache, "SOURCES", tmp_path)
+    monkeypatch.setattr(code_places, "SOURCES", tmp_path)
     source = tmp_path / "radial" / "kernel.py"
     source.parent.mkdir()
     hashes = []
     for text in ("UPWARD = 1\n", "UPWARD = 2\n"):
         source.write_text(text)
-        hashes.append(code_cache._hash_of_sources.__wrapped__())
+        hashes.append(code_places.hash_of_sources.__wrapped__())
     assert hashes[0] != hashes[1]
+
+
+@pytest.fixture
+def kept_in(place: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    found = (code_places.Place(place, None),)
+    for module in (code_places, code_cache):
+        monkeypatch.setattr(module, "find_places", lambda: found)
+        monkeypatch.setattr(module, "find_folder_to_keep_in", lambda: place)
+    monkeypatch.setattr(code_cache, "not_kept", [])
+    return place
+
+
+def test_a_process_that_answers_one_question_does_not_compile(kept_in: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(compiling, "_only_loads", False)
+    assert compiling.find_obstacle() is None
+    compiling.only_load()
+    assert "`dsse compile` makes it" in (compiling.find_obstacle() or "")
+    code_cache.note_whole_estimate()
+    assert compiling.find_obstacle() is None
+
+
+def test_code_of_another_processor_or_other_sources_is_not_taken_for_ready(
+    kept_in: Path, monkeypatch: pytest.MonkeyPatch
+):
+    code_cache.note_whole_estimate()
+    assert code_places.has_whole_estimate()
+    for function, other in (("_name_processor", lambda: iter(["another"])), ("hash_of_sources", lambda: "others")):
+        with monkeypatch.context() as patch:
+            patch.setattr(code_places, function, other)
+            code_places.name_of_note.cache_clear()
+            assert not code_places.has_whole_estimate()
+        code_places.name_of_note.cache_clear()
+
+
+def test_code_that_could_not_be_kept_is_not_noted_as_ready(kept_in: Path):
+    code_cache.not_kept.append(OSError(28, "No space left on device"))
+    code_cache.note_whole_estimate()
+    assert not code_places.has_whole_estimate()

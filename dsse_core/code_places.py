@@ -1,0 +1,168 @@
+"""Where compiled code is kept, and from where it may be loaded: never from a place that another unprivileged user can
+write, as loading it is running it; and whether that of whole estimates is there, without loading numba to find out.
+
+Places, in this order: the folder in NUMBA_CACHE_DIR alone, if that is set; else ``__pycache__`` beside this file, which
+an administrator may have filled for all users, and ``dsse`` in the cache folder of the user. Code is loaded from the
+first that has it and kept in the first that can be written. Where there is none, each process compiles anew.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import platform
+import stat
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from dsse_core.errors import InvalidInputError
+
+BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
+SOURCES = Path(__file__).resolve().parent
+CODE = (".nbi", ".nbc", ".whole")  # numba's index and data files, and our note that all of an estimate is there
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A folder for compiled code. ``fault``: why nothing is loaded from it nor kept there, if so."""
+
+    folder: Path
+    fault: str | None
+
+
+@cache
+def find_places() -> tuple[Place, ...]:
+    """All places that are looked at, in their order.
+
+    Raises:
+        InvalidInputError: NUMBA_CACHE_DIR is set to a place that others can write.
+    """
+    of_sources = f"{SOURCES.name}-{hashlib.sha256(os.fsencode(SOURCES)).hexdigest()[:32]}"  # of one installation
+    if given := os.environ.get("NUMBA_CACHE_DIR"):
+        folder = Path(given).absolute() / of_sources
+        if fault := find_fault(folder):
+            cure = "make it writable by its owner only, or choose another folder"
+            raise InvalidInputError("NUMBA_CACHE_DIR", [f"compiled code is not loaded from {folder}: {fault}; {cure}"])
+        return (Place(folder.resolve(), None),)
+    folders = [SOURCES / "__pycache__"]
+    with contextlib.suppress(RuntimeError):  # no home
+        of_user = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        folders.append(of_user.absolute() / "dsse" / of_sources)
+    return tuple(Place(folder.resolve(), find_fault(folder)) for folder in folders)
+
+
+def find_fault(folder: Path) -> str | None:
+    """Who but root and the user of this process could have put code into ``folder``, in words; None: nobody.
+
+    Looked at are the folder, all folders above it, and the compiled code in it; what does not exist yet is no fault.
+    """
+    if not hasattr(os, "geteuid"):
+        return None  # Windows: permissions are not in these bits, and folders of users are theirs
+    folder = folder.resolve()
+    try:
+        for path in (folder, *folder.parents):
+            with contextlib.suppress(FileNotFoundError):
+                status = path.lstat()
+                sticky_above = (
+                    path != folder and status.st_mode & stat.S_ISVTX
+                )  # there, nobody renames what is another's
+                if fault := _fault_of(path, status, stat.S_ISDIR, 0 if sticky_above else BY_OTHERS):
+                    return fault
+        with contextlib.suppress(FileNotFoundError), os.scandir(folder) as entries:
+            for entry in entries:
+                if entry.name.endswith(CODE):
+                    status = entry.stat(follow_symlinks=False)
+                    if fault := _fault_of(Path(entry.path), status, stat.S_ISREG, BY_OTHERS):
+                        return fault
+    except OSError as error:
+        return f"{error.filename}: {error.strerror}"
+    return None
+
+
+def _fault_of(path: Path, status: os.stat_result, is_kind: Callable[[int], bool], forbidden: int) -> str | None:
+    if not is_kind(status.st_mode):
+        return f"{path} is neither folder nor file"
+    if status.st_uid not in (0, os.geteuid()):
+        return f"{path} belongs to user {status.st_uid}"
+    if status.st_mode & forbidden:
+        return f"{path} can be written by others (mode {stat.S_IMODE(status.st_mode):o})"
+    return None
+
+
+@cache
+def find_folder_to_keep_in() -> Path | None:
+    """The first place that can be written, made if it is not there; None where there is none."""
+    for place in find_places():
+        if place.fault is None:
+            with contextlib.suppress(OSError), for_owner_to_write():
+                place.folder.mkdir(parents=True, exist_ok=True)
+                if find_fault(place.folder) is None and os.access(place.folder, os.W_OK | os.X_OK):
+                    return place.folder
+    return None
+
+
+def name_of_folder() -> str | None:
+    folder = find_folder_to_keep_in()
+    return None if folder is None else str(folder)
+
+
+@contextlib.contextmanager
+def for_owner_to_write() -> Iterator[None]:
+    """Files and folders are made readable by all, as code that an administrator keeps must be, writable by one."""
+    before = os.umask(0o022)
+    try:
+        yield
+    finally:
+        os.umask(before)
+
+
+@cache
+def hash_of_sources() -> str:
+    """Of all sources: compiled code holds what it calls and the constants that it uses, from other files, too."""
+    digest = hashlib.sha256()
+    for path in sorted(SOURCES.rglob("*.py")):
+        digest.update(str(path.relative_to(SOURCES)).encode() + b"\0" + path.read_bytes() + b"\0")
+    return digest.hexdigest()
+
+
+def has_whole_estimate() -> bool:
+    """Whether all compiled code of a power flow, an estimate and its bad data can be loaded by this process.
+
+    Where numba finds otherwise, because somebody has removed some of it, it compiles.
+    """
+    name = name_of_note()
+    return any(place.fault is None and (place.folder / name).exists() for place in find_places())
+
+
+@cache
+def name_of_note() -> str:
+    """What compiled code is made for: the sources, Python, numba and the processor."""
+    digest = hashlib.sha256(hash_of_sources().encode())
+    for text in (sys.version, _version_of("numba"), _version_of("llvmlite"), *_name_processor()):
+        digest.update(text.encode() + b"\0")
+    return f"estimate-{digest.hexdigest()[:32]}.whole"
+
+
+def _version_of(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return ""
+
+
+def _name_processor() -> Iterator[str]:
+    yield platform.machine()
+    if (given := os.environ.get("NUMBA_CPU_NAME")) is not None:
+        yield given
+        return
+    with contextlib.suppress(OSError), open("/proc/cpuinfo", encoding="utf-8", errors="replace") as lines:
+        for line in lines:
+            if line.startswith(("model name", "flags", "Features", "CPU part")):
+                yield line
+            if not line.strip():  # the first processor is like the others
+                return
