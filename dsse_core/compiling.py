@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 from dsse_core.code_places import has_whole_estimate
 
@@ -12,12 +13,17 @@ _listeners: list[Listener] = []
 _only_loads = False
 
 
-def only_load() -> None:
-    """From now on this process loads what is kept and compiles nothing that it has a choice about: it answers one
-    question, which takes less than compiling.
+@contextmanager
+def only_loading() -> Iterator[None]:
+    """Meanwhile this process loads what is kept and compiles nothing that it has a choice about: it answers one
+    question, which takes less than compiling. Commands have it as a decorator.
     """
     global _only_loads
-    _only_loads = True
+    before, _only_loads = _only_loads, True
+    try:
+        yield
+    finally:
+        _only_loads = before
 
 
 def find_obstacle() -> str | None:

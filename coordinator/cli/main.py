@@ -27,6 +27,7 @@ from coordinator.cli.terminal import (
 )
 from coordinator.cli.watch import watch
 from coordinator.interrupts import INTERRUPTED_CODE, end_orderly_on_signals
+from dsse_core.compiling import only_loading
 from dsse_core.errors import DsseError
 from dsse_core.printable import printable
 
@@ -136,6 +137,7 @@ def run(
 
 @commands.command(short_help="Check a scenario or an area file without running it.")
 @scenario_argument
+@only_loading()
 def check(scenario: str) -> None:
     """Check SCENARIO without running it: keys, network, areas, meters, observability of the grid and each area.
 
@@ -149,12 +151,10 @@ def check(scenario: str) -> None:
     from agents.protocol.choose import STRATEGIES
     from coordinator.evaluation.evaluation import choose_scenario
     from coordinator.report.text import format_area_check, format_check
-    from dsse_core import compiling
     from dsse_core.files.kinds import AREA_FILE
     from dsse_core.files.strict_table import OtherKindError
     from scenarios.check import check_scenario
 
-    compiling.only_load()
     try:
         show(format_check(check_scenario(choose_scenario(scenario))))
     except OtherKindError as error:
@@ -180,6 +180,7 @@ def scenarios() -> None:
 
 @commands.command(short_help="Solve the power flow of the whole network.")
 @scenario_argument
+@only_loading()
 def powerflow(scenario: str) -> None:
     """Solve the power flow of SCENARIO's whole network: the truth that its meters read.
 
@@ -187,17 +188,16 @@ def powerflow(scenario: str) -> None:
     Example:  dsse powerflow industrial13
     """
     from coordinator.report.text import format_power_flow
-    from dsse_core import compiling
     from dsse_core.power_flow.newton_raphson import solve_power_flow
     from scenarios.scenario import load_scenario
 
-    compiling.only_load()
     show(format_power_flow(solve_power_flow(load_scenario(scenario).network)))
 
 
 @commands.command(short_help="Estimate the whole grid in one place.")
 @scenario_argument
 @seed_option
+@only_loading()
 def estimate(scenario: str, seed: int | None) -> None:
     """Estimate the whole grid of SCENARIO in one place, with bad-data processing: what a control centre would do.
 
@@ -206,12 +206,10 @@ def estimate(scenario: str, seed: int | None) -> None:
     """
     from coordinator.evaluation.evaluation import choose_scenario
     from coordinator.report.text import format_estimate
-    from dsse_core import compiling
     from dsse_core.estimation.bad_data import process_bad_data
     from scenarios.check import check_scenario
     from scenarios.telemetry import make_telemetry
 
-    compiling.only_load()
     prepared = check_scenario(choose_scenario(scenario, seed))
     telemetry = make_telemetry(prepared)
     report = process_bad_data(prepared.network, telemetry.union, tolerance=prepared.tolerances.estimator)

@@ -175,13 +175,14 @@ def kept_in(place: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return place
 
 
-def test_a_process_that_answers_one_question_does_not_compile(kept_in: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(compiling, "_only_loads", False)
+def test_a_command_that_answers_one_question_does_not_compile_and_the_next_one_may(kept_in: Path):
     assert compiling.find_obstacle() is None
-    compiling.only_load()
-    assert "`dsse compile` makes it" in (compiling.find_obstacle() or "")
-    code_cache.note_whole_estimate()
+    with compiling.only_loading():
+        assert "`dsse compile` makes it" in (compiling.find_obstacle() or "")
     assert compiling.find_obstacle() is None
+    with compiling.only_loading():
+        code_cache.note_whole_estimate()
+        assert compiling.find_obstacle() is None
 
 
 def test_code_of_another_processor_or_other_sources_is_not_taken_for_ready(
