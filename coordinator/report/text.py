@@ -146,7 +146,8 @@ def _describe_backend(report: BadDataReport) -> str:
 def _format_bad_data(report: BadDataReport) -> list[str]:
     lines = [
         f"J = {report.objective:.4g} with {report.degrees_of_freedom} degrees of freedom, "
-        f"limit {report.chi_square_limit:.4g}; {report.result.iterations} iterations, back end {_describe_backend(report)}"
+        f"limit {report.chi_square_limit:.4g}; {report.result.iterations} iterations, "
+        f"back end {_describe_backend(report)}"
     ]
     for removed in report.removed:
         others = removed.indistinguishable_from

@@ -222,4 +222,5 @@ def raise_damping(below: np.ndarray) -> np.ndarray:
     """
     if not below.any() or below.max() > LARGEST_DAMPING:
         raise RuntimeError("the tableau is exactly singular")
-    return np.maximum(below, 1e3 * below[below > 0].min())
+    raised: np.ndarray = np.maximum(below, 1e3 * below[below > 0].min())
+    return raised
