@@ -11,9 +11,6 @@ from dsse_core.matrices.augmented import PIVOT_SCALE, raise_damping, reciprocal_
 
 REFINED = 1e-6  # of 1 - K X, whose square is what one more refinement leaves
 MOST_REFINED = 3
-# A smaller pivot is what rounding leaves where it has swallowed the damping: of what nothing determines, the answers
-# would be too large for any refinement.
-LEAST_OF_DAMPING = 1e-3
 
 
 class DenseFactor:
@@ -22,7 +19,7 @@ class DenseFactor:
     ``variance`` (n_meas,): sigma squared.
 
     Raises:
-        RuntimeError: the matrix is singular, and damping does not help.
+        RuntimeError: the matrix is exactly singular, and damping does not help.
     """
 
     def __init__(self, H: np.ndarray, sigma: np.ndarray, damping: np.ndarray) -> None:
@@ -47,7 +44,7 @@ class DenseFactor:
         while True:
             diagonal[m:] = -below
             self._lu, self._pivots, zero_pivot = lapack.dgetrf(self._tableau)
-            if not zero_pivot and abs(self._lu.diagonal()).min() > LEAST_OF_DAMPING * below.min():
+            if not zero_pivot:
                 break
             below = raise_damping(below)
 

@@ -165,8 +165,8 @@ def test_on_random_grids(thorough):
     assert_are_the_centres(compare_all(itertools.islice(draw_grids(), 300 if thorough else 12)))
 
 
-def test_areas_where_rounding_is_larger_than_the_least_damping_come_to_an_end():
-    """Of grid 71 the hub is a busbar whose neighbours determine one sum of what flows into one of them."""
+def test_areas_whose_no_load_information_has_no_numbers_come_to_an_end():
+    """Of grid 71 the hub is a busbar where rounding of the dense factor is larger than the damping at no load."""
     compared = Compared()
     with back_end("dense"):
         compared.compare(feeder_of(next(itertools.islice(draw_grids(), 71, None))), "grid 71")
