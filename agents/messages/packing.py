@@ -36,7 +36,7 @@ from agents.messages.types import (
     TelemetryMessage,
     UpMessage,
 )
-from dsse_core.estimation.verdict import Totals
+from dsse_core.estimation.decision import Totals
 
 __all__ = [
     "NO_INCARNATION",

@@ -15,7 +15,7 @@ from typing import Any, get_type_hints
 import msgspec
 
 from agents.messages.checks import Integer, MessageError, Name, Names, Number, shown
-from dsse_core.estimation.verdict import Totals
+from dsse_core.estimation.decision import Totals
 
 WireTotals = tuple[tuple[Name, msgspec.Raw], ...]
 _CHECKED: Mapping[Any, Any] = {

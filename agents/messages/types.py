@@ -18,7 +18,7 @@ from agents.messages.boundary_variables import (
     find_wrong_variable,
 )
 from agents.messages.checks import Count, Integer, Name, Names, Notes, Number, Numbers
-from dsse_core.estimation.verdict import Totals
+from dsse_core.estimation.decision import Totals
 from dsse_core.exchange.boundary_load import NetLoad
 
 

@@ -18,13 +18,8 @@ from agents.messages.packing import (
     LinkMessage,
     LoadMessage,
 )
+from agents.peers.round_trip import MEAN_GAIN, RoundTrip
 
-FIRST_WAIT_S = 0.05  # until a message is repeated, before the round trip of the link has been measured
-LEAST_WAIT_S = 0.005
-LEAST_LONGEST_WAIT_S = 0.02
-LONGEST_WAIT_TRIPS = 4.0  # round trips
-DEVIATIONS = 4.0  # of the round trip, added to it for the first wait (RFC 6298)
-MEAN_GAIN, DEVIATION_GAIN = 1 / 8, 1 / 4  # of a new sample (RFC 6298)
 PATIENCE_WAITS = 20  # messages, one each longest wait, that should have come through: none does once in 5e8 times
 
 Term = tuple[int, int]  # scan, revision
@@ -34,29 +29,6 @@ M = TypeVar("M", LoadMessage, ExchangeMessage)
 def term_of(message: LinkMessage) -> Term:
     """Where the sender stands; asynchronous strategies know no revisions."""
     return message.header.scan, 0 if isinstance(message, BoundaryUpdate) else message.revision
-
-
-@dataclass
-class RoundTrip:
-    """The smoothed round trip of one link and its mean deviation, s; nan before the first sample.
-
-    ``wait_s``: how long an answer is waited for before the first repeat; ``longest_wait_s``: between two of many.
-    """
-
-    mean: float = math.nan
-    deviation: float = math.nan
-    wait_s: float = FIRST_WAIT_S
-    longest_wait_s: float = max(FIRST_WAIT_S, LEAST_LONGEST_WAIT_S)
-
-    def take(self, sample: float) -> None:
-        """Take in a measured round trip, s."""
-        if math.isnan(self.mean):
-            self.mean, self.deviation = sample, sample / 2
-        else:
-            self.deviation += DEVIATION_GAIN * (abs(sample - self.mean) - self.deviation)
-            self.mean += MEAN_GAIN * (sample - self.mean)
-        self.wait_s = max(LEAST_WAIT_S, self.mean + DEVIATIONS * self.deviation)
-        self.longest_wait_s = max(LEAST_LONGEST_WAIT_S, LONGEST_WAIT_TRIPS * self.mean, self.wait_s)
 
 
 @dataclass

@@ -13,7 +13,7 @@ import numpy as np
 
 from agents.messages.packing import DownMessage, RoundMessage, UpMessage
 from agents.messages.triangle import read_triangle
-from dsse_core.estimation.verdict import Decision, Memory, Totals, Verdict, add_totals, decide
+from dsse_core.estimation.decision import Decision, Memory, Totals, Verdict, add_totals, decide
 from dsse_core.exchange.area_estimation import FAILURES, AreaEstimation
 from dsse_core.exchange.boundary_load import NetLoad
 from dsse_core.grid.measurement import Measurement

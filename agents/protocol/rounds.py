@@ -35,7 +35,7 @@ from agents.protocol.area_round import AreaRound, Content, Decider, Outcome
 from agents.protocol.events import Action, Publish
 from agents.protocol.rounds_state import RoundsState
 from agents.protocol.scan_readings import TelemetryUpdate
-from dsse_core.estimation.verdict import Totals
+from dsse_core.estimation.decision import Totals
 
 RoundsMessage = HeartbeatMessage | UpMessage | DownMessage
 

@@ -32,9 +32,9 @@ from agents.protocol.quality import (
 )
 from agents.protocol.scan_readings import ScanReadings
 from agents.strategies.interface import Estimate
+from dsse_core.estimation.decision import UNOBSERVABLE as NOT_OBSERVABLE
+from dsse_core.estimation.decision import Totals
 from dsse_core.estimation.residuals import chi_square_limit
-from dsse_core.estimation.verdict import UNOBSERVABLE as NOT_OBSERVABLE
-from dsse_core.estimation.verdict import Totals
 from dsse_core.exchange.area_estimation import FAILURES
 
 CONTRADICTION = 0.9999  # confidence of the chi-square test of what is shown; bad data are looked for at a lower one

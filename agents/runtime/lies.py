@@ -21,7 +21,7 @@ from agents.messages.packing import (
     UpMessage,
 )
 from agents.messages.triangle import read_triangle, write_triangle
-from dsse_core.estimation.verdict import Memory, Totals, decide
+from dsse_core.estimation.decision import Memory, Totals, decide
 from dsse_core.link_faults import LinkFaults
 
 WORST = 1e3  # the normalised residual that a lie about the worst meter tells

@@ -30,7 +30,7 @@ from coordinator.deployment.split import area_files
 from coordinator.observe.live import format_view
 from coordinator.observe.watch import Watcher
 from dsse_core.errors import InvalidInputError
-from dsse_core.estimation.verdict import Totals
+from dsse_core.estimation.decision import Totals
 from scenarios.files.network_file import load_case, load_network
 from scenarios.files.readings_file import load_readings, save_readings
 from scenarios.files.shipped_files import find_shipped

@@ -8,7 +8,8 @@ from pathlib import Path
 
 from agents.protocol.choose import STRATEGIES
 from coordinator.evaluation.comparison import compare
-from coordinator.evaluation.result import RunOutcome, make_area_results, make_verdict
+from coordinator.evaluation.result import RunOutcome, make_area_results
+from coordinator.evaluation.verdict import make_verdict
 from coordinator.observe.duplicates import Duplicate
 from coordinator.observe.observer import Observer
 from dsse_core.code_places import has_whole_estimate

@@ -14,6 +14,7 @@ from typing import Any
 
 from agents.protocol.quality import GOOD
 from coordinator.evaluation.comparison import Comparison
+from coordinator.evaluation.verdict import Verdict
 from coordinator.observe.duplicates import Duplicate
 from coordinator.observe.observer import Observer, Sample, count_exchanges
 from dsse_core.estimation.bad_data import BadDataReport
@@ -21,29 +22,6 @@ from scenarios.scenario import Scenario
 
 VERSION = 2
 DISTRIBUTIONS = ("consensus-dsse", "numpy", "scipy", "eclipse-zenoh", "msgspec")
-
-
-@dataclass(frozen=True, slots=True)
-class Verdict:
-    """The answer of a run. ``gap``: to the centralised estimate; ``error``: to the truth; None where not known.
-
-    ``reason`` says why there is no consensus. ``messages``, ``bytes``, ``lost``: totals of all areas up to their
-    last report, repeats included. ``wall_s``: from the call to the verdict. ``virtual_s``: time until then on the
-    simulator's clock, None in a run of processes.
-    """
-
-    consensus: bool
-    reason: str | None
-    gap_vm_pu: float | None
-    gap_va_deg: float | None
-    error_vm_pu: float | None
-    error_va_deg: float | None
-    exchanges: int
-    messages: int
-    bytes: int
-    lost: int
-    wall_s: float
-    virtual_s: float | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,28 +88,6 @@ class RunResult(RunOutcome):
 
     folder: Path
     unwritten: str | None = None
-
-
-def make_verdict(
-    observer: Observer, comparison: Comparison, reason: str | None, wall_s: float, virtual_s: float | None = None
-) -> Verdict:
-    """Sum up; ``reason`` is None at consensus."""
-    states = observer.states.values()
-    gap, error = comparison.gap, comparison.error
-    return Verdict(
-        consensus=reason is None,
-        reason=reason,
-        gap_vm_pu=gap.vm_pu,
-        gap_va_deg=gap.va_deg,
-        error_vm_pu=error.vm_pu,
-        error_va_deg=error.va_deg,
-        exchanges=observer.exchanges,
-        messages=sum(state.messages for state in states),
-        bytes=sum(state.bytes for state in states),
-        lost=sum(state.lost for state in states),
-        wall_s=wall_s,
-        virtual_s=virtual_s,
-    )
 
 
 def make_area_results(observer: Observer, comparison: Comparison, now: float) -> tuple[AreaResult, ...]:

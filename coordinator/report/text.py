@@ -6,7 +6,8 @@ import math
 from collections.abc import Sequence
 
 from agents.area_files.area_file import AreaFile
-from coordinator.evaluation.result import AreaResult, RunResult, Verdict
+from coordinator.evaluation.result import AreaResult, RunResult
+from coordinator.evaluation.verdict import Verdict
 from dsse_core.estimation.bad_data import BadDataReport, SuspectKept
 from dsse_core.grid.partition import Area
 from dsse_core.power_flow.newton_raphson import PowerFlowResult

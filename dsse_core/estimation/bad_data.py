@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from dsse_core.errors import EstimationDivergedError, NotObservableError
+from dsse_core.estimation.decision import Decision, Memory, Totals, decide, put_back
 from dsse_core.estimation.estimator import EstimationResult, estimate_with_plan, plan_scan
 from dsse_core.estimation.plan import BackendChoice, EstimationPlan
 from dsse_core.estimation.residuals import (
@@ -22,7 +23,6 @@ from dsse_core.estimation.residuals import (
     keep_tied,
     normalize_residuals,
 )
-from dsse_core.estimation.verdict import Decision, Memory, Totals, decide, put_back
 from dsse_core.gauss_newton import LAST_STEP
 from dsse_core.grid.measurement import Measurement, Meter
 from dsse_core.grid.network import Network

@@ -10,10 +10,10 @@ import numpy as np
 import scipy.sparse as sp
 
 from dsse_core.errors import InvalidInputError
+from dsse_core.estimation.decision import Memory
 from dsse_core.estimation.plan import Backend, BackendChoice, EstimationPlan, build_estimation_plan
 from dsse_core.estimation.radial import estimate_radial, find_radial_variances
 from dsse_core.estimation.sparse import estimate_sparse
-from dsse_core.estimation.verdict import Memory
 from dsse_core.gauss_newton import LAST_STEP
 from dsse_core.grid.measurement import Measurement, Source, check_measurements, check_readings
 from dsse_core.grid.network import Network

@@ -9,8 +9,8 @@ from types import ModuleType
 import numpy as np
 
 from dsse_core.errors import EstimationDivergedError
+from dsse_core.estimation.decision import Memory, begin_at_flat_start, most_steps
 from dsse_core.estimation.residuals import CONFIDENCE, chi_square_limit
-from dsse_core.estimation.verdict import Memory, begin_at_flat_start, most_steps
 from dsse_core.gauss_newton import Solution
 from dsse_core.grid.measurement import check_readings
 from dsse_core.radial.plan import N_SLOT, RadialPlan

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from dsse_core.errors import EstimationDivergedError
-from dsse_core.estimation.verdict import Decision, Memory, Totals, Verdict, decide
+from dsse_core.estimation.decision import Decision, Memory, Totals, Verdict, decide
 from dsse_core.gauss_newton import LARGEST_STEP, Solution
 from dsse_core.grid.admittance import build_admittance, flat_start
 from dsse_core.grid.measurement import MeasurementKind, Meter

@@ -14,8 +14,8 @@ from typing import Any, TypeVar, cast
 import numpy as np
 
 from dsse_core.errors import DsseError
+from dsse_core.estimation.decision import MOST_NAMED, Decision, Memory, Totals, Verdict
 from dsse_core.estimation.residuals import CRITICAL_REDUNDANCY, find_dead
-from dsse_core.estimation.verdict import MOST_NAMED, Decision, Memory, Totals, Verdict
 from dsse_core.exchange.boundary_load import NetLoad
 from dsse_core.exchange.feeder_bad_data import (
     NoLoadModel,

@@ -10,8 +10,8 @@ import pytest
 from simulated_bus import SimulatedBus, area_files_of
 
 from agents.messages.packing import Header, UpMessage, decode, encode
-from dsse_core.estimation import verdict
-from dsse_core.estimation.verdict import MOST_NAMED, Totals, add_totals
+from dsse_core.estimation import decision as verdict
+from dsse_core.estimation.decision import MOST_NAMED, Totals, add_totals
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 

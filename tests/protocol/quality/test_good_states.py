@@ -12,7 +12,7 @@ from agents.messages.packing import DownMessage, StateMessage, UpMessage
 from agents.protocol.quality import GOOD
 from agents.protocol.rounds import RoundsProtocol
 from dsse_core.estimation.bad_data import BadDataReport, process_bad_data
-from dsse_core.estimation.verdict import Decision, Totals, Verdict
+from dsse_core.estimation.decision import Decision, Totals, Verdict
 from dsse_core.exchange.area_estimation import Received
 from dsse_core.linear.boundary_information import BoundaryInformation
 from scenarios.scenario import Scenario, load_scenario

@@ -16,7 +16,7 @@ from agents.peers.peers import LEAST_WAIT_S
 from agents.protocol.events import PresenceChanged, Received
 from agents.protocol.quality import GOOD
 from agents.protocol.scan_readings import MOST_AHEAD
-from dsse_core.estimation.verdict import Decision, Memory, Totals, decide
+from dsse_core.estimation.decision import Decision, Memory, Totals, decide
 
 pytestmark = pytest.mark.quick
 

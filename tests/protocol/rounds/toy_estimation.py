@@ -12,7 +12,7 @@ from unittest import mock
 
 import numpy as np
 
-from dsse_core.estimation.verdict import Decision, Totals
+from dsse_core.estimation.decision import Decision, Totals
 from dsse_core.grid.partition import Area
 from dsse_core.linear.boundary_information import BoundaryInformation
 

@@ -21,8 +21,8 @@ from simulated_bus import SimulatedBus
 
 from dsse_core.errors import EstimationDivergedError, NotObservableError
 from dsse_core.estimation.bad_data import BadDataReport, process_bad_data
+from dsse_core.estimation.decision import Decision, Verdict
 from dsse_core.estimation.sparse import SparseIteration
-from dsse_core.estimation.verdict import Decision, Verdict
 from dsse_core.exchange.area_estimation import AreaEstimation
 
 MOST_OF_ALL, ALL, AT_THE_END = 1e-9, 1e-7, 1e-8  # p.u. and rad

@@ -18,7 +18,7 @@ SOURCES = (
     "dsse_core/linear/*.py",
     "dsse_core/exchange/*.py",
     "dsse_core/gauss_newton.py",
-    *(f"dsse_core/estimation/{name}.py" for name in ("verdict", "residuals", "bad_data")),
+    *(f"dsse_core/estimation/{name}.py" for name in ("decision", "residuals", "bad_data")),
 )
 NO_PARAMETERS = {"boundary_information.VA", "boundary_information.BEYOND_REASON"}  # a place; a limit of the wire
 UNITS = {"%": 0.01, "ms": 1e-3}

@@ -18,7 +18,7 @@ from agents.messages.packing import (
     UpMessage,
     encode,
 )
-from dsse_core.estimation.verdict import Totals
+from dsse_core.estimation.decision import Totals
 
 HEADER = Header("run-1", "area1", Incarnation(1_795_200_000_000, 2**32 - 1), 7, 3, 1_795_200_000.25)
 STATE = StateMessage(

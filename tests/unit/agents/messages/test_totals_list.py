@@ -12,7 +12,7 @@ from agents.messages.packing import (
     decode,
     seal,
 )
-from dsse_core.estimation.verdict import Totals
+from dsse_core.estimation.decision import Totals
 
 TOTALS_PLACE = 2 + [f.name for f in fields(UP)].index("totals")
 

@@ -26,7 +26,7 @@ from agents.messages.packing import (
 from agents.messages.triangle import read_triangle
 from agents.runtime.link import FaultyLinks
 from agents.runtime.link_faults import LinkFate
-from dsse_core.estimation.verdict import Memory, Totals, decide
+from dsse_core.estimation.decision import Memory, Totals, decide
 from dsse_core.link_faults import LinkFaults
 
 COUNT = 4000

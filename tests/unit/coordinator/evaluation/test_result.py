@@ -16,7 +16,8 @@ from shown_states import said_by
 
 from agents.messages.packing import Incarnation, StateMessage
 from coordinator.evaluation.comparison import Voltages, compare, largest_gap
-from coordinator.evaluation.result import BUS_COLUMNS, RunResult, as_json, make_area_results, make_verdict, write_result
+from coordinator.evaluation.result import BUS_COLUMNS, RunResult, as_json, make_area_results, write_result
+from coordinator.evaluation.verdict import make_verdict
 from coordinator.observe.observer import Observer
 from coordinator.report.plots import draw_plots
 from coordinator.report.text import format_verdict

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dsse_core.errors import EstimationDivergedError, InvalidInputError
-from dsse_core.estimation import verdict
+from dsse_core.estimation import decision as verdict
 from dsse_core.gauss_newton import MOST_STEPS_ANEW
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network

@@ -10,11 +10,11 @@ from grids import MeterShares, make_grid, with_gross_errors
 from loaded_feeders import make_outvoted_feeder
 
 from dsse_core.errors import DsseError, EstimationDivergedError, InvalidInputError
-from dsse_core.estimation import verdict
+from dsse_core.estimation import decision as verdict
 from dsse_core.estimation.bad_data import process_bad_data
+from dsse_core.estimation.decision import Decision, Memory, Totals, decide
 from dsse_core.estimation.estimator import estimate_state
 from dsse_core.estimation.residuals import CONFIDENCE, chi_square_limit
-from dsse_core.estimation.verdict import Decision, Memory, Totals, decide
 from dsse_core.gauss_newton import FULL_STEPS, LARGEST_STEP, MAX_DVA, MAX_DVM
 
 LIMIT = chi_square_limit(9, CONFIDENCE)
