@@ -12,6 +12,8 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 COMMAND = [sys.executable, "-P", "-m", "coordinator"]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
+WITH_LIMITS = ENVIRONMENT | {"PYTHONDONTWRITEBYTECODE": "1"}
+"""Of processes that may write little: Python would keep bytecode that is cut off, for all who come after."""
 
 
 BELOW_THOSE_OF_LINKS = range(10_000, 32_000)  # ports that no system gives to a link that somebody opens meanwhile

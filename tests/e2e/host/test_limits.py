@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from dsse_command import COMMAND, ENVIRONMENT
+from dsse_command import COMMAND, WITH_LIMITS
 from waiting import DEADLINE_S
 
 from coordinator.observe.events import EventLog
@@ -22,7 +22,7 @@ def run_limited(folder: Path, limit: int, value: int, *arguments: str) -> subpro
     return subprocess.run(
         [*COMMAND, "run", *arguments, "--no-plots"],
         cwd=folder,
-        env=ENVIRONMENT,
+        env=WITH_LIMITS,
         capture_output=True,
         text=True,
         timeout=DEADLINE_S,

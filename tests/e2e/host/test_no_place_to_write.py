@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from dsse_command import COMMAND, ENVIRONMENT
+from dsse_command import COMMAND, WITH_LIMITS
 from waiting import DEADLINE_S
 
 NOBODY = 65534
@@ -55,7 +55,7 @@ def run_there(
     """``dsse`` in ``folder``; ``kept_out``: without root's right to write everywhere."""
     (folder / "feeder.m").write_text(FEEDER)
     without = ["setpriv", "--bounding-set", "-dac_override,-dac_read_search,-fowner"]
-    variables = ENVIRONMENT | environment
+    variables = WITH_LIMITS | environment
     if without_home:
         del variables["HOME"]
     return subprocess.run(
