@@ -30,7 +30,7 @@ not_kept: list[OSError] = []
 def note_whole_estimate() -> None:
     """Note where compiled code is kept that all of a power flow, an estimate and its bad data is there, if it is."""
     folder = find_folder_to_keep_in()
-    if folder is None or not_kept or vars(config)["DISABLE_JIT"] or has_whole_estimate():
+    if folder is None or not_kept or getattr(config, "DISABLE_JIT", False) or has_whole_estimate():
         return
     with contextlib.suppress(OSError), for_owner_to_write():
         (folder / name_of_note()).touch()

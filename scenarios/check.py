@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from dsse_core.errors import InvalidInputError, NotObservableError
-from dsse_core.estimation.plan import build_estimation_plan
+from dsse_core.estimation.plan import EstimationPlan, build_estimation_plan
 from dsse_core.grid.measurement import MeasurementKind, Meter, Source
 from dsse_core.grid.network import Network
 from dsse_core.grid.partition import Area
@@ -39,6 +39,24 @@ def check_scenario(scenario: Scenario) -> Scenario:
     if problems:
         raise InvalidInputError(f"scenario {scenario.name!r}", problems)
     return scenario
+
+
+def plan_whole_grid(scenario: Scenario) -> EstimationPlan:
+    """The plan of an estimate of the whole grid from all meters.
+
+    Raises:
+        InvalidInputError: naming every bus that is not observable, with a meter that would cure it, and what else of
+            ``check_scenario`` concerns the whole grid.
+    """
+    problems = find_missing_local_slacks(scenario)
+    problems += _find_angle_problems(scenario)
+    try:
+        plan = build_estimation_plan(scenario.network, scenario.meters)
+    except NotObservableError as error:
+        problems.append(f"whole grid: {error}")
+    if problems:
+        raise InvalidInputError(f"scenario {scenario.name!r}", problems)
+    return plan
 
 
 def meters_in_area(area: Area, own: Sequence[Meter]) -> list[Meter]:

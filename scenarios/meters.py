@@ -16,12 +16,13 @@ from scenarios.files.scenario_file import MeasurementsTable, SigmaTable
 
 KIND = MeasurementKind
 Place = TypeVar("Place", int, str)
-OTHER_POWER = {
-    KIND.P_FLOW: KIND.Q_FLOW,
-    KIND.Q_FLOW: KIND.P_FLOW,
-    KIND.P_INJECTION: KIND.Q_INJECTION,
-    KIND.Q_INJECTION: KIND.P_INJECTION,
-}
+NUMBER_OF = {id(kind): k for k, kind in enumerate(KIND)}
+"""Members are singletons, and hashing half a million of them takes long."""
+
+
+def number_kinds(meters: Sequence[Meter]) -> np.ndarray:
+    """The position of each meter's kind in ``MeasurementKind``, shape (n_meas,)."""
+    return np.array([NUMBER_OF[id(meter.kind)] for meter in meters], dtype=np.intp)
 
 
 @dataclass(frozen=True)
@@ -44,19 +45,20 @@ class SigmaRule:
         Raises:
             KeyError: there is no rule for a kind of meter.
         """
+        kinds = number_kinds(meters)
+        virtual = np.array([meter.source is Source.VIRTUAL for meter in meters], dtype=bool)
         ruled = self.relative.keys() | self.absolute.keys()
-        if unruled := {meter.kind for meter in meters if meter.source is not Source.VIRTUAL} - ruled:
+        if unruled := {kind for k, kind in enumerate(KIND) if (kinds[~virtual] == k).any()} - ruled:
             raise KeyError(min(unruled))
-        kinds = np.array([meter.kind for meter in meters], dtype=str)
         sigma = np.zeros(len(meters))
         for kind in ruled:
-            of_kind = kinds == kind
+            of_kind = kinds == NUMBER_OF[id(kind)]
             if kind in self.absolute:
                 sigma[of_kind] = self.absolute[kind]
             else:
                 least = 0.0 if kind is KIND.VM else self.floor
                 sigma[of_kind] = np.maximum(self.relative[kind] * size[of_kind], least)
-        sigma[[meter.source is Source.VIRTUAL for meter in meters]] = 0.0
+        sigma[virtual] = 0.0
         return sigma
 
 

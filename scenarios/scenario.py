@@ -16,10 +16,11 @@ from dsse_core.files.wording import Suggestions, describe_unknown, suggest
 from dsse_core.grid.division import build_partition
 from dsse_core.grid.measurement import Measurement, Meter, Source
 from dsse_core.grid.network import Network
-from dsse_core.grid.partition import Partition
+from dsse_core.grid.partition import Area, Partition
 from dsse_core.printable import printable
 from scenarios.faults.faults import Faults, build_faults, find_link_problems, find_name_problems
 from scenarios.faults.order import find_order_problems, find_time_problems
+from scenarios.files.fault_tables import FaultsTable
 from scenarios.files.network_file import load_case, load_network
 from scenarios.files.readings_file import load_readings
 from scenarios.files.scenario_file import (
@@ -89,10 +90,13 @@ def load_scenario(
     *,
     strategies: Collection[str] | None = None,
     changes: Mapping[str, object] | None = None,
+    whole: bool = False,
 ) -> Scenario:
     """Read a shipped scenario by name, or a scenario file by its path (a ``Path``, or text with ``/`` or ``.toml``).
 
     ``changes``: values that replace the file's, by key path such as ``faults.loss`` or ``faults.link[1].loss``.
+    ``whole``: for what happens in one place the grid is one area, whatever the file says of areas and of faults but
+    those of the telemetry; unless the readings are those of each area's own power flow.
 
     Raises:
         InvalidInputError: unknown name; or every problem of the file: first of its keys and types, then of what
@@ -100,12 +104,14 @@ def load_scenario(
     """
     path = _find_file(name_or_path)
     file = load_strict(path, ScenarioFile, changes)
+    if whole := whole and file.telemetry.source != "area-power-flow":
+        file = file.model_copy(update={"faults": FaultsTable(telemetry=file.faults.telemetry)})
     problems = []
     if strategies is not None and file.strategy not in strategies:
         problems.append(f"strategy: {describe_unknown('strategy', file.strategy, sorted(strategies))}")
     network, network_problems = _load_network_of(file, path)
     problems += network_problems
-    area_buses, area_problems = _find_area_buses(file, network)
+    area_buses, area_problems = ({}, []) if whole else _find_area_buses(file, network)
     problems += area_problems
     routers = 0 if file.transport.kind == "neighbours" else file.transport.routers
     problems += find_name_problems(file.faults, area_buses, routers)
@@ -118,7 +124,7 @@ def load_scenario(
     if network is None:
         raise InvalidInputError(file.called(path), problems)
     problems += find_place_problems(file.measurements, network)
-    partition, partition_problems = _build_partition_of(file, network, area_buses)
+    partition, partition_problems = _build_whole(network) if whole else _build_partition_of(file, network, area_buses)
     problems += partition_problems
     readings, reading_problems = _load_readings_of(file, path, network)
     problems += reading_problems
@@ -186,6 +192,14 @@ def _build_partition_of(
         return build_partition(network, area_buses, slacks), []
     except InvalidInputError as error:
         return None, [f"areas: {problem}" for problem in error.problems]
+
+
+def _build_whole(network: Network) -> tuple[Partition | None, list[str]]:
+    """All of the grid as one area."""
+    if (problems := network.find_supply_problems()) or network.slack is None:
+        return None, problems
+    slack = network.slack
+    return Partition(network, (Area("grid", network, (), slack.bus, slack.vm, (slack.bus, slack.va)),)), []
 
 
 def _load_readings_of(

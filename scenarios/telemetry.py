@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.exchange.boundary_load import boundary_loads, scheduled_load_messages
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
+from dsse_core.power_flow.exact_readings import read_exactly
 from dsse_core.power_flow.newton_raphson import PowerFlowResult, solve_power_flow
 from scenarios.meter_noise import draw_noise
-from scenarios.meters import OTHER_POWER
+from scenarios.meters import NUMBER_OF, number_kinds
 from scenarios.scenario import Scenario
 
 
@@ -31,7 +32,34 @@ class Telemetry:
     area_power_flows: dict[str, PowerFlowResult]
 
 
+@dataclass(frozen=True)
+class Scan:
+    """What all meters of a scenario read, in their order: ``values`` and ``sigmas`` in p.u. and rad, (n_meas,), and
+    the positions ``missing`` of those whose readings the scan lacks. ``truth``, ``area_power_flows``: see Telemetry.
+    """
+
+    values: np.ndarray
+    sigmas: np.ndarray
+    missing: list[int]
+    truth: PowerFlowResult | None
+    area_power_flows: dict[str, PowerFlowResult]
+
+
 def make_telemetry(scenario: Scenario, scan: int = 1) -> Telemetry:
+    """Readings of all meters in scan number ``scan``, each a measurement. Raises as ``read_meters``."""
+    read = read_meters(scenario, scan)
+    union = tuple(map(Measurement, scenario.meters, read.values.tolist(), read.sigmas.tolist()))
+    if read.missing:
+        missing = set(read.missing)
+        union = tuple(m for k, m in enumerate(union) if k not in missing)
+    by_area: dict[str, list[Measurement]] = {area.name: [] for area in scenario.partition.areas}
+    for measurement in union:
+        by_area[scenario.partition.area_of_meter(measurement.meter)].append(measurement)
+    parts = {name: tuple(part) for name, part in by_area.items()}
+    return Telemetry(read.truth, parts, union, read.area_power_flows)
+
+
+def read_meters(scenario: Scenario, scan: int = 1) -> Scan:
     """Readings of all meters in scan number ``scan``: the same for the same scenario, seed and scan.
 
     A meter's noise depends on seed, scan and its own id only, not on which other meters there are.
@@ -42,7 +70,7 @@ def make_telemetry(scenario: Scenario, scan: int = 1) -> Telemetry:
     """
     truth, area_power_flows = None, {}
     if scenario.telemetry.source == "file":
-        union = tuple(_real_reading(scenario, meter) for meter in scenario.meters)
+        values, sigmas = _real_readings(scenario)
     else:
         truth = solve_power_flow(scenario.network)
         if scenario.telemetry.source == "area-power-flow":
@@ -50,14 +78,12 @@ def make_telemetry(scenario: Scenario, scan: int = 1) -> Telemetry:
             by_meter = {m: s for part in _read_by_area(scenario, area_power_flows) for m, *s in zip(*part, strict=True)}
             exact, size = np.array([by_meter[m] for m in scenario.meters], dtype=float).reshape(-1, 2).T
         else:
-            exact, size = _read_exactly(truth, scenario.meters)
-        union = _read(scenario, scan, exact, size)
+            exact, size = read_exactly(truth, scenario.meters)
+        values, sigmas = _read(scenario, scan, exact, size)
+    missing = []
     if scenario.faults.telemetry.missing > 0:
-        union = tuple(m for m in union if not _is_missing(scenario, scan, m.meter))
-    by_area: dict[str, list[Measurement]] = {area.name: [] for area in scenario.partition.areas}
-    for measurement in union:
-        by_area[scenario.partition.area_of_meter(measurement.meter)].append(measurement)
-    return Telemetry(truth, {name: tuple(part) for name, part in by_area.items()}, union, area_power_flows)
+        missing = [k for k, meter in enumerate(scenario.meters) if _is_missing(scenario, scan, meter)]
+    return Scan(values, sigmas, missing, truth, area_power_flows)
 
 
 def find_lateness(scenario: Scenario, scan: int) -> dict[str, float]:
@@ -111,49 +137,39 @@ def _solve_area_power_flows(scenario: Scenario) -> dict[str, PowerFlowResult]:
 def _read_by_area(
     scenario: Scenario, power_flows: Mapping[str, PowerFlowResult]
 ) -> Iterator[tuple[Sequence[Meter], np.ndarray, np.ndarray]]:
-    """The meters of each area and what ``_read_exactly`` finds for them in its own power flow."""
+    """The meters of each area and what ``read_exactly`` finds for them in its own power flow."""
     for name, meters in scenario.partition.meters_by_area(scenario.meters).items():
-        yield (meters, *_read_exactly(power_flows[name], meters))
+        yield (meters, *read_exactly(power_flows[name], meters))
 
 
-def _read_exactly(power_flow: PowerFlowResult, meters: Sequence[Meter]) -> tuple[np.ndarray, np.ndarray]:
-    """What each meter would read without error, and its size: of a power the apparent one, shape (n_meas,) each."""
-    places = {(m.kind, m.bus, m.branch): k for k, m in enumerate(meters)}
-    also: list[Meter] = []
-    partner = np.arange(len(meters))
-    for k, m in enumerate(meters):
-        if (kind := OTHER_POWER.get(m.kind)) is not None:
-            partner[k] = places.setdefault((kind, m.bus, m.branch), len(places))
-            if partner[k] == len(meters) + len(also):
-                also.append(Meter(kind, m.bus, m.branch))
-    read = power_flow.read_all([*meters, *also])
-    exact = read[: len(meters)]
-    return exact, np.where(partner == np.arange(len(meters)), abs(exact), np.hypot(exact, read[partner]))
+def _real_readings(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
+    """Values and standard deviations from the file, with gross errors; 0 of virtual meters."""
+    gross, readings = scenario.telemetry.gross_errors, scenario.telemetry.readings
+    values, sigmas = np.zeros(len(scenario.meters)), np.zeros(len(scenario.meters))
+    for k, meter in enumerate(scenario.meters):
+        if meter.source is not Source.VIRTUAL:
+            meter_id = meter.id
+            real = readings[meter_id]
+            values[k], sigmas[k] = real.value + gross.get(meter_id, 0.0) * real.sigma, real.sigma
+    return values, sigmas
 
 
-def _real_reading(scenario: Scenario, meter: Meter) -> Measurement:
-    if meter.source is Source.VIRTUAL:
-        return Measurement(meter, 0.0, 0.0)
-    real = scenario.telemetry.readings[meter.id]
-    return replace(real, value=real.value + scenario.telemetry.gross_errors.get(meter.id, 0.0) * real.sigma)
-
-
-def _read(scenario: Scenario, scan: int, exact: np.ndarray, size: np.ndarray) -> tuple[Measurement, ...]:
-    """``exact``, ``size``: see ``_read_exactly``."""
+def _read(scenario: Scenario, scan: int, exact: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Values and standard deviations, shape (n_meas,) each; ``exact``, ``size``: see ``read_exactly``."""
     meters = scenario.meters
-    ids = [meter.id for meter in meters]
     sigma = scenario.sigma_rule.sigmas(meters, size)
-    gross = scenario.telemetry.gross_errors
-    sigmas_off = np.array([gross.get(i, 0.0) for i in ids]) + _draw_noise(scenario, scan, ids)
-    values = np.array(exact + sigmas_off * sigma)
-    values[[m.kind is MeasurementKind.CURRENT for m in meters] & (values < 0)] = 0.0
+    sigmas_off = _draw_noise(scenario, scan)
+    if gross := scenario.telemetry.gross_errors:
+        sigmas_off += np.array([gross.get(meter.id, 0.0) for meter in meters])
+    values = exact + sigmas_off * sigma
+    values[(number_kinds(meters) == NUMBER_OF[id(MeasurementKind.CURRENT)]) & (values < 0)] = 0.0
     values[[m.source is Source.VIRTUAL for m in meters]] = 0.0
-    return tuple(map(Measurement, meters, values.tolist(), sigma.tolist()))
+    return values, sigma
 
 
-def _draw_noise(scenario: Scenario, scan: int, ids: Sequence[str]) -> np.ndarray:
-    """The noise of the meters called ``ids``, in standard deviations, shape (n_meas,)."""
+def _draw_noise(scenario: Scenario, scan: int) -> np.ndarray:
+    """The noise of all meters, in standard deviations, shape (n_meas,)."""
     if not scenario.telemetry.noise:
-        return np.zeros(len(ids))
-    own = np.array([zlib.crc32(meter_id.encode()) for meter_id in ids], dtype=np.uint32)
-    return draw_noise([scenario.seed, scan], own)
+        return np.zeros(len(scenario.meters))
+    own = [zlib.crc32(meter.id.encode()) for meter in scenario.meters]
+    return draw_noise([scenario.seed, scan], np.array(own, dtype=np.uint32))

@@ -24,7 +24,7 @@ from dsse_core.files.quantities import (
     Seed,
 )
 from dsse_core.files.shared_tables import AdmmTable, GenerationTable, require_a_band
-from dsse_core.files.strict_table import FileTable, Table
+from dsse_core.files.strict_table import ColumnsTable, FileTable, Table
 from dsse_core.grid.measurement import Meter
 from dsse_core.grid.network import Branch, Bus, Generator
 from dsse_core.grid.partition import Neighbour
@@ -74,18 +74,6 @@ class QualityTable(Table):
     @model_validator(mode="after")
     def _is_a_band(self) -> Self:
         return require_a_band(self, "lowest_vm", "highest_vm")
-
-
-class ColumnsTable(Table):
-    """A list of values, all of one length, for each field of a dataclass."""
-
-    @model_validator(mode="after")
-    def _are_of_one_length(self) -> Self:
-        lengths = {key: len(column) for key, column in vars(self).items() if column is not None}
-        if len(set(lengths.values())) > 1:
-            found = ", ".join(f"{key} has {length}" for key, length in lengths.items())
-            raise ValueError(f"the lists need as many values each; {found}")
-        return self
 
 
 class AreaTable(FileTable):

@@ -187,11 +187,11 @@ def powerflow(scenario: str) -> None:
     \b
     Example:  dsse powerflow industrial13
     """
-    from coordinator.report.text import format_power_flow
+    from coordinator.report.grid_text import format_power_flow
     from dsse_core.power_flow.newton_raphson import solve_power_flow
     from scenarios.scenario import load_scenario
 
-    show(format_power_flow(solve_power_flow(load_scenario(scenario).network)))
+    show(format_power_flow(solve_power_flow(load_scenario(scenario, whole=True).network)))
 
 
 @commands.command(short_help="Estimate the whole grid in one place.")
@@ -204,16 +204,10 @@ def estimate(scenario: str, seed: int | None) -> None:
     \b
     Example:  dsse estimate ieee33 --seed 7
     """
-    from coordinator.evaluation.evaluation import choose_scenario
-    from coordinator.report.text import format_estimate
-    from dsse_core.estimation.bad_data import process_bad_data
-    from scenarios.check import check_scenario
-    from scenarios.telemetry import make_telemetry
+    from coordinator.evaluation.whole_grid import estimate_whole_grid
+    from coordinator.report.grid_text import format_estimate
 
-    prepared = check_scenario(choose_scenario(scenario, seed))
-    telemetry = make_telemetry(prepared)
-    report = process_bad_data(prepared.network, telemetry.union, tolerance=prepared.tolerances.estimator)
-    show(format_estimate(report, telemetry.truth))
+    show(format_estimate(*estimate_whole_grid(scenario, seed)))
 
 
 for command in (*process_commands, *network_commands, *study_commands, keys_commands, watch):

@@ -90,7 +90,8 @@ def generate(
     \b
     Example:  dsse generate --buses 200 --seed 7 --areas 6 --out feeder && dsse run feeder/scenario.toml
     """
-    from scenarios.generate.generated_files import name_network_file, write_generated
+    from scenarios.files.saved_network import name_network_file
+    from scenarios.generate.generated_files import write_generated
 
     network_file = name_network_file(n_bus)
     if present := [name for name in (network_file, "scenario.toml") if (out / name).exists()]:
@@ -120,7 +121,7 @@ def generate(
 def import_file(file: Path, out: Path, n_area: int, name: str | None, frequency_hz: float) -> None:
     """Take over FILE, a MATPOWER case (.m), pandapower network or power-grid-model input (.json), as a scenario.
 
-    Writes network.toml, scenario.toml, import.txt and, where FILE has measurements, readings.csv.
+    Writes network.toml (or .json, if large), scenario.toml, import.txt and, where FILE has measurements, readings.csv.
 
     \b
     Example:  dsse import case33bw.m --areas 4 --out bw && dsse run bw/scenario.toml

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from coordinator.report.text import format_table
+from coordinator.report.grid_text import format_table
 from dsse_core.grid.division import build_partition
 from dsse_core.grid.partition import Partition
 from dsse_core.printable import printable

@@ -1,31 +1,14 @@
-"""What the command line prints: verdict, power flow, estimate, and progress, as plain text."""
+"""What the command line prints of areas: the verdict of a run and what a check has found, as plain text."""
 
 from __future__ import annotations
-
-import math
-from collections.abc import Sequence
 
 from agents.area_files.area_file import AreaFile
 from coordinator.evaluation.result import AreaResult, RunResult
 from coordinator.evaluation.verdict import Verdict
-from dsse_core.estimation.bad_data import BadDataReport, SuspectKept
+from coordinator.report.grid_text import format_table
 from dsse_core.grid.partition import Area
-from dsse_core.power_flow.newton_raphson import PowerFlowResult
 from dsse_core.printable import printable, printable_lines
 from scenarios.scenario import Scenario
-
-
-def format_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Columns padded to their widest cell, all printable; the first is flush left, the others right."""
-    lines = [header, *([printable(cell) for cell in row] for row in rows)]
-    widths = [max(len(line[column]) for line in lines) for column in range(len(header))]
-    return "\n".join(
-        "  ".join(
-            cell.ljust(width) if column == 0 else cell.rjust(width)
-            for column, (cell, width) in enumerate(zip(line, widths, strict=True))
-        ).rstrip()
-        for line in lines
-    )
 
 
 def format_verdict(result: RunResult) -> str:
@@ -98,84 +81,6 @@ def _format_findings(result: RunResult) -> list[str]:
     return lines
 
 
-def format_power_flow(result: PowerFlowResult) -> str:
-    """Voltages and injections of all buses, and the losses."""
-    base = result.network.base_mva
-    rows = [
-        (
-            str(bus.id),
-            f"{result.vm[row]:.5f}",
-            f"{math.degrees(result.va[row]):.4f}",
-            _mega(result.injection[row].real * base),
-            _mega(result.injection[row].imag * base),
-        )
-        for row, bus in enumerate(result.network.buses)
-    ]
-    table = format_table(("bus", "vm p.u.", "va deg", "injection MW", "Mvar"), rows)
-    losses = result.losses * base
-    steps = "backward and forward sweeps" if result.method == "sweep" else "Newton-Raphson steps"
-    return f"{table}\n\nlosses {_mega(losses.real)} MW, {_mega(losses.imag)} Mvar; {result.iterations} {steps}"
-
-
-def format_estimate(report: BadDataReport, truth: PowerFlowResult | None) -> str:
-    """The centralised estimate, beside the truth where it is known, and its bad-data report."""
-    estimate = report.result
-    sigma_vm, sigma_va = estimate.state_sigma()
-    true = ("true",) if truth else ()
-    rows = [
-        (
-            str(bus.id),
-            f"{estimate.vm[row]:.5f}",
-            f"{sigma_vm[row]:.5f}",
-            *((f"{truth.vm[row]:.5f}",) if truth else ()),
-            f"{math.degrees(estimate.va[row]):.4f}",
-            f"{math.degrees(sigma_va[row]):.4f}",
-            *((f"{math.degrees(truth.va[row]):.4f}",) if truth else ()),
-        )
-        for row, bus in enumerate(estimate.network.buses)
-    ]
-    table = format_table(("bus", "vm p.u.", "sigma", *true, "va deg", "sigma", *true), rows)
-    return "\n".join([table, "", *map(printable, _format_bad_data(report))])
-
-
-def _describe_backend(report: BadDataReport) -> str:
-    """By which the state was found, and why not by the compiled one."""
-    radial = report.result.plan.radial
-    return f"{report.result.backend}: {radial}" if isinstance(radial, str) else report.result.backend
-
-
-def _format_bad_data(report: BadDataReport) -> list[str]:
-    lines = [
-        f"J = {report.objective:.4g} with {report.degrees_of_freedom} degrees of freedom, "
-        f"limit {report.chi_square_limit:.4g}; {report.result.iterations} iterations, "
-        f"back end {_describe_backend(report)}"
-    ]
-    for removed in report.removed:
-        others = removed.indistinguishable_from
-        lines.append(
-            f"removed as bad data: {removed.measurement.meter} (normalised residual {removed.normalized_residual:.3g})"
-            + (f"; the data cannot tell it from {', '.join(others)}" if others else "")
-        )
-    if report.detected:
-        lines.append(f"bad data is still detected{_format_suspect(report.suspect)}")
-    elif not report.removed:
-        lines.append("no bad data detected")
-    if report.critical:
-        lines.append(f"critical, their errors cannot be seen: {', '.join(report.critical)}")
-    return lines
-
-
-def _format_suspect(suspect: SuspectKept | None) -> str:
-    """Why bad data that are still detected were not removed."""
-    if suspect is None:
-        return ", but no normalised residual stands out"
-    reason = {
-        "critical": "without it the state is not determined",
-        "diverges": "without it the estimate does not converge",
-    }[suspect.reason]
-    return f": {suspect.meter} has the largest normalised residual, {suspect.normalized_residual:.3g}, but {reason}"
-
-
 def format_check(scenario: Scenario) -> str:
     """What a checked scenario consists of."""
     partition = scenario.partition
@@ -185,9 +90,8 @@ def format_check(scenario: Scenario) -> str:
         f"{len(scenario.network.active_branches)} branches in service; {len(scenario.meters)} meters, "
         f"strategy {scenario.strategy}, seed {scenario.seed}",
     ]
-    for area in partition.areas:
-        meters = sum(partition.area_of_meter(meter) == area.name for meter in scenario.meters)
-        lines.append(f"  {_describe_area(area, meters)}")
+    meters = partition.meters_by_area(scenario.meters)
+    lines += [f"  {_describe_area(area, len(meters[area.name]))}" for area in partition.areas]
     return "\n".join(map(printable, lines))
 
 
@@ -213,7 +117,3 @@ def _pu(value: float | None) -> str:
 
 def _deg(value: float | None) -> str:
     return "-" if value is None else f"{value:.2e}" if 0 < value < 1e-4 else f"{value:.4f}"
-
-
-def _mega(value: float) -> str:
-    return f"{value:.4f}" if abs(value) >= 5e-5 else "0"

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from agents.protocol.choose import STRATEGIES
 from coordinator.evaluation.result import RunOutcome
-from coordinator.report.text import format_table
+from coordinator.report.grid_text import format_table
 from coordinator.run_folder import make_run_folder
 from coordinator.studies.study_row import COLUMNS, NOT_POSSIBLE, StudyRow, make_impossible_row, make_row, to_cells
 from dsse_core.errors import InvalidInputError

@@ -8,9 +8,9 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, Self, TypeVar
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.files.bounded_file import LARGEST_JSON, LARGEST_TOML, read_text
@@ -23,6 +23,19 @@ class Table(BaseModel):
     """A table: unknown keys, wrong types, inf and nan are errors."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+
+class ColumnsTable(Table):
+    """A list of values, all of one length, for each key of what is many; a key that is not given has no list."""
+
+    @model_validator(mode="after")
+    def _are_of_one_length(self) -> Self:
+        names = {name: field.alias or name for name, field in type(self).model_fields.items()}
+        lengths = {names[key]: len(column) for key, column in vars(self).items() if column is not None}
+        if len(set(lengths.values())) > 1:
+            found = ", ".join(f"{key} has {length}" for key, length in lengths.items())
+            raise ValueError(f"the lists need as many values each; {found}")
+        return self
 
 
 class FileTable(Table):

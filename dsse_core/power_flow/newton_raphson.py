@@ -62,11 +62,11 @@ class PowerFlowResult:
         """
         if problems := list(find_meter_problems(self.network, meters)):
             raise InvalidInputError(f"meters of network {self.network.name!r}", problems)
-        model = build_measurement_model(self.network, self._admittance, meters)
+        model = build_measurement_model(self.network, self.admittance, meters)
         return model.predict(np.r_[self.va, self.vm])
 
     @cached_property
-    def _admittance(self) -> Admittance:
+    def admittance(self) -> Admittance:
         return build_admittance(self.network)
 
 

@@ -9,14 +9,13 @@ import numpy as np
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.network import Network
-from scenarios.files.network_file import save_network
+from scenarios.files.saved_network import name_network_file, save_network
 from scenarios.files.whole_folder import written_whole
 from scenarios.generate.feeder import Tree, generate_feeder
 
 METERS_STREAM = 1  # of the seed; the network has stream 0, so that it is the same whatever the meters are
 VOLTMETER_EVERY = {"standard": 10, "sparse": 50}  # buses
 SCENARIO_FILE = "scenario.toml"
-MOST_BUSES_IN_TOML = 5000  # larger networks become JSON, which is read much faster
 
 SCENARIO = """\
 # Written by: {command}
@@ -74,11 +73,6 @@ def write_generated(
         save_network(new / name_network_file(n_bus), network, f"made up by: {command}")
         (new / SCENARIO_FILE).write_text(scenario, encoding="utf-8")
     return folder / SCENARIO_FILE
-
-
-def name_network_file(n_bus: int) -> str:
-    """The name of the network file of a generated feeder."""
-    return "network.toml" if n_bus <= MOST_BUSES_IN_TOML else "network.json"
 
 
 def _format_scenario(

@@ -10,7 +10,7 @@ from dsse_core.errors import InvalidInputError
 from dsse_core.grid.network import Branch, Bus, Network
 from dsse_core.grid.physical_ranges import find_range_problems
 from dsse_core.printable import listed
-from scenarios.files.network_file import default_branch_id
+from scenarios.files.network_columns import default_branch_id
 from scenarios.importers.imported import Remark, add_shunts, fuse, fused_remarks
 
 

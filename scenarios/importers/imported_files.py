@@ -8,12 +8,12 @@ from pathlib import Path
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.limits import LONGEST_NAME
-from scenarios.files.network_file import format_toml, save_network
 from scenarios.files.readings_file import save_readings
+from scenarios.files.saved_network import format_toml, name_network_file, save_network
 from scenarios.generate.cutting import cut_into
 from scenarios.importers.imported import Imported
 
-FILES = ("network.toml", "scenario.toml", "readings.csv", "import.txt")
+FILES = ("network.toml", "network.json", "scenario.toml", "readings.csv", "import.txt")
 LONGEST_KIND = 8
 DEFAULT_METERS = """
 # The source has no measurements. These meters are made up: change them to those that there are.
@@ -72,7 +72,7 @@ def write_imported(
 
 def _write_files(folder: Path, imported: Imported, n_area: int) -> Path:
     network = imported.network
-    save_network(folder / "network.toml", network, imported.data_source)
+    save_network(folder / name_network_file(len(network.buses)), network, imported.data_source)
     if imported.readings:
         save_readings(folder / "readings.csv", network, imported.readings)
         zero = imported.zero_injection
@@ -93,7 +93,7 @@ def _head(imported: Imported, n_area: int) -> str:
         "# Written by dsse import; import.txt says what was converted, and docs/how-to/import.md how.\n\n"
         f"version = 1\nname = {format_toml(imported.network.name[:LONGEST_NAME])}\n"
         f'description = "{" ".join(text.split())}"\n'
-        'network = "network.toml"\nstrategy = "information"\n'
+        f'network = "{name_network_file(len(imported.network.buses))}"\nstrategy = "information"\n'
         f"areas = {{ count = {n_area} }}\n"
     )
 

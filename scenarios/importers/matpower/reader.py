@@ -9,7 +9,7 @@ from dsse_core.errors import InvalidInputError
 from dsse_core.files.bounded_file import read_text
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from dsse_core.printable import listed
-from scenarios.files.network_file import default_branch_id
+from scenarios.files.network_columns import default_branch_id
 from scenarios.importers.fused_branches import fuse_zero_impedances
 from scenarios.importers.imported import (
     Imported,

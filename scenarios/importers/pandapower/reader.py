@@ -16,7 +16,7 @@ from typing import Any
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from dsse_core.printable import listed, on_one_line
-from scenarios.files.network_file import default_branch_id
+from scenarios.files.network_columns import default_branch_id
 from scenarios.files.zero_impedances import reject_zero_impedances
 from scenarios.importers.imported import (
     Imported,

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from coordinator.report.text import format_estimate
+from coordinator.report.grid_text import format_estimate
 from dsse_core.estimation.bad_data import SuspectKept, process_bad_data
 from dsse_core.grid.measurement import MeasurementKind, Meter
 from scenarios.scenario import load_scenario

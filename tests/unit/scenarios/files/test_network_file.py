@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.network import Branch, Bus, Control, Network
 from dsse_core.power_flow.newton_raphson import solve_power_flow
-from scenarios.files.network_file import load_case, load_network, save_network
+from scenarios.files.network_file import load_case, load_network
+from scenarios.files.saved_network import save_network
 
 GOOD = """
 name = "two"
@@ -204,3 +207,72 @@ def test_toml_holds_no_rounder_numbers_than_json(tmp_path: Path) -> None:
         read.append(load_network(tmp_path / f"written{suffix}"))
     assert read[0] == read[1]
     assert [b.r for b in read[0].branches] == [b.r for b in branches]
+
+
+LISTS: dict[str, Any] = {
+    "name": "two",
+    "data_source": "made up",
+    "base_mva": 10.0,
+    "bus": {"id": [1, 2, 3], "base_kv": [20.0, 20.0, 20.0], "p_load_mw": [0.0, 5.0, 0.0]},
+    "branch": {"from": [1, 2], "to": [2, 3], "id": ["", "far"], "r_ohm": [4.0, 4.0], "x_ohm": [8.0, 8.0]},
+    "source": [{"bus": 1, "kind": "slack", "vm_pu": 1.02}],
+}
+
+
+def load_lists(tmp_path: Path, table: str, changes: dict[str, object]) -> Network:
+    path = tmp_path / "grid.json"
+    path.write_text(json.dumps(LISTS | {table: LISTS[table] | changes}), encoding="utf-8")
+    return load_network(path)
+
+
+def test_lists_are_the_same_network_as_tables(tmp_path: Path) -> None:
+    of_lists = load_lists(tmp_path, "bus", {})
+    rows = {
+        table: [
+            {key: column[k] for key, column in LISTS[table].items() if column[k] != ""}
+            for k in range(len(next(iter(LISTS[table].values()))))
+        ]
+        for table in ("bus", "branch")
+    }
+    path = tmp_path / "rows.json"
+    path.write_text(json.dumps(LISTS | rows), encoding="utf-8")
+    assert load_network(path) == of_lists
+    assert [b.id for b in of_lists.branches] == ["1-2", "far"]
+
+
+@pytest.mark.parametrize(
+    ("table", "changes", "expected"),
+    [
+        ("bus", {"base_kv": [20.0, -1.0, 20.0]}, ["bus.base_kv[2]: must be greater than 0, found -1.0"]),
+        ("bus", {"base_kv": [20.0, 20.0]}, ["bus: the lists need as many values each; id has 3, base_kv has 2"]),
+        ("bus", {"kv": [1.0]}, ["bus.kv: unknown key; allowed here: id, base_kv"]),
+        (
+            "bus",
+            {"id": [1, 2, "3"], "p_load_mw": [0.0, None, 1.0]},
+            ["bus.id[3]: must be", "bus.p_load_mw[2]"],
+        ),
+        ("bus", {"id": [1, 2, 2]}, ["bus 2 is defined more than once", "branch far ends at bus 3"]),
+        ("bus", {"p_load_mw": [0.0, 1e9, 0.0]}, ["bus 2: active load is 1e+09 MW; it must lie between"]),
+        (
+            "bus",
+            {"base_kv": [20.0, 20.0, 0.4]},
+            ["branch.r_ohm[2]: the branch joins bus 2 of 20.0 kV and bus 3"],
+        ),
+        ("branch", {"r_pu": [0.1, 0.1]}, ["branch: mixes ohm and microsiemens with r_pu/x_pu/b_pu/g_pu"]),
+        ("branch", {"id": ["", "A B"]}, ["branch.id[2]: must match pattern"]),
+    ],
+)
+def test_a_mistake_in_a_list_is_named_by_its_place(
+    tmp_path: Path, table: str, changes: dict[str, object], expected: list[str]
+) -> None:
+    with pytest.raises(InvalidInputError) as caught:
+        load_lists(tmp_path, table, changes)
+    found = caught.value.problems
+    assert all(any(problem.startswith(text) for problem in found) for text in expected), found
+
+
+def test_a_missing_list_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "grid.json"
+    path.write_text(json.dumps(LISTS | {"bus": {"id": [1, 2, 3]}}), encoding="utf-8")
+    with pytest.raises(InvalidInputError, match=r"bus.base_kv: missing; nominal voltages in kV"):
+        load_network(path)

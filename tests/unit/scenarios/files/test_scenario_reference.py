@@ -10,7 +10,7 @@ from pydantic.fields import FieldInfo
 
 from dsse_core.files import shared_tables
 from dsse_core.files.strict_table import Table
-from scenarios.files import fault_tables, network_file, scenario_file
+from scenarios.files import fault_tables, network_tables, scenario_file
 
 REFERENCE = Path(__file__).parents[4] / "docs" / "reference" / "scenario-files.md"
 
@@ -39,10 +39,10 @@ TABLE_OF_HEADING: dict[str, list[type[Table]]] = {
     "`[tolerances]`": [scenario_file.TolerancesTable],
     "`[run]`": [scenario_file.RunTable],
     "`[transport]`": [scenario_file.TransportTable],
-    "Network file": [network_file.NetworkFile],
-    "`[[bus]]`": [network_file.BusTable],
-    "`[[branch]]`": [network_file.BranchTable],
-    "`[[source]]`": [network_file.SourceTable],
+    "Network file": [network_tables.NetworkFile],
+    "`[[bus]]`": [network_tables.BusTable, network_tables.BusColumns],
+    "`[[branch]]`": [network_tables.BranchTable, network_tables.BranchColumns],
+    "`[[source]]`": [network_tables.SourceTable],
 }
 
 
@@ -74,7 +74,7 @@ def default_text(field: FieldInfo) -> str | None:
 def test_every_table_has_its_heading() -> None:
     tables = {
         value
-        for module in (scenario_file, shared_tables, fault_tables, network_file)
+        for module in (scenario_file, shared_tables, fault_tables, network_tables)
         for value in vars(module).values()
         if isinstance(value, type) and issubclass(value, Table) and value.__module__ == module.__name__
     }
@@ -90,3 +90,9 @@ def test_every_key_stands_under_its_heading_with_its_default(heading: str) -> No
     for key, field in fields.items():
         if (expected := default_text(field)) is not None:
             assert documented[key] == expected, key
+
+
+@pytest.mark.parametrize("heading", ["`[[bus]]`", "`[[branch]]`"])
+def test_lists_have_the_keys_of_tables(heading: str) -> None:
+    keys = [[field.alias or name for name, field in table.model_fields.items()] for table in TABLE_OF_HEADING[heading]]
+    assert keys[0] == keys[1]

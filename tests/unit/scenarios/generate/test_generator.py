@@ -14,8 +14,8 @@ from dsse_core.errors import InvalidInputError
 from dsse_core.grid.network import Control
 from dsse_core.power_flow.newton_raphson import solve_power_flow
 from scenarios.check import check_scenario
+from scenarios.files import saved_network
 from scenarios.files.network_file import load_network
-from scenarios.generate import generated_files
 from scenarios.generate.feeder import BUSES_OF_A_FEEDER, PV_SHARE, VM_TOLERANCE, generate_feeder
 from scenarios.generate.generated_files import write_generated
 from scenarios.scenario import load_scenario
@@ -91,7 +91,7 @@ def test_the_same_arguments_write_the_same_files_to_the_byte(tmp_path: Path) -> 
 
 def test_a_large_network_is_written_as_json_and_read_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     small = load_scenario(write_generated(tmp_path / "small", 60, 7, n_area=3), strategies=["information"])
-    monkeypatch.setattr(generated_files, "MOST_BUSES_IN_TOML", 59)
+    monkeypatch.setattr(saved_network, "MOST_BUSES_IN_TOML", 59)
     large = load_scenario(write_generated(tmp_path / "large", 60, 7, n_area=3), strategies=["information"])
     assert not (tmp_path / "large" / "network.toml").exists()
     for one, two in zip(small.network.branches, large.network.branches, strict=True):

@@ -1,0 +1,154 @@
+"""Buses and branches of a network file in columns, per unit and radians: whichever form they have in the file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from itertools import count
+
+import numpy as np
+
+from dsse_core.grid.network import Branch, Bus, Control, Generator
+from dsse_core.grid.physical_ranges import (
+    ADMITTANCE,
+    ANGLE,
+    BASE_POWER,
+    BASE_VOLTAGE,
+    IMPEDANCE,
+    LARGEST_BUS,
+    POWER,
+    REACTIVE_POWER,
+    TAP,
+    VOLTAGE,
+    Range,
+)
+from scenarios.files.network_tables import BranchColumns, BranchTable, BusColumns, BusTable
+
+
+@dataclass(frozen=True)
+class BusArrays:
+    """``base_kv`` in kV, the others in p.u.; shape (n_bus,) each."""
+
+    id: list[int]
+    name: list[str]
+    base_kv: np.ndarray
+    p_load: np.ndarray
+    q_load: np.ndarray
+    g_shunt: np.ndarray
+    b_shunt: np.ndarray
+
+    @classmethod
+    def of(cls, given: list[BusTable] | BusColumns, base_mva: float) -> BusArrays:
+        n = len(given) if isinstance(given, list) else len(given.id)
+        powers = ("p_load_mw", "q_load_mvar", "g_shunt_mw", "b_shunt_mvar")
+        scaled = [np.array(_take(given, key, n, 0.0), dtype=float) / base_mva for key in powers]
+        base_kv = np.array(_take(given, "base_kv", n, math.nan), dtype=float)
+        return cls(_take(given, "id", n, 0), _take(given, "name", n, ""), base_kv, *scaled)
+
+    def build(self) -> tuple[Bus, ...]:
+        numbers = (self.p_load, self.q_load, self.g_shunt, self.b_shunt)
+        return tuple(map(Bus, self.id, self.base_kv.tolist(), self.name, *(part.tolist() for part in numbers)))
+
+
+@dataclass(frozen=True)
+class BranchArrays:
+    """P.u. and rad; shape (n_branch,) each. ``id``: empty or None where a branch is called by its ends.
+
+    ``in_ohm``: whether the file gives the impedance so; ``from_kv``, ``to_kv``: nominal voltages there, NaN of a bus
+    that is not defined.
+    """
+
+    id: list[str | None]
+    from_bus: list[int]
+    to_bus: list[int]
+    r: np.ndarray
+    x: np.ndarray
+    b: np.ndarray
+    tap: np.ndarray
+    shift: np.ndarray
+    in_service: list[bool]
+    g: np.ndarray
+    in_ohm: np.ndarray
+    from_kv: np.ndarray
+    to_kv: np.ndarray
+
+    @classmethod
+    def of(cls, given: list[BranchTable] | BranchColumns, buses: BusArrays, base_mva: float) -> BranchArrays:
+        n = len(given) if isinstance(given, list) else len(given.to)
+        from_bus, to_bus = _take(given, "from_", n, 0), _take(given, "to", n, 0)
+        in_ohm = np.array([b.is_in_ohm for b in given] if isinstance(given, list) else [given.is_in_ohm] * n)
+        base_kv = dict(zip(reversed(buses.id), buses.base_kv[::-1].tolist(), strict=True))  # of equal ids the first
+        from_kv, to_kv = (np.array([base_kv.get(bus, math.nan) for bus in ends]) for ends in (from_bus, to_bus))
+        kv = np.where(np.isnan(from_kv), 1.0, from_kv)  # of a bus that is not defined, which Network reports
+        z_base = np.where(in_ohm, kv * kv / base_mva, 1.0)
+
+        def take(key: str, default: float = 0.0) -> np.ndarray:
+            return np.array(_take(given, key, n, default), dtype=float)
+
+        def choose(ohm: np.ndarray, pu: str) -> np.ndarray:
+            return np.where(in_ohm, ohm, take(pu))
+
+        return cls(
+            _take(given, "id", n, None),
+            from_bus,
+            to_bus,
+            r=choose(take("r_ohm") / z_base, "r_pu"),
+            x=choose(take("x_ohm") / z_base, "x_pu"),
+            b=choose(take("b_us") * 1e-6 * z_base, "b_pu"),
+            tap=take("tap_ratio", 1.0),
+            shift=np.radians(take("shift_deg")),
+            in_service=_take(given, "in_service", n, True),
+            g=choose(take("g_us") * 1e-6 * z_base, "g_pu"),
+            in_ohm=in_ohm,
+            from_kv=from_kv,
+            to_kv=to_kv,
+        )
+
+    def build(self) -> tuple[Branch, ...]:
+        names: list[str] = []
+        taken: set[str | None] = set(self.id)
+        for given, from_bus, to_bus in zip(self.id, self.from_bus, self.to_bus, strict=True):
+            names.append(given or default_branch_id(from_bus, to_bus, taken))
+            taken.add(names[-1])
+        numbers = (part.tolist() for part in (self.r, self.x, self.b, self.tap, self.shift))
+        return tuple(map(Branch, names, self.from_bus, self.to_bus, *numbers, self.in_service, self.g.tolist()))
+
+
+def _take(given: Sequence[object] | object, key: str, n: int, default: object) -> list:  # type: ignore[type-arg]
+    """The values of a key of all items, ``default`` where it is not given."""
+    if isinstance(given, list):
+        return [default if (value := getattr(item, key)) is None else value for item in given]
+    column = getattr(given, key)
+    return [default] * n if column is None else column
+
+
+def default_branch_id(from_bus: int, to_bus: int, taken: Collection[str | None]) -> str:
+    """``from-to``; parallel branches get ``#2``, ``#3``, ... behind it. ``taken``: the ids of others."""
+    plain = f"{from_bus}-{to_bus}"
+    if plain not in taken:
+        return plain
+    return next(branch_id for number in count(2) if (branch_id := f"{plain}#{number}") not in taken)
+
+
+def lie_within_ranges(
+    base_mva: float, buses: BusArrays, branches: BranchArrays | None, generators: Sequence[Generator]
+) -> bool:
+    """Whether ``find_range_problems``, which looks at each number by itself, would find none."""
+    holding = [g for g in generators if g.control is not Control.POWER]
+    checked: list[tuple[Range, object, float]] = [
+        (BASE_POWER, base_mva, 1.0),
+        (BASE_VOLTAGE, buses.base_kv, 1.0),
+        (VOLTAGE, [g.vm for g in holding], 1.0),
+        (ANGLE, np.degrees([g.va for g in holding]), 1.0),
+    ]
+    checked += [(POWER, part, base_mva) for part in (buses.p_load, buses.g_shunt, [g.p for g in generators])]
+    checked += [(REACTIVE_POWER, part, base_mva) for part in (buses.q_load, buses.b_shunt, [g.q for g in generators])]
+    if branches is not None:
+        checked += [(IMPEDANCE, part, 1.0) for part in (branches.r, branches.x)]
+        checked += [(ADMITTANCE, part, 1.0) for part in (branches.b, branches.g)]
+        checked += [(TAP, branches.tap, 1.0), (ANGLE, np.degrees(branches.shift), 1.0)]
+    numbers = ((limits, np.array(values, dtype=float) * size) for limits, values, size in checked)
+    return max(map(abs, buses.id)) <= LARGEST_BUS and all(
+        bool(((limits.least <= values) & (values <= limits.most)).all()) for limits, values in numbers
+    )

@@ -1,0 +1,165 @@
+"""The keys of a network file, as strict tables: a table for each bus and branch, or a list of values for each key."""
+
+from __future__ import annotations
+
+import re
+from typing import Annotated, ClassVar, Literal, Self
+
+from pydantic import Discriminator, Field, Tag, model_validator
+
+from dsse_core.files.kinds import NETWORK_FILE, FileKind
+from dsse_core.files.quantities import Positive
+from dsse_core.files.strict_table import ColumnsTable, FileTable, Table
+from dsse_core.limits import LONGEST_NAME
+
+BRANCH_ID = re.compile(rf"[a-z0-9_-]{{1,{LONGEST_NAME}}}")  # the id of a meter holds it, and has its limit on the wire
+NOTHING = (None,) * 4
+MIXED = "mixes ohm and microsiemens with r_pu/x_pu/b_pu/g_pu; give all of them in one of the two units"
+NO_IMPEDANCE = "has no complete impedance; give r_ohm and x_ohm, or r_pu and x_pu"
+
+
+class BusTable(Table):
+    """One ``[[bus]]``."""
+
+    id: int = Field(description="the number of the bus, its own in the network")
+    base_kv: Positive = Field(description="nominal voltage in kV")
+    name: str = ""
+    p_load_mw: float = 0.0
+    q_load_mvar: float = 0.0
+    g_shunt_mw: float = Field(default=0.0, description="MW that the shunt consumes at 1 p.u. voltage")
+    b_shunt_mvar: float = Field(default=0.0, description="Mvar that the shunt produces at 1 p.u. voltage")
+
+
+class BranchTable(Table):
+    """One ``[[branch]]``: a line or a transformer, its tap at the from side."""
+
+    from_: int = Field(alias="from", description="id of the bus at the tap side")
+    to: int = Field(description="id of the bus at the other end")
+    id: str | None = Field(
+        default=None,
+        pattern=f"^{BRANCH_ID.pattern}$",
+        description=f"at most {LONGEST_NAME} lower-case letters, digits, _ and -",
+    )
+    r_ohm: float | None = None
+    x_ohm: float | None = None
+    b_us: float | None = Field(default=None, description="total charging in microsiemens")
+    g_us: float | None = Field(default=None, description="total leakage or iron losses in microsiemens")
+    r_pu: float | None = None
+    x_pu: float | None = None
+    b_pu: float | None = Field(default=None, description="total charging in p.u.")
+    g_pu: float | None = Field(default=None, description="total leakage or iron losses in p.u.")
+    tap_ratio: Positive = Field(default=1.0, description="divides the from-side voltage; 1.0 for a line")
+    shift_deg: float = 0.0
+    in_service: bool = True
+
+    @property
+    def is_in_ohm(self) -> bool:
+        return self.r_ohm is not None
+
+    @model_validator(mode="after")
+    def _has_one_complete_impedance(self) -> Self:
+        ohm = (self.r_ohm, self.x_ohm, self.b_us, self.g_us)
+        pu = (self.r_pu, self.x_pu, self.b_pu, self.g_pu)
+        if ohm != NOTHING and pu != NOTHING:
+            raise ValueError(MIXED)
+        if None in ohm[:2] and None in pu[:2]:
+            raise ValueError(NO_IMPEDANCE)
+        return self
+
+
+OptionalId = Annotated[str, Field(pattern=f"^({BRANCH_ID.pattern})?$")]
+"""Empty where a branch is called by its ends."""
+
+
+class BusColumns(ColumnsTable):
+    """``bus`` as lists: the keys of ``BusTable``."""
+
+    id: list[int] = Field(min_length=1, description="the numbers of the buses, each its own in the network")
+    base_kv: list[Positive] = Field(description="nominal voltages in kV")
+    name: list[str] | None = None
+    p_load_mw: list[float] | None = None
+    q_load_mvar: list[float] | None = None
+    g_shunt_mw: list[float] | None = None
+    b_shunt_mvar: list[float] | None = None
+
+
+class BranchColumns(ColumnsTable):
+    """``branch`` as lists: the keys of ``BranchTable``."""
+
+    from_: list[int] = Field(alias="from", min_length=1, description="ids of the buses at the tap sides")
+    to: list[int] = Field(description="ids of the buses at the other ends")
+    id: list[OptionalId] | None = None
+    r_ohm: list[float] | None = None
+    x_ohm: list[float] | None = None
+    b_us: list[float] | None = None
+    g_us: list[float] | None = None
+    r_pu: list[float] | None = None
+    x_pu: list[float] | None = None
+    b_pu: list[float] | None = None
+    g_pu: list[float] | None = None
+    tap_ratio: list[Positive] | None = None
+    shift_deg: list[float] | None = None
+    in_service: list[bool] | None = None
+
+    @property
+    def is_in_ohm(self) -> bool:
+        return self.r_ohm is not None
+
+    @model_validator(mode="after")
+    def _has_one_complete_impedance(self) -> Self:
+        ohm = (self.r_ohm, self.x_ohm, self.b_us, self.g_us)
+        pu = (self.r_pu, self.x_pu, self.b_pu, self.g_pu)
+        if ohm != NOTHING and pu != NOTHING:
+            raise ValueError(MIXED)
+        if None in ohm[:2] and None in pu[:2]:
+            raise ValueError(NO_IMPEDANCE)
+        return self
+
+
+class SourceTable(Table):
+    """One ``[[source]]``: the substation or a generator."""
+
+    bus: int = Field(description="id of the bus that the source feeds")
+    kind: Literal["slack", "voltage", "power"] = Field(description="slack: the substation; voltage: holds P and vm")
+    p_mw: float = 0.0
+    q_mvar: float = 0.0
+    vm_pu: Positive | None = None
+    va_deg: float | None = None
+
+    @model_validator(mode="after")
+    def _has_the_set_points_of_its_kind(self) -> Self:
+        if self.kind == "power" and self.vm_pu is not None:
+            raise ValueError("vm_pu has no meaning for kind 'power'; remove it or use kind 'voltage'")
+        if self.kind != "power" and self.vm_pu is None:
+            raise ValueError(f"vm_pu is missing; a source of kind {self.kind!r} needs its voltage set-point in p.u.")
+        if self.kind != "slack" and self.va_deg is not None:
+            raise ValueError(f"va_deg has no meaning for kind {self.kind!r}; only the slack holds an angle")
+        return self
+
+
+def _form_of(value: object) -> str:
+    """The member of ``Buses`` and ``Branches`` that ``value`` is meant to be, as its tag."""
+    return "[lists]" if isinstance(value, dict) else "[tables]"
+
+
+Buses = Annotated[
+    Annotated[list[BusTable], Field(min_length=1), Tag("[tables]")] | Annotated[BusColumns, Tag("[lists]")],
+    Discriminator(_form_of),
+]
+Branches = Annotated[
+    Annotated[list[BranchTable], Field(min_length=1), Tag("[tables]")] | Annotated[BranchColumns, Tag("[lists]")],
+    Discriminator(_form_of),
+]
+
+
+class NetworkFile(FileTable):
+    """A whole network file."""
+
+    kind: ClassVar[FileKind] = NETWORK_FILE
+
+    name: str = Field(min_length=1, description="the name of the network")
+    data_source: str = Field(min_length=1, description="where the data come from")
+    base_mva: Positive = Field(description="base of the per-unit system in MVA")
+    bus: Buses = Field(description="one [[bus]] for each bus, or a list for each key")
+    branch: Branches = Field(description="one [[branch]] for each line and transformer, or a list for each key")
+    source: list[SourceTable] = Field(min_length=1, description="one [[source]] for the substation and each generator")

@@ -1,0 +1,151 @@
+"""Network files as they are written: TOML with a table for each bus and branch, or JSON with a list for each key."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from dsse_core.errors import InvalidInputError
+from dsse_core.files.kinds import NETWORK_FILE
+from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
+from dsse_core.limits import LONGEST_NAME
+from scenarios.files.network_columns import default_branch_id
+from scenarios.files.network_tables import BRANCH_ID
+
+MOST_BUSES_IN_TOML = 5000  # larger networks become JSON, which is read much faster, and larger than TOML may be
+
+
+def name_network_file(n_bus: int) -> str:
+    """The name of the network file that a command writes."""
+    return "network.toml" if n_bus <= MOST_BUSES_IN_TOML else "network.json"
+
+
+def save_network(path: Path, network: Network, data_source: str) -> None:
+    """Write a network file that ``load_network`` reads back, TOML or JSON; impedances in p.u., numbers to 15 digits.
+
+    Raises:
+        InvalidInputError: listing every branch whose id a network file cannot hold.
+    """
+    if problems := list(_find_id_problems(network)):
+        raise InvalidInputError(NETWORK_FILE.called(path), problems)
+    head = {"name": network.name, "data_source": data_source, "base_mva": float(network.base_mva)}
+    base = network.base_mva
+    sources = [_source_row(generator, base) for generator in network.generators]
+    if path.suffix == ".json":
+        columns = {"bus": _bus_columns(network), "branch": _branch_columns(network), "source": sources}
+        path.write_text(json.dumps(head | columns), encoding="utf-8")
+        return
+    rows = {
+        "bus": [_bus_row(bus, base) for bus in network.buses],
+        "branch": [_branch_row(branch) for branch in network.branches],
+        "source": sources,
+    }
+    lines = [f"{key} = {format_toml(value)}" for key, value in head.items()]
+    for table, items in rows.items():
+        lines += ["", f"{table} = [", *(f"    {_inline(item)}," for item in items), "]"]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _bus_columns(network: Network) -> dict[str, list[Any]]:
+    """A list for each key; keys of defaults only are left out."""
+    base, buses = network.base_mva, network.buses
+    columns: dict[str, list[Any]] = {
+        "name": [bus.name for bus in buses],
+        "p_load_mw": [bus.p_load * base for bus in buses],
+        "q_load_mvar": [bus.q_load * base for bus in buses],
+        "g_shunt_mw": [bus.g_shunt * base for bus in buses],
+        "b_shunt_mvar": [bus.b_shunt * base for bus in buses],
+    }
+    given: dict[str, list[Any]] = {"id": [bus.id for bus in buses], "base_kv": [bus.base_kv for bus in buses]}
+    return given | {key: column for key, column in columns.items() if any(column)}
+
+
+def _branch_columns(network: Network) -> dict[str, list[Any]]:
+    """A list for each key; keys of defaults only are left out."""
+    branches = network.branches
+    columns: dict[str, tuple[list[Any], object]] = {
+        "id": ([_written_id(branch) or "" for branch in branches], ""),
+        "b_pu": ([branch.b for branch in branches], 0.0),
+        "g_pu": ([branch.g for branch in branches], 0.0),
+        "tap_ratio": ([branch.tap for branch in branches], 1.0),
+        "shift_deg": ([math.degrees(branch.shift) for branch in branches], 0.0),
+        "in_service": ([branch.in_service for branch in branches], True),
+    }
+    given: dict[str, list[Any]] = {
+        "from": [branch.from_bus for branch in branches],
+        "to": [branch.to_bus for branch in branches],
+        "r_pu": [branch.r for branch in branches],
+        "x_pu": [branch.x for branch in branches],
+    }
+    return given | {key: column for key, (column, default) in columns.items() if any(v != default for v in column)}
+
+
+def _find_id_problems(network: Network) -> Iterable[str]:
+    """Ids that are neither written nor what ``load_network`` would call the branch."""
+    taken: set[str | None] = {branch.id for branch in network.branches if _written_id(branch)}
+    for branch in network.branches:
+        if not _written_id(branch):
+            expected = default_branch_id(branch.from_bus, branch.to_bus, taken)
+            taken.add(expected)
+            if branch.id != expected:
+                yield (
+                    f"branch {branch.id!r}: a network file has ids of at most {LONGEST_NAME} lower-case letters, "
+                    f"digits, _ and -, or calls this branch {expected!r}; rename it"
+                )
+
+
+def _written_id(branch: Branch) -> str | None:
+    """The id where the file must give it."""
+    is_default = branch.id.partition("#")[0] == f"{branch.from_bus}-{branch.to_bus}"
+    return None if is_default or not BRANCH_ID.fullmatch(branch.id) else branch.id
+
+
+def _bus_row(bus: Bus, base: float) -> dict[str, object]:
+    row: dict[str, object] = {"id": bus.id, "base_kv": bus.base_kv}
+    if bus.name:
+        row["name"] = bus.name
+    for key in ("p_load", "q_load", "g_shunt", "b_shunt"):
+        if power := getattr(bus, key):
+            row[f"{key}_{'mw' if key in ('p_load', 'g_shunt') else 'mvar'}"] = power * base
+    return row
+
+
+def _branch_row(branch: Branch) -> dict[str, object]:
+    row: dict[str, object] = {"from": branch.from_bus, "to": branch.to_bus}
+    if (branch_id := _written_id(branch)) is not None:
+        row["id"] = branch_id
+    row |= {"r_pu": branch.r, "x_pu": branch.x}
+    optional = {
+        "b_pu": (branch.b, 0.0),
+        "g_pu": (branch.g, 0.0),
+        "tap_ratio": (branch.tap, 1.0),
+        "shift_deg": (math.degrees(branch.shift), 0.0),
+        "in_service": (branch.in_service, True),
+    }
+    return row | {key: value for key, (value, default) in optional.items() if value != default}
+
+
+def _source_row(generator: Generator, base: float) -> dict[str, object]:
+    row: dict[str, object] = {"bus": generator.bus, "kind": str(generator.control)}
+    row |= {k: p * base for k, p in (("p_mw", generator.p), ("q_mvar", generator.q)) if p}
+    if generator.control is not Control.POWER:
+        row["vm_pu"] = generator.vm
+    if generator.control is Control.SLACK:
+        row["va_deg"] = math.degrees(generator.va)
+    return row
+
+
+def _inline(row: Mapping[str, object]) -> str:
+    return "{ " + ", ".join(f"{key} = {format_toml(value)}" for key, value in row.items()) + " }"
+
+
+def format_toml(value: object) -> str:
+    """``value`` as TOML; texts are JSON's, which are TOML's but for the delete character."""
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return repr(float(value)) if isinstance(value, float) else str(value)  # exact
