@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import math
 from pathlib import Path
 
@@ -11,6 +13,8 @@ from dsse_core.errors import InvalidInputError
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from scenarios.check import check_scenario
 from scenarios.files.network_file import load_case
+from scenarios.files.reading_columns import read_sound_columns
+from scenarios.files.reading_rows import ReadingRows
 from scenarios.files.readings_file import load_readings, save_readings
 from scenarios.scenario import Scenario, load_scenario
 from scenarios.telemetry import make_telemetry
@@ -56,8 +60,7 @@ def scenario_with(tmp_path: Path, readings: tuple[Measurement, ...], more: str =
     return load_scenario(tmp_path / "real.toml", strategies=("information",))
 
 
-def test_every_unit_becomes_per_unit_and_radians(tmp_path: Path) -> None:
-    text = f"""{HEADER}
+EVERY_UNIT = f"""{HEADER}
 vm@1,1.01,0.002,,,,,,,,,,
 vm@2,,,12.8,0.01,,,,,,,,
 va@3,,,,,-0.5,0.1,,,,,,
@@ -66,7 +69,43 @@ q_flow@4:3-4,,,,,,,,,-0.3,0.02,,
 q_injection@5,0.01,0.002,,,,,,,,,,
 current@3:3-4,,,,,,,,,,,120,1
 """
-    read = {m.meter.id: (m.value, m.sigma) for m in load(tmp_path, text)}
+
+
+@pytest.mark.parametrize("text", [EVERY_UNIT, EVERY_UNIT.replace("\n", "\r\n"), EVERY_UNIT + "\n\n"])
+def test_columns_are_read_as_rows_are(text: str) -> None:
+    rows = csv.reader(io.StringIO(text, newline=""), strict=True)
+    table = ReadingRows(NETWORK)
+    table.take_header(next(rows))
+    for row in rows:
+        table.take(row, rows.line_num)
+    assert not table.problems
+    assert read_sound_columns(text, NETWORK) == tuple(table.readings)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("vm@2,,,12.8,", "vm@1,,,12.8,"),
+        ("1.01,0.002", "1.01,"),
+        ("1.01,0.002", ",0.002"),
+        ("-0.5,0.1", "nan,0.1"),
+        ("-0.5,0.1", "-0.5,0"),
+        ("12.8,0.01", "-12.8,0.01"),
+        ("2.2,0.02", "2.2e300,0.02"),
+        ("0.01,0.002,,,,,,,,,,", ",,,,,,0.1,0.1,,,,"),
+        ("0.01,0.002,,,,,,,,,,", "0.01,0.002,,,,,,,,,"),
+        ("current@3:3-4", "current@9:3-4"),
+        ("120,1", "12O,1"),
+        ("meter,", "metre,"),
+    ],
+)
+def test_a_mistake_is_not_read_as_columns(old: str, new: str) -> None:
+    assert old in EVERY_UNIT
+    assert read_sound_columns(EVERY_UNIT.replace(old, new, 1), NETWORK) is None
+
+
+def test_every_unit_becomes_per_unit_and_radians(tmp_path: Path) -> None:
+    read = {m.meter.id: (m.value, m.sigma) for m in load(tmp_path, EVERY_UNIT)}
     base = NETWORK.base_mva
     ampere = math.sqrt(3) * 12.66 / base / 1000
     expected = {

@@ -1,0 +1,121 @@
+"""The rows of a readings file one by one: what each says, and everything that is wrong with it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+from dsse_core.files.wording import Suggestions, suggest
+from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, find_meter_problems
+from dsse_core.grid.network import Network
+from dsse_core.limits import LARGEST_SIGMA, SMALLEST_SIGMA
+from scenarios.files.reading_units import RANGES, UNITS, unit_size
+
+KIND = MeasurementKind
+KIND_OF = {str(kind): kind for kind in KIND}
+LONGEST_BUS = 18  # digits
+
+
+@dataclass
+class ReadingRows:
+    """The rows read so far, and what is wrong with them."""
+
+    network: Network
+    units: list[str] = field(default_factory=list)
+    readings: list[Measurement] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
+    line_of: dict[str, int] = field(default_factory=dict)
+    meant: Suggestions = field(default_factory=lambda: Suggestions(list(KIND)))
+
+    def take_header(self, header: Sequence[str]) -> None:
+        allowed = ["meter", *(f"{column}_{unit}" for unit in UNITS for column in ("value", "sigma"))]
+        if len(header) == 1 and ";" in header[0]:
+            self.problems.append("line 1: the columns are separated by ';'; separate them by ','")
+            return
+        if not header or header[0] != "meter":
+            found = f"{header[0]!r:.80}" if header else "an empty file"
+            self.problems.append(f"line 1: the first column must be 'meter', found {found}")
+        for name in header:
+            if name not in allowed:
+                self.problems.append(
+                    f"line 1: unknown column {name!r:.80}; allowed: {', '.join(allowed)}{suggest(name, allowed)}"
+                )
+        self.units = [name.removeprefix("value_") for name in header if name.startswith("value_")]
+        expected = ["meter", *(f"{column}_{unit}" for unit in self.units for column in ("value", "sigma"))]
+        if not self.problems and (list(header) != expected or len(set(header)) < len(header) or not self.units):
+            self.problems.append(
+                "line 1: after 'meter' come pairs value_UNIT,sigma_UNIT of one unit, each unit once; found "
+                + ",".join(header)[:200]
+            )
+
+    def take(self, row: Sequence[str], line: int) -> None:
+        if not any(cell.strip() for cell in row):
+            return
+        found = list(self._find_problems(row, line))
+        self.problems += [f"line {line}: {problem}" for problem in found]
+
+    def _find_problems(self, row: Sequence[str], line: int) -> Iterator[str]:
+        """Every problem of a row; a row without is added to the readings."""
+        if len(row) != 1 + 2 * len(self.units):
+            yield f"{len(row)} columns, but the header has {1 + 2 * len(self.units)}"
+            return
+        meter = parse_meter(row[0].strip(), self.meant)
+        if isinstance(meter, str):
+            yield meter
+            return
+        problems = list(find_meter_problems(self.network, [meter]))
+        if meter.id in self.line_of:
+            problems.append(f"meter {meter.id} has a reading in line {self.line_of[meter.id]} already; keep one")
+        self.line_of.setdefault(meter.id, line)
+        pairs = {unit: row[1 + 2 * i : 3 + 2 * i] for i, unit in enumerate(self.units)}
+        filled = [unit for unit, pair in pairs.items() if any(cell.strip() for cell in pair)]
+        if len(filled) != 1:
+            problems.append(f"meter {meter.id}: fill exactly one pair of value and sigma, found {len(filled)}")
+        elif meter.kind not in UNITS[filled[0]]:
+            allowed = " or ".join(f"value_{unit},sigma_{unit}" for unit in UNITS if meter.kind in UNITS[unit])
+            problems.append(f"meter {meter.id} cannot be in {filled[0]}; its columns are {allowed}")
+        elif None in (numbers := [_number(cell) for cell in pairs[filled[0]]]):
+            problems.append(
+                f"meter {meter.id}: value and sigma must be finite numbers, found {pairs[filled[0]]!s:.200}"
+            )
+        elif not problems:
+            value, sigma = (n * unit_size(filled[0], meter, self.network) for n in numbers if n is not None)
+            problems += _find_value_problems(meter, value, sigma, self.network.base_mva)
+            self.readings.append(Measurement(meter, value, sigma))
+        yield from problems
+
+
+def parse_meter(text: str, meant: Suggestions | None = None) -> Meter | str:
+    """The meter with id ``text``, e.g. ``p_flow@3:3-4``; or what is wrong with the id. ``meant``: of many such ids."""
+    kind_name, at, place = text.partition("@")
+    bus, _, branch = place.partition(":")
+    kind = KIND_OF.get(kind_name)
+    if not at or kind is None or not bus.isdecimal() or len(bus) > LONGEST_BUS:
+        close = (meant or Suggestions(list(KIND_OF))).find(kind_name) if kind is None else ""
+        return (
+            f"{text!r:.80} is no meter id; one looks like vm@1, p_injection@4 or p_flow@3:3-4 "
+            f"(KIND@BUS or KIND@BUS:BRANCH, kinds: {', '.join(KIND_OF)}){close}"
+        )
+    return Meter(kind, int(bus), branch or None)
+
+
+def _find_value_problems(meter: Meter, value: float, sigma: float, base_mva: float) -> Iterable[str]:
+    if not SMALLEST_SIGMA <= sigma <= LARGEST_SIGMA:
+        yield (
+            f"meter {meter.id}: sigma is {sigma:.3g} in p.u. or rad; it must lie between {SMALLEST_SIGMA:g} and "
+            f"{LARGEST_SIGMA:g}"
+        )
+    if value < 0 and meter.kind in (KIND.VM, KIND.CURRENT):
+        yield f"meter {meter.id}: the value is negative; a magnitude is not"
+        return
+    limits, size = RANGES[meter.kind]
+    yield from limits.find_problem(f"meter {meter.id}: the value", value * (base_mva if size is None else size))
+
+
+def _number(cell: str) -> float | None:
+    try:
+        number = float(cell)
+    except ValueError:
+        return None
+    return number if math.isfinite(number) else None

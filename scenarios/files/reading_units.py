@@ -1,0 +1,52 @@
+"""The units of readings files: which kinds of meter may be given in each, what one is in p.u. or rad, and limits."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from dsse_core.grid.measurement import MeasurementKind, Meter
+from dsse_core.grid.network import Network
+from dsse_core.grid.physical_ranges import ANGLE, POWER, REACTIVE_POWER, VOLTAGE, Range
+
+KIND = MeasurementKind
+UNITS: Mapping[str, frozenset[MeasurementKind]] = {
+    "pu": frozenset(kind for kind in KIND if kind is not KIND.VA),
+    "kv": frozenset({KIND.VM}),
+    "deg": frozenset({KIND.VA}),
+    "mw": frozenset({KIND.P_INJECTION, KIND.P_FLOW}),
+    "mvar": frozenset({KIND.Q_INJECTION, KIND.Q_FLOW}),
+    "a": frozenset({KIND.CURRENT}),
+}
+"""Unit -> the kinds of meter that may be given in it. Voltages in kV are line to line."""
+WRITTEN_IN = {KIND.VM: "pu", KIND.VA: "deg", KIND.CURRENT: "a"} | {
+    kind: "mw" if kind in UNITS["mw"] else "mvar" for kind in UNITS["mw"] | UNITS["mvar"]
+}
+
+
+def unit_size(unit: str, meter: Meter, network: Network) -> float:
+    """What one ``unit`` is in p.u. or rad; ampere and kV on the base voltage of the meter's bus."""
+    base_mva = network.base_mva
+    match unit:
+        case "mw" | "mvar":
+            return 1 / base_mva
+        case "kv":
+            return 1 / network.bus(meter.bus).base_kv
+        case "a":
+            return math.sqrt(3) * network.bus(meter.bus).base_kv / base_mva / 1000
+        case "deg":
+            return math.radians(1)
+        case _:
+            return 1.0
+
+
+RANGES: Mapping[MeasurementKind, tuple[Range, float | None]] = {
+    KIND.VM: (Range(0.0, VOLTAGE.most, VOLTAGE.unit), 1.0),  # a dead voltmeter reads 0
+    KIND.VA: (ANGLE, math.degrees(1)),
+    KIND.CURRENT: (Range(0.0, POWER.most, "MVA at the base voltage"), None),
+    KIND.P_INJECTION: (POWER, None),
+    KIND.P_FLOW: (POWER, None),
+    KIND.Q_INJECTION: (REACTIVE_POWER, None),
+    KIND.Q_FLOW: (REACTIVE_POWER, None),
+}
+"""Kind -> what it can read, and how large a p.u. or rad is in that unit; None: as ``base_mva``."""
