@@ -14,10 +14,11 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache
 
 from dsse_core import compiling
 from dsse_core.code_places import (
+    Whole,
     find_folder_to_keep_in,
     find_places,
     for_owner_to_write,
-    has_whole_estimate,
+    has_whole,
     hash_of_sources,
     name_of_folder,
     name_of_note,
@@ -27,13 +28,13 @@ not_kept: list[OSError] = []
 """Why code of this process could not be written."""
 
 
-def note_whole_estimate() -> None:
-    """Note where compiled code is kept that all of a power flow, an estimate and its bad data is there, if it is."""
+def note_whole(what: Whole) -> None:
+    """Note where compiled code is kept that all of ``what`` is there, if it is."""
     folder = find_folder_to_keep_in()
-    if folder is None or not_kept or getattr(config, "DISABLE_JIT", False) or has_whole_estimate():
+    if folder is None or not_kept or getattr(config, "DISABLE_JIT", False) or has_whole(what):
         return
     with contextlib.suppress(OSError), for_owner_to_write():
-        (folder / name_of_note()).touch()
+        (folder / name_of_note(what)).touch()
 
 
 class KeptCode:

@@ -1,5 +1,5 @@
 """Where compiled code is kept, and from where it may be loaded: never from a place that another unprivileged user can
-write, as loading it is running it; and whether that of whole estimates is there, without loading numba to find out.
+write, as loading it is running it; and whether all that is needed is there, found without numba.
 
 Places, in this order: the folder in NUMBA_CACHE_DIR alone, if that is set; else ``__pycache__`` beside this file, which
 an administrator may have filled for all users, and ``dsse`` in the cache folder of the user. Code is loaded from the
@@ -19,12 +19,15 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Literal
 
 from dsse_core.errors import InvalidInputError
 
 BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 SOURCES = Path(__file__).resolve().parent
-CODE = (".nbi", ".nbc", ".whole")  # numba's index and data files, and our note that all of an estimate is there
+CODE = (".nbi", ".nbc", ".whole")  # numba's index and data files, and our notes
+Whole = Literal["exchange", "estimate"]
+"""What is compiled together: steps of an area; a power flow, an estimate and its bad data."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,22 +133,22 @@ def hash_of_sources() -> str:
     return digest.hexdigest()
 
 
-def has_whole_estimate() -> bool:
-    """Whether all compiled code of a power flow, an estimate and its bad data can be loaded by this process.
+def has_whole(what: Whole) -> bool:
+    """Whether all compiled code of ``what`` can be loaded by this process.
 
     Where numba finds otherwise, because somebody has removed some of it, it compiles.
     """
-    name = name_of_note()
+    name = name_of_note(what)
     return any(place.fault is None and (place.folder / name).exists() for place in find_places())
 
 
 @cache
-def name_of_note() -> str:
-    """What compiled code is made for: the sources, Python, numba and the processor."""
+def name_of_note(what: Whole) -> str:
+    """A file that says so, by what compiled code is made for: the sources, Python, numba and the processor."""
     digest = hashlib.sha256(hash_of_sources().encode())
     for text in (sys.version, _version_of("numba"), _version_of("llvmlite"), *_name_processor()):
         digest.update(text.encode() + b"\0")
-    return f"estimate-{digest.hexdigest()[:32]}.whole"
+    return f"{what}-{digest.hexdigest()[:32]}.whole"
 
 
 def _version_of(package: str) -> str:

@@ -6,7 +6,7 @@ import importlib.util
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from dsse_core.code_places import has_whole_estimate
+from dsse_core.code_places import has_whole
 
 Listener = Callable[[bool, str | None], None]
 _listeners: list[Listener] = []
@@ -34,7 +34,7 @@ def find_obstacle() -> str | None:
     """
     if importlib.util.find_spec("numba") is None:
         return "numba is not installed"
-    if _only_loads and not has_whole_estimate():
+    if _only_loads and not has_whole("estimate"):
         return "the compiled solver is not there yet; `dsse compile` makes it, once, in some 20 s"
     return None
 

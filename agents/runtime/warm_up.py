@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from dsse_core.code_places import Whole
 from dsse_core.estimation.bad_data import process_bad_data
 from dsse_core.estimation.estimator import estimate_state
 from dsse_core.estimation.residuals import chi_square_limit
@@ -26,7 +27,7 @@ NETWORK = Network(
 
 
 def warm_up() -> None:
-    """Go once through all that an area with a parent and a child computes on its tree."""
+    """Go once through all that an area with a parent and a child computes on its tree, and note where it is kept."""
     area = build_partition(NETWORK, {"up": [1, 2], "here": [2, 3], "down": [3, 4]}).area("here")
     kinds = (MeasurementKind.VM, MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION)
     meters = [Meter(kind, bus.id) for bus in area.network.buses for kind in kinds]
@@ -41,6 +42,7 @@ def warm_up() -> None:
         model.linear.step(x, known)
         model.linear.variances(x, known)
     chi_square_limit(1, 0.5)  # which imports what takes 0.1 s and 6 MiB
+    _note("exchange")
 
 
 def warm_up_estimate() -> None:
@@ -53,6 +55,10 @@ def warm_up_estimate() -> None:
     bad = [replace(readings[0], value=readings[0].value + 100 * SIGMA), *readings[1:]]
     report = process_bad_data(NETWORK, bad, backend="radial")
     estimate_state(NETWORK, readings, start=(report.result.vm, report.result.va), backend="radial")
-    from dsse_core.code_cache import note_whole_estimate  # numba, which is loaded by now
+    _note("estimate")
 
-    note_whole_estimate()
+
+def _note(what: Whole) -> None:
+    from dsse_core.code_cache import note_whole  # numba, which is loaded by now
+
+    note_whole(what)

@@ -12,7 +12,7 @@ from coordinator.evaluation.result import RunOutcome, make_area_results
 from coordinator.evaluation.verdict import make_verdict
 from coordinator.observe.duplicates import Duplicate
 from coordinator.observe.observer import Observer
-from dsse_core.code_places import has_whole_estimate
+from dsse_core.code_places import has_whole
 from dsse_core.errors import DsseError, InvalidInputError
 from dsse_core.estimation.bad_data import BadDataReport, process_bad_data
 from dsse_core.files.wording import describe_unknown
@@ -83,7 +83,7 @@ def estimate_centralised(scenario: Scenario, telemetry: Telemetry) -> Centralise
         report = process_bad_data(scenario.network, telemetry.union, tolerance=tolerance)
     except DsseError as error:
         return Centralised(None, str(error))
-    if report.result.backend == "radial" and not has_whole_estimate():
+    if report.result.backend == "radial" and not has_whole("estimate"):
         from agents.runtime.warm_up import warm_up_estimate  # which most runs do not need
 
         warm_up_estimate()

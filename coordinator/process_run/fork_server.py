@@ -19,6 +19,7 @@ import signal
 import sys
 import time
 import traceback
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
@@ -27,11 +28,16 @@ from typing import Any, NoReturn
 from coordinator.interrupts import ENDS
 from coordinator.process_run.lifeline import Lifeline
 from dsse_core import compiling
+from dsse_core.code_places import Whole, find_folder_to_keep_in, has_whole
 from dsse_core.printable import printable_lines
 
 STOP_S = 3.0  # from SIGTERM to SIGKILL
 PARENT = "parent of all processes"
 MODULE = "coordinator.process_run.fork_server"
+COMPILES: Mapping[str, Whole] = {
+    "agents.runtime.warm_up:warm_up": "exchange",
+    "agents.runtime.warm_up:warm_up_estimate": "estimate",
+}
 IO_ERROR_CODE = 74  # exit code of a process that could not write or read a file, as sysexits.h has it
 
 
@@ -105,6 +111,7 @@ class ForkServer:
     stopped: bool = False
     signalled: int = 0  # by which signal it was ordered to stop, if by one
     lifeline: Lifeline = field(default_factory=Lifeline)
+    _compiler: int = 0  # process id, while there is one
 
     def serve(self) -> None:
         """Obey until ordered to stop or until a signal of ``ENDS``; without a coordinator, until no child is left."""
@@ -142,14 +149,19 @@ class ForkServer:
 
     def _stop(self, number: int, _: object) -> None:
         self.stopped, self.signalled = True, number
+        if self._compiler:
+            os.kill(self._compiler, signal.SIGKILL)
 
     def _obey(self, order: Preload | Start | Signal | Stop) -> None:
         match order:
             case Preload(targets):
-                for module, _, function in (target.partition(":") for target in targets):
+                for target in targets:
+                    module, _, function = target.partition(":")
                     imported = importlib.import_module(module)
                     if function:
-                        getattr(imported, function)()
+                        self._compile_in_child(target)
+                        if not self.stopped:
+                            getattr(imported, function)()
                 gc.freeze()  # the children share these pages as long as no collector touches them
             case Start():
                 self._fork(order)
@@ -159,6 +171,33 @@ class ForkServer:
                         os.kill(pid, number)
             case Stop():
                 self.stopped = True
+
+    def _compile_in_child(self, target: str) -> None:
+        """Have a process of its own compile what ``target`` needs, if it is not kept yet but can be.
+
+        This one loads it then. Had it compiled, what a compiler leaves in memory would be in all its children, each of
+        which makes 6 MiB of it its own, page by page.
+        """
+        what = COMPILES.get(target)
+        if what is None or has_whole(what) or find_folder_to_keep_in() is None:
+            return
+        self._compiler = os.fork()
+        if self._compiler == 0:
+            self._become_compiler(target)
+        os.waitpid(self._compiler, 0)  # should it fail, this process compiles
+        self._compiler = 0
+
+    def _become_compiler(self, target: str) -> NoReturn:
+        """In the child: tell the coordinator, which this parent does not do meanwhile, when it compiles; then exit."""
+        try:
+            _take_signals()
+            self.lifeline.hold(0.0, STOP_S)
+            module, _, function = target.partition(":")
+            getattr(importlib.import_module(module), function)()
+        except BaseException:
+            _say_last(traceback.format_exc())
+        finally:
+            os._exit(0)
 
     def _fork(self, order: Start) -> None:
         pid = os.fork()
@@ -172,10 +211,7 @@ class ForkServer:
         code = 1
         try:
             os.nice(order.nice)
-            signal.set_wakeup_fd(-1)
-            for number in (signal.SIGCHLD, *ENDS):
-                if signal.getsignal(number) != signal.SIG_IGN:
-                    signal.signal(number, signal.SIG_DFL)
+            _take_signals()
             self.orders.close()
             compiling.forget_listeners()
             for fd in self._inherited:
@@ -222,6 +258,14 @@ class ForkServer:
         while self.children:
             self._reap()
             time.sleep(0.002)
+
+
+def _take_signals() -> None:
+    """In a child: signals end it, as they would any process, unless they are ignored, as nohup has it."""
+    signal.set_wakeup_fd(-1)
+    for number in (signal.SIGCHLD, *ENDS):
+        if signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, signal.SIG_DFL)
 
 
 def _say_last(text: str) -> None:

@@ -181,24 +181,24 @@ def test_a_command_that_answers_one_question_does_not_compile_and_the_next_one_m
         assert "`dsse compile` makes it" in (compiling.find_obstacle() or "")
     assert compiling.find_obstacle() is None
     with compiling.only_loading():
-        code_cache.note_whole_estimate()
+        code_cache.note_whole("estimate")
         assert compiling.find_obstacle() is None
 
 
 def test_code_of_another_processor_or_other_sources_is_not_taken_for_ready(
     kept_in: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    code_cache.note_whole_estimate()
-    assert code_places.has_whole_estimate()
+    code_cache.note_whole("estimate")
+    assert code_places.has_whole("estimate")
     for function, other in (("_name_processor", lambda: iter(["another"])), ("hash_of_sources", lambda: "others")):
         with monkeypatch.context() as patch:
             patch.setattr(code_places, function, other)
             code_places.name_of_note.cache_clear()
-            assert not code_places.has_whole_estimate()
+            assert not code_places.has_whole("estimate")
         code_places.name_of_note.cache_clear()
 
 
 def test_code_that_could_not_be_kept_is_not_noted_as_ready(kept_in: Path):
     code_cache.not_kept.append(OSError(28, "No space left on device"))
-    code_cache.note_whole_estimate()
-    assert not code_places.has_whole_estimate()
+    code_cache.note_whole("estimate")
+    assert not code_places.has_whole("estimate")
