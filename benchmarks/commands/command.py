@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
+import subprocess
+import sys
 import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -13,7 +15,7 @@ import click
 
 from benchmarks.commands.cost import Cost, measure
 from benchmarks.commands.growth import find_exponent, find_n_log_n
-from benchmarks.commands.inputs import BUSES_OF_AN_AREA, SEED, count_areas, write_inputs
+from benchmarks.commands.sizes import BUSES_OF_AN_AREA, SEED, count_areas
 from benchmarks.machine import describe_machine
 
 PACKAGES = ("numpy", "scipy", "pydantic", "numba", "consensus-dsse")
@@ -60,7 +62,8 @@ def main(sizes: str, only: str | None, runs: int, out: Path | None) -> None:
     for n_bus in sorted({n // command.share for n in asked for command in chosen.values()}):
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name)
-            write_inputs(folder, n_bus)
+            # in a process of its own: of what this one has in memory, one that it starts counts its share, too
+            subprocess.run([sys.executable, "-m", "benchmarks.commands.inputs", str(folder), str(n_bus)], check=True)
             for key, command in chosen.items():
                 if n_bus * command.share in asked:
                     costs[key][n_bus] = _measure_least(command, n_bus, folder, runs)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 STEEPEST = 6.0
-LEAST_GROWTH = 0.02  # of the largest figure: less is chance
+LEAST_GROWTH = 0.05  # from the first of three points to the second, of the first: less is chance
 
 
 def find_exponent(sizes: Sequence[int], figures: Sequence[float]) -> float | None:
@@ -14,7 +14,7 @@ def find_exponent(sizes: Sequence[int], figures: Sequence[float]) -> float | Non
     if len(sizes) < 3 or len(sizes) != len(figures):
         return None
     (n1, n2, n3), (f1, f2, f3) = sizes[-3:], figures[-3:]
-    if f3 - f1 < LEAST_GROWTH * f3 or not f1 < f2 < f3:
+    if not (f1 * (1 + LEAST_GROWTH) < f2 < f3):
         return None
     wanted = (f3 - f2) / (f2 - f1)
 

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
+from benchmarks.commands.sizes import SEED, count_areas
 from dsse_core.grid.network import Control, Network
 from scenarios.files.readings_file import save_readings
 from scenarios.generate.generated_files import write_generated
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 
-BUSES_OF_AN_AREA = 500
-SEED = 7
 SLACK_TYPE, LOAD_TYPE = 3, 1
 
 
@@ -25,10 +25,6 @@ def write_inputs(folder: Path, n_bus: int) -> None:
     measured = f'{head}[telemetry]\nsource = "file"\nfile = "readings.csv"\n'
     (folder / "measured.toml").write_text(measured, encoding="utf-8")
     (folder / "case.m").write_text(format_matpower(scenario.network), encoding="utf-8")
-
-
-def count_areas(n_bus: int) -> int:
-    return max(2, n_bus // BUSES_OF_AN_AREA)
 
 
 def format_matpower(network: Network) -> str:
@@ -57,3 +53,7 @@ def format_matpower(network: Network) -> str:
             "];\n",
         ]
     )
+
+
+if __name__ == "__main__":
+    write_inputs(Path(sys.argv[1]), int(sys.argv[2]))
