@@ -12,7 +12,7 @@ from toy_history import MOST_CHATTER
 from toy_rounds import HEARTBEAT_S, TRAVEL_S, ToyBus
 
 from agents.messages.packing import DownMessage, HeartbeatMessage, Incarnation, UpMessage
-from agents.peers.peers import LEAST_WAIT_S
+from agents.peers.round_trip import LEAST_WAIT_S
 from agents.protocol.events import PresenceChanged, Received
 from agents.protocol.quality import GOOD
 from agents.protocol.scan_readings import MOST_AHEAD
