@@ -12,7 +12,7 @@ from dsse_core.files.quantities import Positive
 from dsse_core.files.strict_table import ColumnsTable, FileTable, Table
 from dsse_core.limits import LONGEST_NAME
 
-BRANCH_ID = re.compile(rf"[a-z0-9_-]{{1,{LONGEST_NAME}}}")  # the id of a meter holds it, and has its limit on the wire
+BRANCH_ID = re.compile(rf"[_a-z0-9-]{{1,{LONGEST_NAME}}}")  # the id of a meter holds it, and has its limit on the wire
 NOTHING = (None,) * 4
 MIXED = "mixes ohm and microsiemens with r_pu/x_pu/b_pu/g_pu; give all of them in one of the two units"
 NO_IMPEDANCE = "has no complete impedance; give r_ohm and x_ohm, or r_pu and x_pu"
