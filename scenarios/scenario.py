@@ -5,22 +5,23 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.state_limits import StateLimits
 from dsse_core.files.strict_table import load_strict
-from dsse_core.files.wording import Suggestions, describe_unknown, suggest
+from dsse_core.files.wording import Suggestions, describe_unknown
 from dsse_core.grid.division import build_partition
 from dsse_core.grid.measurement import Measurement, Meter, Source
 from dsse_core.grid.network import Network
 from dsse_core.grid.partition import Area, Partition
 from dsse_core.printable import printable
-from scenarios.faults.faults import Faults, build_faults, find_link_problems, find_name_problems
+from scenarios.faults.faults import ALL_AREAS, Faults, build_faults, find_link_problems, find_name_problems
 from scenarios.faults.order import find_order_problems, find_time_problems
 from scenarios.files.fault_tables import FaultsTable
+from scenarios.files.importable import reject_importable
 from scenarios.files.network_file import load_case, load_network
 from scenarios.files.readings_file import load_readings
 from scenarios.files.scenario_file import (
@@ -31,12 +32,12 @@ from scenarios.files.scenario_file import (
     TolerancesTable,
     TransportTable,
 )
-from scenarios.files.shipped_files import find_shipped
+from scenarios.files.shipped_files import find_scenario, find_shipped
 from scenarios.generate.cutting import cut_at, cut_into
 from scenarios.meters import SigmaRule, build_meters, build_sigma_rule, find_place_problems, find_virtual_buses
 
 AreaBuses = Mapping[str, Sequence[int]]
-RESERVED = {"all", "coordinator", "plant", "router", "router2"}
+RESERVED = {ALL_AREAS, "coordinator", "plant", "router", "router2"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +58,8 @@ class Scenario:
     """A checked scenario, in p.u. and rad; ``tolerances``, ``run`` and ``transport`` are the tables of its file.
 
     ``meters`` are all that the telemetry reads: with ``area-power-flow`` no injection at boundary buses, because an
-    area's own power flow knows only its net load there. ``load_error`` has every area.
+    area's own power flow knows only its net load there. ``load_error`` has every area. ``changes``: key -> value that
+    replaces the file's.
     """
 
     name: str
@@ -78,6 +80,7 @@ class Scenario:
     run: RunTable
     transport: TransportTable
     limits: StateLimits
+    changes: Mapping[str, object] = field(default_factory=dict)
 
 
 def list_scenarios() -> tuple[tuple[str, str], ...]:
@@ -135,24 +138,15 @@ def load_scenario(
         problems += find_link_problems(file.faults, partition)
     if partition is None or problems:
         raise InvalidInputError(file.called(path), problems)
-    return _build_scenario(path, file, partition, meters, readings)
+    return replace(_build_scenario(path, file, partition, meters, readings), changes=dict(changes or {}))
 
 
 def _find_file(name_or_path: str | Path) -> Path:
     text = str(name_or_path)
-    if isinstance(name_or_path, Path) or text.endswith(".toml") or "/" in text or os.sep in text:
+    reject_importable(Path(name_or_path))
+    if isinstance(name_or_path, Path) or text.endswith((".toml", ".json")) or "/" in text or os.sep in text:
         return Path(name_or_path)
-    shipped = find_shipped("shipped")
-    if text not in shipped:
-        there = f"; the file or folder {text!r} is not looked at" if Path(text).exists() else ""
-        raise InvalidInputError(
-            f"scenario {text!r}",
-            [
-                f"no shipped scenario has this name; shipped: {', '.join(shipped)}{suggest(text.lower(), shipped)} "
-                f"(a scenario file of your own is given by its path, which ends in .toml{there})"
-            ],
-        )
-    return shipped[text]
+    return find_scenario(text)
 
 
 def _load_network_of(file: ScenarioFile, path: Path) -> tuple[Network | None, list[str]]:
@@ -268,6 +262,7 @@ def _build_scenario(
 ) -> Scenario:
     base_mva = partition.network.base_mva
     errors = {name: complex(e.p_mw, e.q_mvar) / base_mva for name, e in file.faults.load_error.items()}
+    of_others = errors.get(ALL_AREAS, 0j)
     return Scenario(
         name=file.name or printable(path.stem),
         path=path,
@@ -286,7 +281,7 @@ def _build_scenario(
         ),
         generation=file.load_messages.generation,
         admm_penalty=file.admm.penalty,
-        load_error={area.name: errors.get(area.name, 0j) for area in partition.areas},
+        load_error={area.name: errors.get(area.name, of_others) for area in partition.areas},
         faults=build_faults(file.faults, partition),
         tolerances=file.tolerances,
         run=file.run,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import click
@@ -11,8 +11,10 @@ import click
 from coordinator.cli.keys import keys_commands
 from coordinator.cli.networks import network_commands
 from coordinator.cli.processes import process_commands
+from coordinator.cli.shipped import scenarios_commands
 from coordinator.cli.studies import study_commands
 from coordinator.cli.terminal import (
+    changed,
     finish_run,
     no_plots_option,
     progress,
@@ -21,6 +23,7 @@ from coordinator.cli.terminal import (
     say,
     scenario_argument,
     seed_option,
+    set_option,
     show,
     strategy_option,
     timeout_option,
@@ -29,7 +32,6 @@ from coordinator.cli.watch import watch
 from coordinator.interrupts import INTERRUPTED_CODE, end_orderly_on_signals
 from dsse_core.compiling import only_loading
 from dsse_core.errors import DsseError
-from dsse_core.printable import printable
 
 DISTRIBUTION = "consensus-dsse"
 
@@ -94,6 +96,7 @@ def commands() -> None:
 @quiet_option
 @no_plots_option
 @strategy_option
+@set_option
 @click.option("--secure", is_flag=True, help="Certificates, TLS and access control, with keys made for this run.")
 @click.option("--keys", type=click.Path(path_type=Path), metavar="DIR", help="The same with the keys in DIR.")
 def run(
@@ -104,6 +107,7 @@ def run(
     quiet: bool,
     no_plots: bool,
     strategy: str | None,
+    changes: Mapping[str, object],
     secure: bool,
     keys: Path | None,
 ) -> int:
@@ -115,6 +119,7 @@ def run(
     Examples:  dsse run ieee33
                dsse run ieee33-lossy --strategy information
                dsse run my/scenario.toml --seed 7 --out results
+               dsse run ieee33 --set faults.loss=0.3 --set measurements.voltage.sigma_percent=0.5
                dsse run ieee33 --secure
     """
     import coordinator
@@ -122,7 +127,7 @@ def run(
     end_orderly_on_signals()
     with progress(scenario, quiet) as on_update:
         result = coordinator.run(
-            scenario,
+            changed(scenario, changes),
             out=out,
             seed=seed,
             strategy=strategy,
@@ -137,8 +142,9 @@ def run(
 
 @commands.command(short_help="Check a scenario or an area file without running it.")
 @scenario_argument
+@set_option
 @only_loading()
-def check(scenario: str) -> None:
+def check(scenario: str, changes: Mapping[str, object]) -> None:
     """Check SCENARIO without running it: keys, network, areas, meters, observability of the grid and each area.
 
     An area file in its place is checked as `dsse agent` would.
@@ -156,26 +162,11 @@ def check(scenario: str) -> None:
     from scenarios.check import check_scenario
 
     try:
-        show(format_check(check_scenario(choose_scenario(scenario))))
+        show(format_check(check_scenario(choose_scenario(scenario, changes=changes))))
     except OtherKindError as error:
-        if error.found is not AREA_FILE:
+        if error.found is not AREA_FILE or changes:
             raise
         show(format_area_check(load_area_file(Path(scenario), STRATEGIES)))
-
-
-@commands.command()
-def scenarios() -> None:
-    """List the shipped scenarios.
-
-    \b
-    Example:  dsse scenarios
-    """
-    from scenarios.scenario import list_scenarios
-
-    listed = list_scenarios()
-    width = max(len(name) for name, _ in listed)
-    for name, description in listed:
-        show(f"{name:{width}}  {printable(description)}")
 
 
 @commands.command(short_help="Solve the power flow of the whole network.")
@@ -210,5 +201,5 @@ def estimate(scenario: str, seed: int | None) -> None:
     show(format_estimate(*estimate_whole_grid(scenario, seed)))
 
 
-for command in (*process_commands, *network_commands, *study_commands, keys_commands, watch):
+for command in (*process_commands, *network_commands, *study_commands, keys_commands, scenarios_commands, watch):
     commands.add_command(command)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +13,7 @@ import click
 
 from coordinator.cli.terminal import (
     Number,
+    changed,
     finish_run,
     no_plots_option,
     progress,
@@ -21,6 +22,7 @@ from coordinator.cli.terminal import (
     say,
     scenario_argument,
     seed_option,
+    set_option,
     show,
     strategy_option,
     timeout_option,
@@ -66,6 +68,7 @@ def link_options(command: Callable[..., Any]) -> Callable[..., Any]:
 @timeout_option
 @seed_option
 @strategy_option
+@set_option
 @link_options
 @quiet_option
 @no_plots_option
@@ -75,6 +78,7 @@ def simulate(
     timeout: float | None,
     seed: int | None,
     strategy: str | None,
+    changes: Mapping[str, object],
     links: LinkChanges,
     quiet: bool,
     no_plots: bool,
@@ -87,12 +91,13 @@ def simulate(
     \b
     Examples:  dsse simulate ieee33-lossy --strategy information
                dsse simulate ieee33 --delay-ms 20 --jitter-ms 100 --duplicate 0.1
+               dsse simulate ieee33 --set faults.loss=0.3 --set areas={count=5}
     """
     from coordinator.simulator.simulate import simulate_scenario
 
     end_orderly_on_signals()
     with progress(f"{scenario}, virtual time", quiet) as on_update:
-        result = simulate_scenario(scenario, out, seed, strategy, timeout, on_update, links)
+        result = simulate_scenario(changed(scenario, changes), out, seed, strategy, timeout, on_update, links)
     return finish_run(result, no_plots)
 
 
@@ -103,6 +108,7 @@ def simulate(
 @click.option("--out", type=click.Path(path_type=Path), help="Keep table and run folders here, new or empty.")
 @timeout_option
 @seed_option
+@set_option
 @link_options
 def compare(
     scenario: str,
@@ -111,6 +117,7 @@ def compare(
     out: Path | None,
     timeout: float | None,
     seed: int | None,
+    changes: Mapping[str, object],
     links: LinkChanges,
 ) -> None:
     """Run every strategy on the telemetry and the faults of SCENARIO and print one table.
@@ -127,7 +134,7 @@ def compare(
 
     end_orderly_on_signals()
     chosen = choose_strategies(strategies)
-    loaded = choose_scenario(scenario, seed, timeout_s=timeout, links=links)
+    loaded = choose_scenario(scenario, seed, timeout_s=timeout, links=links, changes=changes)
     rows = compare_strategies(loaded, chosen, _run_processes if processes else _run_on_simulator, out)
     buses, areas = len(loaded.network.buses), len(loaded.partition.areas)
     where = "real processes" if processes else "on the simulator, virtual time"
@@ -159,6 +166,7 @@ def _run_on_simulator(scenario: Scenario, folder: Path) -> RunOutcome:
 @click.option("--jobs", type=click.IntRange(1, 1024), help="Processes at a time.  [default: one per core]")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder; that of an earlier sweep is gone on with.")
 @timeout_option
+@set_option
 @link_options
 @quiet_option
 def sweep(
@@ -169,6 +177,7 @@ def sweep(
     jobs: int | None,
     out: Path | None,
     timeout: float | None,
+    changes: Mapping[str, object],
     links: LinkChanges,
     quiet: bool,
 ) -> None:
@@ -187,7 +196,7 @@ def sweep(
     from coordinator.studies.sweep_table import SweepTable
 
     end_orderly_on_signals()
-    plan = make_plan(scenario, vary, choose_strategies(strategies), seeds, links, timeout)
+    plan = make_plan(scenario, vary, choose_strategies(strategies), seeds, links, timeout, changes)
     folder = out or Path("runs") / f"sweep-{plan.base.name}-{time.strftime('%Y%m%d-%H%M%S')}"
     with SweepTable(folder, plan.settings) as table:
         if table.cut_off:

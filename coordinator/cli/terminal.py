@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import os
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,6 +22,7 @@ from dsse_core.printable import printable_lines
 if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts fast
     from coordinator.evaluation.result import RunResult
     from coordinator.observe.progress import Progress
+    from scenarios.scenario import Scenario
 
 PROGRESS_LINE_S = 1.0
 MAX_NAMED = 12
@@ -58,6 +60,31 @@ bus_timeout_option = click.option(
 run_folder_option = click.option(
     "--out", type=click.Path(path_type=Path), help="Run folder, new or empty.  [default: runs/SCENARIO-TIME]"
 )
+
+
+def set_option(command: Callable[..., Any]) -> Callable[..., Any]:
+    """``--set``; the command gets key -> value as ``changes``."""
+
+    @click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="Value of a scenario key; repeatable.")
+    @functools.wraps(command)
+    def with_changes(*arguments: Any, settings: tuple[str, ...], **options: Any) -> Any:
+        changes: dict[str, object] = {}
+        if settings:
+            from scenarios.files.key_values import parse_settings
+
+            changes = parse_settings(settings, "--set")
+        return command(*arguments, changes=changes, **options)
+
+    return with_changes
+
+
+def changed(scenario: str, changes: Mapping[str, object]) -> str | Scenario:
+    """What to run: the name ``scenario`` if nothing is changed, so that it is read where it is needed."""
+    if not changes:
+        return scenario
+    from coordinator.evaluation.evaluation import choose_scenario
+
+    return choose_scenario(scenario, changes=changes)
 
 
 def connect_option(secured_by: str = "--keys") -> Callable[[Callable[..., object]], Callable[..., object]]:

@@ -22,6 +22,7 @@ from scenarios.scenario import Scenario, load_scenario
 from scenarios.telemetry import Telemetry
 
 NO_CHANGES: LinkChanges = {}
+NO_SETTINGS: Mapping[str, object] = {}
 MAX_NAMED = 20  # obstacles
 REFERENCE_ESTIMATE = 1e-9  # p.u. and rad: the largest last step of an estimate that others are measured against
 
@@ -32,14 +33,17 @@ def choose_scenario(
     strategy: str | None = None,
     timeout_s: float | None = None,
     links: LinkChanges = NO_CHANGES,
+    changes: Mapping[str, object] = NO_SETTINGS,
 ) -> Scenario:
     """Load a scenario by name or path and replace what is given; whether it can be estimated is not checked.
+
+    ``changes``: key of the scenario file -> value in its place, for a scenario that is not loaded yet.
 
     Raises:
         InvalidInputError: every problem found.
     """
     if not isinstance(scenario, Scenario):
-        scenario = load_scenario(scenario, strategies=tuple(STRATEGIES))
+        scenario = load_scenario(scenario, strategies=tuple(STRATEGIES), changes=changes)
     if seed is not None:
         scenario = replace(scenario, seed=seed)
     if strategy is not None:

@@ -154,6 +154,7 @@ def as_json(result: RunOutcome) -> dict[str, Any]:
             "strategy": scenario.strategy,
             "seed": scenario.seed,
             "telemetry": scenario.telemetry.source,
+            "changes": dict(scenario.changes),
         },
         "run": result.run,
         "verdict": asdict(result.verdict),

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 
 from agents.protocol.choose import STRATEGIES
-from coordinator.evaluation.evaluation import NO_CHANGES, choose_scenario
+from coordinator.evaluation.evaluation import NO_CHANGES, NO_SETTINGS, choose_scenario
 from coordinator.evaluation.result import version_of
 from dsse_core.errors import InvalidInputError
-from dsse_core.files.bounded_parsing import parse_toml
 from scenarios.faults.faults import LinkChanges
+from scenarios.files.key_values import parse_values
 from scenarios.scenario import Scenario, load_scenario
 
 NUMBER = r"[-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?"
@@ -74,18 +74,21 @@ def make_plan(
     seeds: int,
     links: LinkChanges = NO_CHANGES,
     timeout_s: float | None = None,
+    changes: Mapping[str, object] = NO_SETTINGS,
 ) -> SweepPlan:
-    """Read the scenario once for every value of ``vary``, ``KEY=VALUES``.
+    """Read the scenario once for every value of ``vary``, ``KEY=VALUES``; ``changes``: key -> value in all runs.
 
     Raises:
         InvalidInputError: the scenario or ``vary`` cannot be used; every value that the scenario rejects, and why.
     """
     key, values = parse_vary(vary)
-    base = choose_scenario(name_or_path, timeout_s=timeout_s, links=links)
+    if key in changes:
+        raise _vary_error(f"{key} cannot be varied and set; give one of --vary and --set")
+    base = choose_scenario(name_or_path, timeout_s=timeout_s, links=links, changes=changes)
     scenarios, problems = {}, []
     for value in values:
         try:
-            loaded = load_scenario(name_or_path, strategies=tuple(STRATEGIES), changes={key: value})
+            loaded = load_scenario(name_or_path, strategies=tuple(STRATEGIES), changes={**changes, key: value})
             scenarios[text_of(value)] = choose_scenario(loaded, timeout_s=timeout_s, links=links)
         except InvalidInputError as error:
             problems += [f"with {key} = {text_of(value)}: {problem}" for problem in error.problems]
@@ -105,7 +108,7 @@ def parse_vary(vary: str) -> tuple[str, list[object]]:
         raise _vary_error(f"{vary!r} must be KEY=START:STOP:N or KEY=VALUE,VALUE,..., e.g. faults.loss=0:0.9:10")
     if key in OPTION_OF_KEY:
         raise _vary_error(f"{key} is varied by {OPTION_OF_KEY[key]}; choose another key")
-    values = _parse_range(text) if re.fullmatch(f"{NUMBER}:{NUMBER}(:.*)?", text) else _parse_list(text)
+    values = _parse_range(text) if re.fullmatch(f"{NUMBER}:{NUMBER}(:.*)?", text) else parse_values(text)
     texts = [text_of(value) for value in values]
     if twice := [text for text in dict.fromkeys(texts) if texts.count(text) > 1]:
         raise _vary_error(f"{key}: {', '.join(twice)} is given twice; keep one")
@@ -128,21 +131,6 @@ def _parse_range(text: str) -> list[object]:
     points = [float(f"{point:.12g}") for point in np.linspace(first, last, n)]  # 0.3, not 0.30000000000000004
     whole = all(re.fullmatch(r"[-+]?\d+", end) for end in (start, stop)) and all(p.is_integer() for p in points)
     return [int(point) if whole else point for point in points]
-
-
-def _parse_list(text: str) -> list[object]:
-    try:
-        values: list[object] = parse_toml(f"values = [{text}]")["values"]
-    except ValueError:  # words need no quotes
-        return [_parse_word(word.strip()) for word in text.split(",")]
-    return values
-
-
-def _parse_word(word: str) -> object:
-    try:
-        return parse_toml(f"value = {word}")["value"]
-    except ValueError:
-        return word
 
 
 def _vary_error(problem: str) -> InvalidInputError:

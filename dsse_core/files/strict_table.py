@@ -85,7 +85,8 @@ def load_strict(path: Path, model: type[Model], changes: Mapping[str, object] | 
         found = kind_reported_by(content) if isinstance(content, dict) else None
         if found not in (None, model.kind):
             raise OtherKindError(path, found, model.kind) from None
-        raise InvalidInputError(what, describe_errors(model, error)) from None
+        with_changes = f", with {', '.join(changes)} set" if changes else ""
+        raise InvalidInputError(what + with_changes, describe_errors(model, error)) from None
 
 
 def _change(content: Any, key: str, value: object) -> str | None:

@@ -20,6 +20,7 @@ LinkChanges = Mapping[str, float]
 """``delay_s``, ``jitter_s`` and ``duplicate`` that every link is to have instead of the scenario's."""
 ROUTERS = ("router", "router2")
 PROCESSES = ("plant", *ROUTERS)
+ALL_AREAS = "all"  # in place of the name of an area, which no area has
 EventKind = Literal["kill", "restart", "pause", "cut", "silent"]
 
 
@@ -180,8 +181,8 @@ def find_name_problems(table: FaultsTable, areas: Collection[str] | None, router
         return
     known = listed(areas)
     for name in table.load_error:
-        if name not in areas:
-            yield f"faults.load_error.{name}: there is no area {name!r}; areas: {known}"
+        if name not in (*areas, ALL_AREAS):
+            yield f"faults.load_error.{name}: there is no area {name!r}; areas: {known}; {ALL_AREAS!r} means each"
     for i, link in enumerate(table.link, 1):
         for key, name in (("from", link.from_), ("to", link.to)):
             if name not in areas:

@@ -64,7 +64,7 @@ class LinkTable(Table):
 
 
 class LoadErrorTable(Table):
-    """``[faults.load_error.NAME]``."""
+    """``[faults.load_error.NAME]``, NAME an area or ``all``."""
 
     p_mw: float = Field(description="MW added to the load at each boundary bus of the area")
     q_mvar: float = Field(description="Mvar added to the load at each boundary bus of the area")

@@ -69,7 +69,7 @@ def test_faults_name_the_areas_that_were_cut(tmp_path: Path) -> None:
     assert scenario.load_error == {"area1": 0, "area2": 0, "area3": 0.1}
     assert scenario.faults.links["area2", "area1"].loss == 0.5
     problems = problems_of(tmp_path, "areas = { count = 2 }", faults)
-    assert problems == ("faults.load_error.area3: there is no area 'area3'; areas: area1, area2",)
+    assert problems == ("faults.load_error.area3: there is no area 'area3'; areas: area1, area2; 'all' means each",)
 
 
 def test_a_gap_of_the_areas_of_a_cut_is_reported_beside_other_problems(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from scenarios.files.shipped_files import find_shipped
 from scenarios.scenario import list_scenarios, load_scenario
 
 NAMES = [
+    "case33bw",
     "ieee33",
     "ieee33-bursts",
     "ieee33-corruption",
