@@ -35,19 +35,20 @@ def estimate_radial(
         EstimationDivergedError: names the measurement with the largest weighted residual.
     """
     compiled, n = _load_compiled(), len(plan.order)
-    state, residual = np.empty((2, n)), np.empty(len(values))
+    state, residual, space = np.empty((2, n)), np.empty(len(values)), plan.take_space()
     limit = chi_square_limit(len(values) - (2 * n - 1), CONFIDENCE)
     while True:
         v, va = _begin_at(plan, None if memory.from_flat_start else start)
         end, steps, step, objective = compiled.estimate(
-            plan.parent, plan.admittance, plan.order, plan.slot, exact, v, va, plan.has_currents,
-            float(tolerance), most_steps(memory), limit, values, sigmas, state, residual,
+            plan.parent, plan.level, plan.admittance, plan.order, plan.slot, exact, v, va, plan.has_currents,
+            float(tolerance), most_steps(memory), limit, values, sigmas, space, state, residual,
         )  # fmt: skip
         if end == compiled.UNUSABLE:
             check_readings(plan.network, plan.meters, values, sigmas)
         if end != compiled.LOST or memory.from_flat_start:
             break
         memory = begin_at_flat_start(memory)
+    plan.spaces.append(space)
     if end == compiled.LOST:
         weighted = abs(residual) / np.where(sigmas > 0, sigmas, np.inf)
         worst = int(np.argmax(weighted))
@@ -87,7 +88,7 @@ def find_radial_variances(
     radial_iteration.store(plan.slot, sigmas, sigmas, z, w)  # whatever was read
     work = radial_kernel.Work.of(n)
     radial_kernel.eliminate(plan.parent, plan.admittance, z, w, v, va_in_order, True, radial_kernel.INVERT, *work)
-    in_order, omega, _ = radial_inverse.find_variances(plan.parent, plan.admittance, w, v, *work[1:4], True)
+    in_order, omega, _ = radial_inverse.find_variances(plan.parent, plan.admittance, w, v, *work[2:5], True)
     state = np.empty((2, n))
     state[:, plan.order] = in_order.T
     return state.ravel(), omega.ravel()[plan.slot]

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from dsse_core.grid.network import Network
-from dsse_core.radial.block import compiled
-from dsse_core.radial.plan import RadialLayout, orient_branches, read_branches, read_shunts
+from dsse_core.radial.block import compiled, modulus, scaled
+from dsse_core.radial.iteration import branch_powers
+from dsse_core.radial.plan import RadialLayout, orient_branches, read_branches, read_shunts, stack_admittances
 
 SMALLEST_CHANGE = 1e-13  # p.u., of any voltage; sweeps gain a digit or more each
 MOST_SWEEPS = 50  # where more are needed Newton's method does better
@@ -23,14 +26,9 @@ def sweep_power_flow(
     backward: ``i_c = conj(s / v_c) - y_shunt v_c - sum of i_p below``, ``i_p = (ypp i_c - det v_c) / ycp``,
     forward: ``v_c = (i_c - ycp v_p) / ycc``; ``det = ycc ypp - ycp ypc = y (2 ys + y) / |t|^2``, y at each end.
     """
-    ys, ends, ratio = read_branches(network)
-    ycc, ycp, ypp, _ = orient_branches(ys, ends, ratio, layout)
-    factors = np.zeros((len(layout.order), 5), dtype=complex)
-    det = ends * (2 * ys + ends) / abs(ratio) ** 2
-    factors[layout.child, :4] = np.stack([ypp / ycp, -det / ycp, 1 / ycc, ycp / ycc], axis=1)
-    factors[:, 4] = read_shunts(network, layout)
+    factors = build_factors(network, layout)
     in_tree_order = v[layout.order]
-    sweeps = _sweep(layout.parent, factors, scheduled[layout.order], in_tree_order)
+    sweeps = _sweep(layout.parent, factors, scheduled[layout.order], in_tree_order, np.empty_like(v))
     if not sweeps:
         return None
     found = np.empty_like(v)
@@ -38,11 +36,63 @@ def sweep_power_flow(
     return found, int(sweeps)
 
 
+def build_factors(network: Network, layout: RadialLayout) -> np.ndarray:
+    """``ypp / ycp, -det / ycp, 1 / ycc, ycp / ycc`` of the branch above each bus, and its shunt, shape (n_bus, 5)."""
+    ys, ends, ratio = read_branches(network)
+    ycc, ycp, ypp, _ = orient_branches(ys, ends, ratio, layout)
+    factors = np.zeros((len(layout.order), 5), dtype=complex)
+    det = ends * (2 * ys + ends) / abs(ratio) ** 2
+    factors[layout.child, :4] = np.stack([ypp / ycp, -det / ycp, 1 / ycc, ycp / ycc], axis=1)
+    factors[:, 4] = read_shunts(network, layout)
+    return factors
+
+
+def build_admittances(network: Network, layout: RadialLayout) -> np.ndarray:
+    """See ``stack_admittances``: what ``sweep_rows`` finds mismatches with."""
+    return stack_admittances(*read_branches(network), read_shunts(network, layout), layout)
+
+
 @compiled
-def _sweep(parent, factors, s, v):
-    """Improve ``v`` in place; the number of sweeps, 0 where MOST_SWEEPS do not suffice."""
+def sweep_rows(order, parent, factors, Y, start, start_va, limit, p, q, v, current, s, vm, va, sweeps, met):
+    """A power flow for each row of ``p`` and ``q`` (n_row, n_bus), network order, from ``start`` (n_bus,), tree order.
+
+    Fills ``vm``, ``va`` (n_row, n_bus) in network order, ``sweeps`` and whether every bus but the root has ``met`` its
+    schedule to ``limit`` (n_bus,), tree order: (n_row,). ``v``, ``current``, ``s``: memory, (n_bus,) each, complex.
+    """
     n = len(parent)
-    current = np.empty(n, dtype=np.complex128)
+    for k in range(len(p)):
+        for i in range(n):
+            s[i] = complex(p[k, order[i]], q[k, order[i]])
+            v[i] = start[i]
+        sweeps[k] = _sweep(parent, factors, s, v, current)
+        met[k] = sweeps[k] > 0 and _meets(parent, Y, v, s, current, limit)
+        if not met[k]:
+            continue
+        for i in range(n):
+            turned = v[i] * start[i].conjugate()
+            vm[k, order[i]] = modulus(v[i])
+            va[k, order[i]] = start_va[i] + math.atan2(turned.imag, turned.real)
+
+
+@compiled
+def _meets(parent, Y, v, s, power, limit):
+    """Whether the power into the network of every bus but the root is ``s`` to ``limit``; ``power`` is overwritten."""
+    for i in range(len(parent)):
+        power[i] = scaled(Y[i, 7], v[i].real ** 2 + v[i].imag ** 2)
+    for i in range(1, len(parent)):
+        own, at_parent = branch_powers(i, parent[i], Y, v)
+        power[i] += own
+        power[parent[i]] += at_parent
+    met = True
+    for i in range(1, len(parent)):
+        met = met and modulus(power[i] - s[i]) <= limit[i]
+    return met
+
+
+@compiled
+def _sweep(parent, factors, s, v, current):
+    """Improve ``v`` in place; the number of sweeps, 0 where MOST_SWEEPS do not suffice; ``current`` is overwritten."""
+    n = len(parent)
     for sweep in range(1, MOST_SWEEPS + 1):
         for i in range(n):
             current[i] = (s[i] / v[i]).conjugate() - factors[i, 4] * v[i]

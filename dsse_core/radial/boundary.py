@@ -25,7 +25,7 @@ LARGEST_LOSS = 1e-4  # of a variance that is a difference, relative to what it i
 @compiled
 def pass_upward(
     order, parent, Y, z, w, at, column, role, R, message_z, x, damping, least_of_flow, least_spread,
-    v, va, message_of, above, factor, more, block, step,
+    v, va, message_of, place, above, factor, more, block, step,
 ):  # fmt: skip
     """Leaves to root with all messages; whether digits enough are left. What is known of the root is in ``above[0]``.
 
@@ -56,7 +56,7 @@ def pass_upward(
             message_of[k, 0], message_of[k, 1], message_of[k, 2], least_spread
         ):
             return False
-    eliminate(parent, Y, z, w, v, va, True, UPWARD, above, factor, more, block, step, least_of_flow)
+    eliminate(parent, Y, z, w, v, va, True, UPWARD, place, above, factor, more, block, step, least_of_flow)
     for i in range(1, n):
         if not _is_spread(factor[i, 8], factor[i, 9], factor[i, 13], least_spread):
             return False
@@ -130,7 +130,7 @@ def step_downward(order, parent, Y, z, w, at, column, v, va, message_of, above, 
     solve_root(Y[0], z[0], w[0], v[0], va[0], above[0], angle_given, False, block)
     for k in range(4):
         step[0, k] = block[k, 8]
-    substitute(parent, factor, step)
+    substitute(parent, factor, v, step)
     for i in range(n):
         row = order[i]
         dx[row], dx[n + row] = step[i, 2], abs(v[i]) * step[i, 3]

@@ -10,44 +10,94 @@ from dsse_core import gauss_newton
 from dsse_core.gauss_newton import FLOWS_KNOWN, FULL_STEPS, LARGEST_STEP, MAX_DVA, MAX_DVM, NEAR_LIMIT, SURE_STEP
 from dsse_core.radial.block import N_INVERSE, compiled, modulus, scaled, wrap
 from dsse_core.radial.kernel import N_FACTOR, N_MORE, SMALL_ANGLE, STEP, eliminate, substitute
+from dsse_core.radial.root import N_KNOWN
 
 FINAL, EVALUATE, LOST, UNUSABLE = 0, 1, 2, 3
+N_BLOCK = 4 * N_INVERSE
+N_SPACE = 2 + 1 + 2 * 10 + N_FACTOR + N_MORE + 4 + N_KNOWN  # numbers for a bus: see ``carve``
 is_last = compiled(gauss_newton.is_last)
+
+
+def make_space(n: int) -> np.ndarray:
+    """Memory of an iteration on n buses, for ``carve``: one array, as each that is given to compiled code takes time.
+
+    Allocated once it is faster to use than memory that the system has to clear first, for each estimate.
+    """
+    return np.zeros(N_BLOCK + N_SPACE * n)
+
+
+@compiled
+def carve(space, n):
+    """``space`` as v, va, z, w, above, factor, more, step and block; see ``kernel``."""
+    at = N_BLOCK
+    v = space[at : at + 2 * n].view(np.complex128)
+    at += 2 * n
+    va = space[at : at + n]
+    at += n
+    z = space[at : at + 10 * n].reshape((n, 10))
+    at += 10 * n
+    w = space[at : at + 10 * n].reshape((n, 10))
+    at += 10 * n
+    above = space[at : at + N_KNOWN * n].reshape((n, N_KNOWN))
+    at += N_KNOWN * n
+    factor = space[at : at + N_FACTOR * n].reshape((n, N_FACTOR))
+    at += N_FACTOR * n
+    more = space[at : at + N_MORE * n].reshape((n, N_MORE))
+    at += N_MORE * n
+    step = space[at : at + 4 * n].reshape((n, 4))
+    return v, va, z, w, above, factor, more, step, space[:N_BLOCK].reshape((4, N_INVERSE))
 
 
 @compiled
 def estimate(
-    parent, Y, order, slot, exact, start, start_va, has_currents,
-    tolerance, most_steps, limit, values, sigmas, state, residual,
+    parent, place, Y, order, slot, exact, start, start_va, has_currents,
+    tolerance, most_steps, limit, values, sigmas, space, state, residual,
 ):  # fmt: skip
     """The whole iteration in one call, from the first step to the last one, or to the end of patience.
 
     Fills ``state`` (2, n_bus), vm and va in network order, and ``residual`` (n_meas,), makes ``sigmas`` 0 where a
-    reading is ``exact``, and returns how it ended, steps, the last one and J. FINAL, EVALUATE: the verdict that the
-    last step was taken along with, ``limit`` being that of J. LOST: ``most_steps`` or LARGEST_STEP. UNUSABLE: readings
-    that cannot be.
+    reading is ``exact``, and returns how it ended, see ``iterate``, steps, the last one and J; UNUSABLE: readings that
+    cannot be. ``space``: see ``make_space``.
     """
     if not _are_usable(exact, values, sigmas):
         return UNUSABLE, 0, np.inf, np.inf
     n = len(parent)
-    z, w, v, va = np.zeros((n, 10)), np.zeros((n, 10)), start.copy(), start_va.copy()
-    w[:, 2:4] = -1.0  # see ``absent``
+    v, va, z, w, above, factor, more, step, block = carve(space, n)
+    z[:] = 0.0
+    forget_meters(w)
     store(slot, values, sigmas, z, w)
-    above, factor, more = np.zeros((n, 16)), np.empty((n, N_FACTOR)), np.empty((n, N_MORE))
-    block, step = np.empty((4, N_INVERSE)), np.empty((n, 4))
+    v[:] = start
+    va[:] = start_va
+    end, steps, largest = iterate(
+        parent, place, Y, z, w, v, va, has_currents, tolerance, most_steps, limit, above, factor, more, block, step
+    )
+    predict(parent, Y, v, va, has_currents, z)
+    for i in range(n):
+        state[0, order[i]], state[1, order[i]] = modulus(v[i]), va[i]
+    return end, steps, largest, _subtract(slot, values, sigmas, z, residual)
+
+
+@compiled
+def iterate(
+    parent, place, Y, z, w, v, va, has_currents, tolerance, most_steps, limit, above, factor, more, block, step
+):  # fmt: skip
+    """Gauss-Newton from ``v`` and ``va``, which are changed. Returns how it ended, how many steps, and the last one.
+
+    FINAL, EVALUATE: the verdict that the last step was taken along with, ``limit`` being that of J. LOST:
+    ``most_steps`` or LARGEST_STEP.
+    """
     flows_known, stepped, last = not has_currents, False, False
     end, steps, largest, before = LOST, 0, np.inf, 0.0
     while not last:
-        if stepped and flows_known and is_last(largest, before, has_currents, tolerance):
-            J = _find_objective(parent, Y, z, w, v, va, has_currents, step)  # which is found anew after it
-            last = largest <= SURE_STEP or abs(J - limit) >= NEAR_LIMIT * limit
-            if last:
-                end = EVALUATE if limit <= J else FINAL
-        if not last and steps >= most_steps:
+        ends = stepped and flows_known and is_last(largest, before, has_currents, tolerance)
+        if not ends and steps >= most_steps:
             break
-        eliminate(parent, Y, z, w, v, va, flows_known, STEP, above, factor, more, block, step)
-        substitute(parent, factor, step)
-        dva, dvm, finite = _largest(v, step)
+        J = eliminate(parent, Y, z, w, v, va, flows_known, STEP, place, above, factor, more, block, step)[2]
+        if ends and (largest <= SURE_STEP or abs(J - limit) >= NEAR_LIMIT * limit):
+            last, end = True, EVALUATE if limit <= J else FINAL
+        elif steps >= most_steps:
+            break
+        dva, dvm, finite = substitute(parent, factor, v, step)
         at_most = 1.0 if last or steps < FULL_STEPS else 0.5
         before = largest if stepped and steps != FULL_STEPS else 0.0
         largest, steps = max(dva, dvm) if finite else np.inf, steps + 1
@@ -55,14 +105,20 @@ def estimate(
             end = LOST
             break
         share = at_most if last else 1.0 / max(max(1.0 / at_most, dva / MAX_DVA), dvm / MAX_DVM)
-        _move(v, va, step, share, dva)
+        move(v, va, step, share, dva)
         stepped = share == at_most
         if stepped and not flows_known and largest < FLOWS_KNOWN:
             flows_known, stepped = True, False
-    predict(parent, Y, v, va, has_currents, z)
-    for i in range(n):
-        state[0, order[i]], state[1, order[i]] = modulus(v[i]), va[i]
-    return end, steps, largest, _subtract(slot, values, sigmas, z, residual)
+    return end, steps, largest
+
+
+@compiled
+def forget_meters(w):
+    """Weights (n, 10) without any meter: see ``absent``."""
+    for i in range(len(w)):
+        for k in range(10):
+            w[i, k] = 0.0
+        w[i, 2] = w[i, 3] = -1.0
 
 
 @compiled
@@ -79,7 +135,7 @@ def _are_usable(exact, values, sigmas):
 
 
 @compiled
-def _place(slot):
+def place_of(slot):
     """Bus and column; without a sign, which costs as much as the rest of a loop over the meters."""
     unsigned = np.uint64(slot)
     return unsigned // np.uint64(10), unsigned % np.uint64(10)
@@ -89,7 +145,7 @@ def _place(slot):
 def store(slot, values, sigmas, z, w):
     """Readings into ``z`` and weights into ``w``, both (n, 10): 1 / sigma^2, of injections sigma^2."""
     for k in range(len(slot)):
-        i, column = _place(slot[k])
+        i, column = place_of(slot[k])
         z[i, column] = values[k]
         variance = sigmas[k] * sigmas[k]
         w[i, column] = variance if column == 2 or column == 3 else 1.0 / variance
@@ -100,7 +156,7 @@ def _subtract(slot, values, sigmas, h, residual):
     """z - h(x) of every meter into ``residual``, differences of angles wrapped to (-pi, pi]. Returns J."""
     J = 0.0
     for k in range(len(slot)):
-        i, column = _place(slot[k])
+        i, column = place_of(slot[k])
         r = values[k] - h[i, column]
         residual[k] = wrap(r) if column == 0 else r
         if sigmas[k] > 0.0:
@@ -109,7 +165,7 @@ def _subtract(slot, values, sigmas, h, residual):
 
 
 @compiled
-def _find_objective(parent, Y, z, w, v, va, has_currents, power):
+def find_objective(parent, Y, z, w, v, va, has_currents, power):
     """J from readings and weights by slot, without a row for every meter; ``power`` (n, 4) is overwritten."""
     J = 0.0
     for i in range(len(parent)):
@@ -139,18 +195,7 @@ def _find_objective(parent, Y, z, w, v, va, has_currents, power):
 
 
 @compiled
-def _largest(v, step):
-    """max |dva|, max |dvm|, and whether all are finite."""
-    dva, dvm, total = 0.0, 0.0, 0.0
-    for i in range(len(v)):
-        dva = max(dva, abs(step[i, 2]))
-        dvm = max(dvm, (v[i].real ** 2 + v[i].imag ** 2) * step[i, 3] ** 2)
-        total += step[i, 2] + step[i, 3]
-    return dva, math.sqrt(dvm), math.isfinite(total)
-
-
-@compiled
-def _move(v, va, step, length, largest_angle):
+def move(v, va, step, length, largest_angle):
     """Turn and lengthen all voltages. No branch inside the loop: else sines are computed although nobody needs them."""
     small = length * largest_angle < SMALL_ANGLE
     for i in range(len(v)):

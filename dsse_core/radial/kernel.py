@@ -25,7 +25,7 @@ import numpy as np
 
 from dsse_core.grid.measurement_model import CURRENT_FLOOR
 from dsse_core.radial.block import N_INVERSE, compiled, modulus, scaled, solve_block, wrap
-from dsse_core.radial.root import solve_root
+from dsse_core.radial.root import N_KNOWN, solve_root
 
 SMALL_ANGLE = 0.01  # rad; below it three terms give sine and cosine to the last digit
 SURELY_DEFINITE = 1e-4  # determinant over product of the diagonal from which on 2 x 2 blocks need no pivoting
@@ -38,8 +38,9 @@ STEP, INVERT, CHECK, UPWARD = 0, 1, 2, 3
 
 
 class Work(NamedTuple):
-    """Memory: ``above`` (n, 16), 0 between passes; ``factor``, ``more``: see above; a ``block``; ``step`` (n, 4)."""
+    """Memory of a pass; see ``eliminate``, ``above`` being 0 between passes."""
 
+    place: np.ndarray
     above: np.ndarray
     factor: np.ndarray
     more: np.ndarray
@@ -49,7 +50,7 @@ class Work(NamedTuple):
     @classmethod
     def of(cls, n: int) -> Work:
         factor, more = np.empty((n, N_FACTOR)), np.empty((n, N_MORE))
-        return cls(np.zeros((n, 16)), factor, more, np.empty((4, N_INVERSE)), np.empty((n, 4)))
+        return cls(np.arange(n), np.zeros((n, N_KNOWN)), factor, more, np.empty((4, N_INVERSE)), np.empty((n, 4)))
 
 
 def absent(n: int) -> np.ndarray:
@@ -60,23 +61,66 @@ def absent(n: int) -> np.ndarray:
 
 
 @compiled
-def eliminate(parent, Y, z, w, v, va, currents, mode, above, factor, more, block, step, least_of_flow=0.0):
-    """Leaves to root, then the root's step. Returns, with mode CHECK, the least pivot ratio and the bus it is at.
+def eliminate(parent, Y, z, w, v, va, currents, mode, place, above, factor, more, block, step, least_of_flow=0.0):
+    """Leaves to root, then the root's step. Returns, with mode CHECK, the least pivot ratio and the bus it is at; J.
 
-    ``above`` may hold what else is known of ``(lam, x)`` of any bus. ``least_of_flow`` is added to the information
-    about each branch's power.
+    ``above`` (:, 16) may hold what else is known of ``(lam, x)`` of any bus, in row ``place`` of it, (n,). Where that
+    is nothing, buses of one level may have one row, as a subtree is numbered in one piece. ``factor`` (n, 24) and
+    ``more`` (n, 9) are filled for what follows, and of ``step`` (n, 4) the root's. ``least_of_flow`` is added to the
+    information about each branch's power. J counts the meters in use, at ``v`` and ``va``.
     """
-    n = len(parent)
+    at_buses = parent, Y, z, w, v, va, currents, mode, place, above, factor, more, block
+    least, at, J = eliminate_below(1, len(parent), *at_buses, least_of_flow)
+    if mode == UPWARD:
+        return least, at, J
+    check = mode == CHECK
+    ratio, at_root = eliminate_root(Y, z, w, v, va, check, above[place[0]], block, step)
+    if check and not ratio >= least:
+        least, at = ratio, 0
+    return least, at, J + at_root
+
+
+@compiled
+def eliminate_root(Y, z, w, v, va, check, known, block, step):
+    """The root's step from what is ``known`` of it, (16,), then 0. Returns as ``solve_root``, and its part of J."""
+    J = _root_objective(Y, z, w, v, va, known)
+    ratio = solve_root(Y[0], z[0], w[0], v[0], va[0], known, True, check, block)
+    for k in range(4):
+        step[0, k] = block[k, 8]
+    known[:] = 0.0
+    return ratio, J
+
+
+@compiled
+def _root_objective(Y, z, w, v, va, known):
+    u2 = v[0].real ** 2 + v[0].imag ** 2
+    r0 = z[0, 2] - (Y[0, 7].real * u2 + known[14])
+    r1 = z[0, 3] - (Y[0, 7].imag * u2 + known[15])
+    J = w[0, 0] * wrap(z[0, 0] - va[0]) ** 2 + w[0, 1] * (z[0, 1] - math.sqrt(u2)) ** 2
+    if w[0, 2] > 0.0:
+        J += r0 * r0 / w[0, 2]
+    if w[0, 3] > 0.0:
+        J += r1 * r1 / w[0, 3]
+    return J
+
+
+@compiled
+def eliminate_below(
+    first, end, parent, Y, z, w, v, va, currents, mode, place, above, factor, more, block, least_of_flow
+):  # fmt: skip
+    """``eliminate`` of the buses from ``end`` - 1 down to ``first`` > 0, whose subtrees are complete; J of theirs."""
     check, upward = mode == CHECK, mode == UPWARD
     invert = mode == INVERT or upward
     width = N_INVERSE if invert else 9
-    least, at = 1.0, 0
-    for i in range(n - 1, 0, -1):
+    least, at, J = 1.0, 0, 0.0
+    for i in range(end - 1, first - 1, -1):
+        own_place = place[i]
         u2 = v[i].real ** 2 + v[i].imag ** 2
         ysh = scaled(Y[i, 7], u2)
         has_p, has_q = w[i, 2] >= 0.0, w[i, 3] >= 0.0
         # the branch to the parent
         p = parent[i]
+        parent_place = place[p]
         p2 = v[p].real ** 2 + v[p].imag ** 2
         m = v[i] * v[p].conjugate()
         ycc = scaled(Y[i, 0], u2)
@@ -97,28 +141,37 @@ def eliminate(parent, Y, z, w, v, va, currents, mode, above, factor, more, block
             more[i, 0], more[i, 1], more[i, 2], more[i, 3] = a00, a01, a10, a11
             more[i, 4], more[i, 5] = b0, b1
         # the rows of lam: injections
-        L00, L01, L11 = above[i, 0] - w[i, 2], above[i, 1], above[i, 2] - w[i, 3]
-        X00, X01 = above[i, 3], above[i, 4] + 2.0 * ysh.real
-        X10, X11 = above[i, 5], above[i, 6] + 2.0 * ysh.imag
-        r0 = above[i, 10] + z[i, 2] - (ysh.real + own.real + above[i, 14])
-        r1 = above[i, 11] + z[i, 3] - (ysh.imag + own.imag + above[i, 15])
+        L00, L01, L11 = above[own_place, 0] - w[i, 2], above[own_place, 1], above[own_place, 2] - w[i, 3]
+        X00, X01 = above[own_place, 3], above[own_place, 4] + 2.0 * ysh.real
+        X10, X11 = above[own_place, 5], above[own_place, 6] + 2.0 * ysh.imag
+        misfit_p = z[i, 2] - (ysh.real + own.real + above[own_place, 14])
+        misfit_q = z[i, 3] - (ysh.imag + own.imag + above[own_place, 15])
+        r0, r1 = above[own_place, 10] + misfit_p, above[own_place, 11] + misfit_q
         c0, c1 = 1.0, 1.0
         if not has_p:
             L00, L01, X00, X01, r0, c0 = -1.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        elif w[i, 2] > 0.0:
+            J += misfit_p * misfit_p / w[i, 2]
         if not has_q:
             L11, L01, X10, X11, r1, c1 = -1.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        elif w[i, 3] > 0.0:
+            J += misfit_q * misfit_q / w[i, 3]
         # what is known of x
-        N00, N01, N11 = above[i, 7], above[i, 8], above[i, 9]
-        s0, s1 = above[i, 12], above[i, 13]
+        N00, N01, N11 = above[own_place, 7], above[own_place, 8], above[own_place, 9]
+        s0, s1 = above[own_place, 12], above[own_place, 13]
         vm = math.sqrt(u2)
         if w[i, 0] > 0.0:
             N00 += w[i, 0]
-            s0 += w[i, 0] * wrap(z[i, 0] - va[i])
+            r = wrap(z[i, 0] - va[i])
+            s0 += w[i, 0] * r
+            J += w[i, 0] * r * r
         if w[i, 1] > 0.0:
             N11 += w[i, 1] * u2
-            s1 += w[i, 1] * vm * (z[i, 1] - vm)
+            r = z[i, 1] - vm
+            s1 += w[i, 1] * vm * r
+            J += w[i, 1] * r * r
         for k in range(16):
-            above[i, k] = 0.0
+            above[own_place, k] = 0.0
         # x = T x_p + Z f
         Z00, Z01 = N01 * qr - N00 * qi, -N00 * qr - N01 * qi
         Z10, Z11 = N11 * qr - N01 * qi, -N01 * qr - N11 * qi
@@ -133,10 +186,14 @@ def eliminate(parent, Y, z, w, v, va, currents, mode, above, factor, more, block
         # flows
         if w[i, 4] > 0.0:
             G00 += w[i, 4]
-            g0 += w[i, 4] * (z[i, 4] - at_parent.real)
+            r = z[i, 4] - at_parent.real
+            g0 += w[i, 4] * r
+            J += w[i, 4] * r * r
         if w[i, 5] > 0.0:
             G11 += w[i, 5]
-            g1 += w[i, 5] * (z[i, 5] - at_parent.imag)
+            r = z[i, 5] - at_parent.imag
+            g1 += w[i, 5] * r
+            J += w[i, 5] * r * r
         for k in range(6, 10):
             if w[i, k] > 0.0 and (currents or (k != 6 and k != 9)):
                 k0, k1, kx, h = row_of_branch(k, own, at_parent, vm, p2, (a00, a01, a10, a11, b0, b1, t1, qr, qi))
@@ -150,6 +207,7 @@ def eliminate(parent, Y, z, w, v, va, currents, mode, above, factor, more, block
                 g0 += w[i, k] * k0 * r
                 g1 += w[i, k] * k1 * r
                 s1 += w[i, k] * kx * r
+                J += w[i, k] * r * r
         E00, E01 = X00, X00 * t0 + X01 * t1 + c0 * b0
         E10, E11 = X10, X10 * t0 + X11 * t1 + c1 * b1
         C00, C01 = X01 * qr - X00 * qi + c0 * a00, -X00 * qr - X01 * qi + c0 * a01
@@ -210,31 +268,23 @@ def eliminate(parent, Y, z, w, v, va, currents, mode, above, factor, more, block
         factor[i, 12], factor[i, 13], factor[i, 14], factor[i, 15] = V01, V11, A10, A11
         factor[i, 16], factor[i, 17], factor[i, 18], factor[i, 19] = B02, B12, A02, A12
         # the message
-        above[p, 0] -= V00
-        above[p, 1] -= V01
-        above[p, 2] -= V11
-        above[p, 3] -= A00
-        above[p, 4] -= A01
-        above[p, 5] -= A10
-        above[p, 6] -= A11
-        above[p, 7] += P00 - (E00 * B00 + E10 * B10 + F00 * A00 + F10 * A10)
-        above[p, 8] += P01 - (E00 * B01 + E10 * B11 + F00 * A01 + F10 * A11)
-        above[p, 9] += P11 - (E01 * B01 + E11 * B11 + F01 * A01 + F11 * A11)
-        above[p, 10] -= A02
-        above[p, 11] -= A12
-        above[p, 12] += s0 - (E00 * B02 + E10 * B12 + F00 * A02 + F10 * A12)
-        above[p, 13] += s1 - (E01 * B02 + E11 * B12 + F01 * A02 + F11 * A12)
-        above[p, 14] += at_parent.real
-        above[p, 15] += at_parent.imag
-    if upward:
-        return least, at
-    ratio = solve_root(Y[0], z[0], w[0], v[0], va[0], above[0], True, check, block)
-    if check and not ratio >= least:
-        least, at = ratio, 0
-    for k in range(4):
-        step[0, k] = block[k, 8]
-    above[0, :] = 0.0
-    return least, at
+        above[parent_place, 0] -= V00
+        above[parent_place, 1] -= V01
+        above[parent_place, 2] -= V11
+        above[parent_place, 3] -= A00
+        above[parent_place, 4] -= A01
+        above[parent_place, 5] -= A10
+        above[parent_place, 6] -= A11
+        above[parent_place, 7] += P00 - (E00 * B00 + E10 * B10 + F00 * A00 + F10 * A10)
+        above[parent_place, 8] += P01 - (E00 * B01 + E10 * B11 + F00 * A01 + F10 * A11)
+        above[parent_place, 9] += P11 - (E01 * B01 + E11 * B11 + F01 * A01 + F11 * A11)
+        above[parent_place, 10] -= A02
+        above[parent_place, 11] -= A12
+        above[parent_place, 12] += s0 - (E00 * B02 + E10 * B12 + F00 * A02 + F10 * A12)
+        above[parent_place, 13] += s1 - (E01 * B02 + E11 * B12 + F01 * A02 + F11 * A12)
+        above[parent_place, 14] += at_parent.real
+        above[parent_place, 15] += at_parent.imag
+    return least, at, J
 
 
 @compiled
@@ -267,14 +317,31 @@ def coefficients_of(i, factor, more):
 
 
 @compiled
-def substitute(parent, factor, step):
-    """Root to leaves: ``step`` (n, 4) = lam (2) and x of every bus, the root's being there."""
-    for i in range(1, len(parent)):
+def substitute(parent, factor, v, step):
+    """Root to leaves: ``step`` (n, 4) = lam (2) and x of every bus, the root's being there.
+
+    Returns max |dva|, max |dvm|, and whether all are finite.
+    """
+    dva, dvm = abs(step[0, 2]), modulus(v[0]) * abs(step[0, 3])
+    dva, dvm, finite = substitute_below(1, len(parent), parent, factor, v, step, dva, dvm)
+    return dva, dvm, finite and math.isfinite(step[0, 2] + step[0, 3])
+
+
+@compiled
+def substitute_below(first, end, parent, factor, v, step, dva, dvm):
+    """``substitute`` for the buses from ``first`` to ``end`` - 1; what it returns is at least what is given."""
+    largest, total = dvm * dvm, 0.0
+    for i in range(first, end):
         p = parent[i]
         l0, l1, x0, x1 = step[p, 0], step[p, 1], step[p, 2], step[p, 3]
         f0 = factor[i, 18] - (factor[i, 8] * l0 + factor[i, 9] * l1 + factor[i, 10] * x0 + factor[i, 11] * x1)
         f1 = factor[i, 19] - (factor[i, 12] * l0 + factor[i, 13] * l1 + factor[i, 14] * x0 + factor[i, 15] * x1)
         step[i, 0] = factor[i, 16] - (factor[i, 0] * l0 + factor[i, 1] * l1 + factor[i, 2] * x0 + factor[i, 3] * x1)
         step[i, 1] = factor[i, 17] - (factor[i, 4] * l0 + factor[i, 5] * l1 + factor[i, 6] * x0 + factor[i, 7] * x1)
-        step[i, 2] = x0 + factor[i, 20] * x1 - factor[i, 23] * f0 - factor[i, 22] * f1
-        step[i, 3] = factor[i, 21] * x1 + factor[i, 22] * f0 - factor[i, 23] * f1
+        d0 = x0 + factor[i, 20] * x1 - factor[i, 23] * f0 - factor[i, 22] * f1
+        d1 = factor[i, 21] * x1 + factor[i, 22] * f0 - factor[i, 23] * f1
+        step[i, 2], step[i, 3] = d0, d1
+        dva = max(dva, abs(d0))
+        largest = max(largest, (v[i].real ** 2 + v[i].imag ** 2) * d1 * d1)
+        total += d0 + d1
+    return dva, math.sqrt(largest), math.isfinite(total)

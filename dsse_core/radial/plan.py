@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -37,7 +37,8 @@ class RadialPlan:
     ``order`` (n_bus,): network row of each bus of the tree. ``parent`` (n_bus,): number of its parent; the root's is 0.
     ``admittance`` (n_bus, 8) complex: see ``stack_admittances``; ``no_load_admittance``: without shunts and charging.
     ``slot`` (n_meas,): place of each meter's reading in an array (n_bus, N_SLOT), flattened. ``start`` (n_bus,) complex
-    and ``start_va`` (n_bus,): the flat start in tree order, with the angle that is given at the root.
+    and ``start_va`` (n_bus,): the flat start in tree order, with the angle that is given at the root. ``level``
+    (n_bus,): number of branches to the root. ``spaces``: memory of iterations that nobody uses at the moment.
     """
 
     network: Network
@@ -50,6 +51,17 @@ class RadialPlan:
     slot: np.ndarray
     start: np.ndarray
     start_va: np.ndarray
+    level: np.ndarray
+    spaces: list[np.ndarray] = field(default_factory=list, compare=False, repr=False)
+
+    def take_space(self) -> np.ndarray:
+        """Memory of an iteration; put it back into ``spaces``."""
+        try:
+            return self.spaces.pop()
+        except IndexError:
+            from dsse_core.radial.iteration import make_space
+
+            return make_space(len(self.order))
 
     @cached_property
     def has_currents(self) -> bool:
@@ -115,6 +127,7 @@ def build_radial_plan(network: Network, meters: Sequence[Meter], *, reference: i
         slot=find_slots(network, meters, layout),
         start=start * np.exp(1j * angle),
         start_va=np.angle(start) + angle,
+        level=find_levels(layout.parent),
     )
     return _check_determined(plan)
 
@@ -205,6 +218,14 @@ def _follow(parent: np.ndarray, gain: np.ndarray) -> np.ndarray:
     return v
 
 
+def find_levels(parent: np.ndarray) -> np.ndarray:
+    """How many branches are between each bus and the root, shape (n_bus,); in log2(depth) steps."""
+    level, ancestor = (np.arange(len(parent)) > 0).astype(np.int64), parent
+    while ancestor.any():
+        level, ancestor = level + level[ancestor], ancestor[ancestor]
+    return level
+
+
 def _find_stuck_bus(plan: RadialPlan) -> int | None:
     """The first bus whose block is singular at no load, without shunts, charging and currents; all sigmas 1."""
     from dsse_core.radial import kernel as radial_kernel
@@ -216,5 +237,5 @@ def _find_stuck_bus(plan: RadialPlan) -> int | None:
     weights[:, [6, 9]] = 0.0
     work = radial_kernel.Work.of(n)
     at = plan.parent, plan.no_load_admittance, readings, weights, plan.start, plan.start_va
-    ratio, bus = radial_kernel.eliminate(*at, False, radial_kernel.CHECK, *work)
+    ratio, bus, _ = radial_kernel.eliminate(*at, False, radial_kernel.CHECK, *work)
     return int(bus) if not ratio > LEAST_PIVOT_RATIO else None

@@ -29,7 +29,7 @@ def find_radial_indispensable(plan: RadialPlan) -> np.ndarray:
         work = radial_kernel.Work.of(n)
         at = plan.parent, Y, z, w, plan.start, plan.start_va
         radial_kernel.eliminate(*at, False, radial_kernel.STEP, *work)
-        radial_kernel.substitute(plan.parent, work.factor, work.step)
+        radial_kernel.substitute(plan.parent, work.factor, plan.start, work.step)
         largest = np.maximum(largest, abs(_fit_residuals(*at, work.factor, work.more, work.step)) / length)
     of_current = np.isin(plan.slot % N_SLOT, (6, 9))
     indispensable: np.ndarray = (largest.ravel()[plan.slot] < NO_RESIDUAL) & ~of_current

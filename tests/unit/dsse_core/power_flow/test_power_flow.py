@@ -216,7 +216,7 @@ def test_sweeps_agree_with_newton_on_a_generated_feeder_and_are_chosen_by_its_si
     network, _ = generate_feeder(2000, np.random.default_rng(1), n_pv=10)
     assert_same(network)
     assert solve_power_flow(network).method == "newton"
-    monkeypatch.setattr("dsse_core.power_flow.newton_raphson.FEWEST_BUSES_OF_SWEEP", 2000)
+    monkeypatch.setattr("dsse_core.power_flow.plan.FEWEST_BUSES_OF_SWEEP", 2000)
     assert solve_power_flow(network).method == "sweep"
     monkeypatch.setattr("importlib.util.find_spec", lambda name, *rest: None)
     assert solve_power_flow(network).method == "newton"

@@ -1,0 +1,214 @@
+"""Many scans of the same meters at once: one compiled loop over rows, on all processors, an end for each row."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from dsse_core.errors import EstimationDivergedError, InvalidInputError, NotObservableError
+from dsse_core.estimation.estimator import estimate_with_plan
+from dsse_core.estimation.plan import EstimationPlan
+from dsse_core.estimation.residuals import CONFIDENCE, chi_square_limit
+from dsse_core.gauss_newton import LAST_STEP, MOST_STEPS
+from dsse_core.grid.measurement import check_readings
+from dsse_core.radial.plan import RadialPlan
+from dsse_core.row_threads import find_threads, share_out
+
+Start = tuple[np.ndarray, np.ndarray]
+
+
+class FailureCode(StrEnum):
+    """Why a row has no estimate: readings that cannot be, too few, or an iteration without end."""
+
+    INVALID = "invalid"
+    UNOBSERVABLE = "unobservable"
+    DIVERGED = "diverged"
+
+
+@dataclass(frozen=True, slots=True)
+class RowFailure:
+    """``text``: what ``estimate_with_plan`` raises for the readings of the row."""
+
+    code: FailureCode
+    text: str
+
+
+_CODE_OF = {
+    InvalidInputError: FailureCode.INVALID,
+    NotObservableError: FailureCode.UNOBSERVABLE,
+    EstimationDivergedError: FailureCode.DIVERGED,
+}
+
+
+@dataclass(frozen=True)
+class BatchResult:
+    """The estimate of each row of readings. ``vm`` p.u., ``va`` rad: shape (n_row, n_bus), network order.
+
+    ``objective`` J(x), ``iterations`` and ``degrees_of_freedom``: (n_row,). ``failures``: row -> why it has none; its
+    numbers are NaN, its iterations 0.
+    """
+
+    plan: EstimationPlan
+    vm: np.ndarray
+    va: np.ndarray
+    objective: np.ndarray
+    iterations: np.ndarray
+    degrees_of_freedom: np.ndarray
+    failures: Mapping[int, RowFailure]
+
+
+def estimate_batch(
+    plan: EstimationPlan,
+    values: np.ndarray,
+    sigmas: np.ndarray,
+    *,
+    start: Start | None = None,
+    tolerance: float = LAST_STEP,
+    threads: int | None = None,
+) -> BatchResult:
+    """The estimates that ``estimate_with_plan`` finds for each row of ``values``.
+
+    With the radial back end the rows are done in compiled code that no lock of the interpreter holds up.
+
+    Args:
+        values: (n_row, n_meas), p.u. and rad. A reading that is NaN is missing: its row is estimated as with
+            ``plan.without`` that meter, and fails where the others do not determine the state.
+        sigmas: (n_row, n_meas), or (n_meas,) for all rows.
+        start: (vm, va), each (n_row, n_bus), or (n_bus,) for all rows; by default the flat start.
+        tolerance: see ``estimate_with_plan``.
+        threads: how many; all processors by default. The numbers do not depend on it.
+
+    Raises:
+        InvalidInputError: shapes that do not fit, sigmas for all rows that cannot be. What is wrong with one row is in
+            ``failures``.
+    """
+    rows = _Rows.of(plan, values, sigmas, start, tolerance)
+    threads = find_threads(threads)
+    share_out(len(rows.values), threads, rows.alone if isinstance(plan.radial, str) else rows.compiled)
+    failures = {k: rows.failures[k] for k in sorted(rows.failures)}
+    missing = np.isnan(rows.values).sum(axis=1)
+    return BatchResult(
+        plan, rows.vm, rows.va, rows.objective, rows.iterations, plan.degrees_of_freedom - missing, failures
+    )
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """What is given, and the arrays that are filled; ``starts`` (n_row, 1 or 0, 2, n_bus)."""
+
+    plan: EstimationPlan
+    values: np.ndarray
+    sigmas: np.ndarray
+    starts: np.ndarray
+    tolerance: float
+    vm: np.ndarray
+    va: np.ndarray
+    objective: np.ndarray
+    iterations: np.ndarray
+    failures: dict[int, RowFailure]
+    plans: dict[bytes, EstimationPlan]
+
+    @classmethod
+    def of(
+        cls, plan: EstimationPlan, values: np.ndarray, sigmas: np.ndarray, start: Start | None, tolerance: float
+    ) -> _Rows:
+        n, n_meas = len(plan.network.buses), len(plan.meters)
+        values, sigmas = np.ascontiguousarray(values, dtype=float), np.array(sigmas, dtype=float, order="C")
+        n_row = len(values) if values.ndim else 0
+        problems = []
+        if values.shape != (n_row, n_meas):
+            problems.append(f"values have shape {values.shape}; the plan's meters want (number of rows, {n_meas})")
+        if sigmas.shape not in ((n_meas,), (n_row, n_meas)):
+            problems.append(f"sigmas have shape {sigmas.shape}; give ({n_meas},) or {(n_row, n_meas)}")
+        starts = np.empty((0, 2, n))
+        if start is not None:
+            vm, va = (np.asarray(part, dtype=float) for part in start)
+            if vm.shape != va.shape or vm.shape not in ((n,), (n_row, n)):
+                problems.append(f"the start has shapes {vm.shape} and {va.shape}; give ({n},) or {(n_row, n)} twice")
+            else:
+                starts = np.ascontiguousarray(np.stack([vm, va], axis=-2).reshape(-1, 2, n))
+        if problems:
+            raise InvalidInputError(f"readings of network {plan.network.name!r}", problems)
+        of_all = sigmas.ndim == 1
+        sigmas = np.atleast_2d(sigmas)
+        sigmas[:, plan.virtual] = 0.0
+        if of_all and not (plan.virtual | ((sigmas[0] > 0) & np.isfinite(sigmas[0]))).all():
+            check_readings(plan.network, plan.meters, np.zeros(n_meas), sigmas[0])
+        vm, va = np.full((2, n_row, n), np.nan)
+        objective, iterations = np.full(n_row, np.nan), np.zeros(n_row, dtype=np.int64)
+        return cls(plan, values, sigmas, starts, tolerance, vm, va, objective, iterations, {}, {})
+
+    def compiled(self) -> Callable[[int, int], None]:
+        """What does rows in compiled code; those that fail there, alone."""
+        from dsse_core.radial import rows as radial_rows  # numba, loaded when the plan was built
+
+        plan = self.plan.radial
+        assert isinstance(plan, RadialPlan)
+        space = plan.take_space()
+        of_plan = plan.parent, plan.level, plan.admittance, plan.no_load_admittance, plan.order, plan.slot
+        options = plan.has_currents, float(self.tolerance), MOST_STEPS
+
+        def do(first: int, end: int) -> None:
+            here = slice(first, end)
+            succeeded = np.empty(end - first, dtype=bool)
+            radial_rows.estimate_rows(
+                *of_plan, self.plan.virtual, plan.start, plan.start_va, _rows_of(self.starts, here), *options,
+                self._limits(here), self.values[here], _rows_of(self.sigmas, here), space,
+                self.vm[here], self.va[here], self.objective[here], self.iterations[here], succeeded,
+            )  # fmt: skip
+            for k in np.flatnonzero(~succeeded).tolist():
+                self._do_alone(first + k)
+
+        return do
+
+    def _limits(self, here: slice) -> np.ndarray:
+        """Of J in each row, (n_row here,)."""
+        left, place = np.unique(
+            self.plan.degrees_of_freedom - np.isnan(self.values[here]).sum(axis=1), return_inverse=True
+        )
+        return np.array([chi_square_limit(n, CONFIDENCE) for n in left.tolist()])[place]
+
+    def alone(self) -> Callable[[int, int], None]:
+        """What does row after row as ``estimate_with_plan`` does one."""
+
+        def do(first: int, end: int) -> None:
+            for k in range(first, end):
+                self._do_alone(k)
+
+        return do
+
+    def _do_alone(self, k: int) -> None:
+        values, sigmas = self.values[k], _rows_of(self.sigmas, slice(k, k + 1))[0]
+        start = _rows_of(self.starts, slice(k, k + 1))
+        missing = np.isnan(values)
+        try:
+            found = estimate_with_plan(
+                self._plan_without(missing),
+                values[~missing],
+                sigmas[~missing],
+                start=(start[0, 0], start[0, 1]) if len(start) else None,
+                tolerance=self.tolerance,
+            )
+        except (InvalidInputError, NotObservableError, EstimationDivergedError) as error:
+            self.failures[k] = RowFailure(_CODE_OF[type(error)], str(error))
+            self.vm[k] = self.va[k] = self.objective[k] = np.nan
+            self.iterations[k] = 0
+        else:
+            self.vm[k], self.va[k], self.objective[k] = found.vm, found.va, found.objective
+            self.iterations[k] = found.iterations
+
+    def _plan_without(self, missing: np.ndarray) -> EstimationPlan:
+        if not missing.any():
+            return self.plan
+        pattern = missing.tobytes()
+        if pattern not in self.plans:
+            self.plans[pattern] = self.plan.without(np.flatnonzero(missing).tolist())
+        return self.plans[pattern]
+
+
+def _rows_of(array: np.ndarray, here: slice) -> np.ndarray:
+    """The rows of these scans, or what serves for all."""
+    return array if len(array) <= 1 else array[here]

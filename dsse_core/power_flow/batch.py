@@ -1,0 +1,126 @@
+"""Many power flows of one network at once, on all processors, a result or a failure for each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from dsse_core.errors import InvalidInputError, PowerFlowDivergedError
+from dsse_core.grid.network import Network
+from dsse_core.power_flow.newton_raphson import solve_by_newton
+from dsse_core.power_flow.plan import MethodChoice, PowerFlowPlan, build_power_flow_plan
+from dsse_core.row_threads import find_threads, share_out
+
+
+@dataclass(frozen=True)
+class PowerFlowBatch:
+    """The solved rows. ``vm`` p.u., ``va`` rad: shape (n_row, n_bus), network order; ``iterations`` (n_row,).
+
+    ``failures``: row -> what ``solve_power_flow`` raises for it; its numbers are NaN, its iterations 0.
+    """
+
+    network: Network
+    vm: np.ndarray
+    va: np.ndarray
+    iterations: np.ndarray
+    failures: Mapping[int, str]
+
+
+def solve_power_flow_batch(
+    network: Network | PowerFlowPlan,
+    p: np.ndarray,
+    q: np.ndarray,
+    *,
+    tolerance: float = 1e-10,
+    max_iterations: int = 30,
+    method: MethodChoice = "auto",
+    threads: int | None = None,
+) -> PowerFlowBatch:
+    """The power flow of each row of injections ``p`` and ``q``, p.u., (n_row, n_bus), network order.
+
+    Those of the slack bus do not count, nor q of a bus that holds its voltage.
+
+    Args:
+        network: or its plan, which then says the method.
+        tolerance, max_iterations, method: see ``solve_power_flow``; ``auto`` counts the buses of all rows.
+        threads: how many; all processors by default. The numbers do not depend on it.
+
+    Raises:
+        InvalidInputError: shapes that do not fit; a network that ``solve_power_flow`` rejects.
+    """
+    p, q = np.ascontiguousarray(p, dtype=float), np.ascontiguousarray(q, dtype=float)
+    n = len((network if isinstance(network, Network) else network.network).buses)
+    if p.ndim != 2 or p.shape != q.shape or p.shape[1] != n:
+        problem = f"p and q have shapes {p.shape} and {q.shape}; give (number of rows, {n}) for both"
+        raise InvalidInputError("injections of a batch of power flows", [problem])
+    plan = network
+    if isinstance(plan, Network):
+        plan = build_power_flow_plan(plan, method=method, n_row=len(p))
+    vm, va = np.full((2, *p.shape), np.nan)
+    limit, iterations = plan.find_limit(tolerance), np.zeros(len(p), dtype=np.int64)
+    rows = _Rows(plan, p, q, limit, max_iterations, vm, va, iterations, {})
+    share_out(len(p), find_threads(threads), rows.by_newton if isinstance(plan.layout, str) else rows.by_sweeps)
+    return PowerFlowBatch(plan.network, rows.vm, rows.va, rows.iterations, dict(sorted(rows.failures.items())))
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """What is given, and the arrays that are filled."""
+
+    plan: PowerFlowPlan
+    p: np.ndarray
+    q: np.ndarray
+    limit: np.ndarray
+    max_iterations: int
+    vm: np.ndarray
+    va: np.ndarray
+    iterations: np.ndarray
+    failures: dict[int, str]
+
+    def by_newton(self) -> Callable[[int, int], None]:
+        def do(first: int, end: int) -> None:
+            for k in range(first, end):
+                self._do_by_newton(k)
+
+        return do
+
+    def by_sweeps(self) -> Callable[[int, int], None]:
+        """What does rows in compiled code, and by Newton's method what does not end there."""
+        from dsse_core.power_flow.sweeps import build_admittances, build_factors, sweep_rows  # numba
+
+        plan, layout = self.plan, self.plan.layout
+        assert not isinstance(layout, str)
+        n, order = len(layout.order), layout.order
+        tables = build_factors(plan.network, layout), build_admittances(plan.network, layout)
+        start = plan.start_voltage[order], plan.start[order]
+        memory = np.empty((3, n), dtype=complex)
+
+        def do(first: int, end: int) -> None:
+            here = slice(first, end)
+            met = np.empty(end - first, dtype=bool)
+            sweep_rows(
+                order, layout.parent, *tables, *start, self.limit[order], self.p[here], self.q[here], *memory,
+                self.vm[here], self.va[here], self.iterations[here], met,
+            )  # fmt: skip
+            root = order[0]
+            self.vm[here, root] = np.where(met, plan.start[n + root], np.nan)
+            for k in np.flatnonzero(~met).tolist():
+                self._do_by_newton(first + k)
+
+        return do
+
+    def _do_by_newton(self, k: int) -> None:
+        scheduled = self.p[k] + 1j * self.q[k]
+        counted = scheduled[self.plan.p_rows].real, scheduled[self.plan.q_rows].imag
+        self.iterations[k] = 0
+        if not all(np.isfinite(part).all() for part in counted):
+            self.failures[k] = "an injection is not a finite number"
+            return
+        try:
+            found = solve_by_newton(self.plan, scheduled, self.limit, self.max_iterations)
+        except PowerFlowDivergedError as error:
+            self.failures[k] = str(error)
+        else:
+            self.vm[k], self.va[k], self.iterations[k] = found.vm, found.va, found.iterations

@@ -1,0 +1,147 @@
+"""What a power flow needs to know of a network, found once and used for every schedule of injections."""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, get_args
+
+import numpy as np
+
+from dsse_core.errors import InvalidInputError
+from dsse_core.grid.admittance import Admittance, build_admittance, flat_start
+from dsse_core.grid.measurement import MeasurementKind, Meter
+from dsse_core.grid.measurement_model import MeasurementModel, build_measurement_model
+from dsse_core.grid.network import Control, Network
+from dsse_core.radial.plan import RadialLayout, lay_out_radial
+
+MethodChoice = Literal["auto", "sweep", "newton"]
+# Of a radial network from which on ``auto`` loads numba: 0.3 s, and sweeps save 13 us per bus.
+FEWEST_BUSES_OF_SWEEP = 20_000
+ROUND_OFF = 1e-15  # of the sum of a bus' admittances: what its mismatch cannot fall below
+
+
+@dataclass(frozen=True)
+class PowerFlowPlan:
+    """``start``: x = [va; vm], (2 n_bus,), flat but for set-points. ``held``: bus -> the voltage that it holds.
+
+    ``layout``: the tree to sweep over, or, as text, why Newton's method is taken.
+    """
+
+    network: Network
+    slack_bus: int
+    held: Mapping[int, float]
+    start: np.ndarray
+    admittance: Admittance
+    layout: RadialLayout | str
+
+    @property
+    def start_voltage(self) -> np.ndarray:
+        """Complex, (n_bus,)."""
+        va, vm = np.split(self.start, 2)
+        v: np.ndarray = vm * np.exp(1j * va)
+        return v
+
+    @cached_property
+    def p_rows(self) -> np.ndarray:
+        """Rows of the buses that meet their P."""
+        return np.array([row for row, bus in enumerate(self.network.buses) if bus.id != self.slack_bus], dtype=int)
+
+    @cached_property
+    def q_rows(self) -> np.ndarray:
+        """Rows of the buses that meet their Q."""
+        return np.array([row for row, bus in enumerate(self.network.buses) if bus.id not in self.held], dtype=int)
+
+    @cached_property
+    def model(self) -> MeasurementModel:
+        """P at ``p_rows``, then Q at ``q_rows``."""
+        buses = self.network.buses
+        meters = [Meter(MeasurementKind.P_INJECTION, buses[row].id) for row in self.p_rows]
+        meters += [Meter(MeasurementKind.Q_INJECTION, buses[row].id) for row in self.q_rows]
+        return build_measurement_model(self.network, self.admittance, meters)
+
+    def find_limit(self, tolerance: float) -> np.ndarray:
+        """The largest mismatch that each bus may have, (n_bus,), p.u."""
+        limit: np.ndarray = np.maximum(tolerance, ROUND_OFF * abs(self.admittance.ybus).sum(axis=1))
+        return limit
+
+
+def build_power_flow_plan(
+    network: Network,
+    *,
+    slack: tuple[int, float] | None = None,
+    method: MethodChoice = "auto",
+    n_row: int = 1,
+    extra_load: Mapping[int, complex] | None = None,
+) -> PowerFlowPlan:
+    """The plan for power flows of ``network``; arguments are those of ``solve_power_flow``.
+
+    Args:
+        n_row: how many power flows are to come: ``auto`` sweeps where they have FEWEST_BUSES_OF_SWEEP buses together.
+
+    Raises:
+        InvalidInputError: no slack bus, buses that it does not reach, unknown buses in the arguments, sweeps asked for
+            that cannot serve.
+    """
+    slack_bus, slack_vm, slack_va = _slack_of(network, slack)
+    if problems := list(_find_problems(network, slack_bus, slack_vm, extra_load or {})):
+        raise InvalidInputError(f"power flow of network {network.name!r}", problems)
+    held = {g.bus: g.vm for g in network.generators if g.control is Control.VOLTAGE} | {slack_bus: slack_vm}
+    vm, va = flat_start(network, slack_bus)
+    for bus, set_point in held.items():
+        vm[network.row[bus]] = set_point
+    layout = _lay_out(network, slack_bus, held, method, n_row)
+    return PowerFlowPlan(network, slack_bus, held, np.r_[va + slack_va, vm], build_admittance(network), layout)
+
+
+def _lay_out(
+    network: Network, slack_bus: int, held: Mapping[int, float], method: MethodChoice, n_row: int
+) -> RadialLayout | str:
+    """The tree to sweep over, or why not.
+
+    Raises:
+        InvalidInputError: sweeps are asked for and cannot serve.
+    """
+    n = n_row * len(network.buses)
+    if method not in get_args(MethodChoice):
+        known = ", ".join(get_args(MethodChoice))
+        raise InvalidInputError("power flow", [f"method is {method!r}; choose one of {known}"])
+    if method == "newton" or (method == "auto" and n < FEWEST_BUSES_OF_SWEEP):
+        return "not asked for"
+    layout: RadialLayout | str = "other buses than the slack hold their voltage"
+    if len(held) == 1:
+        layout = lay_out_radial(network, slack_bus)
+    if isinstance(layout, str) and method == "sweep":
+        problem = f"sweeps cannot serve: {layout}; choose 'auto' or 'newton'"
+        raise InvalidInputError(f"power flow of network {network.name!r}", [problem])
+    return layout
+
+
+def _find_problems(
+    network: Network, slack_bus: int, slack_vm: float, extra_load: Mapping[int, complex]
+) -> Iterator[str]:
+    if slack_bus not in network.row:
+        yield f"the slack bus {slack_bus} is not in the network"
+    elif unreached := network.find_unreached_buses(slack_bus):
+        names = ", ".join(map(str, unreached))
+        yield f"no path of branches in service joins bus {names} to the slack bus {slack_bus}"
+    if not (math.isfinite(slack_vm) and slack_vm > 0):
+        yield f"the slack voltage is {slack_vm}; it must be a positive number in p.u."
+    for bus, load in extra_load.items():
+        if bus not in network.row:
+            yield f"extra load at bus {bus}, which is not in the network"
+        if not cmath.isfinite(load):
+            yield f"the extra load at bus {bus} is {load}, not a finite number"
+
+
+def _slack_of(network: Network, slack: tuple[int, float] | None) -> tuple[int, float, float]:
+    if slack is not None:
+        return slack[0], slack[1], 0.0
+    if network.slack is None:
+        raise InvalidInputError(
+            f"power flow of network {network.name!r}", ["it has no slack bus; give it one source of kind 'slack'"]
+        )
+    return network.slack.bus, network.slack.vm, network.slack.va

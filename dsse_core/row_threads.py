@@ -1,0 +1,58 @@
+"""Rows of one task shared out among threads."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from queue import Empty, SimpleQueue
+
+from dsse_core.errors import InvalidInputError
+
+CHUNKS = 8  # for each thread: the last one to end must not keep the others waiting for long
+MOST_ROWS = 1024  # of a chunk
+
+
+def find_threads(threads: int | None) -> int:
+    """``threads``, or as many as there are processors that this process may use.
+
+    Raises:
+        InvalidInputError: it is no positive number.
+    """
+    if threads is not None and threads < 1:
+        raise InvalidInputError("threads", [f"found {threads}; give a number from 1 on, or None for all processors"])
+    if threads is not None:
+        return threads
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def share_out(n_row: int, threads: int, begin: Callable[[], Callable[[int, int], None]]) -> None:
+    """Have rows 0 to ``n_row`` - 1 done by ``threads`` threads, this one if that is one.
+
+    ``begin`` is called once in each thread and returns what does the rows from the first up to before the second. An
+    exception in one thread ends the others after the rows at hand.
+    """
+    size = max(1, min(MOST_ROWS, -(-n_row // (CHUNKS * threads))))
+    chunks: SimpleQueue[tuple[int, int]] = SimpleQueue()
+    for first in range(0, n_row, size):
+        chunks.put((first, min(first + size, n_row)))
+    failed = threading.Event()
+
+    def work() -> None:
+        try:
+            do = begin()
+            while not failed.is_set():
+                do(*chunks.get_nowait())
+        except Empty:
+            pass
+        except BaseException:
+            failed.set()
+            raise
+
+    if threads == 1:
+        work()
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        for future in [pool.submit(work) for _ in range(threads)]:
+            future.result()
