@@ -74,8 +74,8 @@ def find_reference(network: Network, reference: int | None) -> int:
         InvalidInputError: ``reference`` is not a bus of the network.
     """
     if reference is None:
-        return network.slack.bus if network.slack else network.buses[0].id
-    if reference not in network.row:
+        return network.slack.bus if network.slack else int(network.table.bus_id[0])
+    if network.table.rows.find(np.array([reference]))[0] < 0:
         raise InvalidInputError(f"network {network.name!r}", [f"the reference, bus {reference}, is not in it"])
     return reference
 

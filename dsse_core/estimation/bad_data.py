@@ -72,7 +72,7 @@ def find_critical(result: EstimationResult) -> tuple[str, ...]:
     """
     plan = result.plan
     spared = (result.residual_variance <= CRITICAL_REDUNDANCY * result.sigmas**2) | plan.indispensable
-    return tuple(plan.meters[k].id for k in np.flatnonzero(spared & ~plan.virtual))
+    return tuple(plan.meters[k].id for k in np.flatnonzero(spared & ~plan.virtual).tolist())
 
 
 def normalized_residuals(result: EstimationResult) -> np.ndarray:

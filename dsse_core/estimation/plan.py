@@ -12,7 +12,9 @@ import numpy as np
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.sparse import SparsePlan, build_sparse_plan
-from dsse_core.grid.measurement import Meter, Source
+from dsse_core.grid.columns import Records
+from dsse_core.grid.measurement import Meter
+from dsse_core.grid.meter_table import find_virtual
 from dsse_core.grid.network import Network
 from dsse_core.observability import check_observable, find_indispensable, find_reference
 from dsse_core.radial.plan import RadialPlan, build_radial_plan, drop_meters
@@ -29,7 +31,7 @@ class EstimationPlan:
     """``radial``: the plan of the back end of that name, or, as text, why it is not used."""
 
     network: Network
-    meters: tuple[Meter, ...]
+    meters: Sequence[Meter]
     reference: int
     radial: RadialPlan | str
 
@@ -45,7 +47,7 @@ class EstimationPlan:
     @cached_property
     def virtual(self) -> np.ndarray:
         """Which readings hold exactly, shape (n_meas,)."""
-        return np.array([meter.source is Source.VIRTUAL for meter in self.meters], dtype=bool)
+        return find_virtual(self.meters)
 
     @cached_property
     def indispensable(self) -> np.ndarray:
@@ -96,7 +98,9 @@ def build_estimation_plan(
     if backend not in get_args(BackendChoice):
         known = ", ".join(get_args(BackendChoice))
         raise InvalidInputError("state estimation", [f"backend is {backend!r}; choose one of {known}"])
-    meters, reference = tuple(meters), find_reference(network, reference)
+    reference = find_reference(network, reference)
+    if not isinstance(meters, Records):
+        meters = tuple(meters)
     radial = _find_radial_plan(network, meters, reference, backend)
     if isinstance(radial, str):
         if backend == "radial":
@@ -107,7 +111,7 @@ def build_estimation_plan(
 
 
 def _find_radial_plan(
-    network: Network, meters: tuple[Meter, ...], reference: int, backend: BackendChoice
+    network: Network, meters: Sequence[Meter], reference: int, backend: BackendChoice
 ) -> RadialPlan | str:
     n = len(network.buses)
     if backend == "sparse":

@@ -90,7 +90,7 @@ class NoLoadModel:
         variance, redundancy = self.linear.sample(self.x, self._at_own_voltage(received), rng)
         buses = self.model.area.network.buses
         is_known = np.maximum(variance[: len(buses)], variance[len(buses) : 2 * len(buses)]) < NOTHING_KNOWN
-        unobservable = tuple(buses[k].id for k in np.flatnonzero(~is_known))
+        unobservable = tuple(buses[k].id for k in np.flatnonzero(~is_known).tolist())
         return unobservable, frozenset(self.ids[k] for k in np.flatnonzero(redundancy < NO_LOAD_REDUNDANCY))
 
     def _at_own_voltage(self, received: Mapping[str, BoundaryInformation]) -> dict[str, BoundaryInformation]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import cmath
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -34,17 +33,14 @@ def build_admittance(network: Network, *, with_shunts: bool = True) -> Admittanc
     ``yff = (ys + (g + j b) / 2) / |t|^2``, ``yft = -ys / conj(t)``, ``ytf = -ys / t``, ``ytt = ys + (g + j b) / 2``.
     ``with_shunts=False`` leaves out g, b and bus shunts, all that draws current without load.
     """
-    branches = network.active_branches
-    n, n_branch = len(network.buses), len(branches)
-    f = np.array([network.row[b.from_bus] for b in branches], dtype=int)
-    t = np.array([network.row[b.to_bus] for b in branches], dtype=int)
-    ys = np.array([1 / complex(b.r, b.x) for b in branches], dtype=complex)
-    ratio = np.array([cmath.rect(b.tap, b.shift) for b in branches], dtype=complex)
-    ytt = ys + 0.5 * np.array([complex(b.g, b.b) * with_shunts for b in branches], dtype=complex)
+    table = network.table
+    f, t, ys, ratio = table.f, table.t, table.ys, table.ratio
+    n, n_branch = len(table.bus_id), len(f)
+    ytt = ys + table.ends * with_shunts
     yff = ytt / abs(ratio) ** 2
     yft = -ys / ratio.conj()
     ytf = -ys / ratio
-    shunt = np.array([complex(bus.g_shunt, bus.b_shunt) * with_shunts for bus in network.buses], dtype=complex)
+    shunt = table.shunt * with_shunts
 
     bus, at_from, at_to = np.arange(n), n + np.arange(n_branch), n + n_branch + np.arange(n_branch)
     entries = np.concatenate([yff, yft, ytf, ytt, shunt, yff, yft, ytf, ytt])

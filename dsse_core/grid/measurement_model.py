@@ -16,6 +16,7 @@ import scipy.sparse as sp
 
 from dsse_core.grid.admittance import Admittance
 from dsse_core.grid.measurement import MeasurementKind, Meter
+from dsse_core.grid.meter_table import KINDS, tabulate_meters
 from dsse_core.grid.network import Network
 
 CURRENT_FLOOR = 1e-9  # p.u.; below it the derivative of |i| is undefined and taken as 0
@@ -145,23 +146,17 @@ def stack_models(above: MeasurementModel, below: MeasurementModel) -> Measuremen
 
 def build_measurement_model(network: Network, admittance: Admittance, meters: Sequence[Meter]) -> MeasurementModel:
     """Select for each meter its bus and its admittance row: of ``ybus`` at a bus, of ``yf`` or ``yt`` on a branch."""
-    n, n_branch = len(network.buses), len(network.active_branches)
-    branch_row = {branch.id: k for k, branch in enumerate(network.active_branches)}
-
-    def admittance_row(meter: Meter) -> int:
-        if meter.branch is None:
-            return network.row[meter.bus]
-        at_from = network.branch(meter.branch).from_bus == meter.bus
-        return n + branch_row[meter.branch] + (0 if at_from else n_branch)
-
-    rows = np.array([admittance_row(meter) for meter in meters], dtype=int)
+    table = tabulate_meters(network, meters)
+    f = np.append(network.table.f, -1)  # which row -1 is
+    branch = np.maximum(table.branch, -1)
+    at_to = np.where(f[branch] == table.bus, 0, len(f) - 1)
+    rows = np.where(branch < 0, table.bus, len(network.table.bus_id) + branch + at_to)
     y = sp.csr_array(admittance.stacked[rows])
-    bus_row = np.array([network.row[meter.bus] for meter in meters], dtype=int)
-    meter_row = np.repeat(np.arange(len(meters)), np.diff(y.indptr))
+    meter_row = np.repeat(np.arange(len(rows)), np.diff(y.indptr))
     return MeasurementModel(
-        kinds=np.array([meter.kind for meter in meters], dtype="<U12"),
-        bus_row=bus_row,
+        kinds=np.array(KINDS, dtype="<U12")[table.kind],
+        bus_row=table.bus,
         y=y,
         meter_row=meter_row,
-        at_bus=(y.indices == bus_row[meter_row]).astype(float),
+        at_bus=(y.indices == table.bus[meter_row]).astype(float),
     )

@@ -9,13 +9,15 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
 from statistics import median
 
 from dsse_core.errors import InvalidInputError
+from dsse_core.grid.columns import Records
+from dsse_core.grid.network_table import NetworkTable, tabulate
 
 ZERO_IMPEDANCE = 1e-6
 """A branch below this share of the median |r + jx| is none. The power through it is a difference of equal numbers, so
@@ -86,14 +88,17 @@ class Generator:
 class Network:
     """Buses, branches and generators. At most one generator is the slack; an area's part may have none.
 
+    Buses and branches are tuples, or columns: ``Records(Bus, {"id": ..., "base_kv": ...})``, of which objects are made
+    only where somebody asks for one.
+
     Raises:
         InvalidInputError: listing every duplicate, dangling reference and impossible value.
     """
 
     name: str
     base_mva: float
-    buses: tuple[Bus, ...]
-    branches: tuple[Branch, ...]
+    buses: Sequence[Bus]
+    branches: Sequence[Branch]
     generators: tuple[Generator, ...] = ()
 
     def __post_init__(self) -> None:
@@ -101,9 +106,27 @@ class Network:
             raise InvalidInputError(f"network {self.name!r}", problems)
 
     @cached_property
+    def table(self) -> NetworkTable:
+        """All buses and branches as columns."""
+        return tabulate(self)
+
+    @cached_property
+    def branch_ids(self) -> Sequence[str]:
+        """Of all branches."""
+        if isinstance(self.branches, Records):
+            ids: Sequence[str] = self.branches.columns["id"]
+            return ids
+        return [branch.id for branch in self.branches]
+
+    @cached_property
+    def active_branch_ids(self) -> Sequence[str]:
+        """Of the branches in service, in the order of the rows of the branch admittances."""
+        return [self.branch_ids[k] for k in self.table.active.tolist()]
+
+    @cached_property
     def row(self) -> dict[int, int]:
         """Bus id -> array position: the only place where the two are related."""
-        return {bus.id: row for row, bus in enumerate(self.buses)}
+        return {bus: row for row, bus in enumerate(self.table.bus_id.tolist())}
 
     @cached_property
     def active_branches(self) -> tuple[Branch, ...]:
@@ -185,11 +208,23 @@ def _duplicates(items: Iterable[object]) -> list[object]:
 
 
 def _find_problems(network: Network) -> Iterable[str]:
+    if not (math.isfinite(network.base_mva) and network.base_mva > 0):
+        yield f"base_mva is {network.base_mva}; it must be a positive power in MVA"
+    if not _is_possible(network):
+        yield from _find_problems_of_buses_and_branches(network)
+    yield from _find_problems_of_generators(network)
+
+
+def _is_possible(network: Network) -> bool:
+    """Whether no bus and no branch has a problem, found without a text for each."""
+    ids = network.branch_ids
+    return all(ids) and len(set(ids)) == len(ids) and network.table.is_possible()
+
+
+def _find_problems_of_buses_and_branches(network: Network) -> Iterable[str]:
     ids = {bus.id for bus in network.buses}
     if not network.buses:
         yield "it has no bus"
-    if not (math.isfinite(network.base_mva) and network.base_mva > 0):
-        yield f"base_mva is {network.base_mva}; it must be a positive power in MVA"
     for bus_id in _duplicates(bus.id for bus in network.buses):
         yield f"bus {bus_id} is defined more than once; give each bus its own id"
     for branch_id in _duplicates(branch.id for branch in network.branches):
@@ -213,8 +248,11 @@ def _find_problems(network: Network) -> Iterable[str]:
             yield f"branch {branch.id} has no impedance; merge its two buses into one"
         if branch.tap <= 0:
             yield f"branch {branch.id}: tap is {branch.tap}; it must be positive (1.0 for a line)"
+
+
+def _find_problems_of_generators(network: Network) -> Iterable[str]:
     for generator in network.generators:
-        if generator.bus not in ids:
+        if generator.bus not in network.row:
             yield f"a generator stands at bus {generator.bus}, which is not defined"
         if not all(map(math.isfinite, (generator.p, generator.q, generator.vm, generator.va))):
             yield f"generator at bus {generator.bus}: p, q, vm or va is not a finite number"

@@ -29,17 +29,17 @@ class Tree:
 
 def find_tree(network: Network, root: int) -> Tree | str:
     """The tree of the network below bus ``root``, or, as text, why it is none."""
-    row, n = network.row, len(network.buses)
-    f = np.array([row[b.from_bus] for b in network.active_branches], dtype=np.int64)
-    t = np.array([row[b.to_bus] for b in network.active_branches], dtype=np.int64)
+    table = network.table
+    f, t, n = table.f, table.t, len(table.bus_id)
     if len(f) != n - 1:
         return f"the network is not radial: {n} buses, {len(f)} branches in service"
+    top = int(table.rows.find(np.array([root]))[0])
     graph = sp.csr_array((np.ones(len(f)), (f, t)), shape=(n, n))
-    order, upstream = csgraph.depth_first_order(graph, row[root], directed=False, return_predecessors=True)
+    order, upstream = csgraph.depth_first_order(graph, top, directed=False, return_predecessors=True)
     if len(order) != n:
         return f"the network is not radial: {n - len(order)} buses are out of reach of bus {root}"
     upstream = upstream.astype(np.int64)
-    upstream[row[root]] = row[root]
+    upstream[top] = top
     return Tree(order.astype(np.int64), upstream, f, t)
 
 

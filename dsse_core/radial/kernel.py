@@ -69,33 +69,36 @@ def eliminate(parent, Y, z, w, v, va, currents, mode, place, above, factor, more
     ``more`` (n, 9) are filled for what follows, and of ``step`` (n, 4) the root's. ``least_of_flow`` is added to the
     information about each branch's power. J counts the meters in use, at ``v`` and ``va``.
     """
-    at_buses = parent, Y, z, w, v, va, currents, mode, place, above, factor, more, block
-    least, at, J = eliminate_below(1, len(parent), *at_buses, least_of_flow)
+    least, at, J = eliminate_below(
+        1, len(parent), parent, Y, z, w, v, va, currents, mode, place, above, factor, more, block, least_of_flow
+    )
     if mode == UPWARD:
         return least, at, J
     check = mode == CHECK
-    ratio, at_root = eliminate_root(Y, z, w, v, va, check, above[place[0]], block, step)
+    J += _root_objective(Y, z, w, v, va, above[place[0], 14], above[place[0], 15])
+    ratio = eliminate_root(Y, z, w, v, va, check, above[place[0]], block, step)
     if check and not ratio >= least:
         least, at = ratio, 0
-    return least, at, J + at_root
+    return least, at, J
 
 
 @compiled
 def eliminate_root(Y, z, w, v, va, check, known, block, step):
-    """The root's step from what is ``known`` of it, (16,), then 0. Returns as ``solve_root``, and its part of J."""
-    J = _root_objective(Y, z, w, v, va, known)
+    """The root's step from what is ``known`` of it, (16,), then 0. Returns as ``solve_root``."""
     ratio = solve_root(Y[0], z[0], w[0], v[0], va[0], known, True, check, block)
     for k in range(4):
         step[0, k] = block[k, 8]
-    known[:] = 0.0
-    return ratio, J
+        for c in range(4):
+            known[4 * k + c] = 0.0
+    return ratio
 
 
 @compiled
-def _root_objective(Y, z, w, v, va, known):
+def _root_objective(Y, z, w, v, va, p_below, q_below):
+    """J of the root's own meters, with the powers into the branches below."""
     u2 = v[0].real ** 2 + v[0].imag ** 2
-    r0 = z[0, 2] - (Y[0, 7].real * u2 + known[14])
-    r1 = z[0, 3] - (Y[0, 7].imag * u2 + known[15])
+    r0 = z[0, 2] - (Y[0, 7].real * u2 + p_below)
+    r1 = z[0, 3] - (Y[0, 7].imag * u2 + q_below)
     J = w[0, 0] * wrap(z[0, 0] - va[0]) ** 2 + w[0, 1] * (z[0, 1] - math.sqrt(u2)) ** 2
     if w[0, 2] > 0.0:
         J += r0 * r0 / w[0, 2]

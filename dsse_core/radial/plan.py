@@ -11,6 +11,7 @@ import numpy as np
 from dsse_core import compiling
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.measurement import MeasurementKind, Meter, find_meter_problems
+from dsse_core.grid.meter_table import KINDS, NO_BRANCH, tabulate_meters
 from dsse_core.grid.network import Network
 from dsse_core.grid.radial_order import find_tree
 from dsse_core.observability import check_observable, find_reference
@@ -42,7 +43,7 @@ class RadialPlan:
     """
 
     network: Network
-    meters: tuple[Meter, ...]
+    meters: Sequence[Meter]
     reference: int
     order: np.ndarray
     parent: np.ndarray
@@ -112,13 +113,13 @@ def build_radial_plan(network: Network, meters: Sequence[Meter], *, reference: i
         return layout
     ys, ends, ratio = read_branches(network)
     shunts = read_shunts(network, layout)
-    gain = np.ones(len(network.buses), dtype=complex)
+    gain = np.ones(len(layout.order), dtype=complex)
     gain[layout.child] = np.where(layout.from_parent, 1 / ratio, ratio)
     start = _follow(layout.parent, gain)
     angle = network.slack.va if network.slack and network.slack.bus == reference else 0.0
     plan = RadialPlan(
         network=network,
-        meters=tuple(meters),
+        meters=meters,
         reference=reference,
         order=layout.order,
         parent=layout.parent,
@@ -149,15 +150,13 @@ def _check_determined(plan: RadialPlan) -> RadialPlan | str:
 
 def read_branches(network: Network) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of the branches in service: series admittance ys, admittance at each end, complex tap ratio, (n_branch,) each."""
-    branches = network.active_branches
-    r, x, g, b, tap, shift = np.array([(b.r, b.x, b.g, b.b, b.tap, b.shift) for b in branches]).reshape(-1, 6).T
-    return 1 / (r + 1j * x), 0.5 * (g + 1j * b), tap * np.exp(1j * shift)
+    table = network.table
+    return table.ys, table.ends, table.ratio
 
 
 def read_shunts(network: Network, layout: RadialLayout) -> np.ndarray:
     """Shunt admittances in tree order, shape (n_bus,)."""
-    shunts = np.array([complex(b.g_shunt, b.b_shunt) for b in network.buses], dtype=complex)
-    in_tree_order: np.ndarray = shunts[layout.order]
+    in_tree_order: np.ndarray = network.table.shunt[layout.order]
     return in_tree_order
 
 
@@ -188,24 +187,19 @@ def stack_admittances(
 def find_slots(network: Network, meters: Sequence[Meter], layout: RadialLayout) -> np.ndarray:
     """``slot`` of a plan."""
     number, parent, child = layout.number, layout.parent, layout.child
-    row, kinds = network.row, list(MeasurementKind)
-    branch_row = {branch.id: k for k, branch in enumerate(network.active_branches)}
-    code = {id(kind): k for k, kind in enumerate(kinds)}  # members are singletons, and hashing them takes long
-    kind = np.array([code[id(meter.kind)] for meter in meters], dtype=np.int64)
-    rows = np.array([row.get(meter.bus, -1) for meter in meters], dtype=np.int64)
-    branch = np.array([branch_row.get(meter.branch, -1) if meter.branch else -1 for meter in meters], dtype=np.int64)
-    at = np.where(rows < 0, -1, number[rows])
-    below = np.where(branch < 0, -2, np.append(child, -2)[branch])
+    table = tabulate_meters(network, meters)
+    at = np.where(table.bus < 0, -1, number[table.bus])
+    below = np.where(table.branch < 0, -2, np.append(child, -2)[np.maximum(table.branch, -1)])
     at_bus, at_parent, at_child = (
-        np.array([slots.get(k, -1) for k in kinds])[kind] for slots in (SLOTS_AT_BUS, SLOTS_AT_PARENT, SLOTS_AT_CHILD)
+        np.array([slots.get(k, -1) for k in KINDS])[table.kind]
+        for slots in (SLOTS_AT_BUS, SLOTS_AT_PARENT, SLOTS_AT_CHILD)
     )
     above = np.where(below < 0, -2, parent[np.maximum(below, 0)])
     column = np.where(at_bus >= 0, at_bus, np.where(at == above, at_parent, at_child))
     of_branch = at_bus < 0
-    fits = (at >= 0) & np.where(of_branch, (at == above) | (at == below), branch < 0)
-    slot = np.where(of_branch, below, at) * N_SLOT + column
-    strays = any(meter.branch for meter, flow in zip(meters, of_branch.tolist(), strict=True) if not flow)
-    if strays or not fits.all() or np.bincount(slot, minlength=1).max() > 1:
+    fits = (at >= 0) & np.where(of_branch, (at == above) | (at == below), table.branch == NO_BRANCH)
+    slot: np.ndarray = np.where(of_branch, below, at) * N_SLOT + column
+    if not fits.all() or np.bincount(slot, minlength=1).max() > 1:
         raise InvalidInputError(f"meters of network {network.name!r}", list(find_meter_problems(network, meters)))
     return slot
 

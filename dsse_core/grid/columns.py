@@ -1,0 +1,99 @@
+"""Tables of arrays: buses, branches and meters column by column, and objects of theirs made when somebody asks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import cached_property
+from typing import Any, Generic, TypeVar, overload
+
+import numpy as np
+
+Item = TypeVar("Item")
+
+
+class Records(Sequence[Item], Generic[Item]):
+    """A sequence of objects that are kept as columns; equal to the tuple of them. All are made at the first request.
+
+    ``columns``: name of an attribute -> its values, (n,), an array or, of text, a sequence.
+    """
+
+    def __init__(self, make: Callable[..., Item], columns: dict[str, Any]) -> None:
+        self._make, self.columns = make, columns
+        lengths = {name: len(column) for name, column in columns.items()}
+        if len(set(lengths.values())) > 1:
+            raise ValueError(f"columns of {make.__name__} differ in length: {lengths}")
+
+    @cached_property
+    def objects(self) -> tuple[Item, ...]:
+        plain = [column.tolist() if isinstance(column, np.ndarray) else column for column in self.columns.values()]
+        return tuple(self._make(**dict(zip(self.columns, values, strict=True))) for values in zip(*plain, strict=True))
+
+    def __len__(self) -> int:
+        return len(next(iter(self.columns.values()), ()))
+
+    @overload
+    def __getitem__(self, key: int) -> Item: ...
+
+    @overload
+    def __getitem__(self, key: slice) -> tuple[Item, ...]: ...
+
+    def __getitem__(self, key: int | slice) -> Item | tuple[Item, ...]:
+        return self.objects[key]
+
+    def __iter__(self) -> Iterator[Item]:
+        return iter(self.objects)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Sequence) and self.objects == tuple(other)
+
+    def __hash__(self) -> int:
+        return hash(self.objects)
+
+
+def read_column(items: Sequence[Any], name: str, dtype: type) -> np.ndarray:
+    """The attribute ``name`` of all ``items``, shape (n,)."""
+    if isinstance(items, Records) and name in items.columns:
+        return np.asarray(items.columns[name], dtype=dtype)
+    if isinstance(items, Records):
+        items = items.objects
+    values = [getattr(item, name) for item in items]
+    try:
+        return np.array(values, dtype=dtype)
+    except OverflowError:  # a number of a bus that nobody has, but that a message must be able to name
+        return np.array(values, dtype=object)
+
+
+class Rows:
+    """Where ids stand: the row of each."""
+
+    def __init__(self, ids: np.ndarray) -> None:
+        self._ids = ids
+        n = len(ids)
+        self._counts_up = n > 0 and ids[-1] - ids[0] == n - 1 and bool((np.diff(ids) == 1).all())
+
+    @cached_property
+    def _order(self) -> np.ndarray:
+        return np.argsort(self._ids, kind="stable")
+
+    @cached_property
+    def are_unique(self) -> bool:
+        return self._counts_up or not bool((np.diff(self._ids[self._order]) == 0).any())
+
+    def find(self, wanted: np.ndarray) -> np.ndarray:
+        """The rows of the ids ``wanted``, shape (k,); -1 where there is none."""
+        n = len(self._ids)
+        if n == 0:
+            return np.full(len(wanted), -1)
+        if self._counts_up:
+            rows = wanted - self._ids[0]
+            return np.where((rows >= 0) & (rows < n), rows, -1)
+        at = np.searchsorted(self._ids, wanted, sorter=self._order)
+        rows = self._order[np.minimum(at, n - 1)]
+        return np.where(self._ids[rows] == wanted, rows, -1)
+
+
+def rows_of_texts(known: Iterable[str], wanted: Iterable[str | None]) -> np.ndarray:
+    """The position of each text ``wanted`` in ``known``; -1 where it is not there, -2 of None."""
+    row: dict[str | None, int] = {text: k for k, text in enumerate(known)}
+    row[None] = -2
+    return np.array([row.get(text, -1) for text in wanted], dtype=np.int64)

@@ -1,0 +1,116 @@
+"""A network column by column: what is computed from all of its buses and branches is computed from arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dsse_core.grid.columns import Rows, read_column
+
+if TYPE_CHECKING:
+    from dsse_core.grid.network import Network
+
+
+@dataclass(frozen=True)
+class NetworkTable:
+    """Columns of ``Bus``, shape (n_bus,), and of ``Branch``, (n_all_branches,), p.u. and rad.
+
+    ``active`` (n_branch,): rows of the branches in service. Of these, in the order of the rows of the branch
+    admittances: ``f``, ``t`` the rows of their ends, ``ys`` their series admittance, ``ends`` the admittance at each
+    end, ``ratio`` their complex tap ratio. ``shunt`` (n_bus,) complex.
+    """
+
+    bus_id: np.ndarray
+    base_kv: np.ndarray
+    load: np.ndarray
+    shunt: np.ndarray
+    from_bus: np.ndarray
+    to_bus: np.ndarray
+    series: np.ndarray
+    charging: np.ndarray
+    tap: np.ndarray
+    shift: np.ndarray
+    in_service: np.ndarray
+
+    @cached_property
+    def rows(self) -> Rows:
+        return Rows(self.bus_id)
+
+    @cached_property
+    def active(self) -> np.ndarray:
+        return np.flatnonzero(self.in_service)
+
+    @cached_property
+    def f(self) -> np.ndarray:
+        return self.rows.find(self.from_bus[self.active])
+
+    @cached_property
+    def t(self) -> np.ndarray:
+        return self.rows.find(self.to_bus[self.active])
+
+    @cached_property
+    def ys(self) -> np.ndarray:
+        ys: np.ndarray = 1 / self.series[self.active]
+        return ys
+
+    @cached_property
+    def ends(self) -> np.ndarray:
+        ends: np.ndarray = 0.5 * self.charging[self.active]
+        return ends
+
+    @cached_property
+    def ratio(self) -> np.ndarray:
+        ratio: np.ndarray = self.tap[self.active] * np.exp(1j * self.shift[self.active])
+        return ratio
+
+    @cached_property
+    def active_row(self) -> np.ndarray:
+        """Of each branch its place among those in service, -1 of others, shape (n_all_branches,)."""
+        row = np.full(len(self.in_service), -1)
+        row[self.active] = np.arange(len(self.active))
+        return row
+
+    def is_possible(self) -> bool:
+        """Whether values, ids and ends of all buses and branches can be; ids of branches apart."""
+        finite = (self.base_kv, self.load, self.shunt, self.series, self.charging, self.tap, self.shift)
+        return bool(
+            len(self.bus_id) > 0
+            and self.rows.are_unique
+            and all(np.isfinite(column).all() for column in finite)
+            and (self.base_kv > 0).all()
+            and (self.tap > 0).all()
+            and (self.series != 0).all()
+            and (self.from_bus != self.to_bus).all()
+            and (self.rows.find(self.from_bus) >= 0).all()
+            and (self.rows.find(self.to_bus) >= 0).all()
+        )
+
+
+def tabulate(network: Network) -> NetworkTable:
+    """The columns of ``network``, its objects visited once."""
+    buses, branches = network.buses, network.branches
+    p, q, g_shunt, b_shunt = (read_column(buses, name, float) for name in ("p_load", "q_load", "g_shunt", "b_shunt"))
+    r, x, g, b = (read_column(branches, name, float) for name in ("r", "x", "g", "b"))
+    return NetworkTable(
+        bus_id=read_column(buses, "id", np.int64),
+        base_kv=read_column(buses, "base_kv", float),
+        load=_complex(p, q),
+        shunt=_complex(g_shunt, b_shunt),
+        from_bus=read_column(branches, "from_bus", np.int64),
+        to_bus=read_column(branches, "to_bus", np.int64),
+        series=_complex(r, x),
+        charging=_complex(g, b),
+        tap=read_column(branches, "tap", float),
+        shift=read_column(branches, "shift", float),
+        in_service=read_column(branches, "in_service", bool),
+    )
+
+
+def _complex(real: np.ndarray, imag: np.ndarray) -> np.ndarray:
+    """As ``real + 1j * imag``, but of infinite numbers, too."""
+    number = real.astype(complex)
+    number.imag = imag
+    return number
