@@ -10,6 +10,7 @@ import numpy as np
 
 from dsse_core.errors import EstimationDivergedError
 from dsse_core.estimation.decision import Memory, begin_at_flat_start, most_steps
+from dsse_core.estimation.radial_threads import estimate_on_threads
 from dsse_core.estimation.residuals import CONFIDENCE, chi_square_limit
 from dsse_core.gauss_newton import Solution
 from dsse_core.grid.measurement import check_readings
@@ -24,11 +25,12 @@ def estimate_radial(
     start: tuple[np.ndarray, np.ndarray] | None,
     tolerance: float,
     memory: Memory,
+    threads: int = 1,
 ) -> tuple[Memory, Solution]:
     """What ``estimate_sparse`` finds. ``sigmas`` (n_meas,) become 0 where a reading is ``exact``.
 
     For small networks calls made in Python take longer than solving, so that what ``decide`` says between two steps is
-    compiled with them; that both come to the same is tested.
+    compiled with them; that both come to the same is tested. On more than one thread it is said in Python again.
 
     Raises:
         InvalidInputError: readings that cannot be.
@@ -39,10 +41,17 @@ def estimate_radial(
     limit = chi_square_limit(len(values) - (2 * n - 1), CONFIDENCE)
     while True:
         v, va = _begin_at(plan, None if memory.from_flat_start else start)
-        end, steps, step, objective = compiled.estimate(
-            plan.parent, plan.level, plan.admittance, plan.order, plan.slot, exact, v, va, plan.has_currents,
-            float(tolerance), most_steps(memory), limit, values, sigmas, space, state, residual,
-        )  # fmt: skip
+        options = float(tolerance), most_steps(memory), limit
+        if threads > 1:
+            scan = exact, values, sigmas
+            end, steps, step, objective = estimate_on_threads(
+                plan, *scan, space, v, va, *options, state, residual, threads
+            )
+        else:
+            end, steps, step, objective = compiled.estimate(
+                plan.parent, plan.level, plan.admittance, plan.order, plan.slot, exact, v, va, plan.has_currents,
+                *options, values, sigmas, space, state, residual,
+            )  # fmt: skip
         if end == compiled.UNUSABLE:
             check_readings(plan.network, plan.meters, values, sigmas)
         if end != compiled.LOST or memory.from_flat_start:

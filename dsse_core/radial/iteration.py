@@ -59,7 +59,7 @@ def estimate(
     reading is ``exact``, and returns how it ended, see ``iterate``, steps, the last one and J; UNUSABLE: readings that
     cannot be. ``space``: see ``make_space``.
     """
-    if not _are_usable(exact, values, sigmas):
+    if not are_usable(exact, values, sigmas):
         return UNUSABLE, 0, np.inf, np.inf
     n = len(parent)
     v, va, z, w, above, factor, more, step, block = carve(space, n)
@@ -74,7 +74,7 @@ def estimate(
     predict(parent, Y, v, va, has_currents, z)
     for i in range(n):
         state[0, order[i]], state[1, order[i]] = modulus(v[i]), va[i]
-    return end, steps, largest, _subtract(slot, values, sigmas, z, residual)
+    return end, steps, largest, subtract(slot, values, sigmas, z, residual)
 
 
 @compiled
@@ -122,7 +122,7 @@ def forget_meters(w):
 
 
 @compiled
-def _are_usable(exact, values, sigmas):
+def are_usable(exact, values, sigmas):
     """Whether readings can be; makes sigma 0 where they hold exactly."""
     usable = True
     for k in range(len(values)):
@@ -152,7 +152,7 @@ def store(slot, values, sigmas, z, w):
 
 
 @compiled
-def _subtract(slot, values, sigmas, h, residual):
+def subtract(slot, values, sigmas, h, residual):
     """z - h(x) of every meter into ``residual``, differences of angles wrapped to (-pi, pi]. Returns J."""
     J = 0.0
     for k in range(len(slot)):
@@ -213,17 +213,24 @@ def move(v, va, step, length, largest_angle):
 @compiled
 def predict(parent, Y, v, va, has_currents, h):
     """h(x) of every slot, shape (n, 10); of currents only if there are any."""
-    for i in range(len(parent)):
+    predict_part(0, len(parent), parent, Y, v, va, has_currents, h)
+
+
+@compiled
+def predict_part(first, end, parent, Y, v, va, has_currents, h):
+    """``predict`` of the buses from ``first`` to ``end`` - 1, without what flows from a bus before ``first``."""
+    for i in range(first, end):
         square = v[i].real ** 2 + v[i].imag ** 2
         h[i, 0], h[i, 1] = va[i], math.sqrt(square)
         h[i, 2], h[i, 3] = Y[i, 7].real * square, Y[i, 7].imag * square
-    for i in range(1, len(parent)):
+    for i in range(max(first, 1), end):
         p = parent[i]
         own, at_parent = branch_powers(i, p, Y, v)
         h[i, 2] += own.real
         h[i, 3] += own.imag
-        h[p, 2] += at_parent.real
-        h[p, 3] += at_parent.imag
+        if p >= first:
+            h[p, 2] += at_parent.real
+            h[p, 3] += at_parent.imag
         h[i, 4], h[i, 5], h[i, 7], h[i, 8] = at_parent.real, at_parent.imag, own.real, own.imag
         if has_currents:
             h[i, 6], h[i, 9] = modulus(at_parent) / h[p, 1], modulus(own) / h[i, 1]

@@ -75,7 +75,7 @@ def eliminate(parent, Y, z, w, v, va, currents, mode, place, above, factor, more
     if mode == UPWARD:
         return least, at, J
     check = mode == CHECK
-    J += _root_objective(Y, z, w, v, va, above[place[0], 14], above[place[0], 15])
+    J += root_objective(Y, z, w, v, va, above[place[0], 14], above[place[0], 15])
     ratio = eliminate_root(Y, z, w, v, va, check, above[place[0]], block, step)
     if check and not ratio >= least:
         least, at = ratio, 0
@@ -94,7 +94,7 @@ def eliminate_root(Y, z, w, v, va, check, known, block, step):
 
 
 @compiled
-def _root_objective(Y, z, w, v, va, p_below, q_below):
+def root_objective(Y, z, w, v, va, p_below, q_below):
     """J of the root's own meters, with the powers into the branches below."""
     u2 = v[0].real ** 2 + v[0].imag ** 2
     r0 = z[0, 2] - (Y[0, 7].real * u2 + p_below)
