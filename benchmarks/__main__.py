@@ -12,8 +12,9 @@ for _library in ("OPENBLAS", "OMP", "MKL"):  # one thread each, also in the chil
 
 import click  # noqa: E402
 
+from benchmarks.batch import format_batches  # noqa: E402
 from benchmarks.cases import SETS, SHARP  # noqa: E402
-from benchmarks.comparison import Limits, Row, compare, compare_draws  # noqa: E402
+from benchmarks.comparison import Limits, Row, compare, compare_batches, compare_draws  # noqa: E402
 from benchmarks.figures import figures_option, write_section  # noqa: E402
 from benchmarks.machine import describe_machine  # noqa: E402
 from benchmarks.methods.compared import OURS, OURS_WITH_RESIDUALS, PEERS  # noqa: E402
@@ -79,8 +80,9 @@ def main(
         out.mkdir(parents=True, exist_ok=True)  # before the hours of work, not after
         rows = compare(sizes, sets, OURS, (*OURS_WITH_RESIDUALS, *others), limits, _tell)
         solved = compare_draws(sizes, sets, (*OURS, *others), draws, limits, _tell)
+        batches = compare_batches(sizes, sets, limits, _tell)
         command = shlex.join(["python", "-m", "benchmarks", *sys.argv[1:]])
-        written = write_report(out, command, machine, rows, solved)
+        written = write_report(out, command, machine, rows, solved, batches)
     except InvalidInputError as error:
         raise click.ClickException(str(error)) from None
     except OSError as error:
@@ -90,6 +92,8 @@ def main(
     click.echo(format_estimates(rows))
     if solved:
         click.echo("\n" + format_draws(solved))
+    if batches:
+        click.echo("\n" + format_batches(batches))
     click.echo("\nwritten: " + ", ".join(map(str, written)))
     if missed := _find_missed(rows):
         raise click.ClickException("; ".join(missed))

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TypeVar
 
+from benchmarks.batch import BatchRow, measure_batches
 from benchmarks.cases import SHARP, build_case, build_network
 from benchmarks.limits import LimitedCallError, call_limited
 from benchmarks.machine import find_version
@@ -102,6 +103,25 @@ def compare_draws(
                     method, limits, try_draws, network, set_name, method, draws, 0.8 * limits.seconds
                 )
             rows += _count(n_bus, set_name, found)
+    return rows
+
+
+def compare_batches(
+    sizes: Sequence[int], sets: Sequence[str], limits: Limits, tell: Callable[[str], None]
+) -> list[BatchRow]:
+    """Batches of scans on networks as large as MOST_BUSES_OF_DRAWS; what fails has no rows."""
+    rows: list[BatchRow] = []
+    for n_bus in [n for n in sizes if n <= MOST_BUSES_OF_DRAWS]:
+        network = build_network(n_bus)
+        for set_name in sets:
+            tell(f"{n_bus} buses, {set_name}: batches")
+            case = build_case(network, set_name)
+            try:
+                rows += call_limited(
+                    measure_batches, case, min(limits.runs, 7), limit_s=limits.seconds, limit_gib=limits.gib
+                )
+            except LimitedCallError as error:
+                tell(str(error))
     return rows
 
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
+from benchmarks.batch import BatchRow, format_batches
 from benchmarks.comparison import DrawRow, Row
 
 NOTES = """\
@@ -21,27 +22,41 @@ NOTES = """\
 
 
 def write_report(
-    folder: Path, command: str, machine: Mapping[str, str], rows: Sequence[Row], draws: Sequence[DrawRow]
+    folder: Path,
+    command: str,
+    machine: Mapping[str, str],
+    rows: Sequence[Row],
+    draws: Sequence[DrawRow],
+    batches: Sequence[BatchRow] = (),
 ) -> list[Path]:
     """Write the three files into ``folder``; return their paths."""
     folder.mkdir(parents=True, exist_ok=True)
     markdown, data, plot = (folder / name for name in ("results.md", "results.json", "times.png"))
-    markdown.write_text(format_report(command, machine, rows, draws), encoding="utf-8")
+    markdown.write_text(format_report(command, machine, rows, draws, batches), encoding="utf-8")
     content = {
         "command": command,
         "machine": dict(machine),
         "estimates": [asdict(row) for row in rows],
         "random_draws": [asdict(row) for row in draws],
+        "batches": [asdict(row) for row in batches],
     }
     data.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
     _plot_times(plot, rows)
     return [markdown, data, plot]
 
 
-def format_report(command: str, machine: Mapping[str, str], rows: Sequence[Row], draws: Sequence[DrawRow]) -> str:
+def format_report(
+    command: str,
+    machine: Mapping[str, str],
+    rows: Sequence[Row],
+    draws: Sequence[DrawRow],
+    batches: Sequence[BatchRow] = (),
+) -> str:
     """The report as Markdown."""
     parts = ["# Benchmarks", f"`{command}`", "\n".join(f"- {name}: {text}" for name, text in machine.items())]
     parts += ["## Estimates", format_estimates(rows), NOTES.rstrip()]
+    if batches:
+        parts += ["## Batches of scans", format_batches(list(batches))]
     if draws:
         parts += ["## Random draws solved", format_draws(draws)]
         parts += [

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -13,8 +14,10 @@ from dsse_core.estimation.bad_data import normalized_residuals
 from dsse_core.estimation.estimator import EstimationResult, estimate_with_plan
 from dsse_core.estimation.plan import Backend, EstimationPlan, build_estimation_plan
 from dsse_core.estimation.residuals import chi_square_limit
+from dsse_core.grid.columns import Records
 from dsse_core.grid.measurement import Meter
-from dsse_core.grid.network import Network
+from dsse_core.grid.meter_table import KINDS, NO_BRANCH, make_meters
+from dsse_core.grid.network import Branch, Bus, Network
 
 PACKAGE = "consensus-dsse"
 
@@ -23,9 +26,27 @@ class Scan(NamedTuple):
     """What a control centre has: its network and meters once, then one scan of readings after the other."""
 
     network: Network
-    meters: tuple[Meter, ...]
+    meters: Sequence[Meter]
     values: np.ndarray
     sigmas: np.ndarray
+
+
+def _in_columns(network: Network) -> Network:
+    """What power-grid-model begins with, too: tables, no object for a bus."""
+    buses, branches = (
+        {field.name: [getattr(item, field.name) for item in items] for field in fields(kind)}
+        for kind, items in ((Bus, network.buses), (Branch, network.branches))
+    )
+    arrays = [{k: v if isinstance(v[0], str) else np.array(v) for k, v in part.items()} for part in (buses, branches)]
+    return replace(network, buses=Records(Bus, arrays[0]), branches=Records(Branch, arrays[1]))
+
+
+def _meters_in_columns(case: Case) -> Sequence[Meter]:
+    meters = [m.meter for m in case.measurements]
+    row = {branch.id: k for k, branch in enumerate(case.network.branches)}
+    kind = np.array([KINDS.index(meter.kind) for meter in meters])
+    branch = np.array([NO_BRANCH if meter.branch is None else row[meter.branch] for meter in meters])
+    return make_meters(case.network, kind, np.array([meter.bus for meter in meters]), branch)
 
 
 @dataclass(frozen=True)
@@ -39,7 +60,7 @@ class Ours:
 
     def translate(self, case: Case) -> Scan:
         values, sigmas = np.array([(m.value, m.sigma) for m in case.measurements]).T
-        return Scan(case.network, tuple(m.meter for m in case.measurements), values, sigmas)
+        return Scan(_in_columns(case.network), _meters_in_columns(case), values, sigmas)
 
     def build(self, scan: Scan) -> tuple[EstimationPlan, Scan]:
         return build_estimation_plan(replace(scan.network), scan.meters, backend=self.backend), scan

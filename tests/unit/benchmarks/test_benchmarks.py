@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from benchmarks import comparison
+from benchmarks.batch import format_batches, measure_batches
 from benchmarks.cases import build_case, build_network
 from benchmarks.limits import GIB, LimitedCallError, call_limited
 from benchmarks.methods.compared import OURS, OURS_WITH_RESIDUALS, PEERS
@@ -146,3 +147,13 @@ def test_a_wrong_option_is_rejected_with_what_to_give(option, value):
     )
     assert finished.returncode == 2
     assert "give numbers of buses" in finished.stderr or "choose from full" in finished.stderr
+
+
+def test_a_batch_is_timed_on_every_number_of_threads_and_no_scan_of_ours_fails():
+    pytest.importorskip("numba", reason="the radial back end needs numba: pip install 'consensus-dsse[fast]'")
+    rows = measure_batches(build_case(build_network(33), "full"), runs=1)
+    of_ours = [row for row in rows if row.method == "ours, radial"]
+    assert {row.threads for row in of_ours} >= {1}
+    assert all(row.failed == 0 and row.wall_s > 0 and row.scans == rows[0].scans for row in of_ours)
+    lines = format_batches(rows).splitlines()
+    assert len(lines) == len(rows) + 2
