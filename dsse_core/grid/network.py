@@ -108,7 +108,7 @@ class Network:
     @cached_property
     def table(self) -> NetworkTable:
         """All buses and branches as columns."""
-        return tabulate(self)
+        return tabulate(self.buses, self.branches)
 
     @cached_property
     def branch_ids(self) -> Sequence[str]:

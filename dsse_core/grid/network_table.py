@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
 from dsse_core.grid.columns import Rows, read_column
-
-if TYPE_CHECKING:
-    from dsse_core.grid.network import Network
 
 
 @dataclass(frozen=True)
@@ -89,9 +87,8 @@ class NetworkTable:
         )
 
 
-def tabulate(network: Network) -> NetworkTable:
-    """The columns of ``network``, its objects visited once."""
-    buses, branches = network.buses, network.branches
+def tabulate(buses: Sequence[Any], branches: Sequence[Any]) -> NetworkTable:
+    """The columns of all ``Bus`` and ``Branch`` of a network, which are visited once."""
     p, q, g_shunt, b_shunt = (read_column(buses, name, float) for name in ("p_load", "q_load", "g_shunt", "b_shunt"))
     r, x, g, b = (read_column(branches, name, float) for name in ("r", "x", "g", "b"))
     return NetworkTable(
