@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from queue import Empty, SimpleQueue
@@ -37,17 +36,17 @@ def share_out(n_row: int, threads: int, begin: Callable[[], Callable[[int, int],
     chunks: SimpleQueue[tuple[int, int]] = SimpleQueue()
     for first in range(0, n_row, size):
         chunks.put((first, min(first + size, n_row)))
-    failed = threading.Event()
+    failures: list[BaseException] = []
 
     def work() -> None:
         try:
             do = begin()
-            while not failed.is_set():
+            while not failures:
                 do(*chunks.get_nowait())
         except Empty:
             pass
-        except BaseException:
-            failed.set()
+        except BaseException as error:
+            failures.append(error)
             raise
 
     if threads == 1:
