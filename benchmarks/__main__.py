@@ -12,9 +12,9 @@ for _library in ("OPENBLAS", "OMP", "MKL"):  # one thread each, also in the chil
 
 import click  # noqa: E402
 
-from benchmarks.batch import format_batches  # noqa: E402
+from benchmarks.batch import BatchRow, format_batches  # noqa: E402
 from benchmarks.cases import SETS, SHARP  # noqa: E402
-from benchmarks.comparison import Limits, Row, compare, compare_batches, compare_draws  # noqa: E402
+from benchmarks.comparison import DrawRow, Limits, Row, compare, compare_batches, compare_draws  # noqa: E402
 from benchmarks.figures import figures_option, write_section  # noqa: E402
 from benchmarks.machine import describe_machine  # noqa: E402
 from benchmarks.methods.compared import OURS, OURS_WITH_RESIDUALS, PEERS  # noqa: E402
@@ -88,7 +88,7 @@ def main(
     except OSError as error:
         raise click.ClickException(f"{out}: {error.strerror or error}") from None
     if figures:
-        write_section(figures, machine, format_draws(solved) if solved else format_ratios(rows))
+        write_section(figures, machine, _table_for(figures, rows, solved, batches))
     click.echo(format_estimates(rows))
     if solved:
         click.echo("\n" + format_draws(solved))
@@ -97,6 +97,14 @@ def main(
     click.echo("\nwritten: " + ", ".join(map(str, written)))
     if missed := _find_missed(rows):
         raise click.ClickException("; ".join(missed))
+
+
+def _table_for(section: str, rows: list[Row], solved: list[DrawRow], batches: list[BatchRow]) -> str:
+    if section == "batches":
+        return format_batches(batches)
+    if section == "cold":
+        return format_ratios(rows, "cold")
+    return format_draws(solved) if solved else format_ratios(rows)
 
 
 def _find_missed(rows: list[Row]) -> list[str]:

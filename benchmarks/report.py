@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import Literal
 
 from benchmarks.batch import BatchRow, format_batches
 from benchmarks.comparison import DrawRow, Row
@@ -15,7 +16,7 @@ NOTES = """\
   readings, flat start. pandapower knows no model that is kept: its two figures are one. What the tool needs the first
   time in a process (imports, compilation) is not in.
 - Times are medians; every tool was timed in turn with ours, in the same process. The ratio is its time divided by ours:
-  above 1, ours is faster. Ratios travel from machine to machine, milliseconds do not.
+  above 1, ours is faster. Ratios differ from machine to machine, milliseconds more so.
 - J is computed by one function for all. max dV: largest difference of a complex voltage from ours, p.u.
 - Ours returns its complete result; power-grid-model is asked for node voltages only.
 """
@@ -90,25 +91,27 @@ def format_estimates(rows: Sequence[Row]) -> str:
     return "\n".join(lines)
 
 
-def format_ratios(rows: Sequence[Row]) -> str:
-    """One row per measurement set and method, a column for each size: warm ms of ours, warm ratios of the others."""
+def format_ratios(rows: Sequence[Row], what: Literal["cold", "warm"] = "warm") -> str:
+    """One row per measurement set and method, a column for each size: ms of ours, ratios of the others."""
     sizes = list(dict.fromkeys(row.n_bus for row in rows))
     ours = list(dict.fromkeys(own for row in rows for own in row.ratios))
-    head = ["set", "method; warm, divided by " + " / ".join(ours), *(f"{n} buses" for n in sizes)]
+    head = ["set", f"method; {what}, divided by " + " / ".join(ours), *(f"{n} buses" for n in sizes)]
     lines = [_line(head), "|" + "---|" * len(head)]
     for set_name, method in dict.fromkeys((row.set_name, row.method) for row in rows):
         found = {row.n_bus: row for row in rows if (row.set_name, row.method) == (set_name, method)}
         unit = f"{method}, ms" if method in ours else method
-        lines.append(_line([set_name, unit, *(_warm(found.get(n), method in ours) for n in sizes)]))
+        lines.append(_line([set_name, unit, *(_ratio(found.get(n), method in ours, what) for n in sizes)]))
     return "\n".join(lines)
 
 
-def _warm(row: Row | None, is_ours: bool) -> str:
+def _ratio(row: Row | None, is_ours: bool, what: Literal["cold", "warm"]) -> str:
     if row is None or row.outcome is None:
         return row.remark if row else ""
     if is_ours:
-        return f"{row.outcome.timing.warm_ms:.2g}"
-    return " / ".join(f"{warm:.2g}" for _, warm in row.ratios.values())
+        timing = row.outcome.timing
+        rounded = float(f"{timing.cold_ms if what == 'cold' else timing.warm_ms:.2g}")
+        return f"{rounded:g}"  # no exponent from 100 on
+    return " / ".join(f"{cold if what == 'cold' else warm:.2g}" for cold, warm in row.ratios.values())
 
 
 def format_draws(draws: Sequence[DrawRow]) -> str:
