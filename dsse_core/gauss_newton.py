@@ -1,4 +1,4 @@
-"""The numbers of a Gauss-Newton iteration that ``verdict`` decides by, and the compiled iteration on a tree, too."""
+"""The numbers of a Gauss-Newton iteration that ``decision`` decides by, and the compiled iteration on a tree, too."""
 
 from __future__ import annotations
 

@@ -110,7 +110,7 @@ def process_bad_data_with_plan(
 ) -> BadDataReport:
     """Estimate; while J exceeds the chi-square limit, remove the largest normalised residual and repeat.
 
-    The verdicts are those of ``verdict.decide``, to which the whole grid is one area without neighbours. It stops when
+    The verdicts are those of ``decision.decide``, to which the whole grid is one area without neighbours. It stops when
     the test passes or when no normalised residual exceeds ``threshold``. Equal residuals are broken by meter id; the
     others of the tie are reported as indistinguishable. A critical measurement stays, and the next largest residual is
     looked at. If without a measurement the estimation diverges, it stays, the estimate before stands, and ``detected``

@@ -160,7 +160,7 @@ def estimate_with_plan(
     """Find the state that minimises J(x) = (z - h(x))' W (z - h(x)), W = diag(1 / sigma^2) (eqs. 3.8-3.14).
 
     ``values``, ``sigmas`` (n_meas,): the readings of the plan's meters. Virtual ones hold exactly; their sigma does
-    not count. Gauss-Newton as ``verdict.decide`` says, until it is final or normalised residuals are wanted: no step
+    not count. Gauss-Newton as ``decision.decide`` says, until it is final or normalised residuals are wanted: no step
     moves a voltage by more than MAX_DVM and MAX_DVA, and current magnitudes enter once the others have sent where flows
     go: before, they have several minima.
 

@@ -1,6 +1,6 @@
 """What residuals tell of the readings: the chi-square test, normalised residuals, ties, and voltmeters that are dead.
 
-Rules of areas and centre alike; who applies them is in ``verdict``, ``bad_data`` and ``feeder_bad_data``.
+Rules of areas and centre alike; who applies them is in ``decision``, ``bad_data`` and ``feeder_bad_data``.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """One area's part in the Gauss-Newton iteration of the whole grid: x_k of its own buses, and what others need of it.
 
 At each x_k an area passes on the information of its side, takes in that of all others, and then knows its part of the
-step of the whole grid. What is decided on the way (``verdict``) it carries out here. A grid of one area is the
+step of the whole grid. What is decided on the way (``decision``) it carries out here. A grid of one area is the
 centralised estimate.
 """
 

@@ -1,7 +1,7 @@
 """Bad data of the whole feeder from what each area knows: the centralised test, added up along the tree of areas.
 
 At the end of the exact exchange J, degrees of freedom and normalised residuals of the areas are those of the
-centralised estimate, so that a sum and a maximum along the tree make the same decisions (``verdict``).
+centralised estimate, so that a sum and a maximum along the tree make the same decisions (``decision``).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Gauss-Newton on a tree, compiled: the steps of ``radial_kernel``, and what ``verdict.decide`` says between them."""
+"""Gauss-Newton on a tree, compiled: the steps of ``radial_kernel``, and what ``decision.decide`` says between them."""
 
 from __future__ import annotations
 

@@ -35,12 +35,12 @@ def test_a_section_begins_with_date_processor_and_a_command_that_exists(name: st
 
 def test_a_section_is_replaced_and_nothing_else(tmp_path: Path):
     page = tmp_path / "figures.md"
-    page.write_text("a\n<!-- figures one -->\nold\n<!-- end -->\nb\n<!-- figures two -->\nkept\n<!-- end -->\n")
+    page.write_text("a\n<!-- figures one -->\nformer\n<!-- end -->\nb\n<!-- figures two -->\nkept\n<!-- end -->\n")
     write_section("one", MACHINE, "| x |\n|---|\n| 1 |\n", page)
     found = dict(read_sections(page))
     assert "2030-01-02, CPU, 2 cores, Python 3.11.0:" in found["one"]
     assert "| 1 |" in found["one"]
-    assert "old" not in found["one"]
+    assert "former" not in found["one"]
     assert found["two"] == "kept\n"
     assert page.read_text().startswith("a\n<!-- figures one -->")
     with pytest.raises(KeyError):
