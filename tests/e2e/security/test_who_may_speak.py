@@ -82,6 +82,7 @@ def run_stranger(*arguments: object) -> str:
 def system(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Secured]:
     with Secured(tmp_path_factory.mktemp("secured")) as system:
         system.start_all()
+        system.assert_unharmed()
         yield system
         for name in (*AREAS, "plant", "router"):  # nobody has died meanwhile, and everybody ends in order
             assert system.end(name) == 0, system.said(name)

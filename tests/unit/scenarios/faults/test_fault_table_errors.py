@@ -24,7 +24,7 @@ def test_a_loss_that_is_no_probability_is_rejected(tmp_path: Path, loss: str) ->
 def test_a_load_error_of_an_unknown_area_is_rejected(tmp_path: Path) -> None:
     text = GOOD + "\n[faults.load_error.area9]\np_mw = 0.3\nq_mvar = 0.3\n"
     assert the_only(problems_of(tmp_path, text)) == (
-        "faults.load_error.area9: there is no area 'area9'; areas: area1, area2, area3"
+        "faults.load_error.area9: there is no area 'area9'; areas: area1, area2, area3; 'all' means each"
     )
 
 
