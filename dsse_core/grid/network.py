@@ -54,7 +54,8 @@ class Branch:
     """A line or transformer: series ``r + jx``, total charging ``b`` and leakage or iron losses ``g``, in p.u.
 
     Half of ``g + jb`` stands at each end. The tap stands at the from side, MATPOWER's convention: without load
-    ``v_to = v_from / (tap * exp(j * shift))``; ``shift`` in rad.
+    ``v_to = v_from / (tap * exp(j * shift))``; ``shift`` in rad. What it may carry, where that is known: ``i_max``, the
+    current at either end, or ``s_max``, the apparent power, p.u.
     """
 
     id: str
@@ -67,6 +68,9 @@ class Branch:
     shift: float = 0.0
     in_service: bool = True
     g: float = 0.0
+    name: str = ""
+    i_max: float | None = None
+    s_max: float | None = None
 
     def other_end(self, bus: int) -> int:
         return self.to_bus if bus == self.from_bus else self.from_bus
@@ -246,6 +250,9 @@ def _find_problems_of_buses_and_branches(network: Network) -> Iterable[str]:
             yield f"branch {branch.id}: r, x, b, g, tap or shift is not a finite number"
         elif branch.r == 0 and branch.x == 0:
             yield f"branch {branch.id} has no impedance; merge its two buses into one"
+        for rating in (branch.i_max, branch.s_max):
+            if rating is not None and not (math.isfinite(rating) and rating > 0):
+                yield f"branch {branch.id}: i_max or s_max is {rating}; a rating is positive, or is not given"
         if branch.tap <= 0:
             yield f"branch {branch.id}: tap is {branch.tap}; it must be positive (1.0 for a line)"
 

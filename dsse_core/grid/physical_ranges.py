@@ -34,6 +34,7 @@ REACTIVE_POWER = Range(-1e6, 1e6, "Mvar")
 IMPEDANCE = Range(-1e9, 1e9, "p.u.")
 ADMITTANCE = Range(-1e6, 1e6, "p.u.")
 TAP = Range(1e-2, 1e2, "")
+RATING = Range(1e-9, 1e9, "MVA")  # of a branch; other projects write 99999 kA for no limit
 ANGLE = Range(-720.0, 720.0, "degrees")
 VOLTAGE = Range(0.1, 10.0, "p.u.")
 LARGEST_BUS = 10**15  # exact in every message, as a float, too
@@ -45,7 +46,7 @@ def find_range_problems(network: Network) -> Iterator[str]:
     for bus in network.buses:
         yield from _of_bus(bus, network.base_mva)
     for branch in network.branches:
-        yield from _of_branch(branch)
+        yield from _of_branch(branch, network.base_mva)
     for generator in network.generators:
         yield from _of_source(generator, network.base_mva)
 
@@ -69,7 +70,7 @@ def _of_bus(bus: Bus, base: float) -> Iterator[str]:
     yield from REACTIVE_POWER.find_problem(f"{of}: susceptance of the shunt", bus.b_shunt * base)
 
 
-def _of_branch(branch: Branch) -> Iterator[str]:
+def _of_branch(branch: Branch, base: float) -> Iterator[str]:
     of = f"branch {branch.id}"
     yield from IMPEDANCE.find_problem(f"{of}: r", branch.r)
     yield from IMPEDANCE.find_problem(f"{of}: x", branch.x)
@@ -77,6 +78,9 @@ def _of_branch(branch: Branch) -> Iterator[str]:
     yield from ADMITTANCE.find_problem(f"{of}: g", branch.g)
     yield from TAP.find_problem(f"{of}: tap", branch.tap)
     yield from ANGLE.find_problem(f"{of}: phase shift", math.degrees(branch.shift))
+    for rating in (branch.i_max, branch.s_max):
+        if rating is not None:
+            yield from RATING.find_problem(f"{of}: rating", rating * base)
 
 
 def _of_source(generator: Generator, base: float) -> Iterator[str]:

@@ -1,0 +1,71 @@
+"""The table of branches: powers and currents at both ends, losses, loading."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dsse_core.grid.network import Network
+from dsse_core.results.flows import BranchModel, Flows
+from dsse_core.results.table import PHASE, Table
+from dsse_core.results.units import base_a, base_kw
+
+QUANTITIES = (
+    "p_from_kw",
+    "q_from_kvar",
+    "i_from_a",
+    "p_to_kw",
+    "q_to_kvar",
+    "i_to_a",
+    "loss_kw",
+    "loss_kvar",
+)
+"""Columns that have a standard deviation beside them, in the order of ``BranchSigmas``."""
+
+
+def make_branch_table(network: Network, branches: BranchModel, flows: Flows, sigmas: np.ndarray | None = None) -> Table:
+    """One row per branch, those out of service included; they carry nothing.
+
+    Powers and currents are positive into the branch at either end; a loss is what goes in and does not come out,
+    charging included. ``loading_percent``: the larger current of the two ends by ``i_max``, or the larger apparent
+    power by ``s_max``; nan where neither is known. ``sigmas`` (8, n_branch): standard deviations of ``QUANTITIES``,
+    p.u.; nan without them.
+    """
+    kw, a, all_of = base_kw(network), base_a(network), network.branches
+    a_from, a_to = a[branches.f], a[branches.t]
+    powers = flows.s_from * kw, flows.s_to * kw, flows.loss * kw
+    values = [
+        powers[0].real,
+        powers[0].imag,
+        abs(flows.i_from) * a_from,
+        powers[1].real,
+        powers[1].imag,
+        abs(flows.i_to) * a_to,
+        powers[2].real,
+        powers[2].imag,
+    ]
+    ones = np.ones(len(all_of))
+    units = [kw * ones, kw * ones, a_from, kw * ones, kw * ones, a_to, kw * ones, kw * ones]
+    deviations = np.full((len(QUANTITIES), len(all_of)), np.nan) if sigmas is None else sigmas
+    columns: dict[str, np.ndarray | list[str]] = {
+        "branch": [b.id for b in all_of],
+        "name": [b.name for b in all_of],
+        "from_bus": np.array([b.from_bus for b in all_of], dtype=np.int64),
+        "to_bus": np.array([b.to_bus for b in all_of], dtype=np.int64),
+        "phase": [PHASE] * len(all_of),
+        "in_service": branches.in_service,
+    }
+    columns |= dict(zip(QUANTITIES, values, strict=True))
+    columns["loading_percent"] = find_loading(network, flows)
+    columns |= {f"sigma_{q}": s * u for q, s, u in zip(QUANTITIES, deviations, units, strict=True)}
+    return Table("branches", columns)
+
+
+def find_loading(network: Network, flows: Flows) -> np.ndarray:
+    """Current or apparent power by its rating, percent, (n_branch,); nan where no rating is known."""
+    i_max, s_max = (
+        np.array([np.nan if (rating := getattr(b, key)) is None else rating for b in network.branches], dtype=float)
+        for key in ("i_max", "s_max")
+    )
+    current = np.maximum(abs(flows.i_from), abs(flows.i_to)) / i_max
+    power = np.maximum(abs(flows.s_from), abs(flows.s_to)) / s_max
+    return 100.0 * np.fmax(current, power)

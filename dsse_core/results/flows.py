@@ -1,0 +1,84 @@
+"""Currents and powers at both ends of every branch, and what every bus injects, from voltages; p.u."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dsse_core.grid.network import Branch, Network
+
+
+@dataclass(frozen=True)
+class BranchModel:
+    """All branches of a network as arrays, (n_branch,), in the order of ``network.branches``.
+
+    ``f``, ``t``: rows of their buses. ``yff``, ``yft``, ``ytf``, ``ytt``: admittances as in ``build_admittance``, of
+    branches in service; 0 of the others.
+    """
+
+    f: np.ndarray
+    t: np.ndarray
+    yff: np.ndarray
+    yft: np.ndarray
+    ytf: np.ndarray
+    ytt: np.ndarray
+    in_service: np.ndarray
+
+
+def build_branch_model(network: Network) -> BranchModel:
+    """The branches of ``network``, those out of service included."""
+    branches, row = network.branches, network.row
+    f = np.array([row[b.from_bus] for b in branches], dtype=np.int64)
+    t = np.array([row[b.to_bus] for b in branches], dtype=np.int64)
+    in_service = np.array([b.in_service for b in branches], dtype=bool)
+    r, x, g, b, tap, shift = np.array([_electric(b) for b in branches], dtype=float).reshape(-1, 6).T
+    ys = in_service / (r + 1j * x)
+    ytt = ys + in_service * 0.5 * (g + 1j * b)
+    ratio = tap * np.exp(1j * shift)
+    return BranchModel(f, t, ytt / tap**2, -ys / ratio.conj(), -ys / ratio, ytt, in_service)
+
+
+def _electric(b: Branch) -> tuple[float, ...]:
+    return b.r, b.x, b.g, b.b, b.tap, b.shift
+
+
+@dataclass(frozen=True)
+class Flows:
+    """``i_from``, ``i_to``, ``s_from``, ``s_to``: complex currents and powers into each branch at its two ends, p.u.,
+    (n_branch,); 0 where it is out of service, nan where a voltage is.
+    """
+
+    i_from: np.ndarray
+    i_to: np.ndarray
+    s_from: np.ndarray
+    s_to: np.ndarray
+
+    @property
+    def loss(self) -> np.ndarray:
+        """What goes in and does not come out, complex: series losses and charging."""
+        return np.asarray(self.s_from + self.s_to)
+
+
+def find_flows(branches: BranchModel, v_from: np.ndarray, v_to: np.ndarray) -> Flows:
+    """Of the complex voltages at the two ends of each branch, (n_branch,), p.u."""
+    there = branches.in_service
+    v_from, v_to = np.where(there, v_from, 0.0), np.where(there, v_to, 0.0)
+    i_from = branches.yff * v_from + branches.yft * v_to
+    i_to = branches.ytf * v_from + branches.ytt * v_to
+    return Flows(i_from, i_to, v_from * i_from.conj(), v_to * i_to.conj())
+
+
+def find_shunt_powers(network: Network, vm: np.ndarray) -> np.ndarray:
+    """What the shunt of each bus consumes, complex, (n_bus,), p.u.; ``vm`` (n_bus,)."""
+    shunt = np.array([complex(bus.g_shunt, -bus.b_shunt) for bus in network.buses], dtype=complex)
+    return np.where(shunt == 0, 0.0, shunt * vm**2)
+
+
+def find_injections(network: Network, branches: BranchModel, flows: Flows, vm: np.ndarray) -> np.ndarray:
+    """Generation minus load of each bus, complex, (n_bus,), p.u.: what goes into its branches and its shunt."""
+    n = len(network.buses)
+    s = find_shunt_powers(network, vm)
+    for end, power in ((branches.f, flows.s_from), (branches.t, flows.s_to)):
+        s = s + np.bincount(end, power.real, n) + 1j * np.bincount(end, power.imag, n)
+    return np.where(np.isnan(vm), np.nan, s)

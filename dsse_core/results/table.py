@@ -1,0 +1,134 @@
+"""A table of results: named columns of one length, which nobody can change."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from dsse_core.errors import InvalidInputError
+
+SHOWN_ROWS = 3
+SHOWN_COLUMNS = 6
+COLUMN = re.compile(r"[a-z][a-z0-9_]*")
+PHASE = "abc"  # of every row: the network is balanced, in positive sequence
+
+
+class Table:
+    """Columns by name: ``table.vm_pu`` and ``table["vm_pu"]``. ``len(table)``: the number of rows.
+
+    A column of numbers or truth values is an array of shape (len(table),), read-only; one of text a tuple of str. What
+    is unknown is nan among numbers and "" among texts. Column names end with their unit: ``p_kw``, ``va_deg``.
+    """
+
+    __slots__ = ("_columns", "_title")
+    _columns: dict[str, np.ndarray | tuple[str, ...]]
+    _title: str
+
+    def __init__(self, title: str, columns: Mapping[str, np.ndarray | Sequence[str]]) -> None:
+        """``title``: what the rows are, such as "branches"; ``columns``: copied.
+
+        Raises:
+            ValueError: columns of different lengths, of more than one dimension, or with names that are none.
+        """
+        kept = {name: _keep(name, column) for name, column in columns.items()}
+        if len({len(column) for column in kept.values()}) > 1:
+            lengths = ", ".join(f"{name} has {len(column)}" for name, column in kept.items())
+            raise ValueError(f"the columns of a table have one length; {lengths}")
+        object.__setattr__(self, "_title", title)
+        object.__setattr__(self, "_columns", kept)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The names of the columns, in their order."""
+        return tuple(self._columns)
+
+    def __getitem__(self, name: str) -> Any:
+        try:
+            return self._columns[name]
+        except KeyError:
+            raise KeyError(self._unknown(name)) from None
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):  # of a table that is being made, copied or unpickled
+            raise AttributeError(name)
+        try:
+            return self._columns[name]
+        except KeyError:
+            raise AttributeError(self._unknown(name)) from None
+
+    def __setattr__(self, name: str, value: object) -> None:
+        raise AttributeError(f"a table of results cannot be changed; {name} stays as it is")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Table, (self._title, self._columns)
+
+    def __dir__(self) -> list[str]:
+        return [*super().__dir__(), *self._columns]
+
+    def __len__(self) -> int:
+        return len(next(iter(self._columns.values()), ()))
+
+    def __repr__(self) -> str:
+        """The title, the size, all columns, and the first rows: ten lines at most."""
+        head = f"{self._title}: {len(self)} rows, {len(self._columns)} columns"
+        names = list(self._columns)
+        lines = [head, "  columns: " + _cut(", ".join(names), 900)]
+        shown = names[:SHOWN_COLUMNS]
+        more = " ..." if len(names) > len(shown) else ""
+        rows = [shown, *([_show(self._columns[n][k]) for n in shown] for k in range(min(SHOWN_ROWS, len(self))))]
+        widths = [max(len(row[c]) for row in rows) for c in range(len(shown))]
+        lines += ["  " + "  ".join(map(str.rjust, row, widths)) + more for row in rows]
+        if len(self) > SHOWN_ROWS:
+            lines.append(f"  ... and {len(self) - SHOWN_ROWS} rows more")
+        return "\n".join(lines)
+
+    def rows(self) -> Iterator[tuple[Any, ...]]:
+        """The rows, in order: tuples of int, float, bool and str, as the columns are."""
+        return zip(*(_as_list(column) for column in self._columns.values()), strict=True)
+
+    def to_pandas(self) -> Any:
+        """A ``pandas.DataFrame`` with the same columns, which may be changed.
+
+        Raises:
+            InvalidInputError: pandas is not installed.
+        """
+        try:
+            import pandas
+        except ImportError:
+            raise InvalidInputError("to_pandas", ["pandas is not installed; `pip install pandas`"]) from None
+        return pandas.DataFrame({name: _as_own(column) for name, column in self._columns.items()})
+
+    def _unknown(self, name: str) -> str:
+        return f"the table of {self._title} has no column {name!r}; it has {', '.join(self._columns)}"
+
+
+def _keep(name: str, column: np.ndarray | Sequence[str]) -> np.ndarray | tuple[str, ...]:
+    if not COLUMN.fullmatch(name) or hasattr(Table, name):
+        raise ValueError(f"a column of a table cannot be called {name!r}")
+    if not isinstance(column, np.ndarray):
+        return tuple(map(str, column))
+    kept = column.copy()
+    if kept.ndim != 1:
+        raise ValueError(f"column {name} has the shape {kept.shape}; a column has one dimension")
+    kept.flags.writeable = False
+    return kept
+
+
+def _as_list(column: np.ndarray | tuple[str, ...]) -> Sequence[Any]:
+    return column if isinstance(column, tuple) else column.tolist()
+
+
+def _as_own(column: np.ndarray | tuple[str, ...]) -> Any:
+    return list(column) if isinstance(column, tuple) else column.copy()
+
+
+def _show(value: Any) -> str:
+    text = f"{value:.6g}" if isinstance(value, float) else str(value)
+    return _cut(ascii(text)[1:-1], 24)
+
+
+def _cut(text: str, longest: int) -> str:
+    return text if len(text) <= longest else text[: longest - 3] + "..."

@@ -1,0 +1,22 @@
+"""From p.u. and rad to what instruments show: kV between lines, three-phase kW and kvar, A in each line, degrees."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dsse_core.grid.network import Network
+
+
+def base_kw(network: Network) -> float:
+    """What 1 p.u. of power is: kW, kvar or kVA."""
+    return 1000.0 * network.base_mva
+
+
+def base_kv(network: Network) -> np.ndarray:
+    """What 1 p.u. of voltage is at each bus, kV between lines, shape (n_bus,)."""
+    return np.array([bus.base_kv for bus in network.buses], dtype=float)
+
+
+def base_a(network: Network) -> np.ndarray:
+    """What 1 p.u. of current is at each bus, A: ``S_base / (sqrt(3) V_base)``, shape (n_bus,)."""
+    return np.asarray(base_kw(network) / (np.sqrt(3.0) * base_kv(network)))
