@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 from types import ModuleType
+from typing import NamedTuple
 
 import numpy as np
 
@@ -83,10 +84,26 @@ def _load_compiled() -> ModuleType:
     return radial_iteration
 
 
-def find_radial_variances(
-    plan: RadialPlan, sigmas: np.ndarray, vm: np.ndarray, va: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """diag of the covariance of x = [va; vm], shape (2 n_bus,), network order, and diag(Omega), (n_meas,)."""
+class RadialInverse(NamedTuple):
+    """The selected inverse of a tree, in tree order; ``radial.kernel`` says what the letters are.
+
+    ``weights`` (n_bus, 10): variances of injections, -1 without a meter, and weights of other meters. ``X``
+    (n_bus, 4, 4): D^-1 U. ``T``, ``Z`` (n_bus, 2, 2): x = T x_p + Z f. ``S`` (n_bus, 4, 4): blocks of the inverse at
+    (lam, x). ``state`` (n_bus, 2), ``omega`` (n_bus, 10): variances of va and vm, and of the residuals. X, T, Z are 0
+    at the root.
+    """
+
+    weights: np.ndarray
+    X: np.ndarray
+    T: np.ndarray
+    Z: np.ndarray
+    S: np.ndarray
+    state: np.ndarray
+    omega: np.ndarray
+
+
+def invert_radial(plan: RadialPlan, sigmas: np.ndarray, vm: np.ndarray, va: np.ndarray) -> RadialInverse:
+    """Of the information that meters with ``sigmas`` (n_meas,) give at the state vm, va (n_bus,), network order."""
     from dsse_core.radial import inverse as radial_inverse
     from dsse_core.radial import iteration as radial_iteration
     from dsse_core.radial import kernel as radial_kernel
@@ -97,7 +114,19 @@ def find_radial_variances(
     radial_iteration.store(plan.slot, sigmas, sigmas, z, w)  # whatever was read
     work = radial_kernel.Work.of(n)
     radial_kernel.eliminate(plan.parent, plan.admittance, z, w, v, va_in_order, True, radial_kernel.INVERT, *work)
-    in_order, omega, _ = radial_inverse.find_variances(plan.parent, plan.admittance, w, v, *work[2:5], True)
-    state = np.empty((2, n))
-    state[:, plan.order] = in_order.T
-    return state.ravel(), omega.ravel()[plan.slot]
+    state, omega, S = radial_inverse.find_variances(plan.parent, plan.admittance, w, v, *work[2:5], True)
+    work.factor[0] = 0.0
+    t0, t1, qr, qi = work.factor[:, 20:].T
+    T, Z = np.zeros((n, 2, 2)), np.stack([-qi, -qr, qr, -qi], axis=1).reshape(n, 2, 2)
+    T[1:, 0, 0], T[:, 0, 1], T[:, 1, 1] = 1.0, t0, t1
+    return RadialInverse(w, work.factor[:, :16].reshape(n, 4, 4), T, Z, S, state, omega)
+
+
+def find_radial_variances(
+    plan: RadialPlan, sigmas: np.ndarray, vm: np.ndarray, va: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """diag of the covariance of x = [va; vm], shape (2 n_bus,), network order, and diag(Omega), (n_meas,)."""
+    inverse = invert_radial(plan, sigmas, vm, va)
+    state = np.empty((2, len(vm)))
+    state[:, plan.order] = inverse.state.T
+    return state.ravel(), inverse.omega.ravel()[plan.slot]

@@ -19,7 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
-from dsse_core.matrices.selected_inverse import find_inverse_diagonal
+from dsse_core.matrices.selected_inverse import find_inverse_diagonal, find_inverse_entries
 
 PIVOT_SCALE = 1e-3  # median of the scaled a R; anything from 1 to 1e-6 works, with fewer digits at the ends
 LARGEST_DAMPING = 1e-6  # of the scaled tableau
@@ -38,15 +38,15 @@ class AugmentedPattern:
     """Where the entries of the tableau stand, the same for all ``H`` with one pattern.
 
     ``order`` (n_meas + n_state,): the tableau's rows in the order of elimination; SuperLU's COLAMD without it.
+    ``place`` (n_meas + n_state,): where each row of the tableau is in that order.
     """
 
     def __init__(self, H: sp.csr_array, order: np.ndarray | None = None) -> None:
         self.order = order
         self.row = _row_of_entries(H)
         self._size = sum(H.shape)
-        place = np.arange(self._size)
+        self.place = place = np.arange(self._size)
         if order is not None:
-            place = np.empty(self._size, dtype=np.int64)
             place[order] = np.arange(self._size)
         row, column = place[self.row], place[H.shape[0] + H.indices]
         rows, columns = np.concatenate([place, row, column]), np.concatenate([place, column, row])
@@ -159,6 +159,29 @@ class AugmentedFactor:
     def state_variance(self) -> np.ndarray:
         """diag(G^-1), shape (n_state,)."""
         return self._diagonal(self._n_meas, self._n_state) / -self._a
+
+    def covariance_at(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """The entries (rows[k], columns[k]) of G^-1, shape (k,)."""
+        rows, columns = self._n_meas + np.asarray(rows), self._n_meas + np.asarray(columns)
+        found = None
+        if len(self._scale) >= FEWEST_SELECTED:
+            place = self._pattern.place
+            factor = self._pattern.factor(self._tableau, exact=True)
+            found = find_inverse_entries(self._tableau, factor, place[rows], place[columns])
+        if found is None:
+            return self._solve_entries(rows, columns) / -self._a
+        return np.asarray(self._scale[rows] * found * self._scale[columns] / -self._a)
+
+    def _solve_entries(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Entries of the inverse of the tableau, a solution for each of the ``columns``."""
+        entries, (of_column, which) = np.empty(len(rows)), np.unique(columns, return_inverse=True)
+        for first in range(0, len(of_column), BLOCK):
+            block = of_column[first : first + BLOCK]
+            unit = np.zeros((len(self._scale), len(block)))
+            unit[block, np.arange(len(block))] = 1.0
+            here = np.flatnonzero((which >= first) & (which < first + len(block)))
+            entries[here] = self._solve(unit)[rows[here], which[here] - first]
+        return entries
 
     def residual_variance(self) -> np.ndarray:
         """diag(Omega), ``Omega = R - H G^-1 H'`` (eq. 3.22), shape (n_meas,); found without that cancellation."""

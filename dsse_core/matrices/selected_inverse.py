@@ -1,4 +1,4 @@
-"""The diagonal of the inverse of a sparse matrix from its LU factors, in about the time of the factorisation.
+"""Entries of the inverse of a sparse matrix from its LU factors, in about the time of the factorisation.
 
 Of ``Z = (L U)^-1`` the entries at the transposed places of L + U follow from one another, from the last pivot to the
 first, and from no others (Erisman and Tinney, On computing certain elements of the inverse of a sparse matrix,
@@ -15,17 +15,21 @@ WRONG = 1e-9  # by which a row of Z times a column of A may miss 1
 MOST_PRODUCTS = 20_000_000  # of entries of L and U; about 1 GiB
 
 
-def find_inverse_diagonal(A: sp.csc_array, lu: spla.SuperLU) -> np.ndarray | None:
-    """diag(A^-1), shape (n,), from the factors of ``A``; None where they are too full, or not accurate enough."""
+def find_inverse_entries(A: sp.csc_array, lu: spla.SuperLU, rows: np.ndarray, columns: np.ndarray) -> np.ndarray | None:
+    """The entries (rows[k], columns[k]) of A^-1, shape (k,), from the factors of ``A``.
+
+    None where the factors are too full, or not accurate enough. Entries far from those of A and its factors make them
+    fuller.
+    """
     n = A.shape[0]
     row_of, column_of = lu.perm_r.astype(np.int64), lu.perm_c.astype(np.int64)
     entries = A.tocoo()
     entries.eliminate_zeros()
     there = row_of[entries.coords[0]] * n + column_of[entries.coords[1]]
-    diagonal = row_of * n + column_of
+    wanted = row_of[columns] * n + column_of[rows]
     lower, upper = sp.coo_array(lu.L), sp.coo_array(lu.U)
     in_lower, in_upper = _places(lower), _places(upper)
-    places = _Places.closed(_sort([in_lower, in_upper, there, diagonal]), n)
+    places = _Places.closed(_sort([in_lower, in_upper, there, wanted]), n)
     if places is None:
         return None
     value = np.zeros(len(places.key))
@@ -35,7 +39,13 @@ def find_inverse_diagonal(A: sp.csc_array, lu: spla.SuperLU) -> np.ndarray | Non
     of_rows = np.bincount(entries.coords[1], Z[places.find(there)] * entries.data, n)
     if not abs(of_rows - 1).max() <= WRONG:
         return None
-    return np.asarray(Z[places.find(diagonal)])
+    return np.asarray(Z[places.find(wanted)])
+
+
+def find_inverse_diagonal(A: sp.csc_array, lu: spla.SuperLU) -> np.ndarray | None:
+    """diag(A^-1), shape (n,), from the factors of ``A``; None where they are too full, or not accurate enough."""
+    everywhere = np.arange(A.shape[0])
+    return find_inverse_entries(A, lu, everywhere, everywhere)
 
 
 class _Places:

@@ -68,4 +68,4 @@ def find_loading(network: Network, flows: Flows) -> np.ndarray:
     )
     current = np.maximum(abs(flows.i_from), abs(flows.i_to)) / i_max
     power = np.maximum(abs(flows.s_from), abs(flows.s_to)) / s_max
-    return 100.0 * np.fmax(current, power)
+    return np.asarray(100.0 * np.fmax(current, power))

@@ -14,7 +14,7 @@ class BranchModel:
     """All branches of a network as arrays, (n_branch,), in the order of ``network.branches``.
 
     ``f``, ``t``: rows of their buses. ``yff``, ``yft``, ``ytf``, ``ytt``: admittances as in ``build_admittance``, of
-    branches in service; 0 of the others.
+    branches in service; 0 of the others. ``det``: ``yff ytt - yft ytf``, found without that cancellation.
     """
 
     f: np.ndarray
@@ -23,6 +23,7 @@ class BranchModel:
     yft: np.ndarray
     ytf: np.ndarray
     ytt: np.ndarray
+    det: np.ndarray
     in_service: np.ndarray
 
 
@@ -34,9 +35,10 @@ def build_branch_model(network: Network) -> BranchModel:
     in_service = np.array([b.in_service for b in branches], dtype=bool)
     r, x, g, b, tap, shift = np.array([_electric(b) for b in branches], dtype=float).reshape(-1, 6).T
     ys = in_service / (r + 1j * x)
-    ytt = ys + in_service * 0.5 * (g + 1j * b)
-    ratio = tap * np.exp(1j * shift)
-    return BranchModel(f, t, ytt / tap**2, -ys / ratio.conj(), -ys / ratio, ytt, in_service)
+    end = in_service * 0.5 * (g + 1j * b)
+    ytt, ratio = ys + end, tap * np.exp(1j * shift)
+    det = end * (2 * ys + end) / tap**2
+    return BranchModel(f, t, ytt / tap**2, -ys / ratio.conj(), -ys / ratio, ytt, det, in_service)
 
 
 def _electric(b: Branch) -> tuple[float, ...]:

@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+
 from dsse_core.errors import InvalidInputError
 from dsse_core.results.table import Table
 

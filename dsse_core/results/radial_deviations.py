@@ -1,0 +1,95 @@
+"""Covariances of what follows from the state of a tree, from its selected inverse; letters as in ``radial.kernel``.
+
+Given the multipliers and the voltage of a bus, z = (lam, x), the powers into the branches below it are independent of
+each other: ``f_c = -X_c z`` and a rest with the covariance ``V_c = (D_c^-1)_ff``. So the sum of any of them has the
+covariance ``sum V_c + (sum X_c) S (sum X_c)'``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dsse_core.estimation.radial import RadialInverse, invert_radial
+from dsse_core.radial.plan import RadialPlan
+from dsse_core.results.branch_variances import BranchGradients
+from dsse_core.results.flows import BranchModel
+
+
+class RadialDeviations:
+    """Covariances on the tree of ``plan`` at the state vm, va (n_bus,), network order; ``sigmas`` (n_meas,)."""
+
+    def __init__(
+        self, plan: RadialPlan, branches: BranchModel, sigmas: np.ndarray, vm: np.ndarray, va: np.ndarray
+    ) -> None:
+        self._plan, self._vm = plan, vm
+        self._inverse = inverse = invert_radial(plan, sigmas, vm, va)
+        number = np.empty(len(vm), dtype=np.int64)
+        number[plan.order] = np.arange(len(vm))
+        f, t = number[branches.f], number[branches.t]
+        self.at_from = plan.parent[t] == f  # of branches in service: whether the from side is above
+        self._child = np.where(self.at_from, t, f)[branches.in_service]
+        self._branch = np.flatnonzero(branches.in_service)
+        S = inverse.S[plan.parent]
+        self._XS = inverse.X @ S
+        self._ff = self._XS[:, 2:] @ inverse.X[:, 2:].transpose(0, 2, 1) + inverse.X[:, 2:, :2]
+
+    def of_branches(self, n_branch: int) -> np.ndarray:
+        """Covariance of p, q and ln u at the end above of each branch, (n_branch, 3, 3); 0 out of service."""
+        child = self._child
+        covariance = np.zeros((n_branch, 3, 3))
+        of_child = np.empty((len(child), 3, 3))
+        of_child[:, :2, :2] = self._ff[child]
+        of_child[:, :2, 2] = of_child[:, 2, :2] = -self._XS[child][:, 2:, 3]
+        of_child[:, 2, 2] = self._inverse.S[self._plan.parent[child], 3, 3]
+        covariance[self._branch] = of_child
+        return covariance
+
+    def of_injections(self, gradients: BranchGradients) -> np.ndarray:
+        """Variances of P and Q that the buses inject, (2, n_bus), network order, p.u."""
+        plan, inverse = self._plan, self._inverse
+        n, R = len(plan.parent), inverse.weights[:, 2:4]
+        metered = R - inverse.omega[:, 2:4]
+        found = np.empty((2, n))
+        found[:, plan.order] = np.maximum(np.where(R >= 0, metered, self._without_meter(gradients)), 0.0).T
+        return found
+
+    def _without_meter(self, gradients: BranchGradients) -> np.ndarray:
+        """Variances of the sum of what goes into the branches below a bus, into that above it and into its shunt."""
+        plan, S = self._plan, self._inverse.S
+        n = len(plan.parent)
+        X, V = np.zeros((n, 2, 4)), np.zeros((n, 2))
+        below, above = np.arange(1, n), plan.parent[1:]
+        np.add.at(X, above, self._inverse.X[below, 2:])
+        np.add.at(V, above, np.stack([self._inverse.X[below, 2, 0], self._inverse.X[below, 3, 1]], axis=1))
+        XS = X @ S
+        shunt = 2 * plan.admittance[:, 7] * self._vm[plan.order] ** 2
+        h = np.stack([shunt.real, shunt.imag], axis=1)
+        own, own_z = self._at_own_end(gradients)
+        total = own + V + np.einsum("nij,nij->ni", XS, X) + h**2 * S[:, 3, 3][:, None]
+        total += 2 * (h * (own_z[:, :, 3] - XS[:, :, 3]) - np.einsum("nij,nij->ni", own_z, X))
+        return np.asarray(total)
+
+    def _at_own_end(self, gradients: BranchGradients) -> tuple[np.ndarray, np.ndarray]:
+        """Of the powers into the branch above each bus, at the bus: variances, (n_bus, 2), and the covariance with z of
+        the bus, (n_bus, 2, 4); 0 at the root.
+        """
+        n, child = len(self._plan.parent), self._child
+        far = gradients.far[self._branch]
+        G = np.zeros((n, 2, 3))
+        G[child] = np.stack([far.real, far.imag], axis=1)
+        C = np.zeros((n, 3, 3))
+        C[child] = self.of_branches(len(gradients.far))[self._branch]
+        return np.einsum("nij,njk,nik->ni", G, C, G), G @ self._with_z(C)
+
+    def _with_z(self, C: np.ndarray) -> np.ndarray:
+        """Covariance of (f, dvm_p / vm_p) of each bus with its own z = (lam, x), (n_bus, 3, 4)."""
+        inverse, X, XS = self._inverse, self._inverse.X, self._XS
+        T, Z = inverse.T.transpose(0, 2, 1), inverse.Z.transpose(0, 2, 1)
+        found = np.empty((len(X), 3, 4))
+        found[:, :2, :2] = XS[:, 2:] @ X[:, :2].transpose(0, 2, 1) + X[:, :2, :2].transpose(0, 2, 1)
+        found[:, 2, :2] = -XS[:, :2, 3]
+        with_parent = -XS[:, 2:, 2:], inverse.S[self._plan.parent, 3, 2:][:, None]
+        found[:, :2, 2:] = with_parent[0] @ T + self._ff @ Z
+        found[:, 2:, 2:] = with_parent[1] @ T + C[:, 2:, :2] @ Z
+        found[:, :, :2] *= (inverse.weights[:, 2:4] >= 0)[:, None]  # no meter, no multiplier
+        return found

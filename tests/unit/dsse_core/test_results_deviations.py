@@ -1,0 +1,182 @@
+"""Standard deviations of flows, currents, losses and injections are those of dense linear algebra, and of samples."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.linalg
+from grids import MeterShares, make_grid
+
+from dsse_core.estimation.estimator import estimate_state
+from dsse_core.grid.admittance import build_admittance
+from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
+from dsse_core.grid.measurement_model import build_measurement_model
+from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
+from dsse_core.power_flow.newton_raphson import solve_power_flow
+from dsse_core.results.deviations import Deviations, find_deviations
+from dsse_core.results.flows import build_branch_model, find_flows, find_injections
+
+Kind = MeasurementKind
+OF_END = (Kind.P_FLOW, Kind.Q_FLOW, Kind.CURRENT)
+
+
+def dense_covariance(result) -> np.ndarray:
+    """Of x = [va; vm]: the inverse of the information in the null space of the constraints and the reference."""
+    exact = result.sigmas == 0
+    H = result.jacobian.toarray()
+    basis = scipy.linalg.null_space(H[exact]) if exact.any() else np.eye(H.shape[1])
+    weighted = H[~exact] @ basis / result.sigmas[~exact, None]
+    root = np.linalg.qr(weighted, mode="r")
+    half = scipy.linalg.solve_triangular(root, basis.T, trans="T")
+    covariance = np.zeros((2 * len(result.vm), 2 * len(result.vm)))
+    covariance[np.ix_(result.free, result.free)] = half.T @ half
+    return covariance
+
+
+def dense_deviations(result) -> Deviations:
+    network, x = result.network, np.r_[result.va, result.vm]
+    admittance, C = build_admittance(network), dense_covariance(result)
+
+    def rows_of(meters):
+        return build_measurement_model(network, admittance, meters).jacobian(x).toarray()
+
+    def sigma_of(H):
+        return np.sqrt(np.maximum(np.einsum("ki,ij,kj->k", H, C, H), 0.0))
+
+    active = network.active_branches
+    ends = [[rows_of([Meter(k, bus(b), b.id) for b in active]) for k in OF_END] for bus in (from_of, to_of)]
+    rows = [*ends[0], *ends[1], ends[0][0] + ends[1][0], ends[0][1] + ends[1][1]]
+    branches = np.zeros((8, len(network.branches)))
+    branches[:, [b.in_service for b in network.branches]] = [sigma_of(H) for H in rows]
+    injections = [
+        sigma_of(rows_of([Meter(k, bus.id) for bus in network.buses])) for k in (Kind.P_INJECTION, Kind.Q_INJECTION)
+    ]
+    va, vm = np.split(np.sqrt(np.diag(C)), 2)
+    return Deviations(vm, va, branches, np.array(injections))
+
+
+def from_of(branch):
+    return branch.from_bus
+
+
+def to_of(branch):
+    return branch.to_bus
+
+
+def assert_dense(result, rtol=1e-6):
+    found, expected = find_deviations(result), dense_deviations(result)
+    for key in ("vm", "va", "branches", "injections"):
+        ours, theirs = getattr(found, key), getattr(expected, key)
+        ours = np.where(np.isnan(ours), theirs, ours)  # a current that does not flow
+        largest = (theirs**2).max()  # variances: of what is exact, dense algebra leaves round-off
+        np.testing.assert_allclose(ours**2, theirs**2, rtol=rtol, atol=1e-10 * largest, err_msg=key)
+
+
+def readings_of(network, meters, rng, sigma=0.01):
+    truth = solve_power_flow(network)
+    size = 0.1 * abs(truth.injection).max()
+    found = []
+    for meter, value in zip(meters, truth.read_all(meters), strict=True):
+        if meter.source is Source.VIRTUAL:
+            found.append(Measurement(meter, 0.0, 0.0))
+        else:
+            s = sigma * (size if meter.kind not in (Kind.VM, Kind.VA) else 0.2) * rng.uniform(0.5, 2)
+            found.append(Measurement(meter, value + s * rng.standard_normal(), s))
+    return found
+
+
+def some_meters(network, rng, injected=0.5):
+    """Flows at one end of every branch, so that injections need no meter; some of P alone, or of Q, or exact."""
+    meters = [Meter(Kind.VM, network.slack.bus)]
+    for b in network.active_branches:
+        end = b.from_bus if rng.random() < 0.5 else b.to_bus
+        meters += [Meter(kind, end, b.id) for kind in OF_END[:2]]
+        meters += [Meter(Kind.CURRENT, end, b.id)] if rng.random() < 0.2 else []
+    for bus in network.buses:
+        passive = network.scheduled_injection(bus.id) == 0 and bus.id != network.slack.bus
+        for kind in (Kind.P_INJECTION, Kind.Q_INJECTION):
+            if rng.random() < injected:
+                meters.append(Meter(kind, bus.id, source=Source.VIRTUAL if passive else Source.PSEUDO))
+        if rng.random() < 0.2 and bus.id != network.slack.bus:
+            meters.append(Meter(Kind.VM, bus.id))
+    return meters
+
+
+@pytest.mark.random_cases(few=6, many=60)
+def test_derived_deviations_are_the_dense_ones_on_random_grids(random_seed, backend):
+    rng = np.random.default_rng(random_seed)
+    loops = 0 if backend == "radial" else int(rng.integers(0, 6))
+    n_bus = int(rng.integers(3, 60))
+    network = make_grid(
+        random_seed, n_bus, 1, rng.random(), 1.0, loops, 0.2, None, bool(rng.random() < 0.5), MeterShares()
+    ).network
+    meters = some_meters(network, rng)
+    assert_dense(estimate_state(network, readings_of(network, meters, rng), backend=backend))
+
+
+def test_derived_deviations_are_the_dense_ones_where_branches_are_of_every_kind(rich, backend):
+    rng = np.random.default_rng(5)
+    for injected in (0.0, 0.5, 1.0):
+        result = estimate_state(rich, readings_of(rich, some_meters(rich, rng, injected), rng), backend=backend)
+        assert_dense(result)
+        off = [not b.in_service for b in rich.branches]
+        assert (find_deviations(result).branches[:, off] == 0).all()
+
+
+@pytest.mark.parametrize("n", [250])
+def test_many_buses_take_the_selected_inverse_and_agree(n, chain, backend):
+    rng = np.random.default_rng(1)
+    network = chain(n)
+    assert_dense(estimate_state(network, readings_of(network, some_meters(network, rng), rng), backend=backend))
+
+
+def test_a_short_branch_does_not_blow_up_its_deviations(chain, backend):
+    """Flows through 1e-6 p.u. are differences of equal numbers where they come from voltages at both ends."""
+    network = chain(12)
+    branches = tuple(replace(b, r=1e-6, x=1e-6) if b.id == "6-7" else b for b in network.branches)
+    short = replace(network, branches=branches)
+    meters = [Meter(Kind.VM, 1), *(Meter(k, bus) for bus in range(2, 13) for k in (Kind.P_INJECTION, Kind.Q_INJECTION))]
+    rng = np.random.default_rng(2)
+    measurements = readings_of(short, meters, rng)
+    deviations = find_deviations(estimate_state(short, measurements, backend=backend))
+    sigma = {m.meter.id: m.sigma for m in measurements}
+    loads = math.hypot(*(sigma[f"p_injection@{bus}"] for bus in range(7, 13)))
+    at = [b.id for b in short.branches].index("6-7")
+    assert deviations.branches[3, at] == pytest.approx(loads, rel=0.02)  # what goes on is the loads beyond, and losses
+    neighbours = deviations.branches[:, [at - 1, at + 1]]
+    assert (deviations.branches[:6, at] < 1.01 * neighbours[:6].max(axis=1)).all()
+
+
+def test_a_branch_that_carries_nothing_has_no_deviation_of_its_current(backend):
+    buses = tuple(Bus(k, 10.0, p_load=0.1 * (k < 3)) for k in (1, 2, 3))
+    branches = (Branch("1-2", 1, 2, 0.01, 0.02), Branch("2-3", 2, 3, 0.01, 0.02))
+    network = Network("dead end", 1.0, buses, branches, (Generator(1, Control.SLACK),))
+    exact = [Meter(k, 3, source=Source.VIRTUAL) for k in (Kind.P_INJECTION, Kind.Q_INJECTION)]
+    meters = [Meter(Kind.VM, 1), Meter(Kind.P_INJECTION, 2), Meter(Kind.Q_INJECTION, 2), *exact]
+    result = estimate_state(network, readings_of(network, meters, np.random.default_rng(1)), backend=backend)
+    found = find_deviations(result).branches[:, 1]
+    assert np.isnan(found[[2, 5]]).all()
+    np.testing.assert_allclose(found[[0, 1, 3, 4]], 0.0, atol=1e-9)
+
+
+def test_deviations_agree_with_10000_samples(rich):
+    """Linearised once: samples of the state are passed through the equations of the flows themselves."""
+    rng = np.random.default_rng(3)
+    result = estimate_state(rich, readings_of(rich, some_meters(rich, rng), rng, sigma=1e-4), backend="sparse")
+    C = dense_covariance(result)
+    x = rng.multivariate_normal(np.r_[result.va, result.vm], C, size=10_000, method="svd")
+    va, vm = np.split(x, 2, axis=1)
+    model = build_branch_model(rich)
+    v = vm * np.exp(1j * va)
+    samples = []
+    for k in range(len(x)):
+        flows = find_flows(model, v[k, model.f], v[k, model.t])
+        s = find_injections(rich, model, flows, vm[k])
+        ends = [(q.real, q.imag, abs(i)) for q, i in ((flows.s_from, flows.i_from), (flows.s_to, flows.i_to))]
+        samples.append(np.concatenate([*ends[0], *ends[1], flows.loss.real, flows.loss.imag, s.real, s.imag]))
+    found = find_deviations(result)
+    ours = np.concatenate([found.branches.ravel(), found.injections.ravel()])
+    theirs = np.std(samples, axis=0)
+    error = 5 / math.sqrt(2 * len(x))  # five standard deviations of a sampled one
+    np.testing.assert_allclose(theirs, ours, rtol=error, atol=1e-8)
