@@ -1,6 +1,6 @@
 """Variances of all that a branch carries, from the covariance of power and voltage at one of its ends.
 
-With the power ``S = p + j q`` into the branch and the voltage ``u`` at end k, and o the other end, angles counted from k:
+With the power ``S = p + j q`` into the branch and the voltage ``u`` at end k, o the other end, angles from k:
 
 ``v_o = (conj(S) / u - ykk u) / yko``, ``i_o = yoo conj(S) / (yko u) - det u / yko``, ``s_o = v_o conj(i_o)``.
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dsse_core.estimation.radial import RadialInverse, invert_radial
+from dsse_core.estimation.radial import invert_radial
 from dsse_core.radial.plan import RadialPlan
 from dsse_core.results.branch_variances import BranchGradients
 from dsse_core.results.flows import BranchModel

@@ -1,7 +1,7 @@
 """Covariances of what follows from the state, on sparse matrices: each quantity is a state variable of its own.
 
-A power y = h(x) joins the tableau as an unknown with the constraint ``H_y dx - dy = 0``. Its variance is then a pivot of
-the elimination like that of a voltage, and no difference of large numbers.
+A power y = h(x) joins the tableau as an unknown with the constraint ``H_y dx - dy = 0``. Elimination then finds its
+variance as that of a voltage, and not as a difference of large numbers.
 """
 
 from __future__ import annotations

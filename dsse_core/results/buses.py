@@ -1,0 +1,53 @@
+"""The table of buses: voltages in p.u. and kV, angles in degrees, what each bus injects."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from dsse_core.results.state import GridState
+from dsse_core.results.table import PHASE, Table
+from dsse_core.results.units import base_kv, base_kw
+
+COMPARED = ("true", "centralised", "decentralised")
+"""The voltages that stand beside each other, where they are known."""
+
+
+def make_bus_table(
+    state: GridState,
+    areas: Sequence[str],
+    compared: Mapping[str, tuple[np.ndarray, np.ndarray]],
+    sigma_vm: np.ndarray,
+    sigma_va: np.ndarray,
+    sigma_injection: np.ndarray,
+) -> Table:
+    """One row per bus. ``vm_pu``, ``va_deg``, ``p_kw``, ``q_kvar`` are those of ``state``, positive into the network.
+
+    ``areas`` (n_bus,): who owns each bus. ``compared``: of COMPARED those known, vm and va (n_bus,), p.u. and rad. The
+    standard deviations are in p.u. and rad, (n_bus,) and, of P and Q, (2, n_bus).
+    """
+    network, n = state.network, len(state.vm)
+    kv, kw, unknown = base_kv(network), base_kw(network), np.full(n, np.nan)
+    columns: dict[str, np.ndarray | Sequence[str]] = {
+        "bus": np.array([bus.id for bus in network.buses], dtype=np.int64),
+        "area": areas,
+    }
+    for which in COMPARED:
+        vm, va = compared.get(which, (unknown, unknown))
+        columns |= {f"{which}_vm_pu": vm, f"{which}_va_deg": np.degrees(va)}
+    columns |= {
+        "sigma_vm_pu": sigma_vm,
+        "sigma_va_deg": np.degrees(sigma_va),
+        "name": [bus.name for bus in network.buses],
+        "phase": [PHASE] * n,
+        "vm_pu": state.vm,
+        "va_deg": np.degrees(state.va),
+        "vm_kv": state.vm * kv,
+        "p_kw": state.injection.real * kw,
+        "q_kvar": state.injection.imag * kw,
+        "sigma_vm_kv": sigma_vm * kv,
+        "sigma_p_kw": sigma_injection[0] * kw,
+        "sigma_q_kvar": sigma_injection[1] * kw,
+    }
+    return Table("buses", columns)

@@ -1,0 +1,128 @@
+"""All tables of an estimate or of a power flow."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dsse_core.estimation.bad_data import BadDataReport, find_critical
+from dsse_core.estimation.estimator import EstimationResult
+from dsse_core.grid.measurement import Measurement, Meter
+from dsse_core.grid.network import Network
+from dsse_core.grid.partition import Partition
+from dsse_core.power_flow.newton_raphson import PowerFlowResult
+from dsse_core.results.areas import division_of, make_area_table, whole_network
+from dsse_core.results.branches import make_branch_table
+from dsse_core.results.buses import make_bus_table
+from dsse_core.results.deviations import Deviations, find_deviations
+from dsse_core.results.meters import make_meter_table
+from dsse_core.results.state import GridState, find_state
+from dsse_core.results.table import Table
+
+Compared = Mapping[str, tuple[np.ndarray, np.ndarray]]
+MoreColumns = Mapping[str, np.ndarray | Sequence[str]]
+
+
+@dataclass(frozen=True)
+class Results:
+    """Tables of one state, all of the same layout whatever it comes from."""
+
+    buses: Table
+    branches: Table
+    meters: Table
+    areas: Table
+
+
+@dataclass(frozen=True)
+class MeterReadings:
+    """What ``make_meter_table`` shows beside the state; arrays (n_meas,), nan where there is nothing."""
+
+    meters: Sequence[Meter]
+    values: np.ndarray
+    sigmas: np.ndarray
+    residual_variance: np.ndarray
+    removed: Mapping[str, float]
+    critical: Collection[str]
+
+
+def results_of_estimate(
+    found: EstimationResult | BadDataReport,
+    *,
+    partition: Partition | None = None,
+    meters: Sequence[Meter] | None = None,
+    truth: PowerFlowResult | None = None,
+) -> Results:
+    """The tables of a centralised estimate, with standard deviations of all quantities.
+
+    Args:
+        partition: the areas to add up; the whole network is one area, called "", without it.
+        meters: to be shown, in this order, silent ones included; without them the estimate's and the removed ones.
+        truth: to stand beside the estimate.
+    """
+    result = found.result if isinstance(found, BadDataReport) else found
+    state = find_state(result.network, result.vm, result.va)
+    compared = {"centralised": (result.vm, result.va)} | ({"true": (truth.vm, truth.va)} if truth else {})
+    deviations = find_deviations(result, state.branches)
+    return assemble_results(state, deviations, compared, readings_of_estimate(found, meters), partition)
+
+
+def results_of_power_flow(
+    result: PowerFlowResult, *, partition: Partition | None = None, meters: Sequence[Meter] = ()
+) -> Results:
+    """The tables of a power flow: nothing has a standard deviation, and no meter has read anything.
+
+    ``meters``: to be shown with what they would read without error. ``partition``: see ``results_of_estimate``.
+    """
+    state, nothing = find_state(result.network, result.vm, result.va), np.full(len(meters), np.nan)
+    readings = MeterReadings(meters, nothing, nothing, nothing, {}, ())
+    compared = {"true": (result.vm, result.va)}
+    return assemble_results(state, no_deviations(result.network), compared, readings, partition)
+
+
+def assemble_results(
+    state: GridState,
+    deviations: Deviations,
+    compared: Compared,
+    readings: MeterReadings,
+    partition: Partition | None,
+    more_of_areas: MoreColumns | None = None,
+) -> Results:
+    """All tables of ``state``; see the functions that make each."""
+    division = division_of(partition) if partition else whole_network(state.network)
+    buses = make_bus_table(state, division.owners(), compared, deviations.vm, deviations.va, deviations.injections)
+    return Results(
+        buses=buses,
+        branches=make_branch_table(state.network, state.branches, state.flows, deviations.branches),
+        meters=make_meter_table(state, **vars(readings)),
+        areas=make_area_table(state, division, more_of_areas),
+    )
+
+
+def no_deviations(network: Network) -> Deviations:
+    """Where none is known."""
+    n, m = len(network.buses), len(network.branches)
+    return Deviations(np.full(n, np.nan), np.full(n, np.nan), np.full((8, m), np.nan), np.full((2, n), np.nan))
+
+
+def readings_of_estimate(
+    found: EstimationResult | BadDataReport, meters: Sequence[Meter] | None = None
+) -> MeterReadings:
+    """The readings of an estimate with their residuals' variances; ``meters``: see ``results_of_estimate``."""
+    result, removed = (found.result, found.removed) if isinstance(found, BadDataReport) else (found, ())
+    critical = found.critical if isinstance(found, BadDataReport) else find_critical(result)
+    if meters is None:
+        meters = (*result.plan.meters, *(r.measurement.meter for r in removed))
+    rows = np.stack([result.values, result.sigmas, result.residual_variance], axis=1)
+    known = dict(zip((meter.id for meter in result.plan.meters), rows, strict=True))
+    known |= {r.measurement.meter.id: _row_of(r.measurement) for r in removed}
+    nothing = np.full(3, np.nan)
+    ids = [meter.id for meter in meters]
+    values, sigmas, variance = np.array([known.get(i, nothing) for i in ids]).reshape(-1, 3).T
+    taken_out = {r.measurement.meter.id: r.normalized_residual for r in removed}
+    return MeterReadings(meters, values, sigmas, variance, taken_out, critical)
+
+
+def _row_of(m: Measurement) -> np.ndarray:
+    return np.array([m.value, m.sigma, np.nan])

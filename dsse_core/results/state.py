@@ -1,0 +1,100 @@
+"""A state of the whole grid with all that flows in it: of one estimate or power flow, or joined from those of areas."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dsse_core.grid.measurement import MeasurementKind, Meter
+from dsse_core.grid.network import Network
+from dsse_core.grid.partition import Partition
+from dsse_core.results.flows import BranchModel, Flows, build_branch_model, find_flows, find_injections
+
+KIND = MeasurementKind
+
+
+@dataclass(frozen=True)
+class GridState:
+    """``vm`` p.u., ``va`` rad, ``injection`` complex, p.u.: (n_bus,), network order; nan where nothing is known.
+
+    ``injection`` is generation minus load; a bus' shunt is not a part of it.
+    """
+
+    network: Network
+    branches: BranchModel
+    vm: np.ndarray
+    va: np.ndarray
+    flows: Flows
+    injection: np.ndarray
+
+
+def find_state(network: Network, vm: np.ndarray, va: np.ndarray) -> GridState:
+    """The state of voltages vm, va (n_bus,), p.u. and rad."""
+    branches = build_branch_model(network)
+    v = vm * np.exp(1j * va)
+    flows = find_flows(branches, v[branches.f], v[branches.t])
+    return GridState(network, branches, vm, va, flows, find_injections(network, branches, flows, vm))
+
+
+@dataclass(frozen=True)
+class AreaVoltages:
+    """What an area says of the buses that it sees, in its order: vm p.u., va rad.
+
+    ``referenced``: whether the angles count from the substation. If not, flows are known all the same.
+    """
+
+    vm: np.ndarray
+    va: np.ndarray
+    referenced: bool
+
+
+def join_states(partition: Partition, by_area: Mapping[str, AreaVoltages]) -> GridState:
+    """The state that areas have found together; an area that is not in ``by_area`` knows nothing.
+
+    The voltage of a bus is that of its owner, the flow in a branch follows from the voltages of the area that holds it.
+    What a boundary bus injects is the sum of what goes into the branches of all areas there.
+    """
+    network = partition.network
+    branches, n, place = build_branch_model(network), len(network.buses), branch_rows(network)
+    vm, va = np.full(n, np.nan), np.full(n, np.nan)
+    ends = np.full((2, len(network.branches)), complex(np.nan, np.nan))
+    for area in partition.areas:
+        if (found := by_area.get(area.name)) is None:
+            continue
+        rows = np.array([network.row[bus.id] for bus in area.network.buses], dtype=np.int64)
+        owned = np.array([partition.owner_of_bus[bus.id] == area.name for bus in area.network.buses], dtype=bool)
+        vm[rows[owned]] = found.vm[owned]
+        if found.referenced:
+            va[rows[owned]] = found.va[owned]
+        v, row = found.vm * np.exp(1j * found.va), area.network.row
+        at = np.array([place[b.id] for b in area.network.branches], dtype=np.int64)
+        ends[0, at] = v[[row[b.from_bus] for b in area.network.branches]]
+        ends[1, at] = v[[row[b.to_bus] for b in area.network.branches]]
+    flows = find_flows(branches, ends[0], ends[1])
+    return GridState(network, branches, vm, va, flows, find_injections(network, branches, flows, vm))
+
+
+def branch_rows(network: Network) -> dict[str, int]:
+    """Branch id -> place among all branches."""
+    return {branch.id: k for k, branch in enumerate(network.branches)}
+
+
+def read_state(state: GridState, meters: Sequence[Meter]) -> np.ndarray:
+    """What perfect ``meters``, which fit the network, would read in this state, p.u. and rad, (n_meas,)."""
+    kinds = np.array([meter.kind for meter in meters], dtype="<U12")
+    row, place, f = state.network.row, branch_rows(state.network), state.branches.f
+    bus = np.array([row[meter.bus] for meter in meters], dtype=np.int64)
+    branch = np.array([place[meter.branch] if meter.branch else -1 for meter in meters], dtype=np.int64)
+    at_from = (branch >= 0) & (np.append(f, -1)[branch] == bus)
+    s = state.injection[bus]
+    i = np.zeros(len(meters), dtype=complex)
+    for of_end, power, current in (
+        ((branch >= 0) & at_from, state.flows.s_from, state.flows.i_from),
+        ((branch >= 0) & ~at_from, state.flows.s_to, state.flows.i_to),
+    ):
+        s[of_end], i[of_end] = power[branch[of_end]], current[branch[of_end]]
+    reactive = (kinds == KIND.Q_FLOW) | (kinds == KIND.Q_INJECTION)
+    chosen = [kinds == KIND.VM, kinds == KIND.VA, kinds == KIND.CURRENT, reactive]
+    return np.asarray(np.select(chosen, [state.vm[bus], state.va[bus], abs(i), s.imag], s.real))
