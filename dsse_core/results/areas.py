@@ -52,8 +52,8 @@ def make_area_table(
     """One row per area; ``more``: further columns, put at the right. Balance: ``generation + import = load + loss``.
 
     A bus that injects counts as generation with what it injects, the substation too, one that draws as load; P and Q
-    each by itself. ``loss``: of the area's branches, charging included, and of the shunts at its buses. ``import``: what
-    comes from other areas over the boundary buses. An area of which something is not known has nan.
+    each by itself. ``loss``: of the area's branches with their charging, and of the shunts at its buses. ``import``:
+    what comes from other areas over the boundary buses. An area of which something is not known has nan.
     """
     kw, n = base_kw(state.network), len(division.names)
     s = state.injection

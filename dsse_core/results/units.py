@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from dsse_core.grid.network import Network
@@ -18,5 +20,10 @@ def base_kv(network: Network) -> np.ndarray:
 
 
 def base_a(network: Network) -> np.ndarray:
-    """What 1 p.u. of current is at each bus, A: ``S_base / (sqrt(3) V_base)``, shape (n_bus,)."""
-    return np.asarray(base_kw(network) / (np.sqrt(3.0) * base_kv(network)))
+    """What 1 p.u. of current is at each bus, A, shape (n_bus,)."""
+    return np.array([base_current(network.base_mva, bus.base_kv) for bus in network.buses], dtype=float)
+
+
+def base_current(base_mva: float, base_kv: float) -> float:
+    """What 1 p.u. of current is, A: ``S_base / (sqrt(3) V_base)``."""
+    return 1000.0 * base_mva / (math.sqrt(3.0) * base_kv)

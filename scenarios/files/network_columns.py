@@ -18,11 +18,13 @@ from dsse_core.grid.physical_ranges import (
     IMPEDANCE,
     LARGEST_BUS,
     POWER,
+    RATING,
     REACTIVE_POWER,
     TAP,
     VOLTAGE,
     Range,
 )
+from dsse_core.results.units import base_current
 from scenarios.files.network_tables import BranchColumns, BranchTable, BusColumns, BusTable
 
 
@@ -55,8 +57,8 @@ class BusArrays:
 class BranchArrays:
     """P.u. and rad; shape (n_branch,) each. ``id``: empty or None where a branch is called by its ends.
 
-    ``in_ohm``: whether the file gives the impedance so; ``from_kv``, ``to_kv``: nominal voltages there, NaN of a bus
-    that is not defined.
+    ``i_max``, ``s_max``: NaN where a branch has no such rating. ``in_ohm``: whether the file gives the impedance so;
+    ``from_kv``, ``to_kv``: nominal voltages there, NaN of a bus that is not defined.
     """
 
     id: list[str | None]
@@ -69,6 +71,9 @@ class BranchArrays:
     shift: np.ndarray
     in_service: list[bool]
     g: np.ndarray
+    name: list[str]
+    i_max: np.ndarray
+    s_max: np.ndarray
     in_ohm: np.ndarray
     from_kv: np.ndarray
     to_kv: np.ndarray
@@ -100,6 +105,9 @@ class BranchArrays:
             shift=np.radians(take("shift_deg")),
             in_service=_take(given, "in_service", n, True),
             g=choose(take("g_us") * 1e-6 * z_base, "g_pu"),
+            name=_take(given, "name", n, ""),
+            i_max=take("rating_a", math.nan) * kv / base_current(base_mva, 1.0),
+            s_max=take("rating_mva", math.nan) / base_mva,
             in_ohm=in_ohm,
             from_kv=from_kv,
             to_kv=to_kv,
@@ -112,7 +120,8 @@ class BranchArrays:
             names.append(given or default_branch_id(from_bus, to_bus, taken))
             taken.add(names[-1])
         numbers = (part.tolist() for part in (self.r, self.x, self.b, self.tap, self.shift))
-        return tuple(map(Branch, names, self.from_bus, self.to_bus, *numbers, self.in_service, self.g.tolist()))
+        rest = (self.in_service, self.g.tolist(), self.name, _none_for_nan(self.i_max), _none_for_nan(self.s_max))
+        return tuple(map(Branch, names, self.from_bus, self.to_bus, *numbers, *rest))
 
 
 def _take(given: Sequence[object] | object, key: str, n: int, default: object) -> list:  # type: ignore[type-arg]
@@ -121,6 +130,10 @@ def _take(given: Sequence[object] | object, key: str, n: int, default: object) -
         return [default if (value := getattr(item, key)) is None else value for item in given]
     column = getattr(given, key)
     return [default] * n if column is None else column
+
+
+def _none_for_nan(values: np.ndarray) -> list[float | None]:
+    return [None if math.isnan(value) else value for value in values.tolist()]
 
 
 def default_branch_id(from_bus: int, to_bus: int, taken: Collection[str | None]) -> str:
@@ -147,6 +160,7 @@ def lie_within_ranges(
     if branches is not None:
         checked += [(IMPEDANCE, part, 1.0) for part in (branches.r, branches.x)]
         checked += [(ADMITTANCE, part, 1.0) for part in (branches.b, branches.g)]
+        checked += [(RATING, part[~np.isnan(part)], base_mva) for part in (branches.i_max, branches.s_max)]
         checked += [(TAP, branches.tap, 1.0), (ANGLE, np.degrees(branches.shift), 1.0)]
     numbers = ((limits, np.array(values, dtype=float) * size) for limits, values, size in checked)
     return max(map(abs, buses.id)) <= LARGEST_BUS and all(

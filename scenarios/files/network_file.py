@@ -63,13 +63,18 @@ def load_network(path: Path) -> Network:
 def _find_unit_problems(branches: BranchArrays, *, is_list: bool) -> Iterator[str]:
     """``is_list``: whether the file has a list of branches, not a list of each key."""
     from_kv, to_kv = branches.from_kv, branches.to_kv
-    between = branches.in_ohm & (from_kv != to_kv) & ~np.isnan(from_kv) & ~np.isnan(to_kv)
-    for k in np.flatnonzero(between).tolist():
-        key = f"branch[{k + 1}].r_ohm" if is_list else f"branch.r_ohm[{k + 1}]"
-        yield (
-            f"{key}: the branch joins bus {branches.from_bus[k]} of {from_kv[k]} kV and bus {branches.to_bus[k]} of "
-            f"{to_kv[k]} kV, so an impedance in ohm is ambiguous; give r_pu and x_pu"
+    between = (from_kv != to_kv) & ~np.isnan(from_kv) & ~np.isnan(to_kv)
+    in_ampere = ~np.isnan(branches.i_max)
+    for k in np.flatnonzero(between & (branches.in_ohm | in_ampere)).tolist():
+        joins = (
+            f"the branch joins bus {branches.from_bus[k]} of {from_kv[k]} kV and bus {branches.to_bus[k]} of "
+            f"{to_kv[k]} kV"
         )
+        at = f"branch[{k + 1}].{{}}" if is_list else f"branch.{{}}[{k + 1}]"
+        if branches.in_ohm[k]:
+            yield f"{at.format('r_ohm')}: {joins}, so an impedance in ohm is ambiguous; give r_pu and x_pu"
+        if in_ampere[k]:
+            yield f"{at.format('rating_a')}: {joins}, so a current is ambiguous; give rating_mva"
 
 
 def _build_generator(source: SourceTable, base_mva: float) -> Generator:

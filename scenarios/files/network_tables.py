@@ -15,6 +15,7 @@ from dsse_core.limits import LONGEST_NAME
 BRANCH_ID = re.compile(rf"[_a-z0-9-]{{1,{LONGEST_NAME}}}")  # the id of a meter holds it, and has its limit on the wire
 NOTHING = (None,) * 4
 MIXED = "mixes ohm and microsiemens with r_pu/x_pu/b_pu/g_pu; give all of them in one of the two units"
+TWO_RATINGS = "has two ratings; give rating_a for a line or rating_mva for a transformer"
 NO_IMPEDANCE = "has no complete impedance; give r_ohm and x_ohm, or r_pu and x_pu"
 
 
@@ -51,6 +52,11 @@ class BranchTable(Table):
     tap_ratio: Positive = Field(default=1.0, description="divides the from-side voltage; 1.0 for a line")
     shift_deg: float = 0.0
     in_service: bool = True
+    name: str = ""
+    rating_a: Positive | None = Field(default=None, description="current that the line may carry, at either end")
+    rating_mva: Positive | None = Field(
+        default=None, description="apparent power that the branch may carry, at either end"
+    )
 
     @property
     def is_in_ohm(self) -> bool:
@@ -64,6 +70,8 @@ class BranchTable(Table):
             raise ValueError(MIXED)
         if None in ohm[:2] and None in pu[:2]:
             raise ValueError(NO_IMPEDANCE)
+        if None not in (self.rating_a, self.rating_mva):
+            raise ValueError(TWO_RATINGS)
         return self
 
 
@@ -100,6 +108,9 @@ class BranchColumns(ColumnsTable):
     tap_ratio: list[Positive] | None = None
     shift_deg: list[float] | None = None
     in_service: list[bool] | None = None
+    name: list[str] | None = None
+    rating_a: list[Positive | None] | None = Field(default=None, description="null where a branch has none")
+    rating_mva: list[Positive | None] | None = Field(default=None, description="null where a branch has none")
 
     @property
     def is_in_ohm(self) -> bool:
@@ -113,6 +124,9 @@ class BranchColumns(ColumnsTable):
             raise ValueError(MIXED)
         if None in ohm[:2] and None in pu[:2]:
             raise ValueError(NO_IMPEDANCE)
+        ratings = zip(self.rating_a or (), self.rating_mva or (), strict=False)
+        if twice := [str(k) for k, pair in enumerate(ratings, 1) if None not in pair]:
+            raise ValueError(f"{TWO_RATINGS}: number {', '.join(twice)}")
         return self
 
 

@@ -12,6 +12,7 @@ from dsse_core.errors import InvalidInputError
 from dsse_core.files.kinds import NETWORK_FILE
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from dsse_core.limits import LONGEST_NAME
+from dsse_core.results.units import base_current
 from scenarios.files.network_columns import default_branch_id
 from scenarios.files.network_tables import BRANCH_ID
 
@@ -40,7 +41,7 @@ def save_network(path: Path, network: Network, data_source: str) -> None:
         return
     rows = {
         "bus": [_bus_row(bus, base) for bus in network.buses],
-        "branch": [_branch_row(branch) for branch in network.branches],
+        "branch": [_branch_row(branch, network) for branch in network.branches],
         "source": sources,
     }
     lines = [f"{key} = {format_toml(value)}" for key, value in head.items()]
@@ -73,6 +74,9 @@ def _branch_columns(network: Network) -> dict[str, list[Any]]:
         "tap_ratio": ([branch.tap for branch in branches], 1.0),
         "shift_deg": ([math.degrees(branch.shift) for branch in branches], 0.0),
         "in_service": ([branch.in_service for branch in branches], True),
+        "name": ([branch.name for branch in branches], ""),
+        "rating_a": ([_rating_a(branch, network) for branch in branches], None),
+        "rating_mva": ([_rating_mva(branch, network) for branch in branches], None),
     }
     given: dict[str, list[Any]] = {
         "from": [branch.from_bus for branch in branches],
@@ -113,7 +117,7 @@ def _bus_row(bus: Bus, base: float) -> dict[str, object]:
     return row
 
 
-def _branch_row(branch: Branch) -> dict[str, object]:
+def _branch_row(branch: Branch, network: Network) -> dict[str, object]:
     row: dict[str, object] = {"from": branch.from_bus, "to": branch.to_bus}
     if (branch_id := _written_id(branch)) is not None:
         row["id"] = branch_id
@@ -124,8 +128,21 @@ def _branch_row(branch: Branch) -> dict[str, object]:
         "tap_ratio": (branch.tap, 1.0),
         "shift_deg": (math.degrees(branch.shift), 0.0),
         "in_service": (branch.in_service, True),
+        "name": (branch.name, ""),
+        "rating_a": (_rating_a(branch, network), None),
+        "rating_mva": (_rating_mva(branch, network), None),
     }
     return row | {key: value for key, (value, default) in optional.items() if value != default}
+
+
+def _rating_a(branch: Branch, network: Network) -> float | None:
+    if branch.i_max is None:
+        return None
+    return branch.i_max * base_current(network.base_mva, network.bus(branch.from_bus).base_kv)
+
+
+def _rating_mva(branch: Branch, network: Network) -> float | None:
+    return None if branch.s_max is None else branch.s_max * network.base_mva
 
 
 def _source_row(generator: Generator, base: float) -> dict[str, object]:

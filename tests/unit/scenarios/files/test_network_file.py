@@ -214,7 +214,16 @@ LISTS: dict[str, Any] = {
     "data_source": "made up",
     "base_mva": 10.0,
     "bus": {"id": [1, 2, 3], "base_kv": [20.0, 20.0, 20.0], "p_load_mw": [0.0, 5.0, 0.0]},
-    "branch": {"from": [1, 2], "to": [2, 3], "id": ["", "far"], "r_ohm": [4.0, 4.0], "x_ohm": [8.0, 8.0]},
+    "branch": {
+        "from": [1, 2],
+        "to": [2, 3],
+        "id": ["", "far"],
+        "r_ohm": [4.0, 4.0],
+        "x_ohm": [8.0, 8.0],
+        "name": ["", "north"],
+        "rating_a": [None, 250.0],
+        "rating_mva": [10.0, None],
+    },
     "source": [{"bus": 1, "kind": "slack", "vm_pu": 1.02}],
 }
 
@@ -229,7 +238,7 @@ def test_lists_are_the_same_network_as_tables(tmp_path: Path) -> None:
     of_lists = load_lists(tmp_path, "bus", {})
     rows = {
         table: [
-            {key: column[k] for key, column in LISTS[table].items() if column[k] != ""}
+            {key: column[k] for key, column in LISTS[table].items() if column[k] not in ("", None)}
             for k in range(len(next(iter(LISTS[table].values()))))
         ]
         for table in ("bus", "branch")
@@ -238,6 +247,9 @@ def test_lists_are_the_same_network_as_tables(tmp_path: Path) -> None:
     path.write_text(json.dumps(LISTS | rows), encoding="utf-8")
     assert load_network(path) == of_lists
     assert [b.id for b in of_lists.branches] == ["1-2", "far"]
+    near, far = of_lists.branches
+    assert (near.name, near.i_max, near.s_max) == ("", None, 1.0)
+    assert (far.name, far.i_max, far.s_max) == ("north", pytest.approx(0.5 * math.sqrt(3)), None)
 
 
 @pytest.mark.parametrize(
@@ -259,6 +271,14 @@ def test_lists_are_the_same_network_as_tables(tmp_path: Path) -> None:
             ["branch.r_ohm[2]: the branch joins bus 2 of 20.0 kV and bus 3"],
         ),
         ("branch", {"r_pu": [0.1, 0.1]}, ["branch: mixes ohm and microsiemens with r_pu/x_pu/b_pu/g_pu"]),
+        ("branch", {"rating_a": [None, 0.0]}, ["branch.rating_a[2]: must be greater than 0, found 0.0"]),
+        ("branch", {"rating_a": [1.0, 1.0]}, ["branch: has two ratings; give rating_a for a line"]),
+        ("branch", {"rating_mva": [1e12, None]}, ["branch 1-2: rating is 1e+12 MVA; it must lie between"]),
+        (
+            "bus",
+            {"base_kv": [20.0, 20.0, 0.4]},
+            ["branch.rating_a[2]: the branch joins bus 2 of 20.0 kV and bus 3"],
+        ),
         ("branch", {"id": ["", "A B"]}, ["branch.id[2]: must match pattern"]),
     ],
 )
