@@ -24,6 +24,7 @@ LOAD_PANDAPOWER = {
     "test_import.py",
     "test_import_measured_loads.py",
     "test_import_pandapower.py",
+    "test_results_against_pandapower.py",
 }
 
 

@@ -7,12 +7,13 @@ import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import ModuleType
-from typing import Literal
+from typing import Any, Literal
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.admittance import build_admittance
 from dsse_core.grid.measurement import Measurement, Meter
 from dsse_core.grid.network import Branch, Bus, Control, Network
+from dsse_core.grid.physical_ranges import RATING
 from dsse_core.limits import LARGEST_SIGMA
 from dsse_core.printable import listed
 
@@ -55,6 +56,17 @@ def load_extra(module: str, extra: str, what: str) -> ModuleType:
     except ImportError as error:
         problem = f"reading it needs the package {extra} ({error}); install it: pip install 'consensus-dsse[{extra}]'"
         raise InvalidInputError(what, [problem]) from None
+
+
+def rating(mva: float, base_mva: float) -> float | None:
+    """A rating in p.u., None where the source has none: it writes 0, nan, or more than any branch may carry."""
+    known = RATING.least <= mva <= RATING.most
+    return mva / base_mva if known else None
+
+
+def current_rating(ka: float, from_kv: float, to_kv: float, base_mva: float) -> dict[str, Any]:
+    """``i_max`` of a branch that may carry ``ka`` at its from end; between two voltages ``s_max``, as a file has it."""
+    return {"i_max" if from_kv == to_kv else "s_max": rating(math.sqrt(3.0) * from_kv * ka, base_mva)}
 
 
 def combine_readings(readings: Iterable[Measurement]) -> tuple[tuple[Measurement, ...], tuple[Remark, ...]]:

@@ -17,12 +17,13 @@ from scenarios.importers.imported import (
     find_source_problems,
     fuse,
     leave_out_islands,
+    rating,
     without_buses,
 )
 from scenarios.importers.matpower.program import BASE_KV, BR_R, BR_X, PD, QD, Case, Matrix, run_program
 
 BUS_I, BUS_TYPE, GS, BS, VA_BUS = 0, 1, 4, 5, 8
-F_BUS, T_BUS, BR_B, TAP, SHIFT, BR_STATUS = 0, 1, 4, 8, 9, 10
+F_BUS, T_BUS, BR_B, RATE_A, TAP, SHIFT, BR_STATUS = 0, 1, 4, 5, 8, 9, 10
 GEN_BUS, PG, QG, VG, GEN_STATUS = 0, 1, 2, 5, 7
 PQ, PV, REF, ISOLATED = 1, 2, 3, 4
 
@@ -47,7 +48,7 @@ def _build(path: Path, case: Case, base: float) -> Imported:
     if problems:
         raise InvalidInputError(str(path), problems)
     try:
-        network = Network(path.stem, base, buses, _build_branches(case.matrices["branch"]), generators)
+        network = Network(path.stem, base, buses, _build_branches(case.matrices["branch"], base), generators)
         if isolated:
             network, gone = without_buses(network, isolated, "they are isolated, type 4")
             remarks += gone
@@ -94,7 +95,7 @@ def _build_buses(rows: Matrix, base: float) -> tuple[tuple[Bus, ...], list[Remar
     return buses, [Remark("changed", text)] if without_kv else []
 
 
-def _build_branches(rows: Matrix) -> tuple[Branch, ...]:
+def _build_branches(rows: Matrix, base: float) -> tuple[Branch, ...]:
     taken: set[str | None] = set()
     branches = []
     for row in rows:
@@ -112,6 +113,7 @@ def _build_branches(rows: Matrix) -> tuple[Branch, ...]:
                 tap=row[TAP] or 1.0,
                 shift=math.radians(row[SHIFT]),
                 in_service=row[BR_STATUS] > 0,
+                s_max=rating(row[RATE_A], base),
             )
         )
     return tuple(branches)

@@ -22,10 +22,12 @@ from scenarios.importers.imported import (
     Imported,
     Remark,
     add_shunts,
+    current_rating,
     fused_remarks,
     load_extra,
     loop_shunt,
     open_end_shunt,
+    rating,
 )
 from scenarios.importers.matpower.program import BASE_KV, BR_R, BR_X, PD, QD
 from scenarios.importers.matpower.reader import BR_B, BS, BUS_I, F_BUS, GS, SHIFT, T_BUS, TAP
@@ -191,7 +193,7 @@ def _build_generators(net: Any, sgen: Any, bus_of: dict[int, int], base: float) 
 
 def _build_branches(net: Any, ppc: dict[str, Any], ids: dict[int, int]) -> dict[tuple[str, int], Branch]:
     """(element type, index) -> branch, of those in service."""
-    rows, elements = ppc["branch"], _elements_of_rows(net, ppc)
+    base, rows, elements = float(ppc["baseMVA"]), ppc["branch"], _elements_of_rows(net, ppc)
     lopsided = {
         elements[k]
         for key in ("branch_r_asym", "branch_x_asym", "branch_g_asym", "branch_b_asym")
@@ -218,8 +220,23 @@ def _build_branches(net: Any, ppc: dict[str, Any], ids: dict[int, int]) -> dict[
             tap=float(row[TAP].real) or 1.0,
             shift=math.radians(float(row[SHIFT].real)),
             g=float(g.real),
+            **_described(net, *element, base),
         )
     return branches
+
+
+def _described(net: Any, name: str, index: int, base: float) -> dict[str, Any]:
+    """Name and rating of an element, as arguments of ``Branch``; of parallel ones the rating of all together."""
+    element = net[name].loc[index]
+    called = element.get("name")
+    described: dict[str, Any] = {"name": called if isinstance(called, str) else ""}
+    many = element.get("parallel", 1) * element.get("df", 1.0)
+    if name == "line":
+        from_kv, to_kv = (float(net.bus.vn_kv.at[element[end]]) for end in ("from_bus", "to_bus"))
+        described |= current_rating(float(element.get("max_i_ka", math.nan)) * many, from_kv, to_kv, base)
+    elif name == "trafo":
+        described["s_max"] = rating(float(element.sn_mva) * many, base)
+    return described
 
 
 def _elements_of_rows(net: Any, ppc: dict[str, Any]) -> list[tuple[str, int]]:

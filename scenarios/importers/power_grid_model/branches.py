@@ -6,6 +6,8 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+from scenarios.importers.imported import current_rating, rating
+
 UNSET_INT8 = -128
 
 
@@ -79,6 +81,13 @@ def _at_tap(t: Any, key: str, position: int, nominal: int) -> float:
     if position == nominal or math.isnan(outer) or span == 0:
         return value
     return value + (position - nominal) / span * (outer - value)
+
+
+def find_rating(name: str, component: Any, from_kv: float, to_kv: float) -> dict[str, Any]:
+    """``i_max`` of a line, ``s_max`` of others, in p.u. on 1 MVA, from a row and the nominal voltages of its nodes."""
+    if name == "line":
+        return current_rating(float(component["i_n"]) / 1000, from_kv, to_kv, 1.0)
+    return {"s_max": rating(float(component["sn"]) / 1e6, 1.0)}
 
 
 BUILDERS: dict[str, Callable[[Any, float, float, float], PiModel]] = {

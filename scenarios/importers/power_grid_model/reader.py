@@ -28,7 +28,7 @@ from scenarios.importers.imported import (
     loop_shunt,
     open_end_shunt,
 )
-from scenarios.importers.power_grid_model.branches import BUILDERS
+from scenarios.importers.power_grid_model.branches import BUILDERS, find_rating
 from scenarios.importers.power_grid_model.data import (
     APPLIANCES,
     IGNORED,
@@ -183,8 +183,10 @@ def _build_branches(
             nodes = int(component["from_node"]), int(component["to_node"])
             ends = bus_of[nodes[0]], bus_of[nodes[1]]
             branch_id = default_branch_id(*ends, taken)
-            pi = BUILDERS[name](component, kv[nodes[0]], kv[nodes[1]], frequency_hz)
-            branch = Branch(branch_id, *ends, **pi._asdict())
+            kv_of_ends = kv[nodes[0]], kv[nodes[1]]
+            pi = BUILDERS[name](component, *kv_of_ends, frequency_hz)
+            rated = find_rating(name, component, *kv_of_ends)
+            branch = Branch(branch_id, ends[0], ends[1], **pi._asdict(), **rated)
             if component["from_status"] and component["to_status"] and ends[0] == ends[1]:
                 shunts.setdefault(ends[0], []).append(loop_shunt(branch))
             elif component["from_status"] and component["to_status"]:
