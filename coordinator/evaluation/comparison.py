@@ -11,6 +11,7 @@ from agents.messages.packing import StateMessage
 from dsse_core.estimation.bad_data import BadDataReport
 from dsse_core.grid.partition import Partition
 from dsse_core.power_flow.newton_raphson import PowerFlowResult
+from dsse_core.results.state import AreaVoltages
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +35,8 @@ class Comparison:
     """Voltages of all buses from three sources, and their differences.
 
     ``decentralised`` takes each bus from the area that owns it. ``gap`` is to the centralised estimate of the
-    same telemetry, ``error`` to the truth; those per area run over every bus that the area sees.
+    same telemetry, ``error`` to the truth; those per area run over every bus that the area sees. ``published``: what
+    the areas with an estimate say, relative angles included.
     """
 
     partition: Partition
@@ -43,6 +45,7 @@ class Comparison:
     decentralised: Voltages
     sigma: Voltages
     by_area: Mapping[str, Voltages]
+    published: Mapping[str, AreaVoltages]
 
     @property
     def knows_truth(self) -> bool:
@@ -104,6 +107,11 @@ def compare(
         decentralised=whole,
         sigma=sigma,
         by_area=by_area,
+        published={
+            name: AreaVoltages(np.array(state.vm), np.array(state.va), state.referenced)
+            for name, state in states.items()
+            if state.buses
+        },
     )
 
 

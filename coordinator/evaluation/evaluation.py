@@ -133,4 +133,5 @@ def evaluate(
         timing_s=timing_s,
         faults=faults,
         duplicates=tuple(duplicates),
+        readings=telemetry.union,
     )

@@ -1,23 +1,25 @@
-"""The result of a run, and its files ``result.json`` (docs/reference/run-folder.md) and ``buses.csv``."""
+"""The result of a run, and its files: ``result.json`` (docs/reference/run-folder.md) and the tables."""
 
 from __future__ import annotations
 
-import csv
 import importlib.metadata
-import json
 import math
 import platform
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, fields, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from agents.protocol.quality import GOOD
 from coordinator.evaluation.comparison import Comparison
+from coordinator.evaluation.table_files import write_json, write_tables
 from coordinator.evaluation.verdict import Verdict
 from coordinator.observe.duplicates import Duplicate
 from coordinator.observe.observer import Observer, Sample, count_exchanges
 from dsse_core.estimation.bad_data import BadDataReport
+from dsse_core.grid.measurement import Measurement
+from dsse_core.results.results import Results
 from scenarios.scenario import Scenario
 
 VERSION = 2
@@ -63,7 +65,7 @@ class RunOutcome:
     ``faults``: kind -> how often it has happened, to messages and to processes. ``duplicates``: areas and plants that
     ran twice at once.
 
-    ``centralised`` is None where that estimate failed; ``centralised_failure`` says why.
+    ``centralised`` is None where that estimate failed; ``centralised_failure`` says why. ``readings``: of all areas.
     """
 
     scenario: Scenario
@@ -77,16 +79,24 @@ class RunOutcome:
     timing_s: Mapping[str, float]
     faults: Mapping[str, int]
     duplicates: tuple[Duplicate, ...]
+    readings: tuple[Measurement, ...] = ()
 
     def in_folder(self, folder: Path) -> RunResult:
-        return RunResult(**vars(self), folder=folder)
+        return RunResult(**{each.name: getattr(self, each.name) for each in fields(self)}, folder=folder)
+
+    @cached_property
+    def tables(self) -> Results:
+        """Buses, branches, meters and areas, computed when first asked for."""
+        from coordinator.evaluation.run_tables import make_run_tables
+
+        return make_run_tables(self)
 
 
 @dataclass(frozen=True)
 class RunResult(RunOutcome):
     """A run whose files lie in ``folder``; ``unwritten`` says why some of them do not, None if all do."""
 
-    folder: Path
+    folder: Path = field(kw_only=True)
     unwritten: str | None = None
 
 
@@ -131,13 +141,9 @@ def write_files(result: RunResult, events_failure: str | None) -> RunResult:
 
 
 def write_result(result: RunResult) -> None:
-    """Write ``result.json`` and ``buses.csv`` into the run folder."""
-    text = json.dumps(as_json(result), indent=2, allow_nan=False)
-    (result.folder / "result.json").write_text(text + "\n", encoding="utf-8")
-    with (result.folder / "buses.csv").open("w", newline="", encoding="utf-8") as file:
-        table = csv.writer(file)
-        table.writerow(BUS_COLUMNS)
-        table.writerows(_bus_rows(result.comparison))
+    """Write ``result.json`` and the tables into the run folder."""
+    write_json(result.folder / "result.json", as_json(result))
+    write_tables(result.folder, result.tables)
 
 
 def as_json(result: RunOutcome) -> dict[str, Any]:
@@ -177,10 +183,12 @@ def _centralised_json(result: RunOutcome) -> dict[str, Any]:
     report, error = result.centralised, result.comparison.centralised_error
     if report is None:
         return {"failure": result.centralised_failure}
+    return {"failure": None, "error_vm_pu": error.vm_pu, "error_va_deg": error.va_deg, **report_as_json(report)}
+
+
+def report_as_json(report: BadDataReport) -> dict[str, Any]:
+    """What the chi-square test and the removal of bad data have found."""
     return {
-        "failure": None,
-        "error_vm_pu": error.vm_pu,
-        "error_va_deg": error.va_deg,
         "objective": report.objective,
         "degrees_of_freedom": report.degrees_of_freedom,
         "chi_square_limit": report.chi_square_limit if math.isfinite(report.chi_square_limit) else None,
@@ -203,28 +211,3 @@ def version_of(distribution: str) -> str | None:
         return importlib.metadata.version(distribution)
     except importlib.metadata.PackageNotFoundError:
         return None
-
-
-BUS_COLUMNS = (
-    "bus",
-    "area",
-    "true_vm_pu",
-    "true_va_deg",
-    "centralised_vm_pu",
-    "centralised_va_deg",
-    "decentralised_vm_pu",
-    "decentralised_va_deg",
-    "sigma_vm_pu",
-    "sigma_va_deg",
-)
-
-
-def _bus_rows(comparison: Comparison) -> list[list[object]]:
-    rows: list[list[object]] = []
-    for row, bus in enumerate(comparison.partition.network.buses):
-        cells: list[object] = [bus.id, comparison.partition.owner_of_bus[bus.id]]
-        for voltages in (comparison.truth, comparison.centralised, comparison.decentralised, comparison.sigma):
-            for value in (float(voltages.vm[row]), math.degrees(voltages.va[row])):
-                cells.append("" if math.isnan(value) else repr(value))  # which reads back as the same number
-        rows.append(cells)
-    return rows

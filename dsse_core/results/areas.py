@@ -14,6 +14,23 @@ from dsse_core.results.state import GridState
 from dsse_core.results.table import PHASE, Table
 from dsse_core.results.units import base_kw
 
+OF_A_RUN = (
+    "gap_vm_pu",
+    "gap_va_deg",
+    "error_vm_pu",
+    "error_va_deg",
+    "exchanges",
+    "messages",
+    "bytes",
+    "lost",
+    "rejected",
+    "objective",
+    "degrees_of_freedom",
+    "removed",
+    "critical",
+)
+"""Figures of an area that only a run has, and then ``quality``."""
+
 
 @dataclass(frozen=True)
 class Division:
@@ -47,9 +64,12 @@ def division_of(partition: Partition) -> Division:
 
 
 def make_area_table(
-    state: GridState, division: Division, more: Mapping[str, np.ndarray | Sequence[str]] | None = None
+    state: GridState,
+    division: Division,
+    of_run: Mapping[str, np.ndarray] | None = None,
+    quality: Sequence[str] | None = None,
 ) -> Table:
-    """One row per area; ``more``: further columns, put at the right. Balance: ``generation + import = load + loss``.
+    """One row per area; ``of_run``: the columns OF_A_RUN. Balance: ``generation + import = load + loss``.
 
     A bus that injects counts as generation with what it injects, the substation too, one that draws as load; P and Q
     each by itself. ``loss``: of the area's branches with their charging, and of the shunts at its buses. ``import``:
@@ -65,11 +85,13 @@ def make_area_table(
     columns: dict[str, np.ndarray | Sequence[str]] = {
         "area": division.names,
         "phase": [PHASE] * n,
-        "buses": np.bincount(division.of_bus, minlength=n),
+        "owned_buses": np.bincount(division.of_bus, minlength=n),
     }
     for what, power in (("load", drawn), ("generation", made), ("loss", loss), ("import", came)):
         columns |= {f"{what}_kw": power.real * kw, f"{what}_kvar": power.imag * kw}
-    return Table("areas", columns | dict(more or {}))
+    unknown = np.full(n, np.nan)
+    columns |= {key: (of_run or {}).get(key, unknown) for key in OF_A_RUN}
+    return Table("areas", columns | {"quality": quality or [""] * n})
 
 
 def _find_imports(state: GridState, division: Division) -> np.ndarray:

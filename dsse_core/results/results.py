@@ -22,7 +22,6 @@ from dsse_core.results.state import GridState, find_state
 from dsse_core.results.table import Table
 
 Compared = Mapping[str, tuple[np.ndarray, np.ndarray]]
-MoreColumns = Mapping[str, np.ndarray | Sequence[str]]
 
 
 @dataclass(frozen=True)
@@ -87,7 +86,8 @@ def assemble_results(
     compared: Compared,
     readings: MeterReadings,
     partition: Partition | None,
-    more_of_areas: MoreColumns | None = None,
+    of_run: Mapping[str, np.ndarray] | None = None,
+    quality: Sequence[str] | None = None,
 ) -> Results:
     """All tables of ``state``; see the functions that make each."""
     division = division_of(partition) if partition else whole_network(state.network)
@@ -96,7 +96,7 @@ def assemble_results(
         buses=buses,
         branches=make_branch_table(state.network, state.branches, state.flows, deviations.branches),
         meters=make_meter_table(state, **vars(readings)),
-        areas=make_area_table(state, division, more_of_areas),
+        areas=make_area_table(state, division, of_run, quality),
     )
 
 

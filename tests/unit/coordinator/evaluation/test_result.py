@@ -16,7 +16,7 @@ from shown_states import said_by
 
 from agents.messages.packing import Incarnation, StateMessage
 from coordinator.evaluation.comparison import Voltages, compare, largest_gap
-from coordinator.evaluation.result import BUS_COLUMNS, RunResult, as_json, make_area_results, write_result
+from coordinator.evaluation.result import RunResult, as_json, make_area_results, write_result
 from coordinator.evaluation.verdict import make_verdict
 from coordinator.observe.observer import Observer
 from coordinator.report.plots import draw_plots
@@ -153,7 +153,10 @@ def test_buses_csv_has_one_row_per_bus_from_its_owner(tmp_path: Path):
     write_result(a_result(tmp_path))
     with (tmp_path / "buses.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert tuple(rows[0]) == BUS_COLUMNS
+    assert tuple(rows[0])[:10] == (
+        "bus", "area", "true_vm_pu", "true_va_deg", "centralised_vm_pu", "centralised_va_deg",
+        "decentralised_vm_pu", "decentralised_va_deg", "sigma_vm_pu", "sigma_va_deg",
+    )  # fmt: skip
     assert [int(row["bus"]) for row in rows] == list(range(1, 34))
     boundary = rows[5]
     assert boundary["area"] == "area1"

@@ -1,0 +1,107 @@
+"""Tables of results as files and texts: CSV, JSON and Parquet, every number exact."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+
+from dsse_core.errors import InvalidInputError
+from dsse_core.results.results import Results
+from dsse_core.results.table import Table
+
+TABLES = tuple(field.name for field in fields(Results))
+Column = np.ndarray | tuple[str, ...]
+
+
+def write_tables(folder: Path, tables: Results) -> None:
+    """Write ``buses.csv``, ``branches.csv``, ``meters.csv`` and ``areas.csv``."""
+    for name in TABLES:
+        with (folder / f"{name}.csv").open("w", newline="", encoding="utf-8") as file:
+            write_csv(file, getattr(tables, name))
+
+
+def format_csv(table: Table) -> str:
+    """The table as CSV text, without the last line end."""
+    text = io.StringIO(newline="")
+    write_csv(text, table)
+    return text.getvalue().rstrip("\n")
+
+
+def write_csv(file: TextIO, table: Table) -> None:
+    """A header and one line per row; numbers read back as the same ones, and what is unknown is an empty cell."""
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow(table.columns)
+    writer.writerows(zip(*(_as_cells(table[name]) for name in table.columns), strict=True))
+
+
+def _as_cells(column: Column) -> Iterable[object]:
+    if isinstance(column, tuple):
+        return column
+    if column.dtype.kind == "f":
+        return ["" if math.isnan(value) else repr(value) for value in column.tolist()]
+    if column.dtype.kind == "b":
+        return ["true" if value else "false" for value in column.tolist()]
+    return list(column.tolist())
+
+
+def write_json(path: Path, content: object) -> None:
+    """Write ``content``, in which no number may be nan or infinite."""
+    path.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def tables_as_json(tables: Results) -> dict[str, list[dict[str, Any]]]:
+    """Table -> its rows, each with all columns as keys; None for what is unknown."""
+    return {name: list(_rows_as_json(getattr(tables, name))) for name in TABLES}
+
+
+def _rows_as_json(table: Table) -> Iterator[dict[str, Any]]:
+    columns = [_as_values(table[name]) for name in table.columns]
+    for row in zip(*columns, strict=True):
+        yield dict(zip(table.columns, row, strict=True))
+
+
+def _as_values(column: Column) -> Iterable[object]:
+    if isinstance(column, tuple) or column.dtype.kind != "f":
+        return column if isinstance(column, tuple) else column.tolist()
+    return [value if math.isfinite(value) else None for value in column.tolist()]
+
+
+def check_parquet() -> None:
+    """That Parquet can be written.
+
+    Raises:
+        InvalidInputError: pyarrow is not installed.
+    """
+    _load_pyarrow()
+
+
+def write_parquet(folder: Path, tables: Results) -> None:
+    """Write ``buses.parquet`` and so on; what is unknown is null.
+
+    Raises:
+        InvalidInputError: pyarrow is not installed.
+    """
+    pyarrow, parquet = _load_pyarrow()
+    for name in TABLES:
+        table: Table = getattr(tables, name)
+        columns = {key: pyarrow.array(table[key], from_pandas=True) for key in table.columns}
+        with (folder / f"{name}.parquet").open("wb") as file:
+            parquet.write_table(pyarrow.table(columns), file)
+
+
+def _load_pyarrow() -> tuple[Any, Any]:
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        problem = "pyarrow, which writes it, is not installed; pip install 'consensus-dsse[parquet]'"
+        raise InvalidInputError("--parquet", [problem]) from None
+    return pyarrow, pyarrow.parquet
