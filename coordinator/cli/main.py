@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import io
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import click
 
 from coordinator.cli.keys import keys_commands
 from coordinator.cli.networks import network_commands
+from coordinator.cli.outputs import Output, check_parquet_option, hand_over, output_options, parquet_option
 from coordinator.cli.processes import process_commands
 from coordinator.cli.shipped import scenarios_commands
 from coordinator.cli.studies import study_commands
@@ -97,6 +99,7 @@ def commands() -> None:
 @no_plots_option
 @strategy_option
 @set_option
+@parquet_option
 @click.option("--secure", is_flag=True, help="Certificates, TLS and access control, with keys made for this run.")
 @click.option("--keys", type=click.Path(path_type=Path), metavar="DIR", help="The same with the keys in DIR.")
 def run(
@@ -108,6 +111,7 @@ def run(
     no_plots: bool,
     strategy: str | None,
     changes: Mapping[str, object],
+    parquet: bool,
     secure: bool,
     keys: Path | None,
 ) -> int:
@@ -124,6 +128,7 @@ def run(
     """
     import coordinator
 
+    check_parquet_option(parquet)
     end_orderly_on_signals()
     with progress(scenario, quiet) as on_update:
         result = coordinator.run(
@@ -137,7 +142,7 @@ def run(
             secure=secure,
             keys=keys,
         )
-    return finish_run(result, no_plots)
+    return finish_run(result, no_plots, parquet)
 
 
 @commands.command(short_help="Check a scenario or an area file without running it.")
@@ -171,34 +176,55 @@ def check(scenario: str, changes: Mapping[str, object]) -> None:
 
 @commands.command(short_help="Solve the power flow of the whole network.")
 @scenario_argument
+@set_option
+@output_options
 @only_loading()
-def powerflow(scenario: str) -> None:
+def powerflow(scenario: str, changes: Mapping[str, object], output: Output) -> None:
     """Solve the power flow of SCENARIO's whole network: the truth that its meters read.
 
     \b
-    Example:  dsse powerflow industrial13
+    Examples:  dsse powerflow industrial13
+               dsse powerflow ieee33 --csv branches
+               dsse powerflow ieee33 --out results
     """
+    from coordinator.evaluation.result import power_flow_as_json
     from coordinator.report.grid_text import format_power_flow
     from dsse_core.power_flow.newton_raphson import solve_power_flow
+    from dsse_core.results.results import results_of_power_flow
     from scenarios.scenario import load_scenario
 
-    show(format_power_flow(solve_power_flow(load_scenario(scenario, whole=True).network)))
+    loaded = load_scenario(scenario, changes=changes, whole=output.is_text)
+    result = solve_power_flow(loaded.network)
+    tables = results_of_power_flow(result, partition=loaded.partition, meters=loaded.meters)
+    hand_over(output, tables, power_flow_as_json(loaded, result), lambda: format_power_flow(result, tables))
 
 
 @commands.command(short_help="Estimate the whole grid in one place.")
 @scenario_argument
 @seed_option
+@set_option
+@output_options
 @only_loading()
-def estimate(scenario: str, seed: int | None) -> None:
+def estimate(scenario: str, seed: int | None, changes: Mapping[str, object], output: Output) -> None:
     """Estimate the whole grid of SCENARIO in one place, with bad-data processing: what a control centre would do.
 
     \b
-    Example:  dsse estimate ieee33 --seed 7
+    Examples:  dsse estimate ieee33 --seed 7
+               dsse estimate ieee33 --csv meters
+               dsse estimate ieee33 --json --out results
     """
+    from coordinator.evaluation.result import estimate_as_json
     from coordinator.evaluation.whole_grid import estimate_whole_grid
-    from coordinator.report.grid_text import format_estimate
+    from coordinator.report.grid_text import format_bad_data, format_estimate
+    from dsse_core.results.results import results_of_estimate
+    from scenarios.scenario import load_scenario
 
-    show(format_estimate(*estimate_whole_grid(scenario, seed)))
+    loaded = load_scenario(scenario, changes=changes, whole=output.is_text)
+    loaded = loaded if seed is None else replace(loaded, seed=seed)
+    report, truth = estimate_whole_grid(loaded)
+    tables = results_of_estimate(report, partition=loaded.partition, meters=loaded.meters, truth=truth)
+    notes = format_bad_data(report)[1:] if report.removed or report.detected else []
+    hand_over(output, tables, estimate_as_json(loaded, report), lambda: format_estimate(report, tables), notes)
 
 
 for command in (*process_commands, *network_commands, *study_commands, keys_commands, scenarios_commands, watch):

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from coordinator.cli.outputs import check_parquet_option, parquet_option
 from coordinator.cli.terminal import (
     Number,
     changed,
@@ -71,6 +72,7 @@ def link_options(command: Callable[..., Any]) -> Callable[..., Any]:
 @set_option
 @link_options
 @quiet_option
+@parquet_option
 @no_plots_option
 def simulate(
     scenario: str,
@@ -82,6 +84,7 @@ def simulate(
     links: LinkChanges,
     quiet: bool,
     no_plots: bool,
+    parquet: bool,
 ) -> int:
     """Run SCENARIO, a shipped name or a file, on the simulator: the same areas on a simulated bus, in this process.
 
@@ -95,10 +98,11 @@ def simulate(
     """
     from coordinator.simulator.simulate import simulate_scenario
 
+    check_parquet_option(parquet)
     end_orderly_on_signals()
     with progress(f"{scenario}, virtual time", quiet) as on_update:
         result = simulate_scenario(changed(scenario, changes), out, seed, strategy, timeout, on_update, links)
-    return finish_run(result, no_plots)
+    return finish_run(result, no_plots, parquet)
 
 
 @click.command(short_help="Run the strategies side by side and print one table.")

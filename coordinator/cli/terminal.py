@@ -115,8 +115,10 @@ def say(text: str) -> None:
         print(printable_lines(text), file=sys.stderr, flush=True)
 
 
-def finish_run(result: RunResult, no_plots: bool) -> int:
-    """Print the verdict, draw the pictures, and return the exit code, which signals that come later do not change."""
+def finish_run(result: RunResult, no_plots: bool, parquet: bool) -> int:
+    """Print the verdict, write Parquet if asked for, draw the pictures, and return the exit code, which signals that
+    come later do not change.
+    """
     from coordinator.report.text import format_verdict
 
     verdict, code = format_verdict(result), 2 if result.unwritten else 0 if result.verdict.consensus else 1
@@ -124,7 +126,12 @@ def finish_run(result: RunResult, no_plots: bool) -> int:
     show(verdict)
     if result.unwritten:
         say(f"error: files of the run are missing: {result.unwritten}; make room there, or choose another place")
-    elif not no_plots:
+        return code
+    if parquet:
+        from coordinator.evaluation.table_files import write_parquet
+
+        write_parquet(result.folder, result.tables)
+    if not no_plots:
         from coordinator.report.plots import draw_plots
 
         draw_plots(result)

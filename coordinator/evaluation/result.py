@@ -19,6 +19,7 @@ from coordinator.observe.duplicates import Duplicate
 from coordinator.observe.observer import Observer, Sample, count_exchanges
 from dsse_core.estimation.bad_data import BadDataReport
 from dsse_core.grid.measurement import Measurement
+from dsse_core.power_flow.newton_raphson import PowerFlowResult
 from dsse_core.results.results import Results
 from scenarios.scenario import Scenario
 
@@ -148,20 +149,8 @@ def write_result(result: RunResult) -> None:
 
 def as_json(result: RunOutcome) -> dict[str, Any]:
     """The content of ``result.json``; docs/reference/run-folder.md explains every key."""
-    scenario = result.scenario
     return {
-        "version": VERSION,
-        "scenario": {
-            "name": scenario.name,
-            "path": str(scenario.path),
-            "description": scenario.description,
-            "network": scenario.network.name,
-            "buses": len(scenario.network.buses),
-            "strategy": scenario.strategy,
-            "seed": scenario.seed,
-            "telemetry": scenario.telemetry.source,
-            "changes": dict(scenario.changes),
-        },
+        **_head_json(result.scenario),
         "run": result.run,
         "verdict": asdict(result.verdict),
         "areas": {area.name: _area_json(area) for area in result.areas},
@@ -169,8 +158,41 @@ def as_json(result: RunOutcome) -> dict[str, Any]:
         "timing_s": dict(result.timing_s),
         "faults": dict(result.faults),
         "duplicates": [asdict(duplicate) for duplicate in result.duplicates],
-        "versions": {"python": platform.python_version()} | {name: version_of(name) for name in DISTRIBUTIONS},
+        **_versions_json(),
     }
+
+
+def estimate_as_json(scenario: Scenario, report: BadDataReport) -> dict[str, Any]:
+    """The content of the ``result.json`` of ``dsse estimate``."""
+    how = {"iterations": report.result.iterations, "back_end": report.result.backend}
+    return {**_head_json(scenario), "estimate": report_as_json(report) | how, **_versions_json()}
+
+
+def power_flow_as_json(scenario: Scenario, result: PowerFlowResult) -> dict[str, Any]:
+    """The content of the ``result.json`` of ``dsse powerflow``."""
+    loss = result.losses * 1000 * scenario.network.base_mva
+    how = {"iterations": result.iterations, "method": result.method}
+    found = {"loss_kw": loss.real, "loss_kvar": loss.imag} | how
+    return {**_head_json(scenario), "power_flow": found, **_versions_json()}
+
+
+def _head_json(scenario: Scenario) -> dict[str, Any]:
+    of_scenario = {
+        "name": scenario.name,
+        "path": str(scenario.path),
+        "description": scenario.description,
+        "network": scenario.network.name,
+        "buses": len(scenario.network.buses),
+        "strategy": scenario.strategy,
+        "seed": scenario.seed,
+        "telemetry": scenario.telemetry.source,
+        "changes": dict(scenario.changes),
+    }
+    return {"version": VERSION, "scenario": of_scenario}
+
+
+def _versions_json() -> dict[str, Any]:
+    return {"versions": {"python": platform.python_version()} | {name: version_of(name) for name in DISTRIBUTIONS}}
 
 
 def _area_json(area: AreaResult) -> dict[str, Any]:

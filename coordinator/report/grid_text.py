@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from dsse_core.estimation.bad_data import BadDataReport, SuspectKept
-from dsse_core.grid.network import Network
 from dsse_core.power_flow.newton_raphson import PowerFlowResult
-from dsse_core.printable import printable
+from dsse_core.printable import printable, shortened
+from dsse_core.results.results import Results
+from dsse_core.results.table import Table
+from dsse_core.results.units import base_kw
+
+LONGEST_NAME_SHOWN = 24
+SMALLEST_SHOWN = 1e-6  # kW, kvar, A
 
 
 def format_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -27,43 +33,63 @@ def _join_columns(header: Sequence[str], columns: Iterable[list[str]]) -> str:
     return "\n".join(map(str.rstrip, map("  ".join, zip(*padded, strict=True))))
 
 
-def _write(values: np.ndarray, digits: int) -> list[str]:
-    """Each of ``values`` (n,) with so many digits after the point."""
-    return list(map(f"{{:.{digits}f}}".format, values.tolist()))
-
-
-def _name_buses(network: Network) -> list[str]:
-    return [str(bus.id) for bus in network.buses]
-
-
-def format_power_flow(result: PowerFlowResult) -> str:
-    """Voltages and injections of all buses, and the losses."""
-    base = result.network.base_mva
+def format_power_flow(result: PowerFlowResult, tables: Results) -> str:
+    """Voltages and injections of all buses, what flows in the branches, and the losses."""
+    buses, kw = tables.buses, base_kw(result.network)
     columns = [
-        _name_buses(result.network),
-        _write(result.vm, 5),
-        _write(np.degrees(result.va), 4),
-        list(map(_mega, (result.injection.real * base).tolist())),
-        list(map(_mega, (result.injection.imag * base).tolist())),
+        _name_rows(buses.bus, buses.name),
+        _write(buses.vm_pu, 5),
+        list(map("{:.4g}".format, buses.vm_kv.tolist())),
+        _write(buses.va_deg, 4),
+        _powers(buses.p_kw),
+        _powers(buses.q_kvar),
     ]
-    table = _join_columns(("bus", "vm p.u.", "va deg", "injection MW", "Mvar"), columns)
-    losses = result.losses * base
+    of_buses = _join_columns(("bus", "vm p.u.", "kV", "va deg", "injection kW", "kvar"), columns)
+    losses = result.losses * kw
     steps = "backward and forward sweeps" if result.method == "sweep" else "Newton-Raphson steps"
-    return f"{table}\n\nlosses {_mega(losses.real)} MW, {_mega(losses.imag)} Mvar; {result.iterations} {steps}"
+    total = f"losses {_power(losses.real)} kW, {_power(losses.imag)} kvar; {result.iterations} {steps}"
+    return "\n\n".join([of_buses, _format_branches(tables.branches), total])
 
 
-def format_estimate(report: BadDataReport, truth: PowerFlowResult | None) -> str:
-    """The centralised estimate, beside the truth where it is known, and its bad-data report."""
-    estimate = report.result
-    sigma_vm, sigma_va = estimate.state_sigma()
-    true = ("true",) if truth else ()
+def format_estimate(report: BadDataReport, tables: Results) -> str:
+    """The centralised estimate, beside the truth where it is known, what flows, and its bad-data report."""
+    buses = tables.buses
+    with_truth = not np.isnan(buses.true_vm_pu).all()
+    true = ("true",) if with_truth else ()
     columns = [
-        _name_buses(estimate.network),
-        *(_write(part, 5) for part in (estimate.vm, sigma_vm, *((truth.vm,) if truth else ()))),
-        *(_write(np.degrees(part), 4) for part in (estimate.va, sigma_va, *((truth.va,) if truth else ()))),
+        _name_rows(buses.bus, buses.name),
+        _write(buses.vm_pu, 5),
+        _write(buses.sigma_vm_pu, 5),
+        *([_write(buses.true_vm_pu, 5)] if with_truth else ()),
+        _write(buses.va_deg, 4),
+        _write(buses.sigma_va_deg, 4),
+        *([_write(buses.true_va_deg, 4)] if with_truth else ()),
+        *map(_powers, (buses.p_kw, buses.sigma_p_kw, buses.q_kvar, buses.sigma_q_kvar)),
     ]
-    table = _join_columns(("bus", "vm p.u.", "sigma", *true, "va deg", "sigma", *true), columns)
-    return "\n".join([table, "", *map(printable, _format_bad_data(report))])
+    header = ("bus", "vm p.u.", "sigma", *true, "va deg", "sigma", *true, "injection kW", "sigma", "kvar", "sigma")
+    findings = "\n".join(map(printable, format_bad_data(report)))
+    return "\n\n".join([_join_columns(header, columns), _format_branches(tables.branches), findings])
+
+
+def _format_branches(branches: Table) -> str:
+    """Flows at the from end, currents and losses of the branches in service; what is not known of all is left out."""
+    larger_at_from = branches.i_from_a >= branches.i_to_a
+    shown = {
+        "P kW": branches.p_from_kw,
+        "sigma P": branches.sigma_p_from_kw,
+        "Q kvar": branches.q_from_kvar,
+        "sigma Q": branches.sigma_q_from_kvar,
+        "I A": np.fmax(branches.i_from_a, branches.i_to_a),
+        "sigma I": np.where(larger_at_from, branches.sigma_i_from_a, branches.sigma_i_to_a),
+        "loss kW": branches.loss_kw,
+        "loading %": branches.loading_percent,
+    }
+    used = branches.in_service
+    known = {header: column[used] for header, column in shown.items() if not np.isnan(column[used]).all()}
+    of_branches = [
+        text for text, is_used in zip(_name_rows(branches.branch, branches.name), used, strict=True) if is_used
+    ]
+    return _join_columns(["branch", *known], [of_branches, *map(_powers, known.values())])
 
 
 def _describe_backend(report: BadDataReport) -> str:
@@ -72,7 +98,8 @@ def _describe_backend(report: BadDataReport) -> str:
     return f"{report.result.backend}: {radial}" if isinstance(radial, str) else report.result.backend
 
 
-def _format_bad_data(report: BadDataReport) -> list[str]:
+def format_bad_data(report: BadDataReport) -> list[str]:
+    """The chi-square test, what was removed, what remains, one line each."""
     lines = [
         f"J = {report.objective:.4g} with {report.degrees_of_freedom} degrees of freedom, "
         f"limit {report.chi_square_limit:.4g}; {report.result.iterations} iterations, "
@@ -104,5 +131,25 @@ def _format_suspect(suspect: SuspectKept | None) -> str:
     return f": {suspect.meter} has the largest normalised residual, {suspect.normalized_residual:.3g}, but {reason}"
 
 
-def _mega(value: float) -> str:
-    return f"{value:.4f}" if abs(value) >= 5e-5 else "0"
+def _name_rows(ids: Iterable[object], names: Iterable[str]) -> list[str]:
+    """What the rows of a table are called: their ids, and a name beside where there is one."""
+    called = (
+        f"{of} {shortened(name, LONGEST_NAME_SHOWN)}" if name else str(of) for of, name in zip(ids, names, strict=True)
+    )
+    return list(map(printable, called))
+
+
+def _write(values: np.ndarray, digits: int) -> list[str]:
+    """Each of ``values`` (n,) with so many digits after the point."""
+    return list(map(f"{{:.{digits}f}}".format, values.tolist()))
+
+
+def _powers(values: np.ndarray) -> list[str]:
+    return list(map(_power, values.tolist()))
+
+
+def _power(value: float) -> str:
+    """Of kW, kvar, A and percent: two decimals, and more digits of small values."""
+    if math.isnan(value):
+        return "-"
+    return "0" if abs(value) < SMALLEST_SHOWN else f"{value:.2f}" if abs(value) >= 1 else f"{value:.3g}"

@@ -7,6 +7,7 @@ import pytest
 from coordinator.report.grid_text import format_estimate
 from dsse_core.estimation.bad_data import SuspectKept, process_bad_data
 from dsse_core.grid.measurement import MeasurementKind, Meter
+from dsse_core.results.results import results_of_estimate
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 
@@ -17,14 +18,19 @@ def detected():
     return replace(process_bad_data(scenario.network, make_telemetry(scenario).union), detected=True, suspect=None)
 
 
-def test_a_residual_that_stands_out_is_not_said_not_to(detected):
+@pytest.fixture(scope="module")
+def tables(detected):
+    return results_of_estimate(detected)
+
+
+def test_a_residual_that_stands_out_is_not_said_not_to(detected, tables):
     for reason, text in (("critical", "is not determined"), ("diverges", "does not converge")):
         suspect = SuspectKept(Meter(MeasurementKind.VM, 4), 21.9, reason)
-        report = format_estimate(replace(detected, suspect=suspect), None)
+        report = format_estimate(replace(detected, suspect=suspect), tables)
         assert "still detected: vm@4 (vm of bus 4) has the largest normalised residual, 21.9, but without it" in report
         assert text in report
         assert "stands out" not in report
 
 
-def test_where_none_does_it_is_said(detected):
-    assert "still detected, but no normalised residual stands out" in format_estimate(detected, None)
+def test_where_none_does_it_is_said(detected, tables):
+    assert "still detected, but no normalised residual stands out" in format_estimate(detected, tables)

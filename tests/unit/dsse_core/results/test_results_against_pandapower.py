@@ -12,7 +12,8 @@ import pytest
 from dsse_core.power_flow.newton_raphson import solve_power_flow
 from dsse_core.results.results import results_of_power_flow
 from dsse_core.results.table import Table
-from scenarios.files.network_file import load_network, save_network
+from scenarios.files.network_file import load_network
+from scenarios.files.saved_network import save_network
 from scenarios.importers import import_grid
 
 pp: Any = pytest.importorskip("pandapower")

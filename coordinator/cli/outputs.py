@@ -1,0 +1,92 @@
+"""How ``dsse estimate`` and ``dsse powerflow`` hand over what they find: text, JSON or CSV to read on, files."""
+
+from __future__ import annotations
+
+import functools
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from coordinator.cli.terminal import say, show
+from coordinator.run_folder import make_run_folder
+
+if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts fast
+    from dsse_core.results.results import Results
+
+TABLES = ("buses", "branches", "meters", "areas")
+parquet_option = click.option("--parquet", is_flag=True, help="Write the tables as Parquet, too (pyarrow).")
+
+
+@dataclass(frozen=True)
+class Output:
+    """Where results go: ``folder``, if files are wanted, and standard output as text, JSON or one table as CSV."""
+
+    folder: Path | None
+    as_json: bool
+    csv: str | None
+    parquet: bool
+
+    @property
+    def is_text(self) -> bool:
+        """Whether nothing but text is wanted."""
+        return self.folder is None and not self.as_json and self.csv is None
+
+
+def output_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """``--out``, ``--json``, ``--csv``, ``--parquet``; the command gets them as ``output``, its folder made."""
+
+    @click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="Write files here, new or empty.")
+    @click.option("--json", "as_json", is_flag=True, help="Print all tables as JSON instead.")
+    @click.option("--csv", type=click.Choice(TABLES), metavar="TABLE", help=f"Print one as CSV: {', '.join(TABLES)}.")
+    @parquet_option
+    @functools.wraps(command)
+    def with_output(*, out: Path | None, as_json: bool, csv: str | None, parquet: bool, **others: object) -> Any:
+        if as_json and csv:
+            raise click.UsageError("--json and --csv both print on standard output; give one of them")
+        if parquet and out is None:
+            raise click.UsageError("--parquet writes files; say where with --out DIR")
+        check_parquet_option(parquet)
+        folder = None if out is None else make_run_folder(out, "")
+        return command(output=Output(folder, as_json, csv, parquet), **others)
+
+    return with_output
+
+
+def check_parquet_option(parquet: bool) -> None:
+    """That what ``--parquet`` asks for can be done, before anything is computed."""
+    if parquet:
+        from coordinator.evaluation.table_files import check_parquet
+
+        check_parquet()
+
+
+def hand_over(
+    output: Output, tables: Results, content: dict[str, Any], text: Callable[[], str], notes: Sequence[str] = ()
+) -> None:
+    """Write the files that are asked for, ``content`` as result.json, and print.
+
+    ``text``: what is printed unless JSON or CSV is asked for. ``notes``: what it says of how far the result can be
+    trusted; beside JSON and CSV, which others read on, they go to standard error.
+    """
+    from coordinator.evaluation.table_files import format_csv, tables_as_json, write_json, write_parquet, write_tables
+
+    if output.folder is not None:
+        write_json(output.folder / "result.json", content)
+        write_tables(output.folder, tables)
+        if output.parquet:
+            write_parquet(output.folder, tables)
+    if output.as_json:
+        show(json.dumps(content | tables_as_json(tables), allow_nan=False))
+    elif output.csv:
+        show(format_csv(getattr(tables, output.csv)))
+    else:
+        show(text())
+    machine_reads = output.as_json or output.csv is not None
+    for note in notes if machine_reads else ():
+        say(f"note: {note}")
+    if output.folder is not None:
+        (say if machine_reads else show)(f"files: {output.folder}")
