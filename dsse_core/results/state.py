@@ -82,7 +82,10 @@ def branch_rows(network: Network) -> dict[str, int]:
 
 
 def read_state(state: GridState, meters: Sequence[Meter]) -> np.ndarray:
-    """What perfect ``meters``, which fit the network, would read in this state, p.u. and rad, (n_meas,)."""
+    """What perfect ``meters``, which fit the network, would read in this state, p.u. and rad, (n_meas,).
+
+    Angles lie in (-pi, pi].
+    """
     kinds = np.array([meter.kind for meter in meters], dtype="<U12")
     row, place, f = state.network.row, branch_rows(state.network), state.branches.f
     bus = np.array([row[meter.bus] for meter in meters], dtype=np.int64)
@@ -97,4 +100,6 @@ def read_state(state: GridState, meters: Sequence[Meter]) -> np.ndarray:
         s[of_end], i[of_end] = power[branch[of_end]], current[branch[of_end]]
     reactive = (kinds == KIND.Q_FLOW) | (kinds == KIND.Q_INJECTION)
     chosen = [kinds == KIND.VM, kinds == KIND.VA, kinds == KIND.CURRENT, reactive]
-    return np.asarray(np.select(chosen, [state.vm[bus], state.va[bus], abs(i), s.imag], s.real))
+    return np.asarray(
+        np.select(chosen, [state.vm[bus], np.pi - (np.pi - state.va[bus]) % (2 * np.pi), abs(i), s.imag], s.real)
+    )

@@ -296,3 +296,44 @@ def test_a_missing_list_is_named(tmp_path: Path) -> None:
     path.write_text(json.dumps(LISTS | {"bus": {"id": [1, 2, 3]}}), encoding="utf-8")
     with pytest.raises(InvalidInputError, match=r"bus.base_kv: missing; nominal voltages in kV"):
         load_network(path)
+
+
+def test_a_rating_is_kept_in_its_unit_and_a_name_with_it(tmp_path: Path) -> None:
+    text = changed("b_us = 100.0 }", 'b_us = 100.0, rating_a = 250.0, name = "north \u00e9" }')
+    text = text.replace("shift_deg = 30.0 }", "shift_deg = 30.0, rating_mva = 0.63 }")
+    network = load(tmp_path, text)
+    line, transformer = network.branches[0], network.branches[2]
+    assert line.name == "north \u00e9"
+    assert line.i_max == pytest.approx(250.0 * math.sqrt(3) * 20.0 / 10_000.0)
+    assert (line.s_max, transformer.i_max, transformer.s_max) == (None, None, pytest.approx(0.063))
+    for name in ("again.toml", "again.json"):
+        save_network(tmp_path / name, network, "test")
+        again = load_network(tmp_path / name)
+        assert again.branches[0].name == line.name
+        assert again.branches[0].i_max == pytest.approx(line.i_max, rel=1e-14)
+        assert again.branches[2].s_max == pytest.approx(0.063, rel=1e-14)
+        assert again.branches[1].i_max is again.branches[1].s_max is None
+
+
+@pytest.mark.parametrize(
+    ("key", "found"),
+    [
+        ("rating_a = 0.0", "rating_a"),
+        ("rating_mva = -1.0", "rating_mva"),
+        ("rating_a = nan", "rating_a"),
+        ("rating_a = 10.0, rating_mva = 1.0", "two ratings"),
+        ("rating_mva = 1e12", "rating is 1e+12 MVA"),
+    ],
+)
+def test_a_rating_that_is_none_is_named(tmp_path: Path, key: str, found: str) -> None:
+    assert any(
+        found in problem for problem in problems_of(tmp_path, changed("b_us = 100.0 }", f"b_us = 100.0, {key} }}"))
+    )
+
+
+def test_a_current_between_two_voltages_is_ambiguous(tmp_path: Path) -> None:
+    problems = problems_of(tmp_path, changed("shift_deg = 30.0 }", "shift_deg = 30.0, rating_a = 10.0 }"))
+    assert problems == (
+        "branch[3].rating_a: the branch joins bus 2 of 20.0 kV and bus 3 of 0.4 kV, so a current is ambiguous; "
+        "give rating_mva",
+    )

@@ -368,3 +368,10 @@ def test_no_case_keeps_the_reader_for_ever(text: str) -> None:
         [sys.executable, "-c", PROBE], input=text, capture_output=True, text=True, timeout=DEADLINE_S, check=True
     )
     assert int(done.stdout) > 0
+
+
+def test_rate_a_is_the_rating_and_0_is_none(tmp_path: Path) -> None:
+    text = changed(MESHED, "20  30  0.02  0.03 0.01  0 0 0", "20  30  0.02  0.03 0.01  25 9 9")
+    branches = read(tmp_path, text).network
+    assert branches.branch("20-30").s_max == pytest.approx(25 / (50 / 3))
+    assert [b.s_max for b in branches.branches if b.id != "20-30"] == [None] * 6

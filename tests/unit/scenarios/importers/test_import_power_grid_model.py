@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from power_grid_model_grids import (
 )
 
 from dsse_core.power_flow.newton_raphson import solve_power_flow
+from dsse_core.results.results import results_of_power_flow
 
 
 @pytest.mark.parametrize("frequency_hz", [50.0, 60.0])
@@ -83,3 +85,16 @@ def test_a_transformer_that_power_grid_model_computes_with_is_not_rejected(
     check_power_flow(grid, data)
     noted = [remark.text for remark in grid.remarks if remark.what == "note"]
     assert any(text.startswith("power-grid-model computes with it, but: ") and "20" in text for text in noted)
+
+
+def test_the_loading_of_lines_and_transformers_is_power_grid_models(tmp_path: Path) -> None:
+    data = small_grid()
+    grid = imported(tmp_path, data)
+    branches = results_of_power_flow(solve_power_flow(grid.network, tolerance=1e-12)).branches
+    output = pgm.PowerGridModel(data).calculate_power_flow(error_tolerance=1e-13, max_iterations=50)
+    theirs = {int(row["id"]): 100 * float(row["loading"]) for kind in ("line", "transformer") for row in output[kind]}
+    ours = dict(zip(branches.branch, branches.loading_percent, strict=True))
+    branch_of = {30: "2-3", 31: "3-4", 32: "4-5", 20: "1-2", 21: "5-6"}
+    found = [ours[branch] for branch in branch_of.values()]
+    np.testing.assert_allclose(found, [theirs[component] for component in branch_of], rtol=1e-6)
+    assert math.isnan(ours["3-7"])  # no rating is given
