@@ -13,6 +13,7 @@ from typing import Any
 
 from agents.protocol.quality import GOOD
 from coordinator.evaluation.comparison import Comparison
+from coordinator.evaluation.run_tables import make_run_tables
 from coordinator.evaluation.table_files import write_json, write_tables
 from coordinator.evaluation.verdict import Verdict
 from coordinator.observe.duplicates import Duplicate
@@ -88,9 +89,8 @@ class RunOutcome:
     @cached_property
     def tables(self) -> Results:
         """Buses, branches, meters and areas, computed when first asked for."""
-        from coordinator.evaluation.run_tables import make_run_tables
-
-        return make_run_tables(self)
+        figures = [asdict(area) for area in self.areas]
+        return make_run_tables(self.comparison, self.scenario.meters, self.readings, self.centralised, figures)
 
 
 @dataclass(frozen=True)

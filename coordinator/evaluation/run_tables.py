@@ -2,57 +2,72 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
+from coordinator.evaluation.comparison import Comparison
+from dsse_core.estimation.bad_data import BadDataReport
+from dsse_core.grid.measurement import Measurement, Meter
 from dsse_core.results.deviations import Deviations, find_deviations
 from dsse_core.results.results import MeterReadings, Results, assemble_results, no_deviations, readings_of_estimate
 from dsse_core.results.state import GridState, join_states
 
-if TYPE_CHECKING:
-    from coordinator.evaluation.result import AreaResult, RunOutcome
-
+AreaFigures = Mapping[str, Any]
 SAME_SIGMA = 1e-6
 """Relative difference up to which an area's standard deviation of a magnitude is the centralised one: only then does
 what follows from the centralised covariance hold for the area's estimate."""
 
 
-def make_run_tables(outcome: RunOutcome) -> Results:
+def make_run_tables(
+    comparison: Comparison,
+    meters: Sequence[Meter],
+    readings: Sequence[Measurement],
+    centralised: BadDataReport | None,
+    areas: Sequence[AreaFigures],
+) -> Results:
     """Voltages are those of the owners, flows follow from the voltages of the area that holds the branch.
+
+    ``areas``: what ``result.json`` has of each, in order.
 
     Areas publish standard deviations of voltages only. Those of what follows, and of residuals, come from the
     covariance of the centralised estimate, at buses where both agree on that of the magnitude (SAME_SIGMA); elsewhere
     they are nan.
     """
-    comparison, scenario = outcome.comparison, outcome.scenario
-    state = join_states(scenario.partition, comparison.published)
+    state = join_states(comparison.partition, comparison.published)
     compared = {
         "true": (comparison.truth.vm, comparison.truth.va),
         "centralised": (comparison.centralised.vm, comparison.centralised.va),
         "decentralised": (comparison.decentralised.vm, comparison.decentralised.va),
     }
-    deviations, agreed = _find_deviations(outcome, state)
-    readings = _find_readings(outcome, agreed)
+    deviations, agreed = _find_deviations(comparison, centralised, state)
+    beside = _find_readings(meters, readings, centralised, areas, agreed[_rows_of(state, meters)])
     return assemble_results(
         state,
         deviations,
         compared,
-        readings,
-        scenario.partition,
-        _figures_of(outcome.areas),
-        [area.quality for area in outcome.areas],
+        beside,
+        comparison.partition,
+        _figures_of(areas),
+        [area["quality"] for area in areas],
     )
 
 
-def _find_deviations(outcome: RunOutcome, state: GridState) -> tuple[Deviations, np.ndarray]:
+def _rows_of(state: GridState, meters: Sequence[Meter]) -> np.ndarray:
+    return np.array([state.network.row[meter.bus] for meter in meters], dtype=np.int64)
+
+
+def _find_deviations(
+    comparison: Comparison, centralised: BadDataReport | None, state: GridState
+) -> tuple[Deviations, np.ndarray]:
     """Standard deviations, and at which buses areas and centralised estimate agree on those of magnitudes, (n_bus,)."""
-    own = outcome.comparison.sigma
+    own = comparison.sigma
     published = replace(no_deviations(state.network), vm=own.vm, va=own.va)
-    if outcome.centralised is None:
+    if centralised is None:
         return published, np.zeros(len(own.vm), dtype=bool)
-    central = find_deviations(outcome.centralised.result, state.branches)
+    central = find_deviations(centralised.result, state.branches)
     agreed = abs(own.vm - central.vm) <= SAME_SIGMA * central.vm  # not where it is nan
     both = agreed[state.branches.f] & agreed[state.branches.t]
     branches = np.where(both & ~np.isnan(state.flows.s_from.real), central.branches, np.nan)
@@ -60,30 +75,37 @@ def _find_deviations(outcome: RunOutcome, state: GridState) -> tuple[Deviations,
     return replace(published, branches=branches, injections=injections), agreed
 
 
-def _find_readings(outcome: RunOutcome, agreed: np.ndarray) -> MeterReadings:
-    """Readings with what became of them in the areas; a removed meter has the centralised normalised residual."""
-    meters, row = outcome.scenario.meters, outcome.scenario.network.row
-    removed = {meter for area in outcome.areas for meter in area.removed}
-    critical = {meter for area in outcome.areas for meter in area.critical}
-    known = {m.meter.id: (m.value, m.sigma) for m in outcome.readings}
+def _find_readings(
+    meters: Sequence[Meter],
+    readings: Sequence[Measurement],
+    centralised: BadDataReport | None,
+    areas: Sequence[AreaFigures],
+    agreed: np.ndarray,
+) -> MeterReadings:
+    """Readings with what became of them in the areas; a removed meter has the centralised normalised residual.
+
+    ``agreed`` (n_meas,): at the bus of each meter.
+    """
+    removed = {meter for area in areas for meter in area["removed"]}
+    critical = {meter for area in areas for meter in area["critical"]}
+    known = {m.meter.id: (m.value, m.sigma) for m in readings}
     nothing = np.nan, np.nan
     values, sigmas = np.array([known.get(meter.id, nothing) for meter in meters], dtype=float).reshape(-1, 2).T
     variance, taken_out = np.full(len(meters), np.nan), dict.fromkeys(removed, np.nan)
-    if outcome.centralised is not None:
-        central = readings_of_estimate(outcome.centralised, meters)
-        at_agreed = agreed[[row[meter.bus] for meter in meters]]
-        variance = np.where(at_agreed, central.residual_variance, np.nan)
+    if centralised is not None:
+        central = readings_of_estimate(centralised, meters)
+        variance = np.where(agreed, central.residual_variance, np.nan)
         taken_out |= {meter: value for meter, value in central.removed.items() if meter in removed}
     return MeterReadings(meters, values, sigmas, variance, taken_out, critical)
 
 
-def _figures_of(areas: tuple[AreaResult, ...]) -> dict[str, np.ndarray]:
+def _figures_of(areas: Sequence[AreaFigures]) -> dict[str, np.ndarray]:
     """The columns OF_A_RUN, as in ``result.json``; of lists and tables their sizes and sums."""
     plain = ("gap_vm_pu", "gap_va_deg", "error_vm_pu", "error_va_deg", "objective", "degrees_of_freedom")
-    counts = {key: np.array([getattr(a, key) for a in areas]) for key in ("exchanges", "messages", "bytes", "lost")}
-    counts["rejected"] = np.array([sum(a.rejected.values()) for a in areas])
-    counts |= {key: np.array([len(getattr(a, key)) for a in areas]) for key in ("removed", "critical")}
-    unknown = {key: [getattr(a, key) for a in areas] for key in plain}
+    counts = {key: np.array([a[key] for a in areas]) for key in ("exchanges", "messages", "bytes", "lost")}
+    counts["rejected"] = np.array([sum(a["rejected"].values()) for a in areas])
+    counts |= {key: np.array([len(a[key]) for a in areas]) for key in ("removed", "critical")}
+    unknown = {key: [a[key] for a in areas] for key in plain}
     return counts | {
         key: np.array([np.nan if value is None else value for value in values], dtype=float)
         for key, values in unknown.items()
