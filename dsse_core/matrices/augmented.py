@@ -31,6 +31,7 @@ MOST_REFINEMENTS = 5
 # supernodes, of which these tableaus have none worth having.
 ORDERED = {"diag_pivot_thresh": 1e-3, "relax": 1, "panel_size": 1, "options": {"SymmetricMode": True}}
 FEWEST_SELECTED = 400  # rows of the tableau, from which the selected inverse takes less than solves
+MOST_SOLVED = 100_000_000  # rows of the tableau times right-hand sides: some ten seconds
 BLOCK = 256  # right-hand sides solved at once; bounds memory at (n_meas + n_state, BLOCK)
 
 
@@ -161,13 +162,18 @@ class AugmentedFactor:
         return self._diagonal(self._n_meas, self._n_state) / -self._a
 
     def covariance_at(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """The entries (rows[k], columns[k]) of G^-1, shape (k,)."""
+        """The entries (rows[k], columns[k]) of G^-1, shape (k,).
+
+        Nan where the selected inverse declines and solves would cost more than MOST_SOLVED.
+        """
         rows, columns = self._n_meas + np.asarray(rows), self._n_meas + np.asarray(columns)
         found = None
         if len(self._scale) >= FEWEST_SELECTED:
             place = self._pattern.place
             factor = self._pattern.factor(self._tableau, exact=True)
             found = find_inverse_entries(self._tableau, factor, place[rows], place[columns])
+        if found is None and len(self._scale) * len(np.unique(columns)) > MOST_SOLVED:
+            return np.full(len(rows), np.nan)
         if found is None:
             return self._solve_entries(rows, columns) / -self._a
         return np.asarray(self._scale[rows] * found * self._scale[columns] / -self._a)

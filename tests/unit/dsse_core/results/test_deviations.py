@@ -180,3 +180,17 @@ def test_deviations_agree_with_10000_samples(rich):
     theirs = np.std(samples, axis=0)
     error = 5 / math.sqrt(2 * len(x))  # five standard deviations of a sampled one
     np.testing.assert_allclose(theirs, ours, rtol=error, atol=1e-8)
+
+
+def test_what_would_take_too_long_is_unknown_and_the_rest_is_there(chain, monkeypatch):
+    monkeypatch.setattr("dsse_core.matrices.augmented.find_inverse_entries", lambda *_: None)
+    network, rng = chain(120), np.random.default_rng(1)
+    result = estimate_state(network, readings_of(network, some_meters(network, rng), rng), backend="sparse")
+    assert_dense(result)  # by solves
+    monkeypatch.setattr("dsse_core.matrices.augmented.MOST_SOLVED", 1000)
+    found = find_deviations(result)
+    assert np.isnan(found.branches).all()
+    assert not np.isnan(found.vm).any()
+    metered = {m.meter.bus for m in result.measurements if m.meter.kind is Kind.P_INJECTION}
+    known = {bus.id for bus, sigma in zip(network.buses, found.injections[0], strict=True) if not np.isnan(sigma)}
+    assert known == metered
