@@ -7,7 +7,7 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 
 from dsse_core.estimation.residuals import CRITICAL_REDUNDANCY
-from dsse_core.grid.measurement import MeasurementKind, Meter, Source
+from dsse_core.grid.measurement import MeasurementKind, Meter
 from dsse_core.grid.network import Network
 from dsse_core.results.state import GridState, read_state
 from dsse_core.results.table import PHASE, Table
@@ -86,8 +86,3 @@ def find_unit_sizes(network: Network, meters: Sequence[Meter]) -> np.ndarray:
     row = network.row
     sizes = [of_unit.get(UNIT[m.kind]) or a[row[m.bus]] for m in meters]
     return np.array(sizes, dtype=float)
-
-
-def is_virtual(meters: Sequence[Meter]) -> np.ndarray:
-    """Which of ``meters`` hold exactly, (n_meas,)."""
-    return np.array([meter.source is Source.VIRTUAL for meter in meters], dtype=bool)

@@ -19,7 +19,7 @@ COLUMNS = {"bus": 13, "branch": 11, "gen": 10}
 """Matrix -> how many columns it has at least."""
 MOST_COLUMNS = {"bus": 17, "branch": 21, "gen": 25}
 """Matrix -> how many columns mean something to MATPOWER, results of an optimal power flow included."""
-NOT_NEEDED = {"gencost", "areas", "bus_name", "gentype", "genfuel", "genid", "branch_name", "gen_name"}
+NOT_NEEDED = {"gencost", "areas", "gentype", "genfuel", "genid", "branch_name", "gen_name"}
 """Fields of ``mpc`` that change no power flow."""
 NUMBERS = {"bus": (0, 1), "branch": (0, 1), "gen": (0,)}
 """Matrix -> its columns of bus numbers and types."""
@@ -29,6 +29,7 @@ HARMLESS = re.compile(
     r"|\[[A-Z_0-9,~ ]+\]=idx_(?:bus|brch|gen|cost)"
     r"|Vbase=mpc\.bus\(1,BASE_KV\)\*1e3|Sbase=mpc\.baseMVA\*1e6"
 )
+QUOTED = re.compile(r"""'(?:[^'\n]|'')*+'|"(?:[^"\n]|"")*+\"""")
 BASE_MVA = re.compile(rf"mpc\.baseMVA=({NUMBER})(?:/({NUMBER}))?")
 CELL = re.compile(rf"({NUMBER})(?:/(?:({NUMBER})|sqrt\(({NUMBER})\)))?")  # 135/sqrt(3) is among them
 POWER_FACTOR = re.compile(rf"pf=({NUMBER})")
@@ -52,6 +53,7 @@ class Case:
     base_mva: float | None = None
     power_factor: float | None = None
     matrices: dict[str, Matrix] = field(default_factory=dict)
+    bus_names: list[str] = field(default_factory=list)
     changes: list[str] = field(default_factory=list)
     left_out: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
@@ -119,6 +121,8 @@ def _execute(case: Case, statement: str, line: int) -> None:
     if equals and (found := re.fullmatch(r"mpc\.(\w+)", name)) and value[:1] in ("[", "{"):
         if found[1] in COLUMNS:
             _take_matrix(case, found[1], value, line)
+        elif found[1] == "bus_name":
+            case.bus_names = [text[1:-1].replace(2 * text[0], text[0]) for text in QUOTED.findall(value)]
         elif found[1] in ("dcline", "if", "load", "softlims") and value.strip("[]{} \n"):
             case.problems.append(f"line {line}: mpc.{found[1]}: the network model cannot hold it; remove it")
         elif found[1] not in NOT_NEEDED:

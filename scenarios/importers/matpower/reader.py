@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 from dsse_core.errors import InvalidInputError
@@ -42,6 +43,11 @@ def read_matpower(path: Path) -> Imported:
 
 def _build(path: Path, case: Case, base: float) -> Imported:
     buses, remarks = _build_buses(case.matrices["bus"], base)
+    if len(case.bus_names) == len(buses):
+        buses = tuple(replace(bus, name=name) for bus, name in zip(buses, case.bus_names, strict=True))
+    elif case.bus_names:
+        text = f"mpc.bus_name: {len(case.bus_names)} names of {len(buses)} buses say not which is whose"
+        remarks.append(Remark("left out", text))
     isolated = {int(row[BUS_I]) for row in case.matrices["bus"] if row[BUS_TYPE] == ISOLATED}
     generators, problems = _build_generators(case.matrices["bus"], case.matrices["gen"], base)
     problems += _find_reference_problems(case.matrices["bus"], case.matrices["branch"])

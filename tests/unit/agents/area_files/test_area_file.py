@@ -130,3 +130,14 @@ def test_limits_and_lies_are_read_back(tmp_path: Path, content: AreaFile, suffix
     changed = replace(content, links=content.links | {"area2": lie}, limits=StateLimits(0.8, 1.1, 0.05))
     save_area_file(tmp_path / f"area{suffix}", changed)
     assert load_area_file(tmp_path / f"area{suffix}") == changed
+
+
+@pytest.mark.parametrize("suffix", [".toml", ".json"])
+def test_names_and_ratings_of_some_branches_are_read_back(tmp_path: Path, content: AreaFile, suffix: str):
+    network = content.area.network
+    first, second, *others = network.branches
+    branches = (replace(first, name="north", i_max=0.3), replace(second, s_max=2.5), *others)
+    rated = replace(content, area=replace(content.area, network=replace(network, branches=branches)))
+    path = tmp_path / f"area{suffix}"
+    save_area_file(path, rated)
+    assert load_area_file(path) == rated

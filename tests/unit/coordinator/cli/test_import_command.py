@@ -131,7 +131,9 @@ def test_estimate_and_check_work_on_real_readings_and_print_no_truth(dsse, real:
     assert dsse("check", real)[0] == 0
     code, out, _ = dsse("estimate", real)
     assert code == 0
-    assert out.splitlines()[0].split() == ["bus", "vm", "p.u.", "sigma", "va", "deg", "sigma"]
+    assert out.splitlines()[0].split() == [
+        "bus", "vm", "p.u.", "sigma", "va", "deg", "sigma", "injection", "kW", "sigma", "kvar", "sigma",
+    ]  # fmt: skip
     assert dsse("estimate", "ieee33")[1].splitlines()[0].split().count("true") == 2
 
 

@@ -375,3 +375,14 @@ def test_rate_a_is_the_rating_and_0_is_none(tmp_path: Path) -> None:
     branches = read(tmp_path, text).network
     assert branches.branch("20-30").s_max == pytest.approx(25 / (50 / 3))
     assert [b.s_max for b in branches.branches if b.id != "20-30"] == [None] * 6
+
+
+def test_buses_keep_their_names_and_names_that_do_not_count_are_noted(tmp_path: Path) -> None:
+    names = "mpc.bus_name = {\n  'North [ring]; 50 %';\n  \"St. John's\";\n  'St. John''s east';\n};\n"
+    assert [bus.name for bus in read(tmp_path, DISTRIBUTION + names).network.buses] == [
+        "North [ring]; 50 %",
+        "St. John's",
+        "St. John's east",
+    ]
+    noted = [remark.text for remark in read(tmp_path, MESHED).remarks if remark.what == "left out"]
+    assert noted == ["mpc.bus_name: 2 names of 5 buses say not which is whose"]
