@@ -1,1 +1,4 @@
-"""One process per area: wire messages, keys, the protocol without I/O, strategies, transport and the loop."""
+"""One process per area: wire messages, keys, the protocol without I/O, strategies, transport and the loop.
+
+Part of consensus-dsse.
+"""

@@ -3,6 +3,8 @@
 ``coordinator.run(scenario)`` is what ``dsse run`` does, ``coordinator.simulate(scenario)`` what ``dsse simulate``
 does. Importing this package imports nothing heavy: a process that becomes an agent must not pay for what only the
 coordinator needs.
+
+Part of consensus-dsse.
 """
 
 from __future__ import annotations

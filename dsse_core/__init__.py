@@ -1,1 +1,4 @@
-"""The mathematics: networks, power flow, measurements, estimation, bad data, areas. No clocks or bus."""
+"""The mathematics: networks, power flow, measurements, estimation, bad data, areas. No clocks or bus.
+
+Part of consensus-dsse.
+"""

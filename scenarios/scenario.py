@@ -53,7 +53,7 @@ class TelemetrySettings:
     readings: dict[str, Measurement] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Scenario:
     """A checked scenario, in p.u. and rad; ``tolerances``, ``run`` and ``transport`` are the tables of its file.
 
@@ -81,6 +81,13 @@ class Scenario:
     transport: TransportTable
     limits: StateLimits
     changes: Mapping[str, object] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        buses, areas = len(self.network.buses), len(self.partition.areas)
+        return (
+            f"<Scenario {self.name!r}: network {self.network.name!r}, {buses} buses in {areas} areas, "
+            f"{len(self.meters)} meters, strategy {self.strategy!r}, seed {self.seed}>"
+        )
 
 
 def list_scenarios() -> tuple[tuple[str, str], ...]:

@@ -125,7 +125,7 @@ def evaluate(
         scenario=scenario,
         run=run,
         verdict=make_verdict(observer, comparison, reason, wall_s, virtual_s),
-        areas=make_area_results(observer, comparison, started + (wall_s if virtual_s is None else virtual_s)),
+        area_results=make_area_results(observer, comparison, started + (wall_s if virtual_s is None else virtual_s)),
         comparison=comparison,
         centralised=centralised.report,
         centralised_failure=centralised.failure,

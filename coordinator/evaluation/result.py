@@ -22,6 +22,7 @@ from dsse_core.estimation.bad_data import BadDataReport
 from dsse_core.grid.measurement import Measurement
 from dsse_core.power_flow.newton_raphson import PowerFlowResult
 from dsse_core.results.results import Results
+from dsse_core.results.with_tables import WithTables
 from scenarios.scenario import Scenario
 
 VERSION = 2
@@ -60,8 +61,8 @@ class AreaResult:
         return self.quality != GOOD
 
 
-@dataclass(frozen=True)
-class RunOutcome:
+@dataclass(frozen=True, repr=False)
+class RunOutcome(WithTables):
     """Everything about one run. ``timing_s``: moments in seconds since the call, on the simulator in virtual time.
 
     ``faults``: kind -> how often it has happened, to messages and to processes. ``duplicates``: areas and plants that
@@ -73,7 +74,7 @@ class RunOutcome:
     scenario: Scenario
     run: str
     verdict: Verdict
-    areas: tuple[AreaResult, ...]
+    area_results: tuple[AreaResult, ...]
     comparison: Comparison
     centralised: BadDataReport | None
     centralised_failure: str | None
@@ -86,19 +87,30 @@ class RunOutcome:
     def in_folder(self, folder: Path) -> RunResult:
         return RunResult(**{each.name: getattr(self, each.name) for each in fields(self)}, folder=folder)
 
+    def __repr__(self) -> str:
+        verdict, scenario = self.verdict, self.scenario
+        gap = "" if verdict.gap_vm_pu is None else f", largest gap {verdict.gap_vm_pu:.1e} p.u."
+        return (
+            f"<{type(self).__name__} of {scenario.name!r}: {'consensus' if verdict.consensus else 'no consensus'} of "
+            f"{len(self.area_results)} areas, {len(scenario.network.buses)} buses, strategy {scenario.strategy!r}{gap}>"
+        )
+
     @cached_property
     def tables(self) -> Results:
         """Buses, branches, meters and areas, computed when first asked for."""
-        figures = [asdict(area) for area in self.areas]
+        figures = [asdict(area) for area in self.area_results]
         return make_run_tables(self.comparison, self.scenario.meters, self.readings, self.centralised, figures)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class RunResult(RunOutcome):
     """A run whose files lie in ``folder``; ``unwritten`` says why some of them do not, None if all do."""
 
     folder: Path = field(kw_only=True)
     unwritten: str | None = None
+
+    def __repr__(self) -> str:
+        return f"{super().__repr__()[:-1]}, files in {str(self.folder)!r}>"
 
 
 def make_area_results(observer: Observer, comparison: Comparison, now: float) -> tuple[AreaResult, ...]:
@@ -153,7 +165,7 @@ def as_json(result: RunOutcome) -> dict[str, Any]:
         **_head_json(result.scenario),
         "run": result.run,
         "verdict": asdict(result.verdict),
-        "areas": {area.name: _area_json(area) for area in result.areas},
+        "areas": {area.name: _area_json(area) for area in result.area_results},
         "centralised": _centralised_json(result),
         "timing_s": dict(result.timing_s),
         "faults": dict(result.faults),

@@ -118,7 +118,7 @@ def _draw_gap(result: RunResult) -> Figure:
     axes[-1].set_xlabel("virtual time (s)" if virtual else "time since the start of the run (s)")
     lines, labels = axes[0].get_legend_handles_labels()
     if len(labels) > MAX_LEGEND:  # every area is drawn; those that ended farthest off are named
-        ends = {area.name: -(area.gap_vm_pu or 0.0) for area in result.areas}
+        ends = {area.name: -(area.gap_vm_pu or 0.0) for area in result.area_results}
         named = sorted(labels, key=lambda label: ends.get(label, -np.inf))[:MAX_LEGEND]
         lines, labels = [lines[labels.index(label)] for label in named], named
     figure.legend(lines, labels, loc="outside lower center", ncols=6, fontsize="small")

@@ -20,7 +20,7 @@ def format_verdict(result: RunResult) -> str:
         time = f"{verdict.virtual_s:.2f} s of virtual time, computed in {time}"
     lines = [
         f"{outcome} after {time}: {printable(scenario.name)}, {len(scenario.network.buses)} buses in "
-        f"{len(result.areas)} areas, strategy {scenario.strategy}, seed {scenario.seed}"
+        f"{len(result.area_results)} areas, strategy {scenario.strategy}, seed {scenario.seed}"
     ]
     if verdict.reason:
         lines.append(f"  {printable_lines(verdict.reason)}")
@@ -45,7 +45,7 @@ def _format_areas(result: RunResult) -> str:
     with_errors = result.comparison.knows_truth
     errors = ("error p.u.", "error deg") if with_errors else ()
     header = ("area", "buses", "gap p.u.", "gap deg", *errors, "exchanges", "messages", "bytes", "lost", "quality")
-    rows = [(area.name, str(area.buses), *_figures(area, with_errors), area.quality) for area in result.areas]
+    rows = [(area.name, str(area.buses), *_figures(area, with_errors), area.quality) for area in result.area_results]
     total = ("all", str(len(result.scenario.network.buses)), *_figures(result.verdict, with_errors), "")
     return format_table(header, [*rows, total])
 
@@ -62,7 +62,7 @@ def _format_findings(result: RunResult) -> list[str]:
     if result.faults:
         lines.append("faults: " + ", ".join(f"{count} {kind}" for kind, count in sorted(result.faults.items())))
     lines += [f"warning: {duplicate}" for duplicate in result.duplicates]
-    for area in result.areas:
+    for area in result.area_results:
         if area.notes:
             lines.append(f"{area.quality if area.degraded else 'note'}: {area.name}: {'; '.join(area.notes)}")
         if area.rejected:

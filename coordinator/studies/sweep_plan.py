@@ -6,8 +6,7 @@ import hashlib
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -57,7 +56,7 @@ class SweepPlan:
     @property
     def settings(self) -> dict[str, Any]:
         """What all rows of one table have in common; values, strategies and seeds may become more."""
-        content = repr(replace(self.base, path=Path()))
+        content = repr([getattr(self.base, f.name) for f in fields(self.base) if f.name != "path"])
         return {
             "scenario": self.base.name,
             "links": dict(self.links),
@@ -82,6 +81,29 @@ def make_plan(
         InvalidInputError: the scenario or ``vary`` cannot be used; every value that the scenario rejects, and why.
     """
     key, values = parse_vary(vary)
+    return plan_values(name_or_path, key, values, strategies, seeds, links, timeout_s, changes)
+
+
+def plan_values(
+    name_or_path: str,
+    key: str,
+    values: Sequence[object],
+    strategies: Sequence[str],
+    seeds: int,
+    links: LinkChanges = NO_CHANGES,
+    timeout_s: float | None = None,
+    changes: Mapping[str, object] = NO_SETTINGS,
+) -> SweepPlan:
+    """The same with ``values`` of ``key``.
+
+    Raises:
+        InvalidInputError: the scenario cannot be used; every value that it rejects, and why; a value given twice.
+    """
+    if key in OPTION_OF_KEY:
+        raise _vary_error(f"{key} is varied by {OPTION_OF_KEY[key]}; choose another key")
+    texts = [text_of(value) for value in values]
+    if twice := [text for text in dict.fromkeys(texts) if texts.count(text) > 1]:
+        raise _vary_error(f"{key}: {', '.join(twice)} is given twice; keep one")
     if key in changes:
         raise _vary_error(f"{key} cannot be varied and set; give one of --vary and --set")
     base = choose_scenario(name_or_path, timeout_s=timeout_s, links=links, changes=changes)
@@ -106,12 +128,7 @@ def parse_vary(vary: str) -> tuple[str, list[object]]:
     key, equals, text = (part.strip() for part in vary.partition("="))
     if not (key and equals and text):
         raise _vary_error(f"{vary!r} must be KEY=START:STOP:N or KEY=VALUE,VALUE,..., e.g. faults.loss=0:0.9:10")
-    if key in OPTION_OF_KEY:
-        raise _vary_error(f"{key} is varied by {OPTION_OF_KEY[key]}; choose another key")
     values = _parse_range(text) if re.fullmatch(f"{NUMBER}:{NUMBER}(:.*)?", text) else parse_values(text)
-    texts = [text_of(value) for value in values]
-    if twice := [text for text in dict.fromkeys(texts) if texts.count(text) > 1]:
-        raise _vary_error(f"{key}: {', '.join(twice)} is given twice; keep one")
     return key, values
 
 

@@ -38,7 +38,7 @@ def test_faults_delay_the_centralised_estimate_and_are_counted(
     assert result.verdict.gap_vm_pu is not None
     assert result.verdict.gap_vm_pu <= GAP
     assert KINDS[name] <= result.faults.keys()
-    worth = {area.quality for area in result.areas}
+    worth = {area.quality for area in result.area_results}
     assert worth == {"good"} or (
         run is coordinator.run and worth <= {"good", "degraded"}
     )  # as the last message was lost
@@ -56,14 +56,14 @@ def test_a_liar_is_named_and_there_is_neither_consensus_nor_a_good_state_of_who_
     assert not result.verdict.consensus
     assert "area1 and area3 differ" in str(result.verdict.reason)
     assert result.faults["lied"] > 0
-    (receives,) = [area for area in result.areas if area.name == "area1"]
+    (receives,) = [area for area in result.area_results if area.name == "area1"]
     assert receives.quality == "degraded"
     assert any("boundary mismatch with area3" in note for note in receives.notes)
 
 
 def test_damaged_messages_are_rejected_and_counted_by_reason(tmp_path: Path):
     result = coordinator.simulate("ieee33-corruption", out=tmp_path / "out", plots=False)
-    rejected = sum(area.rejected.get("damaged", 0) for area in result.areas)
+    rejected = sum(area.rejected.get("damaged", 0) for area in result.area_results)
     assert 0 < rejected <= result.faults["corrupted"]
 
 
@@ -76,7 +76,7 @@ def test_missing_and_late_readings_are_the_same_for_plant_areas_and_the_centrali
         assert result.verdict.consensus, result.verdict.reason
         assert result.verdict.gap_vm_pu is not None
         assert result.verdict.gap_vm_pu <= GAP
-        assert any("no reading from" in note for area in result.areas for note in area.notes)
+        assert any("no reading from" in note for area in result.area_results for note in area.notes)
 
 
 @pytest.mark.parametrize("run", RUNS.values(), ids=RUNS)
@@ -87,7 +87,7 @@ def test_an_area_killed_at_last_is_missed_and_its_last_state_is_not_called_good(
     scenario.write_text(scenario.read_text() + '[[faults.events]]\nat_s = 1.0\nkill = "area2"\n')
     result = run(scenario, out=tmp_path / "out", plots=False, timeout_s=8.0)
     assert result.verdict.reason == "no consensus within 8 s: area2 is not on the bus"
-    assert {area.name: area.quality for area in result.areas} == {
+    assert {area.name: area.quality for area in result.area_results} == {
         "area1": "degraded",
         "area2": "stale",
         "area3": "degraded",  # which learns from area1 that something is old

@@ -52,7 +52,7 @@ def assert_within_bounds(result: RunResult) -> None:
     assert verdict.error_va_deg is not None
     assert verdict.error_va_deg <= bound_va
     assert verdict.exchanges >= 2  # a load and a boundary message
-    assert not any(area.degraded for area in result.areas)
+    assert not any(area.degraded for area in result.area_results)
 
 
 @pytest.mark.parametrize("case", BOUNDS)

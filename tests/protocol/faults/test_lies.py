@@ -34,7 +34,7 @@ def run_with_lie(sender: str, receiver: str, lie: dict[str, object], wrong: list
 
 
 def areas_of(outcome: RunOutcome) -> dict[str, AreaResult]:
-    return {area.name: area for area in outcome.areas}
+    return {area.name: area for area in outcome.area_results}
 
 
 def largest_error(outcome: RunOutcome) -> float:
@@ -152,7 +152,7 @@ def test_a_voltage_falsified_consistently_in_both_directions_costs_good_meters_w
 
 def assert_all_are_good(outcome: RunOutcome) -> None:
     assert outcome.verdict.consensus, outcome.verdict.reason
-    assert {area.quality for area in outcome.areas} == {"good"}
+    assert {area.quality for area in outcome.area_results} == {"good"}
 
 
 def test_a_false_power_falsified_consistently_in_both_directions_is_not_seen_though_all_are_off():
@@ -170,7 +170,7 @@ def test_a_larger_one_costs_a_good_meter():
 def test_an_area_that_tells_too_small_a_j_of_its_own_side_hides_its_bad_meter():
     outcome = run_with_lie("area2", "area1", {"objective": 0.0}, WRONG_IN_AREA2)
     assert_all_are_good(outcome)
-    assert not any(area.removed for area in outcome.areas)
+    assert not any(area.removed for area in outcome.area_results)
     assert outcome.centralised is not None
     assert [r.measurement.meter.id for r in outcome.centralised.removed] == ["p_flow@7:7-8"]
     assert largest_error(outcome) > 3.0

@@ -51,5 +51,5 @@ def test_a_run_ends_with_the_gap_that_its_verdict_states():
     series = gap_history(outcome)
     assert list(series) == ["area1", "area2", "area3"]
     last = np.array([rows[-1] for rows in series.values()])
-    assert last[:, 1] == pytest.approx([area.gap_vm_pu for area in outcome.areas])
-    assert last[:, 2] == pytest.approx([area.gap_va_deg for area in outcome.areas])
+    assert last[:, 1] == pytest.approx([area.gap_vm_pu for area in outcome.area_results])
+    assert last[:, 2] == pytest.approx([area.gap_va_deg for area in outcome.area_results])

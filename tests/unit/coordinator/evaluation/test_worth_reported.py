@@ -92,7 +92,7 @@ def test_a_quality_has_its_reason_first_and_a_good_state_has_none():
 def test_run_report_and_watcher_say_the_same_of_every_combination_of_findings(is_gone: bool):
     for found in SETS:
         for result, watcher in results(found, is_gone=is_gone):
-            (area,) = [area for area in result.areas if area.name == "area1"]
+            (area,) = [area for area in result.area_results if area.name == "area1"]
             (view,) = [view for view in watcher.look(1.0).areas if view.name == "area1"]
             reported = as_json(result)["areas"]["area1"]
             assert reported["degraded"] == (reported["quality"] != GOOD)

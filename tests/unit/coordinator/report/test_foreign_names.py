@@ -53,8 +53,8 @@ def test_a_name_is_no_formula_in_a_picture(name: str, result: RunResult, tmp_pat
 
 @pytest.mark.parametrize("name", HOSTILE)
 def test_a_verdict_and_a_check_are_printable_whatever_the_scenario_is_called(name: str, result: RunResult):
-    noted = tuple(replace(area, notes=(f"{name}\nconsensus",)) for area in result.areas)
-    text = format_verdict(replace(result, scenario=named(name), areas=noted)) + format_check(named(name))
+    noted = tuple(replace(area, notes=(f"{name}\nconsensus",)) for area in result.area_results)
+    text = format_verdict(replace(result, scenario=named(name), area_results=noted)) + format_check(named(name))
     assert text.replace("\n", "").isprintable()
     assert not any(line.startswith("consensus\n") for line in text.splitlines(keepends=True))
 

@@ -55,7 +55,7 @@ def test_areas_that_agree_after_the_death_of_their_plant_are_no_consensus_and_al
     assert "of scan 1" in result.verdict.reason
     assert result.verdict.virtual_s is not None
     assert result.verdict.virtual_s < scenario.run.timeout_s / 2, "it is not worth the whole time limit"
-    assert {area.quality for area in result.areas} == {"stale"}
+    assert {area.quality for area in result.area_results} == {"stale"}
     assert json.loads((tmp_path / "out" / "result.json").read_text())["verdict"]["gap_vm_pu"] < 1e-8
 
 

@@ -1,0 +1,92 @@
+"""``import consensus_dsse``: quick, with examples that run, short reprs, and packages that are ours."""
+
+from __future__ import annotations
+
+import doctest
+import importlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import consensus_dsse
+from consensus_dsse.own_packages import PACKAGES, check_own_packages
+
+ROOT = Path(__file__).parents[3]
+MODULES = ["consensus_dsse.grids", "consensus_dsse.centralised", "consensus_dsse.studies", "coordinator"]
+
+
+def python(code: str, folder: Path, *first: Path) -> subprocess.CompletedProcess[str]:
+    paths = os.pathsep.join(map(str, [*first, ROOT]))
+    return subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": paths},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_the_examples_of_docstrings_are_true(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = doctest.testmod(importlib.import_module(name))
+    assert result.attempted > 0
+    assert result.failed == 0
+
+
+def test_every_name_is_there_and_documented() -> None:
+    assert dir(consensus_dsse) == sorted(consensus_dsse.__all__)
+    for name in consensus_dsse.__all__:
+        found = getattr(consensus_dsse, name)
+        assert found.__doc__
+        assert not callable(found) or isinstance(found, type) or ">>>" in found.__doc__, name
+    with pytest.raises(AttributeError, match="power_flow"):
+        consensus_dsse.powerflow  # noqa: B018
+
+
+def test_the_import_loads_nothing_that_is_not_used(tmp_path: Path) -> None:
+    code = "import sys; before = set(sys.modules); import consensus_dsse; print(*sorted(set(sys.modules) - before))"
+    assert python(code, tmp_path).stdout.split() == ["consensus_dsse"]
+
+
+def test_no_result_fills_the_screen(tmp_path: Path) -> None:
+    result = consensus_dsse.simulate("ieee33", out=tmp_path / "run", plots=False)
+    for shown in (result, result.scenario, consensus_dsse.estimate("ieee33")):
+        assert len(repr(shown)) < 500
+    for table in (result.buses, result.branches, result.meters, result.areas):
+        assert len(repr(table).splitlines()) < 10
+    assert len(result.buses) == 33
+    assert result.areas.area == ("area1", "area2", "area3")
+
+
+def test_our_packages_are_ours() -> None:
+    check_own_packages()
+
+
+@pytest.mark.parametrize("name", PACKAGES)
+@pytest.mark.parametrize("installed", [False, True])
+def test_a_package_of_the_same_name_is_named_with_the_cure(name: str, installed: bool, tmp_path: Path) -> None:
+    other = tmp_path / "other"
+    (other / name).mkdir(parents=True)
+    (other / name / "__init__.py").write_text("", encoding="utf-8")
+    if installed:
+        (other / "foreign-1.0.dist-info").mkdir()
+        (other / "foreign-1.0.dist-info" / "METADATA").write_text(
+            "Metadata-Version: 2.1\nName: foreign\nVersion: 1.0\n"
+        )
+        (other / "foreign-1.0.dist-info" / "top_level.txt").write_text(f"{name}\n")
+    cure = "pip uninstall foreign" if installed else "rename it"
+    for code in (
+        "import consensus_dsse; consensus_dsse.run",
+        "import sys, consensus_dsse.__main__ as m; sys.exit(m.main())",
+    ):
+        ended = python(code, tmp_path, other)
+        assert ended.returncode != 0
+        assert str(other / name / "__init__.py") in ended.stderr
+        assert cure in ended.stderr
+    assert "Traceback" not in ended.stderr
