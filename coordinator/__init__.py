@@ -48,6 +48,14 @@ def run(
         secure: TLS with a certificate for each process, and access control, with keys that end with the run.
         keys: folder with keys of ``dsse keys create`` to use instead; implies ``secure``.
 
+    Returns:
+        The verdict, and the tables ``buses``, ``branches``, ``meters`` and ``areas``, whose columns name their units.
+
+    >>> import consensus_dsse as dsse
+    >>> result = dsse.run("ieee33", out="my-run", plots=False)
+    >>> result.verdict.consensus, result.buses.vm_kv.shape
+    (True, (33,))
+
     Raises:
         InvalidInputError: the scenario, the folder or the keys cannot be used.
         TransportError: the router cannot listen where the scenario says.
@@ -86,6 +94,12 @@ def simulate(
 
     Args:
         links: ``delay_s``, ``jitter_s`` or ``duplicate`` of every link, in place of the scenario's.
+
+    >>> import consensus_dsse as dsse
+    >>> lossy = dsse.load_scenario("ieee33", changes={"faults.loss": 0.3})
+    >>> result = dsse.simulate(lossy, out="my-simulation", plots=False)
+    >>> result.verdict.consensus, result.areas.area
+    (True, ('area1', 'area2', 'area3'))
 
     Raises:
         InvalidInputError: the scenario, the folder or a link fault cannot be used.

@@ -42,7 +42,11 @@ def choose_scenario(
     Raises:
         InvalidInputError: every problem found.
     """
-    if not isinstance(scenario, Scenario):
+    if isinstance(scenario, Scenario):
+        if changes:
+            problem = f"{', '.join(changes)}: it is loaded already; give the changes to load_scenario"
+            raise InvalidInputError(f"scenario {scenario.name!r}", [problem])
+    else:
         scenario = load_scenario(scenario, strategies=tuple(STRATEGIES), changes=changes)
     if seed is not None:
         scenario = replace(scenario, seed=seed)

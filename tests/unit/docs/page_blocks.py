@@ -21,7 +21,7 @@ MARKS = re.compile(
     r") -->",
     re.DOTALL,
 )
-LANGUAGES = {"text", "toml", "{toctree}", "{eval-rst}"}  # of fences that hold no commands
+LANGUAGES = {"python", "text", "toml", "{toctree}", "{eval-rst}"}  # of fences that hold no commands
 
 
 @dataclass(frozen=True)
