@@ -72,7 +72,7 @@ def a_result(folder: Path, missing: str | None = None, relative: str | None = No
         run="run",
         folder=folder,
         verdict=make_verdict(observer, comparison, None if missing is None else "not", 1.0),
-        areas=make_area_results(observer, comparison, now=0.0),
+        area_results=make_area_results(observer, comparison, now=0.0),
         comparison=comparison,
         centralised=central,
         centralised_failure=None,
