@@ -63,6 +63,14 @@ def read_column(items: Sequence[Any], name: str, dtype: type) -> np.ndarray:
         return np.array(values, dtype=object)
 
 
+def read_given(items: Sequence[Any], name: str) -> Iterable[Any]:
+    """The attribute ``name``, which has a default, of ``items``: of all, or of none where there is no such column."""
+    if isinstance(items, Records):
+        given: Iterable[Any] = items.columns.get(name, ())
+        return given
+    return (getattr(item, name) for item in items)
+
+
 class Rows:
     """Where ids stand: the row of each."""
 

@@ -16,7 +16,7 @@ from functools import cached_property
 from statistics import median
 
 from dsse_core.errors import InvalidInputError
-from dsse_core.grid.columns import Records
+from dsse_core.grid.columns import Records, read_given
 from dsse_core.grid.network_table import NetworkTable, tabulate
 
 ZERO_IMPEDANCE = 1e-6
@@ -222,7 +222,13 @@ def _find_problems(network: Network) -> Iterable[str]:
 def _is_possible(network: Network) -> bool:
     """Whether no bus and no branch has a problem, found without a text for each."""
     ids = network.branch_ids
-    return all(ids) and len(set(ids)) == len(ids) and network.table.is_possible()
+    return all(ids) and len(set(ids)) == len(ids) and network.table.is_possible() and _have_possible_ratings(network)
+
+
+def _have_possible_ratings(network: Network) -> bool:
+    """Whether all ratings that are given can be."""
+    ratings = {rating for name in ("i_max", "s_max") for rating in read_given(network.branches, name)}
+    return all(0 < rating < math.inf for rating in ratings - {None})
 
 
 def _find_problems_of_buses_and_branches(network: Network) -> Iterable[str]:
