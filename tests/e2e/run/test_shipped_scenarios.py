@@ -63,7 +63,7 @@ def test_areas_agree_close_to_the_centralised_estimate_and_losses_only_delay_it(
     lossy = run(f"{case}-lossy", tmp_path / "lossy", SEED)
     assert_within_bounds(lossy)
     assert lossy.verdict.lost > 0
-    for area in lossy.areas:  # the n-th message of a link meets the fate that the seed gives it, in every run
+    for area in lossy.area_results:  # the n-th message of a link meets the fate that the seed gives it, in every run
         (sent_to, *others) = lossy.scenario.partition.area(area.name).neighbours
         if not others:
             fates = [draw_fate(SEED, area.name, sent_to.area, n) for n in range(area.messages)]

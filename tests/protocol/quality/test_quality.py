@@ -242,7 +242,7 @@ def test_with_many_losses_areas_are_good_only_while_they_receive_each_other():
 def test_a_contradiction_is_never_good():
     link = [{"from": "area3", "to": "area1", "lie": {"vm_pu": 0.02}}]
     scenario = load_scenario("ieee33", changes={"faults.link": link, "run.timeout_s": 3.0})
-    areas = {area.name: area for area in _evaluated(scenario).areas}
+    areas = {area.name: area for area in _evaluated(scenario).area_results}
     assert areas["area1"].quality == "degraded"
     assert any("boundary mismatch with area3 at bus 6" in note for note in areas["area1"].notes)
     assert any("boundary mismatch with area1 at bus 6" in note for note in areas["area3"].notes)

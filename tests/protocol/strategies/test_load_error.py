@@ -45,8 +45,8 @@ def test_a_load_error_moves_the_estimate_of_an_area_that_has_no_other_meter(case
     is_own = np.array([scenario.partition.owner_of_bus[bus] == area for bus in buses])  # sigmas are those of the owner
     assert moved.max() > at_least
     assert (moved / sigma)[is_own].max() > at_least_sigmas
-    assert {found.quality for found in wrong.areas} == {"good"}  # nobody can notice: the message is all there is
-    assert not any(found.removed for found in wrong.areas)
+    assert {found.quality for found in wrong.area_results} == {"good"}  # nobody can notice: the message is all there is
+    assert not any(found.removed for found in wrong.area_results)
 
 
 @pytest.mark.parametrize("case", MOVED)
