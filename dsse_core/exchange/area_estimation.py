@@ -41,7 +41,12 @@ Received = Mapping[str, BoundaryInformation]
 
 
 class AreaEstimation:
-    """``x``: the state x_k, shape (size,), see ``AreaModel``; p.u. and rad. ``failure``: why there are no numbers."""
+    """``x``: the state x_k, shape (size,), see ``AreaModel``; p.u. and rad. ``failure``: why there are no numbers.
+
+    ``linearized_at``: x before the last step. What the neighbours have told is of that state, so there alone the area
+    has a part of the whole grid's inverse, the diagonal of which variances are: beside it rows at x are those of no
+    grid, and two areas would state two standard deviations of the bus that they share.
+    """
 
     def __init__(self, area: Area) -> None:
         self.area = area
@@ -62,11 +67,11 @@ class AreaEstimation:
         self._silent: frozenset[str] = frozenset()
         self._is_stale = False
         self._start = self._start_of_term = self.x
-        self._before, self._step = self.x, np.zeros_like(self.x)
+        self.linearized_at, self._step = self.x, np.zeros_like(self.x)
         self._worst: tuple[tuple[str, float], ...] = ()
         self._uses_currents = False
         self._n_current = 0  # current meters that can be used
-        self._received: Received = {}  # at the last step that was taken
+        self._received: Received = {}  # at ``linearized_at``
         self._aged: dict[str, BoundaryInformation] = {}
         self._stand_ins: dict[str, BoundaryInformation] = {}
         self._model: AreaModel | None = None
@@ -113,7 +118,7 @@ class AreaEstimation:
     def _start_anew(self, removed: Sequence[str]) -> None:
         self.failure = ""
         self.removed = tuple(meter for meter in removed if meter in self.own_meters)
-        self.x = self._before = self._start
+        self.x = self.linearized_at = self._start
         self._step = np.zeros_like(self.x)
         self._worst, self._uses_currents, self._received = (), False, {}
         self.is_first, self.unobservable, self.critical = True, (), ()
@@ -242,12 +247,12 @@ class AreaEstimation:
             if verdict.takes_step:
                 self._check_information(received)
                 self._received = self._with_aged(received)
-                self._before, self._step = self.x, self.model.linear.step(self.x, self._received)
+                self.linearized_at, self._step = self.x, self.model.linear.step(self.x, self._received)
                 self.x = self.x + verdict.share * self._step
                 self._check()
             match verdict.decision:
                 case Decision.SHORTEN:
-                    self.x = self._before + verdict.share * self._step
+                    self.x = self.linearized_at + verdict.share * self._step
                     self._step = np.zeros_like(self.x)
                 case Decision.USE_CURRENTS:
                     self._uses_currents = True
@@ -297,7 +302,7 @@ class AreaEstimation:
     def _evaluate(self) -> None:
         """Which meters are critical, and the largest normalised residual of the others."""
         model = self.model
-        _, variance = model.linear.variances(self.x, self._received)
+        _, variance = self._variances()
         self.critical = self._find_critical(variance)
         worst = find_suspects(model, self.x, variance, self.critical)
         self._worst = tuple(sorted(worst.items()))[:MOST_NAMED]
@@ -309,9 +314,13 @@ class AreaEstimation:
         Raises:
             FAILURES: numbers that no estimate can have.
         """
-        of_state, variance = self.model.linear.variances(self.x, self._received)
+        of_state, variance = self._variances()
         sigma = np.sqrt(np.maximum(of_state, 0.0))
         return sigma[self._n : 2 * self._n], sigma[: self._n], self._find_critical(variance)
+
+    def _variances(self) -> tuple[np.ndarray, np.ndarray]:
+        """Of all state variables, shape (size,), and of the residuals, shape (n_meas,)."""
+        return self.model.linear.variances(self.linearized_at, self._received)
 
     def _find_critical(self, variance: np.ndarray) -> tuple[str, ...]:
         """Ids of the meters that cannot be spared at no load, or whose residual says nothing; ``variance``: Omega."""

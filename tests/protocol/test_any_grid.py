@@ -75,6 +75,13 @@ TWO_ANGLES = PLAIN | TWO_ANGLES | {"transformers": 0.15, "slack_at_root": False}
 SHORT_CURRENT = {"seed": 56642, "n_bus": 38, "n_area": 8, "chain": 0.3, "loops": 2, "transformers": 0.15, "short": 1e-6}
 SHORT_CURRENT = PLAIN | SHORT_CURRENT | {"shares": MeterShares(voltage=0.3, angle=0.3, flow=1.0, current=0.2)}
 
+ALL_BUT_FLOWS = MeterShares(voltage=0.3, angle=0.3, flow=0.3, current=0.2, injection=0.9, boundary_injection=1.0)
+LARGE_FLOW = PLAIN | {"seed": 2, "n_bus": 3, "n_area": 2, "chain": 0.3, "transformers": 0.15, "short": 1e-6}
+LARGE_FLOW |= {"slack_at_root": False, "shares": ALL_BUT_FLOWS}
+
+CURRENT_BESIDE = {"seed": 19551, "n_bus": 28, "n_area": 7, "chain": 0.3, "loops": 1, "transformers": 0.15, "short": 1e-6}
+CURRENT_BESIDE = PLAIN | CURRENT_BESIDE | {"slack_at_root": False, "shares": replace(ALL_KINDS, injection=1.0)}
+
 
 @seed(1)  # the same grids whatever the words of this test
 @example(THREE_BUSES, 0.3, 81, "radial")  # critical after a removal
@@ -88,6 +95,8 @@ SHORT_CURRENT = PLAIN | SHORT_CURRENT | {"shares": MeterShares(voltage=0.3, angl
 @example(LONE_ANGLE, 0.3, 107, "sparse")  # behind a phase-shifting transformer, all that is known of an area's power
 @example(TWO_ANGLES, 0.6, 0, "radial")  # magnitudes and angles tell each other's, across a transformer's tap, too
 @example(SHORT_CURRENT, 0.3, None, "dense")  # a step from next to the minimum leads to another, at J of 4e7
+@example(LARGE_FLOW, 0.0, None, "radial")  # a sigma depends on the state at which the other side has told
+@example(CURRENT_BESIDE, 0.0, 558, "radial")  # sigmas change by 5e-6 with a state that moves by 4e-9
 @given(GRIDS, st.sampled_from([0.0, 0.3, 0.6]), st.one_of(st.none(), st.integers(0, 1000)), st.sampled_from(BACK_ENDS))
 def test_any_grid_with_any_meters_reaches_it(grid, loss, gross_errors, areas_on):
     feeder = make_grid(**grid)

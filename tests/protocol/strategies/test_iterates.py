@@ -205,3 +205,20 @@ def test_where_a_removal_makes_the_iteration_diverge_areas_and_centre_rest_on_th
     for state in bus.states.values():
         assert state.quality == "degraded"
         assert "vm@3 stands out, and stays because without it the iteration does not converge" in state.notes[0]
+
+
+@pytest.mark.usefixtures("each_back_end")
+def test_no_two_areas_state_two_standard_deviations_of_the_bus_that_they_share():
+    """They would where own rows after the last step, 1e-7 here, stand beside what the neighbours told before it."""
+    shares = MeterShares(voltage=0.1, angle=0.3, injection=0.9, boundary_injection=0.5)
+    grid = {"seed": 776114, "n_bus": 7, "n_area": 3, "chain": 0.3, "decades": 0.0, "loops": 1, "transformers": 0.0}
+    feeder = make_grid(**grid, short=None, slack_at_root=True, shares=shares)
+    _, bus = trace_areas(with_gross_errors(np.random.default_rng(307), feeder))
+    stated: dict[int, list[tuple[float, float]]] = {}
+    for state in bus.states.values():
+        for bus_id, *sigmas in zip(state.buses, state.sigma_vm, state.sigma_va, strict=True):
+            stated.setdefault(bus_id, []).append(tuple(sigmas))
+    shared = [sigmas for sigmas in stated.values() if len(sigmas) > 1]
+    assert shared
+    for sigmas in shared:
+        np.testing.assert_allclose(sigmas[1:], [sigmas[0]] * (len(sigmas) - 1), rtol=1e-9)
