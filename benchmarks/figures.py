@@ -48,6 +48,11 @@ def write_section(name: str, machine: Mapping[str, str], table: str, page: Path 
     page.write_text(_SECTION.sub(replace, page.read_text(encoding="utf-8")), encoding="utf-8")
 
 
+def list_facts(facts: Mapping[str, object]) -> str:
+    """A Markdown table of two columns."""
+    return "\n".join(["| what | figure |", "|---|---|", *(f"| {what} | {figure} |" for what, figure in facts.items())])
+
+
 def describe(machine: Mapping[str, str], command: str) -> str:
     """The first lines of a section: date, processor and packages of ``describe_machine``, and the command."""
     packages = [f"{name} {text}" for name, text in machine.items() if name not in {"date", "processor", *_LEFT_OUT}]

@@ -13,8 +13,10 @@ from typing import Any
 
 import click
 
+from benchmarks.figures import figures_option, list_facts, write_section
 from benchmarks.machine import describe_machine
 
+PACKAGES = ("numpy", "scipy", "numba", "eclipse-zenoh", "consensus-dsse")
 LOOK_S = 2.0  # at the memory
 
 
@@ -22,7 +24,8 @@ LOOK_S = 2.0  # at the memory
 @click.option("--areas", type=click.IntRange(2), default=20, help="Areas, one process each.")
 @click.option("--buses", type=click.IntRange(2), default=500, help="Buses of an area.")
 @click.option("--timeout", "timeout_s", type=click.FloatRange(1), default=300.0, help="Seconds for the run.")
-def main(areas: int, buses: int, timeout_s: float) -> None:
+@figures_option
+def main(areas: int, buses: int, timeout_s: float, figures: str | None) -> None:
     """Time `dsse run` of AREAS areas of BUSES buses until all areas are there and to the verdict; add up the memory."""
     with tempfile.TemporaryDirectory() as name:
         feeder, out = Path(name) / "feeder", Path(name) / "run"
@@ -34,12 +37,16 @@ def main(areas: int, buses: int, timeout_s: float) -> None:
             most = _watch_memory(process, out)
             said = process.stdout.read() if process.stdout else ""
         wall_s = time.monotonic() - start
-        for key, text in describe_machine(("numpy", "scipy", "numba", "eclipse-zenoh", "consensus-dsse")).items():
+        machine = describe_machine(PACKAGES)
+        for key, text in machine.items():
             click.echo(f"{key}: {text}")
-        click.echo(f"\n{areas} areas of {buses} buses, {areas * buses} in all\n{said.strip()}")
+        click.echo(f"\n{areas} areas of {buses} buses, {areas * buses} in all\n{said.strip()}\n")
         if not (out / "result.json").exists():
             raise click.ClickException(f"dsse run ended with {process.returncode} and left no result")
-        _report(json.loads((out / "result.json").read_text()), wall_s, _processor_time() - spent, most)
+        facts = _summarise(json.loads((out / "result.json").read_text()), wall_s, _processor_time() - spent, most)
+    click.echo("\n".join(f"{what}: {figure}" for what, figure in facts.items()))
+    if figures:
+        write_section(figures, machine, list_facts(facts))
 
 
 def _dsse() -> list[str]:
@@ -52,18 +59,20 @@ def _processor_time() -> float:
     return usage.ru_utime + usage.ru_stime
 
 
-def _report(result: dict[str, Any], wall_s: float, processor_s: float, most: dict[str, float]) -> None:
+def _summarise(result: dict[str, Any], wall_s: float, processor_s: float, most: dict[str, float]) -> dict[str, str]:
+    """What is measured -> the figure, as text."""
     verdict, timing = result["verdict"], result["timing_s"]
-    click.echo(f"\nall areas present: {timing.get('areas_joined', float('nan')):.1f} s after the command's own start")
-    for moment in ("scenario_loaded", "agents_started", "centralised_estimated", "last_change", "verdict"):
-        if moment in timing:
-            click.echo(f"  {moment}: {timing[moment]:.1f} s")
-    click.echo(f"command's end: {wall_s:.1f} s; consensus: {verdict['consensus']}")
-    click.echo(f"processor time of the command and all its processes: {processor_s:.0f} s")
-    click.echo(f"gap to the centralised estimate: {verdict['gap_vm_pu']} p.u., {verdict['gap_va_deg']} deg")
-    click.echo(f"messages: {verdict['messages']}, bytes: {verdict['bytes']}, exchanges: {verdict['exchanges']}")
-    for name, mebibytes in most.items():
-        click.echo(f"most memory (PSS) of {name}: {mebibytes:.0f} MiB")
+    moments = ("scenario_loaded", "agents_started", "centralised_estimated", "last_change", "verdict")
+    return {
+        "all areas present": f"{timing.get('areas_joined', float('nan')):.1f} s after the command's own start",
+        **{moment: f"{timing[moment]:.1f} s" for moment in moments if moment in timing},
+        "command's end": f"{wall_s:.1f} s",
+        "consensus": f"{verdict['consensus']}",
+        "processor time of the command and all its processes": f"{processor_s:.0f} s",
+        "gap to the centralised estimate": f"{verdict['gap_vm_pu']} p.u., {verdict['gap_va_deg']} deg",
+        "messages": f"{verdict['messages']}, {verdict['bytes']} bytes, {verdict['exchanges']} exchanges",
+        **{f"most memory (PSS) of {name}": f"{mebibytes:.0f} MiB" for name, mebibytes in most.items()},
+    }
 
 
 def _watch_memory(process: subprocess.Popen[str], out: Path) -> dict[str, float]:

@@ -12,7 +12,7 @@ import random
 import statistics
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before anything loads numpy
@@ -21,11 +21,13 @@ import click
 
 from agents.protocol.quality import GOOD
 from agents.security.access import ROUTER, SECOND_ROUTER
+from benchmarks.figures import figures_option, write_section
 from benchmarks.live_system import GAP, LiveSystem, States
 from benchmarks.machine import describe_machine
 from scenarios.check import check_scenario
 from scenarios.scenario import Scenario, load_scenario
 
+PACKAGES = ("eclipse-zenoh", "numpy")
 AREAS = 12
 DEAD_S = 0.5
 DEADLINE_S = 20.0
@@ -131,7 +133,8 @@ def summarise(times: Times) -> dict[str, dict[str, float]]:
     "--kills", type=click.IntRange(1), default=30, help="Of areas, of the only router, and of one of two routers."
 )
 @click.option("--seed", type=click.IntRange(0), default=1)
-def main(kills: int, seed: int) -> None:
+@figures_option
+def main(kills: int, seed: int, figures: str | None) -> None:
     """Print median and worst of each time as JSON."""
     times: Times = {}
     draws = random.Random(seed)
@@ -146,9 +149,18 @@ def main(kills: int, seed: int) -> None:
             _wait(linked, lambda states: _is_whole(linked, states))
             for _ in range(kills):
                 repeat(times, lose_one_router(linked))
-    found = describe_machine(()) | {"beat_s": str(HEARTBEAT_S), "fast_beat_s": str(FAST_HEARTBEAT_S)}
-    print(json.dumps(found | summarise(times), indent=2))
+    machine, summary = describe_machine(PACKAGES), summarise(times)
+    beats = {"beat_s": str(HEARTBEAT_S), "fast_beat_s": str(FAST_HEARTBEAT_S)}
+    print(json.dumps(machine | beats | summary, indent=2))
+    if figures:
+        write_section(figures, machine, make_table(summary))
+
+
+def make_table(summary: Mapping[str, Mapping[str, float]]) -> str:
+    """As Markdown what ``summarise`` has found."""
+    rows = [f"| {what} | {' | '.join(f'{value:g}' for value in found.values())} |" for what, found in summary.items()]
+    return "\n".join(["| what | times | median, ms | worst, ms |", "|---|---|---|---|", *rows])
 
 
 if __name__ == "__main__":
-    main()
+    main(prog_name="python -m benchmarks.recovery")

@@ -16,9 +16,11 @@ from typing import Any
 
 import click
 
+from benchmarks.figures import figures_option, write_section
 from benchmarks.machine import describe_machine
 
 SEED = 1
+PACKAGES = ("numpy", "scipy", "numba", "consensus-dsse")
 HEADER = (
     "| areas | buses | consensus | gap vm p.u. | gap va deg | last change, virtual ms "
     "| boundary messages of an area: median, most | all its messages: median, most | its bytes: median, most "
@@ -59,13 +61,19 @@ class SimulatorRun:
 @click.option("--meters", type=click.Choice(["standard", "sparse"]), default="sparse", help="As for `dsse generate`.")
 @click.option("--timeout", "timeout_s", type=float, default=120.0, help="Virtual s, of each run.")
 @click.option("--delay-ms", type=float, default=1.0, help="Of a message, virtual.")
-def main(areas: Sequence[int], buses: int, meters: str, timeout_s: float, delay_ms: float) -> None:
+@figures_option
+def main(areas: Sequence[int], buses: int, meters: str, timeout_s: float, delay_ms: float, figures: str | None) -> None:
     """Generate a feeder for each number of areas, run `dsse simulate` on it and print a Markdown table."""
-    for name, text in describe_machine(("numpy", "scipy", "numba", "consensus-dsse")).items():
+    machine = describe_machine(PACKAGES)
+    for name, text in machine.items():
         click.echo(f"{name}: {text}")
-    click.echo(f"\n{HEADER}\n|{'---|' * (HEADER.count('|') - 1)}")
+    lines = [HEADER, f"|{'---|' * (HEADER.count('|') - 1)}"]
+    click.echo("\n" + "\n".join(lines))
     for n_area in areas:
-        click.echo(_run(n_area, buses, meters, timeout_s, delay_ms).as_row())
+        lines.append(_run(n_area, buses, meters, timeout_s, delay_ms).as_row())
+        click.echo(lines[-1])
+    if figures:
+        write_section(figures, machine, "\n".join(lines))
 
 
 def _run(n_area: int, buses: int, meters: str, timeout_s: float, delay_ms: float) -> SimulatorRun:
@@ -103,4 +111,4 @@ def _median_and_most(values: Sequence[int]) -> str:
 
 
 if __name__ == "__main__":
-    main()
+    main(prog_name="python -m benchmarks.simulator")

@@ -27,11 +27,13 @@ import psutil
 
 from agents.protocol.quality import GOOD
 from agents.security.access import PLANT, ROUTER
+from benchmarks.figures import figures_option, list_facts, write_section
 from benchmarks.live_system import GAP, LiveSystem
 from benchmarks.machine import describe_machine
 from scenarios.check import check_scenario
 from scenarios.scenario import Scenario, load_scenario
 
+PACKAGES = ("eclipse-zenoh", "numpy")
 AREAS = 12
 SCAN_S = 1.0
 MOST_LOSS = 0.5
@@ -191,16 +193,20 @@ def find_failures(seen: Mapping[str, Any]) -> list[str]:
 @click.option("--minutes", type=click.FloatRange(min=0.1), default=10.0)
 @click.option("--seed", type=click.IntRange(0), default=1)
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Folder for logs.  [default: temporary]")
-def main(minutes: float, seed: int, out: Path | None) -> None:
+@figures_option
+def main(minutes: float, seed: int, out: Path | None, figures: str | None) -> None:
     """Exit code 0: whole again after the faults; 1: not, and standard error says what is wrong."""
     with tempfile.TemporaryDirectory() as scratch:
-        seen = describe_machine(()) | soak(out or Path(scratch) / "soak", seed, 60.0 * minutes)
-    print(json.dumps(seen, indent=2))
+        machine, seen = describe_machine(PACKAGES), soak(out or Path(scratch) / "soak", seed, 60.0 * minutes)
+    print(json.dumps(machine | seen, indent=2))
     failures = find_failures(seen)
+    if figures:
+        facts = {what: figure for what, figure in seen.items() if what != "trouble in logs"}
+        write_section(figures, machine, list_facts(facts | {"failures": "; ".join(failures) or "none"}))
     for failure in failures:
         print(f"error: {failure}", file=sys.stderr)
     sys.exit(1 if failures else 0)
 
 
 if __name__ == "__main__":
-    main()
+    main(prog_name="python -m benchmarks.soak")

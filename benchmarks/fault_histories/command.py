@@ -19,8 +19,11 @@ from rich.console import Console  # noqa: E402
 from rich.progress import track  # noqa: E402
 
 from benchmarks.fault_histories.history import GAP, HistoryOutcome, run_history  # noqa: E402
+from benchmarks.figures import figures_option, list_facts, write_section  # noqa: E402
+from benchmarks.machine import describe_machine  # noqa: E402
 from dsse_core.linear import choose  # noqa: E402
 
+PACKAGES = ("numpy", "scipy", "numba")
 COLUMNS = tuple(field.name for field in fields(HistoryOutcome))
 
 
@@ -34,7 +37,8 @@ COLUMNS = tuple(field.name for field in fields(HistoryOutcome))
     default=Path("runs/fault-histories.csv"),
     help="Table, a row for each seed; seeds that it has are not run again.",
 )
-def main(count: int, first: int, jobs: int, out: Path) -> None:
+@figures_option
+def main(count: int, first: int, jobs: int, out: Path, figures: str | None) -> None:
     """Run histories of faults and say how many ended at the fixed point and how many good states were wrong."""
     out.parent.mkdir(parents=True, exist_ok=True)
     done = read_table(out)
@@ -49,7 +53,10 @@ def main(count: int, first: int, jobs: int, out: Path) -> None:
             table.writerow(astuple(outcome))
             file.flush()
             done[outcome.seed] = outcome
-    click.echo(summarise([done[seed] for seed in seeds]))
+    facts = summarise([done[seed] for seed in seeds])
+    click.echo("\n".join(f"{what}: {figure}" for what, figure in facts.items()))
+    if figures:
+        write_section(figures, describe_machine(PACKAGES), list_facts(facts))
 
 
 def read_table(path: Path) -> dict[int, HistoryOutcome]:
@@ -63,26 +70,27 @@ def read_table(path: Path) -> dict[int, HistoryOutcome]:
     return {outcome.seed: outcome for outcome in outcomes}
 
 
-def summarise(outcomes: Sequence[HistoryOutcome]) -> str:
-    """The figures of all histories, as text."""
+def summarise(outcomes: Sequence[HistoryOutcome]) -> dict[str, str]:
+    """What is measured -> the figure of all histories, as text."""
     states, good, wrong = (sum(getattr(o, name) for o in outcomes) for name in ("states", "good", "wrong"))
     lost = [o.seed for o in outcomes if not o.gap <= GAP or math.isnan(o.settled_s)]
-    gaps = [o.gap for o in outcomes]
     settled = sorted(o.settled_s for o in outcomes if not math.isnan(o.settled_s))
     areas, buses = ([getattr(o, name) for o in outcomes] for name in ("areas", "buses"))
     share = 100 * wrong / max(1, good)
-    lines = [
-        f"{len(outcomes)} histories, {min(areas)} to {max(areas)} areas, {min(buses)} to {max(buses)} buses",
-        f"in the end at the fixed point (gap <= {GAP:g}): {len(outcomes) - len(lost)}, largest gap {max(gaps):.2g}",
-        f"states {states}, marked good {good}; of these beyond three sigma {wrong} = {share:.3g} %",
-        f"largest distance of a good state: {max(o.worst for o in outcomes):.3g} sigma",
-    ]
+    facts = {
+        "histories": f"{len(outcomes)} of {min(areas)} to {max(areas)} areas, {min(buses)} to {max(buses)} buses",
+        f"in the end at the fixed point (gap <= {GAP:g})": (
+            f"{len(outcomes) - len(lost)}, largest gap {max(o.gap for o in outcomes):.2g}"
+        ),
+        "states": f"{states}, marked good {good}; of these beyond three sigma {wrong} = {share:.3g} %",
+        "largest distance of a good state": f"{max(o.worst for o in outcomes):.3g} sigma",
+    }
     if settled:
         median, worst = settled[len(settled) // 2], settled[-1]
-        lines.append(f"all good again after the faults: median {median:.1f} s, worst {worst:.1f} s of virtual time")
+        facts["all good again after the faults"] = f"median {median:.1f} s, worst {worst:.1f} s of virtual time"
     if lost:
-        lines.append(f"NOT at the fixed point: seeds {', '.join(map(str, lost[:20]))}")
-    return "\n".join(lines)
+        facts["NOT at the fixed point"] = f"seeds {', '.join(map(str, lost[:20]))}"
+    return facts
 
 
 def _run(seeds: Sequence[int], jobs: int) -> Iterator[HistoryOutcome]:

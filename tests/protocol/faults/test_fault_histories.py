@@ -42,11 +42,11 @@ def test_the_command_goes_on_where_its_table_ends_and_sums_up(tmp_path: Path, mo
     done = CliRunner().invoke(fault_histories.main, ["--count", "4", "--jobs", "1", "--out", str(table)])
     assert done.exit_code == 0, done.output
     assert ran == [1, 2, 3]
-    assert "4 histories" in done.output
+    assert "histories: 4 of" in done.output
     assert "(gap <= 1e-08): 4, largest gap 1e-12" in done.output
     assert "marked good 40; of these beyond three sigma 1 = 2.5 %" in done.output
 
 
 def test_a_history_that_does_not_end_at_the_fixed_point_is_named():
     summary = fault_histories.summarise([an_outcome(0), an_outcome(7, gap=1e-3)])
-    assert "NOT at the fixed point: seeds 7" in summary
+    assert summary["NOT at the fixed point"] == "seeds 7"

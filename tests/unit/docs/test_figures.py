@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 from pages import ROOT, name_of
 
-from benchmarks.figures import FIGURES, read_sections, write_section
+from benchmarks.figures import FIGURES, list_facts, read_sections, write_section
+from benchmarks.recovery import make_table, summarise
 
 MACHINE = {"date": "2030-01-02 03:04 UTC", "processor": "CPU, 2 cores", "memory": "8 GiB", "Python": "3.11.0"}
 SECTIONS = dict(read_sections())
@@ -45,6 +46,15 @@ def test_a_section_is_replaced_and_nothing_else(tmp_path: Path):
     assert page.read_text().startswith("a\n<!-- figures one -->")
     with pytest.raises(KeyError):
         write_section("three", MACHINE, "", page)
+
+
+def test_facts_and_times_of_recovery_are_tables():
+    assert list_facts({"gap": 1e-9, "all good": "yes"}).splitlines()[1:] == [
+        "|---|---|",
+        "| gap | 1e-09 |",
+        "| all good | yes |",
+    ]
+    assert make_table(summarise({"killed": [0.25, 0.5]})).splitlines()[2:] == ["| killed | 2 | 375 | 500 |"]
 
 
 @pytest.mark.parametrize("page", sorted((ROOT / "docs" / "explanation").glob("*.md")), ids=name_of)
