@@ -10,19 +10,21 @@ from typing import TypeVar
 
 import numpy as np
 
+from dsse_core.grid.columns import Records
 from dsse_core.grid.measurement import MeasurementKind, Meter, Source
+from dsse_core.grid.meter_table import KINDS, NO_BRANCH, SOURCES, find_virtual, make_meters, number_kinds
 from dsse_core.grid.network import Network
-from scenarios.files.scenario_file import MeasurementsTable, SigmaTable
+from scenarios.files.scenario_file import (
+    AngleMeterTable,
+    BranchMeterTable,
+    BusMeterTable,
+    MeasurementsTable,
+    SigmaTable,
+)
 
 KIND = MeasurementKind
+INJECTIONS = (KIND.P_INJECTION, KIND.Q_INJECTION)
 Place = TypeVar("Place", int, str)
-NUMBER_OF = {id(kind): k for k, kind in enumerate(KIND)}
-"""Members are singletons, and hashing half a million of them takes long."""
-
-
-def number_kinds(meters: Sequence[Meter]) -> np.ndarray:
-    """The position of each meter's kind in ``MeasurementKind``, shape (n_meas,)."""
-    return np.array([NUMBER_OF[id(meter.kind)] for meter in meters], dtype=np.intp)
 
 
 @dataclass(frozen=True)
@@ -45,14 +47,13 @@ class SigmaRule:
         Raises:
             KeyError: there is no rule for a kind of meter.
         """
-        kinds = number_kinds(meters)
-        virtual = np.array([meter.source is Source.VIRTUAL for meter in meters], dtype=bool)
+        kinds, virtual = number_kinds(meters), find_virtual(meters)
         ruled = self.relative.keys() | self.absolute.keys()
-        if unruled := {kind for k, kind in enumerate(KIND) if (kinds[~virtual] == k).any()} - ruled:
+        if unruled := {kind for k, kind in enumerate(KINDS) if (kinds[~virtual] == k).any()} - ruled:
             raise KeyError(min(unruled))
         sigma = np.zeros(len(meters))
         for kind in ruled:
-            of_kind = kinds == NUMBER_OF[id(kind)]
+            of_kind = kinds == KINDS.index(kind)
             if kind in self.absolute:
                 sigma[of_kind] = self.absolute[kind]
             else:
@@ -79,32 +80,60 @@ def build_sigma_rule(table: MeasurementsTable, base_mva: float) -> SigmaRule:
     return SigmaRule(relative, absolute, table.floor_kva / 1000 / base_mva)
 
 
-def build_meters(table: MeasurementsTable, network: Network) -> tuple[Meter, ...]:
+def build_meters(table: MeasurementsTable, network: Network) -> Records[Meter]:
     """The meters of a scenario file on ``network``; unknown places are left out (``find_place_problems`` tells).
 
     A bus without load and source injects nothing: under ``zero_injection = "virtual"`` it gets that as an exact
     constraint, and no ordinary injection meter.
     """
-    all_buses = tuple(network.row)
-    all_branches = tuple(branch.id for branch in network.active_branches)
-    meters: list[Meter] = []
-    if table.voltage:
-        meters += [Meter(KIND.VM, bus) for bus in _known(table.voltage.buses, all_buses)]
-    if table.angle:
-        meters += [Meter(KIND.VA, bus) for bus in _known(table.angle.buses, all_buses)]
-    if table.flow:
-        branches = [network.branch(b) for b in _known(table.flow.branches, all_branches)]
-        flows = (KIND.P_FLOW, KIND.Q_FLOW)
-        meters += [Meter(kind, b.from_bus, b.id) for b in branches for kind in flows]
-    if table.current:
-        branches = [network.branch(b) for b in _known(table.current.branches, all_branches)]
-        meters += [Meter(KIND.CURRENT, b.from_bus, b.id) for b in branches]
-    virtual = find_virtual_buses(table, network)
-    measured = _known(table.injection.buses, all_buses) if table.injection else ()
-    injections = (KIND.P_INJECTION, KIND.Q_INJECTION)
-    meters += [Meter(kind, bus) for bus in measured if bus not in virtual for kind in injections]
-    meters += [Meter(kind, bus, source=Source.VIRTUAL) for bus in virtual for kind in injections]
-    return tuple(meters)
+    virtual = _rows_of(tuple(find_virtual_buses(table, network)), network.table.bus_id)
+    on_branches = (((KIND.P_FLOW, KIND.Q_FLOW), table.flow), ((KIND.CURRENT,), table.current))
+    groups = [_Group((kind,), _at(key, network)) for kind, key in ((KIND.VM, table.voltage), (KIND.VA, table.angle))]
+    groups += [_Group(kinds, _on(key, network), of_branch=True) for kinds, key in on_branches]
+    measured = _at(table.injection, network)
+    groups += [_Group(INJECTIONS, measured[~np.isin(measured, virtual)])]
+    groups += [_Group(INJECTIONS, virtual, source=Source.VIRTUAL)]
+    columns = zip(*(group.columns(network) for group in groups), strict=True)
+    return make_meters(network, *map(np.concatenate, columns))
+
+
+@dataclass(frozen=True)
+class _Group:
+    """Meters of all ``kinds`` at each of ``rows``, (n,), of the network's buses or of its branches."""
+
+    kinds: tuple[MeasurementKind, ...]
+    rows: np.ndarray
+    of_branch: bool = False
+    source: Source = Source.TELEMETERED
+
+    def columns(self, network: Network) -> tuple[np.ndarray, ...]:
+        """Those of ``make_meters``; flows are metered at the from side."""
+        count, table = len(self.kinds), network.table
+        kind = np.tile([KINDS.index(kind) for kind in self.kinds], len(self.rows))
+        row = np.repeat(self.rows, count)
+        bus = (table.from_bus if self.of_branch else table.bus_id)[row]
+        branch = row if self.of_branch else np.full(len(row), NO_BRANCH)
+        return kind, bus, branch, np.full(len(row), SOURCES.index(self.source))
+
+
+def _at(key: BusMeterTable | AngleMeterTable | None, network: Network) -> np.ndarray:
+    """The rows of the buses of a key."""
+    return _rows_of(key.buses if key else (), network.table.bus_id)
+
+
+def _on(key: BranchMeterTable | None, network: Network) -> np.ndarray:
+    """The rows of the branches of a key among all, those in service."""
+    rows: np.ndarray = network.table.active[_rows_of(key.branches if key else (), network.active_branch_ids)]
+    return rows
+
+
+def _rows_of(listed: Sequence[Place] | None, places: np.ndarray | Sequence[Place]) -> np.ndarray:
+    """Where the listed places that exist stand in ``places``, each once; all if none is listed."""
+    if listed is None:
+        return np.arange(len(places))
+    known = places.tolist() if isinstance(places, np.ndarray) else places
+    row = {place: k for k, place in enumerate(known)} if listed else {}
+    return np.array([row[place] for place in dict.fromkeys(listed) if place in row], dtype=np.intp)
 
 
 def find_place_problems(table: MeasurementsTable, network: Network) -> Iterable[str]:
@@ -117,7 +146,7 @@ def find_place_problems(table: MeasurementsTable, network: Network) -> Iterable[
             if count > 1:
                 yield f"measurements.{key}.buses: bus {bus} is listed twice; keep one"
     yield from _find_zero_injection_problems(table, network)
-    in_service = {branch.id: branch.in_service for branch in network.branches}
+    in_service = dict(zip(network.branch_ids, network.table.in_service.tolist(), strict=True))
     for key in ("flow", "current"):
         branches: tuple[str, ...] | None = (part := getattr(table, key)) and part.branches
         for branch, count in sorted(Counter(branches or ()).items()):
@@ -144,14 +173,6 @@ def _find_zero_injection_problems(table: MeasurementsTable, network: Network) ->
             yield f"measurements.zero_injection: bus {bus} is listed twice; keep one"
 
 
-def _known(listed: Sequence[Place] | None, places: Sequence[Place]) -> Sequence[Place]:
-    """The listed places that exist, each once; all places if none is listed."""
-    if listed is None:
-        return places
-    existing = set(places)
-    return [place for place in dict.fromkeys(listed) if place in existing]
-
-
 def find_virtual_buses(table: MeasurementsTable, network: Network) -> dict[int, None]:
     """The buses that inject exactly nothing, for every estimator."""
     empty = _find_zero_injections(network)
@@ -163,4 +184,5 @@ def find_virtual_buses(table: MeasurementsTable, network: Network) -> dict[int, 
 def _find_zero_injections(network: Network) -> dict[int, None]:
     """Buses without load and source; a shunt is part of the network, not an injection."""
     fed = {generator.bus for generator in network.generators}
-    return {b.id: None for b in network.buses if b.p_load == 0 and b.q_load == 0 and b.id not in fed}
+    unloaded: list[int] = network.table.bus_id[network.table.load == 0].tolist()
+    return {bus: None for bus in unloaded if bus not in fed}

@@ -69,7 +69,7 @@ class Scenario:
     strategy: str
     network: Network
     partition: Partition
-    meters: tuple[Meter, ...]
+    meters: Sequence[Meter]
     sigma_rule: SigmaRule
     telemetry: TelemetrySettings
     generation: Literal["telemetered", "scheduled"]
@@ -233,8 +233,10 @@ def _load_readings_of(
 
 def _build_meters_of(
     file: ScenarioFile, network: Network, area_buses: AreaBuses, readings: Sequence[Measurement]
-) -> tuple[Meter, ...]:
-    meters = (*(m.meter for m in readings), *build_meters(file.measurements, network))
+) -> Sequence[Meter]:
+    meters: Sequence[Meter] = build_meters(file.measurements, network)
+    if readings:
+        meters = (*(m.meter for m in readings), *meters)
     if file.telemetry.source != "area-power-flow":
         return meters
     areas_at = Counter(bus for buses in area_buses.values() for bus in buses)
@@ -264,7 +266,7 @@ def _build_scenario(
     path: Path,
     file: ScenarioFile,
     partition: Partition,
-    meters: tuple[Meter, ...],
+    meters: Sequence[Meter],
     readings: tuple[Measurement, ...],
 ) -> Scenario:
     base_mva = partition.network.base_mva

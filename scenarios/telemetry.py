@@ -10,11 +10,13 @@ import numpy as np
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.exchange.boundary_load import boundary_loads, scheduled_load_messages
+from dsse_core.grid.columns import Records
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
+from dsse_core.grid.meter_table import KINDS, NO_BRANCH, find_virtual, number_kinds
+from dsse_core.grid.network import Network
 from dsse_core.power_flow.exact_readings import read_exactly
 from dsse_core.power_flow.newton_raphson import PowerFlowResult, solve_power_flow
 from scenarios.meter_noise import draw_noise
-from scenarios.meters import NUMBER_OF, number_kinds
 from scenarios.scenario import Scenario
 
 
@@ -162,8 +164,8 @@ def _read(scenario: Scenario, scan: int, exact: np.ndarray, size: np.ndarray) ->
     if gross := scenario.telemetry.gross_errors:
         sigmas_off += np.array([gross.get(meter.id, 0.0) for meter in meters])
     values = exact + sigmas_off * sigma
-    values[(number_kinds(meters) == NUMBER_OF[id(MeasurementKind.CURRENT)]) & (values < 0)] = 0.0
-    values[[m.source is Source.VIRTUAL for m in meters]] = 0.0
+    values[(number_kinds(meters) == KINDS.index(MeasurementKind.CURRENT)) & (values < 0)] = 0.0
+    values[find_virtual(meters)] = 0.0
     return values, sigma
 
 
@@ -171,5 +173,21 @@ def _draw_noise(scenario: Scenario, scan: int) -> np.ndarray:
     """The noise of all meters, in standard deviations, shape (n_meas,)."""
     if not scenario.telemetry.noise:
         return np.zeros(len(scenario.meters))
-    own = [zlib.crc32(meter.id.encode()) for meter in scenario.meters]
-    return draw_noise([scenario.seed, scan], np.array(own, dtype=np.uint32))
+    return draw_noise([scenario.seed, scan], sum_up_ids(scenario.network, scenario.meters))
+
+
+def sum_up_ids(network: Network, meters: Sequence[Meter]) -> np.ndarray:
+    """The CRC-32 of the id of each of ``meters``, (n_meas,), uint32."""
+    if not isinstance(meters, Records):
+        return np.array([zlib.crc32(meter.id.encode()) for meter in meters], dtype=np.uint32)
+    columns, ids = meters.columns, network.branch_ids
+    own = np.zeros(len(meters), dtype=np.uint32)
+    of_branch = columns["branch"] != NO_BRANCH
+    for k, kind in enumerate(KINDS):  # a sum goes on from that of the kind, which all of a kind begin with
+        begun = zlib.crc32(f"{kind}@".encode())
+        here = columns["kind"] == k
+        buses = columns["bus"][here & ~of_branch].tolist()
+        own[here & ~of_branch] = [zlib.crc32(b"%d" % bus, begun) for bus in buses]
+        places = zip(*(columns[name][here & of_branch].tolist() for name in ("bus", "branch")), strict=True)
+        own[here & of_branch] = [zlib.crc32(f"{bus}:{ids[row]}".encode(), begun) for bus, row in places]
+    return own

@@ -11,6 +11,7 @@ from functools import lru_cache
 import numpy as np
 
 from dsse_core.grid.measurement import MeasurementKind, Meter
+from dsse_core.grid.meter_table import KINDS, number_kinds
 
 CONFIDENCE = 0.99  # of the chi-square test
 THRESHOLD = 3.0  # of normalised residuals
@@ -49,4 +50,5 @@ def find_dead(meters: Sequence[Meter], values: Sequence[float] | np.ndarray) -> 
     They are never believed: the state is what the other meters say, and is not observable where they do not
     determine it. Several of them do not confirm each other.
     """
-    return [k for k, meter in enumerate(meters) if meter.kind is MeasurementKind.VM and values[k] < DEAD_VM]
+    dead = (number_kinds(meters) == KINDS.index(MeasurementKind.VM)) & (np.asarray(values) < DEAD_VM)
+    return np.flatnonzero(dead).tolist()

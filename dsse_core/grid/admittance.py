@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -60,18 +61,31 @@ def flat_start(network: Network, reference: int) -> tuple[np.ndarray, np.ndarray
 
 def walk_unloaded(network: Network, reference: int) -> tuple[np.ndarray, np.ndarray]:
     """``flat_start`` with angles as the walk adds them up: they may be beyond half a turn."""
-    vm, va = np.zeros(len(network.buses)), np.zeros(len(network.buses))
-    vm[network.row[reference]] = 1.0
-    queue = [reference]
-    while queue:
-        here = queue.pop()
-        row = network.row[here]
-        for branch in network.branches_at[here]:
-            there = network.row[branch.other_end(here)]
-            if vm[there] == 0:
-                is_forward = here == branch.from_bus
-                vm[there] = vm[row] / branch.tap if is_forward else vm[row] * branch.tap
-                va[there] = va[row] - branch.shift if is_forward else va[row] + branch.shift
-                queue.append(branch.other_end(here))
-    vm[vm == 0] = 1.0  # buses out of reach of the reference; observability analysis names them
-    return vm, va
+    table = network.table
+    n, active = len(table.bus_id), table.active
+    tap, shift = table.tap[active], table.shift[active]
+    if (tap == 1.0).all() and (shift == 0.0).all():
+        return np.ones(n), np.zeros(n)
+    from scipy.sparse.csgraph import breadth_first_order
+
+    start = network.row[reference]
+    _, above = breadth_first_order(table.graph, start, directed=False)
+    gain, turn = np.ones(n), np.zeros(n)  # from the bus above, of buses out of reach none: observability names them
+    for here, there, factor, angle in ((table.t, table.f, tap, shift), (table.f, table.t, 1 / tap, -shift)):
+        walked = np.flatnonzero(above[there] == here)[::-1]  # of parallel branches the first
+        gain[there[walked]], turn[there[walked]] = factor[walked], angle[walked]
+    above = np.where(above < 0, np.arange(n), above)
+    return follow(above, gain, np.multiply), follow(above, turn, np.add)
+
+
+def follow(above: np.ndarray, own: np.ndarray, join: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
+    """``own`` of each bus joined with those of all buses above it, (n_bus,), in log2(depth) steps.
+
+    ``above`` (n_bus,): the next bus on the way to the top, there the bus itself, whose ``own`` changes nothing.
+    """
+    while True:
+        further = above[above]
+        own = join(own, own[above])
+        if (further == above).all():
+            return own
+        above = further

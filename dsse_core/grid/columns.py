@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cached_property
+from inspect import signature
 from typing import Any, Generic, TypeVar, overload
 
 import numpy as np
@@ -21,12 +22,17 @@ class Records(Sequence[Item], Generic[Item]):
         self._make, self.columns = make, columns
         lengths = {name: len(column) for name, column in columns.items()}
         if len(set(lengths.values())) > 1:
-            raise ValueError(f"columns of {make.__name__} differ in length: {lengths}")
+            raise ValueError(f"columns of {getattr(make, '__name__', make)} differ in length: {lengths}")
 
     @cached_property
     def objects(self) -> tuple[Item, ...]:
         plain = [column.tolist() if isinstance(column, np.ndarray) else column for column in self.columns.values()]
+        if list(signature(self._make).parameters)[: len(plain)] == list(self.columns):
+            return tuple(map(self._make, *plain))
         return tuple(self._make(**dict(zip(self.columns, values, strict=True))) for values in zip(*plain, strict=True))
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return type(self), (self._make, self.columns)  # without the objects, of which the other side makes its own
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values()), ()))
@@ -53,12 +59,18 @@ class Records(Sequence[Item], Generic[Item]):
 def read_column(items: Sequence[Any], name: str, dtype: type) -> np.ndarray:
     """The attribute ``name`` of all ``items``, shape (n,)."""
     if isinstance(items, Records) and name in items.columns:
-        return np.asarray(items.columns[name], dtype=dtype)
+        column = items.columns[name]
+        return column if isinstance(column, np.ndarray) and column.dtype == object else np.asarray(column, dtype=dtype)
     if isinstance(items, Records):
         items = items.objects
     values = [getattr(item, name) for item in items]
+    return read_ids(values) if dtype is np.int64 else np.array(values, dtype=dtype)
+
+
+def read_ids(values: Sequence[int]) -> np.ndarray:
+    """Ids of buses as an array, (n,)."""
     try:
-        return np.array(values, dtype=dtype)
+        return np.array(values, dtype=np.int64)
     except OverflowError:  # a number of a bus that nobody has, but that a message must be able to name
         return np.array(values, dtype=object)
 

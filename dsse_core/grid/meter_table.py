@@ -39,11 +39,18 @@ def make_meters(
     """
     if source is None:
         source = np.zeros(len(kind), dtype=np.int64)
+    columns = {"kind": kind, "bus": bus, "branch": branch, "source": source}
+    return Records(_MakeMeter(network.branch_ids), columns)
 
-    def make(kind: int, bus: int, branch: int, source: int) -> Meter:
-        return Meter(KINDS[kind], bus, None if branch < 0 else network.branches[branch].id, SOURCES[source])
 
-    return Records(make, {"kind": kind, "bus": bus, "branch": branch, "source": source})
+@dataclass(frozen=True)
+class _MakeMeter:
+    """A meter of its row of the columns."""
+
+    branch_ids: Sequence[str]
+
+    def __call__(self, kind: int, bus: int, branch: int, source: int) -> Meter:
+        return Meter(KINDS[kind], bus, None if branch < 0 else self.branch_ids[branch], SOURCES[source])
 
 
 def tabulate_meters(network: Network, meters: Sequence[Meter]) -> MeterTable:
@@ -53,10 +60,17 @@ def tabulate_meters(network: Network, meters: Sequence[Meter]) -> MeterTable:
         columns = meters.columns
         row = np.append(table.active_row, NO_BRANCH)  # which row -1 is
         return MeterTable(columns["kind"], table.rows.find(columns["bus"]), row[np.maximum(columns["branch"], -1)])
-    kind = np.array([_CODE_OF_KIND[id(meter.kind)] for meter in meters], dtype=np.int64)
     bus = np.array([meter.bus for meter in meters], dtype=np.int64)
     branch = rows_of_texts(network.active_branch_ids, [meter.branch for meter in meters])
-    return MeterTable(kind, table.rows.find(bus), branch)
+    return MeterTable(number_kinds(meters), table.rows.find(bus), branch)
+
+
+def number_kinds(meters: Sequence[Meter]) -> np.ndarray:
+    """The position of each meter's kind in KINDS, shape (n_meas,)."""
+    if isinstance(meters, Records):
+        kinds: np.ndarray = meters.columns["kind"]
+        return kinds
+    return np.array([_CODE_OF_KIND[id(meter.kind)] for meter in meters], dtype=np.int64)
 
 
 def find_virtual(meters: Sequence[Meter]) -> np.ndarray:

@@ -13,7 +13,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
-from statistics import median
+
+import numpy as np
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.columns import Records, read_given
@@ -147,13 +148,6 @@ class Network:
         return {bus: tuple(branches) for bus, branches in at.items()}
 
     @cached_property
-    def _generators_at(self) -> dict[int, list[Generator]]:
-        at: dict[int, list[Generator]] = {}
-        for generator in self.generators:
-            at.setdefault(generator.bus, []).append(generator)
-        return at
-
-    @cached_property
     def slack(self) -> Generator | None:
         return next((g for g in self.generators if g.control is Control.SLACK), None)
 
@@ -167,35 +161,38 @@ class Network:
     def branch_by_id(self) -> dict[str, Branch]:
         return {branch.id: branch for branch in self.branches}
 
+    @cached_property
+    def scheduled(self) -> np.ndarray:
+        """Scheduled generation minus load of all buses, complex, p.u., (n_bus,); shunts do not count."""
+        produced = np.zeros(len(self.table.bus_id), dtype=complex)
+        for generator in self.generators:
+            produced[self.row[generator.bus]] += complex(generator.p, generator.q)
+        scheduled: np.ndarray = produced - self.table.load
+        return scheduled
+
     def scheduled_injection(self, bus_id: int) -> complex:
         """Scheduled generation minus load of a bus, p.u.; shunts do not count."""
-        bus = self.bus(bus_id)
-        produced = sum((complex(g.p, g.q) for g in self._generators_at.get(bus_id, ())), complex(0.0))
-        return produced - complex(bus.p_load, bus.q_load)
+        return complex(self.scheduled[self.row[bus_id]])
 
     def find_unreached_buses(self, start: int) -> tuple[int, ...]:
         """Buses that no path of branches in service joins to ``start``, in network order."""
-        reached, queue = {start}, [start]
-        while queue:
-            here = queue.pop()
-            for branch in self.branches_at[here]:
-                if (there := branch.other_end(here)) not in reached:
-                    reached.add(there)
-                    queue.append(there)
-        return tuple(bus.id for bus in self.buses if bus.id not in reached)
+        island = self.table.island
+        return tuple(self.table.bus_id[island != island[self.row[start]]].tolist())
 
     @cached_property
     def median_impedance(self) -> float:
         """The median |r + jx| of the branches in service, p.u.; 0 if there are none."""
-        return median([abs(complex(b.r, b.x)) for b in self.active_branches] or [0.0])
+        impedances = abs(self.table.series[self.table.active])
+        return float(np.median(impedances)) if len(impedances) else 0.0
 
     def find_zero_impedances(self) -> tuple[Branch, ...]:
         """Branches in service whose |r + jx| is below ``ZERO_IMPEDANCE`` times the median of the whole network.
 
         To be asked of a whole network: an area's part of it has another median.
         """
-        limit = ZERO_IMPEDANCE * self.median_impedance
-        return tuple(b for b in self.active_branches if abs(complex(b.r, b.x)) < limit)
+        active = self.table.active
+        short = abs(self.table.series[active]) < ZERO_IMPEDANCE * self.median_impedance
+        return tuple(self.branches[k] for k in active[short].tolist())
 
     def find_supply_problems(self) -> list[str]:
         """That there is no substation, or which buses no path of branches in service joins to it, as text."""

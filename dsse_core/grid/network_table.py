@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from dsse_core.grid.columns import Rows, read_column
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 
 @dataclass(frozen=True)
@@ -70,6 +73,21 @@ class NetworkTable:
         row = np.full(len(self.in_service), -1)
         row[self.active] = np.arange(len(self.active))
         return row
+
+    @cached_property
+    def graph(self) -> csr_array:
+        """An entry for each pair of buses that branches in service join, (n_bus, n_bus)."""
+        from scipy.sparse import csr_array  # which takes 0.1 s, and nothing else of a network needs it
+
+        return csr_array((np.ones(len(self.f)), (self.f, self.t)), shape=(len(self.bus_id),) * 2)
+
+    @cached_property
+    def island(self) -> np.ndarray:
+        """A number for each bus, (n_bus,), equal where a path of branches in service joins two."""
+        from scipy.sparse.csgraph import connected_components
+
+        number: np.ndarray = connected_components(self.graph, directed=False)[1]
+        return number
 
     def is_possible(self) -> bool:
         """Whether values, ids and ends of all buses and branches can be; ids of branches apart."""

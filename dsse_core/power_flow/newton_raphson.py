@@ -93,7 +93,7 @@ def solve_power_flow(
         PowerFlowDivergedError: names the bus with the largest mismatch.
     """
     plan = build_power_flow_plan(network, slack=slack, method=method, extra_load=extra_load)
-    scheduled = np.array([network.scheduled_injection(bus.id) for bus in network.buses], dtype=complex)
+    scheduled = network.scheduled.copy()
     for bus, load in (extra_load or {}).items():
         scheduled[network.row[bus]] -= load
     return solve_with_plan(plan, scheduled, plan.find_limit(tolerance), max_iterations)

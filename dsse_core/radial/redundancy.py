@@ -14,25 +14,26 @@ from dsse_core.radial.plan import N_SLOT, RadialPlan
 
 def find_radial_indispensable(plan: RadialPlan) -> np.ndarray:
     """Which meters, virtual ones included, leave the state undetermined when taken out, shape (n_meas,), bool."""
-    n, Y = len(plan.order), plan.no_load_admittance
+    n, Y, slot = len(plan.order), plan.no_load_admittance, plan.slot
     length = _row_lengths(plan.parent, Y)
-    exact = np.empty((n, N_SLOT))
-    predict(plan.parent, Y, plan.start, plan.start_va, True, exact)
-    w = radial_kernel.absent(n)
-    w.ravel()[plan.slot] = (1 / length**2).ravel()[plan.slot]
+    own_length = length.ravel()[slot]
+    z, w = np.zeros((n, N_SLOT)), radial_kernel.absent(n)
+    predict(plan.parent, Y, plan.start, plan.start_va, True, z)
+    exact = z.ravel()[slot]
+    w.ravel()[slot] = 1 / own_length**2
     w[:, 2:4] = np.where(w[:, 2:4] > 0, length[:, 2:4] ** 2, w[:, 2:4])
     w[:, [6, 9]] = 0.0
-    rng = np.random.default_rng(0)
-    largest = np.zeros((n, N_SLOT))
+    rng, work = np.random.default_rng(0), radial_kernel.Work.of(n)
+    largest = np.zeros(len(slot))
     for _ in range(WIDTH):
-        z = exact + length * rng.standard_normal((n, N_SLOT))
-        work = radial_kernel.Work.of(n)
+        z.ravel()[slot] = exact + own_length * rng.standard_normal(len(slot))
         at = plan.parent, Y, z, w, plan.start, plan.start_va
         radial_kernel.eliminate(*at, False, radial_kernel.STEP, *work)
         radial_kernel.substitute(plan.parent, work.factor, plan.start, work.step)
-        largest = np.maximum(largest, abs(_fit_residuals(*at, work.factor, work.more, work.step)) / length)
-    of_current = np.isin(plan.slot % N_SLOT, (6, 9))
-    indispensable: np.ndarray = (largest.ravel()[plan.slot] < NO_RESIDUAL) & ~of_current
+        residual = _fit_residuals(*at, work.factor, work.more, work.step)
+        largest = np.maximum(largest, abs(residual.ravel()[slot]) / own_length)
+    of_current = np.isin(slot % N_SLOT, (6, 9))
+    indispensable: np.ndarray = (largest < NO_RESIDUAL) & ~of_current
     return indispensable
 
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import count
 
 import numpy as np
 
+from dsse_core.grid.columns import Records, Rows, read_ids
 from dsse_core.grid.network import Branch, Bus, Control, Generator
 from dsse_core.grid.physical_ranges import (
     ADMITTANCE,
@@ -32,7 +33,7 @@ from scenarios.files.network_tables import BranchColumns, BranchTable, BusColumn
 class BusArrays:
     """``base_kv`` in kV, the others in p.u.; shape (n_bus,) each."""
 
-    id: list[int]
+    id: np.ndarray
     name: list[str]
     base_kv: np.ndarray
     p_load: np.ndarray
@@ -46,11 +47,10 @@ class BusArrays:
         powers = ("p_load_mw", "q_load_mvar", "g_shunt_mw", "b_shunt_mvar")
         scaled = [np.array(_take(given, key, n, 0.0), dtype=float) / base_mva for key in powers]
         base_kv = np.array(_take(given, "base_kv", n, math.nan), dtype=float)
-        return cls(_take(given, "id", n, 0), _take(given, "name", n, ""), base_kv, *scaled)
+        return cls(read_ids(_take(given, "id", n, 0)), _take(given, "name", n, ""), base_kv, *scaled)
 
-    def build(self) -> tuple[Bus, ...]:
-        numbers = (self.p_load, self.q_load, self.g_shunt, self.b_shunt)
-        return tuple(map(Bus, self.id, self.base_kv.tolist(), self.name, *(part.tolist() for part in numbers)))
+    def build(self) -> Records[Bus]:
+        return Records(Bus, {field.name: getattr(self, field.name) for field in fields(Bus)})
 
 
 @dataclass(frozen=True)
@@ -62,14 +62,14 @@ class BranchArrays:
     """
 
     id: list[str | None]
-    from_bus: list[int]
-    to_bus: list[int]
+    from_bus: np.ndarray
+    to_bus: np.ndarray
     r: np.ndarray
     x: np.ndarray
     b: np.ndarray
     tap: np.ndarray
     shift: np.ndarray
-    in_service: list[bool]
+    in_service: np.ndarray
     g: np.ndarray
     name: list[str]
     i_max: np.ndarray
@@ -81,10 +81,10 @@ class BranchArrays:
     @classmethod
     def of(cls, given: list[BranchTable] | BranchColumns, buses: BusArrays, base_mva: float) -> BranchArrays:
         n = len(given) if isinstance(given, list) else len(given.to)
-        from_bus, to_bus = _take(given, "from_", n, 0), _take(given, "to", n, 0)
+        from_bus, to_bus = read_ids(_take(given, "from_", n, 0)), read_ids(_take(given, "to", n, 0))
         in_ohm = np.array([b.is_in_ohm for b in given] if isinstance(given, list) else [given.is_in_ohm] * n)
-        base_kv = dict(zip(reversed(buses.id), buses.base_kv[::-1].tolist(), strict=True))  # of equal ids the first
-        from_kv, to_kv = (np.array([base_kv.get(bus, math.nan) for bus in ends]) for ends in (from_bus, to_bus))
+        rows, base_kv = Rows(buses.id), np.append(buses.base_kv, math.nan)  # which row -1 is
+        from_kv, to_kv = base_kv[rows.find(from_bus)], base_kv[rows.find(to_bus)]
         kv = np.where(np.isnan(from_kv), 1.0, from_kv)  # of a bus that is not defined, which Network reports
         z_base = np.where(in_ohm, kv * kv / base_mva, 1.0)
 
@@ -103,7 +103,7 @@ class BranchArrays:
             b=choose(take("b_us") * 1e-6 * z_base, "b_pu"),
             tap=take("tap_ratio", 1.0),
             shift=np.radians(take("shift_deg")),
-            in_service=_take(given, "in_service", n, True),
+            in_service=np.array(_take(given, "in_service", n, True)),
             g=choose(take("g_us") * 1e-6 * z_base, "g_pu"),
             name=_take(given, "name", n, ""),
             i_max=take("rating_a", math.nan) * kv / base_current(base_mva, 1.0),
@@ -113,15 +113,25 @@ class BranchArrays:
             to_kv=to_kv,
         )
 
-    def build(self) -> tuple[Branch, ...]:
-        names: list[str] = []
+    def build(self) -> Records[Branch]:
+        columns = {field.name: getattr(self, field.name) for field in fields(Branch)}
+        for key in ("i_max", "s_max"):
+            rating = columns.pop(key)
+            if not np.isnan(rating).all():
+                columns[key] = _none_for_nan(rating)
+        return Records(Branch, columns | {"id": self._name()})
+
+    def _name(self) -> list[str]:
+        """The id of each branch: the one given, or its ends."""
+        ends = self.from_bus.tolist(), self.to_bus.tolist()
+        names = [given or f"{from_bus}-{to_bus}" for given, from_bus, to_bus in zip(self.id, *ends, strict=True)]
+        if len(set(names)) == len(names):
+            return names
         taken: set[str | None] = set(self.id)
-        for given, from_bus, to_bus in zip(self.id, self.from_bus, self.to_bus, strict=True):
-            names.append(given or default_branch_id(from_bus, to_bus, taken))
-            taken.add(names[-1])
-        numbers = (part.tolist() for part in (self.r, self.x, self.b, self.tap, self.shift))
-        rest = (self.in_service, self.g.tolist(), self.name, _none_for_nan(self.i_max), _none_for_nan(self.s_max))
-        return tuple(map(Branch, names, self.from_bus, self.to_bus, *numbers, *rest))
+        for k, (given, from_bus, to_bus) in enumerate(zip(self.id, *ends, strict=True)):
+            names[k] = given or default_branch_id(from_bus, to_bus, taken)
+            taken.add(names[k])
+        return names
 
 
 def _take(given: Sequence[object] | object, key: str, n: int, default: object) -> list:  # type: ignore[type-arg]
@@ -163,6 +173,6 @@ def lie_within_ranges(
         checked += [(RATING, part[~np.isnan(part)], base_mva) for part in (branches.i_max, branches.s_max)]
         checked += [(TAP, branches.tap, 1.0), (ANGLE, np.degrees(branches.shift), 1.0)]
     numbers = ((limits, np.array(values, dtype=float) * size) for limits, values, size in checked)
-    return max(map(abs, buses.id)) <= LARGEST_BUS and all(
+    return bool(((buses.id >= -LARGEST_BUS) & (buses.id <= LARGEST_BUS)).all()) and all(
         bool(((limits.least <= values) & (values <= limits.most)).all()) for limits, values in numbers
     )

@@ -44,7 +44,7 @@ def load_network(path: Path) -> Network:
     buses = BusArrays.of(file.bus, base)
     generators = tuple(_build_generator(source, base) for source in file.source)
     if not lie_within_ranges(base, buses, None, generators):
-        base_kv = dict(zip(reversed(buses.id), buses.base_kv[::-1].tolist(), strict=True))
+        base_kv = dict(zip(buses.id[::-1].tolist(), buses.base_kv[::-1].tolist(), strict=True))
         if problems := list(find_base_problems(base, base_kv)):  # others are divided by these numbers
             raise InvalidInputError(what, problems)
     branches = BranchArrays.of(file.branch, buses, base)

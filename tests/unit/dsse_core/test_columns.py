@@ -1,5 +1,6 @@
 """Networks and meters of columns: the same grid, and a plan of it visits no object."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -113,3 +114,15 @@ def test_a_bus_number_that_no_column_of_64_bits_holds_can_be_named():
     assert Network(name="x", base_mva=1.0, buses=buses[:2], branches=()).row == {10**30: 0, 1: 1}
     with pytest.raises(InvalidInputError, match=f"bus {10**30} is defined more than once"):
         Network(name="x", base_mva=1.0, buses=buses, branches=())
+
+
+def test_columns_are_sent_to_another_process_without_their_objects(meshed):
+    tabled = in_columns(meshed)
+    meters = meters_in_columns(tabled, meters_of(meshed))
+    assert tabled.buses.objects
+    assert meters.objects
+    network, again = pickle.loads(pickle.dumps((tabled, meters)))
+    assert "objects" not in vars(network.buses)
+    assert "objects" not in vars(again)
+    assert network == tabled
+    assert again == meters

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import zlib
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from scenarios.check import check_scenario
 from scenarios.files.shipped_files import find_shipped
 from scenarios.meters import SigmaRule
 from scenarios.scenario import Scenario, TelemetrySettings, load_scenario
-from scenarios.telemetry import make_telemetry
+from scenarios.telemetry import make_telemetry, sum_up_ids
 
 KIND = MeasurementKind
 
@@ -32,6 +33,13 @@ def readings(scenario: Scenario, scan: int = 1) -> dict[str, Measurement]:
 def test_the_same_seed_and_scan_give_the_same_telemetry() -> None:
     scenario = load_scenario("ieee33")
     assert make_telemetry(scenario, 3).by_area == make_telemetry(load_scenario("ieee33"), 3).by_area
+
+
+@pytest.mark.parametrize("name", sorted(find_shipped("shipped")))
+def test_the_noise_of_a_meter_belongs_to_its_id(name: str) -> None:
+    scenario = load_scenario(name)
+    expected = [zlib.crc32(meter.id.encode()) for meter in scenario.meters]
+    assert sum_up_ids(scenario.network, scenario.meters).tolist() == expected
 
 
 @pytest.mark.parametrize(("seed", "scan"), [(2, 1), (1, 2)])

@@ -5,9 +5,10 @@ import cmath
 import numpy as np
 import pytest
 
-from dsse_core.grid.admittance import build_admittance, flat_start
+from dsse_core.grid.admittance import build_admittance, flat_start, walk_unloaded
 from dsse_core.grid.measurement import MeasurementKind, Meter
 from dsse_core.grid.measurement_model import build_measurement_model
+from dsse_core.grid.network import Branch, Bus, Network
 
 Kind = MeasurementKind
 
@@ -111,6 +112,40 @@ def test_the_flat_start_follows_phase_shifts_and_taps_in_both_directions(meshed)
     assert (angle[5] - angle[4] + 180) % 360 - 180 == pytest.approx(-30)
     assert magnitude[2] == pytest.approx(1 / 1.03)
     assert magnitude[5] == pytest.approx(0.97 / 1.03)
+
+
+def walk_by_hand(network, reference):
+    """Voltage and angle of each bus that is reached, branch by branch."""
+    reached, queue = {reference: (1.0, 0.0)}, [reference]
+    for here in queue:  # which grows
+        vm, va = reached[here]
+        for branch in network.branches_at[here]:
+            if (there := branch.other_end(here)) not in reached:
+                forward = here == branch.from_bus
+                reached[there] = (
+                    vm / branch.tap if forward else vm * branch.tap,
+                    va - branch.shift if forward else va + branch.shift,
+                )
+                queue.append(there)
+    return reached
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_unloaded_voltages_are_those_of_a_walk_bus_by_bus(seed):
+    rng = np.random.default_rng(seed)
+    ids = rng.permutation(1000)[:30].tolist()
+    tree = [(ids[k], ids[int(rng.integers(k))]) for k in range(1, 28)]  # two buses are out of reach
+    ends = [pair if rng.random() < 0.5 else pair[::-1] for pair in tree]
+    branches = tuple(
+        Branch(f"{k}", *pair, 0.01, 0.02, tap=1 + 0.1 * rng.random(), shift=rng.normal()) for k, pair in enumerate(ends)
+    )
+    extra = Branch("loop", ids[3], ids[20], 0.01, 0.02, in_service=False)
+    network = Network("x", 1.0, tuple(Bus(bus, 20.0) for bus in ids), (*branches, extra))
+    vm, va = walk_unloaded(network, ids[5])
+    expected = walk_by_hand(network, ids[5])
+    assert network.find_unreached_buses(ids[5]) == tuple(bus for bus in ids if bus not in expected)
+    for bus, row in network.row.items():
+        assert (vm[row], va[row]) == pytest.approx(expected.get(bus, (1.0, 0.0)), rel=1e-14, abs=1e-14)
 
 
 def test_a_current_magnitude_without_current_has_derivative_zero_and_not_nan(chain):
