@@ -20,7 +20,7 @@ from scenarios.meter_noise import draw_noise
 from scenarios.scenario import Scenario
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Telemetry:
     """One scan. ``by_area``: area -> its measurements; ``union``: all of them, for the centralised WLS.
 
@@ -32,6 +32,10 @@ class Telemetry:
     by_area: dict[str, tuple[Measurement, ...]]
     union: tuple[Measurement, ...]
     area_power_flows: dict[str, PowerFlowResult]
+
+    def __repr__(self) -> str:
+        source = "real" if self.truth is None and not self.area_power_flows else "made from a power flow"
+        return f"<Telemetry: {len(self.union)} readings in {len(self.by_area)} areas, {source}>"
 
 
 @dataclass(frozen=True)

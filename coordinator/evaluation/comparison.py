@@ -14,12 +14,15 @@ from dsse_core.power_flow.newton_raphson import PowerFlowResult
 from dsse_core.results.state import AreaVoltages
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Voltages:
     """``vm`` p.u., ``va`` rad: shape (n_bus,), network order; nan where nothing is known."""
 
     vm: np.ndarray
     va: np.ndarray
+
+    def __repr__(self) -> str:
+        return f"<Voltages of {len(self.vm)} buses, {np.isnan(self.vm).sum()} unknown>"
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +33,7 @@ class Gap:
     va_deg: float | None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Comparison:
     """Voltages of all buses from three sources, and their differences.
 
@@ -46,6 +49,10 @@ class Comparison:
     sigma: Voltages
     by_area: Mapping[str, Voltages]
     published: Mapping[str, AreaVoltages]
+
+    def __repr__(self) -> str:
+        buses, areas = len(self.truth.vm), len(self.published)
+        return f"<Comparison of {buses} buses: states of {areas} of {len(self.partition.areas)} areas>"
 
     @property
     def knows_truth(self) -> bool:

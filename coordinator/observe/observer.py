@@ -39,7 +39,7 @@ class Standing:
     dead_end: str | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Sample:
     """An area's published state at time ``time`` (s, the observer's clock): numbers of its buses, p.u. and rad.
 
@@ -52,6 +52,9 @@ class Sample:
     vm: Sequence[float]
     va: Sequence[float]
     referenced: bool
+
+    def __repr__(self) -> str:
+        return f"<Sample of {self.area!r} at {self.time:.3f} s: {len(self.buses)} buses>"
 
 
 @dataclass

@@ -46,7 +46,7 @@ class SuspectKept:
     reason: Literal["critical", "diverges"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class BadDataReport:
     """The clean estimate and how it was reached.
 
@@ -62,6 +62,13 @@ class BadDataReport:
     chi_square_limit: float
     degrees_of_freedom: int
     suspect: SuspectKept | None
+
+    def __repr__(self) -> str:
+        where = "above" if self.detected else "below"
+        return (
+            f"<BadDataReport of {self.result.network.name!r}: {len(self.removed)} meters removed, "
+            f"{len(self.critical)} critical, J = {self.objective:.4g} {where} its limit {self.chi_square_limit:.4g}>"
+        )
 
 
 def find_critical(result: EstimationResult) -> tuple[str, ...]:

@@ -43,7 +43,7 @@ _CODE_OF = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class BatchResult:
     """The estimate of each row of readings. ``vm`` p.u., ``va`` rad: shape (n_row, n_bus), network order.
 
@@ -58,6 +58,10 @@ class BatchResult:
     iterations: np.ndarray
     degrees_of_freedom: np.ndarray
     failures: Mapping[int, RowFailure]
+
+    def __repr__(self) -> str:
+        rows, buses = self.vm.shape
+        return f"<BatchResult of {self.plan.network.name!r}: {rows} rows, {buses} buses, {len(self.failures)} failures>"
 
 
 def estimate_batch(

@@ -23,7 +23,7 @@ from dsse_core.row_threads import find_threads
 NO_MEMORY = Memory()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class EstimationResult:
     """The estimate. ``vm`` p.u., ``va`` rad: shape (n_bus,), network order; ``residual`` z - h(x): (n_meas,).
 
@@ -44,6 +44,12 @@ class EstimationResult:
     residual: np.ndarray
     objective: float
     iterations: int
+
+    def __repr__(self) -> str:
+        return (
+            f"<EstimationResult of {self.network.name!r}: {len(self.vm)} buses, J = {self.objective:.4g} "
+            f"with {self.degrees_of_freedom} degrees of freedom, {self.iterations} iterations, {self.backend!r}>"
+        )
 
     @property
     def backend(self) -> Backend:

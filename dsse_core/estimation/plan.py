@@ -26,7 +26,7 @@ BackendChoice = Literal["auto", "radial", "sparse"]
 FEWEST_BUSES_OF_RADIAL = 500
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class EstimationPlan:
     """``radial``: the plan of the back end of that name, or, as text, why it is not used."""
 
@@ -34,6 +34,12 @@ class EstimationPlan:
     meters: Sequence[Meter]
     reference: int
     radial: RadialPlan | str
+
+    def __repr__(self) -> str:
+        return (
+            f"<EstimationPlan of {self.network.name!r}: {len(self.network.buses)} buses, {len(self.meters)} meters, "
+            f"reference bus {self.reference}, back end {self.backend!r}>"
+        )
 
     @property
     def backend(self) -> Backend:

@@ -21,7 +21,7 @@ from dsse_core.matrices.augmented import AugmentedFactor, AugmentedPattern
 SMALL_STEP = 0.02  # p.u. and rad; after a smaller one the last factor may serve once more
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class SparsePlan:
     """``free``: the state variables but the reference angle. ``entries``: which entries of the model's H are theirs,
     ``indices`` and ``indptr`` where they stand. ``start``: x = [va; vm] of the flat start with the reference's angle.
@@ -36,7 +36,10 @@ class SparsePlan:
     indptr: np.ndarray
     pattern: AugmentedPattern
     start: np.ndarray
-    at_start: dict[bytes, AugmentedFactor] = field(default_factory=dict, compare=False, repr=False)
+    at_start: dict[bytes, AugmentedFactor] = field(default_factory=dict, compare=False)
+
+    def __repr__(self) -> str:
+        return f"<SparsePlan: {len(self.meters)} meters, {len(self.free)} state variables>"
 
     def linearize(self, x: np.ndarray) -> tuple[np.ndarray, sp.csr_array]:
         """h(x), (n_meas,), and the columns ``free`` of H(x)."""

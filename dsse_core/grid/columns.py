@@ -37,6 +37,9 @@ class Records(Sequence[Item], Generic[Item]):
     def __len__(self) -> int:
         return len(next(iter(self.columns.values()), ()))
 
+    def __repr__(self) -> str:
+        return f"<Records of {len(self)} {self._make.__name__}>"
+
     @overload
     def __getitem__(self, key: int) -> Item: ...
 

@@ -89,7 +89,7 @@ class Generator:
     va: float = 0.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Network:
     """Buses, branches and generators. At most one generator is the slack; an area's part may have none.
 
@@ -109,6 +109,13 @@ class Network:
     def __post_init__(self) -> None:
         if problems := list(_find_problems(self)):
             raise InvalidInputError(f"network {self.name!r}", problems)
+
+    def __repr__(self) -> str:
+        closed, generators = len(self.table.active), len(self.generators)
+        return (
+            f"<Network {self.name!r}: {len(self.buses)} buses, {closed} of {len(self.branches)} branches in service, "
+            f"{generators} generators, base {self.base_mva:g} MVA>"
+        )
 
     @cached_property
     def table(self) -> NetworkTable:

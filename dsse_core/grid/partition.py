@@ -13,6 +13,9 @@ from functools import cached_property
 
 from dsse_core.grid.measurement import Meter
 from dsse_core.grid.network import Network
+from dsse_core.printable import listed
+
+MOST_SHOWN = 4  # names of areas in one line
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +27,7 @@ class Neighbour:
     is_parent: bool
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Area:
     """What one area knows of the grid: its own part of the network and its neighbours' names.
 
@@ -43,6 +46,10 @@ class Area:
     towards_hub: str | None = None
     n_areas: int = 1
     entry_voltage: tuple[float, float] = (1.0, 0.0)
+
+    def __repr__(self) -> str:
+        buses, branches = len(self.network.buses), len(self.network.branches)
+        return f"<Area {self.name!r}: {buses} buses, {branches} branches, {len(self.neighbours)} neighbours>"
 
     @property
     def is_reference(self) -> bool:
@@ -75,12 +82,19 @@ class Area:
         return shunts + sum(complex(branch.g, -branch.b) for branch in self.network.active_branches)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Partition:
     """The areas of a network, a tree rooted at the area of the substation."""
 
     network: Network
     areas: tuple[Area, ...]
+
+    def __repr__(self) -> str:
+        names = listed([area.name for area in self.areas], MOST_SHOWN)
+        buses, areas = len(self.network.buses), len(self.areas)
+        return f"<Partition of {self.network.name!r}: {buses} buses in {areas} areas: {names}>"
+            f"<Partition of {self.network.name!r}: {len(self.network.buses)} buses in {len(self.areas)} areas: {names}>"
+        )
 
     def area(self, name: str) -> Area:
         return self._by_name[name]

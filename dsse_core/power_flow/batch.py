@@ -14,7 +14,7 @@ from dsse_core.power_flow.plan import MethodChoice, PowerFlowPlan, build_power_f
 from dsse_core.row_threads import find_threads, share_out
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class PowerFlowBatch:
     """The solved rows. ``vm`` p.u., ``va`` rad: shape (n_row, n_bus), network order; ``iterations`` (n_row,).
 
@@ -26,6 +26,10 @@ class PowerFlowBatch:
     va: np.ndarray
     iterations: np.ndarray
     failures: Mapping[int, str]
+
+    def __repr__(self) -> str:
+        rows, buses = self.vm.shape
+        return f"<PowerFlowBatch of {self.network.name!r}: {rows} rows, {buses} buses, {len(self.failures)} failures>"
 
 
 def solve_power_flow_batch(

@@ -22,7 +22,7 @@ LARGEST_STEP = 1e6  # p.u. or rad; beyond it there is nothing to find
 Method = Literal["sweep", "newton"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class PowerFlowResult:
     """The solved network. ``vm`` p.u., ``va`` rad, ``injection`` (complex, p.u.): shape (n_bus,), network order.
 
@@ -35,6 +35,12 @@ class PowerFlowResult:
     injection: np.ndarray
     iterations: int
     method: Method
+
+    def __repr__(self) -> str:
+        return (
+            f"<PowerFlowResult of {self.network.name!r}: {len(self.vm)} buses, losses {self.losses:.4g} p.u., "
+            f"{self.iterations} iterations, {self.method!r}>"
+        )
 
     @property
     def losses(self) -> complex:

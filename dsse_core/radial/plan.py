@@ -31,7 +31,7 @@ N_SLOT = 10
 LEAST_PIVOT_RATIO = 1e-12
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class RadialPlan:
     """A tree of buses, numbered from the root (the reference bus) so that every parent precedes its children.
 
@@ -53,7 +53,11 @@ class RadialPlan:
     start: np.ndarray
     start_va: np.ndarray
     level: np.ndarray
-    spaces: list[np.ndarray] = field(default_factory=list, compare=False, repr=False)
+    spaces: list[np.ndarray] = field(default_factory=list, compare=False)
+
+    def __repr__(self) -> str:
+        buses, meters = len(self.order), len(self.meters)
+        return f"<RadialPlan of {self.network.name!r}: {buses} buses, {meters} meters, root bus {self.reference}>"
 
     def take_space(self) -> np.ndarray:
         """Memory of an iteration; put it back into ``spaces``."""

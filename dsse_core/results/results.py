@@ -24,7 +24,7 @@ from dsse_core.results.table import Table
 Compared = Mapping[str, tuple[np.ndarray, np.ndarray]]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Results:
     """Tables of one state, all of the same layout whatever it comes from."""
 
@@ -32,6 +32,9 @@ class Results:
     branches: Table
     meters: Table
     areas: Table
+
+    def __repr__(self) -> str:
+        return f"<Results: {', '.join(f'{len(table)} {name}' for name, table in vars(self).items())}>"
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from dsse_core.results.flows import BranchModel, Flows, build_branch_model, find
 KIND = MeasurementKind
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class GridState:
     """``vm`` p.u., ``va`` rad, ``injection`` complex, p.u.: (n_bus,), network order; nan where nothing is known.
 
@@ -29,6 +29,9 @@ class GridState:
     flows: Flows
     injection: np.ndarray
 
+    def __repr__(self) -> str:
+        return f"<GridState of {self.network.name!r}: {len(self.vm)} buses, {np.isnan(self.vm).sum()} unknown>"
+
 
 def find_state(network: Network, vm: np.ndarray, va: np.ndarray) -> GridState:
     """The state of voltages vm, va (n_bus,), p.u. and rad."""
@@ -38,7 +41,7 @@ def find_state(network: Network, vm: np.ndarray, va: np.ndarray) -> GridState:
     return GridState(network, branches, vm, va, flows, find_injections(network, branches, flows, vm))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class AreaVoltages:
     """What an area says of the buses that it sees, in its order: vm p.u., va rad.
 
@@ -48,6 +51,9 @@ class AreaVoltages:
     vm: np.ndarray
     va: np.ndarray
     referenced: bool
+
+    def __repr__(self) -> str:
+        return f"<AreaVoltages of {len(self.vm)} buses, {'absolute' if self.referenced else 'relative'} angles>"
 
 
 def join_states(partition: Partition, by_area: Mapping[str, AreaVoltages]) -> GridState:

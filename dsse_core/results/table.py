@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import html
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from dsse_core.errors import InvalidInputError
+from dsse_core.printable import printable, shortened
 
 SHOWN_ROWS = 3
 SHOWN_COLUMNS = 6
+SHOWN_IN_NOTEBOOK = 10  # rows; of a longer table the first and the last five
+LONGEST_CELL = 24
 COLUMN = re.compile(r"[a-z][a-z0-9_]*")
 PHASE = "abc"  # of every row: the network is balanced, in positive sequence
 
@@ -75,7 +79,7 @@ class Table:
         """The title, the size, all columns, and the first rows: ten lines at most."""
         head = f"{self._title}: {len(self)} rows, {len(self._columns)} columns"
         names = list(self._columns)
-        lines = [head, "  columns: " + _cut(", ".join(names), 900)]
+        lines = [head, "  columns: " + shortened(", ".join(names), 900)]
         shown = names[:SHOWN_COLUMNS]
         more = " ..." if len(names) > len(shown) else ""
         rows = [shown, *([_show(self._columns[n][k]) for n in shown] for k in range(min(SHOWN_ROWS, len(self))))]
@@ -84,6 +88,18 @@ class Table:
         if len(self) > SHOWN_ROWS:
             lines.append(f"  ... and {len(self) - SHOWN_ROWS} rows more")
         return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        """A notebook shows the table as it shows a frame: all columns, the first rows and the last."""
+        n, half = len(self), SHOWN_IN_NOTEBOOK // 2
+        shown = list(range(n)) if n <= SHOWN_IN_NOTEBOOK else [*range(half), *range(n - half, n)]
+        rows = [_html_row("td", k, (_show(column[k]) for column in self._columns.values())) for k in shown]
+        if len(shown) < n:
+            rows.insert(half, _html_row("td", "...", ["..."] * len(self._columns)))
+        head = _html_row("th", "", self._columns)
+        size = f"{html.escape(printable(self._title))}: {n} rows, {len(self._columns)} columns"
+        table = f'<table border="1" class="dataframe"><thead>{head}</thead><tbody>{"".join(rows)}</tbody></table>'
+        return f'<div style="overflow-x: auto">{table}<p>{size}</p></div>'
 
     def rows(self) -> Iterator[tuple[Any, ...]]:
         """The rows, in order: tuples of int, float, bool and str, as the columns are."""
@@ -127,8 +143,9 @@ def _as_own(column: np.ndarray | tuple[str, ...]) -> Any:
 
 def _show(value: Any) -> str:
     text = f"{value:.6g}" if isinstance(value, float) else str(value)
-    return _cut(ascii(text)[1:-1], 24)
+    return shortened(printable(text), LONGEST_CELL)
 
 
-def _cut(text: str, longest: int) -> str:
-    return text if len(text) <= longest else text[: longest - 3] + "..."
+def _html_row(kind: str, label: object, cells: Iterable[str]) -> str:
+    texts = "".join(f"<{kind}>{html.escape(cell)}</{kind}>" for cell in cells)
+    return f"<tr><th>{html.escape(str(label))}</th>{texts}</tr>"

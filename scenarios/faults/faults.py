@@ -55,13 +55,16 @@ class TelemetryFaults:
     late_s: float = 1.0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Faults:
     """``links`` has every directed link between neighbours; ``events`` are in the order of their time."""
 
     links: dict[Link, LinkFaults]
     telemetry: TelemetryFaults = TelemetryFaults()
     events: tuple[FaultEvent, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"<Faults: {len(self.links)} links, {len(self.events)} events, {self.telemetry}>"
 
     @property
     def over_s(self) -> float:

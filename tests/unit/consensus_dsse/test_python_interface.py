@@ -7,12 +7,16 @@ import importlib
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 
 import pytest
 
 import consensus_dsse
 from consensus_dsse.own_packages import PACKAGES, check_own_packages
+from coordinator.cli.main import run_command
+from dsse_core.grid.columns import Records
 
 ROOT = Path(__file__).parents[3]
 MODULES = ["consensus_dsse.grids", "consensus_dsse.centralised", "consensus_dsse.studies", "coordinator"]
@@ -70,6 +74,39 @@ def test_no_result_fills_the_screen(tmp_path: Path) -> None:
         assert len(repr(table).splitlines()) < 10
     assert len(result.buses) == 33
     assert result.areas.area == ("area1", "area2", "area3")
+
+
+def reachable(shown: object, seen: dict[int, object]) -> Iterator[object]:
+    """Dataclasses that attributes lead to, two of every list."""
+    if id(shown) in seen:
+        return
+    seen[id(shown)] = shown
+    if is_dataclass(shown):
+        yield shown
+        inside = [getattr(shown, field.name) for field in fields(shown)]
+    elif isinstance(shown, dict):
+        inside = list(shown.values())[:2]
+    else:
+        inside = list(shown[:2]) if isinstance(shown, tuple | list | Records) else []
+    for part in inside:
+        yield from reachable(part, seen)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("n", [33, 600])
+def test_nothing_that_a_result_leads_to_fills_the_screen(n: int, tmp_path: Path) -> None:
+    scenario: str | Path = "ieee33"
+    if n > 33:
+        assert run_command(["generate", "--buses", str(n), "--out", str(tmp_path / "grid")]) == 0
+        scenario = next((tmp_path / "grid").glob("scenario.toml"))
+    found = consensus_dsse.estimate(scenario), consensus_dsse.power_flow(scenario)
+    seen: dict[int, object] = {}
+    result = consensus_dsse.simulate(scenario, out=tmp_path / "run", plots=False)
+    shown = [x for one in (*found, result) for x in reachable(one, seen)]
+    shown += [one.tables for one in (*found, result)]
+    assert {"Network", "Partition", "EstimationResult", "BadDataReport"} <= {type(one).__name__ for one in shown}
+    long = {type(one).__name__: len(repr(one)) for one in shown if len(repr(one)) > 500}
+    assert long == {}
 
 
 def test_our_packages_are_ours() -> None:

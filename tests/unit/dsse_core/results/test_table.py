@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+import re
 import sys
 
 import numpy as np
@@ -65,6 +66,26 @@ def test_the_repr_of_a_large_table_has_a_few_lines():
     assert len(lines) < 10
     assert lines[0] == "branches: 100000 rows, 30 columns"
     assert repr(Table("areas", {})).splitlines()[0] == "areas: 0 rows, 0 columns"
+
+
+def test_a_notebook_shows_the_first_rows_and_the_last_of_all_columns():
+    shown = _table(1000)._repr_html_()
+    assert re.findall(r"<tr><th>(.*?)</th>", shown) == ["", "0", "1", "2", "3", "4", "...", *map(str, range(995, 1000))]
+    assert re.findall(r"<th>([a-z_]+)</th>", shown) == ["bus", "name", "vm_pu"]
+    assert "buses: 1000 rows, 3 columns" in shown
+    assert _table(10)._repr_html_().count("<tr>") == 11
+    assert "areas: 0 rows" in Table("areas", {})._repr_html_()
+
+
+def test_a_name_cannot_be_markup_in_a_notebook_nor_steer_a_terminal():
+    table = Table("<b>", {"name": ["<script>alert(1)</script>", "\x1b[2Jaway", "Süd & Nord"]})
+    shown = table._repr_html_()
+    assert "<script" not in shown
+    assert "<b>" not in shown
+    assert "Süd &amp; Nord" in shown
+    for text in (shown, repr(table)):
+        assert "\x1b" not in text
+        assert "Süd" in text
 
 
 def test_a_table_survives_copying_and_pickling():
