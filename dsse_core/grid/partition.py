@@ -93,8 +93,6 @@ class Partition:
         names = listed([area.name for area in self.areas], MOST_SHOWN)
         buses, areas = len(self.network.buses), len(self.areas)
         return f"<Partition of {self.network.name!r}: {buses} buses in {areas} areas: {names}>"
-            f"<Partition of {self.network.name!r}: {len(self.network.buses)} buses in {len(self.areas)} areas: {names}>"
-        )
 
     def area(self, name: str) -> Area:
         return self._by_name[name]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self, TypeVar
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
@@ -29,6 +29,25 @@ class BusTable(Table):
     q_load_mvar: float = 0.0
     g_shunt_mw: float = Field(default=0.0, description="MW that the shunt consumes at 1 p.u. voltage")
     b_shunt_mvar: float = Field(default=0.0, description="Mvar that the shunt produces at 1 p.u. voltage")
+
+
+Form = TypeVar("Form", "BranchTable", "BranchColumns")
+
+
+def is_in_ohm(given: BranchTable | BranchColumns) -> bool:
+    """Whether impedances are in ohm; else they are in p.u."""
+    return given.r_ohm is not None
+
+
+def has_one_complete_impedance(given: Form) -> Form:
+    """The same, whose r, x, b and g are all in one of the two units."""
+    ohm = (given.r_ohm, given.x_ohm, given.b_us, given.g_us)
+    pu = (given.r_pu, given.x_pu, given.b_pu, given.g_pu)
+    if ohm != NOTHING and pu != NOTHING:
+        raise ValueError(MIXED)
+    if None in ohm[:2] and None in pu[:2]:
+        raise ValueError(NO_IMPEDANCE)
+    return given
 
 
 class BranchTable(Table):
@@ -58,18 +77,11 @@ class BranchTable(Table):
         default=None, description="apparent power that the branch may carry, at either end"
     )
 
-    @property
-    def is_in_ohm(self) -> bool:
-        return self.r_ohm is not None
+    is_in_ohm = property(is_in_ohm)
+    _has_one_complete_impedance = model_validator(mode="after")(has_one_complete_impedance)
 
     @model_validator(mode="after")
-    def _has_one_complete_impedance(self) -> Self:
-        ohm = (self.r_ohm, self.x_ohm, self.b_us, self.g_us)
-        pu = (self.r_pu, self.x_pu, self.b_pu, self.g_pu)
-        if ohm != NOTHING and pu != NOTHING:
-            raise ValueError(MIXED)
-        if None in ohm[:2] and None in pu[:2]:
-            raise ValueError(NO_IMPEDANCE)
+    def _has_one_rating(self) -> Self:
         if None not in (self.rating_a, self.rating_mva):
             raise ValueError(TWO_RATINGS)
         return self
@@ -112,18 +124,11 @@ class BranchColumns(ColumnsTable):
     rating_a: list[Positive | None] | None = Field(default=None, description="null where a branch has none")
     rating_mva: list[Positive | None] | None = Field(default=None, description="null where a branch has none")
 
-    @property
-    def is_in_ohm(self) -> bool:
-        return self.r_ohm is not None
+    is_in_ohm = property(is_in_ohm)
+    _has_one_complete_impedance = model_validator(mode="after")(has_one_complete_impedance)
 
     @model_validator(mode="after")
-    def _has_one_complete_impedance(self) -> Self:
-        ohm = (self.r_ohm, self.x_ohm, self.b_us, self.g_us)
-        pu = (self.r_pu, self.x_pu, self.b_pu, self.g_pu)
-        if ohm != NOTHING and pu != NOTHING:
-            raise ValueError(MIXED)
-        if None in ohm[:2] and None in pu[:2]:
-            raise ValueError(NO_IMPEDANCE)
+    def _has_one_rating_each(self) -> Self:
         ratings = zip(self.rating_a or (), self.rating_mva or (), strict=False)
         if twice := [str(k) for k, pair in enumerate(ratings, 1) if None not in pair]:
             raise ValueError(f"{TWO_RATINGS}: number {', '.join(twice)}")
