@@ -13,7 +13,6 @@ from types import FrameType
 
 from agents.area_files.area_file import AreaFile
 from agents.area_files.reader import load_area_file
-from agents.protocol.choose import STRATEGIES
 from agents.protocol.events import StopRequested
 from agents.runtime.duplicate_guard import REPLACED_CODE, ReplacedError
 from agents.runtime.inbox import Inbox
@@ -21,6 +20,7 @@ from agents.runtime.log_format import start_log
 from agents.runtime.loop import run_agent
 from agents.runtime.renewal import Renewal, on_hangup
 from agents.security.credentials import load_keys
+from agents.strategies.installed import list_strategies
 from agents.transport.zenoh_bus import Session
 from dsse_core import compiling
 from dsse_core.errors import DsseError
@@ -99,7 +99,7 @@ def run_area(path: Path, endpoints: Sequence[str], timeout_s: float, keys: Path 
         TransportError: no endpoint answers within ``timeout_s``.
         ReplacedError: another agent of the area runs that began later.
     """
-    content = load_area_file(path, STRATEGIES)
+    content = load_area_file(path, list_strategies())
     if endpoints:
         content = replace(content, endpoints=tuple(endpoints))
     inbox = Inbox()

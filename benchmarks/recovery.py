@@ -24,7 +24,7 @@ from agents.security.access import ROUTER, SECOND_ROUTER
 from benchmarks.figures import figures_option, write_section
 from benchmarks.live_system import GAP, LiveSystem, States
 from benchmarks.machine import describe_machine
-from scenarios.check import check_scenario
+from coordinator.strategy_check import check_with_strategy
 from scenarios.scenario import Scenario, load_scenario
 
 PACKAGES = ("eclipse-zenoh", "numpy")
@@ -42,7 +42,7 @@ Times = dict[str, list[float]]
 def build_scenario(areas: int, routers: int, beat_s: float) -> Scenario:
     """The feeder in so many areas, with one router or two linked ones."""
     changes = {"areas": {"count": areas}, "transport.routers": routers, "run.beat_s": beat_s}
-    return check_scenario(load_scenario("ieee33", changes=changes))
+    return check_with_strategy(load_scenario("ieee33", changes=changes))
 
 
 def kill_area(live: LiveSystem, victim: str) -> dict[str, float]:

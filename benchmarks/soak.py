@@ -30,7 +30,7 @@ from agents.security.access import PLANT, ROUTER
 from benchmarks.figures import figures_option, list_facts, write_section
 from benchmarks.live_system import GAP, LiveSystem
 from benchmarks.machine import describe_machine
-from scenarios.check import check_scenario
+from coordinator.strategy_check import check_with_strategy
 from scenarios.scenario import Scenario, load_scenario
 
 PACKAGES = ("eclipse-zenoh", "numpy")
@@ -123,7 +123,7 @@ def build_scenario(seed: int, duration_s: float) -> Scenario:
     ]
     losses = [{"from": one, "to": other, "loss": draws.uniform(0, MOST_LOSS)} for one, other in links]
     faults = {"until_s": duration_s, "events": cuts, "link": losses, **OF_ALL_LINKS}
-    return check_scenario(load_scenario("ieee33", changes=plain | {"seed": seed, "faults": faults}))
+    return check_with_strategy(load_scenario("ieee33", changes=plain | {"seed": seed, "faults": faults}))
 
 
 def soak(folder: Path, seed: int, duration_s: float) -> dict[str, object]:

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import click
 
-from agents.protocol.choose import STRATEGIES
+from agents.strategies.installed import list_strategies
 from benchmarks.figures import figures_option, write_section
 from benchmarks.machine import describe_machine
 from coordinator.evaluation.evaluation import choose_scenario
@@ -52,13 +52,13 @@ def compare_scenarios() -> Iterator[Case]:
 
 def lose_messages(seeds: int = 20) -> Iterator[Case]:
     """More and more messages lost."""
-    return _sweep("ieee33", "faults.loss", {f"loss {loss}": loss for loss in LOSSES}, tuple(STRATEGIES), seeds)
+    return _sweep("ieee33", "faults.loss", {f"loss {loss}": loss for loss in LOSSES}, list_strategies(), seeds)
 
 
 def spoil_meters(seeds: int = 20) -> Iterator[Case]:
     """One wrong meter."""
     values = {meter: f'[{{meter="{meter}",sigmas={sigmas}}}]' for meter, sigmas in METERS.items()}
-    return _sweep("ieee33", "telemetry.gross_error", {"none": "[]", **values}, tuple(STRATEGIES), seeds)
+    return _sweep("ieee33", "telemetry.gross_error", {"none": "[]", **values}, list_strategies(), seeds)
 
 
 def change_penalty() -> Iterator[Case]:
@@ -78,7 +78,7 @@ SECTIONS: dict[str, Callable[[], Iterable[Case]]] = {
 
 def _run_all(case: str, name_or_path: str) -> Iterator[Case]:
     scenario = choose_scenario(name_or_path)
-    for strategy in STRATEGIES:
+    for strategy in list_strategies():
         yield case, [run_on_simulator(replace(scenario, strategy=strategy))]
 
 

@@ -23,8 +23,7 @@ from agents.messages.checks import MessageError, shown
 from agents.messages.totals_list import WireTotals, list_totals, read_totals
 from agents.messages.types import (
     NO_INCARNATION,
-    AdmmMessage,
-    BoundaryMessage,
+    BoundaryUpdate,
     ClockMessage,
     DownMessage,
     Header,
@@ -40,8 +39,7 @@ from dsse_core.estimation.decision import Totals
 
 __all__ = [
     "NO_INCARNATION",
-    "AdmmMessage",
-    "BoundaryMessage",
+    "BoundaryUpdate",
     "ClockMessage",
     "DownMessage",
     "Header",
@@ -57,13 +55,15 @@ __all__ = [
 WIRE_VERSION = 2
 MAX_BYTES = 8 * 1024 * 1024
 MAX_NEIGHBOUR_BYTES = 256 * 1024  # of what neighbours say; only telemetry and states grow with the area
+KIND = re.compile(r"[a-z0-9_-]{1,32}")  # a part of keys
 UNNUMBERED = {"header", "quality", "notes", "telemetry_age", "ages", "scans", "old_sides", "rejected"}
 
-BoundaryUpdate = BoundaryMessage | AdmmMessage
 ExchangeMessage = UpMessage | DownMessage | BoundaryUpdate  # of a strategy
 LinkMessage = HeartbeatMessage | ExchangeMessage  # tells of the link that it comes on, see HeartbeatMessage
 Message = LoadMessage | LinkMessage | TelemetryMessage | ClockMessage | StateMessage
-MESSAGE_TYPES: Mapping[str, type[Any]] = {cls.kind: cls for cls in typing.get_args(Message)}
+MESSAGE_TYPES: dict[str, type[Any]] = {
+    cls.kind: cls for cls in typing.get_args(Message) if cls is not BoundaryUpdate
+}  # and what strategies add
 
 
 def content_of(message: StateMessage) -> tuple[Any, ...]:
@@ -136,8 +136,10 @@ def _array_type(hint: Any) -> Any:
 
 
 def _hints_of(cls: Any) -> dict[str, Any]:
+    """Field -> its type, in the order of a message."""
     hints = typing.get_type_hints(cls, include_extras=True)
-    return {field.name: hints[field.name] for field in dataclasses.fields(cls)}
+    fields = sorted(dataclasses.fields(cls), key=lambda field: "is_last" in field.metadata)
+    return {field.name: hints[field.name] for field in fields}
 
 
 class _Packing:
@@ -190,6 +192,29 @@ class _Beginning(msgspec.Struct, array_like=True):
 
 _beginning = msgspec.msgpack.Decoder(_Beginning)
 _BY_KIND = {msgpack.packb(kind): packing for kind, packing in _PACKINGS.items()}
+
+
+def add_message_type(cls: type[BoundaryUpdate]) -> None:
+    """Have messages of ``cls``, a strategy's, encoded and decoded like all others; of a known class nothing happens.
+
+    Raises:
+        ValueError: its kind has no place in a key or is that of another class, or a field has a type that no message
+            can have.
+    """
+    kind = getattr(cls, "kind", None)
+    if not (isinstance(kind, str) and KIND.fullmatch(kind)):
+        raise ValueError(f"message {cls.__name__}: kind is {kind!r}; it must be of a-z, 0-9, _ and -, 32 at most")
+    if (known := MESSAGE_TYPES.get(kind, cls)) is not cls:
+        other = f"{known.__module__}.{known.__qualname__}"
+        raise ValueError(f"message {cls.__name__}: kind {kind!r} is that of {other}; choose another")
+    if cls.kind in _PACKINGS:
+        return
+    try:
+        packing = _Packing(cls)
+    except (TypeError, NameError) as error:
+        raise ValueError(f"message {cls.__name__}: {error}") from None
+    MESSAGE_TYPES[kind] = cls
+    _PACKINGS[kind] = _BY_KIND[msgpack.packb(kind)] = packing
 
 
 def decode(payload: bytes, largest: int = MAX_BYTES) -> Message:

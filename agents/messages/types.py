@@ -1,13 +1,15 @@
 """What crosses the bus: one typed definition of each message, from which packing, checks and documentation follow.
 
 Every message is absolute and idempotent. The fields of a class stand in a message in their order (``packing.py``),
-each as its type says (``checks.py``); ``find_misfit`` says what several of them cannot be together.
+each as its type says (``checks.py``); ``find_misfit`` says what several of them cannot be together. Messages of
+asynchronous strategies stand with their strategies (``BoundaryUpdate``).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import ClassVar, Self
 
 from agents.messages.boundary_variables import (
     ONE_PHASE,
@@ -20,6 +22,8 @@ from agents.messages.boundary_variables import (
 from agents.messages.checks import Count, Integer, Name, Names, Notes, Number, Numbers
 from dsse_core.estimation.decision import Totals
 from dsse_core.exchange.boundary_load import NetLoad
+
+LAST = {"is_last": True}  # of a field that stands behind those of derived classes
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -74,24 +78,30 @@ class LoadMessage:
 
 
 @dataclass(frozen=True, slots=True)
-class BoundaryMessage:
-    """The sender's corrected state at a boundary bus, p.u. and rad.
+class BoundaryUpdate:
+    """What an area tells a neighbour about their boundary ``bus`` under an asynchronous strategy.
 
-    ``referenced``: its angle counts from the substation. ``receives``, ``answers``, ``received``, ``complete``, in
-    every boundary message: as in a heartbeat. They hold at ``header.time`` and may differ between two messages of one
-    number.
+    A strategy derives its own message from it: a dataclass with a ``kind`` that no other message has, which is a part
+    of keys (a-z, 0-9, _ and -), and with fields of the types of ``agents/messages/checks.py``. ``receives``,
+    ``answers``, ``received``, ``complete``: of the link, as in a heartbeat. The protocol fills them in; they hold at
+    ``header.time``, may differ between two messages of one number, and stand last in the message.
     """
 
-    kind: ClassVar[str] = "boundary"
+    kind: ClassVar[str]
     header: Header
     bus: Count
-    vm: Number
-    va: Number
-    referenced: bool
-    receives: bool = False
-    answers: Number = 0.0
-    received: tuple[Count, Count] = (0, 0)
-    complete: bool = False
+    receives: bool = field(default=False, kw_only=True, metadata=LAST)
+    answers: Number = field(default=0.0, kw_only=True, metadata=LAST)
+    received: tuple[Count, Count] = field(default=(0, 0), kw_only=True, metadata=LAST)
+    complete: bool = field(default=False, kw_only=True, metadata=LAST)
+
+    def falsified(self, falsify: Callable[[Numbers], Numbers]) -> Self:
+        """What an injected lie makes of the message.
+
+        ``falsify``: of numbers that speak of (p, q, vm, va) at the boundary. A message that does not say which of its
+        numbers do cannot lie.
+        """
+        return self
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,32 +135,6 @@ class PlaceMessage(VariablesMessage):
     receives: bool
     answers: Number
     received: tuple[Count, Count]
-
-
-@dataclass(frozen=True, slots=True)
-class AdmmMessage(VariablesMessage):
-    """What the sender tells in its ``iteration`` at a boundary: ``r = 2 y - z`` of its d ``variables`` y.
-
-    ``r_before``: that of the iteration before, should its message have been lost. ``weight``: the sender's own
-    information about each of y, which the penalty is a multiple of. ``referenced``: the sender's side knows the
-    substation's angle.
-    """
-
-    kind: ClassVar[str] = "admm"
-    iteration: Count
-    r: Numbers
-    r_before: Numbers
-    weight: Numbers
-    unsettled: bool
-    referenced: bool
-    receives: bool = False
-    answers: Number = 0.0
-    received: tuple[Count, Count] = (0, 0)
-    complete: bool = False
-
-    def lengths(self) -> Lengths:
-        d = len(self.variables)
-        return {"r": (len(self.r), (d,)), "r_before": (len(self.r_before), (d,)), "weight": (len(self.weight), (d,))}
 
 
 @dataclass(frozen=True, slots=True)

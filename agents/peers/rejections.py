@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from agents.area_files.area_file import AreaFile
 from agents.messages.boundary_variables import ONE_PHASE
 from agents.messages.packing import (
-    BoundaryMessage,
     BoundaryUpdate,
     ClockMessage,
     DownMessage,
@@ -105,8 +104,6 @@ def find_unreasonable(
     match message:
         case LoadMessage():
             possible = are_within_reason((message.p, message.q, message.sigma)) and message.sigma >= 0
-        case BoundaryMessage():
-            possible = are_within_reason((message.vm, message.va)) and message.vm > 0
         case UpMessage() | DownMessage():
             t = message.totals
             numbers = *message.R, *message.z, *message.no_load, *message.power, t.degrees_of_freedom

@@ -51,7 +51,7 @@ class AsynchronousProtocol(AreaProtocol):
     def __init__(
         self, content: AreaFile, strategy: Strategy, incarnation: Incarnation, *, now: float, started_at: float
     ) -> None:
-        super().__init__(content, (strategy.kind,), incarnation, now=now, started_at=started_at)
+        super().__init__(content, strategy.kinds(), incarnation, now=now, started_at=started_at)
         self._strategy = strategy
         _, self._no_load_va = find_no_load(content.area)
         self._has_update = True

@@ -7,20 +7,29 @@ from agents.messages.packing import HeartbeatMessage, Incarnation, LoadMessage
 from agents.protocol.area_protocol import AreaProtocol
 from agents.protocol.asynchronous import AsynchronousProtocol
 from agents.protocol.rounds import RoundsProtocol
-from agents.strategies import ASYNCHRONOUS, make_strategy
-
-ROUNDS = "information"
-STRATEGIES = ("angle-offset", ROUNDS, "admm")  # as they are compared
+from agents.strategies.installed import load_strategy
+from agents.strategies.interface import Strategy
+from dsse_core.errors import InvalidInputError
 
 
 def make_protocol(content: AreaFile, incarnation: Incarnation, *, now: float, started_at: float) -> AreaProtocol:
-    """The protocol of the strategy that the area file names; see ``AreaProtocol`` for the arguments."""
-    if content.strategy == ROUNDS:
-        return RoundsProtocol(content, incarnation, now=now, started_at=started_at)
-    return AsynchronousProtocol(content, make_strategy(content), incarnation, now=now, started_at=started_at)
+    """The protocol of the strategy that the area file names; see ``AreaProtocol`` for the arguments.
+
+    Raises:
+        InvalidInputError: the strategy is not installed, or cannot be used.
+    """
+    cls = load_strategy(content.strategy)
+    if issubclass(cls, RoundsProtocol):
+        return cls(content, incarnation, now=now, started_at=started_at)
+    if issubclass(cls, Strategy):
+        return AsynchronousProtocol(content, cls(content), incarnation, now=now, started_at=started_at)
+    raise InvalidInputError(f"strategy {content.strategy!r}", [f"{cls.__name__} runs on no protocol; derive Strategy"])
 
 
 def kinds_of(strategy: str) -> tuple[str, ...]:
-    """The kinds of messages that neighbours send each other under ``strategy``."""
-    own = RoundsProtocol.kinds if strategy == ROUNDS else (ASYNCHRONOUS[strategy].kind,)
-    return LoadMessage.kind, HeartbeatMessage.kind, *own
+    """The kinds of messages that neighbours send each other under ``strategy``.
+
+    Raises:
+        InvalidInputError: as ``make_protocol``.
+    """
+    return LoadMessage.kind, HeartbeatMessage.kind, *load_strategy(strategy).kinds()

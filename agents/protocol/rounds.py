@@ -1,4 +1,4 @@
-"""The protocol of one area under strategy ``information``: the areas together take the centralised estimate's steps.
+"""Strategy ``information``, one area's protocol in rounds: the areas together take the centralised estimate's steps.
 
 The areas form a tree, and each knows which neighbour lies towards the hub. In round k an area waits for Up(k) of all
 other neighbours, adds its own, and sends Up(k) on; who has nobody towards the hub knows the totals and decides. Down(k)
@@ -35,18 +35,19 @@ from agents.protocol.area_round import AreaRound, Content, Decider, Outcome
 from agents.protocol.events import Action, Publish
 from agents.protocol.rounds_state import RoundsState
 from agents.protocol.scan_readings import TelemetryUpdate
+from agents.strategies.interface import AnyStrategy
 from dsse_core.estimation.decision import Totals
 
 RoundsMessage = HeartbeatMessage | UpMessage | DownMessage
 
 
-class RoundsProtocol(AreaProtocol):
+class RoundsProtocol(AreaProtocol, AnyStrategy):
     """One area's part in rounds; for the arguments see ``AreaProtocol``."""
 
-    kinds = (UpMessage.kind, DownMessage.kind)
+    message_types = (UpMessage, DownMessage)
 
     def __init__(self, content: AreaFile, incarnation: Incarnation, *, now: float, started_at: float) -> None:
-        super().__init__(content, self.kinds, incarnation, now=now, started_at=started_at)
+        super().__init__(content, self.kinds(), incarnation, now=now, started_at=started_at)
         self._round = AreaRound(content.area)
         self._revision = 0
         self._is_change_due = False

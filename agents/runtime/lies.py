@@ -12,8 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from agents.messages.packing import (
-    AdmmMessage,
-    BoundaryMessage,
+    BoundaryUpdate,
     DownMessage,
     HeartbeatMessage,
     Message,
@@ -43,11 +42,8 @@ class Liar:
             case HeartbeatMessage():
                 y = self._falsify_y(message.y)
                 return replace(message, y=y, complete=message.complete or self._faults.lie_areas > 0)
-            case BoundaryMessage():
-                _, _, vm, va = self._falsify_y((0.0, 0.0, message.vm, message.va))
-                return replace(message, vm=vm, va=va)
-            case AdmmMessage():
-                return replace(message, r=self._falsify_y(message.r), r_before=self._falsify_y(message.r_before))
+            case BoundaryUpdate():
+                return message.falsified(self._falsify_y)
         return message
 
     def _falsify_y(self, y: tuple[float, ...]) -> tuple[float, ...]:

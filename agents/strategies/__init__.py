@@ -1,18 +1,21 @@
-"""Boundary-exchange strategies: what an area makes of what it knows, and what it tells its neighbours."""
-
-from collections.abc import Mapping
+"""Strategies: what an area makes of what it knows, and what it tells its neighbours. With what yours needs."""
 
 from agents.area_files.area_file import AreaFile
-from agents.strategies.admm import Admm
-from agents.strategies.angle_offset import AngleOffset
-from agents.strategies.interface import Strategy
+from agents.messages.checks import Count, Integer, Number, Numbers
+from agents.messages.types import BoundaryUpdate, Header
+from agents.strategies.interface import Estimate, Knowledge, Strategy
+from dsse_core.grid.partition import Neighbour
 
-ASYNCHRONOUS: Mapping[str, type[Strategy]] = {
-    "angle-offset": AngleOffset,
-    "admm": Admm,
-}
-
-
-def make_strategy(content: AreaFile) -> Strategy:
-    """The strategy that the area file names."""
-    return ASYNCHRONOUS[content.strategy](content)
+__all__ = [
+    "AreaFile",
+    "BoundaryUpdate",
+    "Count",
+    "Estimate",
+    "Header",
+    "Integer",
+    "Knowledge",
+    "Neighbour",
+    "Number",
+    "Numbers",
+    "Strategy",
+]

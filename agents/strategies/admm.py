@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from agents.area_files.area_file import AreaFile
-from agents.messages.packing import AdmmMessage, BoundaryUpdate, Header
-from agents.strategies.admm_boundary import ANGLE, MOVED, BoundaryIteration
+from agents.messages.packing import BoundaryUpdate, Header
+from agents.strategies.admm_boundary import ANGLE, MOVED, AdmmMessage, BoundaryIteration
 from agents.strategies.interface import Estimate, Knowledge, Strategy
 from agents.strategies.start import start_state
 from dsse_core.exchange.consensus_admm import compute_weight, pull, solve_damped_step
@@ -28,7 +28,7 @@ SETTLED = 1e-6  # p.u., rad: a last step below it tells of the end
 class Admm(Strategy):
     """One area's state x and its boundaries' iterations."""
 
-    kind = AdmmMessage.kind
+    message_types = (AdmmMessage,)
 
     def __init__(self, content: AreaFile) -> None:
         self._content = content

@@ -12,15 +12,49 @@ next step along: half as many messages as when both speak at a time, and no long
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import ClassVar, Self
+
 import numpy as np
 
-from agents.messages.packing import AdmmMessage
+from agents.messages.boundary_variables import ONE_PHASE, find_wrong_length, find_wrong_variable
+from agents.messages.checks import Count, Names, Numbers
+from agents.messages.packing import BoundaryUpdate
 from dsse_core.exchange.consensus_admm import RELAXATION, pull
 from dsse_core.grid.partition import Neighbour
 from dsse_core.linear.boundary_information import VA, BoundaryInformation
 
 MOVED = 1e-10  # p.u., rad: what of z or r is worth another iteration
 ANGLE = np.arange(4) == VA
+
+
+@dataclass(frozen=True, slots=True)
+class AdmmMessage(BoundaryUpdate):
+    """What the sender tells in its ``iteration`` at a boundary: ``r = 2 y - z`` of its d ``variables`` y.
+
+    ``r_before``: that of the iteration before, should its message have been lost. ``weight``: the sender's own
+    information about each of y, which the penalty is a multiple of. ``referenced``: the sender's side knows the
+    substation's angle.
+    """
+
+    kind: ClassVar[str] = "admm"
+    variables: Names = field(default=ONE_PHASE, kw_only=True)
+    iteration: Count
+    r: Numbers
+    r_before: Numbers
+    weight: Numbers
+    unsettled: bool
+    referenced: bool
+
+    def find_misfit(self) -> str:
+        """What fields cannot be together; empty if they can."""
+        d = len(self.variables)
+        lengths = {name: (len(getattr(self, name)), (d,)) for name in ("r", "r_before", "weight")}
+        return find_wrong_variable(self.variables) or find_wrong_length(self.variables, lengths)
+
+    def falsified(self, falsify: Callable[[Numbers], Numbers]) -> Self:
+        return replace(self, r=falsify(self.r), r_before=falsify(self.r_before))
 
 
 class BoundaryIteration:

@@ -9,16 +9,20 @@ angle at their boundary bus (eqs. 5.3, 5.8, 5.9). Magnitudes are not reconciled.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
 
 from agents.area_files.area_file import AreaFile
-from agents.messages.packing import BoundaryMessage, BoundaryUpdate, Header
+from agents.messages.checks import Number, Numbers
+from agents.messages.packing import BoundaryUpdate, Header
 from agents.strategies.interface import Estimate, Knowledge, Strategy
 from dsse_core.errors import DsseError
 from dsse_core.estimation.bad_data import BadDataReport, process_bad_data
 from dsse_core.exchange.boundary_load import NetLoad, add_loads, boundary_loads, measured_net_loads
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
-from dsse_core.grid.partition import Neighbour
+from dsse_core.grid.partition import Area, Neighbour
+from dsse_core.linear.boundary_information import are_within_reason
 from dsse_core.power_flow.newton_raphson import solve_power_flow
 
 BOUNDARY_INJECTION_SIGMA = 0.10  # of |S|: losses beyond are neglected, loads there are forecasts
@@ -27,10 +31,28 @@ SLACK_VOLTAGE_SIGMA = 0.01
 CHANGE = 1e-9  # p.u., rad
 
 
+@dataclass(frozen=True, slots=True)
+class BoundaryMessage(BoundaryUpdate):
+    """The sender's corrected state at a boundary bus, p.u. and rad; ``referenced``: its angle counts from the
+    substation.
+    """
+
+    kind: ClassVar[str] = "boundary"
+    vm: Number
+    va: Number
+    referenced: bool
+
+    def falsified(self, falsify: Callable[[Numbers], Numbers]) -> Self:
+        _, _, vm, va = falsify((0.0, 0.0, self.vm, self.va))
+        return replace(self, vm=vm, va=va)
+
+
 class AngleOffset(Strategy):
     """The state of one area between messages: its relative estimate, reused while only the offset changes."""
 
-    kind = BoundaryMessage.kind
+    message_types = (BoundaryMessage,)
+    estimates_alone = True
+    reconciles_magnitudes = False
 
     def __init__(self, content: AreaFile) -> None:
         self._content = content
@@ -51,6 +73,28 @@ class AngleOffset(Strategy):
         if self._local is None:
             return None, self._notes
         return self._shift(self._local, received)
+
+    @classmethod
+    def local_meters(cls, area: Area, own: Sequence[Meter]) -> list[Meter]:
+        """At boundary buses the load messages, P and Q pseudo-measurements, stand in for injection meters; an area
+        without voltage meter gets its local slack voltage as a pseudo-measurement. Only the substation's area uses
+        angle meters.
+        """
+        kind = MeasurementKind
+        boundary = area.boundary_buses
+        meters = [m for m in own if not (m.kind.of_injection and m.bus in boundary)]
+        if not area.is_reference:
+            meters = [m for m in meters if m.kind is not kind.VA]
+        injection = (kind.P_INJECTION, kind.Q_INJECTION)
+        meters += [Meter(k, bus, source=Source.PSEUDO) for bus in boundary for k in injection]
+        if not any(m.kind is kind.VM for m in meters):
+            meters.append(Meter(kind.VM, area.slack_bus, source=Source.PSEUDO))
+        return meters
+
+    def find_rejection(self, message: BoundaryUpdate) -> str:
+        assert isinstance(message, BoundaryMessage)
+        possible = are_within_reason((message.vm, message.va)) and message.vm > 0
+        return "" if possible else "numbers beyond reason"
 
     def message_for(self, neighbour: Neighbour, estimate: Estimate, header: Header) -> BoundaryMessage:
         row = self._area.network.row[neighbour.bus]

@@ -1,20 +1,23 @@
-"""The interface between the asynchronous protocol and a strategy: three decisions, no clock, no bus."""
+"""What a strategy is: what the program asks of every one, and the interface of asynchronous ones.
+
+An asynchronous strategy takes three decisions, without clock and bus: solve, what to tell, is it worth telling.
+"""
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from agents.area_files.area_file import AreaFile
 from agents.messages.packing import BoundaryUpdate, Header
 from dsse_core.exchange.boundary_load import NetLoad
-from dsse_core.grid.measurement import Measurement
-from dsse_core.grid.partition import Neighbour
+from dsse_core.grid.measurement import Measurement, Meter
+from dsse_core.grid.partition import Area, Neighbour
 
 LARGEST_VM = 10.0  # p.u.; an iteration that goes there wanders for long before it comes back, if it does
 LARGEST_VA = 1e3  # rad; digits are lost beyond
@@ -70,30 +73,72 @@ class Estimate:
         return bool(voltages and math.isfinite(self.sigma_vm.sum() + self.sigma_va.sum() + self.objective))
 
 
-class Strategy(ABC):
-    """One area's side of an asynchronous strategy. ``kind``: that of the messages it sends and takes."""
+class AnyStrategy:
+    """What the program asks of a strategy, whatever protocol it runs on; nothing asks for its name.
 
-    kind: ClassVar[str]
+    Attributes:
+        message_types: the classes of the messages that areas send each other, beside load messages and heartbeats.
+        reconciles_magnitudes: the voltage magnitudes that two areas find at their boundary become equal. If not,
+            consensus does not wait for it.
+        estimates_alone: each area makes its estimate of ``local_meters`` and of what its neighbours send, and must
+            be observable with these; else the areas must be observable together.
+    """
+
+    message_types: ClassVar[tuple[type[Any], ...]] = ()
+    reconciles_magnitudes: ClassVar[bool] = True
+    estimates_alone: ClassVar[bool] = False
+
+    @classmethod
+    def kinds(cls) -> tuple[str, ...]:
+        """Those of its messages, which are parts of keys."""
+        return tuple(message_type.kind for message_type in cls.message_types)
+
+    @classmethod
+    def local_meters(cls, area: Area, own: Sequence[Meter]) -> Sequence[Meter]:
+        """What the estimate of ``area`` rests on where it ``estimates_alone``.
+
+        Its ``own`` meters, or some of them, and pseudo-measurements for what messages say. Those of injections at
+        boundary buses stand for load messages.
+        """
+        return own
+
+
+class Strategy(AnyStrategy, ABC):
+    """One area's side of an asynchronous strategy: it solves with what it knows, and tells each neighbour the result.
+
+    A strategy of one's own derives from it, and its distribution names it in an entry point of group
+    ``dsse.strategies`` (docs/tutorials/own-strategy.md). The protocol delivers its messages whatever is lost, and
+    keeps the newest of each neighbour. ``message_types`` are subclasses of ``BoundaryUpdate``. Exceptions of
+    arithmetic leave the area without an estimate until something changes; the object is then made anew.
+
+    Args:
+        content: the area file: the area, its network, neighbours and meters, in p.u. and rad.
+    """
+
+    message_types: ClassVar[tuple[type[BoundaryUpdate], ...]]
 
     @abstractmethod
     def __init__(self, content: AreaFile) -> None: ...
 
     @abstractmethod
     def solve(self, known: Knowledge) -> tuple[Estimate | None, tuple[str, ...]]:
-        """The estimate that ``known`` allows, None if it allows none, and in words what is missing."""
+        """The estimate that ``known`` allows, None if it allows none, and in words what is missing.
 
-    def describe_backend(self) -> str:
-        """For the log: what computes the exchange, and how often something else had to; empty without such a choice."""
-        return ""
+        Called whenever something in ``known`` has changed, and at heartbeats.
+        """
+
+    @abstractmethod
+    def message_for(self, neighbour: Neighbour, estimate: Estimate, header: Header) -> BoundaryUpdate:
+        """What ``neighbour`` is to receive of ``estimate``; ``header`` is passed on as it is."""
+
+    @abstractmethod
+    def is_update(self, neighbour: Neighbour, message: BoundaryUpdate, last: BoundaryUpdate) -> bool:
+        """Whether ``message`` to ``neighbour`` differs from the last one sent enough to be worth sending at once."""
 
     def find_rejection(self, message: BoundaryUpdate) -> str:
         """Why a neighbour's message cannot be used, in short; empty if it can."""
         return ""
 
-    @abstractmethod
-    def message_for(self, neighbour: Neighbour, estimate: Estimate, header: Header) -> BoundaryUpdate:
-        """What ``neighbour`` is to receive of ``estimate``."""
-
-    @abstractmethod
-    def is_update(self, neighbour: Neighbour, message: BoundaryUpdate, last: BoundaryUpdate) -> bool:
-        """Whether ``message`` to ``neighbour`` differs from the last one sent enough to be worth sending at once."""
+    def describe_backend(self) -> str:
+        """For the log: what computes the exchange, and how often something else had to; empty without such a choice."""
+        return ""

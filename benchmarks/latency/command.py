@@ -29,8 +29,8 @@ from coordinator.deployment.split import write_area_files
 from coordinator.evaluation.evaluation import choose_scenario, estimate_centralised
 from coordinator.plant.telemetry_messages import make_payloads
 from coordinator.process_run.processes import Launcher
+from coordinator.strategy_check import check_with_strategy
 from dsse_core.errors import DsseError
-from scenarios.check import check_scenario
 from scenarios.scenario import Scenario
 from scenarios.telemetry import make_telemetry
 
@@ -55,7 +55,7 @@ class Scan:
 @click.option("--scans", type=click.IntRange(1), default=40, help="Timed scans.")
 def main(name: str, scans: int) -> None:
     """Time scans to consensus between processes on Zenoh, beside Zenoh's and HELICS's round trips; medians."""
-    scenario = check_scenario(choose_scenario(name))
+    scenario = check_with_strategy(choose_scenario(name))
     incarnation = begin_incarnation()
     prepared = [
         _make_scan(scenario, make_payloads(scenario, RUN, incarnation, n, draw=n), n) for n in range(1, scans + 3)

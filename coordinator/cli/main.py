@@ -159,19 +159,19 @@ def check(scenario: str, changes: Mapping[str, object]) -> None:
                dsse check areas/area1.toml
     """
     from agents.area_files.reader import load_area_file
-    from agents.protocol.choose import STRATEGIES
+    from agents.strategies.installed import list_strategies
     from coordinator.evaluation.evaluation import choose_scenario
     from coordinator.report.text import format_area_check, format_check
+    from coordinator.strategy_check import check_with_strategy
     from dsse_core.files.kinds import AREA_FILE
     from dsse_core.files.strict_table import OtherKindError
-    from scenarios.check import check_scenario
 
     try:
-        show(format_check(check_scenario(choose_scenario(scenario, changes=changes))))
+        show(format_check(check_with_strategy(choose_scenario(scenario, changes=changes))))
     except OtherKindError as error:
         if error.found is not AREA_FILE or changes:
             raise
-        show(format_area_check(load_area_file(Path(scenario), STRATEGIES)))
+        show(format_area_check(load_area_file(Path(scenario), list_strategies())))
 
 
 @commands.command(short_help="Solve the power flow of the whole network.")

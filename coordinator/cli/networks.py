@@ -35,7 +35,7 @@ def partition(scenario: str, count: int | None, switches: tuple[str, ...], out: 
         raise click.UsageError("--count and --switches are two ways to cut; give one of them")
     if out is not None and out.suffix.lower() not in PICTURES:
         raise InvalidInputError("--out", [f"{out} has none of the endings {', '.join(PICTURES)}; give it one"])
-    from agents.protocol.choose import STRATEGIES
+    from agents.strategies.installed import list_strategies
     from coordinator.report.area_table import format_area_tables, format_areas
     from scenarios.scenario import load_scenario
 
@@ -45,7 +45,7 @@ def partition(scenario: str, count: int | None, switches: tuple[str, ...], out: 
     elif switches:
         named = [name.strip() for text in switches for name in text.split(",") if name.strip()]
         changes = {"areas": {"switches": named}, "faults": {}}
-    loaded = load_scenario(scenario, strategies=tuple(STRATEGIES), changes=changes)
+    loaded = load_scenario(scenario, strategies=list_strategies(), changes=changes)
     show(format_area_tables(loaded.partition) if toml else format_areas(loaded))
     if out is not None:
         from coordinator.report.draw_areas import draw_areas
@@ -136,12 +136,12 @@ def import_file(file: Path, out: Path, n_area: int, name: str | None, frequency_
 
 def _check(path: Path, source: Path) -> None:
     """Check a scenario that has just been written, which its source may make impossible to estimate."""
-    from agents.protocol.choose import STRATEGIES
-    from scenarios.check import check_scenario
+    from agents.strategies.installed import list_strategies
+    from coordinator.strategy_check import check_with_strategy
     from scenarios.scenario import load_scenario
 
     try:
-        check_scenario(load_scenario(path, strategies=tuple(STRATEGIES)))
+        check_with_strategy(load_scenario(path, strategies=list_strategies()))
     except InvalidInputError as error:
         raise InvalidInputError(f"{source} is read, but cannot be estimated as it is", error.problems) from None
 

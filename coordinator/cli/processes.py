@@ -45,10 +45,10 @@ def split(
     from coordinator.deployment.endpoints import choose_area_endpoints
     from coordinator.deployment.split import choose_run_id, write_area_files
     from coordinator.evaluation.evaluation import choose_scenario
-    from scenarios.check import check_scenario
+    from coordinator.strategy_check import check_with_strategy
     from scenarios.files.whole_folder import written_whole
 
-    prepared = check_scenario(choose_scenario(scenario, seed))
+    prepared = check_with_strategy(choose_scenario(scenario, seed))
     endpoints = choose_endpoints(endpoints, secure)
     direct = prepared.transport.kind == "neighbours"
     area_endpoints = choose_area_endpoints(prepared, "tls" if secure else "tcp") if direct else {}
@@ -134,9 +134,9 @@ def plant(
     from coordinator.evaluation.evaluation import choose_scenario
     from coordinator.plant.plant import run_plant
     from coordinator.plant.scans import OwnScans
-    from scenarios.check import check_scenario
+    from coordinator.strategy_check import check_with_strategy
 
-    prepared = check_scenario(choose_scenario(scenario, seed))
+    prepared = check_with_strategy(choose_scenario(scenario, seed))
     every = every or prepared.run.scan_s
     # a plant that is started anew has new readings: the clock is ahead of all numbers of its last incarnation
     scan = int(time.time() / SHORTEST_SCAN_S)

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from agents.protocol.choose import STRATEGIES
+from agents.strategies.installed import list_strategies, load_strategy
 from coordinator.evaluation.comparison import compare
 from coordinator.evaluation.result import RunOutcome, make_area_results
 from coordinator.evaluation.verdict import make_verdict
@@ -47,12 +47,12 @@ def choose_scenario(
             problem = f"{', '.join(changes)}: it is loaded already; give the changes to load_scenario"
             raise InvalidInputError(f"scenario {scenario.name!r}", [problem])
     else:
-        scenario = load_scenario(scenario, strategies=tuple(STRATEGIES), changes=changes)
+        scenario = load_scenario(scenario, strategies=list_strategies(), changes=changes)
     if seed is not None:
         scenario = replace(scenario, seed=seed)
     if strategy is not None:
-        if strategy not in STRATEGIES:
-            problem = f"strategy: {describe_unknown('strategy', strategy, STRATEGIES)}"
+        if strategy not in (known := list_strategies()):
+            problem = f"strategy: {describe_unknown('strategy', strategy, known)}"
             raise InvalidInputError(f"scenario {scenario.name!r}", [problem])
         scenario = replace(scenario, strategy=strategy)
     if timeout_s is not None:
@@ -69,7 +69,7 @@ def make_observer(scenario: Scenario) -> Observer:
         tolerance_va=scenario.tolerances.consensus_va_rad,
         tolerance_vm=scenario.tolerances.consensus_vm_pu,
         beat_s=scenario.run.beat_s,
-        compare_magnitudes=scenario.strategy != "angle-offset",  # which does not reconcile them
+        compare_magnitudes=load_strategy(scenario.strategy).reconciles_magnitudes,
     )
 
 

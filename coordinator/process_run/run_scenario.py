@@ -12,6 +12,7 @@ from pathlib import Path
 
 from agents.security.access import COORDINATOR
 from agents.security.credential_files import AUTHORITY, credentials_in
+from agents.strategies.installed import load_strategy
 from coordinator.deployment.split import default_run_id
 from coordinator.evaluation.evaluation import choose_scenario, evaluate, make_observer, no_consensus_within
 from coordinator.evaluation.reference_estimate import start_reference_estimate
@@ -33,9 +34,9 @@ from coordinator.process_run.run_status import (
 )
 from coordinator.process_run.system import System
 from coordinator.run_folder import EVENTS, PARTS, make_run_folder
+from coordinator.strategy_check import check_with_strategy
 from dsse_core.estimation.plan import FEWEST_BUSES_OF_RADIAL
 from dsse_core.linear import needs_compiled_code
-from scenarios.check import check_scenario
 from scenarios.scenario import Scenario
 from scenarios.telemetry import make_telemetry
 
@@ -59,8 +60,9 @@ def run_scenario(
 ) -> RunResult:
     """Run ``scenario`` with the processes of ``launcher``; see ``coordinator.run``. ``started``: monotonic time."""
     scenario = choose_scenario(scenario, seed, strategy, timeout_s)
+    launcher.preload("agents.strategies.installed:list_strategies", load_strategy(scenario.strategy).__module__)
     launcher.preload(*_find_solvers(scenario))  # beside the check, which in a large grid takes as long
-    check_scenario(scenario)
+    check_with_strategy(scenario)
     folder = make_run_folder(out, default_run_id(scenario), PARTS)
     with ExitStack() as at_the_end, EventLog(folder / EVENTS, started) as events:
         run_id = f"{default_run_id(scenario)}-{secrets.token_hex(4)}"
@@ -88,7 +90,7 @@ def _find_solvers(scenario: Scenario) -> tuple[str, ...]:
     areas = scenario.partition.areas
     exchange = any(needs_compiled_code(area) for area in areas)
     largest = max((len(area.network.buses) for area in areas), default=0)
-    estimate = scenario.strategy == "angle-offset" and largest >= FEWEST_BUSES_OF_RADIAL  # of each area by itself
+    estimate = load_strategy(scenario.strategy).estimates_alone and largest >= FEWEST_BUSES_OF_RADIAL
     return ("agents.runtime.warm_up:warm_up",) * exchange + ("agents.runtime.warm_up:warm_up_estimate",) * (
         exchange and estimate
     )

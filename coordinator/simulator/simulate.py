@@ -25,7 +25,7 @@ from coordinator.process_run.fault_schedule import FaultSchedule
 from coordinator.run_folder import make_run_folder
 from coordinator.simulator.faults import SimulatorFaults
 from coordinator.simulator.simulator import SimulatedBus
-from scenarios.check import check_scenario
+from coordinator.strategy_check import check_with_strategy
 from scenarios.faults.faults import LinkChanges
 from scenarios.scenario import Scenario
 from scenarios.telemetry import find_lateness, make_telemetry
@@ -45,7 +45,7 @@ def simulate_scenario(
     links: LinkChanges = NO_CHANGES,
 ) -> RunResult:
     """Run ``scenario`` on the simulator and write the files of a run; see ``coordinator.simulate``."""
-    scenario = check_scenario(choose_scenario(scenario, seed, strategy, timeout_s, links))
+    scenario = check_with_strategy(choose_scenario(scenario, seed, strategy, timeout_s, links))
     folder = make_run_folder(out, default_run_id(scenario))
     with EventLog(folder / "events.jsonl", 0.0) as events:
         simulation = Simulation(scenario, events, on_update)

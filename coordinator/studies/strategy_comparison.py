@@ -8,15 +8,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from agents.protocol.choose import STRATEGIES
+from agents.strategies.installed import list_strategies
 from coordinator.evaluation.result import RunOutcome
 from coordinator.report.grid_text import format_table
 from coordinator.run_folder import make_run_folder
+from coordinator.strategy_check import check_with_strategy
 from coordinator.studies.study_row import COLUMNS, NOT_POSSIBLE, StudyRow, make_impossible_row, make_row, to_cells
 from dsse_core.errors import InvalidInputError
 from dsse_core.files.wording import describe_unknown
 from dsse_core.printable import printable
-from scenarios.check import check_scenario
 from scenarios.scenario import Scenario
 
 HEADER = (
@@ -31,12 +31,13 @@ def choose_strategies(names: str | None) -> tuple[str, ...]:
     Raises:
         InvalidInputError: one is unknown or given twice.
     """
+    known = list_strategies()
     if names is None:
-        return tuple(STRATEGIES)
+        return known
     listed = [name.strip() for name in names.split(",")]
-    unknown = [name for name in listed if name not in STRATEGIES]
+    unknown = [name for name in listed if name not in known]
     twice = [name for name in dict.fromkeys(listed) if listed.count(name) > 1]
-    problems = [describe_unknown("strategy", name, STRATEGIES) for name in unknown]
+    problems = [describe_unknown("strategy", name, known) for name in unknown]
     problems += [f"{name!r} is given twice; keep one" for name in twice]
     if problems:
         raise InvalidInputError("strategies", problems)
@@ -81,7 +82,7 @@ def format_markdown(rows: Sequence[StudyRow]) -> str:
 
 def _run_one(scenario: Scenario, run: Callable[[Scenario, Path], RunOutcome], folder: Path) -> StudyRow:
     try:
-        check_scenario(scenario)
+        check_with_strategy(scenario)
     except InvalidInputError as error:
         return make_impossible_row(scenario, error)
     return make_row(run(scenario, folder))

@@ -12,10 +12,10 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 
 from coordinator.simulator.simulate import Simulation
+from coordinator.strategy_check import check_with_strategy
 from coordinator.studies.study_row import StudyRow, make_impossible_row, make_row
 from coordinator.studies.sweep_plan import SweepPlan, Task
 from dsse_core.errors import DsseError
-from scenarios.check import check_scenario
 from scenarios.scenario import Scenario
 
 _plan: SweepPlan  # of a worker process
@@ -65,7 +65,7 @@ def _ctrl_c_held_back() -> Iterator[None]:
 def run_on_simulator(scenario: Scenario) -> StudyRow:
     """The row of one run; one that is not possible has a row that says why."""
     try:
-        check_scenario(scenario)
+        check_with_strategy(scenario)
         simulation = Simulation(scenario)
     except DsseError as error:
         return make_impossible_row(scenario, error)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from agents.protocol.choose import STRATEGIES
+from agents.strategies.installed import list_strategies
 from coordinator.evaluation.evaluation import NO_CHANGES, NO_SETTINGS, choose_scenario
 from coordinator.evaluation.result import version_of
 from dsse_core.errors import InvalidInputError
@@ -110,7 +110,7 @@ def plan_values(
     scenarios, problems = {}, []
     for value in values:
         try:
-            loaded = load_scenario(name_or_path, strategies=tuple(STRATEGIES), changes={**changes, key: value})
+            loaded = load_scenario(name_or_path, strategies=list_strategies(), changes={**changes, key: value})
             scenarios[text_of(value)] = choose_scenario(loaded, timeout_s=timeout_s, links=links)
         except InvalidInputError as error:
             problems += [f"with {key} = {text_of(value)}: {problem}" for problem in error.problems]

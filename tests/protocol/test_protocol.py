@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from simulated_bus import SimulatedBus, area_files_of, bus_of
 
-from agents.messages.packing import AdmmMessage, BoundaryMessage, Header, HeartbeatMessage, Incarnation, LoadMessage
+from agents.messages.packing import Header, HeartbeatMessage, Incarnation, LoadMessage
 from agents.protocol.choose import make_protocol
 from agents.protocol.events import Finish, PresenceChanged, Publish, Received, Rejected, StopRequested
+from agents.strategies.admm_boundary import AdmmMessage
+from agents.strategies.angle_offset import BoundaryMessage
 from coordinator.plant.telemetry_messages import make_message
 from coordinator.simulator.simulator import STARTED_AT
 from scenarios.scenario import load_scenario

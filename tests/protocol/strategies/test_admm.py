@@ -8,8 +8,9 @@ from feeders import make_feeder
 from simulated_bus import SimulatedBus, area_files_of, with_links
 from tree_of_areas import tree_scenario, with_angle_meters
 
-from agents.messages.packing import AdmmMessage, encode
+from agents.messages.packing import encode
 from agents.protocol.events import Received
+from agents.strategies.admm_boundary import AdmmMessage
 from dsse_core.estimation.estimator import EstimationResult, estimate_state
 from dsse_core.grid.division import build_partition
 from dsse_core.link_faults import LinkFaults

@@ -5,8 +5,6 @@ from dataclasses import fields
 import msgspec
 
 from agents.messages.packing import (
-    AdmmMessage,
-    BoundaryMessage,
     ClockMessage,
     DownMessage,
     Header,
@@ -18,7 +16,13 @@ from agents.messages.packing import (
     UpMessage,
     encode,
 )
+from agents.strategies.admm_boundary import AdmmMessage
+from agents.strategies.angle_offset import BoundaryMessage
+from agents.strategies.installed import list_strategies, load_strategy
 from dsse_core.estimation.decision import Totals
+
+for name in list_strategies():
+    load_strategy(name)  # which makes its messages known
 
 HEADER = Header("run-1", "area1", Incarnation(1_795_200_000_000, 2**32 - 1), 7, 3, 1_795_200_000.25)
 STATE = StateMessage(

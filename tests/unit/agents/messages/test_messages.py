@@ -13,13 +13,13 @@ from agents.messages.checks import LONGEST_NAME, LONGEST_NOTE, MOST_NOTES, Messa
 from agents.messages.packing import (
     MESSAGE_TYPES,
     WIRE_VERSION,
-    BoundaryMessage,
     Header,
     Incarnation,
     decode,
     encode,
     seal,
 )
+from agents.strategies.angle_offset import BoundaryMessage
 
 
 @pytest.mark.parametrize("message", MESSAGES, ids=lambda m: m.kind)
@@ -160,10 +160,10 @@ def test_a_restarted_area_is_newer_than_its_past_whatever_the_sequence():
     assert new.order > old.order
 
 
-@pytest.mark.parametrize("kind", sorted(MESSAGE_TYPES))
+@pytest.mark.parametrize("kind", sorted({message.kind for message in MESSAGES}))
 def test_the_documentation_gives_every_message_as_it_is_packed(kind):
     page = (Path(__file__).parents[4] / "docs" / "reference" / "messages.md").read_text()
     (row,) = (line for line in page.splitlines() if line.startswith(f"| `{kind}` | ") and line.count("|") == 3)
-    names = [field.name for field in fields(MESSAGE_TYPES[kind])]
+    names = [field.name for field in sorted(fields(MESSAGE_TYPES[kind]), key=lambda f: "is_last" in f.metadata)]
     assert row == f"| `{kind}` | {', '.join(names[1:])} |"
     assert names[0] == "header"

@@ -6,11 +6,12 @@ from dataclasses import replace
 
 import pytest
 
-from agents.messages.packing import BoundaryMessage, Header, HeartbeatMessage, Incarnation, LoadMessage
+from agents.messages.packing import Header, HeartbeatMessage, Incarnation, LoadMessage
 from agents.peers.freshness import PATIENCE_HEARTBEATS
 from agents.peers.peer_table import PeerTable
 from agents.peers.peers import Peer
 from agents.peers.round_trip import FIRST_WAIT_S, LEAST_LONGEST_WAIT_S
+from agents.strategies.angle_offset import BoundaryMessage
 from dsse_core.grid.partition import Neighbour
 
 HEARTBEAT_S = 0.2

@@ -11,8 +11,6 @@ import numpy as np
 import pytest
 
 from agents.messages.packing import (
-    AdmmMessage,
-    BoundaryMessage,
     DownMessage,
     Header,
     HeartbeatMessage,
@@ -26,6 +24,8 @@ from agents.messages.packing import (
 from agents.messages.triangle import read_triangle
 from agents.runtime.link import FaultyLinks
 from agents.runtime.link_faults import LinkFate
+from agents.strategies.admm_boundary import AdmmMessage
+from agents.strategies.angle_offset import BoundaryMessage
 from dsse_core.estimation.decision import Memory, Totals, decide
 from dsse_core.link_faults import LinkFaults
 

@@ -5,10 +5,11 @@ import time
 
 import pytest
 
-from agents.messages.packing import BoundaryMessage, Header, Incarnation, StateMessage, decode
+from agents.messages.packing import Header, Incarnation, StateMessage, decode
 from agents.runtime.inbox import MAX_WAITING, Inbox
 from agents.runtime.link import FaultyLinks
 from agents.runtime.link_faults import draw_fate
+from agents.strategies.angle_offset import BoundaryMessage
 from dsse_core.link_faults import LinkFaults
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from agents.messages.packing import AdmmMessage, Header, Incarnation
-from agents.strategies.admm_boundary import BoundaryIteration
+from agents.messages.packing import Header, Incarnation
+from agents.strategies.admm_boundary import AdmmMessage, BoundaryIteration
 from dsse_core.exchange.consensus_admm import RELAXATION
 from dsse_core.grid.partition import Neighbour
 

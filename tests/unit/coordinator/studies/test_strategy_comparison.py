@@ -8,12 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from agents.protocol.choose import STRATEGIES
+from agents.strategies.installed import list_strategies
 from coordinator.cli.main import run_command
 from coordinator.studies.strategy_comparison import choose_strategies
 from coordinator.studies.study_row import COLUMNS, from_cells, to_cells
 from dsse_core.errors import InvalidInputError
 from scenarios.files.shipped_files import find_shipped
+
+STRATEGIES = list_strategies()
 
 
 def read_rows(path: Path) -> dict[str, dict[str, str]]:
@@ -104,7 +106,7 @@ def test_it_is_an_error_if_no_strategy_can_run(tmp_path: Path, capsys: pytest.Ca
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["ieee33", "--strategies", "information,gossip"], "unknown strategy 'gossip'; allowed: angle-offset"),
+        (["ieee33", "--strategies", "information,gossip"], "unknown strategy 'gossip'; allowed: admm, angle-offset"),
         (["ieee33", "--strategies", "information,information"], "'information' is given twice"),
         (["ieee33", "--strategies", ""], "unknown strategy ''"),
         (["ieee33", "--out", "."], "is not empty"),

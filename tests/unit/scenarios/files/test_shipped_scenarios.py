@@ -7,10 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from agents.strategies.angle_offset import AngleOffset
+from coordinator.strategy_check import check_with_strategy
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.measurement import MeasurementKind, Meter, Source
 from dsse_core.link_faults import LinkFaults
-from scenarios.check import check_scenario, meters_in_area
 from scenarios.files.shipped_files import find_shipped
 from scenarios.scenario import list_scenarios, load_scenario
 
@@ -41,7 +42,7 @@ def test_the_list_of_scenarios_is_complete_sorted_and_described() -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_every_shipped_scenario_loads_and_is_observable_as_a_whole_and_in_each_area(name: str) -> None:
     scenario = load_scenario(name)
-    check_scenario(scenario)
+    check_with_strategy(scenario)
     assert scenario.name == name
     assert scenario.path == find_shipped("shipped")[name]
 
@@ -112,7 +113,7 @@ def test_an_area_without_voltage_meter_is_checked_with_its_local_slack_voltage()
     area = scenario.partition.area("area1")
     own = [m for m in scenario.meters if scenario.partition.area_of_meter(m) == "area1"]
     assert not any(m.kind is MeasurementKind.VM for m in own)
-    voltages = [m for m in meters_in_area(area, own) if m.kind is MeasurementKind.VM]
+    voltages = [m for m in AngleOffset.local_meters(area, own) if m.kind is MeasurementKind.VM]
     assert [(m.bus, m.source) for m in voltages] == [(4, Source.PSEUDO)]
 
 
@@ -123,7 +124,7 @@ def test_an_area_that_its_own_meters_do_not_observe_is_named_with_its_buses() ->
         m for m in scenario.meters if m.branch not in unread and not (m.kind.of_injection and m.bus in (16, 17, 18))
     )
     with pytest.raises(InvalidInputError) as caught:
-        check_scenario(replace(scenario, meters=blind, strategy="angle-offset"))
+        check_with_strategy(replace(scenario, meters=blind, strategy="angle-offset"))
     whole, area = caught.value.problems
     assert whole.startswith("whole grid: the measurements do not determine the state of bus 17, 18;")
     assert area.startswith("area area2: the measurements do not determine the state of bus 17, 18;")
@@ -133,20 +134,20 @@ def test_angle_meters_are_rejected_where_each_area_reads_its_own_power_flow() ->
     scenario = load_scenario("ieee33-thesis")
     angles = tuple(Meter(MeasurementKind.VA, bus) for bus in (16, 30))
     with pytest.raises(InvalidInputError) as caught:
-        check_scenario(replace(scenario, meters=(*scenario.meters, *angles)))
+        check_with_strategy(replace(scenario, meters=(*scenario.meters, *angles)))
     (problem,) = caught.value.problems
     assert problem.startswith(
         "measurements.angle: bus 16, 30 has an angle meter, but with telemetry.source 'area-power"
     )
     shared = load_scenario("ieee33")
-    check_scenario(replace(shared, meters=(*shared.meters, *angles)))
+    check_with_strategy(replace(shared, meters=(*shared.meters, *angles)))
 
 
 def test_only_the_substations_area_is_checked_with_its_angle_meters() -> None:
     scenario = load_scenario("ieee33")
     for area in scenario.partition.areas:
         angle = Meter(MeasurementKind.VA, area.network.buses[-1].id)
-        assert (angle in meters_in_area(area, [angle])) == (area.name == "area1")
+        assert (angle in AngleOffset.local_meters(area, [angle])) == (area.name == "area1")
 
 
 @pytest.mark.parametrize("missing", [MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION])
@@ -157,20 +158,20 @@ def test_a_substation_without_injection_meters_is_rejected_where_generation_is_t
     meters = tuple(m for m in scenario.meters if not (m.kind is missing and m.bus == 1))
     scenario = replace(scenario, meters=meters, strategy="angle-offset")
     with pytest.raises(InvalidInputError) as caught:
-        check_scenario(scenario)
+        check_with_strategy(scenario)
     (problem,) = caught.value.problems
     assert "the substation, bus 1, has no meters of P and Q injection" in problem
     assert "measurements.injection.buses" in problem
-    check_scenario(replace(scenario, generation="scheduled"))
-    check_scenario(replace(scenario, strategy="information"))  # there load messages only start the iteration
+    check_with_strategy(replace(scenario, generation="scheduled"))
+    check_with_strategy(replace(scenario, strategy="information"))  # there load messages only start the iteration
 
 
 def test_only_angle_offset_asks_that_each_area_be_observable_alone() -> None:
     scenario = load_scenario("ieee33")
     blind = tuple(m for m in scenario.meters if scenario.partition.area_of_meter(m) != "area3")
     with pytest.raises(InvalidInputError) as caught:
-        check_scenario(replace(scenario, meters=blind, strategy="information"))
+        check_with_strategy(replace(scenario, meters=blind, strategy="information"))
     assert [p.split(":")[0] for p in caught.value.problems] == ["whole grid"]
     with pytest.raises(InvalidInputError) as caught:
-        check_scenario(replace(scenario, meters=blind, strategy="angle-offset"))
+        check_with_strategy(replace(scenario, meters=blind, strategy="angle-offset"))
     assert [p.split(":")[0] for p in caught.value.problems] == ["whole grid", "area area3"]

@@ -1,0 +1,86 @@
+"""The strategies that are installed: entry points of group ``dsse.strategies``, this project's own among them."""
+
+from __future__ import annotations
+
+import functools
+import sys
+from collections.abc import Iterator
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+from agents.messages.packing import add_message_type
+from agents.strategies.interface import AnyStrategy
+from dsse_core.errors import InvalidInputError
+from dsse_core.files.wording import describe_unknown
+
+GROUP = "dsse.strategies"
+
+
+def list_strategies() -> tuple[str, ...]:
+    """The names of all that are installed, sorted; nothing of them is imported.
+
+    Raises:
+        InvalidInputError: there is none, as this project itself is not installed, or was before it had any.
+    """
+    names = tuple(sorted({entry.name for entry in _find_entries(tuple(sys.path))}))
+    if not names:
+        cure = "install consensus-dsse again, in a checkout with `pip install --editable .`"
+        raise InvalidInputError("strategies", [f"no installed distribution has an entry point {GROUP!r}; {cure}"])
+    return names
+
+
+def load_strategy(name: str) -> type[AnyStrategy]:
+    """The class of strategy ``name``, whose messages can be encoded and decoded from now on.
+
+    Raises:
+        InvalidInputError: there is none of this name, or two, or it cannot be used: naming its distribution.
+    """
+    return _load(name, tuple(sys.path))
+
+
+@functools.cache  # until something else is on the path: hundreds of agents are forked from one process
+def _find_entries(path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
+    return tuple(entry_points(group=GROUP))
+
+
+@functools.cache
+def _load(name: str, path: tuple[str, ...]) -> type[AnyStrategy]:
+    found = [entry for entry in _find_entries(path) if entry.name == name]
+    if not found:
+        raise InvalidInputError("strategy", [describe_unknown("strategy", name, list_strategies())])
+    if len(found) > 1:
+        owners = " and ".join(sorted(map(_owner_of, found)))
+        raise InvalidInputError(f"strategy {name!r}", [f"is one of {owners}; uninstall one of them"])
+    entry = found[0]
+    what = f"strategy {name!r} of {_owner_of(entry)}"
+    cure = "correct or uninstall that distribution"
+    try:
+        cls = entry.load()
+    except Exception as error:  # whatever a foreign module does
+        problem = f"{entry.value} cannot be imported: {type(error).__name__}: {error}; {cure}"
+        raise InvalidInputError(what, [problem]) from error
+    if problems := list(_find_problems(cls)):
+        raise InvalidInputError(what, [f"{entry.value}: {problem}; {cure}" for problem in problems])
+    strategy: type[AnyStrategy] = cls
+    return strategy
+
+
+def _owner_of(entry: EntryPoint) -> str:
+    return f"distribution {entry.dist.name} {entry.dist.version}" if entry.dist else "a distribution without a name"
+
+
+def _find_problems(cls: Any) -> Iterator[str]:
+    """What a strategy lacks; its message types are made known on the way."""
+    if not (isinstance(cls, type) and issubclass(cls, AnyStrategy)):
+        yield "is no class derived from agents.strategies.Strategy"
+        return
+    if missing := getattr(cls, "__abstractmethods__", ()):
+        yield f"does not define {', '.join(sorted(missing))}"
+    if not getattr(cls, "message_types", ()):
+        yield "message_types is missing; name the classes of its messages"
+        return
+    for message_type in cls.message_types:
+        try:
+            add_message_type(message_type)
+        except ValueError as error:
+            yield str(error)
