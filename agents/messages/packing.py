@@ -19,7 +19,7 @@ import msgpack
 import msgspec
 import numpy as np
 
-from agents.messages.checks import MessageError, shown
+from agents.messages.checks import Count, Integer, MessageError, Name, Number, shown
 from agents.messages.totals_list import WireTotals, list_totals, read_totals
 from agents.messages.types import (
     NO_INCARNATION,
@@ -198,8 +198,8 @@ def add_message_type(cls: type[BoundaryUpdate]) -> None:
     """Have messages of ``cls``, a strategy's, encoded and decoded like all others; of a known class nothing happens.
 
     Raises:
-        ValueError: its kind has no place in a key or is that of another class, or a field has a type that no message
-            can have.
+        ValueError: its kind has no place in a key or is that of another class, or a field has a type that is not
+            checked in full.
     """
     kind = getattr(cls, "kind", None)
     if not (isinstance(kind, str) and KIND.fullmatch(kind)):
@@ -207,14 +207,26 @@ def add_message_type(cls: type[BoundaryUpdate]) -> None:
     if (known := MESSAGE_TYPES.get(kind, cls)) is not cls:
         other = f"{known.__module__}.{known.__qualname__}"
         raise ValueError(f"message {cls.__name__}: kind {kind!r} is that of {other}; choose another")
-    if cls.kind in _PACKINGS:
+    if kind in _PACKINGS:
         return
-    try:
-        packing = _Packing(cls)
-    except (TypeError, NameError) as error:
-        raise ValueError(f"message {cls.__name__}: {error}") from None
+    if not dataclasses.is_dataclass(cls):
+        raise ValueError(f"message {cls.__name__} is no dataclass")
+    for name, hint in _hints_of(cls).items():
+        if name != "header" and not _is_bounded(hint):
+            found = getattr(hint, "__name__", str(hint))
+            raise ValueError(
+                f"message {cls.__name__}: field {name} has the type {found}; it must be of the bounded types "
+                "Count, Integer, Number, Name and bool, or tuples of them (agents/messages/checks.py)"
+            )
     MESSAGE_TYPES[kind] = cls
-    _PACKINGS[kind] = _BY_KIND[msgpack.packb(kind)] = packing
+    _PACKINGS[kind] = _BY_KIND[msgpack.packb(kind)] = _Packing(cls)
+
+
+def _is_bounded(hint: Any) -> bool:
+    """Whether a field of this type is checked in full: a plain ``float`` may be nan, a plain ``str`` a novel."""
+    if typing.get_origin(hint) is tuple:
+        return all(place is Ellipsis or _is_bounded(place) for place in typing.get_args(hint))
+    return hint in (Count, Integer, Number, Name, bool)
 
 
 def decode(payload: bytes, largest: int = MAX_BYTES) -> Message:

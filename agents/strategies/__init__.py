@@ -1,7 +1,7 @@
 """Strategies: what an area makes of what it knows, and what it tells its neighbours. With what yours needs."""
 
 from agents.area_files.area_file import AreaFile
-from agents.messages.checks import Count, Integer, Number, Numbers
+from agents.messages.checks import Count, Integer, Name, Names, Number, Numbers
 from agents.messages.types import BoundaryUpdate, Header
 from agents.strategies.interface import Estimate, Knowledge, Strategy
 from dsse_core.grid.partition import Neighbour
@@ -14,6 +14,8 @@ __all__ = [
     "Header",
     "Integer",
     "Knowledge",
+    "Name",
+    "Names",
     "Neighbour",
     "Number",
     "Numbers",
