@@ -46,7 +46,7 @@ def load_scenario(name_or_path: str | Path, *, changes: Mapping[str, object] | N
     Raises:
         InvalidInputError: no shipped scenario has this name, or every problem of the file and of ``changes``.
     """
-    from agents.protocol.choose import STRATEGIES
+    from agents.strategies.installed import list_strategies
     from scenarios.scenario import load_scenario as load
 
-    return load(name_or_path, strategies=tuple(STRATEGIES), changes=changes)
+    return load(name_or_path, strategies=list_strategies(), changes=changes)

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from agents.protocol.choose import STRATEGIES
 from coordinator.evaluation.evaluation import choose_scenario
 from coordinator.studies.strategy_comparison import choose_strategies
 from coordinator.studies.study_row import StudyRow
@@ -24,7 +23,7 @@ TEXTS = ("strategy", "outcome", "reason")
 def compare(
     scenario: str | Path | Scenario,
     *,
-    strategies: Sequence[str] = tuple(STRATEGIES),
+    strategies: Sequence[str] | None = None,
     seed: int | None = None,
     changes: Mapping[str, object] | None = None,
 ) -> Table:
@@ -32,6 +31,7 @@ def compare(
 
     Args:
         scenario: name of a shipped scenario, path of a scenario file, or a loaded one.
+        strategies: their names; all that are installed if not given.
         seed: replaces the scenario's.
         changes: see ``load_scenario``; for a scenario that is not loaded yet.
 
@@ -50,7 +50,7 @@ def compare(
         InvalidInputError: the scenario cannot be used, or a strategy is unknown or given twice.
     """
     chosen = choose_scenario(scenario, seed, changes=changes or {})
-    names = choose_strategies(",".join(strategies))
+    names = choose_strategies(None if strategies is None else ",".join(strategies))
     return _make_table([run_on_simulator(replace(chosen, strategy=name)) for name in names], {})
 
 
@@ -59,7 +59,7 @@ def sweep(
     key: str,
     values: Sequence[object],
     *,
-    strategies: Sequence[str] = tuple(STRATEGIES),
+    strategies: Sequence[str] | None = None,
     seeds: int = 5,
     jobs: int = 1,
     changes: Mapping[str, object] | None = None,
@@ -68,6 +68,7 @@ def sweep(
 
     Args:
         scenario: name of a shipped scenario, or path of a scenario file.
+        strategies: as of ``compare``.
         key, values: a key path such as ``faults.loss`` and what it becomes, in the units of the file.
         seeds: runs per value and strategy; they count up from the scenario's seed.
         jobs: processes at a time. With more than one, a script needs ``if __name__ == "__main__":``.
@@ -86,7 +87,7 @@ def sweep(
     Raises:
         InvalidInputError: the scenario, the key, one of the values or a strategy cannot be used.
     """
-    names = choose_strategies(",".join(strategies))
+    names = choose_strategies(None if strategies is None else ",".join(strategies))
     plain = [value.item() if isinstance(value, np.generic) else value for value in values]
     plan = plan_values(str(scenario), key, plain, names, seeds, changes=changes or {})
     rows = dict(run_tasks(plan, plan.tasks, jobs))
