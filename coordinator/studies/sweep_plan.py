@@ -6,7 +6,7 @@ import hashlib
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -56,7 +56,7 @@ class SweepPlan:
     @property
     def settings(self) -> dict[str, Any]:
         """What all rows of one table have in common; values, strategies and seeds may become more."""
-        content = repr([getattr(self.base, f.name) for f in fields(self.base) if f.name != "path"])
+        content = repr([_content(getattr(self.base, f.name)) for f in fields(self.base) if f.name != "path"])
         return {
             "scenario": self.base.name,
             "links": dict(self.links),
@@ -64,6 +64,17 @@ class SweepPlan:
             "vary": self.key,
             "version": version_of("consensus-dsse"),
         }
+
+
+def _content(value: object) -> object:
+    """``value`` with all that it holds, of which its own repr may be shorter."""
+    if is_dataclass(value):
+        return [(f.name, _content(getattr(value, f.name))) for f in fields(value)]
+    if isinstance(value, Mapping):
+        return [(_content(key), _content(of_key)) for key, of_key in value.items()]
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return [_content(item) for item in value]
+    return value
 
 
 def make_plan(

@@ -38,7 +38,7 @@ class Records(Sequence[Item], Generic[Item]):
         return len(next(iter(self.columns.values()), ()))
 
     def __repr__(self) -> str:
-        return f"<Records of {len(self)} {self._make.__name__}>"
+        return f"<Records of {len(self)} rows: {', '.join(self.columns)}>"
 
     @overload
     def __getitem__(self, key: int) -> Item: ...

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -143,6 +144,15 @@ def test_a_scenario_file_that_has_changed_is_another_scenario(tmp_path: Path):
     assert sweep(tmp_path / "s", seeds=1, base=mine) == 0
     path.write_text(path.read_text().replace("sigma_percent = 10.0", "sigma_percent = 9.0"))
     assert sweep(tmp_path / "s", seeds=1, base=mine) == 2
+
+
+def test_a_network_file_that_has_changed_is_another_scenario():
+    plan = make_plan("industrial13", "faults.loss=0", ["information"], 1)
+    first, *others = plan.base.network.buses
+    network = replace(plan.base.network, buses=(replace(first, p_load=first.p_load + 1e-9), *others))
+    changed = replace(plan, base=replace(plan.base, network=network)).settings
+    assert changed["scenario_sha256"] != plan.settings["scenario_sha256"]
+    assert changed | {"scenario_sha256": ""} == plan.settings | {"scenario_sha256": ""}
 
 
 def test_a_foreign_table_is_rejected_and_left_as_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
