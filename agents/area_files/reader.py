@@ -117,7 +117,8 @@ def _find_problems(t: Any) -> Iterator[str]:
             yield f"{key}.bus: bus {bus} is not in the network"
     controls = zip(_values_of(t.network.generator, "control"), _values_of(t.network.generator, "bus"), strict=False)
     substations = [bus for control, bus in controls if control == "slack"]
-    if t.reference and t.reference.bus in buses and t.reference.bus not in substations:
+    at_parent = [n.bus for n in t.neighbour if n.is_parent]  # where the parent may have the substation
+    if t.reference and t.reference.bus in buses and t.reference.bus not in (*substations, *at_parent):
         yield (
             f"reference.bus: bus {t.reference.bus} is not the substation, from which all angles count; "
             "leave [reference] out"

@@ -14,6 +14,8 @@ from agents.area_files.reader import load_area_file
 from coordinator.deployment.split import area_files
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.state_limits import StateLimits
+from dsse_core.grid.division import build_partition
+from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from dsse_core.link_faults import LinkFaults
 from scenarios.scenario import load_scenario
 
@@ -114,6 +116,17 @@ def test_angles_count_from_the_substation_and_from_no_bus_beside(tmp_path: Path)
     bus = other.area.network.buses[-1].id
     (problem,) = spoilt(tmp_path / "a.json", other, lambda t: t.update(reference={"bus": bus, "va": 0.0}))
     assert problem.startswith(f"reference.bus: bus {bus} is not the substation, from which all angles count")
+
+
+def test_an_area_behind_the_substation_that_counts_angles_from_it_is_read_back(tmp_path: Path, content: AreaFile):
+    """The bus of the substation belongs to another area, which this one meets there."""
+    buses = tuple(Bus(id=k, base_kv=20.0, p_load=0.1) for k in (1, 2, 3))
+    branches = tuple(Branch(f"1-{k}", 1, k, r=0.01, x=0.01) for k in (2, 3))
+    network = Network("star", 1.0, buses, branches, (Generator(1, Control.SLACK),))
+    for area in build_partition(network, {"one": [1, 2], "two": [1, 3]}).areas:
+        assert area.reference == (1, 0.0)
+        save_area_file(tmp_path / "a.json", replace(content, area=area, meters=(), links={}))
+        assert load_area_file(tmp_path / "a.json").area == area
 
 
 def test_a_band_of_voltages_that_is_empty_is_rejected(tmp_path: Path, content: AreaFile):
