@@ -122,6 +122,12 @@ def find_contradictions(contradictions: Mapping[str, str]) -> Iterator[Finding]:
 def find_missing_readings(silent: Sequence[str], invalid: Sequence[str]) -> Iterator[Finding]:
     """Meters without a reading that can be used; the standard deviations of the estimate say what that means."""
     if invalid:
-        yield Finding(GOOD, f"{len(invalid)} readings are marked invalid, the first is of {invalid[0]}")
+        yield Finding(GOOD, f"marked invalid: the reading of {_first_of(invalid)}")
     if silent:
-        yield Finding(GOOD, f"no reading from {len(silent)} meters, the first is {silent[0]}")
+        yield Finding(GOOD, f"no reading from {_first_of(silent)}")
+
+
+def _first_of(meters: Sequence[str]) -> str:
+    """The first by its id, and how many there are beside it."""
+    n = len(meters) - 1
+    return f"{meters[0]} and {n} other{'s' if n > 1 else ''}" if n else meters[0]

@@ -214,6 +214,6 @@ def test_a_reading_that_is_marked_invalid_moves_no_estimate_and_is_named(strateg
     bus.run_until_settled()
     for name, state in bus.states.items():
         np.testing.assert_allclose(state.vm, expected.states[name].vm, atol=1e-9)
-    assert f"1 readings are marked invalid, the first is of {bad}" in bus.states["area2"].notes
+    assert f"marked invalid: the reading of {bad}" in bus.states["area2"].notes
     assert bus.states["area2"].rejected["marked invalid"] >= 1
     assert not any("no reading from" in note for note in bus.states["area2"].notes)
