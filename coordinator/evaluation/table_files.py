@@ -7,17 +7,15 @@ import io
 import json
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import fields
 from pathlib import Path
 from typing import Any, TextIO
 
 import numpy as np
 
 from dsse_core.errors import InvalidInputError
-from dsse_core.results.results import Results
+from dsse_core.results.results import TABLES, Results
 from dsse_core.results.table import Table
 
-TABLES = tuple(field.name for field in fields(Results))
 Column = np.ndarray | tuple[str, ...]
 
 

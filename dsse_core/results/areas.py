@@ -45,14 +45,16 @@ class Division:
         return [self.names[k] for k in self.of_bus.tolist()]
 
 
-def whole_network(network: Network) -> Division:
-    """One area without a name."""
-    return Division(("",), np.zeros(len(network.buses), np.int64), np.zeros(len(network.branches), np.int64))
+def whole_network(network: Network, name: str = "") -> Division:
+    """One area."""
+    return Division((name,), np.zeros(len(network.buses), np.int64), np.zeros(len(network.branches), np.int64))
 
 
 def division_of(partition: Partition) -> Division:
     """A boundary bus belongs to its owner, a branch to the area that holds it; an open one to that of its from bus."""
     names = tuple(area.name for area in partition.areas)
+    if len(names) == 1:
+        return whole_network(partition.network, names[0])
     number = {name: k for k, name in enumerate(names)}
     owner, network = partition.owner_of_bus, partition.network
     of_branch = {branch.id: number[area.name] for area in partition.areas for branch in area.network.branches}

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from dsse_core.grid.columns import read_given
 from dsse_core.grid.network import Network
 from dsse_core.results.flows import BranchModel, Flows
 from dsse_core.results.table import PHASE, Table
@@ -30,7 +33,7 @@ def make_branch_table(network: Network, branches: BranchModel, flows: Flows, sig
     power by ``s_max``; nan where neither is known. ``sigmas`` (8, n_branch): standard deviations of ``QUANTITIES``,
     p.u.; nan without them.
     """
-    kw, a, all_of = base_kw(network), base_a(network), network.branches
+    kw, a, count = base_kw(network), base_a(network), len(network.branches)
     a_from, a_to = a[branches.f], a[branches.t]
     powers = flows.s_from * kw, flows.s_to * kw, flows.loss * kw
     values = [
@@ -43,15 +46,15 @@ def make_branch_table(network: Network, branches: BranchModel, flows: Flows, sig
         powers[2].real,
         powers[2].imag,
     ]
-    ones = np.ones(len(all_of))
+    ones = np.ones(count)
     units = [kw * ones, kw * ones, a_from, kw * ones, kw * ones, a_to, kw * ones, kw * ones]
-    deviations = np.full((len(QUANTITIES), len(all_of)), np.nan) if sigmas is None else sigmas
-    columns: dict[str, np.ndarray | list[str]] = {
-        "branch": [b.id for b in all_of],
-        "name": [b.name for b in all_of],
-        "from_bus": np.array([b.from_bus for b in all_of], dtype=np.int64),
-        "to_bus": np.array([b.to_bus for b in all_of], dtype=np.int64),
-        "phase": [PHASE] * len(all_of),
+    deviations = np.full((len(QUANTITIES), count), np.nan) if sigmas is None else sigmas
+    columns: dict[str, np.ndarray | Sequence[str]] = {
+        "branch": network.branch_ids,
+        "name": list(read_given(network.branches, "name")) or [""] * count,
+        "from_bus": network.table.from_bus,
+        "to_bus": network.table.to_bus,
+        "phase": [PHASE] * count,
         "in_service": branches.in_service,
     }
     columns |= dict(zip(QUANTITIES, values, strict=True))
@@ -62,10 +65,13 @@ def make_branch_table(network: Network, branches: BranchModel, flows: Flows, sig
 
 def find_loading(network: Network, flows: Flows) -> np.ndarray:
     """Current or apparent power by its rating, percent, (n_branch,); nan where no rating is known."""
-    i_max, s_max = (
-        np.array([np.nan if (rating := getattr(b, key)) is None else rating for b in network.branches], dtype=float)
-        for key in ("i_max", "s_max")
-    )
+    i_max, s_max = (_read_ratings(network, key) for key in ("i_max", "s_max"))
     current = np.maximum(abs(flows.i_from), abs(flows.i_to)) / i_max
     power = np.maximum(abs(flows.s_from), abs(flows.s_to)) / s_max
     return np.asarray(100.0 * np.fmax(current, power))
+
+
+def _read_ratings(network: Network, key: str) -> np.ndarray:
+    """The ratings of all branches, p.u., (n_branch,); nan where there is none."""
+    given = [np.nan if rating is None else rating for rating in read_given(network.branches, key)]
+    return np.array(given or np.full(len(network.branches), np.nan), dtype=float)

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from dsse_core.grid.columns import read_given
 from dsse_core.results.state import GridState
 from dsse_core.results.table import PHASE, Table
 from dsse_core.results.units import base_kv, base_kw
@@ -30,7 +31,7 @@ def make_bus_table(
     network, n = state.network, len(state.vm)
     kv, kw, unknown = base_kv(network), base_kw(network), np.full(n, np.nan)
     columns: dict[str, np.ndarray | Sequence[str]] = {
-        "bus": np.array([bus.id for bus in network.buses], dtype=np.int64),
+        "bus": network.table.bus_id,
         "area": areas,
     }
     for which in COMPARED:
@@ -39,7 +40,7 @@ def make_bus_table(
     columns |= {
         "sigma_vm_pu": sigma_vm,
         "sigma_va_deg": np.degrees(sigma_va),
-        "name": [bus.name for bus in network.buses],
+        "name": list(read_given(network.buses, "name")) or [""] * n,
         "phase": [PHASE] * n,
         "vm_pu": state.vm,
         "va_deg": np.degrees(state.va),

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dsse_core.grid.network import Branch, Network
+from dsse_core.grid.network import Network
 
 
 @dataclass(frozen=True)
@@ -29,20 +29,13 @@ class BranchModel:
 
 def build_branch_model(network: Network) -> BranchModel:
     """The branches of ``network``, those out of service included."""
-    branches, row = network.branches, network.row
-    f = np.array([row[b.from_bus] for b in branches], dtype=np.int64)
-    t = np.array([row[b.to_bus] for b in branches], dtype=np.int64)
-    in_service = np.array([b.in_service for b in branches], dtype=bool)
-    r, x, g, b, tap, shift = np.array([_electric(b) for b in branches], dtype=float).reshape(-1, 6).T
-    ys = in_service / (r + 1j * x)
-    end = in_service * 0.5 * (g + 1j * b)
-    ytt, ratio = ys + end, tap * np.exp(1j * shift)
+    table = network.table
+    f, t, in_service, tap = table.rows.find(table.from_bus), table.rows.find(table.to_bus), table.in_service, table.tap
+    ys = in_service / table.series
+    end = in_service * 0.5 * table.charging
+    ytt, ratio = ys + end, tap * np.exp(1j * table.shift)
     det = end * (2 * ys + end) / tap**2
     return BranchModel(f, t, ytt / tap**2, -ys / ratio.conj(), -ys / ratio, ytt, det, in_service)
-
-
-def _electric(b: Branch) -> tuple[float, ...]:
-    return b.r, b.x, b.g, b.b, b.tap, b.shift
 
 
 @dataclass(frozen=True)
@@ -73,7 +66,7 @@ def find_flows(branches: BranchModel, v_from: np.ndarray, v_to: np.ndarray) -> F
 
 def find_shunt_powers(network: Network, vm: np.ndarray) -> np.ndarray:
     """What the shunt of each bus consumes, complex, (n_bus,), p.u.; ``vm`` (n_bus,)."""
-    shunt = np.array([complex(bus.g_shunt, -bus.b_shunt) for bus in network.buses], dtype=complex)
+    shunt = network.table.shunt.conj()
     return np.where(shunt == 0, 0.0, shunt * vm**2)
 
 

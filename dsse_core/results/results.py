@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -24,17 +25,31 @@ from dsse_core.results.table import Table
 Compared = Mapping[str, tuple[np.ndarray, np.ndarray]]
 
 
+TABLES = ("buses", "branches", "meters", "areas")
+
+
 @dataclass(frozen=True, repr=False)
 class Results:
-    """Tables of one state, all of the same layout whatever it comes from."""
+    """Tables of one state, all of the same layout whatever it comes from: ``TABLES``.
+
+    Those of meters and areas are made when they are first asked for.
+    """
 
     buses: Table
     branches: Table
-    meters: Table
-    areas: Table
+    make_meters: Callable[[], Table]
+    make_areas: Callable[[], Table]
+
+    @cached_property
+    def meters(self) -> Table:
+        return self.make_meters()
+
+    @cached_property
+    def areas(self) -> Table:
+        return self.make_areas()
 
     def __repr__(self) -> str:
-        return f"<Results: {', '.join(f'{len(table)} {name}' for name, table in vars(self).items())}>"
+        return f"<Results: {', '.join(f'{len(getattr(self, name))} {name}' for name in TABLES)}>"
 
 
 @dataclass(frozen=True)
@@ -67,7 +82,7 @@ def results_of_estimate(
     state = find_state(result.network, result.vm, result.va)
     compared = {"centralised": (result.vm, result.va)} | ({"true": (truth.vm, truth.va)} if truth else {})
     deviations = find_deviations(result, state.branches)
-    return assemble_results(state, deviations, compared, readings_of_estimate(found, meters), partition)
+    return assemble_results(state, deviations, compared, partial(readings_of_estimate, found, meters), partition)
 
 
 def results_of_power_flow(
@@ -87,7 +102,7 @@ def assemble_results(
     state: GridState,
     deviations: Deviations,
     compared: Compared,
-    readings: MeterReadings,
+    readings: MeterReadings | Callable[[], MeterReadings],
     partition: Partition | None,
     of_run: Mapping[str, np.ndarray] | None = None,
     quality: Sequence[str] | None = None,
@@ -98,9 +113,13 @@ def assemble_results(
     return Results(
         buses=buses,
         branches=make_branch_table(state.network, state.branches, state.flows, deviations.branches),
-        meters=make_meter_table(state, **vars(readings)),
-        areas=make_area_table(state, division, of_run, quality),
+        make_meters=partial(_make_meters, state, readings),
+        make_areas=partial(make_area_table, state, division, of_run, quality),
     )
+
+
+def _make_meters(state: GridState, readings: MeterReadings | Callable[[], MeterReadings]) -> Table:
+    return make_meter_table(state, **vars(readings() if callable(readings) else readings))
 
 
 def no_deviations(network: Network) -> Deviations:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dsse_core.grid.measurement import MeasurementKind, Meter
+from dsse_core.grid.meter_table import KINDS, tabulate_meters
 from dsse_core.grid.network import Network
 from dsse_core.grid.partition import Partition
 from dsse_core.results.flows import BranchModel, Flows, build_branch_model, find_flows, find_injections
@@ -92,10 +93,9 @@ def read_state(state: GridState, meters: Sequence[Meter]) -> np.ndarray:
 
     Angles lie in (-pi, pi].
     """
-    kinds = np.array([meter.kind for meter in meters], dtype="<U12")
-    row, place, f = state.network.row, branch_rows(state.network), state.branches.f
-    bus = np.array([row[meter.bus] for meter in meters], dtype=np.int64)
-    branch = np.array([place[meter.branch] if meter.branch else -1 for meter in meters], dtype=np.int64)
+    table, f = tabulate_meters(state.network, meters), state.branches.f
+    bus, active = table.bus, state.network.table.active
+    branch = np.where(table.branch < 0, -1, np.append(active, -1)[table.branch])
     at_from = (branch >= 0) & (np.append(f, -1)[branch] == bus)
     s = state.injection[bus]
     i = np.zeros(len(meters), dtype=complex)
@@ -104,8 +104,8 @@ def read_state(state: GridState, meters: Sequence[Meter]) -> np.ndarray:
         ((branch >= 0) & ~at_from, state.flows.s_to, state.flows.i_to),
     ):
         s[of_end], i[of_end] = power[branch[of_end]], current[branch[of_end]]
-    reactive = (kinds == KIND.Q_FLOW) | (kinds == KIND.Q_INJECTION)
-    chosen = [kinds == KIND.VM, kinds == KIND.VA, kinds == KIND.CURRENT, reactive]
+    groups = (KIND.VM,), (KIND.VA,), (KIND.CURRENT,), (KIND.Q_FLOW, KIND.Q_INJECTION)
+    chosen = [np.isin(table.kind, [KINDS.index(kind) for kind in group]) for group in groups]
     return np.asarray(
         np.select(chosen, [state.vm[bus], np.pi - (np.pi - state.va[bus]) % (2 * np.pi), abs(i), s.imag], s.real)
     )

@@ -16,12 +16,13 @@ def base_kw(network: Network) -> float:
 
 def base_kv(network: Network) -> np.ndarray:
     """What 1 p.u. of voltage is at each bus, kV between lines, shape (n_bus,)."""
-    return np.array([bus.base_kv for bus in network.buses], dtype=float)
+    return network.table.base_kv
 
 
 def base_a(network: Network) -> np.ndarray:
     """What 1 p.u. of current is at each bus, A, shape (n_bus,)."""
-    return np.array([base_current(network.base_mva, bus.base_kv) for bus in network.buses], dtype=float)
+    base: np.ndarray = 1000.0 * network.base_mva / (math.sqrt(3.0) * network.table.base_kv)
+    return base
 
 
 def base_current(base_mva: float, base_kv: float) -> float:
