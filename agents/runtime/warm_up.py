@@ -15,6 +15,7 @@ from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from dsse_core.linear.area_model import build_area_model
 from dsse_core.power_flow.newton_raphson import solve_power_flow
+from dsse_core.results.deviations import find_deviations
 
 SIGMA = 0.01
 NETWORK = Network(
@@ -55,6 +56,7 @@ def warm_up_estimate() -> None:
     bad = [replace(readings[0], value=readings[0].value + 100 * SIGMA), *readings[1:]]
     report = process_bad_data(NETWORK, bad, backend="radial")
     estimate_state(NETWORK, readings, start=(report.result.vm, report.result.va), backend="radial")
+    find_deviations(report.result)
     _note("estimate")
 
 

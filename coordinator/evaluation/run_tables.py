@@ -14,6 +14,7 @@ from dsse_core.grid.measurement import Measurement, Meter
 from dsse_core.results.deviations import Deviations, find_deviations
 from dsse_core.results.results import MeterReadings, Results, assemble_results, no_deviations, readings_of_estimate
 from dsse_core.results.state import GridState, join_states
+from dsse_core.results.totals import Division, division_of, find_totals
 
 AreaFigures = Mapping[str, Any]
 SAME_SIGMA = 1e-6
@@ -42,14 +43,15 @@ def make_run_tables(
         "centralised": (comparison.centralised.vm, comparison.centralised.va),
         "decentralised": (comparison.decentralised.vm, comparison.decentralised.va),
     }
-    deviations, agreed = _find_deviations(comparison, centralised, state)
+    division = division_of(comparison.partition)
+    deviations, agreed = _find_deviations(comparison, centralised, state, division)
     beside = _find_readings(meters, readings, centralised, areas, agreed[_rows_of(state, meters)])
     return assemble_results(
         state,
         deviations,
         compared,
         beside,
-        comparison.partition,
+        division,
         _figures_of(areas),
         [area["quality"] for area in areas],
     )
@@ -60,19 +62,29 @@ def _rows_of(state: GridState, meters: Sequence[Meter]) -> np.ndarray:
 
 
 def _find_deviations(
-    comparison: Comparison, centralised: BadDataReport | None, state: GridState
+    comparison: Comparison, centralised: BadDataReport | None, state: GridState, division: Division
 ) -> tuple[Deviations, np.ndarray]:
     """Standard deviations, and at which buses areas and centralised estimate agree on those of magnitudes, (n_bus,)."""
     own = comparison.sigma
-    published = replace(no_deviations(state.network), vm=own.vm, va=own.va)
+    published = replace(no_deviations(state.network, division), vm=own.vm, va=own.va)
     if centralised is None:
         return published, np.zeros(len(own.vm), dtype=bool)
-    central = find_deviations(centralised.result, state.branches)
+    central = find_deviations(centralised.result, division, state.branches)
     agreed = abs(own.vm - central.vm) <= SAME_SIGMA * central.vm  # not where it is nan
     both = agreed[state.branches.f] & agreed[state.branches.t]
     branches = np.where(both & ~np.isnan(state.flows.s_from.real), central.branches, np.nan)
     injections = np.where(agreed & ~np.isnan(state.injection.real), central.injections, np.nan)
-    return replace(published, branches=branches, injections=injections), agreed
+    totals = np.where(_find_agreed_areas(state, division, both, agreed), central.totals, np.nan)
+    return replace(published, branches=branches, injections=injections, totals=totals), agreed
+
+
+def _find_agreed_areas(state: GridState, division: Division, branches: np.ndarray, buses: np.ndarray) -> np.ndarray:
+    """Of which areas all owned ``buses``, and all ``branches`` that they hold or that end there, agree, (n_area,)."""
+    agreed = np.ones(len(division.names), dtype=bool)
+    agreed[division.of_bus[~buses]] = False
+    for area in (division.of_branch, division.of_bus[state.branches.f], division.of_bus[state.branches.t]):
+        agreed[area[~branches & state.branches.in_service]] = False
+    return np.asarray(agreed & ~np.isnan(find_totals(state, division)).any(axis=(0, 1)))
 
 
 def _find_readings(

@@ -88,13 +88,14 @@ class RadialInverse(NamedTuple):
     """The selected inverse of a tree, in tree order; ``radial.kernel`` says what the letters are.
 
     ``weights`` (n_bus, 10): variances of injections, -1 without a meter, and weights of other meters. ``X``
-    (n_bus, 4, 4): D^-1 U. ``T``, ``Z`` (n_bus, 2, 2): x = T x_p + Z f. ``S`` (n_bus, 4, 4): blocks of the inverse at
-    (lam, x). ``state`` (n_bus, 2), ``omega`` (n_bus, 10): variances of va and vm, and of the residuals. X, T, Z are 0
-    at the root.
+    (n_bus, 4, 4): D^-1 U. ``lam`` (n_bus, 3): upper triangle of (D^-1)_lamlam. ``T``, ``Z`` (n_bus, 2, 2): with them
+    x = T x_p + Z f. ``S`` (n_bus, 4, 4): blocks of the inverse at (lam, x). ``state`` (n_bus, 2), ``omega``
+    (n_bus, 10): variances of va and vm, and of the residuals. X, T, Z are 0 at the root.
     """
 
     weights: np.ndarray
     X: np.ndarray
+    lam: np.ndarray
     T: np.ndarray
     Z: np.ndarray
     S: np.ndarray
@@ -119,7 +120,8 @@ def invert_radial(plan: RadialPlan, sigmas: np.ndarray, vm: np.ndarray, va: np.n
     t0, t1, qr, qi = work.factor[:, 20:].T
     T, Z = np.zeros((n, 2, 2)), np.stack([-qi, -qr, qr, -qi], axis=1).reshape(n, 2, 2)
     T[1:, 0, 0], T[:, 0, 1], T[:, 1, 1] = 1.0, t0, t1
-    return RadialInverse(w, work.factor[:, :16].reshape(n, 4, 4), T, Z, S, state, omega)
+    X, lam = work.factor[:, :16].reshape(n, 4, 4), work.more[:, 6:9]
+    return RadialInverse(w, X, lam, T, Z, S, state, omega)
 
 
 def find_radial_variances(

@@ -86,7 +86,7 @@ class AugmentedFactor:
 
     ``damping``, a number or one per state variable, is added to the diagonal of the information about the state:
     the lower right block becomes ``-diag(damping)``. ``pattern``: that of H, where it is there already.
-    ``variance`` (n_meas,): sigma squared.
+    ``variance`` (n_meas,): sigma squared. ``n_state``: unknowns.
 
     Raises:
         RuntimeError: the matrix is exactly singular, and damping does not help.
@@ -100,14 +100,14 @@ class AugmentedFactor:
         pattern: AugmentedPattern | None = None,
     ) -> None:
         self._pattern = pattern = pattern or AugmentedPattern(H)
-        self._n_meas, self._n_state = H.shape
+        self._n_meas, self.n_state = H.shape
         self.variance = sigma**2
         row_scale = reciprocal_root(np.bincount(pattern.row, H.data**2, self._n_meas))
         scaled_variance = self.variance * row_scale**2
         positive = scaled_variance[scaled_variance > 0]
         self._a = PIVOT_SCALE / float(np.median(positive)) if positive.size else 1.0
         data = H.data * row_scale[pattern.row]
-        column_scale = reciprocal_root(np.bincount(H.indices, data**2, self._n_state) + damping / self._a)
+        column_scale = reciprocal_root(np.bincount(H.indices, data**2, self.n_state) + damping / self._a)
         self._scale = np.concatenate([row_scale, column_scale])
         self._above = self._a * scaled_variance
         self._below = damping / self._a * column_scale**2
@@ -131,8 +131,8 @@ class AugmentedFactor:
         ROUND_OFF; None where the two H are too far apart for that.
         """
         tableau, m = self._fill(H), self._n_meas
-        solution = np.concatenate([s / (self._a * self._scale[:m]), np.zeros(self._n_state)])
-        rest = self._pattern.permute(self._scale * np.concatenate([above, np.zeros(self._n_state)]))
+        solution = np.concatenate([s / (self._a * self._scale[:m]), np.zeros(self.n_state)])
+        rest = self._pattern.permute(self._scale * np.concatenate([above, np.zeros(self.n_state)]))
         correction, last = self._pattern.permute(solution), 0.0
         for k in range(MOST_REFINEMENTS):
             rest = rest - tableau @ correction
@@ -157,9 +157,18 @@ class AugmentedFactor:
         """``G^-1 B`` (n_state, k), ``G = H'WH`` under the constraints: columns of the state's covariance."""
         return -self.solve(np.zeros((self._n_meas, B.shape[1])), B)[1]
 
+    def variance_of_sums(self, B: sp.csr_array) -> np.ndarray:
+        """diag(B G^-1 B'), shape (k,), for ``B`` (k, n_state); nan where k solves would cost more than MOST_SOLVED."""
+        found = np.full(B.shape[0], np.nan)
+        if len(self._scale) * B.shape[0] <= MOST_SOLVED:
+            for first in range(0, len(found), BLOCK):
+                block = B[first : first + BLOCK].toarray()
+                found[first : first + BLOCK] = np.einsum("ks,sk->k", block, self.covariance_times(block.T))
+        return found
+
     def state_variance(self) -> np.ndarray:
         """diag(G^-1), shape (n_state,)."""
-        return self._diagonal(self._n_meas, self._n_state) / -self._a
+        return self._diagonal(self._n_meas, self.n_state) / -self._a
 
     def covariance_at(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """The entries (rows[k], columns[k]) of G^-1, shape (k,).

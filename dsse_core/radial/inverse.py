@@ -53,6 +53,58 @@ def find_variances(parent, Y, w, v, factor, more, block, angle_given):
 
 
 @compiled
+def find_variances_of_sums(parent, w, X, lam, T, Z, S0, indptr, indices, data):
+    """Variances of linear functions of the state, (n_sum,): their right-hand sides are eliminated as those of a step.
+
+    Each function has, as rows of a sparse matrix (n_sum, 3 n), its derivatives by the ``f`` and the dvm / vm of each
+    bus. ``lam`` (n, 3): (D^-1)_lamlam; ``S0``: the block of the inverse at the root's ``(lam, x)``.
+    """
+    n, found = len(parent), np.zeros(len(indptr) - 1)
+    above, of_f, reached = np.zeros((n, 4)), np.zeros((n, 2)), np.zeros(n, dtype=np.bool_)
+    for k in range(len(found)):
+        last = 0
+        for e in range(indptr[k], indptr[k + 1]):
+            i, which = indices[e] // 3, indices[e] % 3
+            if which == 2:
+                above[i, 3] += data[e]
+            else:
+                of_f[i, which] += data[e]
+            reached[i], last = True, max(i, last)
+        for i in range(last, 0, -1):
+            if reached[i]:
+                found[k] += _eliminate_sum(i, parent[i], w, X, lam, T, Z, above, of_f)
+                reached[i], reached[parent[i]] = False, True
+        for r in range(4):
+            for c in range(4):
+                found[k] += above[0, r] * S0[r, c] * above[0, c]
+        above[0], reached[0] = 0.0, False
+    return found
+
+
+@compiled
+def _eliminate_sum(i, p, w, X, lam, T, Z, above, of_f):
+    """b' D^-1 b of the right-hand side b of a bus, which is passed on to its parent ``p`` and then 0."""
+    l0 = above[i, 0] if w[i, 2] >= 0.0 else 0.0  # no meter, no multiplier
+    l1 = above[i, 1] if w[i, 3] >= 0.0 else 0.0
+    s0, s1 = above[i, 2], above[i, 3]
+    f0 = of_f[i, 0] + Z[i, 0, 0] * s0 + Z[i, 1, 0] * s1
+    f1 = of_f[i, 1] + Z[i, 0, 1] * s0 + Z[i, 1, 1] * s1
+    y0 = lam[i, 0] * l0 + lam[i, 1] * l1 + X[i, 0, 0] * f0 + X[i, 0, 1] * f1
+    y1 = lam[i, 1] * l0 + lam[i, 2] * l1 + X[i, 1, 0] * f0 + X[i, 1, 1] * f1
+    y2 = X[i, 0, 0] * l0 + X[i, 1, 0] * l1 + X[i, 2, 0] * f0 + X[i, 2, 1] * f1
+    y3 = X[i, 0, 1] * l0 + X[i, 1, 1] * l1 + X[i, 3, 0] * f0 + X[i, 3, 1] * f1
+    above[p, 0] -= y2
+    above[p, 1] -= y3
+    above[p, 2] += s0 - (X[i, 0, 2] * l0 + X[i, 1, 2] * l1 + X[i, 2, 2] * f0 + X[i, 3, 2] * f1)
+    above[p, 3] += T[i, 0, 1] * s0 + T[i, 1, 1] * s1
+    above[p, 3] -= X[i, 0, 3] * l0 + X[i, 1, 3] * l1 + X[i, 2, 3] * f0 + X[i, 3, 3] * f1
+    for c in range(4):
+        above[i, c] = 0.0
+    of_f[i, 0] = of_f[i, 1] = 0.0
+    return l0 * y0 + l1 * y1 + f0 * y2 + f1 * y3
+
+
+@compiled
 def _descend(parent, w, factor, more, S, branch):
     """The blocks from the root downwards; ``branch`` (n, 5): of f (3), and minus that of f and dvm_p / vm_p (2).
 

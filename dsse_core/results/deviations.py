@@ -8,36 +8,46 @@ import numpy as np
 
 from dsse_core.estimation.estimator import EstimationResult
 from dsse_core.results.branch_variances import find_branch_variances, find_gradients
-from dsse_core.results.flows import BranchModel, build_branch_model, find_flows
+from dsse_core.results.flows import BranchModel
+from dsse_core.results.state import find_state
+from dsse_core.results.totals import TOTALS, Division, find_total_gradients, whole_network
 
 
 @dataclass(frozen=True)
 class Deviations:
     """Standard deviations in p.u. and rad. ``vm``, ``va`` (n_bus,). ``branches`` (8, n_branch): P, Q, I at the from
     end, P, Q, I at the to end, losses P and Q; of a current that does not flow nan. ``injections`` (2, n_bus): P, Q.
+    ``totals`` (2, 4, n_area): P, Q of load, generation, loss and import.
     """
 
     vm: np.ndarray
     va: np.ndarray
     branches: np.ndarray
     injections: np.ndarray
+    totals: np.ndarray
 
 
-def find_deviations(result: EstimationResult, branches: BranchModel | None = None) -> Deviations:
+def find_deviations(
+    result: EstimationResult, division: Division | None = None, branches: BranchModel | None = None
+) -> Deviations:
     """Of all that follows from the estimate, linearised at its state; ``branches``: of its network, if there already.
 
-    Radial back end: O(n_bus). Sparse: about the time of one more factorisation with four more unknowns per branch.
+    ``division``: the areas of the totals; by default the whole network is one.
+
+    Radial back end: O(n_bus), and of an area O(its buses and those on the way to the root). Sparse: about the time of
+    one more factorisation with four more unknowns per branch, and eight solutions per area.
     """
-    branches = branches or build_branch_model(result.network)
-    v = result.vm * np.exp(1j * result.va)
-    flows = find_flows(branches, v[branches.f], v[branches.t])
+    state = find_state(result.network, result.vm, result.va, branches)
+    division, branches, flows = division or whole_network(result.network), state.branches, state.flows
     if isinstance(result.plan.radial, str):
-        from dsse_core.results.sparse_deviations import find_sparse_covariances
+        from dsse_core.results.sparse_deviations import SparseDeviations
 
         at_from = np.ones(len(branches.f), dtype=bool)
+        sparse = SparseDeviations(result)
         covariance = np.zeros((len(branches.f), 3, 3))
-        covariance[branches.in_service], injections = find_sparse_covariances(result)
+        covariance[branches.in_service], injections = sparse.of_branches_and_injections()
         gradients = find_gradients(branches, at_from, flows.s_from, result.vm[branches.f])
+        totals = sparse.of_sums(*find_total_gradients(state, division, at_from, gradients))
     else:
         from dsse_core.results.radial_deviations import RadialDeviations
 
@@ -46,6 +56,8 @@ def find_deviations(result: EstimationResult, branches: BranchModel | None = Non
         s = np.where(at_from, flows.s_from, flows.s_to)
         gradients = find_gradients(branches, at_from, s, result.vm[np.where(at_from, branches.f, branches.t)])
         injections = tree.of_injections(gradients)
+        totals = tree.of_sums(*find_total_gradients(state, division, at_from, gradients))
     of_branches = find_branch_variances(branches, at_from, gradients, covariance)
     vm, va = result.state_sigma()
-    return Deviations(vm, va, np.sqrt(of_branches), np.sqrt(injections))
+    sigma_totals = np.sqrt(np.maximum(totals, 0.0)).reshape(2, len(TOTALS), -1)
+    return Deviations(vm, va, np.sqrt(of_branches), np.sqrt(injections), sigma_totals)

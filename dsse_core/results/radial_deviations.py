@@ -8,6 +8,7 @@ covariance ``sum V_c + (sum X_c) S (sum X_c)'``.
 from __future__ import annotations
 
 import numpy as np
+import scipy.sparse as sp
 
 from dsse_core.estimation.radial import invert_radial
 from dsse_core.radial.plan import RadialPlan
@@ -43,6 +44,26 @@ class RadialDeviations:
         of_child[:, 2, 2] = self._inverse.S[self._plan.parent[child], 3, 3]
         covariance[self._branch] = of_child
         return covariance
+
+    def of_sums(self, by_ends: sp.csr_array, by_buses: sp.csr_array) -> np.ndarray:
+        """Variances of sums, (n_sum,), with the derivatives ``by_ends`` (n_sum, 3 n_branch), by p, q and ln u at the
+        ends above of branches, and ``by_buses`` (n_sum, n_bus), by ln vm.
+        """
+        from dsse_core.radial.inverse import find_variances_of_sums
+
+        child, n = self._child, len(self._plan.parent)
+        columns = np.full((by_ends.shape[1] // 3, 3), -1)
+        columns[self._branch] = np.stack([3 * child, 3 * child + 1, 3 * self._plan.parent[child] + 2], axis=1)
+        number = np.empty(n, dtype=np.int64)
+        number[self._plan.order] = np.arange(n)
+        of_ends = by_ends.data, columns.ravel()[by_ends.indices], by_ends.indptr
+        of_buses = by_buses.data, 3 * number[by_buses.indices] + 2, by_buses.indptr
+        whole = sp.csr_array(of_ends, shape=(by_ends.shape[0], 3 * n))
+        whole = sp.csr_array(whole + sp.csr_array(of_buses, shape=whole.shape))
+        inverse = self._inverse
+        at = self._plan.parent, inverse.weights, inverse.X, inverse.lam, inverse.T, inverse.Z, inverse.S[0]
+        found: np.ndarray = find_variances_of_sums(*at, whole.indptr, whole.indices, whole.data)
+        return found
 
     def of_injections(self, gradients: BranchGradients) -> np.ndarray:
         """Variances of P and Q that the buses inject, (2, n_bus), network order, p.u."""

@@ -14,13 +14,14 @@ from dsse_core.grid.measurement import Measurement, Meter
 from dsse_core.grid.network import Network
 from dsse_core.grid.partition import Partition
 from dsse_core.power_flow.newton_raphson import PowerFlowResult
-from dsse_core.results.areas import division_of, make_area_table, whole_network
+from dsse_core.results.areas import make_area_table
 from dsse_core.results.branches import make_branch_table
 from dsse_core.results.buses import make_bus_table
 from dsse_core.results.deviations import Deviations, find_deviations
 from dsse_core.results.meters import make_meter_table
 from dsse_core.results.state import GridState, find_state
 from dsse_core.results.table import Table
+from dsse_core.results.totals import TOTALS, Division, division_of, whole_network
 
 Compared = Mapping[str, tuple[np.ndarray, np.ndarray]]
 
@@ -81,8 +82,9 @@ def results_of_estimate(
     result = found.result if isinstance(found, BadDataReport) else found
     state = find_state(result.network, result.vm, result.va)
     compared = {"centralised": (result.vm, result.va)} | ({"true": (truth.vm, truth.va)} if truth else {})
-    deviations = find_deviations(result, state.branches)
-    return assemble_results(state, deviations, compared, partial(readings_of_estimate, found, meters), partition)
+    division = find_division(result.network, partition)
+    deviations = find_deviations(result, division, state.branches)
+    return assemble_results(state, deviations, compared, partial(readings_of_estimate, found, meters), division)
 
 
 def results_of_power_flow(
@@ -94,8 +96,8 @@ def results_of_power_flow(
     """
     state, nothing = find_state(result.network, result.vm, result.va), np.full(len(meters), np.nan)
     readings = MeterReadings(meters, nothing, nothing, nothing, {}, ())
-    compared = {"true": (result.vm, result.va)}
-    return assemble_results(state, no_deviations(result.network), compared, readings, partition)
+    compared, division = {"true": (result.vm, result.va)}, find_division(result.network, partition)
+    return assemble_results(state, no_deviations(result.network, division), compared, readings, division)
 
 
 def assemble_results(
@@ -103,18 +105,17 @@ def assemble_results(
     deviations: Deviations,
     compared: Compared,
     readings: MeterReadings | Callable[[], MeterReadings],
-    partition: Partition | None,
+    division: Division,
     of_run: Mapping[str, np.ndarray] | None = None,
     quality: Sequence[str] | None = None,
 ) -> Results:
     """All tables of ``state``; see the functions that make each."""
-    division = division_of(partition) if partition else whole_network(state.network)
     buses = make_bus_table(state, division.owners(), compared, deviations.vm, deviations.va, deviations.injections)
     return Results(
         buses=buses,
         branches=make_branch_table(state.network, state.branches, state.flows, deviations.branches),
         make_meters=partial(_make_meters, state, readings),
-        make_areas=partial(make_area_table, state, division, of_run, quality),
+        make_areas=partial(make_area_table, state, division, deviations.totals, of_run, quality),
     )
 
 
@@ -122,10 +123,15 @@ def _make_meters(state: GridState, readings: MeterReadings | Callable[[], MeterR
     return make_meter_table(state, **vars(readings() if callable(readings) else readings))
 
 
-def no_deviations(network: Network) -> Deviations:
+def find_division(network: Network, partition: Partition | None) -> Division:
+    """The areas of ``partition``; the whole network is one, called "", without it."""
+    return division_of(partition) if partition else whole_network(network)
+
+
+def no_deviations(network: Network, division: Division) -> Deviations:
     """Where none is known."""
-    n, m = len(network.buses), len(network.branches)
-    return Deviations(np.full(n, np.nan), np.full(n, np.nan), np.full((8, m), np.nan), np.full((2, n), np.nan))
+    n, m, n_area = len(network.buses), len(network.branches), len(division.names)
+    return Deviations(*(np.full(shape, np.nan) for shape in (n, n, (8, m), (2, n), (2, len(TOTALS), n_area))))
 
 
 def readings_of_estimate(

@@ -15,41 +15,69 @@ from dsse_core.grid.measurement import MeasurementKind, Meter
 from dsse_core.grid.measurement_model import build_measurement_model
 from dsse_core.matrices.augmented import AugmentedFactor
 
+FLOWS = (MeasurementKind.P_FLOW, MeasurementKind.Q_FLOW)
 INJECTIONS = (MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION)
 
 
-def find_sparse_covariances(result: EstimationResult) -> tuple[np.ndarray, np.ndarray]:
-    """Of the branches in service: covariance of P, Q and ln vm at the from end, (n_active, 3, 3); and the variances of
-    P and Q that the buses inject, (2, n_bus); p.u.
+class SparseDeviations:
+    """Covariances at the state of ``result``: the factor of the tableau with the powers into branches, and injections
+    that have no meter, as further unknowns.
     """
-    network, n = result.network, len(result.vm)
-    active = network.active_branches
-    metered = _metered_injections(result)
-    meters = [
-        Meter(kind, b.from_bus, b.id) for kind in (MeasurementKind.P_FLOW, MeasurementKind.Q_FLOW) for b in active
-    ]
-    unmetered = np.argwhere(np.isnan(metered))
-    meters += [Meter(INJECTIONS[kind], network.buses[row].id) for kind, row in unmetered.tolist()]
-    factor = _extended_factor(result, meters)
-    n_free, n_active = len(result.free), len(active)
-    position = np.full(2 * n, -1)
-    position[result.free] = np.arange(n_free)
-    rows_from = np.array([network.row[b.from_bus] for b in active], dtype=np.int64)
-    p = n_free + np.arange(n_active)
-    y = p, p + n_active, position[n + rows_from]
-    pairs = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]
-    of_injections = n_free + 2 * n_active + np.arange(len(unmetered))
-    entries = factor.covariance_at(
-        np.concatenate([*(y[a] for a, _ in pairs), of_injections]),
-        np.concatenate([*(y[b] for _, b in pairs), of_injections]),
-    )
-    covariance = np.empty((n_active, 3, 3))
-    scale = np.ones(n_active), np.ones(n_active), 1 / result.vm[rows_from]
-    for k, (a, b) in enumerate(pairs):
-        part = entries[k * n_active : (k + 1) * n_active] * scale[a] * scale[b]
-        covariance[:, a, b] = covariance[:, b, a] = part
-    metered[unmetered[:, 0], unmetered[:, 1]] = entries[len(pairs) * n_active :]
-    return covariance, metered
+
+    def __init__(self, result: EstimationResult) -> None:
+        network, n = result.network, len(result.vm)
+        self._result, active = result, network.active_branches
+        self._metered = _metered_injections(result)
+        self._unmetered = np.argwhere(np.isnan(self._metered))
+        meters = [Meter(kind, b.from_bus, b.id) for kind in FLOWS for b in active]
+        meters += [Meter(INJECTIONS[kind], network.buses[row].id) for kind, row in self._unmetered.tolist()]
+        self._factor = _extended_factor(result, meters)
+        position = np.full(2 * n, -1)
+        position[result.free] = np.arange(len(result.free))
+        self._of_vm = position[n:]
+        self._of_p = len(result.free) + np.arange(len(active))
+        self._first_injection = len(result.free) + 2 * len(active)
+        self._rows_from = np.array([network.row[b.from_bus] for b in active], dtype=np.int64)
+        self._active = np.flatnonzero([b.in_service for b in network.branches])
+
+    def of_branches_and_injections(self) -> tuple[np.ndarray, np.ndarray]:
+        """Of the branches in service: covariance of P, Q and ln vm at the from end, (n_active, 3, 3); and the variances
+        of P and Q that the buses inject, (2, n_bus); p.u.
+        """
+        n_active, vm = len(self._of_p), self._result.vm[self._rows_from]
+        y = self._of_p, self._of_p + n_active, self._of_vm[self._rows_from]
+        pairs = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]
+        of_injections = self._first_injection + np.arange(len(self._unmetered))
+        entries = self._factor.covariance_at(
+            np.concatenate([*(y[a] for a, _ in pairs), of_injections]),
+            np.concatenate([*(y[b] for _, b in pairs), of_injections]),
+        )
+        covariance = np.empty((n_active, 3, 3))
+        scale = np.ones(n_active), np.ones(n_active), 1 / vm
+        for k, (a, b) in enumerate(pairs):
+            part = entries[k * n_active : (k + 1) * n_active] * scale[a] * scale[b]
+            covariance[:, a, b] = covariance[:, b, a] = part
+        injections = self._metered.copy()
+        injections[self._unmetered[:, 0], self._unmetered[:, 1]] = entries[len(pairs) * n_active :]
+        return covariance, injections
+
+    def of_sums(self, by_ends: sp.csr_array, by_buses: sp.csr_array) -> np.ndarray:
+        """Variances of sums, (n_sum,), with the derivatives ``by_ends`` (n_sum, 3 n_branch), by P, Q and ln vm at the
+        from ends, and ``by_buses`` (n_sum, n_bus), by ln vm. Nan where that would take too long.
+        """
+        vm, n_active = self._result.vm, len(self._of_p)
+        columns = np.full((len(self._result.network.branches), 3), -1)
+        columns[self._active] = np.stack([self._of_p, self._of_p + n_active, self._of_vm[self._rows_from]], axis=1)
+        scale = np.ones(columns.shape)
+        scale[self._active, 2] = 1 / vm[self._rows_from]
+        B = _select(by_ends, columns.ravel(), scale.ravel(), self._factor.n_state)
+        B += _select(by_buses, self._of_vm, 1 / vm, self._factor.n_state)
+        return self._factor.variance_of_sums(sp.csr_array(B))
+
+
+def _select(by: sp.csr_array, columns: np.ndarray, scale: np.ndarray, n: int) -> sp.csr_array:
+    """``by`` with each column scaled and put where ``columns`` says; (rows, n)."""
+    return sp.csr_array((by.data * scale[by.indices], columns[by.indices], by.indptr), shape=(by.shape[0], n))
 
 
 def _metered_injections(result: EstimationResult) -> np.ndarray:

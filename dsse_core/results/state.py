@@ -34,9 +34,9 @@ class GridState:
         return f"<GridState of {self.network.name!r}: {len(self.vm)} buses, {np.isnan(self.vm).sum()} unknown>"
 
 
-def find_state(network: Network, vm: np.ndarray, va: np.ndarray) -> GridState:
-    """The state of voltages vm, va (n_bus,), p.u. and rad."""
-    branches = build_branch_model(network)
+def find_state(network: Network, vm: np.ndarray, va: np.ndarray, branches: BranchModel | None = None) -> GridState:
+    """The state of voltages vm, va (n_bus,), p.u. and rad; ``branches``: of ``network``, if there already."""
+    branches = branches or build_branch_model(network)
     v = vm * np.exp(1j * va)
     flows = find_flows(branches, v[branches.f], v[branches.t])
     return GridState(network, branches, vm, va, flows, find_injections(network, branches, flows, vm))

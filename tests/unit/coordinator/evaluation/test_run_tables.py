@@ -53,6 +53,9 @@ def test_areas_that_agree_have_the_tables_of_the_centralised_estimate(ran: RunRe
     assert len(sigmas) == 8
     assert not any(np.isnan(ran.tables.branches[c]).any() for c in sigmas)
     assert ran.tables.meters.status == central.meters.status
+    sigmas = [c for c in ran.tables.areas.columns if c.startswith("sigma_")]
+    assert len(sigmas) == 8
+    assert not any(np.isnan(ran.tables.areas[c]).any() for c in sigmas)
 
 
 def test_the_balance_of_every_area_is_even_and_imports_add_up_to_nothing(ran: RunResult):
@@ -71,6 +74,7 @@ def test_an_area_without_estimate_is_unknown_and_spoils_no_other(ran: RunResult)
     assert not np.isnan(tables.buses.vm_kv[~in_area3]).any()
     assert np.isnan(tables.areas.loss_kw).tolist() == [False, False, True]
     assert tables.areas.loss_kw[1] == whole.areas.loss_kw[1]
+    assert np.isnan(tables.areas.sigma_loss_kw).tolist() == np.isnan(tables.areas.load_kw).tolist()
     branches = {branch.id for branch in ran.scenario.partition.area("area3").network.branches}
     unknown = [branch for branch, p in zip(tables.branches.branch, tables.branches.p_from_kw, strict=True) if p != p]
     assert set(unknown) == branches
@@ -99,6 +103,9 @@ def test_where_an_area_states_another_deviation_nothing_is_derived_from_the_cent
     ends = [(tables.branches.from_bus[k], tables.branches.to_bus[k]) for k in unknown]
     assert ends
     assert all(18 in pair for pair in ends)
+    of_area = [area == tables.buses.area[17] for area in tables.areas.area]
+    assert np.isnan(tables.areas.sigma_load_kw).tolist() == of_area
+    assert not np.isnan(tables.areas.load_kw).any()
 
 
 def test_every_table_of_a_run_folder_reads_back_to_the_last_digit(ran: RunResult):

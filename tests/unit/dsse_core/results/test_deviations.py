@@ -16,8 +16,11 @@ from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from dsse_core.power_flow.newton_raphson import solve_power_flow
 from dsse_core.results.deviations import Deviations, find_deviations
 from dsse_core.results.flows import build_branch_model, find_flows, find_injections
+from dsse_core.results.state import GridState, find_state
+from dsse_core.results.totals import Division, find_totals
 
 Kind = MeasurementKind
+POWERS = (Kind.P_INJECTION, Kind.Q_INJECTION)
 OF_END = (Kind.P_FLOW, Kind.Q_FLOW, Kind.CURRENT)
 
 
@@ -34,7 +37,43 @@ def dense_covariance(result) -> np.ndarray:
     return covariance
 
 
-def dense_deviations(result) -> Deviations:
+def some_division(network, seed) -> Division:
+    """Areas of any shape: totals hold for whatever buses and branches."""
+    rng = np.random.default_rng(seed)
+    n, m = len(network.buses), len(network.branches)
+    return Division(("a", "b", "c"), rng.integers(0, 3, n), rng.integers(0, 3, m))
+
+
+def dense_totals(result, division, rows_of, sigma_of) -> np.ndarray:
+    """Sums of rows of H: of injections, of flows at both ends, and of shunts, which have a diagonal H of their own."""
+    network, found = result.network, []
+    active = [k for k, b in enumerate(network.branches) if b.in_service]
+    state = find_state(network, result.vm, result.va)
+    shunt = np.array([complex(bus.g_shunt, -bus.b_shunt) for bus in network.buses]) * 2 * result.vm
+    n = len(network.buses)
+    for flow, injected, part in zip(OF_END[:2], POWERS, (np.real, np.imag), strict=True):
+        H = rows_of([Meter(injected, bus.id) for bus in network.buses])
+        ends = [
+            rows_of([Meter(flow, end(network.branches[k]), network.branches[k].id) for k in active]) for end in ENDS
+        ]
+        of_shunt = np.hstack([np.zeros((n, n)), np.diag(part(shunt))])
+        produces, rows = part(state.injection) > 0, []
+        for area in range(3):
+            own = division.of_bus == area
+            load, made = -H[own & ~produces].sum(axis=0), H[own & produces].sum(axis=0)
+            loss = of_shunt[own].sum(axis=0)
+            came = np.zeros(2 * n)
+            for k, *at_ends in zip(active, *ends, strict=True):
+                loss = loss + (division.of_branch[k] == area) * sum(at_ends)
+                for end, h in zip(ENDS, at_ends, strict=True):
+                    owner, holder = division.of_bus[network.row[end(network.branches[k])]], division.of_branch[k]
+                    came = came + (owner != holder) * (int(holder == area) - int(owner == area)) * h
+            rows.append(np.stack([load, made, loss, came]))
+        found.append(sigma_of(np.concatenate(rows)).reshape(3, 4).T)
+    return np.array(found)
+
+
+def dense_deviations(result, division) -> Deviations:
     network, x = result.network, np.r_[result.va, result.vm]
     admittance, C = build_admittance(network), dense_covariance(result)
 
@@ -53,7 +92,7 @@ def dense_deviations(result) -> Deviations:
         sigma_of(rows_of([Meter(k, bus.id) for bus in network.buses])) for k in (Kind.P_INJECTION, Kind.Q_INJECTION)
     ]
     va, vm = np.split(np.sqrt(np.diag(C)), 2)
-    return Deviations(vm, va, branches, np.array(injections))
+    return Deviations(vm, va, branches, np.array(injections), dense_totals(result, division, rows_of, sigma_of))
 
 
 def from_of(branch):
@@ -64,10 +103,14 @@ def to_of(branch):
     return branch.to_bus
 
 
+ENDS = (from_of, to_of)
+
+
 def assert_dense(result):
     """To 1e-6 of each deviation, or 1e-5 of the largest where it is exact: dense algebra leaves round-off there."""
-    found, expected = find_deviations(result), dense_deviations(result)
-    for key in ("vm", "va", "branches", "injections"):
+    division = some_division(result.network, len(result.vm))
+    found, expected = find_deviations(result, division), dense_deviations(result, division)
+    for key in ("vm", "va", "branches", "injections", "totals"):
         ours, theirs = getattr(found, key), getattr(expected, key)
         ours = np.where(np.isnan(ours), theirs, ours)  # a current that does not flow
         np.testing.assert_allclose(ours**2, theirs**2, rtol=2e-6, atol=1e-10 * (theirs**2).max(), err_msg=key)
@@ -170,14 +213,17 @@ def test_deviations_agree_with_10000_samples(rich):
     va, vm = np.split(x, 2, axis=1)
     model = build_branch_model(rich)
     v = vm * np.exp(1j * va)
-    samples = []
+    samples, division = [], some_division(rich, 1)
+    estimated = find_state(rich, result.vm, result.va)
     for k in range(len(x)):
         flows = find_flows(model, v[k, model.f], v[k, model.t])
         s = find_injections(rich, model, flows, vm[k])
         ends = [(q.real, q.imag, abs(i)) for q, i in ((flows.s_from, flows.i_from), (flows.s_to, flows.i_to))]
-        samples.append(np.concatenate([*ends[0], *ends[1], flows.loss.real, flows.loss.imag, s.real, s.imag]))
-    found = find_deviations(result)
-    ours = np.concatenate([found.branches.ravel(), found.injections.ravel()])
+        derived = [*ends[0], *ends[1], flows.loss.real, flows.loss.imag, s.real, s.imag]
+        totals = find_totals(GridState(rich, model, vm[k], va[k], flows, s), division, estimated.injection)
+        samples.append(np.concatenate([*derived, totals.ravel()]))
+    found = find_deviations(result, division)
+    ours = np.concatenate([found.branches.ravel(), found.injections.ravel(), found.totals.ravel()])
     theirs = np.std(samples, axis=0)
     error = 5 / math.sqrt(2 * len(x))  # five standard deviations of a sampled one
     np.testing.assert_allclose(theirs, ours, rtol=error, atol=1e-8)
