@@ -11,6 +11,7 @@ TYPE_CHECKING = False  # as that of ``typing``, which would take longer to impor
 if TYPE_CHECKING:
     from consensus_dsse.centralised import Estimate, PowerFlow, estimate, power_flow
     from consensus_dsse.grids import load_network, load_scenario
+    from consensus_dsse.reproduction import thesis
     from consensus_dsse.studies import compare, sweep
     from coordinator import run, simulate
     from coordinator.evaluation.result import RunResult
@@ -32,6 +33,7 @@ __all__ = [
     "run",
     "simulate",
     "sweep",
+    "thesis",
 ]
 
 _MODULES = {
@@ -49,6 +51,7 @@ _MODULES = {
     "run": "coordinator",
     "simulate": "coordinator",
     "sweep": "consensus_dsse.studies",
+    "thesis": "consensus_dsse.reproduction",
 }
 
 

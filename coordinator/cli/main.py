@@ -30,6 +30,7 @@ from coordinator.cli.terminal import (
     strategy_option,
     timeout_option,
 )
+from coordinator.cli.thesis import thesis
 from coordinator.cli.watch import watch
 from coordinator.interrupts import INTERRUPTED_CODE, end_orderly_on_signals
 from dsse_core.compiling import only_loading
@@ -227,5 +228,6 @@ def estimate(scenario: str, seed: int | None, changes: Mapping[str, object], out
     hand_over(output, tables, estimate_as_json(loaded, report), lambda: format_estimate(report, tables), notes)
 
 
-for command in (*process_commands, *network_commands, *study_commands, keys_commands, scenarios_commands, watch):
+groups = (*process_commands, *network_commands, *study_commands)
+for command in (*groups, keys_commands, scenarios_commands, thesis, watch):
     commands.add_command(command)

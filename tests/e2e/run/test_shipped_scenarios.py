@@ -14,7 +14,7 @@ from agents.runtime.link_faults import draw_fate
 from coordinator.evaluation.result import RunResult
 from scenarios.scenario import Scenario, load_scenario
 
-GOLDEN = Path(__file__).parents[2] / "golden"
+TABLES = Path(__file__).parents[3] / "coordinator" / "thesis" / "tables"
 
 # (p.u., degrees) to the centralised estimate and to the truth: five standard deviations of what an area knows.
 #
@@ -99,7 +99,7 @@ THESIS = {
 
 def printed_rows(case: str, table: str) -> list[tuple[int, float, float]]:
     """Bus, magnitude p.u. and angle in degrees of a table of the thesis, as printed there."""
-    return [tuple(row[:3]) for row in json.loads((GOLDEN / case / "tables.json").read_text())["tables"][table]["rows"]]
+    return [tuple(row[:3]) for row in json.loads((TABLES / f"{case}.json").read_text())["tables"][table]["rows"]]
 
 
 def published_in(folder: Path) -> dict[int, tuple[float, float]]:
@@ -158,7 +158,7 @@ def test_with_load_error_and_losses_real_processes_estimate_the_area_power_flows
     result = coordinator.run(scenario, out=tmp_path / "out", plots=False)
     assert result.verdict.consensus, result.verdict.reason
     assert result.verdict.lost > 0
-    order = json.loads((GOLDEN / "industrial13" / "tables.json").read_text())["local_order"]
+    order = json.loads((TABLES / "industrial13.json").read_text())["local_order"]
     for area, table in (("area1", "5.10"), ("area2", "5.11")):
         buses = [bus.id for bus in scenario.partition.area(area).network.buses]
         voltages = result.comparison.by_area[area]

@@ -27,10 +27,13 @@ NAMES = [
     "ieee33-lossy",
     "ieee33-restart",
     "ieee33-thesis",
+    "ieee33-thesis-load-error",
     "industrial13",
     "industrial13-load-error",
     "industrial13-lossy",
     "industrial13-thesis",
+    "industrial13-thesis-load-error",
+    "industrial13-thesis-message-error",
 ]
 
 

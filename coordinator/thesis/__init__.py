@@ -1,0 +1,1 @@
+"""The tables of the thesis beside ours: V. Garaga, West Virginia University, chapter 5."""
