@@ -15,7 +15,7 @@ from typing import Any
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
-from dsse_core.printable import listed, on_one_line
+from dsse_core.printable import listed, on_one_line, printable
 from scenarios.files.network_columns import default_branch_id
 from scenarios.files.zero_impedances import reject_zero_impedances
 from scenarios.importers.imported import (
@@ -75,7 +75,7 @@ def read_pandapower(path: Path, tree: Any) -> Imported:
             problem = f"pandapower cannot convert it ({found}); pandapower.diagnostic may say why"
             raise InvalidInputError(str(path), [problem]) from None
     try:
-        conversion, remarks = _convert(path.stem, net, sgen, ppc)
+        conversion, remarks = _convert(_name_of(net) or path.stem, net, sgen, ppc)
         names = {branch: f"{name} {index}" for (name, index), branch in conversion.branch_of.items()}
         cure = "put a closed switch between its two buses in its place"
         reject_zero_impedances(conversion.network, names, cure)
@@ -94,6 +94,11 @@ def read_pandapower(path: Path, tree: Any) -> Imported:
         readings=readings,
         zero_injection="measured" if readings else "virtual",
     )
+
+
+def _name_of(net: Any) -> str:
+    """The name that the network gives itself, on one line; empty if it gives none."""
+    return printable(" ".join(net.name.split())) if isinstance(net.name, str) else ""
 
 
 def _convert(name: str, net: Any, sgen: Any, ppc: dict[str, Any]) -> tuple[Conversion, list[Remark]]:

@@ -10,10 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from coordinator.deployment.split import default_run_id
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.estimator import estimate_state
 from dsse_core.power_flow.newton_raphson import solve_power_flow
 from scenarios.importers import Imported, import_grid
+from scenarios.importers.imported_files import write_imported
+from scenarios.scenario import load_scenario
 
 pp: Any = pytest.importorskip("pandapower")
 networks: Any = pytest.importorskip("pandapower.networks")
@@ -71,6 +74,18 @@ def small_grid() -> Any:
 def test_the_power_flow_of_bundled_networks_is_pandapowers(tmp_path: Path, name: str) -> None:
     net = BUNDLED[name]()
     check_power_flow(imported(tmp_path, net), net)
+
+
+@pytest.mark.parametrize(("given", "name"), [("Town of\nLakes", "Town of Lakes"), ("", "net"), (None, "net")])
+def test_an_imported_scenario_has_the_name_of_its_network_else_that_of_its_file(
+    tmp_path: Path, given: str | None, name: str
+) -> None:
+    net = small_grid()
+    net.name = given
+    path, _ = write_imported(tmp_path / "town", imported(tmp_path, net), 1)
+    scenario = load_scenario(path)
+    assert (scenario.name, scenario.network.name) == (name, name)
+    assert default_run_id(scenario) == name.lower().replace(" ", "-")
 
 
 def check_power_flow(grid: Imported, net: Any) -> None:
