@@ -18,7 +18,7 @@ from scenarios.scenario import Scenario
 from scenarios.telemetry import make_telemetry
 
 GAP = 1e-8  # p.u. and rad
-SIGMA = 1e-7  # relative
+SIGMA = 1e-6  # relative
 # rad; an angle that zero injections fix has a sigma of rounding, or of EXACT_SIGMA, which counts for areas
 EXACT = 1e-8
 
