@@ -16,6 +16,7 @@ from coordinator.cli.processes import process_commands
 from coordinator.cli.shipped import scenarios_commands
 from coordinator.cli.studies import study_commands
 from coordinator.cli.terminal import (
+    answering_once,
     changed,
     finish_run,
     no_plots_option,
@@ -33,7 +34,6 @@ from coordinator.cli.terminal import (
 from coordinator.cli.thesis import thesis
 from coordinator.cli.watch import watch
 from coordinator.interrupts import INTERRUPTED_CODE, end_orderly_on_signals
-from dsse_core.compiling import only_loading
 from dsse_core.errors import DsseError
 
 DISTRIBUTION = "consensus-dsse"
@@ -149,7 +149,7 @@ def run(
 @commands.command(short_help="Check a scenario or an area file without running it.")
 @scenario_argument
 @set_option
-@only_loading()
+@answering_once()
 def check(scenario: str, changes: Mapping[str, object]) -> None:
     """Check SCENARIO without running it: keys, network, areas, meters, observability of the grid and each area.
 
@@ -179,7 +179,7 @@ def check(scenario: str, changes: Mapping[str, object]) -> None:
 @scenario_argument
 @set_option
 @output_options
-@only_loading()
+@answering_once()
 def powerflow(scenario: str, changes: Mapping[str, object], output: Output) -> None:
     """Solve the power flow of SCENARIO's whole network: the truth that its meters read.
 
@@ -205,7 +205,7 @@ def powerflow(scenario: str, changes: Mapping[str, object], output: Output) -> N
 @seed_option
 @set_option
 @output_options
-@only_loading()
+@answering_once()
 def estimate(scenario: str, seed: int | None, changes: Mapping[str, object], output: Output) -> None:
     """Estimate the whole grid of SCENARIO in one place, with bad-data processing: what a control centre would do.
 

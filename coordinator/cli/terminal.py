@@ -14,8 +14,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from agents.runtime.heap import LARGE_ALONE, keep_small
 from coordinator.interrupts import decide
 from coordinator.process_run.compile_clock import clock
+from dsse_core.compiling import only_loading
 from dsse_core.limits import LONGEST_S
 from dsse_core.printable import printable_lines
 
@@ -60,6 +62,14 @@ bus_timeout_option = click.option(
 run_folder_option = click.option(
     "--out", type=click.Path(path_type=Path), help="Run folder, new or empty.  [default: runs/SCENARIO-TIME]"
 )
+
+
+@contextmanager
+def answering_once() -> Iterator[None]:
+    """Of a command that computes something and ends: it waits for no compiler, and has all memory for itself."""
+    keep_small(LARGE_ALONE)
+    with only_loading():
+        yield
 
 
 def set_option(command: Callable[..., Any]) -> Callable[..., Any]:

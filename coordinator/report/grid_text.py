@@ -25,12 +25,10 @@ def format_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def _join_columns(header: Sequence[str], columns: Iterable[list[str]]) -> str:
-    padded: list[list[str]] = []
-    for name, column in zip(header, columns, strict=True):
-        cells = [name, *column]
-        width = max(map(len, cells))
-        padded.append([cell.rjust(width) if padded else cell.ljust(width) for cell in cells])
-    return "\n".join(map(str.rstrip, map("  ".join, zip(*padded, strict=True))))
+    table = [[name, *column] for name, column in zip(header, columns, strict=True)]
+    widths = [max(map(len, column)) for column in table]
+    row = "  ".join(f"%{width if k else -width}s" for k, width in enumerate(widths))
+    return "\n".join([(row % cells).rstrip() for cells in zip(*table, strict=True)])
 
 
 def format_power_flow(result: PowerFlowResult, tables: Results) -> str:
@@ -141,11 +139,22 @@ def _name_rows(ids: Iterable[object], names: Iterable[str]) -> list[str]:
 
 def _write(values: np.ndarray, digits: int) -> list[str]:
     """Each of ``values`` (n,) with so many digits after the point."""
-    return list(map(f"{{:.{digits}f}}".format, values.tolist()))
+    return _write_all(f"%.{digits}f", values)
+
+
+def _write_all(form: str, values: np.ndarray) -> list[str]:
+    """Each of ``values`` (n,) as ``form`` says: in one go, as there may be a million."""
+    return ((form + "\n") * len(values) % tuple(values.tolist())).split("\n")[:-1]
 
 
 def _powers(values: np.ndarray) -> list[str]:
-    return list(map(_power, values.tolist()))
+    """``_power`` of each of ``values`` (n,)."""
+    size = abs(values)
+    cells = np.where(np.isnan(values), "-", "0").astype(object)
+    for form, here in (("%.2f", size >= 1), ("%.3g", (size >= SMALLEST_SHOWN) & (size < 1))):
+        cells[here] = _write_all(form, values[here])
+    texts: list[str] = cells.tolist()
+    return texts
 
 
 def _power(value: float) -> str:

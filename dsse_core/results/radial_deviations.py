@@ -70,8 +70,10 @@ class RadialDeviations:
         plan, inverse = self._plan, self._inverse
         n, R = len(plan.parent), inverse.weights[:, 2:4]
         metered = R - inverse.omega[:, 2:4]
+        if not (R >= 0).all():
+            metered = np.where(R >= 0, metered, self._without_meter(gradients))
         found = np.empty((2, n))
-        found[:, plan.order] = np.maximum(np.where(R >= 0, metered, self._without_meter(gradients)), 0.0).T
+        found[:, plan.order] = np.maximum(metered, 0.0).T
         return found
 
     def _without_meter(self, gradients: BranchGradients) -> np.ndarray:
