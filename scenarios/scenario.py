@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -222,13 +222,18 @@ def _load_readings_of(
     except InvalidInputError as error:
         return (), [*problems, *(f"telemetry.file: {error.what}: {problem}" for problem in error.problems)]
     virtual = find_virtual_buses(file.measurements, network)
-    problems += [
-        f"telemetry.file: {m.meter.id} has a reading, but measurements.zero_injection says that bus {m.meter.bus} "
-        "injects exactly nothing; remove the reading, or set zero_injection to 'measured' or to a list without this bus"
-        for m in readings
-        if m.meter.kind.of_injection and m.meter.bus in virtual
-    ]
+    problems += find_virtual_problems("telemetry.file", (m.meter for m in readings), virtual)
     return readings, problems
+
+
+def find_virtual_problems(key: str, meters: Iterable[Meter], virtual: Collection[int]) -> Iterator[str]:
+    """Every injection meter with a reading, of the file that ``key`` gives, at a bus that injects exactly nothing."""
+    for meter in meters:
+        if meter.kind.of_injection and meter.bus in virtual:
+            yield (
+                f"{key}: {meter.id} has a reading, but measurements.zero_injection says that bus {meter.bus} injects "
+                "exactly nothing; remove the reading, or set zero_injection to 'measured' or to a list without this bus"
+            )
 
 
 def _build_meters_of(

@@ -6,6 +6,7 @@ import io
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -35,6 +36,10 @@ from coordinator.cli.thesis import thesis
 from coordinator.cli.watch import watch
 from coordinator.interrupts import INTERRUPTED_CODE, end_orderly_on_signals
 from dsse_core.errors import DsseError
+
+if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts fast
+    from scenarios.files.readings_file import Scans
+    from scenarios.scenario import Scenario
 
 DISTRIBUTION = "consensus-dsse"
 
@@ -191,9 +196,10 @@ def powerflow(scenario: str, changes: Mapping[str, object], output: Output) -> N
     from coordinator.evaluation.result import power_flow_as_json
     from coordinator.report.grid_text import format_power_flow
     from dsse_core.power_flow.newton_raphson import solve_power_flow
-    from dsse_core.results.results import results_of_power_flow
+    from dsse_core.results.results import TABLES, results_of_power_flow
     from scenarios.scenario import load_scenario
 
+    output.check_table(TABLES, "of a power flow")
     loaded = load_scenario(scenario, changes=changes, whole=output.is_text)
     result = solve_power_flow(loaded.network)
     tables = results_of_power_flow(result, partition=loaded.partition, meters=loaded.meters)
@@ -204,28 +210,62 @@ def powerflow(scenario: str, changes: Mapping[str, object], output: Output) -> N
 @scenario_argument
 @seed_option
 @set_option
+@click.option("--readings", type=click.Path(path_type=Path), metavar="FILE", help="Estimate these readings instead.")
 @output_options
 @answering_once()
-def estimate(scenario: str, seed: int | None, changes: Mapping[str, object], output: Output) -> None:
+def estimate(
+    scenario: str, seed: int | None, changes: Mapping[str, object], readings: Path | None, output: Output
+) -> int:
     """Estimate the whole grid of SCENARIO in one place, with bad-data processing: what a control centre would do.
+
+    FILE is a readings file; with a column `scan`, all of its scans are estimated. Exit code 1: there is a scan of which
+    there is no estimate.
 
     \b
     Examples:  dsse estimate ieee33 --seed 7
                dsse estimate ieee33 --csv meters
                dsse estimate ieee33 --json --out results
+               dsse estimate ieee33 --readings day.csv --out day
     """
+    from coordinator.evaluation.scan_estimates import load_scans_of, with_one_scan
+    from scenarios.scenario import load_scenario
+
+    loaded = load_scenario(scenario, changes=changes, whole=output.is_text or readings is not None)
+    loaded = loaded if seed is None else replace(loaded, seed=seed)
+    if readings is not None:
+        scans = load_scans_of(loaded, readings)
+        if scans.are_named:
+            return _estimate_scans(loaded, scans, output)
+        loaded = with_one_scan(loaded, scans)
+    _estimate_once(loaded, output)
+    return 0
+
+
+def _estimate_once(loaded: Scenario, output: Output) -> None:
     from coordinator.evaluation.result import estimate_as_json
     from coordinator.evaluation.whole_grid import estimate_whole_grid
     from coordinator.report.grid_text import format_bad_data, format_estimate
-    from dsse_core.results.results import results_of_estimate
-    from scenarios.scenario import load_scenario
+    from dsse_core.results.results import TABLES, results_of_estimate
 
-    loaded = load_scenario(scenario, changes=changes, whole=output.is_text)
-    loaded = loaded if seed is None else replace(loaded, seed=seed)
+    output.check_table(TABLES, "of one scan")
     report, truth = estimate_whole_grid(loaded)
     tables = results_of_estimate(report, partition=loaded.partition, meters=loaded.meters, truth=truth)
     notes = format_bad_data(report)[1:] if report.removed or report.detected else []
     hand_over(output, tables, estimate_as_json(loaded, report), lambda: format_estimate(report, tables), notes)
+
+
+def _estimate_scans(loaded: Scenario, scans: Scans, output: Output) -> int:
+    """The exit code."""
+    from coordinator.evaluation.result import scans_as_json
+    from coordinator.evaluation.scan_estimates import estimate_scans
+    from coordinator.report.scan_text import format_scans
+    from dsse_core.results.scans import ScanTables
+
+    output.check_table(ScanTables.names, "of many scans")
+    found = estimate_scans(loaded, scans)
+    tables, failures = found.tables, [f"no estimate of {failure}" for failure in found.describe_failures()]
+    hand_over(output, tables, scans_as_json(loaded, found), lambda: format_scans(found, tables), failures)
+    return 1 if failures else 0
 
 
 groups = (*process_commands, *network_commands, *study_commands)

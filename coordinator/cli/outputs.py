@@ -15,9 +15,10 @@ from coordinator.cli.terminal import say, show
 from coordinator.run_folder import make_run_folder
 
 if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts fast
-    from dsse_core.results.results import Results
+    from coordinator.evaluation.table_files import Tables
 
 TABLES = ("buses", "branches", "meters", "areas")
+CHOICES = (*TABLES, "scans")
 parquet_option = click.option("--parquet", is_flag=True, help="Write the tables as Parquet, too (pyarrow).")
 
 
@@ -30,6 +31,11 @@ class Output:
     csv: str | None
     parquet: bool
 
+    def check_table(self, names: Sequence[str], where: str) -> None:
+        """That the table that ``--csv`` asks for is one of ``names``, those ``where``, before anything is computed."""
+        if self.csv is not None and self.csv not in names:
+            raise click.UsageError(f"--csv {self.csv}: {where} there are the tables {', '.join(names)}; choose one")
+
     @property
     def is_text(self) -> bool:
         """Whether nothing but text is wanted."""
@@ -41,7 +47,7 @@ def output_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
     @click.option("--out", type=click.Path(path_type=Path), metavar="DIR", help="Write files here, new or empty.")
     @click.option("--json", "as_json", is_flag=True, help="Print all tables as JSON instead.")
-    @click.option("--csv", type=click.Choice(TABLES), metavar="TABLE", help=f"Print one as CSV: {', '.join(TABLES)}.")
+    @click.option("--csv", type=click.Choice(CHOICES), metavar="TABLE", help=f"Print one as CSV: {', '.join(CHOICES)}.")
     @parquet_option
     @functools.wraps(command)
     def with_output(*, out: Path | None, as_json: bool, csv: str | None, parquet: bool, **others: object) -> Any:
@@ -65,7 +71,7 @@ def check_parquet_option(parquet: bool) -> None:
 
 
 def hand_over(
-    output: Output, tables: Results, content: dict[str, Any], text: Callable[[], str], notes: Sequence[str] = ()
+    output: Output, tables: Tables, content: dict[str, Any], text: Callable[[], str], notes: Sequence[str] = ()
 ) -> None:
     """Write the files that are asked for, ``content`` as result.json, and print.
 

@@ -14,6 +14,7 @@ from typing import Any
 from agents.protocol.quality import GOOD
 from coordinator.evaluation.comparison import Comparison
 from coordinator.evaluation.run_tables import make_run_tables
+from coordinator.evaluation.scan_estimates import ScanEstimates
 from coordinator.evaluation.table_files import write_json, write_tables
 from coordinator.evaluation.verdict import Verdict
 from coordinator.observe.duplicates import Duplicate
@@ -178,6 +179,14 @@ def estimate_as_json(scenario: Scenario, report: BadDataReport) -> dict[str, Any
     """The content of the ``result.json`` of ``dsse estimate``."""
     how = {"iterations": report.result.iterations, "back_end": report.result.backend}
     return {**_head_json(scenario), "estimate": report_as_json(report) | how, **_versions_json()}
+
+
+def scans_as_json(scenario: Scenario, found: ScanEstimates) -> dict[str, Any]:
+    """The content of the ``result.json`` of ``dsse estimate --readings`` with many scans."""
+    failed = {found.names[row]: str(failure.code) for row, failure in found.batch.failures.items()}
+    estimated = len(found.names) - len(failed)
+    of_all = {"scans": len(found.names), "estimated": estimated, "failed": failed}
+    return {**_head_json(scenario), "estimates": of_all | {"back_end": found.batch.plan.backend}, **_versions_json()}
 
 
 def power_flow_as_json(scenario: Scenario, result: PowerFlowResult) -> dict[str, Any]:

@@ -13,15 +13,17 @@ from typing import Any, TextIO
 import numpy as np
 
 from dsse_core.errors import InvalidInputError
-from dsse_core.results.results import TABLES, Results
+from dsse_core.results.results import Results
+from dsse_core.results.scans import ScanTables
 from dsse_core.results.table import Table
 
+Tables = Results | ScanTables
 Column = np.ndarray | tuple[str, ...]
 
 
-def write_tables(folder: Path, tables: Results) -> None:
-    """Write ``buses.csv``, ``branches.csv``, ``meters.csv`` and ``areas.csv``."""
-    for name in TABLES:
+def write_tables(folder: Path, tables: Tables) -> None:
+    """Write ``buses.csv`` and so on for each of ``tables``."""
+    for name in tables.names:
         with (folder / f"{name}.csv").open("w", newline="", encoding="utf-8") as file:
             write_csv(file, getattr(tables, name))
 
@@ -55,9 +57,9 @@ def write_json(path: Path, content: object) -> None:
     path.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def tables_as_json(tables: Results) -> dict[str, list[dict[str, Any]]]:
+def tables_as_json(tables: Tables) -> dict[str, list[dict[str, Any]]]:
     """Table -> its rows, each with all columns as keys; None for what is unknown."""
-    return {name: list(_rows_as_json(getattr(tables, name))) for name in TABLES}
+    return {name: list(_rows_as_json(getattr(tables, name))) for name in tables.names}
 
 
 def _rows_as_json(table: Table) -> Iterator[dict[str, Any]]:
@@ -81,14 +83,14 @@ def check_parquet() -> None:
     _load_pyarrow()
 
 
-def write_parquet(folder: Path, tables: Results) -> None:
+def write_parquet(folder: Path, tables: Tables) -> None:
     """Write ``buses.parquet`` and so on; what is unknown is null.
 
     Raises:
         InvalidInputError: pyarrow is not installed.
     """
     pyarrow, parquet = _load_pyarrow()
-    for name in TABLES:
+    for name in tables.names:
         table: Table = getattr(tables, name)
         columns = {key: pyarrow.array(table[key], from_pandas=True) for key in table.columns}
         with (folder / f"{name}.parquet").open("wb") as file:

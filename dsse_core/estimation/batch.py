@@ -43,6 +43,11 @@ _CODE_OF = {
 }
 
 
+def describe_failure(error: InvalidInputError | NotObservableError | EstimationDivergedError) -> RowFailure:
+    """The failure of the row whose readings have raised ``error``."""
+    return RowFailure(_CODE_OF[type(error)], str(error))
+
+
 @dataclass(frozen=True, repr=False)
 class BatchResult:
     """The estimate of each row of readings. ``vm`` p.u., ``va`` rad: shape (n_row, n_bus), network order.
@@ -197,7 +202,7 @@ class _Rows:
                 tolerance=self.tolerance,
             )
         except (InvalidInputError, NotObservableError, EstimationDivergedError) as error:
-            self.failures[k] = RowFailure(_CODE_OF[type(error)], str(error))
+            self.failures[k] = describe_failure(error)
             self.vm[k] = self.va[k] = self.objective[k] = np.nan
             self.iterations[k] = 0
         else:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
+from typing import ClassVar
 
 import numpy as np
 
@@ -36,6 +37,7 @@ class Results:
     Those of meters and areas are made when they are first asked for.
     """
 
+    names: ClassVar = TABLES
     buses: Table
     branches: Table
     make_meters: Callable[[], Table]

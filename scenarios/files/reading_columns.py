@@ -6,11 +6,13 @@ import csv
 import io
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import compress
 
 import numpy as np
 
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, find_meter_problems
+from dsse_core.grid.meter_table import number_kinds
 from dsse_core.grid.network import Network
 from dsse_core.limits import LARGEST_SIGMA, SMALLEST_SIGMA
 from scenarios.files.reading_rows import ReadingRows, parse_meter
@@ -19,25 +21,42 @@ from scenarios.files.reading_units import RANGES, UNITS
 KIND = MeasurementKind
 
 
-def read_sound_columns(text: str, network: Network) -> tuple[Measurement, ...] | None:
-    """What ``ReadingRows`` reads, p.u. and rad; None where anything is unusual, which it then names or takes."""
+@dataclass(frozen=True)
+class SoundReadings:
+    """``readings`` in p.u. and rad, of each the scan; "" where the file has no such column."""
+
+    readings: tuple[Measurement, ...]
+    scans: Sequence[str]
+
+
+def read_sound_columns(text: str, network: Network, *, takes_scans: bool = False) -> SoundReadings | None:
+    """What ``ReadingRows`` reads; None where anything is unusual, which it then names or takes."""
     try:
         header, *rows = (row for row in csv.reader(io.StringIO(text, newline=""), strict=True) if row)
     except (csv.Error, ValueError):  # no header
         return None
-    checked = ReadingRows(network)
+    checked = ReadingRows(network, takes_scans)
     checked.take_header(header)
     if checked.problems or not rows or set(map(len, rows)) != {len(header)}:
         return None
     names, *cells = zip(*rows, strict=True)
-    meters = [meter for name in names if isinstance(meter := parse_meter(name), Meter)]
-    if len(meters) < len(rows) or any(True for _ in find_meter_problems(network, meters)):
+    scans: Sequence[str] = cells.pop(0) if checked.takes_many else [""] * len(names)
+    if checked.takes_many and not all(scan and scan == scan.strip() for scan in set(scans)):
         return None
+    meter_of = {name: parse_meter(name) for name in dict.fromkeys(names)}
+    known = [meter for meter in meter_of.values() if isinstance(meter, Meter)]
+    if len(known) < len(meter_of) or any(True for _ in find_meter_problems(network, known)):
+        return None
+    if len(set(zip(scans, names, strict=True))) < len(names):
+        return None
+    meters = [meter for name in names if isinstance(meter := meter_of[name], Meter)]
     try:
         read = _read_cells(cells, checked.units, meters, network)
     except ValueError:
         return None
-    return None if read is None else tuple(map(Measurement, meters, *(part.tolist() for part in read)))
+    if read is None:
+        return None
+    return SoundReadings(tuple(map(Measurement, meters, *(part.tolist() for part in read))), scans)
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a number that is too large is no sound one
@@ -49,8 +68,7 @@ def _read_cells(
     Raises:
         ValueError: a cell is no number.
     """
-    number_of = {id(kind): k for k, kind in enumerate(KIND)}  # members are singletons, and hashing them takes long
-    kind = np.array([number_of[id(meter.kind)] for meter in meters])
+    kind = number_kinds(meters)
     values, sigmas, times = np.zeros(len(meters)), np.zeros(len(meters)), np.zeros(len(meters), dtype=int)
     for k, unit in enumerate(units):
         filled = np.array([cell != "" for cell in cells[2 * k]])

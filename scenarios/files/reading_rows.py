@@ -15,21 +15,41 @@ from scenarios.files.reading_units import RANGES, UNITS, unit_size
 KIND = MeasurementKind
 KIND_OF = {str(kind): kind for kind in KIND}
 LONGEST_BUS = 18  # digits
+SCAN = "scan"
 
 
 @dataclass
 class ReadingRows:
-    """The rows read so far, and what is wrong with them."""
+    """The rows read so far, and what is wrong with them. ``scans``: of each reading, "" without such a column.
+
+    ``takes_scans``: whether the second column may be ``scan``.
+    """
 
     network: Network
+    takes_scans: bool = False
+    keys: list[str] = field(default_factory=lambda: ["meter"])
     units: list[str] = field(default_factory=list)
     readings: list[Measurement] = field(default_factory=list)
+    scans: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
-    line_of: dict[str, int] = field(default_factory=dict)
+    line_of: dict[tuple[str, str], int] = field(default_factory=dict)
     meant: Suggestions = field(default_factory=lambda: Suggestions(list(KIND)))
 
+    @property
+    def takes_many(self) -> bool:
+        """Whether there is a column ``scan``."""
+        return SCAN in self.keys
+
     def take_header(self, header: Sequence[str]) -> None:
-        allowed = ["meter", *(f"{column}_{unit}" for unit in UNITS for column in ("value", "sigma"))]
+        if list(header[1:2]) == [SCAN]:
+            if not self.takes_scans:
+                self.problems.append(
+                    "line 1: column 'scan': a scenario has one scan; remove the column, or give the file to "
+                    "`dsse estimate SCENARIO --readings FILE`"
+                )
+                return
+            self.keys = ["meter", SCAN]
+        allowed = [*self.keys, *(f"{column}_{unit}" for unit in UNITS for column in ("value", "sigma"))]
         if len(header) == 1 and ";" in header[0]:
             self.problems.append("line 1: the columns are separated by ';'; separate them by ','")
             return
@@ -42,10 +62,10 @@ class ReadingRows:
                     f"line 1: unknown column {name!r:.80}; allowed: {', '.join(allowed)}{suggest(name, allowed)}"
                 )
         self.units = [name.removeprefix("value_") for name in header if name.startswith("value_")]
-        expected = ["meter", *(f"{column}_{unit}" for unit in self.units for column in ("value", "sigma"))]
+        expected = [*self.keys, *(f"{column}_{unit}" for unit in self.units for column in ("value", "sigma"))]
         if not self.problems and (list(header) != expected or len(set(header)) < len(header) or not self.units):
             self.problems.append(
-                "line 1: after 'meter' come pairs value_UNIT,sigma_UNIT of one unit, each unit once; found "
+                f"line 1: after {self.keys[-1]!r} come pairs value_UNIT,sigma_UNIT of one unit, each unit once; found "
                 + ",".join(header)[:200]
             )
 
@@ -57,18 +77,24 @@ class ReadingRows:
 
     def _find_problems(self, row: Sequence[str], line: int) -> Iterator[str]:
         """Every problem of a row; a row without is added to the readings."""
-        if len(row) != 1 + 2 * len(self.units):
-            yield f"{len(row)} columns, but the header has {1 + 2 * len(self.units)}"
+        first = len(self.keys)
+        if len(row) != first + 2 * len(self.units):
+            yield f"{len(row)} columns, but the header has {first + 2 * len(self.units)}"
             return
+        scan = row[1].strip() if self.takes_many else ""
+        if self.takes_many and not scan:
+            yield "column scan is empty; say to which scan the reading belongs"
         meter = parse_meter(row[0].strip(), self.meant)
         if isinstance(meter, str):
             yield meter
             return
         problems = list(find_meter_problems(self.network, [meter]))
-        if meter.id in self.line_of:
-            problems.append(f"meter {meter.id} has a reading in line {self.line_of[meter.id]} already; keep one")
-        self.line_of.setdefault(meter.id, line)
-        pairs = {unit: row[1 + 2 * i : 3 + 2 * i] for i, unit in enumerate(self.units)}
+        if (scan, meter.id) in self.line_of:
+            of_scan = f" of scan {scan!r:.80}" if scan else ""
+            first_line = self.line_of[scan, meter.id]
+            problems.append(f"meter {meter.id} has a reading{of_scan} in line {first_line} already; keep one")
+        self.line_of.setdefault((scan, meter.id), line)
+        pairs = {unit: row[first + 2 * i : first + 2 * i + 2] for i, unit in enumerate(self.units)}
         filled = [unit for unit, pair in pairs.items() if any(cell.strip() for cell in pair)]
         if len(filled) != 1:
             problems.append(f"meter {meter.id}: fill exactly one pair of value and sigma, found {len(filled)}")
@@ -83,6 +109,7 @@ class ReadingRows:
             value, sigma = (n * unit_size(filled[0], meter, self.network) for n in numbers if n is not None)
             problems += _find_value_problems(meter, value, sigma, self.network.base_mva)
             self.readings.append(Measurement(meter, value, sigma))
+            self.scans.append(scan)
         yield from problems
 
 

@@ -1,6 +1,7 @@
 """Readings files: what real meters read, as CSV with a unit in each column name; per unit and radians come out.
 
-The header is ``meter`` and pairs ``value_UNIT,sigma_UNIT``; each row fills the one pair whose unit it is in.
+The header is ``meter``, of many scans ``scan``, and pairs ``value_UNIT,sigma_UNIT``; each row fills the one pair whose
+unit it is in.
 docs/reference/scenario-files.md explains the format.
 """
 
@@ -9,15 +10,39 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.files.bounded_file import read_text
-from dsse_core.grid.measurement import Measurement
+from dsse_core.grid.measurement import Measurement, Meter
 from dsse_core.grid.network import Network
-from scenarios.files.reading_columns import read_sound_columns
+from scenarios.files.reading_columns import SoundReadings, read_sound_columns
 from scenarios.files.reading_rows import ReadingRows
 from scenarios.files.reading_units import UNITS, WRITTEN_IN, unit_size
+
+MOST_PLACES = 50_000_000  # 400 MB each of values and standard deviations
+
+
+@dataclass(frozen=True)
+class Scans:
+    """Readings of many scans of one grid, p.u. and rad. ``names`` (n_scan,): what the file calls them, in its order.
+
+    ``meters``: all that read something in any scan. ``values``, ``sigmas`` (n_scan, n_meas): nan where a scan lacks
+    the reading.
+    """
+
+    names: tuple[str, ...]
+    meters: tuple[Meter, ...]
+    values: np.ndarray
+    sigmas: np.ndarray
+
+    @property
+    def are_named(self) -> bool:
+        """Whether the file has a column ``scan``."""
+        return self.names != ("",)
 
 
 def load_readings(path: Path, network: Network) -> tuple[Measurement, ...]:
@@ -27,11 +52,34 @@ def load_readings(path: Path, network: Network) -> tuple[Measurement, ...]:
         InvalidInputError: the file cannot be read, or every problem of its header, or else of its rows, with line
             numbers: unknown meters, meters given twice, wrong units, values that are no numbers.
     """
+    return _load(path, network, takes_scans=False).readings
+
+
+def load_scans(path: Path, network: Network) -> Scans:
+    """Read a readings file that may have a column ``scan``; all of it is one scan, "", where it has none.
+
+    Raises:
+        InvalidInputError: as ``load_readings``; or there are more places for readings than MOST_PLACES.
+    """
+    read = _load(path, network, takes_scans=True)
+    scan_row = {scan: k for k, scan in enumerate(dict.fromkeys(read.scans))}
+    meters = tuple(dict.fromkeys(m.meter for m in read.readings))
+    if (places := len(scan_row) * len(meters)) > MOST_PLACES:
+        problem = f"{len(scan_row):,} scans of {len(meters):,} meters are {places:,} places for readings"
+        raise InvalidInputError(str(path), [f"{problem}, the limit is {MOST_PLACES:,}; divide it into several files"])
+    column = {meter: k for k, meter in enumerate(meters)}
+    at = [scan_row[scan] for scan in read.scans], [column[m.meter] for m in read.readings]
+    values, sigmas = np.full((2, len(scan_row), len(meters)), np.nan)
+    values[at], sigmas[at] = [m.value for m in read.readings], [m.sigma for m in read.readings]
+    return Scans(tuple(scan_row), meters, values, sigmas)
+
+
+def _load(path: Path, network: Network, *, takes_scans: bool) -> SoundReadings:
     text = read_text(path)
-    if (sound := read_sound_columns(text, network)) is not None:
+    if (sound := read_sound_columns(text, network, takes_scans=takes_scans)) is not None:
         return sound
     rows = csv.reader(io.StringIO(text, newline=""), strict=True)
-    table = ReadingRows(network)
+    table = ReadingRows(network, takes_scans)
     try:
         table.take_header(next(rows, []))
         if not table.problems:
@@ -43,7 +91,7 @@ def load_readings(path: Path, network: Network) -> tuple[Measurement, ...]:
         table.problems.append("there is no reading; give one row for each meter")
     if table.problems:
         raise InvalidInputError(str(path), table.problems)
-    return tuple(table.readings)
+    return SoundReadings(tuple(table.readings), table.scans)
 
 
 def save_readings(path: Path, network: Network, readings: Sequence[Measurement]) -> None:

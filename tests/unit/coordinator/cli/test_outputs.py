@@ -12,8 +12,9 @@ from pathlib import Path
 import pytest
 
 from coordinator.cli import outputs
-from coordinator.evaluation import table_files
 from coordinator.simulator.simulate import simulate_scenario
+from dsse_core.results import results
+from dsse_core.results.scans import ScanTables
 from scenarios.files.shipped_files import find_shipped
 
 COMMANDS = ("estimate", "powerflow")
@@ -25,7 +26,8 @@ def read(text: str) -> list[dict[str, str]]:
 
 
 def test_the_tables_that_options_name_are_those_of_results():
-    assert outputs.TABLES == table_files.TABLES
+    assert outputs.TABLES == results.TABLES
+    assert set(outputs.CHOICES) == {*results.TABLES, *ScanTables.names}
 
 
 @pytest.mark.parametrize("command", COMMANDS)

@@ -79,7 +79,9 @@ def test_columns_are_read_as_rows_are(text: str) -> None:
     for row in rows:
         table.take(row, rows.line_num)
     assert not table.problems
-    assert read_sound_columns(text, NETWORK) == tuple(table.readings)
+    sound = read_sound_columns(text, NETWORK)
+    assert sound is not None
+    assert sound.readings == tuple(table.readings)
 
 
 @pytest.mark.parametrize(

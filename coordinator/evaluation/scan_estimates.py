@@ -1,0 +1,131 @@
+"""Many scans of one grid, each estimated in one place with its bad data removed: ``dsse estimate --readings``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from dsse_core.errors import EstimationDivergedError, InvalidInputError, NotObservableError
+from dsse_core.estimation.bad_data import process_bad_data_with_plan
+from dsse_core.estimation.batch import BatchResult, RowFailure, describe_failure, estimate_batch
+from dsse_core.estimation.plan import EstimationPlan, build_estimation_plan
+from dsse_core.estimation.residuals import CONFIDENCE, chi_square_limit, find_dead
+from dsse_core.grid.measurement import Measurement, Meter, Source
+from dsse_core.results.scans import ScanTables, make_scan_tables
+from scenarios.files.readings_file import Scans, load_scans
+from scenarios.scenario import Scenario, TelemetrySettings, find_virtual_problems
+
+
+@dataclass(frozen=True)
+class ScanEstimates:
+    """``batch``: the estimate of each scan, its bad data removed. ``removed``: row -> ids of the meters taken out.
+
+    ``bad_data_left`` (n_scan,): where the chi-square limit is exceeded even so. ``present`` (n_scan,): how many
+    readings each scan has.
+    """
+
+    names: tuple[str, ...]
+    batch: BatchResult
+    removed: Mapping[int, tuple[str, ...]]
+    bad_data_left: np.ndarray
+    present: np.ndarray
+
+    @cached_property
+    def limits(self) -> np.ndarray:
+        """Of J in each scan, (n_scan,)."""
+        return np.array([chi_square_limit(n, CONFIDENCE) for n in self.batch.degrees_of_freedom.tolist()])
+
+    @cached_property
+    def tables(self) -> ScanTables:
+        """A row for each scan, and for each bus of each."""
+        return make_scan_tables(self.names, self.batch, self.limits, self.present, self.removed, self.bad_data_left)
+
+    def describe_failures(self) -> list[str]:
+        """Of every scan without an estimate its name and the reason."""
+        return [f"scan {self.names[row]}: {failure.text}" for row, failure in self.batch.failures.items()]
+
+
+def load_scans_of(scenario: Scenario, path: Path) -> Scans:
+    """The readings in ``path`` of one or many scans, in place of those of ``scenario``.
+
+    Raises:
+        InvalidInputError: every problem of the file; or the scenario's own readings are those of areas.
+    """
+    if scenario.telemetry.source == "area-power-flow":
+        problem = "a scenario with telemetry.source 'area-power-flow' has no readings of one grid; choose another one"
+        raise InvalidInputError("--readings", [problem])
+    scans = load_scans(path, scenario.network)
+    virtual = {meter.bus for meter in _virtual_of(scenario)}
+    if problems := list(find_virtual_problems(str(path), scans.meters, virtual)):
+        raise InvalidInputError("--readings", problems)
+    return scans
+
+
+def with_one_scan(scenario: Scenario, scans: Scans) -> Scenario:
+    """``scenario`` with the only scan of ``scans`` as its readings."""
+    readings = map(Measurement, scans.meters, scans.values[0].tolist(), scans.sigmas[0].tolist())
+    telemetry = TelemetrySettings("file", noise=False, gross_errors={}, readings={m.meter.id: m for m in readings})
+    return replace(scenario, meters=(*scans.meters, *_virtual_of(scenario)), telemetry=telemetry)
+
+
+def _virtual_of(scenario: Scenario) -> list[Meter]:
+    return [meter for meter in scenario.meters if meter.source is Source.VIRTUAL]
+
+
+def estimate_scans(scenario: Scenario, scans: Scans) -> ScanEstimates:
+    """All scans with one plan, as a batch; those whose J exceeds its limit, once more with their bad data removed.
+
+    Raises:
+        NotObservableError: not even all meters together determine the state.
+    """
+    virtual = _virtual_of(scenario)
+    plan = build_estimation_plan(scenario.network, [*scans.meters, *virtual])
+    of_virtual = np.zeros((len(scans.names), len(virtual)))
+    values = np.concatenate([scans.values, of_virtual], axis=1)
+    sigmas = np.concatenate([np.where(np.isnan(scans.sigmas), 1.0, scans.sigmas), of_virtual], axis=1)
+    batch = estimate_batch(plan, values, sigmas, tolerance=scenario.tolerances.estimator)
+    present = (~np.isnan(scans.values)).sum(axis=1)
+    found = ScanEstimates(scans.names, batch, {}, np.zeros(len(scans.names), dtype=bool), present)
+    suspect = batch.objective >= found.limits
+    suspect |= [bool(find_dead(plan.meters, row)) for row in values]
+    cleaning = _Cleaning(plan, values, sigmas, scenario.tolerances.estimator, found)
+    for row in np.flatnonzero(suspect).tolist():
+        cleaning.clean(row)
+    failures = {row: cleaning.failures[row] for row in sorted(cleaning.failures)}
+    return replace(found, batch=replace(batch, failures=failures), removed=cleaning.removed)
+
+
+class _Cleaning:
+    """Fills in the arrays of ``found`` what bad-data processing makes of a scan."""
+
+    def __init__(
+        self, plan: EstimationPlan, values: np.ndarray, sigmas: np.ndarray, tolerance: float, found: ScanEstimates
+    ) -> None:
+        self._plan, self._values, self._sigmas, self._tolerance = plan, values, sigmas, tolerance
+        self._found = found
+        self.failures: dict[int, RowFailure] = dict(found.batch.failures)
+        self.removed: dict[int, tuple[str, ...]] = {}
+
+    def clean(self, row: int) -> None:
+        batch, values = self._found.batch, self._values[row]
+        missing = np.isnan(values)
+        self.failures.pop(row, None)
+        try:
+            plan = self._plan.without(np.flatnonzero(missing).tolist()) if missing.any() else self._plan
+            report = process_bad_data_with_plan(
+                plan, values[~missing], self._sigmas[row][~missing], tolerance=self._tolerance
+            )
+        except (InvalidInputError, NotObservableError, EstimationDivergedError) as error:
+            self.failures[row] = describe_failure(error)
+            batch.vm[row] = batch.va[row] = batch.objective[row] = np.nan
+            batch.iterations[row] = 0
+            return
+        result = report.result
+        batch.vm[row], batch.va[row], batch.objective[row] = result.vm, result.va, report.objective
+        batch.iterations[row], batch.degrees_of_freedom[row] = result.iterations, report.degrees_of_freedom
+        self._found.bad_data_left[row] = report.detected
+        self.removed[row] = tuple(removed.measurement.meter.id for removed in report.removed)

@@ -1,0 +1,28 @@
+"""What the command line prints of many scans of one grid."""
+
+from __future__ import annotations
+
+from coordinator.evaluation.scan_estimates import ScanEstimates
+from coordinator.report.grid_text import format_table
+from dsse_core.printable import shortened
+from dsse_core.results.scans import ScanTables
+
+LONGEST_LIST = 40
+HEADER = ("scan", "readings", "J", "limit", "iterations", "lowest vm p.u.", "at bus", "removed as bad data")
+
+
+def format_scans(found: ScanEstimates, tables: ScanTables) -> str:
+    """A line for each scan that is estimated, then what failed and why."""
+    scans = tables.scans
+    rows = []
+    for k in range(len(scans)):
+        if scans.status[k] == "failed":
+            continue
+        left = " and more is detected" if scans.bad_data_left[k] else ""
+        removed = f"{shortened(scans.removed_meters[k], LONGEST_LIST)}{left}" or "-"
+        numbers = f"{scans.objective[k]:.4g}", f"{scans.chi_square_limit[k]:.4g}", str(scans.iterations[k])
+        lowest = f"{scans.lowest_vm_pu[k]:.5f}", str(int(scans.lowest_vm_bus[k]))
+        rows.append([scans.scan[k], str(scans.readings[k]), *numbers, *lowest, removed])
+    total = f"{len(rows)} of {len(scans)} scans estimated, back end {found.batch.plan.backend}"
+    failures = [f"no estimate of {failure}" for failure in found.describe_failures()]
+    return "\n".join([*([format_table(HEADER, rows), ""] if rows else []), total, *failures])

@@ -1,0 +1,121 @@
+"""``dsse estimate --readings``: many scans of one grid in one file, each estimated, each failure named."""
+
+import csv
+import io
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dsse_core.estimation.bad_data import process_bad_data
+from dsse_core.grid.measurement import Measurement, Source
+from scenarios.files.readings_file import save_readings
+from scenarios.scenario import load_scenario
+from scenarios.telemetry import make_telemetry
+
+Dsse = Callable[..., tuple[int, str, str]]
+SCENARIO = load_scenario("ieee33")
+
+
+def readings_of(scan: int) -> list[Measurement]:
+    return [m for m in make_telemetry(SCENARIO, scan).union if m.meter.source is not Source.VIRTUAL]
+
+
+def write_scans(folder: Path, scans: dict[str, list[Measurement]]) -> Path:
+    path, rows = folder / "many.csv", []
+    for name, readings in scans.items():
+        save_readings(folder / "one.csv", SCENARIO.network, readings)
+        rows += [{"meter": row["meter"], "scan": name} | row for row in table_of((folder / "one.csv").read_text())]
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, max(rows, key=len).keys(), restval="", lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+    return path
+
+
+def table_of(text: str) -> list[dict[str, str]]:
+    return list(csv.DictReader(io.StringIO(text)))
+
+
+def test_each_scan_has_the_estimate_that_it_has_alone(tmp_path: Path, dsse: Dsse) -> None:
+    spoilt = [Measurement(m.meter, m.value + 30 * m.sigma * (k == 5), m.sigma) for k, m in enumerate(readings_of(3))]
+    scans = {"10:00": readings_of(1), "10:15": readings_of(2), "10:30": spoilt}
+    path = write_scans(tmp_path, scans)
+    code, out, err = dsse("estimate", "ieee33", "--readings", str(path), "--csv", "scans")
+    buses = table_of(dsse("estimate", "ieee33", "--readings", str(path), "--csv", "buses")[1])
+    assert (code, err) == (0, "")
+    virtual = [m for m in make_telemetry(SCENARIO).union if m.meter.source is Source.VIRTUAL]
+    for row, (name, readings) in zip(table_of(out), scans.items(), strict=True):
+        alone = process_bad_data(SCENARIO.network, [*readings, *virtual], tolerance=SCENARIO.tolerances.estimator)
+        assert row["scan"] == name
+        assert float(row["objective"]) == pytest.approx(alone.objective, rel=1e-9)
+        assert row["removed_meters"].split() == [removed.measurement.meter.id for removed in alone.removed]
+        found = [float(bus["vm_pu"]) for bus in buses if bus["scan"] == name]
+        np.testing.assert_allclose(found, alone.result.vm, rtol=0, atol=1e-9)
+    assert table_of(out)[2]["removed"] != "0"
+
+
+def test_a_scan_without_estimate_is_named_and_the_others_are_estimated(tmp_path: Path, dsse: Dsse) -> None:
+    few = [m for m in readings_of(2) if m.meter.kind == "vm"]
+    path = write_scans(tmp_path, {"a": readings_of(1), "b": few, "c": readings_of(3)})
+    code, out, _ = dsse("estimate", "ieee33", "--readings", str(path), "--out", str(tmp_path / "out"))
+    assert code == 1
+    assert "2 of 3 scans estimated" in out
+    assert "no estimate of scan b: " in out
+    content = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert content["estimates"]["failed"] == {"b": "unobservable"}
+    rows = table_of((tmp_path / "out" / "scans.csv").read_text())
+    assert [row["status"] for row in rows] == ["estimated", "failed", "estimated"]
+    assert rows[1]["objective"] == rows[1]["lowest_vm_pu"] == ""
+
+
+def test_a_dead_voltmeter_is_left_out_of_its_scan(tmp_path: Path, dsse: Dsse) -> None:
+    dead = [Measurement(m.meter, 0.0, m.sigma) if m.meter.id == "vm@1" else m for m in readings_of(2)]
+    path = write_scans(tmp_path, {"a": readings_of(1), "b": dead})
+    code, out, _ = dsse("estimate", "ieee33", "--readings", str(path), "--csv", "scans")
+    assert code == 0
+    assert [row["removed_meters"] for row in table_of(out)] == ["", "vm@1"]
+
+
+def test_readings_without_scans_are_one_scan_with_all_tables(tmp_path: Path, dsse: Dsse) -> None:
+    save_readings(tmp_path / "one.csv", SCENARIO.network, readings_of(1))
+    code, out, _ = dsse("estimate", "ieee33", "--readings", str(tmp_path / "one.csv"), "--csv", "branches")
+    assert code == 0
+    assert len(table_of(out)) == len(SCENARIO.network.branches)
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("meter,scan,value_pu,sigma_pu\nvm@1,,1,0.01\n", "line 2: column scan is empty"),
+        (
+            "meter,scan,value_pu,sigma_pu\nvm@1,a,1,0.01\nvm@1,b,1,0.01\nvm@1,a,1,0.01\n",
+            "line 4: meter vm@1 has a reading of scan 'a' in line 2 already",
+        ),
+        ("meter,value_pu,scan,sigma_pu\nvm@1,1,a,0.01\n", "line 1: unknown column 'scan'"),
+        ("meter,scan,value_pu,sigma_pu\n", "there is no reading"),
+    ],
+)
+def test_mistakes_in_a_file_of_scans_are_named(tmp_path: Path, dsse: Dsse, text: str, problem: str) -> None:
+    (tmp_path / "many.csv").write_text(text)
+    code, _, err = dsse("estimate", "ieee33", "--readings", str(tmp_path / "many.csv"))
+    assert code == 2
+    assert problem in err
+
+
+@pytest.mark.parametrize("command", [("powerflow", "ieee33"), ("estimate", "ieee33")])
+def test_there_are_no_scans_without_a_file_of_scans(dsse: Dsse, command: tuple[str, ...]) -> None:
+    code, _, err = dsse(*command, "--csv", "scans")
+    assert code == 2
+    assert "--csv scans" in err
+
+
+def test_a_scenario_is_not_a_file_of_scans(tmp_path: Path, dsse: Dsse) -> None:
+    write_scans(tmp_path, {"a": readings_of(1)})
+    text = 'version = 1\ndescription = "x"\nnetwork = "ieee33"\nareas = { count = 1 }\nstrategy = "information"\n'
+    (tmp_path / "x.toml").write_text(f'{text}[telemetry]\nsource = "file"\nfile = "many.csv"\n')
+    code, _, err = dsse("estimate", str(tmp_path / "x.toml"))
+    assert code == 2
+    assert "--readings" in err
