@@ -8,11 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from coordinator.evaluation.evaluation import choose_scenario
+from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.bad_data import BadDataReport, process_bad_data
+from dsse_core.grid.network import Network
 from dsse_core.power_flow.newton_raphson import PowerFlowResult, solve_power_flow
 from dsse_core.results.results import Results, results_of_estimate, results_of_power_flow
 from dsse_core.results.with_tables import WithTables
 from scenarios.check import check_scenario
+from scenarios.named_grid import load_grid
 from scenarios.scenario import Scenario
 from scenarios.telemetry import Telemetry, make_telemetry
 
@@ -44,24 +47,26 @@ class Estimate(WithTables):
 
 @dataclass(frozen=True, repr=False)
 class PowerFlow(WithTables):
-    """The solved network: ``result`` in p.u. and rad."""
+    """The solved network: ``result`` in p.u. and rad. ``scenario``: None where a network was given."""
 
-    scenario: Scenario
+    scenario: Scenario | None
     result: PowerFlowResult
 
     @cached_property
     def tables(self) -> Results:
         """Buses, branches, meters and areas; computed when first asked for."""
+        if self.scenario is None:
+            return results_of_power_flow(self.result)
         return results_of_power_flow(self.result, partition=self.scenario.partition, meters=self.scenario.meters)
 
     @property
     def loss_kw(self) -> float:
         """Active losses of the whole network, kW."""
-        return 1000.0 * self.scenario.network.base_mva * self.result.losses.real
+        return 1000.0 * self.result.network.base_mva * self.result.losses.real
 
     def __repr__(self) -> str:
-        buses = len(self.scenario.network.buses)
-        return f"<PowerFlow of {self.scenario.name!r}: {buses} buses, losses {self.loss_kw:.6g} kW>"
+        name = self.scenario.name if self.scenario else self.result.network.name
+        return f"<PowerFlow of {name!r}: {len(self.result.vm)} buses, losses {self.loss_kw:.6g} kW>"
 
 
 def estimate(
@@ -83,7 +88,7 @@ def estimate(
 
     Raises:
         InvalidInputError: the scenario cannot be used, or its meters do not determine the state.
-        ConvergenceError: the iteration does not converge.
+        EstimationDivergedError: the iteration does not converge.
     """
     prepared = check_scenario(choose_scenario(scenario, seed, changes=changes or {}))
     telemetry = make_telemetry(prepared)
@@ -91,11 +96,12 @@ def estimate(
     return Estimate(prepared, telemetry, report)
 
 
-def power_flow(scenario: str | Path | Scenario, *, changes: Mapping[str, object] | None = None) -> PowerFlow:
-    """Solve the power flow of the whole network of ``scenario``, the truth that its meters read.
+def power_flow(scenario: str | Path | Scenario | Network, *, changes: Mapping[str, object] | None = None) -> PowerFlow:
+    """Solve the power flow of a network, or of the whole network of ``scenario``: the truth that its meters read.
 
     Args:
-        scenario, changes: see ``estimate``.
+        scenario: name of a shipped scenario, path of a scenario or network file, or a loaded one.
+        changes: see ``load_scenario``; for a scenario that is not loaded yet.
 
     >>> import consensus_dsse as dsse
     >>> solved = dsse.power_flow("case33bw")
@@ -103,10 +109,17 @@ def power_flow(scenario: str | Path | Scenario, *, changes: Mapping[str, object]
     <PowerFlow of 'case33bw': 33 buses, losses 202.677 kW>
     >>> round(float(solved.branches.loss_kw[0]), 2), round(float(solved.buses.vm_kv[17]), 3)
     (12.24, 11.56)
+    >>> dsse.power_flow(dsse.load_network("case33bw")).loss_kw == solved.loss_kw
+    True
 
     Raises:
-        InvalidInputError: the scenario cannot be used.
-        ConvergenceError: the iteration does not converge.
+        InvalidInputError: the scenario or network cannot be used.
+        PowerFlowDivergedError: the iteration does not converge.
     """
-    chosen = choose_scenario(scenario, changes=changes or {})
-    return PowerFlow(chosen, solve_power_flow(chosen.network))
+    grid = scenario if isinstance(scenario, Scenario | Network) else load_grid(scenario, changes=changes)
+    if changes and grid is scenario:
+        problem = f"{', '.join(changes)}: it is loaded already; give the changes to load_scenario"
+        raise InvalidInputError(f"power flow of {grid.name!r}", [problem])
+    if isinstance(grid, Network):
+        return PowerFlow(None, solve_power_flow(grid))
+    return PowerFlow(grid, solve_power_flow(grid.network))

@@ -186,23 +186,29 @@ def check(scenario: str, changes: Mapping[str, object]) -> None:
 @output_options
 @answering_once()
 def powerflow(scenario: str, changes: Mapping[str, object], output: Output) -> None:
-    """Solve the power flow of SCENARIO's whole network: the truth that its meters read.
+    """Solve the power flow of SCENARIO's whole network: the truth that its meters read. A network file does, too.
 
     \b
     Examples:  dsse powerflow industrial13
+               dsse powerflow network.toml
                dsse powerflow ieee33 --csv branches
                dsse powerflow ieee33 --out results
     """
     from coordinator.evaluation.result import power_flow_as_json
     from coordinator.report.grid_text import format_power_flow
+    from dsse_core.grid.network import Network
     from dsse_core.power_flow.newton_raphson import solve_power_flow
     from dsse_core.results.results import TABLES, results_of_power_flow
-    from scenarios.scenario import load_scenario
+    from scenarios.named_grid import load_grid
 
     output.check_table(TABLES, "of a power flow")
-    loaded = load_scenario(scenario, changes=changes, whole=output.is_text)
-    result = solve_power_flow(loaded.network)
-    tables = results_of_power_flow(result, partition=loaded.partition, meters=loaded.meters)
+    loaded = load_grid(scenario, changes=changes, whole=output.is_text)
+    if isinstance(loaded, Network):
+        result = solve_power_flow(loaded)
+        tables = results_of_power_flow(result)
+    else:
+        result = solve_power_flow(loaded.network)
+        tables = results_of_power_flow(result, partition=loaded.partition, meters=loaded.meters)
     hand_over(output, tables, power_flow_as_json(loaded, result), lambda: format_power_flow(result, tables))
 
 

@@ -21,6 +21,7 @@ from coordinator.observe.duplicates import Duplicate
 from coordinator.observe.observer import Observer, Sample, count_exchanges
 from dsse_core.estimation.bad_data import BadDataReport
 from dsse_core.grid.measurement import Measurement
+from dsse_core.grid.network import Network
 from dsse_core.power_flow.newton_raphson import PowerFlowResult
 from dsse_core.results.results import Results
 from dsse_core.results.with_tables import WithTables
@@ -189,12 +190,15 @@ def scans_as_json(scenario: Scenario, found: ScanEstimates) -> dict[str, Any]:
     return {**_head_json(scenario), "estimates": of_all | {"back_end": found.batch.plan.backend}, **_versions_json()}
 
 
-def power_flow_as_json(scenario: Scenario, result: PowerFlowResult) -> dict[str, Any]:
+def power_flow_as_json(solved: Scenario | Network, result: PowerFlowResult) -> dict[str, Any]:
     """The content of the ``result.json`` of ``dsse powerflow``."""
-    loss = result.losses * 1000 * scenario.network.base_mva
+    network = result.network
+    loss = result.losses * 1000 * network.base_mva
     how = {"iterations": result.iterations, "method": result.method}
     found = {"loss_kw": loss.real, "loss_kvar": loss.imag} | how
-    return {**_head_json(scenario), "power_flow": found, **_versions_json()}
+    of_network = {"version": VERSION, "network": {"name": network.name, "buses": len(network.buses)}}
+    head = of_network if isinstance(solved, Network) else _head_json(solved)
+    return {**head, "power_flow": found, **_versions_json()}
 
 
 def _head_json(scenario: Scenario) -> dict[str, Any]:

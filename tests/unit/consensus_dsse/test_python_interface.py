@@ -109,6 +109,18 @@ def test_nothing_that_a_result_leads_to_fills_the_screen(n: int, tmp_path: Path)
     assert long == {}
 
 
+def test_a_network_of_ones_own_has_flows_without_a_scenario(tmp_path: Path) -> None:
+    text = (ROOT / "scenarios/cases/case33bw.toml").read_text(encoding="utf-8")
+    (tmp_path / "network.toml").write_text(text, encoding="utf-8")
+    of_scenario = consensus_dsse.power_flow("case33bw")
+    for given in (tmp_path / "network.toml", consensus_dsse.load_network(tmp_path / "network.toml")):
+        solved = consensus_dsse.power_flow(given)
+        assert solved.branches.i_from_a.tolist() == of_scenario.branches.i_from_a.tolist()
+        assert "case33bw" in repr(solved)
+        with pytest.raises(consensus_dsse.InvalidInputError):
+            consensus_dsse.power_flow(given, changes={"seed": 3})
+
+
 def test_our_packages_are_ours() -> None:
     check_own_packages()
 

@@ -51,6 +51,18 @@ def test_json_is_one_document_with_the_numbers_of_the_csv(dsse, command: str):
     assert ("power_flow" in content) == (command == "powerflow")
 
 
+def test_a_network_file_needs_no_scenario_to_have_flows(dsse):
+    network = str(find_shipped("cases")["ieee33"])
+    assert dsse("powerflow", network, "--csv", "branches")[1] == dsse("powerflow", "ieee33", "--csv", "branches")[1]
+    content = json.loads(dsse("powerflow", network, "--json")[1])
+    assert content["network"] == {"name": "ieee33", "buses": 33}
+    assert "scenario" not in content
+    assert content["areas"][0]["area"] == ""
+    code, _, err = dsse("powerflow", network, "--set", "seed=3")
+    assert code == 2
+    assert "give a scenario file" in err
+
+
 def test_files_have_one_layout_whatever_they_come_from(dsse, tmp_path: Path):
     for command in COMMANDS:
         assert dsse(command, "ieee33", "--out", tmp_path / command)[0] == 0
