@@ -108,7 +108,7 @@ def generate(
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for network.toml, scenario.toml.")
 @click.option("--areas", "n_area", type=click.IntRange(min=1), default=1, show_default=True, help="How many areas.")
-@click.option("--name", help="Name of the network.  [default: that of the file]")
+@click.option("--name", help="Name of the network.  [default: its own, else that of the file]")
 @click.option(
     "--frequency",
     "frequency_hz",

@@ -15,7 +15,7 @@ from typing import Any
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
-from dsse_core.printable import listed, on_one_line, printable
+from dsse_core.printable import listed, on_one_line
 from scenarios.files.network_columns import default_branch_id
 from scenarios.files.zero_impedances import reject_zero_impedances
 from scenarios.importers.imported import (
@@ -98,7 +98,7 @@ def read_pandapower(path: Path, tree: Any) -> Imported:
 
 def _name_of(net: Any) -> str:
     """The name that the network gives itself, on one line; empty if it gives none."""
-    return printable(" ".join(net.name.split())) if isinstance(net.name, str) else ""
+    return " ".join(net.name.split()) if isinstance(net.name, str) else ""
 
 
 def _convert(name: str, net: Any, sgen: Any, ppc: dict[str, Any]) -> tuple[Conversion, list[Remark]]:

@@ -21,7 +21,7 @@ MARKS = re.compile(
     r") -->",
     re.DOTALL,
 )
-LANGUAGES = {"python", "text", "toml", "{toctree}", "{eval-rst}"}  # of fences that hold no commands
+LANGUAGES = {"json", "python", "text", "toml", "{toctree}", "{eval-rst}"}  # of fences that hold no commands
 
 
 @dataclass(frozen=True)
