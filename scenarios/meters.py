@@ -14,6 +14,7 @@ from dsse_core.grid.columns import Records
 from dsse_core.grid.measurement import MeasurementKind, Meter, Source
 from dsse_core.grid.meter_table import KINDS, NO_BRANCH, SOURCES, find_virtual, make_meters, number_kinds
 from dsse_core.grid.network import Network
+from dsse_core.limits import LARGEST_SIGMA, SMALLEST_SIGMA
 from scenarios.files.scenario_file import (
     AngleMeterTable,
     BranchMeterTable,
@@ -78,6 +79,16 @@ def build_sigma_rule(table: MeasurementsTable, base_mva: float) -> SigmaRule:
     if table.angle:
         absolute[KIND.VA] = math.radians(table.angle.sigma_deg)
     return SigmaRule(relative, absolute, table.floor_kva / 1000 / base_mva)
+
+
+def find_floor_problems(table: MeasurementsTable, network: Network) -> Iterable[str]:
+    """That ``floor_kva`` is no standard deviation which an estimator can compute with."""
+    floor = table.floor_kva / 1000 / network.base_mva
+    if not SMALLEST_SIGMA <= floor <= LARGEST_SIGMA:
+        yield (
+            f"measurements.floor_kva: {table.floor_kva:g} kVA is {floor:g} p.u. on base_mva {network.base_mva:g}; "
+            f"it must lie between {SMALLEST_SIGMA:g} and {LARGEST_SIGMA:g} p.u.; correct it"
+        )
 
 
 def build_meters(table: MeasurementsTable, network: Network) -> Records[Meter]:

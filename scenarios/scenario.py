@@ -34,7 +34,14 @@ from scenarios.files.scenario_file import (
 )
 from scenarios.files.shipped_files import find_scenario, find_shipped
 from scenarios.generate.cutting import cut_at, cut_into
-from scenarios.meters import SigmaRule, build_meters, build_sigma_rule, find_place_problems, find_virtual_buses
+from scenarios.meters import (
+    SigmaRule,
+    build_meters,
+    build_sigma_rule,
+    find_floor_problems,
+    find_place_problems,
+    find_virtual_buses,
+)
 
 AreaBuses = Mapping[str, Sequence[int]]
 RESERVED = {ALL_AREAS, "coordinator", "plant", "router", "router2"}
@@ -134,6 +141,7 @@ def load_scenario(
     if network is None:
         raise InvalidInputError(file.called(path), problems)
     problems += find_place_problems(file.measurements, network)
+    problems += find_floor_problems(file.measurements, network)
     partition, partition_problems = _build_whole(network) if whole else _build_partition_of(file, network, area_buses)
     problems += partition_problems
     readings, reading_problems = _load_readings_of(file, path, network)

@@ -14,14 +14,15 @@ from agents.area_files.area_file import keys_of
 from dsse_core.estimation.state_limits import DEFAULT_LIMITS
 from dsse_core.files.kinds import AREA_FILE, FileKind
 from dsse_core.files.quantities import (
+    BeatSeconds,
     Moment,
     Name,
     NotNegative,
     Positive,
     Probability,
     ScanSeconds,
-    Seconds,
     Seed,
+    Version,
 )
 from dsse_core.files.shared_tables import AdmmTable, GenerationTable, require_a_band
 from dsse_core.files.strict_table import ColumnsTable, FileTable, Table
@@ -81,13 +82,13 @@ class AreaTable(FileTable):
 
     kind: ClassVar[FileKind] = AREA_FILE
 
-    format: Literal[1] = Field(description="version of this format, 1")
+    format: Version = Field(description="version of this format, 1")
     run: Name = Field(description="name of the system that the area belongs to")
     area: Name = Field(description="name of the area")
     strategy: str = Field(description="how the areas exchange what they know")
     endpoints: list[str] = Field(description="where to find the bus, e.g. tcp/127.0.0.1:7447")
     listen: list[str] = Field(default_factory=list)
-    beat_s: Seconds = 0.2
+    beat_s: BeatSeconds = 0.2
     scan_s: ScanSeconds | None = None
     tolerance: Positive = 1e-6
     seed: Seed = 0

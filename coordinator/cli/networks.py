@@ -9,6 +9,7 @@ import click
 
 from coordinator.cli.terminal import Number, scenario_argument, show
 from dsse_core.errors import InvalidInputError
+from dsse_core.limits import LARGEST_SEED
 
 PICTURES = (".png", ".pdf", ".svg")
 BUSES_OF_AN_AREA = 10  # the areas of a generated feeder, unless a number is given
@@ -59,7 +60,13 @@ def partition(scenario: str, count: int | None, switches: tuple[str, ...], out: 
 @click.command(short_help="Make up a radial feeder and a scenario on it.")
 @click.option("--buses", "n_bus", type=click.IntRange(min=2, max=1_000_000), required=True, help="How many buses.")
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for network.toml, scenario.toml.")
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Another seed, another feeder.")
+@click.option(
+    "--seed",
+    type=click.IntRange(min=0, max=LARGEST_SEED),
+    default=1,
+    show_default=True,
+    help="Another seed, another feeder.",
+)
 @click.option(
     "--areas", "n_area", type=click.IntRange(min=1), help="How many areas.  [default: one per 10 buses, up to 8]"
 )

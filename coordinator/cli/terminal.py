@@ -18,7 +18,7 @@ from agents.runtime.heap import LARGE_ALONE, keep_small
 from coordinator.interrupts import decide
 from coordinator.process_run.compile_clock import clock
 from dsse_core.compiling import only_loading
-from dsse_core.limits import LONGEST_S
+from dsse_core.limits import LARGEST_SEED, LONGEST_S
 from dsse_core.printable import printable_lines
 
 if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts fast
@@ -46,7 +46,9 @@ SECONDS = Number(min=0, min_open=True, max=LONGEST_S)
 
 scenario_argument = click.argument("scenario")
 strategy_option = click.option("--strategy", help="Use this strategy instead of the scenario's.")
-seed_option = click.option("--seed", type=click.IntRange(min=0), help="Use this seed instead of the scenario's.")
+seed_option = click.option(
+    "--seed", type=click.IntRange(min=0, max=LARGEST_SEED), help="Use this seed instead of the scenario's."
+)
 timeout_option = click.option(
     "--timeout", type=SECONDS, metavar="S", help="Time limit in seconds instead of the scenario's."
 )

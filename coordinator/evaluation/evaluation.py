@@ -16,7 +16,7 @@ from dsse_core.code_places import has_whole
 from dsse_core.errors import DsseError, InvalidInputError
 from dsse_core.estimation.bad_data import BadDataReport, process_bad_data
 from dsse_core.files.wording import describe_unknown
-from dsse_core.limits import LONGEST_S
+from dsse_core.limits import LARGEST_SEED, LONGEST_S
 from scenarios.faults.faults import LinkChanges, change_links
 from scenarios.scenario import Scenario, load_scenario
 from scenarios.telemetry import Telemetry
@@ -49,6 +49,8 @@ def choose_scenario(
     else:
         scenario = load_scenario(scenario, strategies=list_strategies(), changes=changes)
     if seed is not None:
+        if not 0 <= seed <= LARGEST_SEED:
+            raise InvalidInputError("seed", [f"must be an integer from 0 to {LARGEST_SEED}"])
         scenario = replace(scenario, seed=seed)
     if strategy is not None:
         if strategy not in (known := list_strategies()):

@@ -13,6 +13,7 @@ from typing import Any
 
 DEEPEST_KEY = 8  # parts of a key of TOML that dots join
 MOST_KEY_PARTS = 1_000_000  # of all headers and dotted keys; Python's reader takes 1 kB for each
+MOST_DIGITS = 3000  # of an integer in base 16, 8 or 2, which Python reads at any length, but does not print
 MOST_VALUES = 30_000_000  # of JSON; a network of a million buses has 10 million
 
 STRINGS_AND_COMMENTS = re.compile(
@@ -27,6 +28,7 @@ HALF_OF_A_PAIR = re.compile(r"\\u[dD][89a-fA-F]|[\ud800-\udfff]")
 HEADER = re.compile(r"^[ \t]*+\[", re.MULTILINE)
 DOTTED = re.compile(r"(?<![\w-])[\w-]++(?:[ \t]*+\.[ \t]*+[\w-]++)++([ \t]*+[=\]])?", re.ASCII)
 """Keys, and numbers with a point."""
+LONG_INTEGER = re.compile(rf"(?<![\w-])0[xob]\w{{{MOST_DIGITS + 1}}}", re.ASCII)
 
 
 def parse_json(text: str) -> Any:
@@ -90,11 +92,14 @@ def _take_each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _check_keys(text: str) -> None:
-    """Count the parts of keys before Python's reader, which needs the square of a key's depth, does.
+    """Count the parts of keys before Python's reader, which needs the square of a key's depth, does; find long integers.
 
     Up to the first mistake, where that reader stops, this sees the same strings and comments as it does.
     """
     bare = STRINGS_AND_COMMENTS.sub(_blank_out, text)
+    if found := LONG_INTEGER.search(bare):
+        line = bare.count("\n", 0, found.start()) + 1
+        raise ValueError(f"it has an integer of more than {MOST_DIGITS:,} digits in base 16, 8 or 2 (at line {line})")
     total = len(HEADER.findall(bare))
     for key in DOTTED.finditer(bare):
         parts = key[0].count(".") + 1

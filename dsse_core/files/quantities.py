@@ -2,21 +2,41 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
-from pydantic import Field, StringConstraints
+from pydantic import BeforeValidator, Field, StringConstraints
 
-from dsse_core.limits import LARGEST_SIGMA, LONGEST_NAME, LONGEST_S, SHORTEST_SCAN_S, SMALLEST_SIGMA
+from dsse_core.limits import (
+    LARGEST_GROSS_ERROR,
+    LARGEST_SEED,
+    LARGEST_SIGMA,
+    LONGEST_NAME,
+    LONGEST_S,
+    SHORTEST_BEAT_S,
+    SHORTEST_SCAN_S,
+    SMALLEST_SIGMA,
+)
+
+
+def _require_integer(value: object) -> object:
+    """Of a version, which Python takes for equal to 1.0 and true."""
+    if type(value) is not int:
+        raise ValueError(f"must be the integer 1, found {value!r}")
+    return value
+
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Probability = Annotated[float, Field(ge=0, le=1)]
 Seconds = Annotated[float, Field(gt=0, le=LONGEST_S)]
 Moment = Annotated[float, Field(ge=0, le=LONGEST_S)]
+BeatSeconds = Annotated[float, Field(ge=SHORTEST_BEAT_S, le=LONGEST_S)]
 ScanSeconds = Annotated[float, Field(ge=SHORTEST_SCAN_S, le=LONGEST_S)]
 Milliseconds = Annotated[float, Field(ge=0, le=1000 * LONGEST_S)]
 Sigma = Annotated[float, Field(ge=SMALLEST_SIGMA, le=LARGEST_SIGMA)]
-Seed = Annotated[int, Field(ge=0)]
+GrossError = Annotated[float, Field(ge=-LARGEST_GROSS_ERROR, le=LARGEST_GROSS_ERROR)]
+Seed = Annotated[int, Field(ge=0, le=LARGEST_SEED)]
+Version = Annotated[Literal[1], BeforeValidator(_require_integer)]
 Penalty = Annotated[float, Field(ge=1e-6, le=1e6)]
 Name = Annotated[str, StringConstraints(pattern=r"^[_a-z0-9-]+$", max_length=LONGEST_NAME)]
 """Of an area or a run: a part of keys on the bus, and of names in certificates."""

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.files.bounded_file import LARGEST_JSON, LARGEST_TOML, read_text
-from dsse_core.files.bounded_parsing import parse_json, parse_toml
+from dsse_core.files.bounded_parsing import DEEPEST_KEY, parse_json, parse_toml
 from dsse_core.files.kinds import FileKind, kind_reported_by
 from dsse_core.files.table_errors import describe_errors, key_path
 
@@ -94,6 +94,8 @@ def _change(content: Any, key: str, value: object) -> str | None:
     if not re.fullmatch(r"[\w-]+(\[\d{1,9}\])*(\.[\w-]+(\[\d{1,9}\])*)*", key, re.ASCII):
         return f"{key!r} is no key; one looks like faults.loss or faults.link[1].loss"
     steps = [int(word) - 1 if bracket else word for bracket, word in re.findall(r"(\[?)([\w-]+)", key)]
+    if (parts := key.count(".") + 1) > DEEPEST_KEY:
+        return f"{key:.80} is a key of {parts:,} parts joined by dots, the limit is {DEEPEST_KEY}"
     for i, step in enumerate(steps):
         here = key_path(steps[:i]) or "the file"
         if isinstance(step, int):

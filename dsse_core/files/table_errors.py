@@ -36,10 +36,18 @@ def _describe(model: type[BaseModel], error: ErrorDetails, meant: Meant) -> str:
     if error["type"] == "value_error":
         text = str(error["ctx"]["error"])
         return f"{key}: {text}" if key else text
-    found = "a table" if isinstance(error["input"], dict) else f"{error['input']!r:.200}"
+    found = "a table" if isinstance(error["input"], dict) else _show(error["input"])
     text = error["msg"].replace("Input should", "must", 1).replace("String should", "must", 1)
     text = re.sub(r"a valid dictionary( or instance of \w+)?", "a table", text)
     return f"{key or 'the file'}: {text}, found {found}" + (f" ({meaning})" if meaning else "")
+
+
+def _show(value: object) -> str:
+    """A value as errors show it, cut short."""
+    try:
+        return f"{value!r:.200}"
+    except ValueError:  # Python prints no integer of so many digits
+        return "an integer of too many digits"
 
 
 def _is_tag(step: int | str) -> bool:

@@ -9,6 +9,8 @@ from pydantic import BeforeValidator, Discriminator, Field, PlainValidator, Tag,
 from dsse_core.estimation.state_limits import DEFAULT_LIMITS
 from dsse_core.files.kinds import SCENARIO_FILE, FileKind
 from dsse_core.files.quantities import (
+    BeatSeconds,
+    GrossError,
     Name,
     NotNegative,
     Positive,
@@ -17,6 +19,7 @@ from dsse_core.files.quantities import (
     Seconds,
     Seed,
     Sigma,
+    Version,
 )
 from dsse_core.files.shared_tables import AdmmTable, GenerationTable, require_a_band
 from dsse_core.files.strict_table import FileTable, Table
@@ -173,7 +176,7 @@ class GrossErrorTable(Table):
     """One ``[[telemetry.gross_error]]``."""
 
     meter: str = Field(description="id of the meter, e.g. p_flow@3:3-4")
-    sigmas: float = Field(description="what is added to the reading, in its standard deviations")
+    sigmas: GrossError = Field(description="what is added to the reading, in its standard deviations")
 
 
 class TelemetryTable(Table):
@@ -222,7 +225,7 @@ class RunTable(Table):
     between two scans, None where there is one only.
     """
 
-    beat_s: Seconds = 0.2
+    beat_s: BeatSeconds = 0.2
     scan_s: ScanSeconds | None = None
     timeout_s: Seconds = 30.0
 
@@ -259,7 +262,7 @@ class ScenarioFile(FileTable):
 
     kind: ClassVar[FileKind] = SCENARIO_FILE
 
-    version: Literal[1] = Field(description="version of this format, 1")
+    version: Version = Field(description="version of this format, 1")
     name: str | None = Field(
         default=None, min_length=1, max_length=LONGEST_NAME, description="what runs of it are called"
     )

@@ -93,3 +93,14 @@ def test_a_byte_order_mark_is_no_part_of_a_text(tmp_path: Path):
     path = tmp_path / "marked.toml"
     path.write_bytes(b"\xef\xbb\xbfversion = 1\n")
     assert parse_toml(read_text(path)) == {"version": 1}
+
+
+@pytest.mark.parametrize("digits", ["0x" + "f" * 5000, "0b" + "1" * 20_000, "0o" + "7_" * 3000 + "7"])
+def test_an_integer_that_python_does_not_print_is_not_read_in_another_base(digits: str) -> None:
+    with pytest.raises(ValueError, match=r"an integer of more than 3,000 digits in base 16, 8 or 2 \(at line 2\)"):
+        parse_toml(f"a = 1\nseed = {digits}")
+
+
+def test_long_texts_that_look_like_integers_in_another_base_are_read() -> None:
+    digits = "0x" + "f" * 5000
+    assert parse_toml(f'a = "{digits}" # {digits}') == {"a": digits}
