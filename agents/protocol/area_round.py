@@ -106,6 +106,14 @@ class AreaRound:
 
     # Towards the hub
 
+    def prepare(self) -> None:
+        """Use the time until the messages of this round are here."""
+        if self._has_begun and self.outcome is None:
+            try:
+                self.estimation.prepare()
+            except FAILURES as error:
+                self.estimation.fail(error)
+
     def take_up(self, name: str, message: UpMessage) -> bool:
         """Keep Up(k) of a neighbour; whether it is the first."""
         if self.outcome is not None or name in self._ups:

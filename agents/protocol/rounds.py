@@ -218,6 +218,7 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
                 return
             incarnation = (self._incarnation.start_ms, self._incarnation.random)
             yield from self._descend(totals, Decider(self._area.name, incarnation), None)
+        self._round.prepare()
 
     def _take_down(self, name: str, message: DownMessage) -> Iterator[Action]:
         """Follow the side of the hub, unless its message contradicts itself: then go on without it in this scan."""

@@ -271,6 +271,11 @@ class AreaEstimation:
         except FAILURES as error:
             self.fail(error)
 
+    def prepare(self) -> None:
+        """Do what the next round needs and no message tells."""
+        if not self.failure:
+            self.model.linear.prepare(self.x)
+
     def fail(self, error: BaseException) -> None:
         """Go on without numbers: others end the scan then."""
         self.failure = f"{type(error).__name__}: {error}"

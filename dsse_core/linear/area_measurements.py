@@ -43,6 +43,11 @@ class AreaMeasurements:
         return np.array([meter.source is Source.VIRTUAL for meter in self.meters], dtype=bool)
 
     @cached_property
+    def exact(self) -> np.ndarray:
+        """Rows of virtual measurements."""
+        return np.flatnonzero(self.virtual)
+
+    @cached_property
     def ids(self) -> tuple[str, ...]:
         """Of the meters."""
         return tuple(meter.id for meter in self.meters)
@@ -55,6 +60,11 @@ class AreaMeasurements:
     @property
     def size(self) -> int:
         return 2 * self._n + int(self.into_children.shape[1])
+
+    @property
+    def n_own_rows(self) -> int:
+        """Rows of the measurements and of the prior."""
+        return len(self.z) + (0 if self.prior is None else 2 * self._n)
 
     @property
     def _n(self) -> int:

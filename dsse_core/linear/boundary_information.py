@@ -10,10 +10,11 @@ from functools import cached_property
 import numpy as np
 
 EXACT_SIGMA = 1e-9  # p.u.; of exact injections: with the boundary's voltage given, there may be more than variables
+TIED_SIGMA = 1e-13  # p.u.; of powers that follow from the state, and the least of any: exact injections add up
 ROUNDING = 1e-14  # relative; what is left of a difference of equal numbers
 NOTHING_OF_VOLTAGE = 1e-10  # information about it, below which it is rounding
 BEYOND_REASON = 1e18  # numbers of a message
-VA = 3  # place of the angle in y
+VM, VA = 2, 3  # places of magnitude and angle in y
 
 
 def are_within_reason(numbers: Sequence[float]) -> bool:
@@ -76,7 +77,7 @@ def factor_inverse(S: np.ndarray) -> np.ndarray:
     What is less certain comes first, then the other given it: p may be as good as unknown and still tell q, by the
     losses that it causes. A variance below zero is rounding of a number too large to be known: a row of 0.
     """
-    least = EXACT_SIGMA**2
+    least = TIED_SIGMA**2
     s00, s01, s11 = float(S[0, 0]), float(S[0, 1]), float(S[1, 1])
     p_first = abs(s00) >= abs(s11)
     unknown, known = (s00, s11) if p_first else (s11, s00)

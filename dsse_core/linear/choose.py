@@ -10,6 +10,7 @@ from dsse_core.linear.dense import DenseRows
 from dsse_core.linear.interface import LinearArea, Rows
 from dsse_core.linear.no_load import NoLoadSolver
 from dsse_core.linear.radial import RadialSolver, find_why_not_radial
+from dsse_core.linear.reduced import ReducedSolver
 from dsse_core.linear.rows import RowSolver
 from dsse_core.linear.sparse import SparseRows
 
@@ -41,7 +42,9 @@ def make_rows(model: AreaMeasurements) -> Rows:
 def make_linear(model: AreaMeasurements, rows: Rows) -> LinearArea:
     """The numerics of ``model`` with its ``rows``: compiled where its area and meters allow, else by rows."""
     chosen = choose_backend(model.area, model.backend)
-    by_rows = RowSolver(model, rows, "sparse" if chosen == "radial" else chosen)
+    if chosen == "dense":
+        return ReducedSolver(model, rows, chosen)
+    by_rows = RowSolver(model, rows, "sparse")
     return RadialSolver(model, by_rows) if chosen == "radial" and model.prior is None else by_rows
 
 

@@ -29,6 +29,9 @@ class LinearArea(ABC):
     name: str
     declined: Counter[str]
 
+    def prepare(self, x: np.ndarray) -> None:  # noqa: B027  nothing, where all needs messages
+        """Do what needs no message at ``x`` while one is awaited."""
+
     @abstractmethod
     def step(self, x: np.ndarray, received: Received, damping: float = 0.0) -> np.ndarray:
         """The Gauss-Newton step, shape (size,), ``(G + damping) dx = b``: of the grid, if ``received`` is complete."""

@@ -94,20 +94,19 @@ class RowSolver(LinearArea):
         return np.asarray(self._least[columns])
 
     def stack(self, x: np.ndarray, received: Received) -> tuple[Matrix, np.ndarray, np.ndarray]:
-        """H, residual and sigma of the area's own measurements, of the messages ``received``, up to four rows each, and
-        of the model's prior, a row for each voltage.
+        """H, residual and sigma of the area's own measurements, of the model's prior, a row for each voltage, and of
+        the messages ``received``, up to four rows each.
         """
-        model, rows = self.model, self.rows
-        messages, of_messages = rows.messages(x, received)
-        parts, of_parts = [rows.jacobian(x), *messages], [model.residual_of(rows.predict(x)), *of_messages]
+        model, rows, m = self.model, self.rows, len(self.model.z)
+        parts, of_parts = [rows.jacobian(x)], [model.residual_of(rows.predict(x))]
         if model.prior is not None:
             parts.append(rows.voltages())
-            of_parts.append((model.prior - x)[: 2 * len(model.area.network.buses)])
-        r = np.concatenate(of_parts)
+            of_parts.append((model.prior - x)[: model.n_own_rows - m])
+        messages, of_messages = rows.messages(x, received)
+        r = np.concatenate([*of_parts, *of_messages])
         sigma = np.ones(len(r))
-        sigma[: len(model.z)] = model.sigma
-        if model.prior is not None:
-            sigma[-len(of_parts[-1]) :] = PRIOR_SIGMA
+        sigma[:m], sigma[m : model.n_own_rows] = model.sigma, PRIOR_SIGMA
+        parts += messages
         return (rows.join(parts) if len(parts) > 1 else parts[0]), r, sigma
 
 
@@ -129,22 +128,37 @@ def _find_power(factor: Factor, C: Matrix, A: np.ndarray, du: np.ndarray) -> tup
     return W, S, A
 
 
+def shift_of_own_rows(model: AreaMeasurements, rows: Rows, x: np.ndarray, H: Matrix) -> np.ndarray:
+    """How the area's own rows H of ``stack`` respond where all voltages grow by a share, and turn, shape (rows, 2).
+
+    The first scales all voltages of the area alike, the second turns all its angles (but a reference): then powers
+    respond with 2 s and 0 exactly. Moving one bus alone would change flows by dv / z and leave to rounding what is
+    known of its voltage, a difference of such changes.
+    """
+    B, m = np.zeros((H.shape[0], 2)), len(model.z)
+    B[:m, 0], B[model.angles, 1] = model.degrees * rows.predict(x), 1.0
+    if model.prior is not None:
+        n_bus = len(model.area.network.buses)
+        B[m : m + n_bus, 1], B[m + n_bus :, 0] = 1.0, x[n_bus : 2 * n_bus]
+    if model.fixed.size:
+        B[:, 1] -= H[:, model.fixed].sum(axis=1)
+    return B
+
+
 def _responses_to_shift(
     model: AreaMeasurements, rows: Rows, x: np.ndarray, neighbour: Neighbour, received: Received, H: Matrix
 ) -> tuple[np.ndarray, np.ndarray]:
-    """How all rows H of ``stack_rows``, shape (rows, 2), and (p, q) at the boundary, shape (2, 2), answer to dv.
+    """How all rows H of ``stack``, shape (rows, 2), and (p, q) at the boundary, shape (2, 2), respond to dv.
 
-    dvm scales all voltages of the area alike, dva turns all its angles (but a reference): then powers answer with
-    2 s / vm_b and 0 exactly. Moving bus b alone would change flows by dv / z and leave M, a difference of such
-    changes, to rounding.
+    The voltage of the boundary moves and takes the whole area along.
     """
-    (vm_column, va_column), fixed, m = model.voltage_columns(neighbour), model.fixed, len(model.z)
+    (vm_column, va_column), fixed = model.voltage_columns(neighbour), model.fixed
     vm_b = float(x[vm_column])
-    B = np.zeros((H.shape[0], 2))
-    B[:m, 0], B[model.angles, 1] = model.degrees * rows.predict(x) / vm_b, 1.0
-    dy, dp = np.zeros((4, 2)), np.zeros((2, 2))
+    B, dy, dp = np.zeros((H.shape[0], 2)), np.zeros((4, 2)), np.zeros((2, 2))
+    end = model.n_own_rows
+    B[:end] = shift_of_own_rows(model, rows, x, H[:end])
+    B[:end, 0] /= vm_b
     dy[VA, 1] = 1.0
-    end = m
     for n in model.area.neighbours:
         dy[:, 0] = rows.boundary_values(x, n) * DEGREES_OF_BOUNDARY / vm_b
         if n.area == neighbour.area:
@@ -154,11 +168,8 @@ def _responses_to_shift(
         elif (message := received.get(n.area)) is not None:
             first, end = end, end + len(message.rows[0])
             B[first:end] = message.rows[0] @ dy
-    if model.prior is not None:
-        n_bus = len(model.area.network.buses)
-        B[end : end + n_bus, 1], B[end + n_bus :, 0] = 1.0, x[n_bus : 2 * n_bus] / vm_b
-    if fixed.size:
-        B[:, 1] -= H[:, fixed].sum(axis=1)
-        if va_column in fixed:  # the reference itself: it does not move
-            B[:, 1] = dp[:, 1] = 0.0
+            if fixed.size:
+                B[first:end, 1] -= H[first:end, fixed].sum(axis=1)
+    if va_column in fixed:  # the reference itself: it does not move
+        B[:, 1] = dp[:, 1] = 0.0
     return B, dp

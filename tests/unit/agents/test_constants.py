@@ -20,7 +20,8 @@ SOURCES = (
     "dsse_core/gauss_newton.py",
     *(f"dsse_core/estimation/{name}.py" for name in ("decision", "residuals", "bad_data")),
 )
-NO_PARAMETERS = {"boundary_information.VA", "boundary_information.BEYOND_REASON"}  # a place; a limit of the wire
+PLACES = {"boundary_information.VM", "boundary_information.VA"}
+NO_PARAMETERS = PLACES | {"boundary_information.BEYOND_REASON"}  # a limit of the wire
 UNITS = {"%": 0.01, "ms": 1e-3}
 
 

@@ -1,0 +1,266 @@
+"""The numbers of a small area by one orthogonal factor a state: the area reduced to its boundaries.
+
+Reflections eliminate from all weighted rows the variables within the area; those of its boundaries, y, are left:
+
+``Q'[W H | W r] = [[R_w, R_wy, z_w], [0, R_y, z_y]]`` with R_w upper triangular.
+
+What a neighbour is to receive, and the step at the boundaries, follow from the rows ``R_y``, ``z_y`` and from what
+others have sent; the voltages within the area follow by substitution. This needs no message, so that it is done while
+one is awaited.
+
+The powers of the parent's boundary are functions of the voltages next to it, which are not eliminated either. The last
+two variables are shifts of the whole area (``shift_of_own_rows``). In place of the voltage of one boundary bus they
+keep from rounding what is known of it, and the steps over short branches. Rows with weights over many decades keep
+their digits each, as heavy rows come first and columns are pivoted (Higham, Accuracy and Stability of Numerical
+Algorithms, 20.3).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple, Self
+
+import numpy as np
+from scipy.linalg import lapack
+
+from dsse_core.grid.partition import Area, Neighbour
+from dsse_core.linear.area_measurements import AreaMeasurements
+from dsse_core.linear.boundary_information import TIED_SIGMA, VA, VM, BoundaryInformation
+from dsse_core.linear.interface import NOT_YET, Received, Rows
+from dsse_core.linear.rows import DEGREES_OF_BOUNDARY, RowSolver, shift_of_own_rows
+
+
+class _Eliminated(NamedTuple):
+    """Variables eliminated from rows: ``triangle dx[order] = known - rest dy``; ``rows``: what is left of all rows."""
+
+    triangle: np.ndarray
+    order: np.ndarray
+    turned: np.ndarray
+    rows: np.ndarray
+
+    def substitute(self, dy: np.ndarray) -> np.ndarray:
+        """dx."""
+        dx = np.zeros(len(self.order))
+        if len(dx):
+            dx[self.order] = lapack.dtrtrs(self.triangle, self.turned[:, -1] - self.turned[:, :-1] @ dy)[0]
+        return dx
+
+
+@dataclass(frozen=True)
+class _Reduced:
+    """The area at a state ``x``.
+
+    ``boundaries``: neighbour -> y, shape (4,), and ``[dy | -y]`` by the variables of the boundaries.
+    """
+
+    x: np.ndarray
+    within: _Eliminated
+    boundaries: dict[str, tuple[np.ndarray, np.ndarray]]
+
+
+class ReducedSolver(RowSolver):
+    """Steps and information; variances, and steps with damping, come from the tableau of all rows."""
+
+    def __init__(self, model: AreaMeasurements, rows: Rows, name: str) -> None:
+        super().__init__(model, rows, name)
+        self._order = _Order(model)
+        self._reduced: _Reduced | None = None
+        self._least_rows = self._find_least_rows()
+
+    def with_readings(self, model: AreaMeasurements) -> Self:
+        other = super().with_readings(model)
+        other._reduced = None
+        return other
+
+    def prepare(self, x: np.ndarray) -> None:
+        self._reduce(x)
+
+    def step(self, x: np.ndarray, received: Received, damping: float = 0.0) -> np.ndarray:
+        if damping:
+            return super().step(x, received, damping)
+        reduced, order = self._reduce(x), self._order
+        rows = self._stack(reduced, received, with_shifts=True)[:, order.of_step]
+        db = np.zeros(order.n_boundary)
+        db[order.of_step[:-1]] = _eliminate(rows, len(order.of_step) - 1).substitute(np.zeros(0))
+        dx, n = np.zeros(self.model.size), order.n_within
+        dx[order.read[:n]] = reduced.within.substitute(db)
+        dx[order.read[n:]] = db[: len(order.read) - n]
+        dx += order.shift(x, *db[-2:])
+        return dx
+
+    def information(self, x: np.ndarray, neighbour: Neighbour, received: Received) -> BoundaryInformation:
+        reduced, (columns, n_last) = self._reduce(x), self._order.towards[neighbour.area]
+        y, dy = reduced.boundaries[neighbour.area]
+        rows = self._stack(reduced, {name: sent for name, sent in received.items() if name != neighbour.area})
+        rows = _with_powers(rows, dy) if neighbour.is_parent else rows
+        rows = _triangulate(_eliminate(rows[:, columns], len(columns) - 1 - n_last).rows)
+        R, z = np.zeros((4, 4)), np.zeros(4)
+        R[:n_last, :n_last], z[:n_last] = rows[:n_last, :-1], rows[:n_last, -1]
+        R[:, VM] = (R[:, VM] - R[:, :VM] @ (2 * y[:VM])) / y[VM]  # the shift takes the powers along
+        return BoundaryInformation(R, R @ y + z)
+
+    def _stack(self, reduced: _Reduced, received: Received, *, with_shifts: bool = False) -> np.ndarray:
+        """The rows of the boundaries, of messages, and of next to no weight for shifts that nothing determines."""
+        parts = [reduced.within.rows]
+        for name, (_, dy) in reduced.boundaries.items():
+            if (message := received.get(name)) is not None:
+                R, z = message.rows
+                part = R @ dy
+                part[:, -1] += z
+                parts.append(part)
+        if with_shifts:
+            parts.append(self._order.least_of_shifts)
+        return np.concatenate(parts) if len(parts) > 1 else parts[0]
+
+    def _reduce(self, x: np.ndarray) -> _Reduced:
+        """Found once for a state."""
+        if self._reduced is None or not np.array_equal(self._reduced.x, x):
+            boundaries = {neighbour.area: self._boundary(x, neighbour) for neighbour in self.model.area.neighbours}
+            within = _eliminate(self._weighted_rows(x), self._order.n_within)
+            self._reduced = _Reduced(x.copy(), within, boundaries)
+        return self._reduced
+
+    def _weighted_rows(self, x: np.ndarray) -> np.ndarray:
+        """``[W H | W r]`` of the area's own rows, and those of ``_find_least_rows``."""
+        order = self._order
+        H, r, sigma = self.stack(x, {})
+        m = len(r)
+        A = np.zeros((m + len(self._least_rows), order.size + 1))
+        A[:m, :-3], A[:m, -1] = H[:, order.read], r
+        A[:m, -3:-1] = shift_of_own_rows(self.model, self.rows, x, H)
+        A[:m] /= sigma[:, None]
+        A[m:, :-1] = self._least_rows
+        if len(exact := self.model.exact):
+            A[exact] = _turn_alone(A[exact], order.n_within)
+        return A
+
+    def _find_least_rows(self) -> np.ndarray:
+        """One for each variable of the area, of next to no weight, should nothing determine it."""
+        read = self._order.read
+        least = np.zeros((len(read), self._order.size))
+        least[np.arange(len(read)), np.arange(len(read))] = np.sqrt(self.least_information(read))
+        return least
+
+    def _boundary(self, x: np.ndarray, neighbour: Neighbour) -> tuple[np.ndarray, np.ndarray]:
+        """y, and how it follows from the variables of the boundaries."""
+        order, n = self._order, self._order.n_within
+        dy = order.picks[neighbour.area].copy()
+        if neighbour.is_parent:
+            y, T = self.rows.boundary(x, neighbour)
+            dy[:VM, : len(order.read) - n] = T[:VM, order.read[n:]]
+            dy[:VM, -2] = -T[:VM, self.model.fixed].sum(axis=1)
+        else:
+            y = self.rows.boundary_values(x, neighbour)
+        dy[:, -3], dy[:, -1] = y * DEGREES_OF_BOUNDARY, -y
+        return y, dy
+
+
+class _Order:
+    """The order of an area's variables: those within it; those of its boundaries, ``n_boundary``: powers of children,
+    voltages, and two shifts, which alone stand for the voltage of a single boundary bus.
+
+    ``read``: which of x the variables are, ``n_within`` of them within. ``of_step``: variables of the boundaries
+    without what follows from others, then the column of residuals. ``towards``: neighbour -> the same with what its y
+    consists of last, and how many these are; for the parent of ``_with_powers``.
+    """
+
+    def __init__(self, model: AreaMeasurements) -> None:
+        area, n_bus = model.area, len(model.area.network.buses)
+        buses = list(dict.fromkeys(n.bus for n in area.neighbours)) or [area.entry_bus]
+        of_bus = {bus.id: (n_bus + row, row) for row, bus in enumerate(area.network.buses)}
+        free, kept = set(model.free.tolist()), buses if len(buses) > 1 else []
+        next_to_parent = _find_next_to(area, area.parent.bus) - {*buses} if area.parent else set()
+        powers = {n.area: model.boundary_columns(n)[:2] for n in area.neighbours if not n.is_parent}
+        at_boundaries = [k for pair in powers.values() for k in pair]
+        at_boundaries += [k for bus in (*kept, *sorted(next_to_parent)) for k in of_bus[bus] if k in free]
+        apart = {*at_boundaries, *(k for bus in buses for k in of_bus[bus])}
+        within = [k for k in model.free.tolist() if k not in apart]
+        self.n_within, self.n_boundary = len(within), len(at_boundaries) + 2
+        self.read = np.array([*within, *at_boundaries], dtype=int)
+        self.size = self.n_within + self.n_boundary
+        self._is_turned = np.isin(np.arange(n_bus), model.free)
+        place = {k: at for at, k in enumerate(at_boundaries)}
+        growth, turn, residual = range(self.n_boundary - 2, self.n_boundary + 1)
+
+        def without(bus: int) -> list[int]:
+            """All but the voltage that follows from shifts, and but the turn where that does not move it."""
+            out = {place.get(k) for k in of_bus[bus]} | (set() if of_bus[bus][1] in free else {turn})
+            return [k for k in range(self.n_boundary) if k not in out]
+
+        self.of_step = [*without(buses[0]), residual]
+        self.least_of_shifts = np.zeros((2, self.n_boundary + 1))
+        self.least_of_shifts[[0, 1], [growth, turn]] = NOT_YET**0.5
+        self.picks: dict[str, np.ndarray] = {}
+        self.towards: dict[str, tuple[list[int], int]] = {}
+        for n in area.neighbours:
+            self.picks[n.area] = pick = np.zeros((4, self.n_boundary + 1))
+            of_y = [place[k] for k in powers.get(n.area, ())]
+            pick[range(len(of_y)), of_y] = 1.0
+            pick[VA, turn] = of_bus[n.bus][1] in free
+            for k, column in zip((VM, VA), of_bus[n.bus], strict=True):
+                if column in place:
+                    pick[k, place[column]] = 1.0
+            left = [k for k in without(n.bus) if k not in of_y and k < growth]
+            of_voltage = [k for k in without(n.bus) if k >= growth]
+            if n.is_parent:
+                left, of_y, of_voltage = [k + 2 for k in left], [0, 1], [k + 2 for k in of_voltage]
+            last = [*of_y, *of_voltage]
+            self.towards[n.area] = [*left, *last, residual + 2 * n.is_parent], len(last)
+
+    def shift(self, x: np.ndarray, growth: float, turn: float) -> np.ndarray:
+        """The change of x, shape (size,), where all voltages grow by a share, and turn by an angle, rad."""
+        n = len(self._is_turned)
+        return np.concatenate([turn * self._is_turned, growth * x[n : 2 * n], 2 * growth * x[2 * n :]])
+
+
+def _find_next_to(area: Area, bus: int) -> set[int]:
+    """The buses at the other ends of the branches of ``bus``."""
+    ends = ((branch.from_bus, branch.to_bus) for branch in area.network.active_branches)
+    return {end for pair in ends if bus in pair for end in pair} - {bus}
+
+
+def _with_powers(rows: np.ndarray, dy: np.ndarray) -> np.ndarray:
+    """``rows`` with changes of the parent's powers before the other variables, but for what the shift makes of them."""
+    tie = dy[:VM].copy()
+    tie[:, -3] = tie[:, -1] = 0.0
+    wide = np.zeros((len(rows) + 2, rows.shape[1] + 2))
+    wide[:-2, 2:], wide[-2:, :2], wide[-2:, 2:] = rows, -np.eye(2) / TIED_SIGMA, tie / TIED_SIGMA
+    return wide
+
+
+def _eliminate(rows: np.ndarray, n: int) -> _Eliminated:
+    """The first ``n`` variables eliminated from ``rows``, whose last column is that of the residuals.
+
+    Rows without these variables come last and stay as they are: at the top a heavy one would be turned into all others.
+    """
+    if not n:
+        return _Eliminated(np.zeros((0, 0)), np.zeros(0, dtype=int), rows[:0], rows)
+    rows = _heavy_first(rows, n)
+    reflectors, order, tau, _, _ = lapack.dgeqp3(rows[:, :n])
+    turned = lapack.dormqr("L", "T", reflectors[:, : len(tau)], tau, rows[:, n:], rows.size)[0]
+    return _Eliminated(reflectors[:n], order - 1, turned[:n], turned[n:])
+
+
+def _turn_alone(rows: np.ndarray, n: int) -> np.ndarray:
+    """Rows that say the same, as few as possible of them with any of the first ``n`` variables.
+
+    Exact rows are heavier than others by so much that one more of them than variables to eliminate would spoil these.
+    """
+    alone, turned = _eliminate(rows, n), np.zeros_like(rows)
+    k = len(alone.turned)
+    turned[:k, alone.order] = np.triu(alone.triangle)
+    turned[:k, n:], turned[k:, n:] = alone.turned, alone.rows
+    return turned
+
+
+def _triangulate(rows: np.ndarray) -> np.ndarray:
+    """As many rows as columns, that say the same, upper triangular."""
+    m, n = rows.shape
+    if m < n:
+        rows = np.pad(rows, ((0, n - m), (0, 0)))
+    return np.asarray(np.triu(lapack.dgeqrf(_heavy_first(rows, n - 1))[0][:n]))
+
+
+def _heavy_first(rows: np.ndarray, n: int) -> np.ndarray:
+    """``rows`` in the order of their largest entry in the first ``n`` columns."""
+    return rows[np.argsort(-abs(rows[:, :n]).max(axis=1), kind="stable")]
