@@ -7,6 +7,7 @@ asynchronous strategies stand with their strategies (``BoundaryUpdate``).
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import ClassVar, Self
@@ -105,16 +106,16 @@ class BoundaryUpdate:
 
 
 @dataclass(frozen=True, slots=True)
-class VariablesMessage:
+class VariablesMessage(ABC):
     """A message at boundary ``bus`` with numbers of its d ``variables`` y."""
 
     header: Header
     bus: Count
     variables: Names = field(default=ONE_PHASE, kw_only=True)
 
+    @abstractmethod
     def lengths(self) -> Lengths:
         """Field -> how many numbers it has, and how many it may have."""
-        raise NotImplementedError
 
     def find_misfit(self) -> str:
         return find_wrong_variable(self.variables) or find_wrong_length(self.variables, self.lengths())

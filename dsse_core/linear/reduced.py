@@ -187,11 +187,11 @@ class _Order:
             out = {place.get(k) for k in of_bus[bus]} | (set() if of_bus[bus][1] in free else {turn})
             return [k for k in range(self.n_boundary) if k not in out]
 
-        self.of_step = [*without(buses[0]), residual]
+        self.of_step = np.array([*without(buses[0]), residual])
         self.least_of_shifts = np.zeros((2, self.n_boundary + 1))
         self.least_of_shifts[[0, 1], [growth, turn]] = NOT_YET**0.5
         self.picks: dict[str, np.ndarray] = {}
-        self.towards: dict[str, tuple[list[int], int]] = {}
+        self.towards: dict[str, tuple[np.ndarray, int]] = {}
         for n in area.neighbours:
             self.picks[n.area] = pick = np.zeros((4, self.n_boundary + 1))
             of_y = [place[k] for k in powers.get(n.area, ())]
@@ -205,7 +205,7 @@ class _Order:
             if n.is_parent:
                 left, of_y, of_voltage = [k + 2 for k in left], [0, 1], [k + 2 for k in of_voltage]
             last = [*of_y, *of_voltage]
-            self.towards[n.area] = [*left, *last, residual + 2 * n.is_parent], len(last)
+            self.towards[n.area] = np.array([*left, *last, residual + 2 * n.is_parent]), len(last)
 
     def shift(self, x: np.ndarray, growth: float, turn: float) -> np.ndarray:
         """The change of x, shape (size,), where all voltages grow by a share, and turn by an angle, rad."""

@@ -13,6 +13,7 @@ from agents.messages.packing import (
     encode,
 )
 from agents.messages.triangle import read_triangle, write_triangle
+from agents.messages.types import PlaceMessage, RoundMessage, VariablesMessage
 
 THREE_PHASES = tuple(f"{kind}.{phase}" for kind in ("p", "q", "vm", "va") for phase in "abc")
 SPEAK_OF_BOUNDARIES = [UP, *(m for m in MESSAGES if m.kind in ("down", "admm", "heartbeat"))]
@@ -58,3 +59,12 @@ def test_information_with_three_phases_survives_as_a_matrix():
     R = np.triu(np.arange(1.0, 145.0).reshape(12, 12))
     sent = replace(with_variables(UP, THREE_PHASES), R=write_triangle(R))
     np.testing.assert_array_equal(read_triangle(decode(encode(sent)).R), R)
+
+
+@pytest.mark.parametrize("message_type", [VariablesMessage, PlaceMessage])
+def test_a_message_that_does_not_state_its_lengths_cannot_be_made(message_type):
+    class Forgetful(message_type):
+        """No ``lengths``."""
+
+    with pytest.raises(TypeError, match="lengths"):
+        Forgetful(*[None] * (len(fields(message_type)) - 1))
