@@ -49,7 +49,7 @@ def partition(scenario: str, count: int | None, switches: tuple[str, ...], out: 
     loaded = load_scenario(scenario, strategies=list_strategies(), changes=changes)
     show(format_area_tables(loaded.partition) if toml else format_areas(loaded))
     if out is not None:
-        from coordinator.report.draw_areas import draw_areas
+        from coordinator.figures.draw_areas import draw_areas
 
         out.parent.mkdir(parents=True, exist_ok=True)
         draw_areas(loaded.partition, out)

@@ -13,7 +13,7 @@ mpl.use("Agg")
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from coordinator.report.plot_text import plot_text
+from coordinator.figures.plot_text import plot_text
 from coordinator.studies.study_row import NO_CONSENSUS, StudyRow
 from coordinator.studies.sweep_plan import Task
 

@@ -14,7 +14,7 @@ from agents.runtime.log_format import PrintableFormatter
 from coordinator.evaluation.result import RunResult
 from coordinator.observe.live import build_table
 from coordinator.observe.progress import AreaProgress, Progress
-from coordinator.report.draw_areas import draw_areas
+from coordinator.figures.draw_areas import draw_areas
 from coordinator.report.plots import draw_plots
 from coordinator.report.text import format_check, format_verdict
 from coordinator.simulator.simulate import simulate_scenario

@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from coordinator.report.feeder_layout import lay_out
+from coordinator.figures.feeder_layout import lay_out
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 
 

@@ -7,6 +7,6 @@ from dsse_core.printable import printable, shortened
 LONGEST_TITLE = 120  # characters
 
 
-def plot_text(text: object) -> str:
+def plot_text(text: object, longest: int = LONGEST_TITLE) -> str:
     """``text`` as matplotlib draws it letter by letter: what stands between two dollar signs would be mathematics."""
-    return shortened(printable(text), LONGEST_TITLE).replace("$", r"\$")
+    return shortened(printable(text), longest).replace("$", r"\$")

@@ -1,0 +1,97 @@
+"""The one-line diagram that pictures of networks share: paper, lines from bus to bus, marks, numbers of buses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from coordinator.figures.feeder_layout import Layout
+from coordinator.figures.labels import label_points
+from coordinator.figures.style import INK, PAPER, fix_layout
+from dsse_core.grid.network import Branch, Network
+from dsse_core.grid.partition import Partition
+
+MAX_DOTS = 600  # buses that are drawn as dots
+MAX_BUS_NAMES = 60
+SMALLEST_IN, LARGEST_IN = 3.0, 16.0
+MANY_LABELS = 150  # more get more paper
+
+
+def new_diagram(layout: Layout, n_label: int) -> tuple[Figure, Axes]:
+    """Paper for ``layout``; more of it where ``n_label`` numbers of buses would not find room."""
+    columns, rows = np.ptp(layout.place, axis=0)
+    width, height = _inches(columns), _inches(rows) + 1
+    more = max(1.0, (n_label / MANY_LABELS) ** 0.5)
+    figure = Figure(figsize=(width * more, height * more), layout="constrained")
+    axes = figure.subplots()
+    axes.set_axis_off()
+    return figure, axes
+
+
+def _inches(length: float) -> float:
+    """How much paper so many columns or rows get."""
+    return float(np.clip(0.35 * length + 1, SMALLEST_IN, LARGEST_IN))
+
+
+def find_corners(network: Network, layout: Layout, branch: Branch) -> np.ndarray:
+    """Three: along the column of the inner bus, then along the row of the outer. Two if the branch closes a loop."""
+    inner, outer = branch.from_bus, branch.to_bus
+    if layout.upstream[inner] == outer:
+        inner, outer = outer, inner
+    one, other = layout.place[[network.row[inner], network.row[outer]]]
+    if layout.upstream[outer] != inner:
+        return np.array([one, other])
+    return np.array([one, (one[0], other[1]), other])
+
+
+def line_width(n_bus: int) -> float:
+    return 2.5 if n_bus <= MAX_BUS_NAMES else 1.2
+
+
+def mark_size(n_bus: int) -> float:
+    """Of boundary buses and the substation, points."""
+    return 8.0 if n_bus <= MAX_BUS_NAMES else 6.0 if n_bus <= MAX_DOTS else 4.0
+
+
+def mark_boundaries(axes: Axes, partition: Partition, layout: Layout, fill: str = PAPER) -> None:
+    """Boundary buses as rings, filled with ``fill``, the substation as a square."""
+    network = partition.network
+    assert network.slack is not None  # a partition has a substation
+    if partition.boundaries:
+        _mark(axes, layout, [network.row[bus] for bus in partition.boundaries], "boundary bus", "o", fill)
+    _mark(axes, layout, [network.row[network.slack.bus]], "substation", "s", INK)
+
+
+def _mark(axes: Axes, layout: Layout, rows: list[int], label: str, marker: str, fill: str) -> None:
+    style: dict[str, Any] = {"marker": marker, "markerfacecolor": fill, "markeredgecolor": INK}
+    axes.plot(
+        *layout.place[rows].T,
+        linestyle="none",
+        markersize=mark_size(len(layout.place)),
+        markeredgewidth=0.8,
+        label=label,
+        zorder=4,
+        **style,
+    )
+
+
+def number_buses(axes: Axes, partition: Partition, layout: Layout, more: Sequence[int] = ()) -> None:
+    """The numbers of boundary buses, the substation and ``more``, whatever their size; of all where these are few.
+
+    The layout of the figure is final then.
+    """
+    figure, network = axes.figure, partition.network
+    assert isinstance(figure, Figure)
+    assert network.slack is not None
+    fix_layout(figure)
+    n_bus = len(layout.place)
+    wanted = list(dict.fromkeys([network.slack.bus, *more, *partition.boundaries]))
+    obstacles = layout.place if n_bus <= MAX_DOTS else layout.place[[network.row[bus] for bus in wanted]]
+    if n_bus <= MAX_BUS_NAMES:
+        wanted = list(dict.fromkeys([*wanted, *network.row]))
+    places = layout.place[[network.row[bus] for bus in wanted]]
+    label_points(axes, places, list(map(str, wanted)), obstacles, mark_size(n_bus), all_of_them=True)

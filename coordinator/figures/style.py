@@ -1,0 +1,114 @@
+"""How figures look, in all formats, and how they are written: as files, and as SVG inside a page.
+
+Colours are those of Okabe and Ito, told apart by people who see colours differently; marks differ by shape, too. Text,
+axes and what is black on paper have the colour INK, in a page that of its text; so figures suit light and dark pages.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+
+mpl.use("Agg")
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+INK, PAPER = "#000001", "#fffffe"  # told apart in SVG from any colour of the data
+BLUE, VERMILLION, GREEN, PURPLE = "#0072b2", "#d55e00", "#009e73", "#cc79a7"
+ORANGE, SKY, GREY = "#e69f00", "#56b4e9", "#7f7f7f"
+COLOURS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, GREY)
+LINES = ("solid", "dashed", "dashdot", "dotted")
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+TRUE: dict[str, Any] = {"color": INK, "marker": "o", "markerfacecolor": "none", "markersize": 7, "markeredgewidth": 0.8}
+CENTRALISED: dict[str, Any] = {"color": BLUE, "marker": "x", "markersize": 6}
+DECENTRALISED: dict[str, Any] = {"color": VERMILLION, "marker": ".", "markersize": 6}
+WIDTH = 8.0  # inches
+DPI = 130
+MAX_VECTOR = 3000  # marks of one kind in a vector graphic; more become an image in it
+RC: dict[str, Any] = {
+    "font.sans-serif": ["DejaVu Sans", "Verdana", "Arial"],
+    "text.color": INK,
+    "axes.edgecolor": INK,
+    "axes.labelcolor": INK,
+    "axes.facecolor": "none",
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "legend.edgecolor": GREY,
+    "legend.facecolor": PAPER,
+    "figure.facecolor": PAPER,
+    "savefig.facecolor": PAPER,
+    "figure.titlesize": "medium",
+    "grid.color": GREY,
+    "svg.fonttype": "none",  # text stays text, which can be searched and read aloud
+    "svg.hashsalt": "dsse",  # the same figure is the same file
+    "pdf.fonttype": 42,
+}
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A figure with its name, that of its files, and what it shows in words: a ``title`` and a ``caption``."""
+
+    name: str
+    title: str
+    caption: str
+    figure: Figure
+
+
+def styled() -> Any:
+    """The context in which figures are drawn and written."""
+    return mpl.rc_context(RC)
+
+
+def new_figure(height: float, rows: int = 1, width: float = WIDTH) -> tuple[Figure, list[Axes]]:
+    """A figure, inches, with ``rows`` axes above each other that share their x axis."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    axes = figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0].tolist()
+    return figure, axes
+
+
+def say_instead(axis: Axes, words: str) -> None:
+    """``words`` in the middle of axes that have nothing to show."""
+    axis.set_yticks([])
+    axis.text(0.5, 0.5, words, transform=axis.transAxes, ha="center", va="center")
+
+
+def fix_layout(figure: Figure) -> None:
+    """Place everything once, however many formats are written then."""
+    if figure.get_layout_engine() is not None:
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")
+
+
+def save(figure: Figure, path_without_suffix: Path, formats: Sequence[str]) -> tuple[Path, ...]:
+    """Write the figure once for each of ``formats``; the paths.
+
+    Raises:
+        OSError: one of them cannot be written.
+    """
+    paths = tuple(path_without_suffix.with_name(f"{path_without_suffix.name}.{suffix}") for suffix in formats)
+    fix_layout(figure)
+    for path, suffix in zip(paths, formats, strict=True):
+        undated: dict[str, Any] = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
+        figure.savefig(path, dpi=DPI, metadata=undated.get(suffix))
+    return paths
+
+
+def as_svg(figure: Figure, name: str) -> str:
+    """The figure as an ``<svg>`` element for a page, ids beginning with ``name``; text as text, colours the page's."""
+    fix_layout(figure)
+    text = io.StringIO()
+    nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
+    figure.savefig(text, format="svg", metadata=nothing, transparent=True)
+    svg = text.getvalue()
+    svg = svg[svg.index("<svg") :]
+    svg = re.sub(r"<defs>\s*<style[^>]*>.*?</style>\s*</defs>", "", svg, count=1, flags=re.DOTALL)
+    svg = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{name}-", svg)
+    svg = re.sub(r'^<svg [^>]*?(viewBox="[^"]*")[^>]*>', r'<svg \1 aria-hidden="true" focusable="false">', svg, count=1)
+    return svg.replace(INK, "currentColor").replace(PAPER, "var(--paper)").strip()
