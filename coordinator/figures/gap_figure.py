@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from coordinator.evaluation.convergence import gap_history
 from coordinator.evaluation.result import RunOutcome
 from coordinator.figures.plot_text import plot_text
-from coordinator.figures.style import COLOURS, GREY, INK, LINES, MARKERS, PURPLE, Drawing, new_figure, say_instead
+from coordinator.figures.style import COLOURS, GREY, INK, LINES, MARKERS, PURPLE, Drawing, format_power_of_ten, new_figure, say_instead
 
 SMALLEST = 1e-16  # p.u. and degrees: what a logarithmic axis shows for 0
 SHORTEST_S = 1e-6
@@ -150,13 +151,18 @@ def _finish(axis: Axes, label: str, column: int, courses: list[GapCourse]) -> No
         return
     axis.set_xscale("log")
     axis.set_yscale("log")
-    axis.set_xlim(first / 2, max(course.end_s for course in courses) * 1.15)
-    axis.xaxis.set_major_formatter("{x:g}")
-    axis.xaxis.set_minor_formatter("{x:g}" if axis.get_xlim()[1] < 30 * first else "")
-    axis.grid(alpha=0.3)
     sigma = _median(np.array([course.sigma[column - 1] for course in courses]))
     if sigma > 0:
         axis.axhline(sigma, color=PURPLE, linestyle=(0, (5, 2)), linewidth=1.2, label="standard deviation (median bus)")
+    axis.set_xlim(first / 2, max(course.end_s for course in courses) * 1.15)
+    axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.xaxis.set_major_formatter("{x:g}")
+    axis.xaxis.set_minor_formatter(NullFormatter())
+    low, high = axis.get_ylim()
+    axis.set_ylim(10 ** np.floor(np.log10(low)), 10 ** np.ceil(np.log10(high)))  # so that two powers at least have names
+    axis.yaxis.set_major_formatter(format_power_of_ten)
+    axis.yaxis.set_minor_formatter(NullFormatter())
+    axis.grid(alpha=0.3)
     if len(courses) == 1 and courses[0].consensus:
         axis.axvline(courses[0].end_s, color=INK, linestyle=(0, (1, 2)), linewidth=1.2, label="consensus noted")
 

@@ -7,6 +7,7 @@ axes and what is black on paper have the colour INK, in a page that of its text;
 from __future__ import annotations
 
 import io
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,6 +19,7 @@ import matplotlib as mpl
 mpl.use("Agg")
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 INK, PAPER = "#000001", "#fffffe"  # told apart in SVG from any colour of the data
 BLUE, VERMILLION, GREEN, PURPLE = "#0072b2", "#d55e00", "#009e73", "#cc79a7"
@@ -30,6 +32,7 @@ CENTRALISED: dict[str, Any] = {"color": BLUE, "marker": "x", "markersize": 6}
 DECENTRALISED: dict[str, Any] = {"color": VERMILLION, "marker": ".", "markersize": 6}
 WIDTH = 8.0  # inches
 DPI = 130
+SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 MAX_VECTOR = 3000  # marks of one kind in a vector graphic; more become an image in it
 RC: dict[str, Any] = {
     "font.sans-serif": ["DejaVu Sans", "Verdana", "Arial"],
@@ -41,6 +44,7 @@ RC: dict[str, Any] = {
     "ytick.color": INK,
     "legend.edgecolor": GREY,
     "legend.facecolor": PAPER,
+    "figure.dpi": DPI,  # so that texts are measured once for layout and PNG
     "figure.facecolor": PAPER,
     "savefig.facecolor": PAPER,
     "figure.titlesize": "medium",
@@ -73,6 +77,13 @@ def new_figure(height: float, rows: int = 1, width: float = WIDTH) -> tuple[Figu
     return figure, axes
 
 
+def format_power_of_ten(value: float, _position: int | None = None) -> str:
+    """``10⁻⁴``, in letters: nothing that is to be set as a formula, which takes its time; "" for other values."""
+    exponent = round(math.log10(value)) if value > 0 else 0
+    whole = math.isclose(value, 10.0**exponent, rel_tol=1e-6)
+    return f"10{str(exponent).translate(SUPERSCRIPT)}" if whole else ""
+
+
 def say_instead(axis: Axes, words: str) -> None:
     """``words`` in the middle of axes that have nothing to show."""
     axis.set_yticks([])
@@ -81,8 +92,9 @@ def say_instead(axis: Axes, words: str) -> None:
 
 def fix_layout(figure: Figure) -> None:
     """Place everything once, however many formats are written then."""
-    if figure.get_layout_engine() is not None:
-        figure.draw_without_rendering()
+    engine = figure.get_layout_engine()
+    if isinstance(engine, ConstrainedLayoutEngine):
+        engine.execute(figure)
         figure.set_layout_engine("none")
 
 

@@ -3,34 +3,44 @@
 from __future__ import annotations
 
 from agents.area_files.area_file import AreaFile
-from coordinator.evaluation.result import AreaResult, RunResult
+from coordinator.evaluation.result import AreaResult, RunOutcome, RunResult
 from coordinator.evaluation.verdict import Verdict
 from coordinator.report.grid_text import format_table
 from dsse_core.grid.partition import Area
 from dsse_core.printable import printable, printable_lines
 from scenarios.scenario import Scenario
 
+TextTable = tuple[tuple[str, ...], list[tuple[str, ...]]]
+
 
 def format_verdict(result: RunResult) -> str:
     """The verdict of a run: a line that says it, the table of gaps, the areas, what was wrong, where the files are."""
-    scenario, verdict = result.scenario, result.verdict
-    outcome = "consensus" if verdict.consensus else "NO CONSENSUS"
-    time = f"{verdict.wall_s:.2f} s"
-    if verdict.virtual_s is not None:
-        time = f"{verdict.virtual_s:.2f} s of virtual time, computed in {time}"
-    lines = [
-        f"{outcome} after {time}: {printable(scenario.name)}, {len(scenario.network.buses)} buses in "
-        f"{len(result.area_results)} areas, strategy {scenario.strategy}, seed {scenario.seed}"
-    ]
+    verdict = result.verdict
+    lines = [f"{name_outcome(verdict)}: {printable(describe_run(result.scenario))}"]
     if verdict.reason:
         lines.append(f"  {printable_lines(verdict.reason)}")
-    lines += ["", _format_gaps(result), "", _format_areas(result), ""]
-    lines += map(printable, _format_findings(result))
+    lines += ["", format_table(*tabulate_gaps(result)), "", format_table(*tabulate_areas(result)), ""]
+    lines += map(printable, list_findings(result))
     lines.append(f"files: {printable(result.folder)}")
     return "\n".join(lines)
 
 
-def _format_gaps(result: RunResult) -> str:
+def name_outcome(verdict: Verdict) -> str:
+    """Whether the areas agree, and after what time."""
+    outcome, time = "consensus" if verdict.consensus else "NO CONSENSUS", f"{verdict.wall_s:.2f} s"
+    if verdict.virtual_s is not None:
+        time = f"{verdict.virtual_s:.2f} s of virtual time, computed in {time}"
+    return f"{outcome} after {time}"
+
+
+def describe_run(scenario: Scenario) -> str:
+    """What was run, in a few words."""
+    buses, areas = len(scenario.network.buses), len(scenario.partition.areas)
+    return f"{scenario.name}, {buses} buses in {areas} areas, strategy {scenario.strategy}, seed {scenario.seed}"
+
+
+def tabulate_gaps(result: RunOutcome) -> TextTable:
+    """The largest gaps and errors of all buses: header and rows."""
     verdict, central = result.verdict, result.comparison.centralised_error
     rows = [("decentralised to centralised (same telemetry)", _pu(verdict.gap_vm_pu), _deg(verdict.gap_va_deg))]
     if result.comparison.knows_truth:
@@ -38,16 +48,17 @@ def _format_gaps(result: RunResult) -> str:
             ("decentralised to truth", _pu(verdict.error_vm_pu), _deg(verdict.error_va_deg)),
             ("centralised to truth", _pu(central.vm_pu), _deg(central.va_deg)),
         ]
-    return format_table(("largest difference over all buses", "p.u.", "deg"), rows)
+    return ("largest difference over all buses", "p.u.", "deg"), rows
 
 
-def _format_areas(result: RunResult) -> str:
+def tabulate_areas(result: RunOutcome) -> TextTable:
+    """Gaps, errors, messages and quality of each area and of all: header and rows."""
     with_errors = result.comparison.knows_truth
     errors = ("error p.u.", "error deg") if with_errors else ()
     header = ("area", "buses", "gap p.u.", "gap deg", *errors, "exchanges", "messages", "bytes", "lost", "quality")
     rows = [(area.name, str(area.buses), *_figures(area, with_errors), area.quality) for area in result.area_results]
     total = ("all", str(len(result.scenario.network.buses)), *_figures(result.verdict, with_errors), "")
-    return format_table(header, [*rows, total])
+    return header, [*rows, total]
 
 
 def _figures(of: AreaResult | Verdict, with_errors: bool) -> tuple[str, ...]:
@@ -56,7 +67,7 @@ def _figures(of: AreaResult | Verdict, with_errors: bool) -> tuple[str, ...]:
     return (_pu(of.gap_vm_pu), _deg(of.gap_va_deg), *errors, *map(str, counts))
 
 
-def _format_findings(result: RunResult) -> list[str]:
+def list_findings(result: RunOutcome) -> list[str]:
     """Why areas are not good, remarks, rejections and removed meters, one line each; nothing where all is well."""
     lines = []
     if result.faults:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+import re
+from collections.abc import Mapping, Sequence
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.files.bounded_parsing import parse_toml
+
+BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
 def parse_settings(settings: Sequence[str], what: str) -> dict[str, object]:
@@ -45,3 +49,16 @@ def parse_values(text: str) -> list[object]:
     except ValueError:
         return [parse_value(word.strip()) for word in text.split(",")]
     return values
+
+
+def write_value(value: object) -> str:
+    """``value`` on one line, as TOML writes it and ``parse_value`` reads it."""
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{_write_key(key)}={write_value(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(write_value, value)) + "]"
+    return json.dumps(value, ensure_ascii=False) if isinstance(value, str | bool) else str(value)
+
+
+def _write_key(key: object) -> str:
+    return key if isinstance(key, str) and BARE_KEY.fullmatch(key) else json.dumps(str(key), ensure_ascii=False)

@@ -1,0 +1,96 @@
+"""What a report says of how a result came about: the settings of its scenario, and the command that repeats it."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+
+from dsse_core.link_faults import LinkFaults
+from dsse_core.printable import listed
+from scenarios.faults.faults import FaultEvent
+from scenarios.files.key_values import write_value
+from scenarios.scenario import Scenario
+
+NEW_FOLDER = "NEW_FOLDER"  # an --out that has been used is not empty
+
+
+def list_settings(scenario: Scenario) -> dict[str, object]:
+    """What was in effect, options of the command included: name in words -> value."""
+    network, run, limits, tolerances = scenario.network, scenario.run, scenario.limits, scenario.tolerances
+    telemetry = scenario.telemetry
+    gross = [f"{meter}: {sigmas:g} standard deviations" for meter, sigmas in telemetry.gross_errors.items()]
+    return {
+        "scenario": f"{scenario.name}: {scenario.description}" if scenario.description else scenario.name,
+        "scenario file": scenario.path,
+        "network": f"{network.name}: {len(network.buses)} buses, {len(network.active_branches)} branches in service, "
+        f"base {network.base_mva:g} MVA",
+        "areas": listed([f"{area.name} ({len(area.network.buses)} buses)" for area in scenario.partition.areas]),
+        "meters": len(scenario.meters),
+        "strategy": scenario.strategy,
+        "seed": scenario.seed,
+        "readings": f"{telemetry.source}, {'with' if telemetry.noise else 'without'} noise",
+        "gross errors": listed(gross) or "none",
+        "faults of links": describe_links(scenario),
+        "events": listed([_describe_event(event) for event in scenario.faults.events]) or "none",
+        "time limit": f"{run.timeout_s:g} s",
+        "heartbeat": f"{run.beat_s:g} s",
+        "agreement at boundaries": f"{tolerances.consensus_vm_pu:g} p.u., {tolerances.consensus_va_rad:g} rad",
+        "voltages accepted": f"{limits.lowest_vm:g} to {limits.highest_vm:g} p.u.",
+        "bus": scenario.transport.kind,
+    }
+
+
+def describe_links(scenario: Scenario) -> str:
+    """The faults that messages meet, in the words of the scenario file; where links differ, how many have which."""
+    counts: dict[str, int] = {}
+    for faults in scenario.faults.links.values():
+        text = _describe_link(faults)
+        counts[text] = counts.get(text, 0) + 1
+    if len(counts) <= 1:
+        return next(iter(counts), "none")
+    return listed([f"{text} ({count} of {sum(counts.values())} links)" for text, count in counts.items()], separator="; ")
+
+
+def _describe_link(faults: LinkFaults) -> str:
+    usual = LinkFaults()
+    changed = [f.name for f in fields(LinkFaults) if getattr(faults, f.name) != getattr(usual, f.name)]
+    return ", ".join(f"{name} {getattr(faults, name)}" for name in changed) or "none"
+
+
+def _describe_event(event: FaultEvent) -> str:
+    lasts = f" for {event.for_s:g} s" if event.for_s else ""
+    return f"{event.kind} {' - '.join(event.names)} at {event.at_s:g} s{lasts}"
+
+
+def describe_changes(changes: Mapping[str, object]) -> dict[str, object]:
+    """Key -> value as ``--set`` takes it."""
+    return {key: write_value(value) for key, value in changes.items()}
+
+
+def write_command(arguments: Sequence[str]) -> str:
+    """The command ``dsse`` with ``arguments`` as a shell takes it, with a new folder for what it writes."""
+    shown = []
+    is_folder = False
+    for argument in arguments:
+        if is_folder:
+            shown.append(NEW_FOLDER)
+        elif argument.startswith("--out="):
+            shown.append(f"--out={NEW_FOLDER}")
+        else:
+            shown.append(argument)
+        is_folder = argument == "--out" and not is_folder
+    return shlex.join(["dsse", *shown])
+
+
+def guess_arguments(scenario: Scenario, command: str, links: Mapping[str, float] | None = None) -> list[str]:
+    """Arguments of ``dsse`` that repeat what a program has asked for: the scenario as it is on disk, and its changes."""
+    options = ["--seed", str(scenario.seed), "--strategy", scenario.strategy]
+    options += ["--timeout", f"{scenario.run.timeout_s:g}"]
+    for key, value in scenario.changes.items():
+        options += ["--set", f"{key}={write_value(value)}"]
+    links = links or {}
+    for key, option in (("delay_s", "--delay-ms"), ("jitter_s", "--jitter-ms"), ("duplicate", "--duplicate")):
+        if key in links:
+            options += [option, f"{links[key] * (1 if key == 'duplicate' else 1000):g}"]
+    return [command, str(scenario.path), *options]
