@@ -90,7 +90,7 @@ def draw_gap(outcome: RunOutcome) -> Drawing:
         axis.plot(x, y, color=INK, linewidth=2.2, alpha=0.35 if few else 1, label="largest of all areas", zorder=1.5)
         _finish(axis, label, column, [course])
     axes[-1].set_xlabel(_name_time(course.virtual))
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=5, fontsize="small")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize="small")
     return Drawing("gap", "Gap to the centralised estimate", _describe(course), figure)
 
 
@@ -102,7 +102,7 @@ def draw_gaps_of(courses: Mapping[str, GapCourse]) -> Drawing:
             _draw_steps(axis, course.all_areas, column, course.end_s, plot_text(name, LONGEST_NAME), number, marked=False)
         _finish(axis, label, column, list(courses.values()))
     axes[-1].set_xlabel(_name_time(all(course.virtual for course in courses.values())))
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=5, fontsize="small")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize="small")
     caption = (
         "The largest difference to the centralised estimate of the same readings, of all areas and all buses that they "
         "see, against the time since the scan. A line begins when every area has published a state, and ends with the "

@@ -32,6 +32,7 @@ CENTRALISED: dict[str, Any] = {"color": BLUE, "marker": "x", "markersize": 6}
 DECENTRALISED: dict[str, Any] = {"color": VERMILLION, "marker": ".", "markersize": 6}
 WIDTH = 8.0  # inches
 DPI = 130
+PIXELS_PER_INCH = 118  # in a page, where there is room
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 MAX_VECTOR = 3000  # marks of one kind in a vector graphic; more become an image in it
 RC: dict[str, Any] = {
@@ -122,5 +123,7 @@ def as_svg(figure: Figure, name: str) -> str:
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r"<defs>\s*<style[^>]*>.*?</style>\s*</defs>", "", svg, count=1, flags=re.DOTALL)
     svg = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{name}-", svg)
-    svg = re.sub(r'^<svg [^>]*?(viewBox="[^"]*")[^>]*>', r'<svg \1 aria-hidden="true" focusable="false">', svg, count=1)
+    width = figure.get_figwidth() * PIXELS_PER_INCH
+    head = rf'<svg \1 style="width: {width:.0f}px" aria-hidden="true" focusable="false">'
+    svg = re.sub(r'^<svg [^>]*?(viewBox="[^"]*")[^>]*>', head, svg, count=1)
     return svg.replace(INK, "currentColor").replace(PAPER, "var(--paper)").strip()

@@ -1,19 +1,16 @@
-"""``sweep.png``: gap and time against the varied key, one line per strategy with the spread of its seeds."""
+"""The figure of a sweep: gap and time against the varied key, one line per strategy with the spread of its seeds."""
 
 from __future__ import annotations
 
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
-
-mpl.use("Agg")
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
 
 from coordinator.figures.plot_text import plot_text
+from coordinator.figures.style import COLOURS, LINES, MARKERS, Drawing, format_power_of_ten, new_figure, styled
 from coordinator.studies.study_row import NO_CONSENSUS, StudyRow
 from coordinator.studies.sweep_plan import Task
 
@@ -22,11 +19,14 @@ SMALLEST = 1e-16  # what a logarithmic axis shows for 0
 MAX_LABELS = 12
 
 
-def draw_sweep(path: Path, title: str, key: str, rows: Mapping[Task, StudyRow]) -> None:
+def draw_sweep(key: str, rows: Mapping[Task, StudyRow]) -> Drawing:
     """Draw ``rows``: above, the final gap to the centralised estimate; below, the time until it stays under 1e-6."""
-    figure = Figure(figsize=(8.0, 7.0), layout="constrained")
-    above, below = figure.subplots(2, 1, sharex=True)
-    figure.suptitle(plot_text(title))
+    with styled():
+        return _draw_sweep(key, rows)
+
+
+def _draw_sweep(key: str, rows: Mapping[Task, StudyRow]) -> Drawing:
+    figure, (above, below) = new_figure(7.0, rows=2)
     values = sorted({task.value for task in rows}, key=_place)
     x = [_number(value) for value in values]
     if None in x:
@@ -37,21 +37,26 @@ def draw_sweep(path: Path, title: str, key: str, rows: Mapping[Task, StudyRow]) 
         of_value = [[r for t, r in rows.items() if (t.value, t.strategy) == (v, strategy)] for v in values]
         _draw(above, x, of_value, lambda row: row.gap, _name_outcomes(strategy, of_value), number)
         _draw(below, x, of_value, lambda row: row.below_1e6_s, strategy, number)
-    above.set_ylabel("final gap to centralised (p.u. or rad)")
-    below.set_ylabel("virtual time to stay below 1e-6 (s)")
+    above.set_ylabel("final gap to the centralised\nestimate (p.u. or rad)")
+    below.set_ylabel("virtual time until the gap\nstays below 1e-6 (s)")
     below.set_xlabel(plot_text(key))
     for axis in (above, below):
         if any(np.isfinite(line.get_ydata()).any() for line in axis.lines):  # else there is nothing to scale
             axis.set_yscale("log")
-        axis.grid(alpha=0.3, which="both")
+            low, high = axis.get_ylim()
+            axis.set_ylim(10 ** np.floor(np.log10(low)), 10 ** np.ceil(np.log10(high)))
+            axis.yaxis.set_major_formatter(format_power_of_ten)
+            axis.yaxis.set_minor_formatter(NullFormatter())
+        axis.grid(alpha=0.3)
         axis.legend(fontsize="small")
     seeds = len({task.seed for task in rows})
-    above.set_title(
-        f"median and {SPREAD[0]} to {SPREAD[1]} % of {seeds} seed{'s' if seeds > 1 else ''}",
-        fontsize="small",
-        loc="left",
+    spread = f"median and {SPREAD[0]} to {SPREAD[1]} % of {seeds} seed{'s' if seeds > 1 else ''}"
+    above.set_title(spread, fontsize="small", loc="left")
+    caption = (
+        f"Above, the largest final difference to the centralised estimate; below, the time from which on it stays below "
+        f"1e-6 in all areas; against {key}. Lines: medians; bands: {SPREAD[0]} to {SPREAD[1]} % of {seeds} seeds."
     )
-    figure.savefig(path, dpi=130)
+    return Drawing("sweep", "Gap and time against the varied key", caption, figure)
 
 
 def _draw(
@@ -73,10 +78,11 @@ def _draw(
             lines[:, column] = np.percentile(known, (SPREAD[0], 50, SPREAD[1]), method="inverted_cdf")
     low, median, high = np.where(np.isinf(lines), np.nan, lines)
     high = np.where(np.isnan(high), np.nanmax(lines, initial=SMALLEST, where=np.isfinite(lines)), high)
-    color = f"C{number}"
+    colour = COLOURS[number % len(COLOURS)]
+    style = {"color": colour, "marker": MARKERS[number % len(MARKERS)], "linestyle": LINES[number % len(LINES)]}
     label = f"{name} (never in {without} of {sum(map(len, rows_of_value))} runs)" if without else name
-    axis.plot(np.array(x, dtype=float), median, marker=".", color=color, label=label)
-    axis.fill_between(np.array(x, dtype=float), low, high, where=~np.isnan(low), color=color, alpha=0.2, linewidth=0)
+    axis.plot(np.array(x, dtype=float), median, markersize=4, label=label, **style)
+    axis.fill_between(np.array(x, dtype=float), low, high, where=~np.isnan(low), color=colour, alpha=0.2, linewidth=0)
 
 
 def _name_outcomes(strategy: str, rows_of_value: Sequence[Sequence[StudyRow]]) -> str:

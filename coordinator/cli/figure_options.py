@@ -1,0 +1,44 @@
+"""Options for what is left to be looked at: which figures in which formats, or none."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import click
+
+FORMATS = ("png", "pdf", "svg")
+
+
+class FormatList(click.ParamType):
+    """Formats of figures, separated by commas."""
+
+    name = "formats"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, ...]:
+        found = tuple(dict.fromkeys(part.strip().lower() for part in value.split(",")))
+        if unknown := [part for part in found if part not in FORMATS]:
+            self.fail(f"{', '.join(map(repr, unknown))}: choose of {', '.join(FORMATS)}", param, ctx)
+        return found
+
+
+def figure_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """``--format`` and ``--no-plots``; the command gets ``formats``, None where nothing is to be drawn."""
+
+    @click.option(
+        "--format", "formats", type=FormatList(), metavar="A,B,...", help="Of figures: png, pdf, svg.  [default: png]"
+    )
+    @click.option("--no-plots", is_flag=True, help="Draw no figures, write no report.")
+    @functools.wraps(command)
+    def with_formats(*arguments: Any, formats: tuple[str, ...] | None, no_plots: bool, **options: Any) -> Any:
+        if formats and no_plots:
+            raise click.UsageError("--format draws figures, --no-plots none; give one of them")
+        return command(*arguments, formats=None if no_plots else formats or FORMATS[:1], **options)
+
+    return with_formats
+
+
+def given_arguments() -> tuple[str, ...]:
+    """The arguments of this command, as they were given: with them it is repeated."""
+    return tuple(click.get_current_context().find_root().obj or ())

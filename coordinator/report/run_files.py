@@ -1,0 +1,24 @@
+"""What a run leaves to be looked at: its figures, and ``report.html``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from coordinator.evaluation.result import RunResult
+from coordinator.figures.run_figures import draw_run, save_figures
+from coordinator.report.run_report import write_run_report
+
+
+def write_report(result: RunResult, formats: Sequence[str], arguments: Sequence[str]) -> RunResult:
+    """Write the figures in each of ``formats`` and the report into the run folder; the result tells what is missing.
+
+    ``arguments``: of the command ``dsse`` that repeats the run.
+    """
+    drawings = draw_run(result)
+    try:
+        write_run_report(result, drawings, arguments)
+        save_figures(drawings, result.folder, formats)
+    except OSError as error:
+        return replace(result, unwritten=f"{error.filename or result.folder}: {error.strerror}")
+    return result
