@@ -13,7 +13,7 @@ import time
 
 TYPE_CHECKING = False  # as that of ``typing``, which would take longer to import than all else here
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from coordinator.evaluation.result import RunResult
@@ -33,6 +33,7 @@ def run(
     timeout_s: float | None = None,
     on_update: Callable[[Progress], None] | None = None,
     plots: bool = True,
+    formats: Sequence[str] = ("png",),
     secure: bool = False,
     keys: str | Path | None = None,
 ) -> RunResult:
@@ -44,7 +45,8 @@ def run(
         seed, strategy: replace the scenario's.
         timeout_s: replaces the scenario's time limit, s.
         on_update: called about ten times a second with what the areas are doing.
-        plots: draw the PNG files, too.
+        plots: draw the figures and write ``report.html``, too.
+        formats: of the figures: ``png``, ``pdf``, ``svg``.
         secure: TLS with a certificate for each process, and access control, with keys that end with the run.
         keys: folder with keys of ``dsse keys create`` to use instead; implies ``secure``.
 
@@ -71,9 +73,11 @@ def run(
 
         result = run_scenario(launcher, scenario, started, out, seed, strategy, timeout_s, on_update, secure, keys)
     if plots:
-        from coordinator.report.plots import draw_plots
+        from coordinator.report.run_files import write_report
+        from coordinator.report.settings import guess_arguments
 
-        draw_plots(result)
+        secured = ["--keys", str(keys)] if keys is not None else ["--secure"] if secure else []
+        result = write_report(result, formats, [*guess_arguments(result.scenario, "run"), *secured])
     return result
 
 
@@ -87,6 +91,7 @@ def simulate(
     links: LinkChanges | None = None,
     on_update: Callable[[Progress], None] | None = None,
     plots: bool = True,
+    formats: Sequence[str] = ("png",),
 ) -> RunResult:
     """Run a scenario on the simulator: the same areas on a simulated bus, in virtual time, in this process.
 
@@ -108,7 +113,8 @@ def simulate(
 
     result = simulate_scenario(scenario, out, seed, strategy, timeout_s, on_update, links or {})
     if plots:
-        from coordinator.report.plots import draw_plots
+        from coordinator.report.run_files import write_report
+        from coordinator.report.settings import guess_arguments
 
-        draw_plots(result)
+        result = write_report(result, formats, guess_arguments(result.scenario, "simulate", links))
     return result

@@ -11,23 +11,24 @@ import click
 FORMATS = ("png", "pdf", "svg")
 
 
-class FormatList(click.ParamType):
-    """Formats of figures, separated by commas."""
-
-    name = "formats"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, ...]:
-        found = tuple(dict.fromkeys(part.strip().lower() for part in value.split(",")))
-        if unknown := [part for part in found if part not in FORMATS]:
-            self.fail(f"{', '.join(map(repr, unknown))}: choose of {', '.join(FORMATS)}", param, ctx)
-        return found
+def _read_formats(_: click.Context, __: click.Parameter, text: str | None) -> tuple[str, ...] | None:
+    found = tuple(dict.fromkeys(part.strip().lower() for part in (text or "").split(",")))
+    if text is None:
+        return None
+    if unknown := [part for part in found if part not in FORMATS]:
+        raise click.BadParameter(f"{', '.join(map(repr, unknown))}: choose of {', '.join(FORMATS)}")
+    return found
 
 
 def figure_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """``--format`` and ``--no-plots``; the command gets ``formats``, None where nothing is to be drawn."""
 
     @click.option(
-        "--format", "formats", type=FormatList(), metavar="A,B,...", help="Of figures: png, pdf, svg.  [default: png]"
+        "--format",
+        "formats",
+        callback=_read_formats,
+        metavar="A,B,...",
+        help="Of figures: png, pdf, svg.  [default: png]",
     )
     @click.option("--no-plots", is_flag=True, help="Draw no figures, write no report.")
     @functools.wraps(command)

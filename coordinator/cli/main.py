@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from coordinator.cli.figure_options import figure_options
 from coordinator.cli.keys import keys_commands
 from coordinator.cli.networks import network_commands
 from coordinator.cli.outputs import Output, check_parquet_option, hand_over, output_options, parquet_option
@@ -20,7 +21,6 @@ from coordinator.cli.terminal import (
     answering_once,
     changed,
     finish_run,
-    no_plots_option,
     progress,
     quiet_option,
     run_folder_option,
@@ -47,7 +47,7 @@ DISTRIBUTION = "consensus-dsse"
 def run_command(arguments: Sequence[str]) -> int:
     """Run ``dsse`` with ``arguments``; a user's mistake becomes one message and exit code 2."""
     try:
-        code = commands.main(list(arguments), prog_name="dsse", standalone_mode=False)
+        code = commands.main(list(arguments), prog_name="dsse", standalone_mode=False, obj=tuple(arguments))
     except DsseError as error:
         say(f"error: {error}")
         return 2
@@ -102,7 +102,7 @@ def commands() -> None:
 @timeout_option
 @seed_option
 @quiet_option
-@no_plots_option
+@figure_options
 @strategy_option
 @set_option
 @parquet_option
@@ -114,7 +114,7 @@ def run(
     timeout: float | None,
     seed: int | None,
     quiet: bool,
-    no_plots: bool,
+    formats: tuple[str, ...] | None,
     strategy: str | None,
     changes: Mapping[str, object],
     parquet: bool,
@@ -131,6 +131,7 @@ def run(
                dsse run my/scenario.toml --seed 7 --out results
                dsse run ieee33 --set faults.loss=0.3 --set measurements.voltage.sigma_percent=0.5
                dsse run ieee33 --secure
+               dsse run ieee33 --format pdf,svg
     """
     import coordinator
 
@@ -148,7 +149,7 @@ def run(
             secure=secure,
             keys=keys,
         )
-    return finish_run(result, no_plots, parquet)
+    return finish_run(result, formats, parquet)
 
 
 @commands.command(short_help="Check a scenario or an area file without running it.")

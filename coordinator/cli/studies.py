@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from coordinator.cli.figure_options import figure_options, given_arguments
 from coordinator.cli.outputs import check_parquet_option, parquet_option
 from coordinator.cli.terminal import (
     Number,
     changed,
     finish_run,
-    no_plots_option,
     progress,
     quiet_option,
     run_folder_option,
@@ -73,7 +73,7 @@ def link_options(command: Callable[..., Any]) -> Callable[..., Any]:
 @link_options
 @quiet_option
 @parquet_option
-@no_plots_option
+@figure_options
 def simulate(
     scenario: str,
     out: Path | None,
@@ -83,7 +83,7 @@ def simulate(
     changes: Mapping[str, object],
     links: LinkChanges,
     quiet: bool,
-    no_plots: bool,
+    formats: tuple[str, ...] | None,
     parquet: bool,
 ) -> int:
     """Run SCENARIO, a shipped name or a file, on the simulator: the same areas on a simulated bus, in this process.
@@ -102,7 +102,7 @@ def simulate(
     end_orderly_on_signals()
     with progress(f"{scenario}, virtual time", quiet) as on_update:
         result = simulate_scenario(changed(scenario, changes), out, seed, strategy, timeout, on_update, links)
-    return finish_run(result, no_plots, parquet)
+    return finish_run(result, formats, parquet)
 
 
 @click.command(short_help="Run the strategies side by side and print one table.")
@@ -114,6 +114,7 @@ def simulate(
 @seed_option
 @set_option
 @link_options
+@figure_options
 def compare(
     scenario: str,
     strategies: str | None,
@@ -123,6 +124,7 @@ def compare(
     seed: int | None,
     changes: Mapping[str, object],
     links: LinkChanges,
+    formats: tuple[str, ...] | None,
 ) -> None:
     """Run every strategy on the telemetry and the faults of SCENARIO and print one table.
 
@@ -139,13 +141,26 @@ def compare(
     end_orderly_on_signals()
     chosen = choose_strategies(strategies)
     loaded = choose_scenario(scenario, seed, timeout_s=timeout, links=links, changes=changes)
-    rows = compare_strategies(loaded, chosen, _run_processes if processes else _run_on_simulator, out)
+    outcomes: dict[str, RunOutcome] = {}
+    run = functools.partial(_run_and_keep, outcomes, _run_processes if processes else _run_on_simulator)
+    rows = compare_strategies(loaded, chosen, run, out)
     buses, areas = len(loaded.network.buses), len(loaded.partition.areas)
     where = "real processes" if processes else "on the simulator, virtual time"
     show(f"{printable(loaded.name)}, {buses} buses in {areas} areas, seed {loaded.seed}, {where}\n")
     show(format_comparison(rows))
     if out is not None:
+        if formats is not None:
+            from coordinator.studies.study_report import report_comparison
+
+            report_comparison(out, loaded, rows, outcomes, formats, given_arguments())
         show(f"\nfiles: {printable(out)}")
+
+
+def _run_and_keep(
+    kept: dict[str, RunOutcome], run: Callable[[Scenario, Path], RunOutcome], scenario: Scenario, folder: Path
+) -> RunOutcome:
+    kept[scenario.strategy] = run(scenario, folder)
+    return kept[scenario.strategy]
 
 
 def _run_processes(scenario: Scenario, folder: Path) -> RunOutcome:
@@ -173,6 +188,7 @@ def _run_on_simulator(scenario: Scenario, folder: Path) -> RunOutcome:
 @set_option
 @link_options
 @quiet_option
+@figure_options
 def sweep(
     scenario: str,
     vary: str,
@@ -184,11 +200,12 @@ def sweep(
     changes: Mapping[str, object],
     links: LinkChanges,
     quiet: bool,
+    formats: tuple[str, ...] | None,
 ) -> None:
     """Run SCENARIO on the simulator for each value of one of its keys, each strategy and each seed.
 
-    Leaves sweep.csv, one row per run, and sweep.png, gap and time against the key. Runs that the table has already
-    are not run again: after Ctrl-C the same command with the same --out goes on.
+    Leaves sweep.csv, one row per run, sweep.png, gap and time against the key, and report.html. Runs that the table
+    has already are not run again: after Ctrl-C the same command with the same --out goes on.
 
     \b
     Examples:  dsse sweep ieee33 --vary faults.loss=0:0.9:10 --seeds 20 --out sweep
@@ -211,8 +228,9 @@ def sweep(
             say(f"{len(table.rows)} runs are in {table.path}; the same command with --out {folder} goes on from there")
             raise
         finally:
-            _draw(plan, table)
-    show(printable(f"{len(table.rows)} runs in {table.path}, picture in {folder / 'sweep.png'}"))
+            _report(plan, table, folder, formats)
+    looked_at = "" if formats is None else f", figure and settings in {folder / 'report.html'}"
+    show(printable(f"{len(table.rows)} runs in {table.path}{looked_at}"))
 
 
 def _run_missing(plan: SweepPlan, table: SweepTable, jobs: int, quiet: bool) -> None:
@@ -230,12 +248,11 @@ def _run_missing(plan: SweepPlan, table: SweepTable, jobs: int, quiet: bool) -> 
             bar.advance(shown)
 
 
-def _draw(plan: SweepPlan, table: SweepTable) -> None:
-    if table.rows:
-        from coordinator.studies.sweep_plot import draw_sweep
+def _report(plan: SweepPlan, table: SweepTable, folder: Path, formats: tuple[str, ...] | None) -> None:
+    if table.rows and formats is not None:
+        from coordinator.studies.study_report import report_sweep
 
-        title = f"{plan.base.name} on the simulator"
-        draw_sweep(table.path.with_suffix(".png"), title, plan.key, table.rows)
+        report_sweep(folder, plan, table.rows, formats, given_arguments())
 
 
 study_commands = (simulate, compare, sweep)

@@ -7,7 +7,7 @@ import math
 import os
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from agents.runtime.heap import LARGE_ALONE, keep_small
+from coordinator.cli.figure_options import given_arguments
 from coordinator.interrupts import decide
 from coordinator.process_run.compile_clock import clock
 from dsse_core.compiling import only_loading
@@ -54,7 +55,6 @@ timeout_option = click.option(
 )
 quiet_option = click.option("--quiet", is_flag=True, help="Print the verdict only.")
 run_id_option = click.option("--run", "run_id", help="Name of the run, a part of every key.  [default: the scenario's]")
-no_plots_option = click.option("--no-plots", is_flag=True, help="Draw no pictures.")
 keys_option = click.option(
     "--keys", type=click.Path(path_type=Path), metavar="DIR", help="Show the certificate in DIR (`dsse keys create`)."
 )
@@ -127,9 +127,9 @@ def say(text: str) -> None:
         print(printable_lines(text), file=sys.stderr, flush=True)
 
 
-def finish_run(result: RunResult, no_plots: bool, parquet: bool) -> int:
-    """Print the verdict, write Parquet if asked for, draw the pictures, and return the exit code, which signals that
-    come later do not change.
+def finish_run(result: RunResult, formats: Sequence[str] | None, parquet: bool) -> int:
+    """Print the verdict, write Parquet if asked for, figures and report unless ``formats`` is None, and return the exit
+    code, which signals that come later do not change.
     """
     from coordinator.report.text import format_verdict
 
@@ -137,17 +137,22 @@ def finish_run(result: RunResult, no_plots: bool, parquet: bool) -> int:
     decide(code)
     show(verdict)
     if result.unwritten:
-        say(f"error: files of the run are missing: {result.unwritten}; make room there, or choose another place")
-        return code
+        return _say_unwritten(result)
     if parquet:
         from coordinator.evaluation.table_files import write_parquet
 
         write_parquet(result.folder, result.tables)
-    if not no_plots:
-        from coordinator.report.plots import draw_plots
+    if formats is not None:
+        from coordinator.report.run_files import write_report
 
-        draw_plots(result)
+        if (written := write_report(result, formats, given_arguments())).unwritten:
+            return _say_unwritten(written)
     return code
+
+
+def _say_unwritten(result: RunResult) -> int:
+    say(f"error: files of the run are missing: {result.unwritten}; make room there, or choose another place")
+    return 2
 
 
 @contextmanager

@@ -40,11 +40,13 @@ def label_buses(axis: Axes, partition: Partition, order: np.ndarray, named: bool
         if named and len(ends) <= MAX_AREA_NAMES:
             name = plot_text(owners[first], max(3, LETTERS_OF_AXIS * (last + 1 - first) // len(ids)))
             place = ((first + last) / 2, 0)
-            axis.annotate(name, place, (0, 4), ("data", "axes fraction"), "offset points", ha="center", fontsize="small")
+            axis.annotate(
+                name, place, (0, 4), ("data", "axes fraction"), "offset points", ha="center", fontsize="small"
+            )
     boundaries = set(partition.boundaries if len(partition.boundaries) <= MAX_BOUNDARIES else ())
-    for place, bus in enumerate(ids):
+    for number, bus in enumerate(ids):
         if bus in boundaries:
-            axis.axvline(place, color=GREY, linestyle=":", linewidth=1)
+            axis.axvline(number, color=GREY, linestyle=":", linewidth=1)
     if named:
         marked = ["dotted: boundary bus"] * bool(boundaries)
         marked += ["shaded: every second area"] * (1 < len(ends) <= MAX_SHADED)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
@@ -88,7 +87,7 @@ def _name_areas(axes: Axes, partition: Partition, layout: Layout, colours: dict[
         owned = sorted(_rows_owned(partition, area), key=lambda row: tuple(layout.place[row]))
         axes.annotate(
             plot_text(area.name, LONGEST_NAME),
-            np.asarray(layout.place[owned[len(owned) // 2]]),
+            tuple(layout.place[owned[len(owned) // 2]].tolist()),
             (0, -13),
             textcoords="offset points",
             ha="center",

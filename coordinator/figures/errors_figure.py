@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 
@@ -57,7 +59,7 @@ def _draw_band(axis: Axes, sigma: np.ndarray) -> None:
     )
 
 
-def _draw_marks(axis: Axes, values: np.ndarray, label: str, style: dict[str, object]) -> None:
+def _draw_marks(axis: Axes, values: np.ndarray, label: str, style: dict[str, Any]) -> None:
     smaller = {"markersize": 2.5} if len(values) > 200 else {}
     rasterized = len(values) > MAX_VECTOR
     axis.plot(np.arange(len(values)), values, linestyle="none", label=label, rasterized=rasterized, **style | smaller)

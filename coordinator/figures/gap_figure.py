@@ -13,7 +13,18 @@ from matplotlib.ticker import LogLocator, NullFormatter
 from coordinator.evaluation.convergence import gap_history
 from coordinator.evaluation.result import RunOutcome
 from coordinator.figures.plot_text import plot_text
-from coordinator.figures.style import COLOURS, GREY, INK, LINES, MARKERS, PURPLE, Drawing, format_power_of_ten, new_figure, say_instead
+from coordinator.figures.style import (
+    COLOURS,
+    GREY,
+    INK,
+    LINES,
+    MARKERS,
+    PURPLE,
+    Drawing,
+    format_power_of_ten,
+    new_figure,
+    say_instead,
+)
 
 SMALLEST = 1e-16  # p.u. and degrees: what a logarithmic axis shows for 0
 SHORTEST_S = 1e-6
@@ -99,7 +110,9 @@ def draw_gaps_of(courses: Mapping[str, GapCourse]) -> Drawing:
     figure, axes = new_figure(5.6, rows=2)
     for column, (axis, label) in enumerate(zip(axes, PANELS, strict=True), start=1):
         for number, (name, course) in enumerate(courses.items()):
-            _draw_steps(axis, course.all_areas, column, course.end_s, plot_text(name, LONGEST_NAME), number, marked=False)
+            _draw_steps(
+                axis, course.all_areas, column, course.end_s, plot_text(name, LONGEST_NAME), number, marked=False
+            )
         _finish(axis, label, column, list(courses.values()))
     axes[-1].set_xlabel(_name_time(all(course.virtual for course in courses.values())))
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize="small")
@@ -159,7 +172,9 @@ def _finish(axis: Axes, label: str, column: int, courses: list[GapCourse]) -> No
     axis.xaxis.set_major_formatter("{x:g}")
     axis.xaxis.set_minor_formatter(NullFormatter())
     low, high = axis.get_ylim()
-    axis.set_ylim(10 ** np.floor(np.log10(low)), 10 ** np.ceil(np.log10(high)))  # so that two powers at least have names
+    axis.set_ylim(
+        10 ** np.floor(np.log10(low)), 10 ** np.ceil(np.log10(high))
+    )  # so that two powers at least have names
     axis.yaxis.set_major_formatter(format_power_of_ten)
     axis.yaxis.set_minor_formatter(NullFormatter())
     axis.grid(alpha=0.3)

@@ -44,7 +44,14 @@ def draw_network(outcome: RunOutcome) -> Drawing:
             axes.add_collection(drawn)
     size = 30 if len(vm) <= MAX_DOTS else 4
     dots = axes.scatter(
-        *layout.place[known].T, c=vm[known], s=size, cmap=COLOUR_MAP, norm=scale, zorder=3, linewidths=0
+        layout.place[known, 0],
+        layout.place[known, 1],
+        c=vm[known],
+        s=size,
+        cmap=COLOUR_MAP,
+        norm=scale,
+        zorder=3,
+        linewidths=0,
     )
     axes.autoscale_view()
     mark_boundaries(axes, partition, layout, fill="none")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 
@@ -45,7 +47,9 @@ def draw_residuals(outcome: RunOutcome) -> Drawing:
     else:
         axis.set_ylim(bottom=0, top=1.08 * max(THRESHOLD, float(np.nanmax(values))))
     if normalised:
-        axis.axhline(THRESHOLD, color=PURPLE, linestyle="dashed", linewidth=1.5, label=f"limit of bad data, {THRESHOLD:g}")
+        axis.axhline(
+            THRESHOLD, color=PURPLE, linestyle="dashed", linewidth=1.5, label=f"limit of bad data, {THRESHOLD:g}"
+        )
     for edge in range(1, len(kinds)):
         axis.axvline(edge - 0.5, color=GREY, linewidth=0.6, alpha=0.5)
     axis.set_xticks(range(len(kinds)), [WORDS[kind] for kind in kinds], fontsize="small")
@@ -75,7 +79,7 @@ def _find_places(meters: Table, kinds: list[KIND]) -> np.ndarray:
     return places
 
 
-def _draw_marks(axis: Axes, x: np.ndarray, y: np.ndarray, label: str, style: dict[str, object]) -> None:
+def _draw_marks(axis: Axes, x: np.ndarray, y: np.ndarray, label: str, style: dict[str, Any]) -> None:
     axis.plot(x, y, linestyle="none", label=label, rasterized=len(x) > MAX_VECTOR, **style)
 
 

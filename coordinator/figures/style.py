@@ -12,7 +12,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import matplotlib as mpl
 
@@ -68,7 +68,7 @@ class Drawing:
 
 def styled() -> Any:
     """The context in which figures are drawn and written."""
-    return mpl.rc_context(RC)
+    return mpl.rc_context(cast(Any, RC))
 
 
 def new_figure(height: float, rows: int = 1, width: float = WIDTH) -> tuple[Figure, list[Axes]]:
@@ -78,7 +78,7 @@ def new_figure(height: float, rows: int = 1, width: float = WIDTH) -> tuple[Figu
     return figure, axes
 
 
-def format_power_of_ten(value: float, _position: int | None = None) -> str:
+def format_power_of_ten(value: float, _position: float = 0) -> str:
     """``10⁻⁴``, in letters: nothing that is to be set as a formula, which takes its time; "" for other values."""
     exponent = round(math.log10(value)) if value > 0 else 0
     whole = math.isclose(value, 10.0**exponent, rel_tol=1e-6)

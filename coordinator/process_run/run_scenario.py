@@ -139,6 +139,7 @@ def _run_with_router(run: RunUnderWay, on_update: Callable[[Progress], None] | N
             reason = _watch(run, observer, on_update, until=lambda _: _is_time_to_begin(run))
         telemetry = make_telemetry(scenario)  # of fewer areas while they join
         if reason is None:
+            run.note_time("plant_started")
             run.system.start_plant(telemetry)
         reference_estimate = start_reference_estimate(
             scenario, telemetry, lambda: run.note_time("centralised_estimated")

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -17,6 +17,7 @@ from markupsafe import Markup
 
 from coordinator.evaluation.result import DISTRIBUTIONS, version_of
 from coordinator.figures.style import Drawing, as_svg, styled
+from coordinator.report.settings import Origin
 from dsse_core.printable import printable
 
 TEMPLATE = "report.html.j2"
@@ -48,8 +49,7 @@ class PageTable:
 class Page:
     """What a report says, from top to bottom.
 
-    ``good``: whether ``outcome`` is as wished, None where there is no such thing. ``settings``: name -> value;
-    ``source``: the lines of the scenario file, ``command``: how to repeat it.
+    ``good``: whether ``outcome`` is as wished, None where there is no such thing.
     """
 
     title: str
@@ -61,11 +61,7 @@ class Page:
     tables: Sequence[PageTable]
     drawings: Sequence[Drawing]
     more_tables: Sequence[PageTable]
-    settings: Mapping[str, object]
-    changes: Mapping[str, object]
-    source_name: str
-    source: Sequence[str]
-    command: str
+    origin: Origin
 
 
 def write_page(page: Page, folder: Path) -> Path:
@@ -90,15 +86,6 @@ def list_versions() -> dict[str, str]:
     """Python and the packages that matter, those that draw included."""
     found = {name: version_of(name) or "not installed" for name in (*DISTRIBUTIONS, *DRAWN_BY)}
     return {"Python": platform.python_version(), **found}
-
-
-def read_lines(path: Path, most: int) -> Iterable[str]:
-    """The lines of a text file, the first ``most`` of them; why there are none, where it cannot be read any more."""
-    try:
-        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError as error:
-        return [f"# {path} cannot be read any more: {error.strerror}"]
-    return lines if len(lines) <= most else [*lines[:most], f"# ... and {len(lines) - most} lines more"]
 
 
 @cache

@@ -9,13 +9,12 @@ from pathlib import Path
 from coordinator.evaluation.result import RunResult
 from coordinator.figures.residuals_figure import WORDS
 from coordinator.figures.style import Drawing
-from coordinator.report.page import Page, PageTable, read_lines, write_page
-from coordinator.report.settings import describe_changes, list_settings, write_command
+from coordinator.report.page import Page, PageTable, write_page
+from coordinator.report.settings import find_origin
 from coordinator.report.text import describe_run, list_findings, name_outcome, tabulate_areas, tabulate_gaps
 from dsse_core.printable import printable, shortened
 from dsse_core.results.table import Table
 
-MAX_SOURCE_LINES = 2000
 LONGEST_NAME = 40
 WORDS_OF: dict[str, dict[str, str]] = {
     "kind": {str(kind): words.replace("\n", " ") for kind, words in WORDS.items()},
@@ -104,11 +103,7 @@ def make_run_page(result: RunResult, drawings: Sequence[Drawing], arguments: Seq
             _tabulate("Branches", result.branches, OF_BRANCHES, "All columns: branches.csv beside this file."),
             _tabulate("Meters", result.meters, OF_METERS, "All columns: meters.csv beside this file."),
         ],
-        settings=list_settings(scenario),
-        changes=describe_changes(scenario.changes),
-        source_name=str(scenario.path),
-        source=list(read_lines(scenario.path, MAX_SOURCE_LINES)),
-        command=write_command(arguments),
+        origin=find_origin(scenario, arguments),
     )
 
 
@@ -129,4 +124,3 @@ def _write_cells(column: Sequence[object], form: str) -> list[str]:
 
 def _write_number(value: float, form: str) -> str:
     return format(int(value) if form == "d" else value, form)
-

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
 
 from dsse_core.link_faults import LinkFaults
 from dsse_core.printable import listed
@@ -12,7 +13,44 @@ from scenarios.faults.faults import FaultEvent
 from scenarios.files.key_values import write_value
 from scenarios.scenario import Scenario
 
+MAX_SOURCE_LINES = 2000
 NEW_FOLDER = "NEW_FOLDER"  # an --out that has been used is not empty
+
+
+@dataclass(frozen=True)
+class Origin:
+    """How a result came about.
+
+    ``settings``: name -> value. ``changes``: key -> value instead of the scenario file's. ``source``: the lines of that
+    file. ``command``: how to repeat it.
+    """
+
+    settings: Mapping[str, object]
+    changes: Mapping[str, object]
+    source_name: str
+    source: Sequence[str]
+    command: str
+
+
+def find_origin(scenario: Scenario, arguments: Sequence[str], varied: Collection[str] = ()) -> Origin:
+    """That of a result of ``scenario`` made by ``dsse`` with ``arguments``; what is ``varied`` is no setting."""
+    return Origin(
+        settings={name: value for name, value in list_settings(scenario).items() if name not in varied},
+        changes={key: write_value(value) for key, value in scenario.changes.items()},
+        source_name=str(scenario.path),
+        source=_read_lines(scenario.path),
+        command=write_command(arguments),
+    )
+
+
+def _read_lines(path: Path) -> list[str]:
+    """The lines of a file, the first MAX_SOURCE_LINES of them; why there are none, where it cannot be read any more."""
+    try:
+        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError as error:
+        return [f"# it cannot be read any more: {error.strerror}"]
+    more = len(lines) - MAX_SOURCE_LINES
+    return lines if more <= 0 else [*lines[:MAX_SOURCE_LINES], f"# ... and {more} lines more"]
 
 
 def list_settings(scenario: Scenario) -> dict[str, object]:
@@ -49,7 +87,9 @@ def describe_links(scenario: Scenario) -> str:
         counts[text] = counts.get(text, 0) + 1
     if len(counts) <= 1:
         return next(iter(counts), "none")
-    return listed([f"{text} ({count} of {sum(counts.values())} links)" for text, count in counts.items()], separator="; ")
+    return listed(
+        [f"{text} ({count} of {sum(counts.values())} links)" for text, count in counts.items()], separator="; "
+    )
 
 
 def _describe_link(faults: LinkFaults) -> str:
@@ -61,11 +101,6 @@ def _describe_link(faults: LinkFaults) -> str:
 def _describe_event(event: FaultEvent) -> str:
     lasts = f" for {event.for_s:g} s" if event.for_s else ""
     return f"{event.kind} {' - '.join(event.names)} at {event.at_s:g} s{lasts}"
-
-
-def describe_changes(changes: Mapping[str, object]) -> dict[str, object]:
-    """Key -> value as ``--set`` takes it."""
-    return {key: write_value(value) for key, value in changes.items()}
 
 
 def write_command(arguments: Sequence[str]) -> str:
@@ -84,7 +119,7 @@ def write_command(arguments: Sequence[str]) -> str:
 
 
 def guess_arguments(scenario: Scenario, command: str, links: Mapping[str, float] | None = None) -> list[str]:
-    """Arguments of ``dsse`` that repeat what a program has asked for: the scenario as it is on disk, and its changes."""
+    """Arguments of ``dsse`` that repeat what a program has asked for: the scenario on disk, and its changes."""
     options = ["--seed", str(scenario.seed), "--strategy", scenario.strategy]
     options += ["--timeout", f"{scenario.run.timeout_s:g}"]
     for key, value in scenario.changes.items():

@@ -42,7 +42,9 @@ def describe_run(scenario: Scenario) -> str:
 def tabulate_gaps(result: RunOutcome) -> TextTable:
     """The largest gaps and errors of all buses: header and rows."""
     verdict, central = result.verdict, result.comparison.centralised_error
-    rows = [("decentralised to centralised (same telemetry)", _pu(verdict.gap_vm_pu), _deg(verdict.gap_va_deg))]
+    rows: list[tuple[str, ...]] = [
+        ("decentralised to centralised (same telemetry)", _pu(verdict.gap_vm_pu), _deg(verdict.gap_va_deg))
+    ]
     if result.comparison.knows_truth:
         rows += [
             ("decentralised to truth", _pu(verdict.error_vm_pu), _deg(verdict.error_va_deg)),

@@ -71,13 +71,13 @@ def compare_strategies(
 
 def format_comparison(rows: Sequence[StudyRow]) -> str:
     """The table as the terminal shows it, and why strategies did not end in consensus."""
-    return "\n".join([format_table(HEADER, [_cells(row) for row in rows]), *_reasons(rows)])
+    return "\n".join([format_table(HEADER, [list_cells(row) for row in rows]), *_separate(rows)])
 
 
 def format_markdown(rows: Sequence[StudyRow]) -> str:
     """The same as a Markdown table."""
-    lines = [HEADER, ("---", "---", *["---:"] * (len(HEADER) - 2)), *map(_cells, rows)]
-    return "\n".join(["| " + " | ".join(cells) + " |" for cells in lines] + _reasons(rows))
+    lines = [HEADER, ("---", "---", *["---:"] * (len(HEADER) - 2)), *map(list_cells, rows)]
+    return "\n".join(["| " + " | ".join(cells) + " |" for cells in lines] + _separate(rows))
 
 
 def _run_one(scenario: Scenario, run: Callable[[Scenario, Path], RunOutcome], folder: Path) -> StudyRow:
@@ -97,7 +97,8 @@ def _write(folder: Path, scenario: Scenario, rows: Sequence[StudyRow]) -> None:
         table.writerows(map(to_cells, rows))
 
 
-def _cells(row: StudyRow) -> tuple[str, ...]:
+def list_cells(row: StudyRow) -> tuple[str, ...]:
+    """A row of ``HEADER``."""
     counts = (row.exchanges, row.messages, row.bytes, row.lost)
     times = (row.below_1e3_s, row.below_1e6_s, row.below_1e8_s)
     return (
@@ -108,7 +109,10 @@ def _cells(row: StudyRow) -> tuple[str, ...]:
     )
 
 
-def _reasons(rows: Sequence[StudyRow]) -> list[str]:
-    return [
-        line for row in rows if row.reason for line in ("", f"{row.strategy}: {row.outcome}: {printable(row.reason)}")
-    ]
+def list_reasons(rows: Sequence[StudyRow]) -> list[str]:
+    """Why strategies did not end in consensus."""
+    return [f"{row.strategy}: {row.outcome}: {printable(row.reason)}" for row in rows if row.reason]
+
+
+def _separate(rows: Sequence[StudyRow]) -> list[str]:
+    return [line for reason in list_reasons(rows) for line in ("", reason)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -27,9 +28,10 @@ def draw_sweep(key: str, rows: Mapping[Task, StudyRow]) -> Drawing:
 
 def _draw_sweep(key: str, rows: Mapping[Task, StudyRow]) -> Drawing:
     figure, (above, below) = new_figure(7.0, rows=2)
-    values = sorted({task.value for task in rows}, key=_place)
-    x = [_number(value) for value in values]
-    if None in x:
+    values = sorted({task.value for task in rows}, key=place_of_value)
+    numbers = [_number(value) for value in values]
+    x = [number for number in numbers if number is not None]
+    if len(x) < len(numbers):
         x = list(map(float, range(len(values))))
         step = -(-len(values) // MAX_LABELS)
         below.set_xticks(x[::step], list(map(plot_text, values[::step])))
@@ -53,7 +55,7 @@ def _draw_sweep(key: str, rows: Mapping[Task, StudyRow]) -> Drawing:
     spread = f"median and {SPREAD[0]} to {SPREAD[1]} % of {seeds} seed{'s' if seeds > 1 else ''}"
     above.set_title(spread, fontsize="small", loc="left")
     caption = (
-        f"Above, the largest final difference to the centralised estimate; below, the time from which on it stays below "
+        f"Above, the final largest difference to the centralised estimate; below, the time until it stays below "
         f"1e-6 in all areas; against {key}. Lines: medians; bands: {SPREAD[0]} to {SPREAD[1]} % of {seeds} seeds."
     )
     return Drawing("sweep", "Gap and time against the varied key", caption, figure)
@@ -61,7 +63,7 @@ def _draw_sweep(key: str, rows: Mapping[Task, StudyRow]) -> Drawing:
 
 def _draw(
     axis: Axes,
-    x: Sequence[float | None],
+    x: Sequence[float],
     rows_of_value: Sequence[Sequence[StudyRow]],
     figure_of: Callable[[StudyRow], float | None],
     name: str,
@@ -79,7 +81,11 @@ def _draw(
     low, median, high = np.where(np.isinf(lines), np.nan, lines)
     high = np.where(np.isnan(high), np.nanmax(lines, initial=SMALLEST, where=np.isfinite(lines)), high)
     colour = COLOURS[number % len(COLOURS)]
-    style = {"color": colour, "marker": MARKERS[number % len(MARKERS)], "linestyle": LINES[number % len(LINES)]}
+    style: dict[str, Any] = {
+        "color": colour,
+        "marker": MARKERS[number % len(MARKERS)],
+        "linestyle": LINES[number % len(LINES)],
+    }
     label = f"{name} (never in {without} of {sum(map(len, rows_of_value))} runs)" if without else name
     axis.plot(np.array(x, dtype=float), median, markersize=4, label=label, **style)
     axis.fill_between(np.array(x, dtype=float), low, high, where=~np.isnan(low), color=colour, alpha=0.2, linewidth=0)
@@ -100,7 +106,7 @@ def _number(value: str) -> float | None:
     return float(found) if type(found) in (int, float) else None
 
 
-def _place(value: str) -> tuple[bool, float, str]:
+def place_of_value(value: str) -> tuple[bool, float, str]:
     """Numbers in their order, then words."""
     number = _number(value)
     return (number is None, number or 0.0, value)

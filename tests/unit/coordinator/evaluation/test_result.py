@@ -19,7 +19,7 @@ from coordinator.evaluation.comparison import Voltages, compare, largest_gap
 from coordinator.evaluation.result import RunResult, as_json, make_area_results, write_result
 from coordinator.evaluation.verdict import make_verdict
 from coordinator.observe.observer import Observer
-from coordinator.report.plots import draw_plots
+from coordinator.report.run_files import write_report
 from coordinator.report.text import format_verdict
 from coordinator.simulator.simulate import simulate_scenario
 from dsse_core.estimation.bad_data import process_bad_data
