@@ -13,7 +13,7 @@ from agents.messages.packing import (
     encode,
 )
 from agents.messages.triangle import read_triangle, write_triangle
-from agents.messages.types import PlaceMessage, RoundMessage, VariablesMessage
+from agents.messages.types import PlaceMessage, VariablesMessage
 
 THREE_PHASES = tuple(f"{kind}.{phase}" for kind in ("p", "q", "vm", "va") for phase in "abc")
 SPEAK_OF_BOUNDARIES = [UP, *(m for m in MESSAGES if m.kind in ("down", "admm", "heartbeat"))]
