@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from coordinator.evaluation.result import RunResult, write_files
-from coordinator.evaluation.table_files import TABLES, format_csv, tables_as_json, write_parquet
+from coordinator.evaluation.table_files import format_csv, tables_as_json, write_parquet
 from coordinator.simulator.simulate import simulate_scenario
 from dsse_core.errors import InvalidInputError
-from dsse_core.results.results import results_of_estimate
+from dsse_core.results.results import TABLES, results_of_estimate
 from dsse_core.results.table import Table
 
 
