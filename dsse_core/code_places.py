@@ -26,8 +26,8 @@ from dsse_core.errors import InvalidInputError
 BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 SOURCES = Path(__file__).resolve().parent
 CODE = (".nbi", ".nbc", ".whole")  # numba's index and data files, and our notes
-Whole = Literal["exchange", "estimate"]
-"""What is compiled together: steps of an area; a power flow, an estimate and its bad data."""
+Whole = Literal["exchange", "estimate", "batch"]
+"""What is compiled together: steps of an area; a power flow, an estimate and its bad data; many of these at once."""
 
 
 @dataclass(frozen=True, slots=True)

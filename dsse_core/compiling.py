@@ -6,7 +6,7 @@ import importlib.util
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from dsse_core.code_places import has_whole
+from dsse_core.code_places import Whole, has_whole
 
 Listener = Callable[[bool, str | None], None]
 _listeners: list[Listener] = []
@@ -26,15 +26,15 @@ def only_loading() -> Iterator[None]:
         _only_loads = before
 
 
-def find_obstacle() -> str | None:
-    """Why this process does not use the compiled code of estimates and power flows, as text.
+def find_obstacle(what: Whole = "estimate") -> str | None:
+    """Why this process does not use the compiled code of ``what``, as text.
 
     Raises:
         InvalidInputError: NUMBA_CACHE_DIR is set to a place that others can write.
     """
     if importlib.util.find_spec("numba") is None:
         return "numba is not installed"
-    if _only_loads and not has_whole("estimate"):
+    if _only_loads and not has_whole(what):
         return "the compiled solver is not there yet; `dsse compile` makes it, once, in some 20 s"
     return None
 

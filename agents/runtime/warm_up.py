@@ -8,12 +8,15 @@ import numpy as np
 
 from dsse_core.code_places import Whole
 from dsse_core.estimation.bad_data import process_bad_data
-from dsse_core.estimation.estimator import estimate_state
+from dsse_core.estimation.batch import estimate_batch
+from dsse_core.estimation.estimator import estimate_state, estimate_with_plan
+from dsse_core.estimation.plan import build_estimation_plan
 from dsse_core.estimation.residuals import chi_square_limit
 from dsse_core.grid.division import build_partition
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from dsse_core.linear.area_model import build_area_model
+from dsse_core.power_flow.batch import solve_power_flow_batch
 from dsse_core.power_flow.newton_raphson import solve_power_flow
 from dsse_core.results.deviations import find_deviations
 
@@ -58,6 +61,23 @@ def warm_up_estimate() -> None:
     estimate_state(NETWORK, readings, start=(report.result.vm, report.result.va), backend="radial")
     find_deviations(report.result)
     _note("estimate")
+
+
+def warm_up_batches() -> None:
+    """Go once through many power flows and estimates at once, and through one of a forked network on two threads."""
+    first, second, _ = NETWORK.branches
+    forked = replace(NETWORK, branches=(first, second, replace(second, id="2-4", to_bus=4)))
+    n, kinds = len(forked.buses), (MeasurementKind.VM, MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION)
+    loads = np.full((2, n), -0.01)
+    flows = solve_power_flow_batch(forked, loads, loads, method="sweep", threads=1)
+    meters = [Meter(kind, bus.id) for bus in forked.buses for kind in kinds]
+    plan = build_estimation_plan(forked, meters, backend="radial")
+    values = np.tile([1.0, -0.01, -0.01], (2, n))
+    values[1, 0] = np.nan
+    sigmas = np.full(values.shape, SIGMA)
+    estimate_batch(plan, values, sigmas, start=(flows.vm, flows.va), threads=1)
+    estimate_with_plan(plan, values[0], sigmas[0], threads=2)
+    _note("batch")
 
 
 def _note(what: Whole) -> None:

@@ -8,6 +8,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from dsse_core.compiling import find_obstacle
 from dsse_core.errors import EstimationDivergedError, InvalidInputError, NotObservableError
 from dsse_core.estimation.estimator import estimate_with_plan
 from dsse_core.estimation.plan import EstimationPlan
@@ -96,7 +97,8 @@ def estimate_batch(
     """
     rows = _Rows.of(plan, values, sigmas, start, tolerance)
     threads = find_threads(threads)
-    share_out(len(rows.values), threads, rows.alone if isinstance(plan.radial, str) else rows.compiled)
+    is_compiled = not isinstance(plan.radial, str) and find_obstacle("batch") is None
+    share_out(len(rows.values), threads, rows.compiled if is_compiled else rows.alone)
     failures = {k: rows.failures[k] for k in sorted(rows.failures)}
     missing = np.isnan(rows.values).sum(axis=1)
     return BatchResult(

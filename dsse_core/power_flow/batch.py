@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dsse_core.compiling import find_obstacle
 from dsse_core.errors import InvalidInputError, PowerFlowDivergedError
 from dsse_core.grid.network import Network
 from dsse_core.power_flow.newton_raphson import solve_by_newton
@@ -65,7 +66,8 @@ def solve_power_flow_batch(
     vm, va = np.full((2, *p.shape), np.nan)
     limit, iterations = plan.find_limit(tolerance), np.zeros(len(p), dtype=np.int64)
     rows = _Rows(plan, p, q, limit, max_iterations, vm, va, iterations, {})
-    share_out(len(p), find_threads(threads), rows.by_newton if isinstance(plan.layout, str) else rows.by_sweeps)
+    is_compiled = not isinstance(plan.layout, str) and find_obstacle("batch") is None
+    share_out(len(p), find_threads(threads), rows.by_sweeps if is_compiled else rows.by_newton)
     return PowerFlowBatch(plan.network, rows.vm, rows.va, rows.iterations, dict(sorted(rows.failures.items())))
 
 

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import importlib.util
+import subprocess
+import sys
+
 import pytest
 
 from agents.runtime.warm_up import warm_up
+from dsse_core import compiling
 from dsse_core.linear.radial import RadialSolver
 
 
@@ -25,3 +30,48 @@ def test_warming_up_goes_through_every_pass_of_the_tree(monkeypatch: pytest.Monk
         radial_boundary.variances_downward,
     ):
         assert len(kernel.signatures) >= 1
+
+
+BATCHES = """
+import numpy as np
+from agents.runtime.warm_up import warm_up, warm_up_batches, warm_up_estimate
+from dsse_core import compiling
+from dsse_core.estimation.batch import estimate_batch
+from dsse_core.estimation.estimator import estimate_with_plan
+from dsse_core.estimation.plan import build_estimation_plan
+from dsse_core.power_flow.batch import solve_power_flow_batch
+from scenarios.scenario import load_scenario
+from scenarios.telemetry import read_meters
+
+for warm in (warm_up, warm_up_estimate, warm_up_batches):
+    warm()
+compiled = []
+compiling.listen(lambda begins, folder: compiled.append(begins))
+scenario = load_scenario("case33bw", whole=True)
+plan = build_estimation_plan(scenario.network, scenario.meters, backend="radial")
+scans = [read_meters(scenario, scan) for scan in (1, 2, 3)]
+values, sigmas = np.array([s.values for s in scans]), np.array([s.sigmas for s in scans])
+values[1, 4] = np.nan
+for threads in (1, 2):
+    found = estimate_batch(plan, values, sigmas, threads=threads)
+    estimate_batch(plan, values, sigmas[0], start=(found.vm[0], found.va[0]), threads=threads)
+    estimate_with_plan(plan, values[0], sigmas[0], threads=threads)
+s = np.tile(scenario.network.scheduled, (3, 1))
+solve_power_flow_batch(scenario.network, s.real.copy(), s.imag.copy(), method="sweep")
+print("compiled", len(compiled), "failed", len(found.failures))
+"""
+
+
+@pytest.mark.long
+def test_what_is_compiled_ahead_serves_batches_and_threads_too():
+    pytest.importorskip("numba")
+    done = subprocess.run([sys.executable, "-c", BATCHES], capture_output=True, text=True, timeout=500, check=True)
+    assert done.stdout == "compiled 0 failed 0\n"
+
+
+def test_a_batch_does_not_wait_for_a_compiler_either(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(compiling, "has_whole", lambda what: what != "batch")
+    with compiling.only_loading():
+        if importlib.util.find_spec("numba"):
+            assert compiling.find_obstacle() is None
+        assert compiling.find_obstacle("batch") is not None
