@@ -67,7 +67,7 @@ def mark_boundaries(axes: Axes, partition: Partition, layout: Layout, fill: str 
 
 
 def _mark(axes: Axes, layout: Layout, rows: list[int], label: str, marker: str, fill: str) -> None:
-    style: dict[str, Any] = {"marker": marker, "markerfacecolor": fill, "markeredgecolor": INK}
+    style: dict[str, Any] = {"color": INK, "marker": marker, "markerfacecolor": fill, "markeredgecolor": INK}
     axes.plot(
         *layout.place[rows].T,
         linestyle="none",

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.collections import LineCollection
-from matplotlib.colors import Normalize
+from matplotlib.colors import ListedColormap, Normalize
 
 from coordinator.evaluation.result import RunOutcome
 from coordinator.figures.diagram import (
@@ -18,7 +19,8 @@ from coordinator.figures.diagram import (
 from coordinator.figures.feeder_layout import lay_out
 from coordinator.figures.style import GREY, Drawing
 
-COLOUR_MAP = "viridis"  # even steps of lightness, for all eyes and for print in grey
+COLOUR_MAP = ListedColormap(colormaps["viridis"](np.linspace(0.15, 0.95, 256)))
+"""Even steps of lightness, for all eyes and for print in grey; without the ends, which light and dark pages hide."""
 LEAST_SPAN = 0.01  # p.u. between the ends of the colours: a flat profile has one colour
 
 
