@@ -70,8 +70,13 @@ def write_page(page: Page, folder: Path) -> Path:
     Raises:
         OSError: it cannot be written.
     """
-    path = folder / REPORT
-    path.write_text(render_page(page), encoding="utf-8")
+    path, text = folder / REPORT, render_page(page)
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError:
+        if path.is_file():
+            path.unlink()  # half of it
+        raise
     return path
 
 
