@@ -40,6 +40,11 @@ def figure_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return with_formats
 
 
+def asked_for_formats() -> bool:
+    """Whether this command was given ``--format``."""
+    return bool(click.get_current_context().params.get("formats"))
+
+
 def given_arguments() -> tuple[str, ...]:
     """The arguments of this command, as they were given: with them it is repeated."""
     return tuple(click.get_current_context().find_root().obj or ())

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from coordinator.cli.figure_options import figure_options, given_arguments
+from coordinator.cli.figure_options import asked_for_formats, figure_options, given_arguments
 from coordinator.cli.outputs import check_parquet_option, parquet_option
 from coordinator.cli.terminal import (
     Number,
@@ -138,6 +138,8 @@ def compare(
     from coordinator.evaluation.evaluation import choose_scenario
     from coordinator.studies.strategy_comparison import choose_strategies, compare_strategies, format_comparison
 
+    if out is None and asked_for_formats():
+        raise click.UsageError("--format draws figures into files; say where with --out DIR")
     end_orderly_on_signals()
     chosen = choose_strategies(strategies)
     loaded = choose_scenario(scenario, seed, timeout_s=timeout, links=links, changes=changes)

@@ -12,9 +12,9 @@ from rich.console import Console
 
 from agents.runtime.log_format import PrintableFormatter
 from coordinator.evaluation.result import RunResult
+from coordinator.figures.draw_areas import draw_areas
 from coordinator.observe.live import build_table
 from coordinator.observe.progress import AreaProgress, Progress
-from coordinator.figures.draw_areas import draw_areas
 from coordinator.report.run_files import write_report
 from coordinator.report.text import format_check, format_verdict
 from coordinator.simulator.simulate import simulate_scenario

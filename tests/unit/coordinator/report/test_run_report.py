@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import itertools
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -102,7 +103,7 @@ def test_a_report_can_be_read_with_the_keyboard_and_aloud(page: ReadPage) -> Non
     assert ("html", {"lang": "en"}) in page.elements
     levels = [int(tag[1]) for tag, _ in page.elements if re.fullmatch("h[1-6]", tag)]
     assert levels[0] == 1
-    assert all(after - before <= 1 for before, after in zip(levels, levels[1:], strict=False))
+    assert all(after - before <= 1 for before, after in itertools.pairwise(levels))
 
 
 @pytest.mark.parametrize("name", [HOSTILE, "a\x1b[2Jb", "turned \u202e round", "\udcff", "$\\frac$", "{{ 7 * 7 }}"])
