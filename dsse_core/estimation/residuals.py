@@ -18,6 +18,9 @@ THRESHOLD = 3.0  # of normalised residuals
 TIE = 1e-6  # relative difference of normalised residuals that are equal in exact arithmetic
 # Omega_ii / R_ii below which a residual says nothing about its measurement: what meters 1e6 times coarser leave.
 CRITICAL_REDUNDANCY = 1e-12
+# Of (R_ii - Omega_ii) / R_ii, the variance of what a meter would read without error by its own: below it the meter says
+# next to nothing about that, and the difference would lose more than four digits.
+LEAST_REDUCTION = 1e-4
 DEAD_VM = 0.5  # p.u.; no grid works below it, and weighted squares find states that almost would
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from dsse_core.estimation.radial import invert_radial
+from dsse_core.estimation.residuals import LEAST_REDUCTION
 from dsse_core.radial.plan import RadialPlan
 from dsse_core.results.branch_variances import BranchGradients
 from dsse_core.results.flows import BranchModel
@@ -70,13 +71,14 @@ class RadialDeviations:
         plan, inverse = self._plan, self._inverse
         n, R = len(plan.parent), inverse.weights[:, 2:4]
         metered = R - inverse.omega[:, 2:4]
-        if not (R >= 0).all():
-            metered = np.where(R >= 0, metered, self._without_meter(gradients))
+        by_meter = (R >= 0) & (metered >= LEAST_REDUCTION * R)
+        if not by_meter.all():
+            metered = np.where(by_meter, metered, self._by_branches(gradients))
         found = np.empty((2, n))
         found[:, plan.order] = np.maximum(metered, 0.0).T
         return found
 
-    def _without_meter(self, gradients: BranchGradients) -> np.ndarray:
+    def _by_branches(self, gradients: BranchGradients) -> np.ndarray:
         """Variances of the sum of what goes into the branches below a bus, into that above it and into its shunt."""
         plan, S = self._plan, self._inverse.S
         n = len(plan.parent)

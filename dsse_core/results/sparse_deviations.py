@@ -10,6 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from dsse_core.estimation.estimator import EstimationResult
+from dsse_core.estimation.residuals import LEAST_REDUCTION
 from dsse_core.grid.admittance import build_admittance
 from dsse_core.grid.measurement import MeasurementKind, Meter
 from dsse_core.grid.measurement_model import build_measurement_model
@@ -81,11 +82,12 @@ def _select(by: sp.csr_array, columns: np.ndarray, scale: np.ndarray, n: int) ->
 
 
 def _metered_injections(result: EstimationResult) -> np.ndarray:
-    """Variances of metered injections, ``R - Omega``, (2, n_bus); nan where there is no meter."""
+    """Variances of metered injections, ``R - Omega``, (2, n_bus); nan where there is no meter that says much."""
     found = np.full((2, len(result.vm)), np.nan)
     variance = result.sigmas**2 - result.residual_variance
-    for meter, value in zip(result.plan.meters, variance.tolist(), strict=True):
-        if meter.kind.of_injection:
+    says_much = variance >= LEAST_REDUCTION * result.sigmas**2
+    for meter, value, counts in zip(result.plan.meters, variance.tolist(), says_much.tolist(), strict=True):
+        if meter.kind.of_injection and counts:
             found[INJECTIONS.index(meter.kind), result.network.row[meter.bus]] = max(value, 0.0)
     return found
 

@@ -192,6 +192,20 @@ def test_a_short_branch_does_not_blow_up_its_deviations(chain, backend):
     assert (deviations.branches[:6, at] < 1.01 * neighbours[:6].max(axis=1)).all()
 
 
+@pytest.mark.parametrize("sigma", [0.1, 1e2, 1e4, 1e6])
+def test_a_meter_that_says_nothing_does_not_spoil_the_deviation_of_what_it_reads(chain, backend, sigma):
+    """R - Omega of a reading far coarser than what others tell would be round-off."""
+    network, flow = chain(6), solve_power_flow(chain(6))
+    meters = [Meter(Kind.VM, 1), *(Meter(k, b.from_bus, b.id) for b in network.branches for k in OF_END[:2])]
+    coarse = [Meter(kind, bus, source=Source.PSEUDO) for bus in (3, 6) for kind in POWERS]
+    values = flow.read_all([*meters, *coarse])
+    sigmas = [1e-4] * len(meters) + [sigma] * len(coarse)
+    readings = [Measurement(*of) for of in zip([*meters, *coarse], values, sigmas, strict=True)]
+    found = find_deviations(estimate_state(network, readings, backend=backend))
+    without = find_deviations(estimate_state(network, readings[: len(meters)], backend=backend))
+    np.testing.assert_allclose(found.injections, without.injections, rtol=(1e-4 / sigma) ** 2 + 1e-8)
+
+
 def test_a_branch_that_carries_nothing_has_no_deviation_of_its_current(backend):
     buses = tuple(Bus(k, 10.0, p_load=0.1 * (k < 3)) for k in (1, 2, 3))
     branches = (Branch("1-2", 1, 2, 0.01, 0.02), Branch("2-3", 2, 3, 0.01, 0.02))
