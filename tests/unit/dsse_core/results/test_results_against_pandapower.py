@@ -33,6 +33,34 @@ def cigre_with_taps_and_shunts() -> Any:
     return net
 
 
+def net_of_everything() -> Any:
+    """Load, shunt and generation at the substation; sources at load buses; three voltages; what is out of service."""
+    net = pp.create_empty_network(sn_mva=3.0)
+    top, far = pp.create_bus(net, 110), pp.create_bus(net, 110)
+    near, middle, end = (pp.create_bus(net, 20) for _ in range(3))
+    low = pp.create_bus(net, 0.4)
+    pp.create_ext_grid(net, top, 1.03, va_degree=7)
+    pp.create_load(net, top, 5, 1)
+    pp.create_shunt(net, top, -2, 0.3)
+    pp.create_sgen(net, top, 1.0, 0.2)
+    pp.create_transformer(net, top, near, "40 MVA 110/20 kV", tap_pos=4)
+    pp.create_transformer(net, top, near, "40 MVA 110/20 kV", tap_pos=2, parallel=2, df=0.7)
+    pp.create_transformer(net, middle, low, "0.63 MVA 20/0.4 kV", tap_pos=-1)
+    pp.create_transformer(net, middle, low, "0.63 MVA 20/0.4 kV", in_service=False)
+    pp.create_line(net, near, middle, 1.3, "NA2XS2Y 1x185 RM/25 12/20 kV", parallel=3)
+    pp.create_line(net, near, middle, 1.1, "NA2XS2Y 1x185 RM/25 12/20 kV", in_service=False)
+    pp.create_line(net, middle, end, 1.1, "48-AL1/8-ST1A 20.0")
+    pp.create_line(net, top, far, 10, "149-AL1/24-ST1A 110.0")
+    pp.create_load(net, end, 1, 0.3)
+    pp.create_gen(net, end, 2.0, vm_pu=1.01)
+    pp.create_storage(net, end, 0.2, 1, 0.05)
+    pp.create_load(net, low, 0.3, 0.1)
+    pp.create_shunt(net, low, 0.05, 0.01)
+    pp.create_gen(net, far, 3, 1.02)
+    pp.create_load(net, far, 4, 1, scaling=0.5)
+    return net
+
+
 def random_net(seed: int) -> Any:
     """10 to 40 buses: parallel lines, a loop or none, transformers with taps, shunts, lines out of service."""
     rng = np.random.default_rng(seed)
@@ -60,6 +88,7 @@ def random_net(seed: int) -> Any:
 
 
 NETS: dict[str, Callable[[], Any]] = {"case33bw": networks.case33bw, "CIGRE MV": cigre_with_taps_and_shunts}
+NETS["everything"] = net_of_everything
 NETS |= {f"random {seed}": lambda seed=seed: random_net(seed) for seed in range(20)}
 
 
