@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from coordinator.cli.figure_options import figure_options
+from coordinator.cli.flows import flows
 from coordinator.cli.keys import keys_commands
 from coordinator.cli.networks import network_commands
 from coordinator.cli.outputs import Output, check_parquet_option, hand_over, output_options, parquet_option
@@ -276,5 +277,5 @@ def _estimate_scans(loaded: Scenario, scans: Scans, output: Output) -> int:
 
 
 groups = (*process_commands, *network_commands, *study_commands)
-for command in (*groups, keys_commands, scenarios_commands, thesis, watch):
+for command in (*groups, keys_commands, scenarios_commands, thesis, watch, flows):
     commands.add_command(command)

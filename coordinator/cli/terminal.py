@@ -99,9 +99,13 @@ def changed(scenario: str, changes: Mapping[str, object]) -> str | Scenario:
     return choose_scenario(scenario, changes=changes)
 
 
-def connect_option(secured_by: str = "--keys") -> Callable[[Callable[..., object]], Callable[..., object]]:
-    """``--connect``; without it ``choose_endpoints`` decides. ``secured_by``: the option that asks for TLS."""
-    default = f"[default: {DEFAULT_ENDPOINT}; with {secured_by} {SECURE_ENDPOINT}]"
+def connect_option(
+    secured_by: str = "--keys", default: str | None = None
+) -> Callable[[Callable[..., object]], Callable[..., object]]:
+    """``--connect``; without it ``choose_endpoints`` decides, or what ``default`` says. ``secured_by``: the
+    option that asks for TLS.
+    """
+    default = default or f"[default: {DEFAULT_ENDPOINT}; with {secured_by} {SECURE_ENDPOINT}]"
     return click.option("--connect", "endpoints", multiple=True, help=f"Endpoint of the router; repeatable.  {default}")
 
 

@@ -82,6 +82,14 @@ def wait_until_whole(look: Look, timeout_s: float) -> Watcher:
     return watcher
 
 
+def wait_for_state(look: Look, area: str, timeout_s: float) -> Watcher:
+    """Wait until ``area`` has published an estimate, or until time is up."""
+    deadline = time.monotonic() + timeout_s
+    while not ((state := (watcher := look(STEP_S)).state_of(area)) and state.buses) and time.monotonic() < deadline:
+        pass
+    return watcher
+
+
 def _find_run(session: Session, timeout_s: float) -> str:
     """The only run of which an area or a plant is there."""
     updates = Updates()

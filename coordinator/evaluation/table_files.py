@@ -6,7 +6,7 @@ import csv
 import io
 import json
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -59,13 +59,13 @@ def write_json(path: Path, content: object) -> None:
 
 def tables_as_json(tables: Tables) -> dict[str, list[dict[str, Any]]]:
     """Table -> its rows, each with all columns as keys; None for what is unknown."""
-    return {name: list(_rows_as_json(getattr(tables, name))) for name in tables.names}
+    return {name: rows_as_json(getattr(tables, name)) for name in tables.names}
 
 
-def _rows_as_json(table: Table) -> Iterator[dict[str, Any]]:
+def rows_as_json(table: Table) -> list[dict[str, Any]]:
+    """The rows, each with all columns as keys; None for what is unknown."""
     columns = [_as_values(table[name]) for name in table.columns]
-    for row in zip(*columns, strict=True):
-        yield dict(zip(table.columns, row, strict=True))
+    return [dict(zip(table.columns, row, strict=True)) for row in zip(*columns, strict=True)]
 
 
 def _as_values(column: Column) -> Iterable[object]:

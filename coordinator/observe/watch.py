@@ -128,6 +128,10 @@ class Watcher:
         present = self._names_of("area")
         return bool(present) and present <= self._received.keys()
 
+    def state_of(self, area: str) -> StateMessage | None:
+        """What ``area`` published last."""
+        return self._received[area][1] if area in self._received else None
+
     def look(self, now: float) -> View:
         """What is known at ``now``."""
         spoken_to = {name for _, state in self._received.values() for name in state.sent}

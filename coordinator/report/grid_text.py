@@ -31,9 +31,8 @@ def _join_columns(header: Sequence[str], columns: Iterable[list[str]]) -> str:
     return "\n".join([(row % cells).rstrip() for cells in zip(*table, strict=True)])
 
 
-def format_power_flow(result: PowerFlowResult, tables: Results) -> str:
-    """Voltages and injections of all buses, what flows in the branches, and the losses."""
-    buses, kw = tables.buses, base_kw(result.network)
+def format_state(buses: Table, branches: Table) -> str:
+    """Voltages and injections of all buses, and what flows in the branches."""
     columns = [
         _name_rows(buses.bus, buses.name),
         _write(buses.vm_pu, 5),
@@ -43,10 +42,15 @@ def format_power_flow(result: PowerFlowResult, tables: Results) -> str:
         _powers(buses.q_kvar),
     ]
     of_buses = _join_columns(("bus", "vm p.u.", "kV", "va deg", "injection kW", "kvar"), columns)
-    losses = result.losses * kw
+    return f"{of_buses}\n\n{_format_branches(branches)}"
+
+
+def format_power_flow(result: PowerFlowResult, tables: Results) -> str:
+    """Voltages and injections of all buses, what flows in the branches, and the losses."""
+    losses = result.losses * base_kw(result.network)
     steps = "backward and forward sweeps" if result.method == "sweep" else "Newton-Raphson steps"
     total = f"losses {_power(losses.real)} kW, {_power(losses.imag)} kvar; {result.iterations} {steps}"
-    return "\n\n".join([of_buses, _format_branches(tables.branches), total])
+    return f"{format_state(tables.buses, tables.branches)}\n\n{total}"
 
 
 def format_estimate(report: BadDataReport, tables: Results) -> str:
