@@ -34,6 +34,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
             'is a network file, which a scenario file names by network = "network.toml"; give a scenario file',
         ),
         ("run areas/area1.toml", "is an area file, which `dsse agent` takes; give a scenario file"),
+        ("flows network.toml", "is a network file, which a scenario file names by"),
         ("check twisted.toml", "scenario.toml: is a scenario file, which `dsse run` takes; give a network file"),
         ("import network.toml --out new", "a network in TOML needs no import"),
         ("check IEEE33", "did you mean 'ieee33'?"),

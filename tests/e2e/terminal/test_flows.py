@@ -1,0 +1,52 @@
+"""``dsse flows`` shows one area of a system that runs, with its area file alone."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from system_by_hand import SystemByHand, Watcher, prepare_by_hand
+
+from coordinator.evaluation.evaluation import estimate_centralised
+from dsse_core.results.results import results_of_estimate
+from dsse_core.results.state import branch_rows
+from scenarios.scenario import load_scenario
+from scenarios.telemetry import make_telemetry
+
+
+@pytest.mark.parametrize("secured", [False, True], ids=["open", "secured"])
+def test_what_flows_in_an_area_is_what_the_centre_would_say(dsse, tmp_path: Path, secured: bool):
+    endpoint, keys = prepare_by_hand(dsse, secured)
+    with SystemByHand(tmp_path) as system:
+        system.start("router", "router", "--listen", endpoint, *keys)
+        for name in ("area1", "area2"):
+            system.start(name, "agent", f"areas/{name}.toml", *keys)
+        system.start("plant", "plant", "industrial13", "--connect", endpoint, *keys)
+        with Watcher("industrial13", [endpoint], tmp_path / "keys" if secured else None) as watcher:
+            watcher.wait_for_consensus()
+            shown = dsse("flows", "areas/area2.toml", *keys, "--csv", "branches")
+            said = json.loads(dsse("flows", "areas/area2.toml", *keys, "--json").stdout)
+            table = dsse("flows", "areas/area2.toml", *keys).stdout
+    assert shown.returncode == 0, shown.stderr
+    rows = list(csv.DictReader(io.StringIO(shown.stdout)))
+    scenario = load_scenario("industrial13")
+    place, own = branch_rows(scenario.network), scenario.partition.area("area2").network.branches
+    assert {row["branch"] for row in rows} == {branch.id for branch in own}
+    assert "area area2: good, scan" in table
+    assert (said["area"], said["quality"], len(said["branches"])) == ("area2", "good", len(rows))
+    central = results_of_estimate(estimate_centralised(scenario, make_telemetry(scenario)).report).branches
+    found = [float(row["i_from_a"]) for row in rows]
+    np.testing.assert_allclose(found, central.i_from_a[[place[row["branch"]] for row in rows]], rtol=0, atol=1e-3)
+
+
+def test_an_area_that_publishes_nothing_is_named(dsse, tmp_path: Path):
+    endpoint, _ = prepare_by_hand(dsse, secured=False)
+    with SystemByHand(tmp_path) as system:
+        system.start("router", "router", "--listen", endpoint)
+        done = dsse("flows", "areas/area1.toml", "--timeout", "2")
+    assert done.returncode == 1
+    assert "area area1 of run industrial13 has published no estimate within 2 s" in done.stderr
