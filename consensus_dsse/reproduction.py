@@ -15,7 +15,7 @@ def thesis() -> Table:
     >>> import consensus_dsse as dsse
     >>> table = dsse.thesis()
     >>> len(table), len(set(table.table))
-    (326, 22)
+    (291, 22)
     >>> sound = [text == "" for text in table.misprint]
     >>> bool(abs(table.difference_va_deg[sound]).max() < 0.15)
     True

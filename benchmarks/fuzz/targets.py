@@ -24,6 +24,7 @@ from agents.area_files.reader import load_area_file
 from agents.messages import packing as messages
 from agents.messages.boundary_variables import ONE_PHASE
 from agents.messages.checks import MessageError
+from agents.strategies.installed import list_strategies, load_strategy
 from benchmarks.fuzz import parsing
 from benchmarks.fuzz.mutations import STEERING, spoil_bytes, spoil_text, spoil_tree
 from coordinator.deployment.split import area_files
@@ -52,6 +53,8 @@ class Target:
 
 def make_message(rng: random.Random) -> messages.Message:
     """A well-formed message with random content."""
+    for strategy in list_strategies():
+        load_strategy(strategy)  # which makes its messages known
     cls = rng.choice(list(messages.MESSAGE_TYPES.values()))
     header = messages.Header("run", "area2", messages.Incarnation(10**12, 1), 1, rng.randrange(100), 1.7e9)
     hints = typing.get_type_hints(cls)

@@ -19,7 +19,10 @@ from coordinator.cli.main import run_command
 from dsse_core.grid.columns import Records
 
 ROOT = Path(__file__).parents[3]
-MODULES = ["consensus_dsse.grids", "consensus_dsse.centralised", "consensus_dsse.studies", "coordinator"]
+MODULES = [
+    *("consensus_dsse.grids", "consensus_dsse.centralised", "consensus_dsse.reproduction", "consensus_dsse.studies"),
+    "coordinator",
+]
 
 
 def python(code: str, folder: Path, *first: Path) -> subprocess.CompletedProcess[str]:
