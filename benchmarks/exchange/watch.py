@@ -9,13 +9,13 @@ from dataclasses import dataclass
 
 from agents.messages.packing import Message, StateMessage, decode
 from agents.protocol.quality import GOOD
+from agents.strategies.installed import load_strategy
 from benchmarks.fault_histories.history import World
 from coordinator.simulator.simulator import SimulatedBus
 from dsse_core.link_faults import LinkFaults
 
 LOAD, HEARTBEAT = "load", "heartbeat"  # kinds that say nothing of a boundary
 AGREE = 1e-8  # p.u. and rad, between the voltages of neighbours
-ANGLES_ONLY = "angle-offset"
 SAMPLE_S = 0.01
 REST_S = 1.0  # without a new boundary message: five heartbeats
 BETWEEN_S = 1.5  # at rest, before the next scan
@@ -58,7 +58,7 @@ class WatchedBus(SimulatedBus):
         areas = world.partition.areas
         links = {(area.name, n.area): faults for area in areas for n in area.neighbours}
         self._world = world
-        self._strategy = strategy
+        self._compares_magnitudes = load_strategy(strategy).reconciles_magnitudes
         self._pairs = [(a.name, n.area, n.bus) for a in areas for n in a.neighbours if a.name < n.area]
         self._named: set[tuple[object, ...]] = set()  # of all scans: numbers of messages go on
         self._begin()
@@ -168,7 +168,7 @@ class WatchedBus(SimulatedBus):
         if not (self._voltages.get(one) and self._voltages.get(other)):
             return False
         (vm, va), (other_vm, other_va) = self._voltages[one][bus], self._voltages[other][bus]
-        is_same_vm = self._strategy == ANGLES_ONLY or abs(vm - other_vm) <= AGREE
+        is_same_vm = not self._compares_magnitudes or abs(vm - other_vm) <= AGREE
         return is_same_vm and abs(math.remainder(va - other_va, 2 * math.pi)) <= AGREE
 
     def _find_gap(self) -> float:
