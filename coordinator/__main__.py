@@ -16,6 +16,7 @@ SWITCH_S = 1e-3  # after which a thread that computes lets in one that has messa
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command in ``argv`` (default: that of the process) and return its exit code, which no signal changes."""
     interrupts.end_at_once()
+    _replace_closed_streams()
     arguments = list(sys.argv[1:] if argv is None else argv)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # spinning threads would take the agents' cores
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # to look for some, it reads about all packages
@@ -27,6 +28,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     code = _run_agent(arguments[1:]) if arguments[:1] == ["agent"] else _run_command(arguments)
     interrupts.ignore()
     return code
+
+
+def _replace_closed_streams() -> None:
+    """Let the standard streams that the caller has closed lead nowhere: else the first files take their numbers, and
+    what is said goes into these.
+    """
+    while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
+        os.set_inheritable(number, True)
+    os.close(number)
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
 
 
 def _run_agent(arguments: Sequence[str]) -> int:

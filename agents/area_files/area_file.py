@@ -15,6 +15,7 @@ import tomli_w
 from pydantic_core import to_json
 
 from dsse_core.estimation.state_limits import DEFAULT_LIMITS, StateLimits
+from dsse_core.files.drafts import whole_file
 from dsse_core.grid.measurement import Meter
 from dsse_core.grid.network import Branch, Bus, Generator
 from dsse_core.grid.partition import Area, Neighbour
@@ -107,11 +108,9 @@ def save_area_file(path: Path, content: AreaFile) -> None:
         },
         "meter": all_of(Meter, content.meters),
     }
-    if is_json:
-        path.write_bytes(to_json(table))
-        return
     comment = f"# Area {area.name}: all that its agent reads. Per unit on base_mva, and radians.\n"
-    path.write_text(comment + tomli_w.dumps(table), encoding="utf-8")
+    with whole_file(path) as draft:
+        draft.write_bytes(to_json(table) if is_json else (comment + tomli_w.dumps(table)).encode())
 
 
 def _columns_of(cls: Any, items: Sequence[Any]) -> dict[str, Any]:

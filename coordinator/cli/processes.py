@@ -164,15 +164,17 @@ def stop(folder: Path) -> None:
     \b
     Example:  dsse stop runs/ieee33-20261122-120000
     """
+    from coordinator.process_run.run_keys import remove_keys_of_dead_runs
     from coordinator.process_run.stop_run import stop_run
 
     run, count = stop_run(folder)
+    remove_keys_of_dead_runs()
     if run is None:
         show(printable(f"{folder}: nothing to stop; the run was killed before it had started a process"))
     elif count:
-        print(f"run {run.id}: {count} process{'es' * (count > 1)} ended")
+        show(printable(f"run {run.id}: {count} process{'es' * (count > 1)} ended"))
     else:
-        print(f"run {run.id}: no process of it is left on this host")
+        show(printable(f"run {run.id}: no process of it is left on this host"))
 
 
 @click.command("compile", short_help="Compile the solvers of large radial networks ahead.")

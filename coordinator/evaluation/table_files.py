@@ -13,6 +13,7 @@ from typing import Any, TextIO
 import numpy as np
 
 from dsse_core.errors import InvalidInputError
+from dsse_core.files.drafts import whole_file
 from dsse_core.results.results import Results
 from dsse_core.results.scans import ScanTables
 from dsse_core.results.table import Table
@@ -24,7 +25,8 @@ Column = np.ndarray | tuple[str, ...]
 def write_tables(folder: Path, tables: Tables) -> None:
     """Write ``buses.csv`` and so on for each of ``tables``."""
     for name in tables.names:
-        with (folder / f"{name}.csv").open("w", newline="", encoding="utf-8") as file:
+        path = folder / f"{name}.csv"
+        with whole_file(path) as draft, draft.open("w", newline="", encoding="utf-8") as file:
             write_csv(file, getattr(tables, name))
 
 
@@ -54,7 +56,8 @@ def _as_cells(column: Column) -> Iterable[object]:
 
 def write_json(path: Path, content: object) -> None:
     """Write ``content``, in which no number may be nan or infinite."""
-    path.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    with whole_file(path) as draft:
+        draft.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def tables_as_json(tables: Tables) -> dict[str, list[dict[str, Any]]]:
@@ -93,7 +96,7 @@ def write_parquet(folder: Path, tables: Tables) -> None:
     for name in tables.names:
         table: Table = getattr(tables, name)
         columns = {key: pyarrow.array(table[key], from_pandas=True) for key in table.columns}
-        with (folder / f"{name}.parquet").open("wb") as file:
+        with whole_file(folder / f"{name}.parquet") as draft, draft.open("wb") as file:
             parquet.write_table(pyarrow.table(columns), file)
 
 

@@ -21,6 +21,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
+from dsse_core.files.drafts import whole_file
+
 INK, PAPER = "#000001", "#fffffe"  # told apart in SVG from any colour of the data
 BLUE, VERMILLION, GREEN, PURPLE = "#0072b2", "#d55e00", "#009e73", "#cc79a7"
 ORANGE, SKY, GREY = "#e69f00", "#56b4e9", "#7f7f7f"
@@ -109,7 +111,8 @@ def save(figure: Figure, path_without_suffix: Path, formats: Sequence[str]) -> t
     fix_layout(figure)
     for path, suffix in zip(paths, formats, strict=True):
         undated: dict[str, Any] = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}
-        figure.savefig(path, dpi=DPI, metadata=undated.get(suffix))
+        with whole_file(path) as draft:
+            figure.savefig(draft, dpi=DPI, metadata=undated.get(suffix))
     return paths
 
 

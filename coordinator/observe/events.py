@@ -10,6 +10,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from dsse_core.files.whole_lines import WholeLines
+
 
 class EventLog:
     """Appends events to ``path``; ``time`` in each is seconds since ``started`` on the monotonic clock.
@@ -22,7 +24,7 @@ class EventLog:
         self.failure: str | None = None
         self._path = path
         self._started = started
-        self._file = path.open("a", encoding="utf-8")
+        self._lines = WholeLines(path)
 
     def __enter__(self) -> Self:
         return self
@@ -31,14 +33,13 @@ class EventLog:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         with self._noting_failure():
-            self._file.close()
+            self._lines.close()
 
     def write(self, event: str, now: float | None = None, **details: Any) -> None:
         """Write one event that happened at monotonic time ``now`` (default: this moment)."""
         at = (time.monotonic() if now is None else now) - self._started
         with self._noting_failure():
-            self._file.write(json.dumps({"time": at, "event": event, **details}) + "\n")
-            self._file.flush()
+            self._lines.append(json.dumps({"time": at, "event": event, **details}) + "\n")
 
     @contextmanager
     def _noting_failure(self) -> Iterator[None]:

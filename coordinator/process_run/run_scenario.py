@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import secrets
-import tempfile
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -23,6 +22,7 @@ from coordinator.observe.progress import UPDATE_S, Progress, describe_progress
 from coordinator.process_run.compile_clock import clock
 from coordinator.process_run.process_faults import do_to_processes
 from coordinator.process_run.processes import Launcher, LaunchError
+from coordinator.process_run.run_keys import folder_of_keys
 from coordinator.process_run.run_status import (
     RunUnderWay,
     listen,
@@ -66,7 +66,7 @@ def run_scenario(
     folder = make_run_folder(out, default_run_id(scenario), PARTS)
     with ExitStack() as at_the_end, EventLog(folder / EVENTS, started) as events:
         run_id = f"{default_run_id(scenario)}-{secrets.token_hex(4)}"
-        keys = _find_keys(scenario, run_id, at_the_end, secure, keys)
+        keys = _find_keys(scenario, run_id, launcher.mark, at_the_end, secure, keys)
         system = System(launcher, scenario, run_id, folder, keys=keys)
         run = RunUnderWay(scenario, run_id, folder, system, events, started)
         parent = {"parent_pid": launcher.pid, "mark": launcher.mark}
@@ -97,7 +97,7 @@ def _find_solvers(scenario: Scenario) -> tuple[str, ...]:
 
 
 def _find_keys(
-    scenario: Scenario, run_id: str, at_the_end: ExitStack, secure: bool, keys: str | Path | None
+    scenario: Scenario, run_id: str, mark: str, at_the_end: ExitStack, secure: bool, keys: str | Path | None
 ) -> Path | None:
     """The folder of credentials of a secured run, made for this run if none is given; None if it is not secured.
 
@@ -112,7 +112,7 @@ def _find_keys(
         check_keys(Path(keys), access, direct)
         return Path(keys).absolute()
     host = scenario.transport.listen.partition("/")[2].rpartition(":")[0]
-    folder = Path(at_the_end.enter_context(tempfile.TemporaryDirectory(prefix="dsse-keys-"))).absolute()
+    folder = at_the_end.enter_context(folder_of_keys(mark))
     create_keys(folder, access, DAYS_OF_A_RUN, [host.strip("[]")], direct=direct)
     credentials_in(folder, AUTHORITY).key.unlink()  # nobody is to get a certificate later
     return folder

@@ -18,6 +18,7 @@ from coordinator.process_run.fork_server import MODULE, STOP_S
 from coordinator.run_folder import EVENTS, PARTS
 from dsse_core.errors import DsseError, InvalidInputError
 from dsse_core.files.bounded_file import read_text
+from dsse_core.files.drafts import remove_leftovers
 
 PROC = Path("/proc")
 SPARE_S = 2.0  # that a process may take longer than it is allowed to
@@ -42,7 +43,7 @@ def stop_run(folder: Path) -> tuple[StartedRun | None, int]:
 
     None for a run that was killed before it started a process. The parent of all is asked to stop all of them in order;
     what is left after its time is up is asked itself, and then killed. A process is known by its command line: its
-    number may be another's by now.
+    number may be another's by now. Files that its coordinator was writing are removed.
 
     Raises:
         InvalidInputError: ``folder`` is not that of a run of processes.
@@ -63,6 +64,8 @@ def stop_run(folder: Path) -> tuple[StartedRun | None, int]:
     if still := sorted(find_marked(run.mark)):
         numbers = ", ".join(map(str, still))
         raise StopError(f"processes of run {run.id} are still there: {numbers}; stop it as the user who started it")
+    for place in (folder, *(folder / part for part in PARTS)):
+        remove_leftovers(place)
     return run, len(found)
 
 
@@ -71,7 +74,7 @@ def _is_of_no_process(folder: Path) -> bool:
     try:
         entries = list(folder.iterdir())
         log = folder / EVENTS
-        begun = log in entries and log.stat().st_size > 0
+        begun = log in entries and not (log.is_file() and log.stat().st_size == 0)  # a device has no size
         return (
             bool(entries) and not begun and all(e == log or (e.name in PARTS and not any(e.iterdir())) for e in entries)
         )
@@ -102,6 +105,15 @@ def find_marked(mark: str) -> Iterator[int]:
     for pid, line in _command_lines():
         if f"-m {MODULE} " in line and line.endswith(f" {mark}"):
             yield pid
+
+
+def has_processes(folder: Path) -> bool:
+    """Whether processes of a run whose run folder lies in ``folder`` live."""
+    for log in folder.glob(f"*/{EVENTS}"):
+        with contextlib.suppress(InvalidInputError):  # before its first event, which no process precedes
+            if any(find_marked(read_started_run(log.parent).mark)):
+                return True
+    return False
 
 
 def _command_lines() -> Iterator[tuple[int, str]]:

@@ -18,6 +18,7 @@ from markupsafe import Markup
 from coordinator.evaluation.result import DISTRIBUTIONS, version_of
 from coordinator.figures.style import Drawing, as_svg, styled
 from coordinator.report.settings import Origin
+from dsse_core.files.drafts import whole_file
 from dsse_core.printable import printable
 
 TEMPLATE = "report.html.j2"
@@ -71,12 +72,8 @@ def write_page(page: Page, folder: Path) -> Path:
         OSError: it cannot be written.
     """
     path, text = folder / REPORT, render_page(page)
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError:
-        if path.is_file():
-            path.unlink()  # half of it
-        raise
+    with whole_file(path) as draft:
+        draft.write_text(text, encoding="utf-8")
     return path
 
 

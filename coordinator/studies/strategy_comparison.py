@@ -10,15 +10,18 @@ from pathlib import Path
 
 from agents.strategies.installed import list_strategies
 from coordinator.evaluation.result import RunOutcome
+from coordinator.process_run.stop_run import has_processes
 from coordinator.report.grid_text import format_table
 from coordinator.run_folder import make_run_folder
 from coordinator.strategy_check import check_with_strategy
 from coordinator.studies.study_row import COLUMNS, NOT_POSSIBLE, StudyRow, make_impossible_row, make_row, to_cells
 from dsse_core.errors import InvalidInputError
+from dsse_core.files.drafts import draft_folder, remove_leftovers, whole_file
 from dsse_core.files.wording import describe_unknown
 from dsse_core.printable import printable
 from scenarios.scenario import Scenario
 
+UNKEPT = "dsse-compare-"  # how folders begin whose runs nobody asked to keep
 HEADER = (
     *("strategy", "outcome", "gap p.u.", "gap deg", "exchanges", "messages", "bytes", "lost"),
     *("s to 1e-3", "s to 1e-6", "s to 1e-8"),
@@ -57,8 +60,10 @@ def compare_strategies(
     Raises:
         InvalidInputError: ``out`` cannot be used, or no strategy can be run, with the reasons.
     """
-    with tempfile.TemporaryDirectory(prefix="dsse-compare-") as temporary:
-        folder = Path(temporary) if out is None else make_run_folder(out, scenario.name)
+    temporary = Path(tempfile.gettempdir())
+    remove_leftovers(temporary, UNKEPT, has_processes)
+    with draft_folder(temporary, UNKEPT) as unkept:
+        folder = unkept if out is None else make_run_folder(out, scenario.name)
         rows = tuple(_run_one(replace(scenario, strategy=name), run, folder / name) for name in strategies)
         if all(row.outcome == NOT_POSSIBLE for row in rows):
             raise InvalidInputError(
@@ -90,8 +95,9 @@ def _run_one(scenario: Scenario, run: Callable[[Scenario, Path], RunOutcome], fo
 
 def _write(folder: Path, scenario: Scenario, rows: Sequence[StudyRow]) -> None:
     title = f"# {scenario.name}: {scenario.description}\n\nSeed {scenario.seed}.\n\n"
-    (folder / "comparison.md").write_text(title + format_markdown(rows) + "\n", encoding="utf-8")
-    with (folder / "comparison.csv").open("w", newline="", encoding="utf-8") as file:
+    with whole_file(folder / "comparison.md") as draft:
+        draft.write_text(title + format_markdown(rows) + "\n", encoding="utf-8")
+    with whole_file(folder / "comparison.csv") as draft, draft.open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file)
         table.writerow(COLUMNS)
         table.writerows(map(to_cells, rows))

@@ -17,6 +17,8 @@ from coordinator.run_folder import folder_error
 from coordinator.studies.study_row import COLUMNS, StudyRow, from_cells, to_cells
 from coordinator.studies.sweep_plan import Task
 from dsse_core.errors import InvalidInputError
+from dsse_core.files.drafts import remove_leftovers, whole_file
+from dsse_core.files.whole_lines import WholeLines
 
 TABLE, SETTINGS = "sweep.csv", "sweep.json"
 ANOTHER = "choose another --out, or repeat the sweep as it was"
@@ -41,12 +43,13 @@ class SweepTable:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise folder_error(f"sweep folder {folder}", error) from None
+        remove_leftovers(folder)
         _check_settings(folder, settings)
-        self._file = self.path.open("a+", newline="", encoding="utf-8")
+        self._lines = WholeLines(self.path)
         try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(self._lines.file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
-            self._file.close()
+            self._lines.close()
             raise InvalidInputError(str(self.path), ["another sweep is writing to it; wait for its end"]) from None
         self._read()
 
@@ -56,7 +59,7 @@ class SweepTable:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._file.close()
+        self._lines.close()
 
     def add(self, task: Task, row: StudyRow) -> None:
         """Write the row of a run that has ended."""
@@ -66,17 +69,15 @@ class SweepTable:
     def _write(self, cells: list[str]) -> None:
         line = io.StringIO()
         csv.writer(line, lineterminator="\n").writerow(cells)
-        self._file.write(line.getvalue())
-        self._file.flush()
+        self._lines.append(line.getvalue())
 
     def _read(self) -> None:
-        self._file.seek(0)
-        text = self._file.read()
-        whole = text[: text.rfind("\n") + 1]
-        if whole != text:
+        content = self._lines.read()
+        whole = content[: content.rfind(b"\n") + 1]
+        if whole != content:
             self.cut_off = True
-            self._file.truncate(len(whole.encode()))
-        lines = list(csv.reader(io.StringIO(whole)))
+            self._lines.cut_to(len(whole))
+        lines = list(csv.reader(io.StringIO(whole.decode(), newline="")))
         if not lines:
             self._write(self._header)
             return
@@ -102,7 +103,8 @@ def _check_settings(folder: Path, settings: dict[str, Any]) -> None:
             raise InvalidInputError(
                 f"sweep folder {folder}", ["holds something that is no sweep; choose another --out"]
             )
-        path.write_text(json.dumps(settings, indent=2) + "\n", encoding="utf-8")
+        with whole_file(path) as draft:
+            draft.write_text(json.dumps(settings, indent=2) + "\n", encoding="utf-8")
         return
     try:
         found = json.loads(path.read_text(encoding="utf-8"))

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+from dsse_core.files.drafts import draft_folder, remove_leftovers
 
 
 def _make(folder: Path) -> None:
@@ -26,9 +27,10 @@ def written_whole(folder: Path, make: Callable[[Path], None] = _make) -> Iterato
     made = [place for place in (folder, *folder.parents) if not place.exists()]
     try:
         make(folder)
-        with tempfile.TemporaryDirectory(prefix=".new-", dir=folder) as new:
-            yield Path(new)
-            for file in sorted(Path(new).iterdir()):
+        remove_leftovers(folder)
+        with draft_folder(folder) as new:
+            yield new
+            for file in sorted(new.iterdir()):
                 file.replace(folder / file.name)
     except BaseException as error:
         for place in made:

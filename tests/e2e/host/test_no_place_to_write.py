@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import resource
 import shutil
@@ -132,3 +133,42 @@ def test_a_folder_that_another_run_uses_is_one_error(tmp_path: Path) -> None:
     assert done.stderr == (
         "error: run folder out: 1 problem\n  - is not empty; choose a new one, or remove what it holds\n"
     )
+
+
+@pytest.mark.parametrize("room", [5_000, 12_000])
+def test_a_full_disk_leaves_no_part_of_any_file_of_a_run(tmp_path: Path, room: int) -> None:
+    """Where ``result.json`` stands, the numbers are complete; every line of events is one."""
+
+    def fill() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))
+
+    done = run_there(tmp_path, ["simulate", "ieee33", "--out", "out"], fill)
+    check_one_error(done)
+    assert "out/" in done.stderr  # which file
+    for line in (tmp_path / "out" / "events.jsonl").read_text().splitlines():
+        json.loads(line)
+    files = {path.name for path in (tmp_path / "out").iterdir()}
+    assert files <= {"events.jsonl", "buses.csv", "result.json"}
+    if "result.json" in files:
+        assert json.loads((tmp_path / "out" / "result.json").read_text())["verdict"]["consensus"] is True
+        assert len((tmp_path / "out" / "buses.csv").read_text().splitlines()) == 34
+
+
+@pytest.mark.parametrize("closed", [(1,), (2,), (0, 1, 2)])
+@pytest.mark.parametrize("command", [["simulate", "ieee33", "--no-plots", "--out", "out"], ["check", "ieee33"]])
+def test_closed_standard_streams_end_no_command(tmp_path: Path, command: list[str], closed: tuple[int, ...]) -> None:
+    done = subprocess.run(
+        [*COMMAND, *command],
+        cwd=tmp_path,
+        env=WITH_LIMITS,
+        stdout=None if 1 in closed else subprocess.PIPE,
+        stderr=None if 2 in closed else subprocess.PIPE,
+        timeout=DEADLINE_S,
+        check=False,
+        preexec_fn=lambda: [os.close(number) for number in closed] and None,
+    )
+    assert (done.returncode, done.stderr or b"") == (0, b"")
+    if command[0] == "simulate":
+        for line in (tmp_path / "out" / "events.jsonl").read_text().splitlines():
+            json.loads(line)  # nothing that was said has come into a file
+        assert (tmp_path / "out" / "result.json").exists()

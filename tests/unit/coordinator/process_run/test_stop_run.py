@@ -78,3 +78,24 @@ def test_a_folder_with_other_things_and_no_events_is_still_rejected(tmp_path: Pa
     (tmp_path / "events.jsonl").touch()
     with pytest.raises(InvalidInputError, match="does not begin with the start of a run"):
         stop_run(tmp_path)
+
+
+def test_a_pipe_in_place_of_the_events_is_not_an_empty_log(tmp_path: Path):
+    os.mkfifo(tmp_path / "events.jsonl")
+    with pytest.raises(InvalidInputError, match="is a pipe or a device"):
+        stop_run(tmp_path)
+
+
+def test_the_name_of_a_strange_run_moves_no_terminal(tmp_path: Path, capfd: pytest.CaptureFixture[str]):
+    make_folder(tmp_path, run="\x1b]0;mine\x07", mark="0123456789abcdef")
+    assert run_command(["stop", str(tmp_path)]) == 0
+    assert capfd.readouterr().out == "run \\x1b]0;mine\\x07: no process of it is left on this host\n"
+
+
+def test_stop_removes_what_a_killed_run_has_left(tmp_path: Path):
+    make_folder(tmp_path, mark="0123456789abcdef")
+    (tmp_path / "areas").mkdir()
+    for folder in (tmp_path, tmp_path / "areas"):
+        (folder / ".dsse-new-0123456789abcdef.json").touch()
+    stop_run(tmp_path)
+    assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == ["events.jsonl"]

@@ -1,0 +1,107 @@
+"""Files and folders under way, called drafts: a file stands under its name when it is whole, or not at all.
+
+A draft is locked as long as the process that writes it lives, and the system opens the lock however that process ends:
+by this, what a killed process has left is told from what is being written.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import re
+import secrets
+import shutil
+import stat
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+DRAFT = ".dsse-new-"
+RANDOM = "[0-9a-f]{16}"
+PRIVATE_FOLDER = 0o700
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """A file to write, of the same ending; at the end of the block it stands at ``path``, in place of what was there.
+
+    After any error ``path`` is as before.
+
+    Raises:
+        OSError: naming ``path``, where its folder cannot be written, or a disk is full.
+    """
+    try:
+        with _locked(path.parent, DRAFT, path.suffix, _make_file) as draft:
+            yield draft
+            draft.replace(path)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror or str(error), str(path)) from None
+
+
+@contextmanager
+def draft_folder(parent: Path, prefix: str = DRAFT) -> Iterator[Path]:
+    """A new folder in ``parent``, for nobody else's eyes, that is removed at the end of the block."""
+    with _locked(parent, prefix, "", lambda path: path.mkdir(PRIVATE_FOLDER)) as folder:
+        yield folder
+
+
+def remove_leftovers(
+    parent: Path, prefix: str = re.escape(DRAFT), is_used: Callable[[Path], bool] = lambda _: False
+) -> None:
+    """Remove the drafts in ``parent`` that processes of this user have left which are dead.
+
+    ``prefix``: of their names, a pattern. ``is_used``: whether one is still needed. On a system of files without locks
+    nothing is removed.
+    """
+    name = re.compile(rf"{prefix}{RANDOM}(\.\w+)?")
+    with contextlib.suppress(OSError):
+        for path in [place for place in parent.iterdir() if name.fullmatch(place.name)]:
+            with contextlib.suppress(OSError):
+                _remove_if_left(path, is_used)
+
+
+@contextmanager
+def _locked(parent: Path, prefix: str, suffix: str, make: Callable[[Path], None]) -> Iterator[Path]:
+    path, lock = _make_locked(parent, prefix, suffix, make)
+    try:
+        yield path
+    finally:
+        with contextlib.suppress(OSError):
+            _remove(path)  # where it still is
+        os.close(lock)
+
+
+def _make_locked(parent: Path, prefix: str, suffix: str, make: Callable[[Path], None]) -> tuple[Path, int]:
+    while True:
+        path = parent / f"{prefix}{secrets.token_hex(8)}{suffix}"
+        make(path)
+        lock = os.open(path, os.O_RDONLY)
+        with contextlib.suppress(OSError):  # a system of files without locks
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if path.exists():
+            return path, lock
+        os.close(lock)  # before it was locked, another process took it for a leftover
+
+
+def _make_file(path: Path) -> None:
+    path.open("xb").close()
+
+
+def _remove_if_left(path: Path, is_used: Callable[[Path], bool]) -> None:
+    lock = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    try:
+        status = os.fstat(lock)
+        if status.st_uid == os.geteuid() and (stat.S_ISDIR(status.st_mode) or stat.S_ISREG(status.st_mode)):
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # OSError: its writer lives
+            if not is_used(path):
+                _remove(path)
+    finally:
+        os.close(lock)
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path)
+    else:
+        path.unlink()
