@@ -24,6 +24,7 @@ from dsse_core.linear.boundary_information import BEYOND_REASON, are_within_reas
 LONGEST_LEAD_S = 600.0  # by which the sender's clock may be ahead of ours
 MOST_REVISIONS = 10**6  # of one scan; each takes a heartbeat at least
 FUTURE = "time in the future"  # a reason of rejection
+FAR_SCAN = "scan far ahead of the telemetry"  # another
 CONTRADICTION = "contradicts the area file"  # another
 
 
@@ -31,12 +32,14 @@ class Rejections:
     """What an area has rejected.
 
     ``ahead``: sender rejected as from the future, "" for the plant -> by how much, s. ``contradictions``: neighbour
-    whose area file, as its newest heartbeat tells, contradicts that of this area -> in what.
+    whose area file, as its newest heartbeat tells, contradicts that of this area -> in what. ``far_scans``: neighbour
+    in whose name a scan far ahead of the telemetry has been announced -> the first such scan that is still ahead.
     """
 
     def __init__(self) -> None:
         self.ahead: dict[str, float] = {}
         self.contradictions: dict[str, str] = {}
+        self.far_scans: dict[str, int] = {}
         self._rejected: Counter[str] = Counter()
         self._not_let_in: dict[str, int] = {}
 
@@ -45,6 +48,12 @@ class Rejections:
         self.count(reason)
         if reason == FUTURE:
             self.ahead.setdefault(key_sender, find_lead(message.header, now))
+        elif reason == FAR_SCAN:
+            self.far_scans.setdefault(key_sender, message.header.scan)
+
+    def note_scan(self, scan: int) -> None:
+        """This area works on ``scan`` now: who announced it told the truth."""
+        self.far_scans = {name: far for name, far in self.far_scans.items() if far > scan}
 
     def note_contradiction(self, name: str, what: str) -> None:
         """In ``what`` neighbour ``name`` contradicts this area now; empty if in nothing."""

@@ -49,7 +49,8 @@ class PublishedState:
         return self._standing == self._find_standing(quality) and set(old_sides) <= set(shown)
 
     def _find_standing(self, quality: str) -> object:
-        rejections = set(self._rejections.ahead), dict(self._rejections.contradictions)
+        r = self._rejections
+        rejections = set(r.ahead), dict(r.contradictions), dict(r.far_scans)
         return quality, dict(self._peers.gone), rejections
 
     def compose(

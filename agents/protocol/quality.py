@@ -119,6 +119,16 @@ def find_contradictions(contradictions: Mapping[str, str]) -> Iterator[Finding]:
         yield Finding(DEGRADED, f"{name} is rejected: {what}")
 
 
+def find_far_scans(far_scans: Mapping[str, int]) -> Iterator[Finding]:
+    """Neighbour -> the scan far ahead of the telemetry that was announced in its name."""
+    for name, scan in sorted(far_scans.items()):
+        yield Finding(
+            GOOD,
+            f"messages of {name} are rejected: one announced scan {scan}, far ahead of the telemetry; if its own state "
+            f"shows none like it, somebody else sends in the name of {name}: use keys",
+        )
+
+
 def find_missing_readings(silent: Sequence[str], invalid: Sequence[str]) -> Iterator[Finding]:
     """Meters without a reading that can be used; the standard deviations of the estimate say what that means."""
     if invalid:

@@ -30,6 +30,7 @@ from agents.messages.packing import (
 )
 from agents.messages.triangle import write_triangle
 from agents.peers.peers import Peer, Term
+from agents.peers.rejections import FAR_SCAN
 from agents.protocol.area_protocol import AreaProtocol
 from agents.protocol.area_round import AreaRound, Content, Decider, Outcome
 from agents.protocol.events import Action, Publish
@@ -90,7 +91,7 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
 
     def _find_rejection(self, message: Message) -> str:
         is_far = isinstance(message, RoundsMessage) and not self._scan.may_enter(message.header.scan, self._now)
-        return "scan far ahead of the telemetry" if is_far else ""
+        return FAR_SCAN if is_far else ""
 
     def _take_numbering(self, name: str, message: HeartbeatMessage) -> Iterator[Action]:
         yield from self._act_on(self._scan.take_numbering(name, message.plant, message.offset))
@@ -193,6 +194,7 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
             self._peers.distrusted = {}
         self._is_change_due = False
         self._scan.enter(scan, self._now)
+        self._rejections.note_scan(scan)
         self._peers.begin_term()
         self._round.enter(self._peers.present(self._now))
         if self._scan.are_there:

@@ -24,6 +24,7 @@ from agents.protocol.quality import (
     Finding,
     Worth,
     find_contradictions,
+    find_far_scans,
     find_gone,
     find_missing_readings,
     find_missing_side,
@@ -197,6 +198,7 @@ class RoundsState:
             yield find_gone(name, leave_reason)
         yield from find_rejected_clocks(self._rejections.ahead)
         yield from find_contradictions(self._rejections.contradictions)
+        yield from find_far_scans(self._rejections.far_scans)
         if self._scan.has_been_read:
             yield from find_missing_readings(self._scan.readings.silent, self._scan.readings.invalid)
 

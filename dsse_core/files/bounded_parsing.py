@@ -92,7 +92,7 @@ def _take_each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _check_keys(text: str) -> None:
-    """Count the parts of keys, before Python reads them in the square of a key's depth, and find long integers.
+    """Count the parts of keys before Python's reader, which needs the square of a key's depth; reject long integers.
 
     Up to the first mistake, where that reader stops, this sees the same strings and comments as it does.
     """

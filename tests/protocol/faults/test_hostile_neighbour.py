@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from simulated_bus import SimulatedBus, area_files_of
 
-from agents.messages.packing import Header, UpMessage, decode, encode
+from agents.messages.packing import Header, Incarnation, LoadMessage, UpMessage, decode, encode
+from agents.peers.rejections import FAR_SCAN, Rejections
 from dsse_core.estimation import decision as verdict
 from dsse_core.estimation.decision import MOST_NAMED, Totals, add_totals
 from scenarios.scenario import load_scenario
@@ -102,3 +103,38 @@ def test_names_without_end_fit_no_message():
     names = tuple((f"{'m' * 999}{k}", 9.0) for k in range(40))
     totals = add_totals([Totals(worst=names, areas=1)])
     assert len(totals.worst) <= MOST_NAMED
+
+
+def test_a_wild_scan_number_names_the_one_in_whose_name_it_came():
+    scenario = load_scenario("ieee33")
+    bus = SimulatedBus(area_files_of(scenario), make_telemetry(scenario).by_area)
+    honest, heard = bus.deliver, {}
+
+    def deliver(sender: str, receiver: str, payload: bytes) -> None:
+        heard[sender, receiver] = payload
+        honest(sender, receiver, payload)
+
+    bus.deliver = deliver
+    bus.run_until_settled()
+    (sender, receiver), payload = next(item for item in heard.items() if item[0][1] == "area1")
+    message = decode(payload)
+    header = replace(message.header, scan=2**40, sequence=message.header.sequence + 1)
+    honest(sender, receiver, encode(replace(message, header=header)))
+    bus.run(0.3)  # more than a heartbeat
+    state = bus.states[receiver]
+    assert state.rejected == {"scan far ahead of the telemetry": 1}
+    (note,) = [note for note in state.notes if "far ahead" in note]
+    assert note.startswith(f"messages of {sender} are rejected: one announced scan {2**40}, far ahead of the telemetry")
+    assert state.quality == "good"  # a remark: who is really missed is said elsewhere
+    others = {name: state.notes for name, state in bus.states.items() if name != receiver}
+    assert not any("far ahead" in note for notes in others.values() for note in notes)
+
+
+def test_who_announced_a_scan_that_then_came_is_accused_no_more():
+    rejections = Rejections()
+    header = Header("run", "area2", Incarnation(1, 1), 1, 0.0, 50)
+    rejections.reject(LoadMessage(header, 6, 0.0, 0.0, 0.0), "area2", FAR_SCAN, 0.0)
+    rejections.note_scan(49)
+    assert rejections.far_scans == {"area2": 50}
+    rejections.note_scan(50)
+    assert rejections.far_scans == {}

@@ -17,11 +17,11 @@ from scenarios.scenario import load_scenario
     [
         ("seed", LARGEST_SEED + 1, "seed: must be less than or equal to 9223372036854775807"),
         ("run.beat_s", 1e-300, "run.beat_s: must be greater than or equal to 0.001"),
-        ("measurements.floor_kva", 1e308, "measurements.floor_kva: 1e+308 kVA is 1e+304 p.u. on base_mva 10; it must"),
+        ("measurements.floor_kva", 1e308, "measurements.floor_kva: 1e+308 kVA is 1e+304 p.u. on base_mva 10; it"),
         (
             "measurements.floor_kva",
             5e-324,
-            "measurements.floor_kva: 4.94066e-324 kVA is 0 p.u. on base_mva 10; it must",
+            "measurements.floor_kva: 4.94066e-324 kVA is 0 p.u. on base_mva 10; it",
         ),
         ("version", True, "version: must be the integer 1, found True"),
         ("version", 1.0, "version: must be the integer 1, found 1.0"),
