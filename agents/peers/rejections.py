@@ -22,7 +22,7 @@ from agents.messages.packing import (
 from dsse_core.linear.boundary_information import BEYOND_REASON, are_within_reason
 
 LONGEST_LEAD_S = 600.0  # by which the sender's clock may be ahead of ours
-MOST_REVISIONS = 10**6  # of one scan; each takes a heartbeat at least
+MOST_COUNTED = 2**51  # scans, revisions, offsets, which never go back: above any time in ms, half of what fits or less
 FUTURE = "time in the future"  # a reason of rejection
 FAR_SCAN = "scan far ahead of the telemetry"  # another
 CONTRADICTION = "contradicts the area file"  # another
@@ -118,9 +118,10 @@ def find_unreasonable(
             numbers = *message.R, *message.z, *message.no_load, *message.power, t.degrees_of_freedom
             sizes = t.objective, t.dvm, t.dva, *(value for _, value in t.worst), t.areas, t.held_back
             possible = are_within_reason((*numbers, *sizes)) and min(sizes) >= 0
-            possible = possible and message.revision < MOST_REVISIONS
+            possible = possible and max(message.revision, message.header.scan) < MOST_COUNTED
         case HeartbeatMessage():
-            possible = are_within_reason((0.0, *message.y)) and message.revision < MOST_REVISIONS
+            counted = message.revision, message.offset, message.header.scan
+            possible = are_within_reason((0.0, *message.y)) and max(counted) < MOST_COUNTED
         case _:
             possible = True
     return "" if possible else "numbers beyond reason"

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 FIRST_WAIT_S = 0.05  # until a message is repeated, before the round trip of the link has been measured
 LEAST_WAIT_S = 0.005
-LEAST_LONGEST_WAIT_S = 0.02
 LONGEST_WAIT_TRIPS = 4.0  # round trips
 DEVIATIONS = 4.0  # of the round trip, added to it for the first wait (RFC 6298)
 MEAN_GAIN, DEVIATION_GAIN = 1 / 8, 1 / 4  # of a new sample (RFC 6298)
@@ -23,7 +22,7 @@ class RoundTrip:
     mean: float = math.nan
     deviation: float = math.nan
     wait_s: float = FIRST_WAIT_S
-    longest_wait_s: float = max(FIRST_WAIT_S, LEAST_LONGEST_WAIT_S)
+    longest_wait_s: float = FIRST_WAIT_S
 
     def take(self, sample: float) -> None:
         """Take in a measured round trip, s."""
@@ -33,4 +32,4 @@ class RoundTrip:
             self.deviation += DEVIATION_GAIN * (abs(sample - self.mean) - self.deviation)
             self.mean += MEAN_GAIN * (sample - self.mean)
         self.wait_s = max(LEAST_WAIT_S, self.mean + DEVIATIONS * self.deviation)
-        self.longest_wait_s = max(LEAST_LONGEST_WAIT_S, LONGEST_WAIT_TRIPS * self.mean, self.wait_s)
+        self.longest_wait_s = max(LONGEST_WAIT_TRIPS * max(LEAST_WAIT_S, self.mean), self.wait_s)

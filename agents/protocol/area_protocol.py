@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 from agents.area_files.area_file import AreaFile
@@ -31,9 +32,6 @@ from agents.protocol.published_state import PublishedState
 from agents.protocol.scan_readings import ScanReadings
 from dsse_core.exchange.boundary_load import NetLoad, load_message_for
 
-STILL_HEARTBEATS = 2  # between two calls: the process has stood still, and how long messages took is not known
-LOAD_CHANGE = 1e-9  # p.u.
-
 
 class AreaProtocol(ABC):
     """One area's part.
@@ -52,7 +50,7 @@ class AreaProtocol(ABC):
         self._incarnation = incarnation
         self._clock_offset = started_at - now
         self._now = now
-        self._is_awake = True  # since it was last left alone: else messages have lain unacknowledged
+        self._is_awake = True  # it has missed no heartbeat of its own: else messages have lain unacknowledged
         self._beat_s = content.beat_s
         self._next_heartbeat = now + content.beat_s
         self._peers = PeerTable(content.area.neighbours, content.beat_s, now, self._clock_offset)
@@ -90,7 +88,7 @@ class AreaProtocol(ABC):
 
         To be carried out one by one as they come: neighbours need not wait for what only watchers see.
         """
-        self._is_awake = now - self._now < STILL_HEARTBEATS * self._beat_s
+        self._is_awake = now < self._next_heartbeat + self._beat_s
         self._now = now
         for event in events:
             match event:
@@ -262,7 +260,7 @@ class AreaProtocol(ABC):
                 continue
             load, sent = load_message_for(n.area, self._scan.readings.net_load, received), self._peers[n.area].load
             sigma, last = load.variance**0.5, sent.message
-            moved = last is None or max(abs(last.load.s - load.s), abs(last.sigma - sigma)) > LOAD_CHANGE
-            if moved or (last is not None and last.header.scan != self.scan):
-                message = LoadMessage(self._header(sent.sequence + 1), n.bus, load.s.real, load.s.imag, sigma)
+            message = LoadMessage(self._header(sent.sequence + 1), n.bus, load.s.real, load.s.imag, sigma)
+            # in a tree the same readings give the same load, to the last bit
+            if last is None or replace(last, header=message.header) != message or last.header.scan != self.scan:
                 yield self._send(n.area, sent, message)

@@ -22,9 +22,6 @@ DEADLINE_HEARTBEATS = 5  # after which an area goes on without its own readings;
 DEADLINE_SHARE = 1 / 4  # of the time between two scans, where that is known
 
 
-MOST_OFFSET = 2**51  # that is believed of a neighbour: far above any time in ms, far below any limit of a message
-
-
 class TelemetryUpdate(Enum):
     """What new telemetry is: of no use, of the scan that waits for it, of a scan under way, of a later one."""
 
@@ -146,8 +143,6 @@ class ScanReadings:
 
     def take_numbering(self, name: str, incarnation: Incarnation, offset: int) -> TelemetryUpdate:
         """Follow neighbour ``name`` where it needs a larger ``offset`` for an ``incarnation`` of the plant."""
-        if offset > MOST_OFFSET:
-            return TelemetryUpdate.NONE
         self._of_neighbours[name] = incarnation, offset
         if self._last is None or incarnation != self._last.header.incarnation or offset <= self._offset:
             return TelemetryUpdate.NONE

@@ -37,7 +37,8 @@ class DenseRows(Rows):
         self._H = np.zeros((len(self._h), size))
         self._H[: self._n_meas, 2 * self._n :] = self._into_children
         self._H[n_computed + np.arange(len(picked)), self._picked] = 1.0
-        self._at = b""  # the x of h and H
+        self._own = self._h[:n_computed]  # h of the voltages alone
+        self._at = self._voltages_at = b""  # the x of h, and the voltages of H
 
     def predict(self, x: np.ndarray) -> np.ndarray:
         """See ``Rows``; not to be changed."""
@@ -82,7 +83,16 @@ class DenseRows(Rows):
         """Have h and H of ``x``: steps, messages and variances ask for those of one state in turn."""
         if (at := x.tobytes()) == self._at:
             return
-        n, m, computed = self._n, self._n_meas, slice(len(self._y))
+        n, m = self._n, self._n_meas
+        if (voltages_at := x[: 2 * n].tobytes()) != self._voltages_at:
+            self._move_voltages_to(x)
+            self._voltages_at = voltages_at
+        h = np.concatenate([self._own, x[self._picked]])  # what was given away stays as it is
+        h[:m] += self._into_children @ x[2 * n :]
+        self._h, self._at = h, at
+
+    def _move_voltages_to(self, x: np.ndarray) -> None:
+        n, computed = self._n, slice(len(self._y))
         vm, phase = x[n : 2 * n], np.exp(1j * x[:n])
         v = vm * phase
         u, i = v[self._rows.bus_row], self._y @ v
@@ -90,8 +100,5 @@ class DenseRows(Rows):
         along = of_i[:, None] * self._y  # see MeasurementModel.linearize
         along[self._each, self._rows.bus_row] += of_u
         along *= phase
-        h, H = self._h.copy(), self._H.copy()  # what was given away stays as it is
-        h[computed], h[len(self._y) :] = self._rows.read(u, i), x[self._picked]
-        h[:m] += self._into_children @ x[2 * n :]
-        H[computed, :n], H[computed, n : 2 * n] = along.imag * -vm, along.real
-        self._h, self._H, self._at = h, H, at
+        self._own, self._H = self._rows.read(u, i), self._H.copy()
+        self._H[computed, :n], self._H[computed, n : 2 * n] = along.imag * -vm, along.real

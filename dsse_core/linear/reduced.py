@@ -64,16 +64,17 @@ class ReducedSolver(RowSolver):
     def __init__(self, model: AreaMeasurements, rows: Rows, name: str) -> None:
         super().__init__(model, rows, name)
         self._order = _Order(model)
+        self._within: tuple[np.ndarray, _Eliminated] | None = None
         self._reduced: _Reduced | None = None
         self._least_rows = self._find_least_rows()
 
     def with_readings(self, model: AreaMeasurements) -> Self:
         other = super().with_readings(model)
-        other._reduced = None
+        other._within = other._reduced = None
         return other
 
     def prepare(self, x: np.ndarray) -> None:
-        self._reduce(x)
+        self._reduce_voltages(x)
 
     def step(self, x: np.ndarray, received: Received, damping: float = 0.0) -> np.ndarray:
         if damping:
@@ -113,12 +114,22 @@ class ReducedSolver(RowSolver):
         return np.concatenate(parts) if len(parts) > 1 else parts[0]
 
     def _reduce(self, x: np.ndarray) -> _Reduced:
-        """Found once for a state."""
+        """Found once for a state: for its voltages, which no message changes, then for the powers of children."""
         if self._reduced is None or not np.array_equal(self._reduced.x, x):
+            within = self._reduce_voltages(x)
+            power = x[2 * len(self.model.area.network.buses) :]
+            if len(power):
+                within = within._replace(turned=_with_power(within.turned, power), rows=_with_power(within.rows, power))
             boundaries = {neighbour.area: self._boundary(x, neighbour) for neighbour in self.model.area.neighbours}
-            within = _eliminate(self._weighted_rows(x), self._order.n_within)
             self._reduced = _Reduced(x.copy(), within, boundaries)
         return self._reduced
+
+    def _reduce_voltages(self, x: np.ndarray) -> _Eliminated:
+        """The voltages within the area eliminated, at x without power into children."""
+        x = np.where(np.arange(len(x)) < 2 * len(self.model.area.network.buses), x, 0.0)
+        if self._within is None or not np.array_equal(self._within[0], x):
+            self._within = x, _eliminate(self._weighted_rows(x), self._order.n_within)
+        return self._within[1]
 
     def _weighted_rows(self, x: np.ndarray) -> np.ndarray:
         """``[W H | W r]`` of the area's own rows, and those of ``_find_least_rows``."""
@@ -217,6 +228,14 @@ def _find_next_to(area: Area, bus: int) -> set[int]:
     """The buses at the other ends of the branches of ``bus``."""
     ends = ((branch.from_bus, branch.to_bus) for branch in area.network.active_branches)
     return {end for pair in ends if bus in pair for end in pair} - {bus}
+
+
+def _with_power(rows: np.ndarray, power: np.ndarray) -> np.ndarray:
+    """``rows`` at a state without power into children where there is ``power``, of which they are linear functions."""
+    moved, change = rows.copy(), rows[:, : len(power)] @ power
+    moved[:, -1] -= change
+    moved[:, -3] += 2 * change  # the shift takes the powers along
+    return moved
 
 
 def _with_powers(rows: np.ndarray, dy: np.ndarray) -> np.ndarray:

@@ -73,6 +73,9 @@ class ToyEstimation:
         assert {(term, k) for _, term, k in parts} == {(self._term, self._k)}, f"of other rounds: {parts}"
         return tuple(parts)
 
+    def prepare(self) -> None:
+        """There is nothing to do ahead."""
+
     def totals(self) -> Totals:
         stale = (self.area.name,) if self._is_stale else ()
         return Totals(dvm=self._step, degrees_of_freedom=9, areas=1, referenced=True, silent=self._silent, stale=stale)

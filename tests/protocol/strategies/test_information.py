@@ -17,7 +17,7 @@ from agents.protocol.events import Received
 from dsse_core.estimation.residuals import chi_square_limit
 from dsse_core.grid.measurement import Source
 from dsse_core.linear.boundary_information import BoundaryInformation
-from dsse_core.linear.rows import RowSolver
+from dsse_core.linear.reduced import ReducedSolver
 from dsse_core.link_faults import LinkFaults
 from dsse_core.power_flow.newton_raphson import solve_power_flow
 from scenarios.scenario import load_scenario
@@ -269,7 +269,7 @@ def test_information_that_is_beyond_reason_is_rejected_and_counted():
 def test_an_area_whose_numbers_nobody_takes_has_none_and_nobody_waits_for_it(monkeypatch):
     scenario = load_scenario("ieee33")
     beyond = BoundaryInformation(1e20 * np.eye(4), np.zeros(4))
-    monkeypatch.setattr(RowSolver, "information", lambda *_: beyond)
+    monkeypatch.setattr(ReducedSolver, "information", lambda *_: beyond)
     bus = SimulatedBus(area_files_of(scenario, strategy="information"), make_telemetry(scenario).by_area)
     bus.run(3.0)
     assert all(protocol.outcome is not None for protocol in bus.protocols.values())

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from dsse_core.gauss_newton import LAST_STEP, is_last
+from dsse_core.gauss_newton import LAST_STEP, LEAST_RATE, REST, is_last
 
 
 def ends(*steps: float, with_currents: bool = False, tolerance: float = LAST_STEP) -> int:
@@ -28,6 +28,13 @@ def test_one_step_alone_ends_nothing_however_short_unless_it_is_none():
 
 def test_quadratic_convergence_ends_one_step_after_a_short_one():
     assert ends(0.05, 1e-3, 1e-6, 1e-12) == 3
+
+
+def test_a_warm_start_ends_with_the_third_step_unless_the_second_is_above_what_the_least_rate_allows():
+    """Six messages per edge, or eight: steps of random feeders whose loads have moved by 10 % since the last scan."""
+    assert pytest.approx(2e-5) == REST / LEAST_RATE**2
+    assert ends(4.2e-3, 8.9e-6, 1e-10) == 2  # the third is taken along
+    assert ends(5.5e-3, 3.2e-5, 6.8e-9) == 3
 
 
 def test_slow_convergence_is_not_taken_for_the_end():
