@@ -156,9 +156,9 @@ def write_files(result: RunResult, events_failure: str | None) -> RunResult:
 
 
 def write_result(result: RunResult) -> None:
-    """Write the tables and, last, ``result.json`` into the run folder: with it the numbers of a run are complete."""
-    write_tables(result.folder, result.tables)
+    """Write ``result.json``, which has the verdict, and then the tables into the run folder."""
     write_json(result.folder / "result.json", as_json(result))
+    write_tables(result.folder, result.tables)
 
 
 def as_json(result: RunOutcome) -> dict[str, Any]:
