@@ -2,10 +2,39 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any
 
-from agents.messages.packing import HeartbeatMessage
+from agents.messages.packing import HeartbeatMessage, Incarnation, LoadMessage, Message
 from dsse_core.grid.partition import Area
+
+
+class Agreement:
+    """In what each neighbour contradicts this area, by what it has sent last.
+
+    ``kinds``: of the messages that only areas of ``strategy`` send. An area of another strategy answers heartbeats, so
+    that it is present, and never what is asked of it.
+    """
+
+    def __init__(self, area: Area, strategy: str, kinds: Collection[str]) -> None:
+        self._area = area
+        self._strategy = strategy
+        self._kinds = frozenset(kinds)
+        self._in_file: dict[str, str] = {}
+        self._of_other_strategy: dict[str, Incarnation] = {}
+
+    def find_contradiction(self, message: Message) -> str:
+        """In what the neighbour that has sent ``message`` contradicts this area, and what to correct; else empty."""
+        name, incarnation = message.header.sender, message.header.incarnation
+        if isinstance(message, HeartbeatMessage):
+            self._in_file[name] = find_contradiction(self._area, message)
+        elif message.kind in self._kinds:
+            self._of_other_strategy.pop(name, None)
+        elif not isinstance(message, LoadMessage):
+            self._of_other_strategy[name] = incarnation
+        if self._of_other_strategy.get(name) == incarnation:
+            return f"strategy is {self._strategy!r} here and another in the area file of {name}; correct one of them"
+        return self._in_file.get(name, "")
 
 
 def describe_boundary(area: Area, name: str) -> dict[str, Any]:

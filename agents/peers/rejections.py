@@ -25,6 +25,7 @@ LONGEST_LEAD_S = 600.0  # by which the sender's clock may be ahead of ours
 MOST_COUNTED = 2**51  # scans, revisions, offsets, which never go back: above any time in ms, half of what fits or less
 FUTURE = "time in the future"  # a reason of rejection
 FAR_SCAN = "scan far ahead of the telemetry"  # another
+OTHER_STRATEGY = "other strategy"  # another
 CONTRADICTION = "contradicts the area file"  # another
 
 

@@ -22,11 +22,11 @@ from agents.messages.packing import (
     Message,
     TelemetryMessage,
 )
-from agents.peers.agreement import describe_boundary, find_contradiction
+from agents.peers.agreement import Agreement, describe_boundary
 from agents.peers.freshness import FRESH_HEARTBEATS, PASSED_ON_HEARTBEATS
 from agents.peers.peer_table import PeerTable
 from agents.peers.peers import M, Outgoing
-from agents.peers.rejections import CONTRADICTION, Rejections, find_rejection
+from agents.peers.rejections import CONTRADICTION, OTHER_STRATEGY, Rejections, find_rejection
 from agents.protocol.events import Action, Event, Finish, PresenceChanged, Publish, Received, Rejected, StopRequested
 from agents.protocol.published_state import PublishedState
 from agents.protocol.scan_readings import ScanReadings
@@ -47,6 +47,7 @@ class AreaProtocol(ABC):
         self._content = content
         self._area = content.area
         self._kinds = {TelemetryMessage.kind, LoadMessage.kind, HeartbeatMessage.kind, *kinds}
+        self._agreement = Agreement(content.area, content.strategy, kinds)
         self._incarnation = incarnation
         self._clock_offset = started_at - now
         self._now = now
@@ -160,14 +161,16 @@ class AreaProtocol(ABC):
     def _take(self, message: Message, key_sender: str) -> Iterator[Action]:
         wall = self._now + self._clock_offset
         reason = find_rejection(message, key_sender, self._content, wall)
-        if not reason and isinstance(message, HeartbeatMessage):
-            self._rejections.note_contradiction(key_sender, find_contradiction(self._area, message))
+        if not reason and not isinstance(message, TelemetryMessage):
+            self._rejections.note_contradiction(key_sender, self._agreement.find_contradiction(message))
+        if not reason and message.kind not in self._kinds:
+            reason = OTHER_STRATEGY
         if not reason and key_sender in self._rejections.contradictions:
             reason = CONTRADICTION
         if not reason and isinstance(message, HeartbeatMessage):
             yield from self._take_numbering(key_sender, message)
         if not reason:
-            reason = self._find_rejection(message) if message.kind in self._kinds else "other strategy"
+            reason = self._find_rejection(message)
         if reason:
             self._rejections.reject(message, key_sender, reason, wall)
             return

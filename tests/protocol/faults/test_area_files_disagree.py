@@ -76,3 +76,33 @@ def test_a_boundary_where_both_sides_are_the_parents_child_is_named():
     states = run_edited(turn, middle)
     assert any("neighbour.is_parent" in note for note in states[middle].notes)
     assert {state.quality for state in states.values()}.isdisjoint({"good"})
+
+
+@pytest.mark.parametrize("other", ["angle-offset", "admm"])
+def test_a_neighbour_of_another_strategy_keeps_no_scan_from_its_end_and_is_named(other):
+    scenario = load_scenario("ieee33")
+    files = [replace(f, strategy=other) if f.area.name == "area2" else f for f in area_files_of(scenario)]
+    bus = SimulatedBus(files, make_telemetry(scenario).by_area)
+    bus.run(LONG_S)
+    (note,) = [note for note in bus.states["area1"].notes if "rejected" in note]
+    expected = "area2 is rejected: strategy is 'information' here and another in the area file of area2; correct one"
+    assert note.startswith(expected)
+    assert bus.states["area1"].rejected["contradicts the area file"] > 0
+    assert {state.quality for state in bus.states.values()} == {"degraded", "relative-angle"}
+    bus.next_scan(make_telemetry(scenario, scan=2).by_area)
+    bus.run(LONG_S)
+    assert {bus.states[name].header.scan for name in ("area1", "area3")} == {2}
+
+
+def test_a_neighbour_that_returns_with_the_strategy_of_all_is_taken_back():
+    scenario = load_scenario("ieee33")
+    files = area_files_of(scenario)
+    wrong = [replace(f, strategy="admm") if f.area.name == "area2" else f for f in files]
+    bus = SimulatedBus(wrong, make_telemetry(scenario).by_area)
+    bus.run(LONG_S)
+    bus.kill("area2")
+    bus.files["area2"] = next(f for f in files if f.area.name == "area2")
+    bus.start("area2")
+    bus.send_telemetry("area2")
+    bus.run(LONG_S)
+    assert {state.quality for state in bus.states.values()} == {"good"}
