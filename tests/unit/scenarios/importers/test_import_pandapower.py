@@ -355,3 +355,10 @@ def test_no_column_or_table_that_pandapower_does_not_know_is_left_out_in_silence
     ) in reported
     assert "table streets: pandapower has no elements of this name" in reported
     assert "controller 0: not run, taps stay where they are" in reported
+
+
+@pytest.mark.parametrize("controllers", [[1, 2], "none", {"a": 1}, None])
+def test_controllers_that_are_no_table_are_no_traceback(tmp_path: Path, controllers: object) -> None:
+    net = small_grid()
+    net["controller"] = controllers
+    assert not any("controller" in remark.text for remark in imported(tmp_path, net).remarks)
