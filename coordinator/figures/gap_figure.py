@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,7 +49,13 @@ class GapCourse:
     sigma: tuple[float, float]
     virtual: bool
     consensus: bool
-    why_none: str | None
+    why_none: str
+
+    @property
+    def first_s(self) -> float | None:
+        """When an area published the first state whose gap is known; None if none is."""
+        known = [rows[~np.isnan(rows[:, 1:]).all(axis=1), 0] for rows in self.areas.values()]
+        return min((max(float(times[0]), SHORTEST_S) for times in known if len(times)), default=None)
 
 
 def find_course(outcome: RunOutcome) -> GapCourse:
@@ -87,7 +93,7 @@ def draw_gap(outcome: RunOutcome) -> Drawing:
     course = find_course(outcome)
     figure, axes = new_figure(5.6, rows=2)
     few = len(course.areas) <= MAX_NAMED
-    for column, (axis, label) in enumerate(zip(axes, PANELS, strict=True), start=1):
+    for column, axis in enumerate(axes, start=1):
         if not few:
             steps = [_as_steps(rows, column, course.end_s) for rows in course.areas.values()]
             lines = [np.column_stack(step) for step in steps if len(step[0])]
@@ -99,8 +105,7 @@ def draw_gap(outcome: RunOutcome) -> Drawing:
             _draw_steps(axis, rows, column, course.end_s, shown, number, marked=True)
         x, y = _as_steps(course.all_areas, column, course.end_s)
         axis.plot(x, y, color=INK, linewidth=2.2, alpha=0.35 if few else 1, label="largest of all areas", zorder=1.5)
-        _finish(axis, label, column, [course])
-    axes[-1].set_xlabel(_name_time(course.virtual))
+    _finish(axes, [course])
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize="small")
     return Drawing("gap", "Gap to the centralised estimate", _describe(course), figure)
 
@@ -108,13 +113,12 @@ def draw_gap(outcome: RunOutcome) -> Drawing:
 def draw_gaps_of(courses: Mapping[str, GapCourse]) -> Drawing:
     """The largest gap of all areas of several runs, by strategy."""
     figure, axes = new_figure(5.6, rows=2)
-    for column, (axis, label) in enumerate(zip(axes, PANELS, strict=True), start=1):
+    for column, axis in enumerate(axes, start=1):
         for number, (name, course) in enumerate(courses.items()):
             _draw_steps(
                 axis, course.all_areas, column, course.end_s, plot_text(name, LONGEST_NAME), number, marked=False
             )
-        _finish(axis, label, column, list(courses.values()))
-    axes[-1].set_xlabel(_name_time(all(course.virtual for course in courses.values())))
+    _finish(axes, list(courses.values()))
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize="small")
     caption = (
         "The largest difference to the centralised estimate of the same readings, of all areas and all buses that they "
@@ -135,9 +139,10 @@ def _draw_steps(
         linestyle=line,
         linewidth=1.4,
         label=label,
-        marker=MARKERS[number % len(MARKERS)] if marked else None,
+        marker=MARKERS[number % len(MARKERS)],
         markersize=4,
-        markevery=slice(0, max(len(x) - 2, 1), 2),  # the states, not the corners between them
+        # the states, not the corners between them; or where it ends
+        markevery=slice(0, max(len(x) - 2, 1), 2) if marked else slice(max(len(x) - 1, 0), None),
     )
 
 
@@ -150,40 +155,40 @@ def _as_steps(rows: np.ndarray, column: int, end_s: float) -> tuple[np.ndarray, 
     return np.repeat(times, 2)[1:-1], np.repeat(gaps, 2)
 
 
-def _finish(axis: Axes, label: str, column: int, courses: list[GapCourse]) -> None:
+def _finish(axes: Sequence[Axes], courses: Sequence[GapCourse]) -> None:
     """Logarithmic axes from before the first known gap to the verdict, and down from what meters leave unknown; or why
     there is nothing to see.
     """
-    axis.set_ylabel(f"largest gap,\n{label}")
-    drawn = [np.asarray(line.get_xydata()) for line in axis.lines]
-    known = [points[~np.isnan(points[:, 1])] for points in drawn if len(points)]
-    first = min((points[0, 0] for points in known if len(points)), default=None)
-    if first is None:
-        reasons = {course.why_none for course in courses if course.why_none}
-        say_instead(axis, reasons.pop() if len(reasons) == 1 else "no gap is known")
-        return
-    axis.set_xscale("log")
+    first = min((course.first_s for course in courses if course.first_s is not None), default=None)
+    for column, (axis, label) in enumerate(zip(axes, PANELS, strict=True), start=1):
+        axis.set_ylabel(f"largest gap,\n{label}")
+        if any(np.isfinite(line.get_ydata()).any() for line in axis.lines):
+            _scale_gaps(axis, _median(np.array([course.sigma[column - 1] for course in courses])))
+        else:
+            reasons = {course.why_none for course in courses}
+            say_instead(axis, reasons.pop() if len(reasons) == 1 else "no gap is known")
+            continue
+        if len(courses) == 1 and courses[0].consensus:
+            axis.axvline(courses[0].end_s, color=INK, linestyle=(0, (1, 2)), linewidth=1.2, label="consensus noted")
+    axes[-1].set_xlabel("virtual time since the scan (s)" if courses[0].virtual else "time since the scan (s)")
+    if first is not None:  # all panels share their x axis
+        axes[-1].set_xscale("log")
+        axes[-1].set_xlim(first / 2, max(course.end_s for course in courses) * 1.15)
+        axes[-1].xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes[-1].xaxis.set_major_formatter("{x:g}")
+        axes[-1].xaxis.set_minor_formatter(NullFormatter())
+
+
+def _scale_gaps(axis: Axes, sigma: float) -> None:
+    """From one power of ten to another, so that two at least have names; ``sigma`` as a line, if it is known."""
     axis.set_yscale("log")
-    sigma = _median(np.array([course.sigma[column - 1] for course in courses]))
     if sigma > 0:
         axis.axhline(sigma, color=PURPLE, linestyle=(0, (5, 2)), linewidth=1.2, label="standard deviation (median bus)")
-    axis.set_xlim(first / 2, max(course.end_s for course in courses) * 1.15)
-    axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axis.xaxis.set_major_formatter("{x:g}")
-    axis.xaxis.set_minor_formatter(NullFormatter())
     low, high = axis.get_ylim()
-    axis.set_ylim(
-        10 ** np.floor(np.log10(low)), 10 ** np.ceil(np.log10(high))
-    )  # so that two powers at least have names
+    axis.set_ylim(10 ** np.floor(np.log10(low)), 10 ** np.ceil(np.log10(high)))
     axis.yaxis.set_major_formatter(format_power_of_ten)
     axis.yaxis.set_minor_formatter(NullFormatter())
     axis.grid(alpha=0.3)
-    if len(courses) == 1 and courses[0].consensus:
-        axis.axvline(courses[0].end_s, color=INK, linestyle=(0, (1, 2)), linewidth=1.2, label="consensus noted")
-
-
-def _name_time(virtual: bool) -> str:
-    return "virtual time since the scan (s)" if virtual else "time since the scan (s)"
 
 
 def _why_no_gap(outcome: RunOutcome) -> str:

@@ -68,6 +68,25 @@ def test_the_line_of_all_areas_is_the_largest_and_begins_when_each_has_a_state(r
     assert known[:, 1] == pytest.approx(np.repeat(GAPS, 2)[:-1], rel=1e-4)
 
 
+def test_no_panel_cuts_off_what_the_other_one_shows(result: RunResult) -> None:
+    """Angles that count from the substation may come later than magnitudes."""
+    history = tuple(replace(sample, referenced=sample.time > AT_S[0]) for sample in result.history)
+    course = find_course(replace(result, history=history))
+    for drawing in (draw_gap(replace(result, history=history)), draw_gaps_of({"one": course})):
+        for axis in axes_of(drawing):
+            assert axis.get_xlim()[0] < AT_S[0] - SCAN_AT_S
+            assert axis.get_xlim()[1] > 4.0 - SCAN_AT_S
+
+
+def test_areas_that_publish_before_all_others_are_seen(tmp_path: Path) -> None:
+    many = make_result(load_scenario("ieee33", changes={"areas": {"count": 12}}), tmp_path)
+    history = tuple(replace(s, time=0.26) if (s.area, s.time) == ("area7", AT_S[0]) else s for s in many.history)
+    magnitude = axes_of(draw_gap(replace(many, history=tuple(sorted(history, key=lambda s: s.time)))))[0]
+    (areas,) = [each for each in magnitude.collections if isinstance(each, LineCollection)]
+    assert len(areas.get_segments()) == 12
+    assert magnitude.get_xlim()[0] < 0.26 - SCAN_AT_S
+
+
 def test_strategies_are_lines_of_one_figure(result: RunResult) -> None:
     courses = {name: find_course(result) for name in ("one", "other")}
     axis = axes_of(draw_gaps_of(courses))[0]
