@@ -29,21 +29,13 @@ DRAWN_BY = ("matplotlib", "jinja2")
 
 @dataclass(frozen=True)
 class PageTable:
-    """A table as a page shows it, its cells as text. ``hidden``: folded until asked for. ``note``: below its title."""
+    """A table as a page shows it, its cells as text. ``note``: below its title. ``left_out``: rows that are not shown."""
 
     title: str
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
     note: str = ""
-    hidden: bool = False
-
-    @property
-    def shown(self) -> Sequence[Sequence[str]]:
-        return self.rows[:MAX_ROWS]
-
-    @property
-    def left_out(self) -> int:
-        return max(0, len(self.rows) - MAX_ROWS)
+    left_out: int = 0
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from pathlib import Path
 from coordinator.evaluation.result import RunResult
 from coordinator.figures.residuals_figure import WORDS
 from coordinator.figures.style import Drawing
-from coordinator.report.page import Page, PageTable, write_page
+from coordinator.report.page import MAX_ROWS, Page, PageTable, write_page
 from coordinator.report.settings import find_origin
 from coordinator.report.text import describe_run, list_findings, name_outcome, tabulate_areas, tabulate_gaps
 from dsse_core.printable import printable, shortened
@@ -109,10 +109,11 @@ def make_run_page(result: RunResult, drawings: Sequence[Drawing], arguments: Seq
 
 def _tabulate(title: str, table: Table, columns: Sequence[Column], note: str = "") -> PageTable:
     """The columns in which something is known, rounded for reading."""
-    cells = [(heading, _write_cells(table[name], form)) for heading, name, form in columns]
+    cells = [(heading, _write_cells(table[name][:MAX_ROWS], form)) for heading, name, form in columns]
     filled = [(heading, column) for heading, column in cells if any(column) or not len(table)]
     rows = list(zip(*(column for _, column in filled), strict=True))
-    return PageTable(f"{title} ({len(table)})", [heading for heading, _ in filled], rows, note)
+    header = [heading for heading, _ in filled]
+    return PageTable(f"{title} ({len(table)})", header, rows, note, left_out=len(table) - len(rows))
 
 
 def _write_cells(column: Sequence[object], form: str) -> list[str]:

@@ -10,7 +10,7 @@ from coordinator.evaluation.result import RunOutcome
 from coordinator.figures.gap_figure import draw_gaps_of, find_course
 from coordinator.figures.run_figures import save_figures
 from coordinator.figures.style import styled
-from coordinator.report.page import Page, PageTable, write_page
+from coordinator.report.page import MAX_ROWS, Page, PageTable, write_page
 from coordinator.report.settings import find_origin
 from coordinator.studies.strategy_comparison import HEADER, list_cells, list_reasons
 from coordinator.studies.study_row import COLUMNS, CONSENSUS, StudyRow, to_cells
@@ -112,5 +112,6 @@ def _median(values: Sequence[float | None], form: str) -> str:
 
 def _list_runs(key: str, rows: Mapping[Task, StudyRow]) -> PageTable:
     tasks = sorted(rows, key=lambda task: (place_of_value(task.value), task.strategy, task.seed))
-    cells = [[task.value, *to_cells(rows[task])] for task in tasks]
-    return PageTable(f"Runs ({len(cells)})", [key, *COLUMNS], cells, "The same as sweep.csv beside this file.")
+    cells = [[task.value, *to_cells(rows[task])] for task in tasks[:MAX_ROWS]]
+    note, left_out = "The same as sweep.csv beside this file.", len(tasks) - len(cells)
+    return PageTable(f"Runs ({len(tasks)})", [key, *COLUMNS], cells, note, left_out)
