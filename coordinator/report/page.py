@@ -29,7 +29,7 @@ DRAWN_BY = ("matplotlib", "jinja2")
 
 @dataclass(frozen=True)
 class PageTable:
-    """A table as a page shows it, its cells as text. ``note``: below its title. ``left_out``: rows that are not shown."""
+    """A table as a page shows it, its cells as text. ``note``: below its title. ``left_out``: rows not shown."""
 
     title: str
     header: Sequence[str]
