@@ -19,7 +19,7 @@ from dsse_core.grid.admittance import build_admittance, flat_start
 from dsse_core.grid.measurement import MeasurementKind, Meter, find_meter_problems
 from dsse_core.grid.measurement_model import MeasurementModel, build_measurement_model
 from dsse_core.grid.network import Network
-from dsse_core.grid.radial_order import find_tree, order_tableau
+from dsse_core.grid.radial_order import order_tableau
 from dsse_core.matrices.augmented import AugmentedFactor, AugmentedPattern, reciprocal_row_lengths, scale_rows
 
 # Of the Jacobian with rows scaled to length 1. A feeder of 5,000 buses in a row with injection meters alone
@@ -91,8 +91,8 @@ def find_indispensable(network: Network, meters: Sequence[Meter], reference: int
     free = np.delete(np.arange(2 * n), network.row[reference])
     model = _no_load_model(network, meters)
     A = _scaled_jacobian(network, model, reference)[:, free]
-    tree = find_tree(network, reference)
-    pattern = AugmentedPattern(A, None if isinstance(tree, str) else order_tableau(tree, model, free))
+    order = order_tableau(network, reference, model, free)
+    pattern = AugmentedPattern(A, order.rows, fills_in=order.fills_in)
     count = A.shape[0]
     readings = np.random.default_rng(0).standard_normal((count, WIDTH))
     residual, _ = AugmentedFactor(A, np.ones(count), pattern=pattern).solve(readings, np.zeros((len(free), WIDTH)))

@@ -15,7 +15,7 @@ from dsse_core.grid.admittance import build_admittance, flat_start
 from dsse_core.grid.measurement import MeasurementKind, Meter
 from dsse_core.grid.measurement_model import MeasurementModel, build_measurement_model
 from dsse_core.grid.network import Network
-from dsse_core.grid.radial_order import find_tree, order_tableau
+from dsse_core.grid.radial_order import order_tableau
 from dsse_core.matrices.augmented import AugmentedFactor, AugmentedPattern
 
 SMALL_STEP = 0.02  # p.u. and rad; after a smaller one the last factor may serve once more
@@ -60,8 +60,8 @@ def build_sparse_plan(network: Network, meters: Sequence[Meter], reference: int)
     indices = H.indices[entries] - (H.indices[entries] > fixed)
     indptr = np.searchsorted(entries, H.indptr)
     reduced = sp.csr_array((H.data[entries], indices, indptr), shape=(len(meters), len(free)))
-    tree = find_tree(network, reference)
-    pattern = AugmentedPattern(reduced, None if isinstance(tree, str) else order_tableau(tree, model, free))
+    order = order_tableau(network, reference, model, free)
+    pattern = AugmentedPattern(reduced, order.rows, fills_in=order.fills_in)
     return SparsePlan(tuple(meters), model, free, entries, reduced.indices, reduced.indptr, pattern, start)
 
 

@@ -1,4 +1,4 @@
-"""Radial networks: their buses from the root outwards, and the order of elimination that fills nothing in."""
+"""Radial networks: their buses from the root outwards; and an order of elimination that fills in nothing, or little."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
+import scipy.sparse.linalg as spla
 from scipy.sparse import csgraph
 
 from dsse_core.grid.measurement import MeasurementKind
@@ -43,15 +44,44 @@ def find_tree(network: Network, root: int) -> Tree | str:
     return Tree(order.astype(np.int64), upstream, f, t)
 
 
-def order_tableau(tree: Tree, model: MeasurementModel, free: np.ndarray) -> np.ndarray:
-    """Rows of the tableau [meters; state variables ``free``] from the leaves to the root, shape (n_meas + n_free,).
-
-    Inside a bus: its injections, what else is metered there and on the branch above it, then its voltage.
+@dataclass(frozen=True)
+class TableauOrder:
+    """``rows`` (n_meas + n_free,): of the tableau, as they are eliminated. ``fills_in``: whether the factor is fuller
+    than the tableau, so that pivots must not be moved far.
     """
-    n = len(tree.order)
-    place = np.empty(n, dtype=np.int64)
-    place[tree.order[::-1]] = np.arange(n)
+
+    rows: np.ndarray
+    fills_in: bool
+
+
+def order_tableau(network: Network, reference: int, model: MeasurementModel, free: np.ndarray) -> TableauOrder:
+    """The order of the tableau [meters; state variables ``free``], bus after bus.
+
+    Inside a bus: its injections, what else is metered there and on branches to buses that follow, then its voltage.
+    An injection joins the multipliers of a bus to the voltages of its neighbours and no others, so that the tableau, in
+    blocks of a bus, has the pattern of the network: a tree is eliminated from the leaves to the root.
+    """
+    tree = find_tree(network, reference)
+    if isinstance(tree, str):
+        place = order_buses(network)
+    else:
+        place = np.empty(len(tree.order), dtype=np.int64)
+        place[tree.order[::-1]] = np.arange(len(place))
     injections = np.isin(model.kinds, _INJECTIONS)
     outermost = np.minimum.reduceat(place[model.y.indices], model.y.indptr[:-1]) if len(injections) else injections
     of_meter = np.where(injections, 3 * place[model.bus_row], 3 * outermost + 1)
-    return np.argsort(np.concatenate([of_meter, 3 * place[free % n] + 2]), kind="stable")
+    rows = np.argsort(np.concatenate([of_meter, 3 * place[free % len(place)] + 2]), kind="stable")
+    return TableauOrder(rows, isinstance(tree, str))
+
+
+def order_buses(network: Network) -> np.ndarray:
+    """The place of each bus, by rows, in an order of elimination that fills in little, (n_bus,).
+
+    By minimum degree (J. W. H. Liu, ACM Trans. Math. Softw. 11 (1985) 141), as SuperLU has it.
+    """
+    table = network.table
+    n, f, t = len(table.bus_id), table.f, table.t
+    joined = sp.coo_array((np.ones(2 * len(f)), (np.concatenate([f, t]), np.concatenate([t, f]))), shape=(n, n))
+    dominant = sp.csc_array(joined + sp.diags_array(1.0 + np.asarray(joined.sum(axis=1)).ravel()))
+    place: np.ndarray = spla.splu(dominant, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}).perm_c
+    return place.astype(np.int64)

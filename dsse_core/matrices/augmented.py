@@ -30,6 +30,8 @@ MOST_REFINEMENTS = 5
 # Of SuperLU, where the order of elimination is given: little pivoting, which refinement makes up for, and no
 # supernodes, of which these tableaus have none worth having.
 ORDERED = {"diag_pivot_thresh": 1e-3, "relax": 1, "panel_size": 1, "options": {"SymmetricMode": True}}
+KEPT_PIVOT = 1e-6  # in place of 1e-3 where a pivot that is moved fills in: below it of its column's largest entry
+REFINED = 1e-6  # of a correction to a solution, whose square is what is left; else pivots are moved after all
 FEWEST_SELECTED = 400  # rows of the tableau, from which the selected inverse takes less than solves
 MOST_SOLVED = 100_000_000  # rows of the tableau times right-hand sides: some ten seconds
 BLOCK = 256  # right-hand sides solved at once; bounds memory at (n_meas + n_state, BLOCK)
@@ -39,11 +41,12 @@ class AugmentedPattern:
     """Where the entries of the tableau stand, the same for all ``H`` with one pattern.
 
     ``order`` (n_meas + n_state,): the tableau's rows in the order of elimination; SuperLU's COLAMD without it.
+    ``fills_in``: whether the factor in that order is fuller than the tableau.
     ``place`` (n_meas + n_state,): where each row of the tableau is in that order.
     """
 
-    def __init__(self, H: sp.csr_array, order: np.ndarray | None = None) -> None:
-        self.order = order
+    def __init__(self, H: sp.csr_array, order: np.ndarray | None = None, *, fills_in: bool = False) -> None:
+        self.order, self.fills_in = order, fills_in
         self.row = _row_of_entries(H)
         self._size = sum(H.shape)
         self.place = place = np.arange(self._size)
@@ -76,9 +79,10 @@ class AugmentedPattern:
 
         Raises RuntimeError where the tableau is exactly singular.
         """
-        if self.order is None:
+        if self.order is None or (exact and self.fills_in):  # moved pivots spoil the order, and COLAMD expects them
             return spla.splu(tableau)
-        return spla.splu(tableau, permc_spec="NATURAL", **(ORDERED | ({"diag_pivot_thresh": 1.0} if exact else {})))
+        changed = {"diag_pivot_thresh": 1.0} if exact else {"diag_pivot_thresh": KEPT_PIVOT} if self.fills_in else {}
+        return spla.splu(tableau, permc_spec="NATURAL", **(ORDERED | changed))
 
 
 class AugmentedFactor:
@@ -227,8 +231,12 @@ class AugmentedFactor:
         scale = self._scale.reshape(-1, *(1,) * (b.ndim - 1))
         b = self._pattern.permute(scale * b)
         scaled = self._lu.solve(b)
-        scaled = scaled + self._lu.solve(b - self._tableau @ scaled)  # information is a difference
-        solution: np.ndarray = scale * self._pattern.permute_back(scaled)
+        change = self._lu.solve(b - self._tableau @ scaled)  # information is a difference
+        if self._pattern.fills_in and not abs(change).max(initial=0.0) <= REFINED * abs(scaled).max(initial=0.0):
+            self._lu = self._pattern.factor(self._tableau, exact=True)
+            scaled = self._lu.solve(b)
+            change = self._lu.solve(b - self._tableau @ scaled)
+        solution: np.ndarray = scale * self._pattern.permute_back(scaled + change)
         return solution
 
 

@@ -1,0 +1,56 @@
+"""The tableau of a network with loops, eliminated bus by bus: little is filled in, and any order gives the same."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from dsse_core.estimation.plan import build_estimation_plan
+from dsse_core.grid.measurement import MeasurementKind, Meter, Source
+from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
+from dsse_core.matrices.augmented import AugmentedFactor, AugmentedPattern
+
+Kind = MeasurementKind
+
+
+def looped(seed: int, n: int, ties: int) -> Network:
+    rng = np.random.default_rng(seed)
+    tree = [(int(rng.integers(max(1, k - 8), k + 1)), k + 1) for k in range(1, n)]
+    near = [(int(k), int(k + rng.integers(2, 20))) for k in rng.integers(1, n - 20, ties)]
+    pairs = [*tree, *(pair for pair in near if pair not in tree)]
+    branches = tuple(Branch(f"{k}", *pair, *rng.uniform(0.001, 0.03, 2)) for k, pair in enumerate(pairs))
+    buses = tuple(Bus(k + 1, 20.0, p_load=0.01 * (k % 7 > 0)) for k in range(n))
+    return Network("looped", 10.0, buses, branches, (Generator(1, Control.SLACK),))
+
+
+def system_of(network: Network, seed: int) -> tuple[sp.csr_array, np.ndarray, AugmentedPattern]:
+    """H at the flat start, sigmas and the pattern; every seventh bus injects exactly nothing."""
+    injected = (Kind.P_INJECTION, Kind.Q_INJECTION)
+    meters = [Meter(Kind.VM, bus.id) for bus in network.buses[::10]]
+    for bus in network.buses:
+        source = Source.TELEMETERED if bus.p_load else Source.VIRTUAL
+        meters += [Meter(kind, bus.id, source=source) for kind in injected]
+    flows = (Kind.P_FLOW, Kind.Q_FLOW)
+    meters += [Meter(kind, branch.from_bus, branch.id) for branch in network.branches[::3] for kind in flows]
+    plan = build_estimation_plan(network, meters, backend="sparse")
+    sigma = np.where(plan.virtual, 0.0, 10.0 ** np.random.default_rng(seed).uniform(-4, -2, len(meters)))
+    return plan.sparse.linearize(plan.sparse.start)[1], sigma, plan.sparse.pattern
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_steps_of_looped_networks_do_not_depend_on_the_order_of_elimination(seed: int) -> None:
+    network = looped(seed, 120, 12)
+    H, sigma, pattern = system_of(network, seed)
+    factor, plain = AugmentedFactor(H, sigma, pattern=pattern), AugmentedFactor(H, sigma)
+    r = np.random.default_rng(seed).standard_normal(H.shape[0]) * 0.01
+    for ours, others in zip(factor.solve(r, np.zeros(H.shape[1])), plain.solve(r, np.zeros(H.shape[1])), strict=True):
+        np.testing.assert_allclose(ours, others, rtol=0, atol=1e-9 * abs(others).max())
+
+
+def test_loops_that_join_neighbours_do_not_fill_the_factor() -> None:
+    open_ring = looped(1, 600, 40)
+    tree = replace(open_ring, branches=open_ring.branches[:599])
+    systems = [system_of(network, 1) for network in (open_ring, tree)]
+    entries = [AugmentedFactor(H, sigma, pattern=pattern)._lu.L.nnz for H, sigma, pattern in systems]
+    assert entries[0] < 2 * entries[1]
