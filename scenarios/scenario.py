@@ -169,8 +169,7 @@ def _load_network_of(file: ScenarioFile, path: Path) -> tuple[Network | None, li
     try:
         return (load_network(path.parent / file.network) if is_path else load_case(file.network)), []
     except InvalidInputError as error:
-        hint = "" if is_path else " (a network file of your own ends in .toml or .json)"
-        return None, [f"network: {error.what}: {problem}{hint}" for problem in error.problems]
+        return None, [f"network: {error.what}: {problem}" for problem in error.problems]
 
 
 def _find_area_buses(file: ScenarioFile, network: Network | None) -> tuple[AreaBuses | None, list[str]]:

@@ -28,7 +28,7 @@ def load_case(name: str) -> Network:
     cases = find_shipped("cases")
     if name not in cases:
         problem = f"no shipped network has this name; shipped: {', '.join(cases)}{suggest(name, cases)}"
-        raise InvalidInputError(f"network {name!r}", [problem])
+        raise InvalidInputError(f"network {name!r}", [f"{problem} (a network file of your own ends in .toml or .json)"])
     return load_network(cases[name])
 
 

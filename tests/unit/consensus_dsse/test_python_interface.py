@@ -124,6 +124,11 @@ def test_a_network_of_ones_own_has_flows_without_a_scenario(tmp_path: Path) -> N
             consensus_dsse.power_flow(given, changes={"seed": 3})
 
 
+def test_a_network_that_is_not_shipped_is_answered_with_how_to_name_a_file() -> None:
+    with pytest.raises(consensus_dsse.InvalidInputError, match=r"shipped: case33bw.*file of your own ends in \.toml"):
+        consensus_dsse.load_network("feeder")
+
+
 def test_our_packages_are_ours() -> None:
     check_own_packages()
 
