@@ -13,7 +13,7 @@ import numpy as np
 
 from agents.messages.packing import DownMessage, RoundMessage, UpMessage
 from agents.messages.triangle import read_triangle
-from dsse_core.estimation.decision import Decision, Memory, Totals, Verdict, add_totals, decide
+from dsse_core.estimation.decision import Decision, Memory, Totals, Verdict, add_totals, decide, find_omission
 from dsse_core.exchange.area_estimation import FAILURES, AreaEstimation
 from dsse_core.exchange.boundary_load import NetLoad
 from dsse_core.grid.measurement import Measurement
@@ -61,6 +61,7 @@ class AreaRound:
         self._area = area
         self._memory = Memory()
         self._ups: dict[str, UpMessage] = {}
+        self._sent = Totals()  # in Up(k)
         self._is_passed_on = False  # Up(k) has been sent, or decided on
         self._has_begun = False
         self._decided: tuple[Memory, Totals, tuple[Memory, Verdict]] | None = None
@@ -114,6 +115,11 @@ class AreaRound:
             except FAILURES as error:
                 self.estimation.fail(error)
 
+    def find_false_count(self, message: UpMessage) -> str:
+        """Whether Up(k) counts as many areas as one side can have."""
+        areas = message.totals.areas
+        return "" if 0 < areas < self._area.n_areas else f"it counts {areas} areas on its side, of {self._area.n_areas}"
+
     def take_up(self, name: str, message: UpMessage) -> bool:
         """Keep Up(k) of a neighbour; whether it is the first."""
         if self.outcome is not None or name in self._ups:
@@ -151,6 +157,7 @@ class AreaRound:
             totals = add_totals([totals, Totals(failed=(self._area.name,))])
         elif self.estimation.is_first:
             no_load = self.estimation.no_load_for(name, self._no_load_below())
+        self._sent = totals
         return Content(information, no_load, self._find_power(name), totals)
 
     def _below(self) -> Known:
@@ -190,7 +197,11 @@ class AreaRound:
         return self._is_passed_on and self.outcome is None
 
     def find_lie(self, message: DownMessage) -> str:
-        """What is wrong with Down(k): a verdict that does not follow, or a meter in which nothing stands out here."""
+        """What is wrong with Down(k): its totals leave out what was sent in Up(k), its verdict does not follow, or it
+        takes out a meter that does not stand out here.
+        """
+        if omission := find_omission(message.totals, self._sent):
+            return omission
         memory, verdict = self._decide(message.totals)
         if str(verdict) != message.verdict:
             return f"it says {message.verdict!r} where its totals say {str(verdict)!r}"

@@ -156,7 +156,9 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
             if peer.has_waited_for_trip(self._now):  # it lacks our answer
                 yield from self._send_if_lacking(name, peer.exchange, message.received[1], even_if_repeated=True)
         elif isinstance(message, UpMessage):
-            if self._round.take_up(name, message):
+            if why := self._round.find_false_count(message):
+                yield from self._distrust(name, why)
+            elif self._round.take_up(name, message):
                 peer.take_answer(peer.exchange)
                 yield from self._go_on()
         elif self._round.is_waited_for():

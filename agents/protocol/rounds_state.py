@@ -152,7 +152,11 @@ class RoundsState:
             yield Finding(DEGRADED, f"no readings of this scan in {', '.join(others)}")
         elif totals.stale:
             yield Finding(DEGRADED, "this area counts as one without readings of this scan")
-        if totals.areas != self._area.n_areas:
+        if totals.areas > self._area.n_areas:
+            senders = " or ".join([self._round.towards_hub] if self._round.towards_hub else self._round.lower)
+            what = f"{totals.areas} of {self._area.n_areas} areas are counted"
+            yield Finding(DEGRADED, f"{what}: {senders} says false things, or passes them on")
+        elif totals.areas != self._area.n_areas:
             yield Finding(DEGRADED, f"{totals.areas} of {self._area.n_areas} areas are counted")
         elif totals.silent:
             yield Finding(DEGRADED, f"not received by a neighbour: {', '.join(totals.silent)}")

@@ -97,6 +97,23 @@ def add_totals(parts: Iterable[Totals]) -> Totals:
     )
 
 
+def find_omission(totals: Totals, part: Totals) -> str:
+    """What ``totals`` leave out of those of a ``part`` of their areas, which are not all; empty if they contain them.
+
+    What is added up only grows, however it is rounded; lists of names end at MOST_NAMED.
+    """
+    if totals.areas <= part.areas:
+        return f"it counts {totals.areas} areas where {part.areas} on this side are not all"
+    for name in ("silent", "stale", "unobservable", "failed"):
+        names = getattr(totals, name)
+        if len(names) < MOST_NAMED and (missing := set(getattr(part, name)) - set(names)):
+            return f"it leaves out of what is {name}: {', '.join(sorted(missing))}"
+    for name in ("objective", "dvm", "dva", "held_back", "referenced"):
+        if getattr(totals, name) < (least := getattr(part, name)):
+            return f"it says {name} {getattr(totals, name):.6g} where this side alone has {least:.6g}"
+    return ""
+
+
 def _first_bus(buses: str) -> int:
     """Of a range such as "12-19"."""
     number = buses.partition("-")[0]
