@@ -114,7 +114,8 @@ def build_no_load_model(area: Area, measurements: Sequence[Measurement], referen
         for m in measurements
         if m.meter.kind is not MeasurementKind.CURRENT
     ]
-    model = build_area_model(area, unit, reference, with_shunts=False)
+    # sparse, where 0 stays 0: in a dense factor rounding fills in more than the damping at a busbar of 1e-6 p.u.
+    model = build_area_model(area, unit, reference, with_shunts=False, backend="sparse")
     vm, va = flat_start(area.network, area.slack_bus if reference is None else reference)
     x = np.concatenate([va, vm, np.zeros(model.size - 2 * len(vm))])
     of_power = ~np.isin(model.kinds, (MeasurementKind.VM, MeasurementKind.VA))

@@ -24,6 +24,8 @@ from dsse_core.estimation.bad_data import BadDataReport, process_bad_data
 from dsse_core.estimation.decision import Decision, Verdict
 from dsse_core.estimation.sparse import SparseIteration
 from dsse_core.exchange.area_estimation import AreaEstimation
+from dsse_core.grid.measurement import Source
+from dsse_core.observability import find_indispensable
 
 MOST_OF_ALL, ALL, AT_THE_END = 1e-9, 1e-7, 1e-8  # p.u. and rad
 MOST = 0.95  # of all x_k
@@ -165,12 +167,20 @@ def test_on_random_grids(thorough):
     assert_are_the_centres(compare_all(itertools.islice(draw_grids(), 300 if thorough else 12)))
 
 
-def test_areas_whose_no_load_information_has_no_numbers_come_to_an_end():
-    """Of grid 71 the hub is a busbar where rounding of the dense factor is larger than the damping at no load."""
-    compared = Compared()
-    with back_end("dense"):
-        compared.compare(feeder_of(next(itertools.islice(draw_grids(), 71, None))), "grid 71")
+@pytest.mark.usefixtures("each_back_end")
+def test_meters_that_cannot_be_spared_behind_a_busbar_are_the_centres():
+    """Of grid 71 the hub is a busbar of 1e-6 p.u., where a dense factor would round away the damping at no load."""
+    feeder, compared = feeder_of(next(itertools.islice(draw_grids(), 71, None))), Compared()
+    compared.compare(feeder, "grid 71")
     assert_are_the_centres(compared)
+    _, report = trace_centre(feeder)
+    _, bus = trace_areas(feeder)
+    assert not report.removed
+    meters = [m.meter for m in feeder.measurements]
+    real = {meter.id for meter in meters if meter.source is not Source.VIRTUAL}
+    critical = find_indispensable(feeder.network, meters, feeder.network.slack.bus) & real
+    assert critical
+    assert {meter for state in bus.states.values() for meter in state.critical} == critical
 
 
 def test_on_random_feeders_sound_and_with_gross_errors(thorough):
