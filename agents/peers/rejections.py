@@ -131,6 +131,8 @@ def find_unreasonable(
 def _find_telemetry_rejection(message: TelemetryMessage, content: AreaFile) -> str:
     if message.area != content.area.name:
         return "telemetry of another area"
+    if message.header.scan >= MOST_COUNTED:
+        return "numbers beyond reason"
     return "meter given twice" if len(set(message.meters)) < len(message.meters) else ""
 
 

@@ -125,7 +125,9 @@ class ScanReadings:
         return self._file(message)
 
     def _renumber(self, message: TelemetryMessage) -> None:
-        """Find the offset of an incarnation of the plant that is received for the first time, or again."""
+        """Find the offset of an incarnation of the plant that is received for the first time, or again; and of one so
+        far behind the current scan that this has come from a neighbour who was wrong: terms never go back.
+        """
         last, incarnation, number = self._last, message.header.incarnation, message.header.scan
         if last is None or incarnation != last.header.incarnation:
             self._later.clear()  # of a former incarnation: to enter its scans would leave this one behind
@@ -135,6 +137,8 @@ class ScanReadings:
             )
             if last is not None and number + self._offset < self.scan:
                 self._offset = self.scan + self.are_there - number
+        if number + self._offset < self.scan - MOST_AHEAD:
+            self._offset = self.scan + self.are_there - number
 
     @property
     def numbering(self) -> tuple[Incarnation, int]:

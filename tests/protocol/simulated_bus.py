@@ -9,7 +9,7 @@ import numpy as np
 
 from agents.area_files.area_file import AreaFile
 from agents.messages.checks import MessageError
-from agents.messages.packing import Message, decode
+from agents.messages.packing import Message, TelemetryMessage, decode
 from agents.protocol.rounds import RoundsProtocol
 from coordinator.deployment.split import area_files
 from coordinator.simulator import simulator
@@ -62,6 +62,10 @@ class SimulatedBus(simulator.SimulatedBus):
             and all(self.states[n].sent[name] == received != (0, 0) for n, received in state.received.items())
             for name, state in self.states.items()
         )
+
+    def telemetry_of(self, name: str) -> TelemetryMessage:
+        """What the plant says to area ``name``."""
+        return self._telemetry[name]
 
     def offset_of(self, name: str) -> int:
         """From the plant's numbers of scans to those that an area counts; not 0 only if somebody has lied of it."""

@@ -11,6 +11,7 @@ from simulated_bus import SimulatedBus, area_files_of
 
 from agents.messages.packing import Header, Incarnation, LoadMessage, UpMessage, decode, encode
 from agents.peers.rejections import FAR_SCAN, Rejections
+from agents.protocol.events import Received
 from dsse_core.estimation import decision as verdict
 from dsse_core.estimation.decision import MOST_NAMED, Totals, add_totals
 from scenarios.scenario import load_scenario
@@ -138,3 +139,46 @@ def test_who_announced_a_scan_that_then_came_is_accused_no_more():
     assert rejections.far_scans == {"area2": 50}
     rejections.note_scan(50)
     assert rejections.far_scans == {}
+
+
+@pytest.mark.parametrize("scan", [2**40, 2**51, 2**53 - 1])
+@pytest.mark.parametrize("victim", ["area1", "area2"])
+def test_one_wild_scan_number_before_any_telemetry_keeps_no_later_scan_from_being_good(scan, victim):
+    scenario = load_scenario("ieee33")
+    areas = ("area1", "area2", "area3")
+    bus = SimulatedBus(area_files_of(scenario), make_telemetry(scenario).by_area, late_s=dict.fromkeys(areas, 0.5))
+    honest, heard = bus.deliver, {}
+
+    def deliver(sender: str, receiver: str, payload: bytes) -> None:
+        heard.setdefault(receiver, (sender, payload))
+        honest(sender, receiver, payload)
+
+    bus.deliver = deliver
+    bus.run(0.3)
+    sender, payload = heard[victim]
+    message = decode(payload)
+    header = replace(message.header, scan=scan, sequence=message.header.sequence + 1000)
+    honest(sender, victim, encode(replace(message, header=header)))
+    bus.run(5.0)
+    for number in (2, 3):
+        bus.next_scan(make_telemetry(scenario, scan=number).by_area)
+        bus.run(5.0)
+        assert {state.quality for state in bus.states.values()} == {"good"}
+        assert len({state.header.scan for state in bus.states.values()}) == 1
+
+
+@pytest.mark.parametrize("scan", [2**40, 2**51, 2**53 - 1])
+def test_one_forged_scan_of_telemetry_keeps_no_later_scan_from_being_good(scan):
+    scenario = load_scenario("ieee33")
+    bus = SimulatedBus(area_files_of(scenario), make_telemetry(scenario).by_area)
+    bus.run_until_settled()
+    readings = bus.telemetry_of("area1")
+    newer = replace(readings.header.incarnation, start_ms=readings.header.incarnation.start_ms + 5)
+    header = replace(readings.header, scan=scan, incarnation=newer, sequence=1)
+    bus.post("area1", Received(replace(readings, header=header), ""))
+    bus.run(3.0)
+    for number in (2, 3):
+        bus.next_scan(make_telemetry(scenario, scan=number).by_area)
+        bus.run(5.0)
+    assert {state.quality for state in bus.states.values()} == {"good"}
+    assert len({state.header.scan for state in bus.states.values()}) == 1
