@@ -17,6 +17,9 @@ from scenarios.generate.generated_files import write_generated
 from scenarios.scenario import load_scenario
 
 
+pytestmark = pytest.mark.long  # drawing takes seconds
+
+
 def numbers_in(figure: Figure) -> list[Annotation]:
     texts = [text for text in figure.axes[0].texts if isinstance(text, Annotation)]
     return [text for text in texts if text.get_text().isdigit()]
@@ -51,7 +54,6 @@ def test_all_buses_of_a_small_network_have_their_numbers_and_none_covers_another
     assert find_overlaps(figure) == []
 
 
-@pytest.mark.long
 def test_boundary_buses_of_a_large_network_have_their_numbers_and_none_covers_another(large: Partition) -> None:
     figure = draw(large)
     shown = {int(text.get_text()) for text in numbers_in(figure)}

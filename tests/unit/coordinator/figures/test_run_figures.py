@@ -30,6 +30,9 @@ from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from scenarios.scenario import load_scenario
 
 
+pytestmark = pytest.mark.long  # drawing takes seconds
+
+
 @pytest.fixture(scope="module")
 def result(tmp_path_factory: pytest.TempPathFactory) -> RunResult:
     return make_result(load_scenario("ieee33"), tmp_path_factory.mktemp("run"))

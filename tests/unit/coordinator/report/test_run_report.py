@@ -24,6 +24,7 @@ from coordinator.report.settings import write_command
 from dsse_core.printable import printable
 from scenarios.scenario import load_scenario
 
+pytestmark = pytest.mark.long  # drawing takes seconds
 HOSTILE = "<script>alert(1)</script>&\"'><img src=http://evil.example/x>"
 CHANGES = {"faults.loss": 0.3, "areas": {"count": 4}}
 
@@ -166,7 +167,6 @@ def test_what_cannot_be_written_is_told_by_the_result(tmp_path: Path) -> None:
     assert "report.html: Is a directory" in unwritten
 
 
-@pytest.mark.long
 def test_formats_are_those_that_are_asked_for(dsse, tmp_path: Path) -> None:
     out = tmp_path / "both"
     assert dsse("simulate", "industrial13", "--quiet", "--out", out, "--format", "pdf, svg")[0] == 0
