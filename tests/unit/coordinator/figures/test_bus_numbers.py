@@ -16,7 +16,6 @@ from dsse_core.grid.partition import Partition
 from scenarios.generate.generated_files import write_generated
 from scenarios.scenario import load_scenario
 
-
 pytestmark = pytest.mark.long  # drawing takes seconds
 
 

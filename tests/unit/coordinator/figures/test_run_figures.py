@@ -29,7 +29,6 @@ from dsse_core.estimation.state_limits import StateLimits
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from scenarios.scenario import load_scenario
 
-
 pytestmark = pytest.mark.long  # drawing takes seconds
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import io
 import itertools
 import re
 from dataclasses import replace
@@ -10,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from made_results import make_result
+from matplotlib.figure import Figure
 from read_page import ReadPage, read_page
 
 import coordinator
@@ -206,6 +208,21 @@ def test_a_full_disk_while_the_report_is_written_is_one_error_and_leaves_no_half
     assert err.count("error: ") == 1
     assert "report.html: No space left on device" in err
     assert not (tmp_path / "a" / "report.html").exists()
+
+
+def test_a_full_disk_while_figures_are_written_leaves_no_half_of_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def save(figure: Figure, path: Path | io.StringIO, **_: object) -> None:
+        if isinstance(path, Path):
+            path.write_bytes(b"half")
+            raise OSError(errno.ENOSPC, "No space left on device", str(path))
+        path.write("<svg></svg>")
+
+    monkeypatch.setattr(Figure, "savefig", save)
+    unwritten = write_report(make_result(load_scenario("industrial13"), tmp_path), ["png"], []).unwritten
+    assert unwritten == f"{tmp_path / 'gap.png'}: No space left on device"
+    assert [path.name for path in tmp_path.iterdir()] == ["report.html"]
 
 
 def test_a_run_from_python_says_the_command_that_repeats_it(tmp_path: Path) -> None:
