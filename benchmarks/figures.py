@@ -49,8 +49,17 @@ def write_section(name: str, machine: Mapping[str, str], table: str, page: Path 
 
 
 def list_facts(facts: Mapping[str, object]) -> str:
-    """A Markdown table of two columns."""
-    return "\n".join(["| what | figure |", "|---|---|", *(f"| {what} | {figure} |" for what, figure in facts.items())])
+    """A Markdown table of two columns; mappings and lists become words."""
+    rows = [f"| {what} | {_say(figure)} |" for what, figure in facts.items()]
+    return "\n".join(["| what | figure |", "|---|---|", *rows])
+
+
+def _say(figure: object) -> str:
+    if isinstance(figure, Mapping):
+        return ", ".join(f"{name} {_say(value)}" for name, value in figure.items()) or "none"
+    if isinstance(figure, list):
+        return ", ".join(map(_say, figure)) or "none"
+    return f"{figure:.3g}" if isinstance(figure, float) else str(figure)
 
 
 def describe(machine: Mapping[str, str], command: str) -> str:
