@@ -131,7 +131,7 @@ def find_unreasonable(
 def _find_telemetry_rejection(message: TelemetryMessage, content: AreaFile) -> str:
     if message.area != content.area.name:
         return "telemetry of another area"
-    if message.header.scan >= MOST_COUNTED:
+    if message.header.scan > MOST_COUNTED // 2:
         return "numbers beyond reason"
     return "meter given twice" if len(set(message.meters)) < len(message.meters) else ""
 

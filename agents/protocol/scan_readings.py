@@ -13,6 +13,7 @@ from enum import Enum, auto
 from agents.area_files.area_file import AreaFile
 from agents.messages.packing import NO_INCARNATION, Incarnation, TelemetryMessage
 from agents.peers.freshness import FRESH_HEARTBEATS, PATIENCE_HEARTBEATS, is_old
+from agents.peers.rejections import MOST_COUNTED
 from agents.protocol.readings import Readings
 
 MOST_AHEAD = (
@@ -79,7 +80,7 @@ class ScanReadings:
         An area that receives no telemetry, not yet or no more, cannot know better.
         """
         if self._last is None or self.is_late(now, PATIENCE_HEARTBEATS):
-            return True
+            return scan <= MOST_COUNTED // 2  # what follows a lie of this size still counts
         return scan <= self._last.header.scan + self._offset + MOST_AHEAD
 
     @property

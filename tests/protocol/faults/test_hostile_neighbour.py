@@ -141,7 +141,7 @@ def test_who_announced_a_scan_that_then_came_is_accused_no_more():
     assert rejections.far_scans == {}
 
 
-@pytest.mark.parametrize("scan", [2**40, 2**51, 2**53 - 1])
+@pytest.mark.parametrize("scan", [2**40, 2**50, 2**51 - 1, 2**53 - 1])
 @pytest.mark.parametrize("victim", ["area1", "area2"])
 def test_one_wild_scan_number_before_any_telemetry_keeps_no_later_scan_from_being_good(scan, victim):
     scenario = load_scenario("ieee33")
@@ -167,7 +167,7 @@ def test_one_wild_scan_number_before_any_telemetry_keeps_no_later_scan_from_bein
         assert len({state.header.scan for state in bus.states.values()}) == 1
 
 
-@pytest.mark.parametrize("scan", [2**40, 2**51, 2**53 - 1])
+@pytest.mark.parametrize("scan", [2**40, 2**50, 2**51 - 1, 2**53 - 1])
 def test_one_forged_scan_of_telemetry_keeps_no_later_scan_from_being_good(scan):
     scenario = load_scenario("ieee33")
     bus = SimulatedBus(area_files_of(scenario), make_telemetry(scenario).by_area)
