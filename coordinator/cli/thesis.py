@@ -30,6 +30,7 @@ def thesis(tables: tuple[str, ...], summary: bool, out: Path | None) -> None:
     from coordinator.evaluation.table_files import write_csv
     from coordinator.run_folder import make_run_folder
     from coordinator.thesis.comparison import as_one_table, compare_tables, format_compared, format_summary
+    from dsse_core.files.drafts import whole_file
 
     end_orderly_on_signals()
     folder = None if out is None else make_run_folder(out, "")
@@ -38,6 +39,6 @@ def thesis(tables: tuple[str, ...], summary: bool, out: Path | None) -> None:
         show(format_compared(table) + "\n")
     show(format_summary(compared))
     if folder is not None:
-        with (folder / FILE).open("w", encoding="utf-8", newline="") as file:
+        with whole_file(folder / FILE) as draft, draft.open("w", encoding="utf-8", newline="") as file:
             write_csv(file, as_one_table(compared))
         show(f"\nfiles: {printable(folder)}")
