@@ -114,11 +114,10 @@ def build_no_load_model(area: Area, measurements: Sequence[Measurement], referen
         for m in measurements
         if m.meter.kind is not MeasurementKind.CURRENT
     ]
-    # sparse, where 0 stays 0: in a dense factor rounding fills in more than the damping at a busbar of 1e-6 p.u.
-    model = build_area_model(area, unit, reference, with_shunts=False, backend="sparse")
+    model = build_area_model(area, unit, reference, with_shunts=False)
     vm, va = flat_start(area.network, area.slack_bus if reference is None else reference)
     x = np.concatenate([va, vm, np.zeros(model.size - 2 * len(vm))])
     of_power = ~np.isin(model.kinds, (MeasurementKind.VM, MeasurementKind.VA))
     typical = np.median([1 / abs(complex(b.r, b.x)) for b in area.network.active_branches])
     model = replace(model, z=model.predict(x), sigma=np.where(of_power, typical, 1.0))
-    return NoLoadModel(model, make_no_load(model, model.rows), x, tuple(m.meter.id for m in unit), float(typical))
+    return NoLoadModel(model, make_no_load(model), x, tuple(m.meter.id for m in unit), float(typical))

@@ -48,6 +48,6 @@ def make_linear(model: AreaMeasurements, rows: Rows) -> LinearArea:
     return RadialSolver(model, by_rows) if chosen == "radial" and model.prior is None else by_rows
 
 
-def make_no_load(model: AreaMeasurements, rows: Rows) -> NoLoadSolver:
-    """The numerics of a model without load."""
-    return NoLoadSolver(model, rows, "no load")
+def make_no_load(model: AreaMeasurements) -> NoLoadSolver:
+    """The numerics of a model without load, of areas of any size."""
+    return NoLoadSolver(model, SparseRows(model), "no load")

@@ -9,7 +9,6 @@ import numpy as np
 from dsse_core.grid.measurement_model import stack_models
 from dsse_core.grid.partition import Neighbour
 from dsse_core.linear.area_measurements import AreaMeasurements
-from dsse_core.linear.boundary_information import ROUNDING
 from dsse_core.linear.interface import Matrix, Received, Rows
 from dsse_core.matrices.augmented_dense import DenseFactor
 
@@ -68,10 +67,6 @@ class DenseRows(Rows):
 
     def join(self, parts: list[Matrix]) -> np.ndarray:
         return np.concatenate(parts)
-
-    def without_rounding(self, H: Matrix) -> np.ndarray:
-        size = abs(cast("np.ndarray", H))
-        return np.where(size > ROUNDING * size.max(axis=1, keepdims=True, initial=0.0), H, 0.0)
 
     def factor(self, H: Matrix, sigma: np.ndarray, damping: np.ndarray) -> DenseFactor:
         return DenseFactor(cast("np.ndarray", H), sigma, damping)

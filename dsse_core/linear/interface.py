@@ -89,10 +89,6 @@ class Rows(ABC):
         """The rows of ``parts`` below each other."""
 
     @abstractmethod
-    def without_rounding(self, H: Matrix) -> Matrix:
-        """H with entries of 0 where rounding has left something of a derivative that is nothing."""
-
-    @abstractmethod
     def factor(self, H: Matrix, sigma: np.ndarray, damping: np.ndarray) -> Factor:
         """The tableau of rows H with ``sigma`` and the ``damping`` of each column."""
 

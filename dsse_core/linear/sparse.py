@@ -122,6 +122,7 @@ class SparseRows(Rows):
         return sp.csr_array(sp.vstack(parts, format="csr"))
 
     def without_rounding(self, H: Matrix) -> sp.csr_array:
+        """H with entries of 0 where rounding has left something of a derivative that is nothing."""
         H = cast("sp.csr_array", H)
         row = np.repeat(np.arange(H.shape[0]), np.diff(H.indptr))
         size = abs(H.data)
