@@ -298,7 +298,9 @@ class Observer:
         return abs(vm[0] - vm[1]), abs(math.remainder(va[0] - va[1], 2 * math.pi))
 
     def _find_unacknowledged(self) -> list[str]:
-        states, found = self.states, []
+        """Messages on their way between areas that are on the bus."""
+        states = {name: state for name, state in self.states.items() if self._watched[name].alive}
+        found = []
         for area in self.partition.areas:
             for n in area.neighbours:
                 sender, receiver = states.get(area.name), states.get(n.area)

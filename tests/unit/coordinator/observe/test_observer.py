@@ -69,6 +69,11 @@ def test_an_area_that_is_not_on_the_bus_keeps_the_run_from_consensus():
     assert obstacles(watch(alive=AREAS[:2])) == f"{AREAS[2]} is not on the bus"
 
 
+def test_what_an_area_that_is_not_on_the_bus_has_not_received_is_no_obstacle_of_its_own():
+    killed = a_state(AREAS[2], received={})
+    assert obstacles(watch(killed, alive=AREAS[:2])) == f"{AREAS[2]} is not on the bus"
+
+
 def test_an_area_that_vanishes_is_missed_and_one_that_returns_is_waited_for():
     observer = watch()
     observer.take_presence("area2", False, 3 * HEARTBEAT_S)
