@@ -35,7 +35,7 @@ def find_obstacle(what: Whole = "estimate") -> str | None:
     if importlib.util.find_spec("numba") is None:
         return "numba is not installed"
     if _only_loads and not has_whole(what):
-        return "the compiled solver is not there yet; `dsse compile` makes it, once, in some 20 s"
+        return "the compiled solver is not there yet; `dsse compile` makes it, once, in about a minute"
     return None
 
 

@@ -63,6 +63,18 @@ class BadDataReport:
     degrees_of_freedom: int
     suspect: SuspectKept | None
 
+    @property
+    def n_meters(self) -> int:
+        """How many are in use."""
+        return len(self.result.plan.meters)
+
+    @property
+    def n_untold(self) -> int:
+        """How many meters have a residual of unknown variance, as all would take too long: bad data among them is
+        detected, not identified, and whether they are critical is not known.
+        """
+        return int(np.isnan(self.result.residual_variance).sum())
+
     def __repr__(self) -> str:
         where = "above" if self.detected else "below"
         return (

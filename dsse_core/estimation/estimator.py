@@ -99,19 +99,27 @@ class EstimationResult:
         return covariance
 
     def state_sigma(self) -> tuple[np.ndarray, np.ndarray]:
-        """Standard deviations (sigma_vm, sigma_va) of all buses, p.u. and rad."""
+        """Standard deviations (sigma_vm, sigma_va) of all buses, p.u. and rad; nan where they would take too long."""
         if self._radial_variances is not None:
             variance = self._radial_variances[0]
         else:
             variance = np.zeros(2 * len(self.vm))
-            variance[self.free] = self.factor.state_variance()
+            variance[self.free] = self.factor.state_variance(limited=True)
         sigma_va, sigma_vm = np.split(np.sqrt(np.maximum(variance, 0.0)), 2)
         return sigma_vm, sigma_va
 
     @cached_property
     def residual_variance(self) -> np.ndarray:
-        """diag(Omega), ``Omega = R - H G^-1 H'`` (eq. 3.22), shape (n_meas,); 0 for virtual measurements."""
-        return self.factor.residual_variance() if self._radial_variances is None else self._radial_variances[1]
+        """diag(Omega), ``Omega = R - H G^-1 H'`` (eq. 3.22), shape (n_meas,); 0 for virtual measurements.
+
+        In networks with so many long loops that all would take too long it is nan, but of the largest |r| / sigma.
+        """
+        if self._radial_variances is not None:
+            return self._radial_variances[1]
+        exact = self.sigmas == 0
+        weighted = np.where(exact, 0.0, abs(self.residual) / np.where(exact, 1.0, self.sigmas))
+        found = self.factor.residual_variance(np.argsort(-weighted, kind="stable"))
+        return np.where(exact, 0.0, found)
 
     @cached_property
     def _radial_variances(self) -> tuple[np.ndarray, np.ndarray] | None:

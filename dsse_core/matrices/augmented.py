@@ -34,6 +34,7 @@ KEPT_PIVOT = 1e-6  # in place of 1e-3 where a pivot that is moved fills in: belo
 REFINED = 1e-6  # of a correction to a solution, whose square is what is left; else pivots are moved after all
 FEWEST_SELECTED = 400  # rows of the tableau, from which the selected inverse takes less than solves
 MOST_SOLVED = 100_000_000  # rows of the tableau times right-hand sides: some ten seconds
+FEW_SOLVED = 256  # right-hand sides, where MOST_SOLVED does not allow all
 BLOCK = 256  # right-hand sides solved at once; bounds memory at (n_meas + n_state, BLOCK)
 
 
@@ -170,9 +171,11 @@ class AugmentedFactor:
                 found[first : first + BLOCK] = np.einsum("ks,sk->k", block, self.covariance_times(block.T))
         return found
 
-    def state_variance(self) -> np.ndarray:
-        """diag(G^-1), shape (n_state,)."""
-        return self._diagonal(self._n_meas, self.n_state) / -self._a
+    def state_variance(self, *, limited: bool = False) -> np.ndarray:
+        """diag(G^-1), shape (n_state,); ``limited``: nan where the solves for it would cost more than MOST_SOLVED."""
+        rows = self._n_meas + np.arange(self.n_state)
+        too_many = limited and not self._can_find(len(rows))
+        return np.full(len(rows), np.nan) if too_many else self._diagonal(rows) / -self._a
 
     def covariance_at(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """The entries (rows[k], columns[k]) of G^-1, shape (k,).
@@ -202,10 +205,22 @@ class AugmentedFactor:
             entries[here] = self._solve(unit)[rows[here], which[here] - first]
         return entries
 
-    def residual_variance(self) -> np.ndarray:
-        """diag(Omega), ``Omega = R - H G^-1 H'`` (eq. 3.22), shape (n_meas,); found without that cancellation."""
-        variance: np.ndarray = self._a * self.variance**2 * self._diagonal(0, self._n_meas)
+    def residual_variance(self, wanted: np.ndarray | None = None) -> np.ndarray:
+        """diag(Omega), ``Omega = R - H G^-1 H'`` (eq. 3.22), shape (n_meas,); found without that cancellation.
+
+        ``wanted`` (n_meas,): rows, the most wanted first. Where solves for all would cost more than MOST_SOLVED the
+        first FEW_SOLVED are found, and the others are nan. Without ``wanted`` all are found, however long that takes.
+        """
+        rows = np.arange(self._n_meas) if wanted is None else np.asarray(wanted)
+        if wanted is not None and not self._can_find(len(rows)):
+            rows = rows[:FEW_SOLVED]
+        variance = np.full(self._n_meas, np.nan)
+        variance[rows] = self._a * self.variance[rows] ** 2 * self._diagonal(rows)
         return variance
+
+    def _can_find(self, count: int) -> bool:
+        """Whether so many entries of the diagonal take less than MOST_SOLVED."""
+        return len(self._scale) * count <= MOST_SOLVED or self._inverse_diagonal is not None
 
     @cached_property
     def _inverse_diagonal(self) -> np.ndarray | None:
@@ -213,19 +228,15 @@ class AugmentedFactor:
         if len(self._scale) < FEWEST_SELECTED:
             return None
         found = find_inverse_diagonal(self._tableau, self._pattern.factor(self._tableau, exact=True))
+        if found is None and self._pattern.fills_in:  # fewer entries, and accurate enough for most grids
+            found = find_inverse_diagonal(self._tableau, self._pattern.factor(self._tableau))
         return None if found is None else self._scale**2 * self._pattern.permute_back(found)
 
-    def _diagonal(self, first: int, count: int) -> np.ndarray:
-        """Entries first ... first + count - 1 of the diagonal of the inverse."""
+    def _diagonal(self, rows: np.ndarray) -> np.ndarray:
+        """Entries ``rows`` of the diagonal of the inverse."""
         if self._inverse_diagonal is not None:
-            return self._inverse_diagonal[first : first + count]
-        diagonal = np.zeros(count)
-        for k in range(0, count, BLOCK):
-            block = np.arange(k, min(k + BLOCK, count))
-            unit = np.zeros((len(self._scale), len(block)))
-            unit[first + block, block - k] = 1.0
-            diagonal[block] = self._solve(unit)[first + block, block - k]
-        return diagonal
+            return np.asarray(self._inverse_diagonal[rows])
+        return self._solve_entries(rows, rows)
 
     def _solve(self, b: np.ndarray) -> np.ndarray:
         scale = self._scale.reshape(-1, *(1,) * (b.ndim - 1))

@@ -7,6 +7,8 @@ Communications of the ACM 18 (3), 1975).
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
@@ -71,17 +73,13 @@ class _Places:
 
     @classmethod
     def closed(cls, key: np.ndarray, n: int) -> _Places | None:
-        """Factors leave out entries that cancel; here they have their places."""
-        while True:
-            places = cls(key, n)
-            if places.first_product[-1] > MOST_PRODUCTS:
-                return None
-            wanted = places._products()
-            places.product = np.minimum(places.find(wanted), len(key) - 1)
-            missing = key[places.product] != wanted
-            if not missing.any():
-                return places
-            key = _sort([key, wanted[missing]])
+        """Factors leave out entries that cancel; here they have their places. None above MOST_PRODUCTS."""
+        closed = _close(key, n)
+        if closed is None:
+            return None
+        places = cls(closed, n)
+        places.product = places.find(places._products())
+        return places
 
     def find(self, key: np.ndarray) -> np.ndarray:
         return np.asarray(np.searchsorted(self.key, key))
@@ -92,6 +90,34 @@ class _Places:
         right = self.right[self.first_right[pivot] + place // self.n_below[pivot]]
         below = self.below[self.first_below[pivot] + place % self.n_below[pivot]]
         return np.asarray(self._row[below] * self.n + self._column[right])
+
+
+def _close(key: np.ndarray, n: int) -> np.ndarray | None:
+    """``key`` with all that elimination adds, pivot by pivot, so that each product is looked at once.
+
+    None above MOST_PRODUCTS, at the pivot that exceeds it.
+    """
+    row, column = np.divmod(key, n)
+    first = np.searchsorted(row, np.arange(n + 1)).tolist()
+    columns = column.tolist()
+    in_row = [set(columns[k:following]) for k, following in pairwise(first)]
+    below: list[list[int]] = [[] for _ in range(n)]  # rows of the entries below each pivot
+    for i, j in zip(*(part[row > column].tolist() for part in (row, column)), strict=True):
+        below[j].append(i)
+    products, added = 0, []
+    for k in range(n):
+        right = {j for j in in_row[k] if j > k}
+        products += len(right) * len(below[k])
+        if products > MOST_PRODUCTS:
+            return None
+        for i in below[k]:
+            new = right - in_row[i]
+            in_row[i] |= new
+            for j in new:
+                added.append(i * n + j)
+                if j < i:
+                    below[j].append(i)
+    return _sort([key, np.array(added, dtype=np.int64)])
 
 
 def _sort(keys: list[np.ndarray]) -> np.ndarray:

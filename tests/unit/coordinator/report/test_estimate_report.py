@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from coordinator.report.grid_text import format_estimate
@@ -34,3 +35,13 @@ def test_a_residual_that_stands_out_is_not_said_not_to(detected, tables):
 
 def test_where_none_does_it_is_said(detected, tables):
     assert "still detected, but no normalised residual stands out" in format_estimate(detected, tables)
+
+
+def test_residuals_of_unknown_variance_are_said_to_identify_nothing(detected, tables):
+    assert "no bad data identification" not in format_estimate(detected, tables)
+    variance = detected.result.residual_variance.copy()
+    variance[:3] = np.nan
+    result = replace(detected.result)
+    result.__dict__["residual_variance"] = variance
+    report = format_estimate(replace(detected, result=result), tables)
+    assert f"no bad data identification by residuals for 3 of {len(variance)} meters" in report

@@ -9,6 +9,7 @@ import scipy.sparse as sp
 from dsse_core.estimation.plan import build_estimation_plan
 from dsse_core.grid.measurement import MeasurementKind, Meter, Source
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
+from dsse_core.matrices import augmented, selected_inverse
 from dsse_core.matrices.augmented import AugmentedFactor, AugmentedPattern
 
 Kind = MeasurementKind
@@ -54,3 +55,43 @@ def test_loops_that_join_neighbours_do_not_fill_the_factor() -> None:
     systems = [system_of(network, 1) for network in (open_ring, tree)]
     entries = [AugmentedFactor(H, sigma, pattern=pattern)._lu.L.nnz for H, sigma, pattern in systems]
     assert entries[0] < 2 * entries[1]
+
+
+def test_residual_variances_of_2000_buses_and_100_ties_take_few_products(monkeypatch: pytest.MonkeyPatch) -> None:
+    H, sigma, pattern = system_of(looped(1, 2000, 100), 1)
+    n = sum(H.shape)
+    monkeypatch.setattr(selected_inverse, "MOST_PRODUCTS", int(10 * n * np.log2(n)))
+    monkeypatch.setattr(augmented, "BLOCK", 0)  # no solves
+    assert not np.isnan(AugmentedFactor(H, sigma, pattern=pattern).residual_variance()).any()
+
+
+def test_variances_that_would_take_too_long_are_unknown_but_of_the_rows_wanted_most(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    H, sigma, pattern = system_of(looped(1, 300, 15), 1)
+    expected = AugmentedFactor(H, sigma, pattern=pattern).residual_variance()
+    monkeypatch.setattr(selected_inverse, "MOST_PRODUCTS", 100)
+    monkeypatch.setattr(augmented, "MOST_SOLVED", 100)
+    monkeypatch.setattr(augmented, "FEW_SOLVED", 7)
+    factor, wanted = AugmentedFactor(H, sigma, pattern=pattern), np.random.default_rng(1).permutation(len(sigma))
+    found = factor.residual_variance(wanted)
+    np.testing.assert_allclose(found[wanted[:7]], expected[wanted[:7]], rtol=1e-7, atol=1e-20)
+    assert np.isnan(found[wanted[7:]]).all()
+    assert np.isnan(factor.state_variance(limited=True)).all()
+    assert not np.isnan(factor.state_variance()).any()
+
+
+def test_a_factor_that_is_too_full_with_full_pivoting_gives_way_to_that_of_the_steps(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    H, sigma, pattern = system_of(looped(1, 600, 40), 1)
+    expected = AugmentedFactor(H, sigma, pattern=pattern).residual_variance()
+    find = augmented.find_inverse_diagonal
+    calls = []
+    monkeypatch.setattr(
+        augmented, "find_inverse_diagonal", lambda A, lu: calls.append(lu) or (find(A, lu) if calls[1:] else None)
+    )
+    monkeypatch.setattr(augmented, "BLOCK", 0)  # no solves
+    found = AugmentedFactor(H, sigma, pattern=pattern).residual_variance()
+    assert len(calls) == 2
+    np.testing.assert_allclose(found / np.maximum(sigma, 1e-9) ** 2, expected / np.maximum(sigma, 1e-9) ** 2, atol=1e-7)

@@ -43,6 +43,33 @@ def test_what_has_lost_its_digits_is_left_to_the_solves():
     assert find_inverse_diagonal(other, spla.splu(A)) is None
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_places_are_closed_in_one_pass_and_a_limit_ends_it(monkeypatch, seed):
+    n, rng = 40, np.random.default_rng(seed)
+    key = np.unique(np.concatenate([np.arange(n) * (n + 1), rng.integers(0, n * n, 120)]))
+    there = np.zeros((n, n), dtype=bool)
+    there.ravel()[key] = True
+    looked_at = 0
+    for k in range(n):
+        below, right = there[k + 1 :, k], there[k, k + 1 :]
+        looked_at += int(below.sum() * right.sum())
+        there[k + 1 :, k + 1 :] |= np.outer(below, right)
+    places = selected_inverse._Places.closed(key, n)
+    np.testing.assert_array_equal(places.key, np.flatnonzero(there))
+    assert len(places.product) == looked_at
+    monkeypatch.setattr(selected_inverse, "MOST_PRODUCTS", looked_at - 1)
+    assert selected_inverse._Places.closed(key, n) is None
+
+
+def test_no_round_over_all_products_is_done_twice(monkeypatch):
+    passes = []
+    of_places = selected_inverse._Places._products
+    monkeypatch.setattr(selected_inverse._Places, "_products", lambda p: passes.append(p) or of_places(p))
+    A = make_matrix(1)
+    find_inverse_diagonal(A, spla.splu(A))
+    assert len(passes) == 1
+
+
 @pytest.mark.parametrize("damping", [0.0, 1e-3])
 def test_variances_are_those_of_the_solves(monkeypatch, damping: float):
     rng = np.random.default_rng(3)
