@@ -12,8 +12,7 @@ from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.bad_data import BadDataReport, process_bad_data
 from dsse_core.grid.network import Network
 from dsse_core.power_flow.newton_raphson import PowerFlowResult, solve_power_flow
-from dsse_core.results.results import Results, results_of_estimate, results_of_power_flow
-from dsse_core.results.with_tables import WithTables
+from dsse_core.results.results import Results, WithTables, results_of_estimate, results_of_power_flow
 from scenarios.check import check_scenario
 from scenarios.named_grid import load_grid
 from scenarios.scenario import Scenario

@@ -23,8 +23,7 @@ from dsse_core.estimation.bad_data import BadDataReport
 from dsse_core.grid.measurement import Measurement
 from dsse_core.grid.network import Network
 from dsse_core.power_flow.newton_raphson import PowerFlowResult
-from dsse_core.results.results import Results
-from dsse_core.results.with_tables import WithTables
+from dsse_core.results.results import Results, WithTables
 from scenarios.scenario import Scenario
 
 VERSION = 2
