@@ -1,7 +1,5 @@
 """Redundancies found from random readings, beside the exact residual variances of the same rows."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from grids import MeterShares, make_grid
@@ -20,11 +18,10 @@ SCARCE = (  # one meter in thirty to spare; a few more; branches metered and mos
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("backend", ["sparse", "dense"])
 @pytest.mark.parametrize("shares", SCARCE)
 @pytest.mark.parametrize("seed", range(4))
 def test_a_sampled_redundancy_is_the_exact_one_to_a_factor_and_of_what_cannot_be_spared_the_square_of_round_off(
-    seed, shares, backend
+    seed, shares
 ):
     """With all that the other area knows. What cannot be spared is decided for the whole grid, by other code."""
     grid = make_grid(seed, 30, 2, 0.6, 1.0, seed % 3, 0.15, None, True, shares)
@@ -38,9 +35,9 @@ def test_a_sampled_redundancy_is_the_exact_one_to_a_factor_and_of_what_cannot_be
         side = sides[name]
         (to_us,) = sides[other].model.area.neighbours
         received = {other: sides[other].information_for(to_us, {})}
-        model = replace(side.model, backend=backend)
-        sampled = make_no_load(model, model.rows).sample(side.x, received, np.random.default_rng(seed))[1]
-        exact = make_no_load(model, model.rows).variances(side.x, received)[1] / model.sigma**2
+        model = side.model
+        sampled = make_no_load(model).sample(side.x, received, np.random.default_rng(seed))[1]
+        exact = make_no_load(model).variances(side.x, received)[1] / model.sigma**2
         is_needed = np.array([meter in needed for meter in side.ids])
         assert (sampled[is_needed] < ROUND_OFF**2).all()
         ratio = sampled[~is_needed] / exact[~is_needed]
