@@ -42,7 +42,7 @@ def find_distances(network: Network) -> tuple[np.ndarray, str]:
     for f, t, z in zip(table.f.tolist(), table.t.tolist(), size.tolist(), strict=True):
         pair = (min(f, t), max(f, t))
         nearest[pair] = min(z, nearest.get(pair, np.inf))  # of parallel branches
-    ends = np.array(list(nearest), dtype=np.int64).reshape(-1, 2)
+    ends = np.array(list(nearest), dtype=np.int32).reshape(-1, 2)  # as the oldest scipy walks them
     graph = coo_array((list(nearest.values()), (ends[:, 0], ends[:, 1])), shape=(n, n)).tocsr()
     found = dijkstra(graph, directed=False, indices=network.row[network.slack.bus])
     unit = "Ω" if ohm else f"p.u. on {network.base_mva:g} MVA"
