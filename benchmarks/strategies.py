@@ -23,7 +23,7 @@ from benchmarks.machine import describe_machine
 from coordinator.evaluation.evaluation import choose_scenario
 from coordinator.studies.study_row import StudyRow
 from coordinator.studies.sweep import run_on_simulator, run_tasks
-from coordinator.studies.sweep_plan import make_plan
+from coordinator.studies.sweep_plan import make_plan, parse_vary
 
 Case = tuple[str, list[StudyRow]]  # runs of one strategy
 PACKAGES = ("numpy", "scipy", "numba")
@@ -84,7 +84,7 @@ def _run_all(case: str, name_or_path: str) -> Iterator[Case]:
 
 def _sweep(scenario: str, key: str, values: Mapping[str, str], strategies: Sequence[str], seeds: int) -> Iterator[Case]:
     """For each value of ``key``, in TOML's words by the name of its case, and each strategy the rows of all seeds."""
-    plan = make_plan(scenario, f"{key}={','.join(values.values())}", strategies, seeds)
+    plan = make_plan(scenario, *parse_vary(f"{key}={','.join(values.values())}"), strategies, seeds)
     rows = dict(run_tasks(plan, plan.tasks, os.cpu_count() or 1))
     for case, value in zip(values, plan.scenarios, strict=True):
         for strategy in strategies:

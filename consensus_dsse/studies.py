@@ -13,7 +13,7 @@ from coordinator.evaluation.evaluation import choose_scenario
 from coordinator.studies.strategy_comparison import choose_strategies
 from coordinator.studies.study_row import StudyRow
 from coordinator.studies.sweep import run_on_simulator, run_tasks
-from coordinator.studies.sweep_plan import plan_values
+from coordinator.studies.sweep_plan import make_plan
 from dsse_core.results.table import Table
 from scenarios.scenario import Scenario
 
@@ -89,7 +89,7 @@ def sweep(
     """
     names = choose_strategies(None if strategies is None else ",".join(strategies))
     plain = [value.item() if isinstance(value, np.generic) else value for value in values]
-    plan = plan_values(str(scenario), key, plain, names, seeds, changes=changes or {})
+    plan = make_plan(str(scenario), key, plain, names, seeds, changes=changes or {})
     rows = dict(run_tasks(plan, plan.tasks, jobs))
     return _make_table([rows[task] for task in plan.tasks], {"value": [task.value for task in plan.tasks]})
 

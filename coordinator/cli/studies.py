@@ -215,11 +215,11 @@ def sweep(
                dsse sweep ieee33 --vary 'areas={count=2},{count=4}'
     """
     from coordinator.studies.strategy_comparison import choose_strategies
-    from coordinator.studies.sweep_plan import make_plan
+    from coordinator.studies.sweep_plan import make_plan, parse_vary
     from coordinator.studies.sweep_table import SweepTable
 
     end_orderly_on_signals()
-    plan = make_plan(scenario, vary, choose_strategies(strategies), seeds, links, timeout, changes)
+    plan = make_plan(scenario, *parse_vary(vary), choose_strategies(strategies), seeds, links, timeout, changes)
     folder = out or Path("runs") / f"sweep-{plan.base.name}-{time.strftime('%Y%m%d-%H%M%S')}"
     with SweepTable(folder, plan.settings) as table:
         if table.cut_off:

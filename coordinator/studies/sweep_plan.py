@@ -79,24 +79,6 @@ def _content(value: object) -> object:
 
 def make_plan(
     name_or_path: str,
-    vary: str,
-    strategies: Sequence[str],
-    seeds: int,
-    links: LinkChanges = NO_CHANGES,
-    timeout_s: float | None = None,
-    changes: Mapping[str, object] = NO_SETTINGS,
-) -> SweepPlan:
-    """Read the scenario once for every value of ``vary``, ``KEY=VALUES``; ``changes``: key -> value in all runs.
-
-    Raises:
-        InvalidInputError: the scenario or ``vary`` cannot be used; every value that the scenario rejects, and why.
-    """
-    key, values = parse_vary(vary)
-    return plan_values(name_or_path, key, values, strategies, seeds, links, timeout_s, changes)
-
-
-def plan_values(
-    name_or_path: str,
     key: str,
     values: Sequence[object],
     strategies: Sequence[str],
@@ -105,7 +87,7 @@ def plan_values(
     timeout_s: float | None = None,
     changes: Mapping[str, object] = NO_SETTINGS,
 ) -> SweepPlan:
-    """The same with ``values`` of ``key``.
+    """Read the scenario once for each of ``values`` of ``key``; ``changes``: key -> value in all runs.
 
     Raises:
         InvalidInputError: the scenario cannot be used; every value that it rejects, and why; a value given twice.

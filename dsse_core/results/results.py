@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -55,13 +56,13 @@ class Results:
         return f"<Results: {', '.join(f'{len(getattr(self, name))} {name}' for name in TABLES)}>"
 
 
-class WithTables:
+class WithTables(ABC):
     """A result with ``tables``, each of which is an attribute of its own."""
 
     @property
+    @abstractmethod
     def tables(self) -> Results:
         """All four."""
-        raise NotImplementedError
 
     @property
     def buses(self) -> Table:

@@ -147,7 +147,7 @@ def test_a_scenario_file_that_has_changed_is_another_scenario(tmp_path: Path):
 
 
 def test_a_network_file_that_has_changed_is_another_scenario():
-    plan = make_plan("industrial13", "faults.loss=0", ["information"], 1)
+    plan = make_plan("industrial13", *parse_vary("faults.loss=0"), ["information"], 1)
     first, *others = plan.base.network.buses
     network = replace(plan.base.network, buses=(replace(first, p_load=first.p_load + 1e-9), *others))
     changed = replace(plan, base=replace(plan.base, network=network)).settings
@@ -174,7 +174,7 @@ def test_a_table_with_other_columns_or_lines_is_rejected(tmp_path: Path, text: s
 
 
 def test_two_sweeps_do_not_write_to_one_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    plan = make_plan("industrial13", "faults.loss=0,0.3", ("information",), 1)
+    plan = make_plan("industrial13", *parse_vary("faults.loss=0,0.3"), ("information",), 1)
     with SweepTable(tmp_path / "s", plan.settings):
         assert sweep(tmp_path / "s") == 2
     assert "another sweep is writing" in capsys.readouterr().err
@@ -197,13 +197,13 @@ def test_settings_do_not_depend_on_where_the_file_lies(tmp_path: Path):
         (tmp_path / folder).mkdir()
         path = tmp_path / folder / "mine.toml"
         path.write_text(find_shipped("shipped")["industrial13"].read_text())
-        found.append(make_plan(str(path), "faults.loss=0,0.3", ("information",), 1).settings)
+        found.append(make_plan(str(path), *parse_vary("faults.loss=0,0.3"), ("information",), 1).settings)
     assert found[0] == found[1]
     assert json.loads(json.dumps(found[0])) == found[0]
 
 
 def test_a_plan_runs_the_seeds_from_the_scenarios_own_on(tmp_path: Path):
-    plan = make_plan("industrial13", "run.beat_s=1", ("admm",), 3)
+    plan = make_plan("industrial13", *parse_vary("run.beat_s=1"), ("admm",), 3)
     assert plan.tasks == [Task("1", "admm", seed) for seed in (1, 2, 3)]
     assert plan.scenario_of(plan.tasks[2]).run.beat_s == 1
 
