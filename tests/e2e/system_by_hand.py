@@ -6,8 +6,8 @@ import queue
 import signal
 import subprocess
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -141,3 +141,19 @@ class Watcher:
             role, name = name_of_live(updates[0])
             if role == "area":
                 self._observer.take_presence(name, updates[1], now)
+
+
+@contextmanager
+def agreeing_system(
+    dsse: Callable[..., subprocess.CompletedProcess[str]], folder: Path, secured: bool = False
+) -> Iterator[tuple[SystemByHand, Watcher, str, list[str]]]:
+    """industrial13, whose areas agree, and its watcher; and what ``prepare_by_hand`` returns."""
+    endpoint, keys = prepare_by_hand(dsse, secured)
+    with SystemByHand(folder) as system:
+        system.start("router", "router", "--listen", endpoint, *keys)
+        for name in ("area1", "area2"):
+            system.start(name, "agent", f"areas/{name}.toml", *keys)
+        system.start("plant", "plant", "industrial13", "--connect", endpoint, *keys)
+        with Watcher("industrial13", [endpoint], folder / "keys" if secured else None) as watcher:
+            watcher.wait_for_consensus()
+            yield system, watcher, endpoint, keys

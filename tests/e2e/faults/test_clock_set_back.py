@@ -6,7 +6,7 @@ import signal
 from pathlib import Path
 
 import pytest
-from system_by_hand import SystemByHand, Watcher, prepare_by_hand
+from system_by_hand import SystemByHand, Watcher, agreeing_system
 
 MOVED_CLOCK = """
 import os, time
@@ -27,16 +27,9 @@ def behind(tmp_path: Path):
 @pytest.fixture
 def system(dsse, tmp_path: Path):
     """industrial13, whose areas agree, and its watcher; area2 has just been killed."""
-    endpoint, _ = prepare_by_hand(dsse, secured=False)
-    with SystemByHand(tmp_path) as system:
-        system.start("router", "router", "--listen", endpoint)
-        for name in ("area1", "area2"):
-            system.start(name, "agent", f"areas/{name}.toml")
-        system.start("plant", "plant", "industrial13", "--connect", endpoint)
-        with Watcher("industrial13", [endpoint]) as watcher:
-            watcher.wait_for_consensus()
-            system.end("area2", signal.SIGKILL)
-            yield system, watcher
+    with agreeing_system(dsse, tmp_path) as (system, watcher, _, _):
+        system.end("area2", signal.SIGKILL)
+        yield system, watcher
 
 
 def test_five_minutes_behind_its_former_incarnation_it_is_received_again(system: tuple[SystemByHand, Watcher], behind):

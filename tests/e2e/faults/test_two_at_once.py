@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from dsse_command import COMMAND, ENVIRONMENT
-from system_by_hand import SystemByHand, Watcher, prepare_by_hand
+from system_by_hand import agreeing_system
 from waiting import DEADLINE_S, wait_until
 
 from agents.runtime.duplicate_guard import REPLACED_CODE
@@ -16,22 +16,15 @@ from agents.runtime.duplicate_guard import REPLACED_CODE
 
 @pytest.mark.parametrize("secured", [False, True], ids=["open", "secured"])
 def test_the_older_agent_and_the_older_plant_give_way_and_the_estimate_stays(dsse, tmp_path: Path, secured: bool):
-    endpoint, keys = prepare_by_hand(dsse, secured)
-    with SystemByHand(tmp_path) as system:
-        system.start("router", "router", "--listen", endpoint, *keys)
-        for name in ("area1", "area2"):
-            system.start(name, "agent", f"areas/{name}.toml", *keys)
-        system.start("plant", "plant", "industrial13", "--connect", endpoint, *keys)
-        with Watcher("industrial13", [endpoint], tmp_path / "keys" if secured else None) as watcher:
-            watcher.wait_for_consensus()
-            system.start("area2 again", "agent", "areas/area2.toml", *keys)
-            system.start("plant again", "plant", "industrial13", "--connect", endpoint, *keys)
-            for name, whom in (("area2", "area area2 of run industrial13"), ("plant", "plant of run industrial13")):
-                process = system.processes[name]
-                watcher.wait_until(lambda process=process: process.poll() is not None)
-                assert process.returncode == REPLACED_CODE
-                assert f"error: two processes run as {whom} at once" in system.said(name)
-            watcher.wait_for_consensus()
+    with agreeing_system(dsse, tmp_path, secured) as (system, watcher, endpoint, keys):
+        system.start("area2 again", "agent", "areas/area2.toml", *keys)
+        system.start("plant again", "plant", "industrial13", "--connect", endpoint, *keys)
+        for name, whom in (("area2", "area area2 of run industrial13"), ("plant", "plant of run industrial13")):
+            process = system.processes[name]
+            watcher.wait_until(lambda process=process: process.poll() is not None)
+            assert process.returncode == REPLACED_CODE
+            assert f"error: two processes run as {whom} at once" in system.said(name)
+        watcher.wait_for_consensus()
         assert all(system.processes[f"{name} again"].poll() is None for name in ("area2", "plant"))
 
 

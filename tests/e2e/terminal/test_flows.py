@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from system_by_hand import SystemByHand, Watcher, prepare_by_hand
+from system_by_hand import SystemByHand, agreeing_system, prepare_by_hand
 
 from coordinator.evaluation.evaluation import estimate_centralised
 from dsse_core.results.results import results_of_estimate
@@ -20,17 +20,10 @@ from scenarios.telemetry import make_telemetry
 
 @pytest.mark.parametrize("secured", [False, True], ids=["open", "secured"])
 def test_what_flows_in_an_area_is_what_the_centre_would_say(dsse, tmp_path: Path, secured: bool):
-    endpoint, keys = prepare_by_hand(dsse, secured)
-    with SystemByHand(tmp_path) as system:
-        system.start("router", "router", "--listen", endpoint, *keys)
-        for name in ("area1", "area2"):
-            system.start(name, "agent", f"areas/{name}.toml", *keys)
-        system.start("plant", "plant", "industrial13", "--connect", endpoint, *keys)
-        with Watcher("industrial13", [endpoint], tmp_path / "keys" if secured else None) as watcher:
-            watcher.wait_for_consensus()
-            shown = dsse("flows", "areas/area2.toml", *keys, "--csv", "branches")
-            said = json.loads(dsse("flows", "areas/area2.toml", *keys, "--json").stdout)
-            table = dsse("flows", "areas/area2.toml", *keys).stdout
+    with agreeing_system(dsse, tmp_path, secured) as (_, _, _, keys):
+        shown = dsse("flows", "areas/area2.toml", *keys, "--csv", "branches")
+        said = json.loads(dsse("flows", "areas/area2.toml", *keys, "--json").stdout)
+        table = dsse("flows", "areas/area2.toml", *keys).stdout
     assert shown.returncode == 0, shown.stderr
     rows = list(csv.DictReader(io.StringIO(shown.stdout)))
     scenario = load_scenario("industrial13")
