@@ -7,7 +7,9 @@
 ``area/<i>/admm/<j>``                  the same of strategy admm
 ``area/<i>/load/<j>``                  load messages of area i for neighbour j
 ``area/<i>/state``                     what area i knows, for watchers
-``telemetry/<i>``                      meter readings for area i, from the plant or a gateway
+``area/<i>/readings``                  the readings that area i has used in a scan, for recorders
+``telemetry/<i>/<gateway>``            meter readings for area i, from the plant or a gateway
+``command/<i>``                        what the operator asks of area i, or of the plant
 ``clock``                              how long the run has lasted, from the coordinator, for injected faults only
 ``live/<role>/<name>/<incarnation>``   presence tokens of areas, plant and coordinator, one for each incarnation
 =====================================  ============================================================================
@@ -48,8 +50,29 @@ def all_states(run: str) -> str:
     return state_key(run, "*")
 
 
-def telemetry_key(run: str, area: str) -> str:
-    return f"{_root(run)}/telemetry/{area}"
+def readings_key(run: str, area: str) -> str:
+    return f"{_root(run)}/area/{area}/readings"
+
+
+def all_readings(run: str) -> str:
+    return readings_key(run, "*")
+
+
+def telemetry_key(run: str, area: str, gateway: str = "plant") -> str:
+    return f"{_root(run)}/telemetry/{area}/{gateway}"
+
+
+def all_telemetry(run: str, area: str) -> str:
+    """What all gateways say to ``area``."""
+    return telemetry_key(run, area, "*")
+
+
+def command_key(run: str, name: str) -> str:
+    return f"{_root(run)}/command/{name}"
+
+
+def all_commands(run: str) -> str:
+    return command_key(run, "*")
 
 
 def clock_key(run: str) -> str:

@@ -25,11 +25,13 @@ from agents.messages.types import (
     NO_INCARNATION,
     BoundaryUpdate,
     ClockMessage,
+    CommandMessage,
     DownMessage,
     Header,
     HeartbeatMessage,
     Incarnation,
     LoadMessage,
+    ReadingsMessage,
     RoundMessage,
     StateMessage,
     TelemetryMessage,
@@ -41,11 +43,13 @@ __all__ = [
     "NO_INCARNATION",
     "BoundaryUpdate",
     "ClockMessage",
+    "CommandMessage",
     "DownMessage",
     "Header",
     "HeartbeatMessage",
     "Incarnation",
     "LoadMessage",
+    "ReadingsMessage",
     "RoundMessage",
     "StateMessage",
     "TelemetryMessage",
@@ -56,11 +60,21 @@ WIRE_VERSION = 2
 MAX_BYTES = 8 * 1024 * 1024
 MAX_NEIGHBOUR_BYTES = 256 * 1024  # of what neighbours say; only telemetry and states grow with the area
 KIND = re.compile(r"[a-z0-9_-]{1,32}")  # a part of keys
-UNNUMBERED = {"header", "quality", "notes", "telemetry_age", "ages", "scans", "old_sides", "rejected"}
+UNNUMBERED = {
+    "header",
+    "quality",
+    "notes",
+    "telemetry_age",
+    "ages",
+    "scans",
+    "old_sides",
+    "rejected",
+    "clock_skews",
+}
 
 ExchangeMessage = UpMessage | DownMessage | BoundaryUpdate  # of a strategy
 LinkMessage = HeartbeatMessage | ExchangeMessage  # tells of the link that it comes on, see HeartbeatMessage
-Message = LoadMessage | LinkMessage | TelemetryMessage | ClockMessage | StateMessage
+Message = LoadMessage | LinkMessage | TelemetryMessage | ReadingsMessage | CommandMessage | ClockMessage | StateMessage
 MESSAGE_TYPES: dict[str, type[Any]] = {
     cls.kind: cls for cls in typing.get_args(Message) if cls is not BoundaryUpdate
 }  # and what strategies add

@@ -213,7 +213,7 @@ class DownMessage(RoundMessage):
 
 @dataclass(frozen=True, slots=True)
 class TelemetryMessage:
-    """One scan of an area's meters, for each reading: id, value and sigma, p.u. and rad.
+    """What a gateway, or the plant, has read last of each of its meters in an area: id, value and sigma, p.u. and rad.
 
     ``times``: when it was measured, s since 1970 UTC. ``valid``: whether its source vouches for it.
     """
@@ -229,6 +229,41 @@ class TelemetryMessage:
 
     def find_misfit(self) -> str:
         return _find_unequal(self, "meters", "values", "sigmas", "times", "valid")
+
+
+@dataclass(frozen=True, slots=True)
+class ReadingsMessage:
+    """The readings that an area has used in a scan, for recorders: id, value, sigma grown with the age, p.u. and rad.
+
+    ``taken_at``: to which moment their ages count; ``times``: when they were measured, s since 1970 UTC.
+    """
+
+    kind: ClassVar[str] = "readings"
+    header: Header
+    taken_at: Number
+    meters: Names
+    values: Numbers
+    sigmas: Numbers
+    times: Numbers
+
+    def find_misfit(self) -> str:
+        return _find_unequal(self, "meters", "values", "sigmas", "times")
+
+
+@dataclass(frozen=True, slots=True)
+class CommandMessage:
+    """What the operator asks of area ``to``, or of the plant: of two messages the one of higher order counts.
+
+    ``meters_off``: all meters of the area that are to be left out, until another command says otherwise. ``scan``: it
+    is to take the newest readings at once. ``stop``: its process is to end.
+    """
+
+    kind: ClassVar[str] = "command"
+    header: Header
+    to: Name
+    meters_off: Names
+    scan: bool
+    stop: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,8 +289,12 @@ class StateMessage:
     ``quality``: what the state is worth (docs/explanation/quality.md). ``notes``: why, the worst first, then remarks.
     ``telemetry_age``: s since telemetry was last received;
     ``ages``, ``scans``: neighbour -> s since its boundary message was last received, and the scan of the newest;
-    ``old_sides``: neighbours that say that their side rests on something old. All these hold at ``header.time`` and
-    may differ between two states of one sequence number.
+    ``old_sides``: neighbours that say that their side rests on something old. ``clock_skews``: neighbour -> by how much
+    its clock is ahead of this area's, s. All these hold at ``header.time`` and may differ between two states of one
+    sequence number.
+    ``taken_at``: to which moment the ages of the readings count, s since 1970; ``oldest_reading``: age of the oldest
+    one used, s. ``meters_off``: those that the operator has switched off; ``command``: (start_ms, random,
+    sequence) of the last command that was followed, zeros before any.
     """
 
     kind: ClassVar[str] = "state"
@@ -284,6 +323,11 @@ class StateMessage:
     ages: dict[Name, Number]
     scans: dict[Name, Count]
     old_sides: Names
+    clock_skews: dict[Name, Number] = field(default_factory=dict)
+    taken_at: Number = 0.0
+    oldest_reading: Number = 0.0
+    meters_off: Names = ()
+    command: tuple[Count, Count, Count] = (0, 0, 0)
 
     def find_misfit(self) -> str:
         return _find_unequal(self, "buses", "vm", "va", "sigma_vm", "sigma_va")

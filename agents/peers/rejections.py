@@ -10,11 +10,13 @@ from agents.messages.boundary_variables import ONE_PHASE
 from agents.messages.packing import (
     BoundaryUpdate,
     ClockMessage,
+    CommandMessage,
     DownMessage,
     Header,
     HeartbeatMessage,
     LoadMessage,
     Message,
+    ReadingsMessage,
     StateMessage,
     TelemetryMessage,
     UpMessage,
@@ -27,6 +29,7 @@ FUTURE = "time in the future"  # a reason of rejection
 FAR_SCAN = "scan far ahead of the telemetry"  # another
 OTHER_STRATEGY = "other strategy"  # another
 CONTRADICTION = "contradicts the area file"  # another
+FOR_OTHERS = (StateMessage, ReadingsMessage, CommandMessage, ClockMessage)  # kinds that no neighbour says to an area
 
 
 class Rejections:
@@ -91,7 +94,7 @@ def find_rejection(message: Message, key_sender: str, content: AreaFile, now: fl
     if isinstance(message, TelemetryMessage):
         return _find_telemetry_rejection(message, content)
     bus = next((n.bus for n in content.area.neighbours if n.area == header.sender), None)
-    if isinstance(message, StateMessage | ClockMessage) or bus is None:
+    if isinstance(message, FOR_OTHERS) or bus is None:
         return "unknown sender"
     if header.sender != key_sender:
         return "sender does not own the key"

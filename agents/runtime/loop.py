@@ -13,6 +13,7 @@ from agents.messages.checks import MessageError
 from agents.messages.keys import (
     all_from_neighbours,
     all_incarnations,
+    all_telemetry,
     clock_key,
     incarnation_of,
     live_key,
@@ -121,7 +122,7 @@ def _listen(content: AreaFile, session: Session, kinds: Sequence[str], inbox: In
     known = {neighbour_key(run, neighbour, kind, name) for neighbour in neighbours for kind in kinds}
     ingress_filter = IngressFilter(known, telemetry_key(run, name), inbox)
     session.subscribe(all_from_neighbours(run, name), ingress_filter.take)
-    session.subscribe(telemetry_key(run, name), ingress_filter.take)
+    session.subscribe(all_telemetry(run, name), ingress_filter.take)
     if any(faults.has_windows for faults in content.links.values()):
         session.subscribe(
             clock_key(run), lambda key, payload: inbox.put(key, _ClockReceived(time.monotonic(), payload))

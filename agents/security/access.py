@@ -16,6 +16,7 @@ from agents.messages.keys import (
     all_live,
     all_of_run,
     all_states,
+    all_telemetry,
     clock_key,
     neighbour_key,
     state_key,
@@ -94,7 +95,7 @@ def _rights_of_area(access: Access, area: str) -> Rights:
     return Rights(
         publishes=(*to_neighbours, state_key(run, area)),
         shows=(all_incarnations(run, "area", area),),
-        subscribes=(all_from_neighbours(run, area), telemetry_key(run, area), clock_key(run)),
+        subscribes=(all_from_neighbours(run, area), all_telemetry(run, area), clock_key(run)),
         receives=(*(neighbour_key(run, n, "*", area) for n in neighbours), telemetry_key(run, area), clock_key(run)),
         sees=tuple(all_incarnations(run, "area", n) for n in (area, *neighbours)),
         is_received_by=(*(all_from_neighbours(run, n) for n in neighbours), all_states(run), all_live(run)),
@@ -109,7 +110,7 @@ def _rights_of_plant(access: Access) -> Rights:
         subscribes=(),
         receives=(),
         sees=(all_incarnations(access.run, "area", "*"), all_incarnations(access.run, "plant", PLANT)),
-        is_received_by=(*telemetry, all_live(access.run)),
+        is_received_by=(*(all_telemetry(access.run, area) for area in access.neighbours), all_live(access.run)),
     )
 
 

@@ -20,13 +20,13 @@ from coordinator.deployment.certificates import create_keys
 CHAIN = Access("run", {"a": ("b",), "b": ("a", "c"), "c": ("b",)})
 NAMES = ("a", "b", "c", "plant", "coordinator")
 SUBSCRIPTIONS = {
-    **{area: (f"area/*/*/{area}", f"telemetry/{area}") for area in CHAIN.neighbours},
+    **{area: (f"area/*/*/{area}", f"telemetry/{area}/*") for area in CHAIN.neighbours},
     "coordinator": ("area/*/state",),
 }
 KEYS = (
     *(f"area/{i}/information/{j}" for i in "abc" for j in "abc"),
     *(f"area/{i}/state" for i in "abc"),
-    *(f"telemetry/{i}" for i in "abc"),
+    *(f"telemetry/{i}/plant" for i in "abc"),
 )
 DELIVERED = {
     ("a", "area/a/information/b", "b"),
@@ -34,7 +34,7 @@ DELIVERED = {
     ("b", "area/b/information/c", "c"),
     ("c", "area/c/information/b", "b"),
     *((area, f"area/{area}/state", "coordinator") for area in "abc"),
-    *(("plant", f"telemetry/{area}", area) for area in "abc"),
+    *(("plant", f"telemetry/{area}/plant", area) for area in "abc"),
 }
 
 Received = set[tuple[str, str, str]]

@@ -25,12 +25,12 @@ OWN_KEYS = {
         i: (*(f"area/{i}/information/{j}" for j in "abc"), f"area/{i}/state", f"live/area/{i}/1-00000001")
         for i in "abc"
     },
-    "plant": (*(f"telemetry/{i}" for i in "abc"), "live/plant/plant/1-00000001"),
+    "plant": (*(f"telemetry/{i}/plant" for i in "abc"), "live/plant/plant/1-00000001"),
     "coordinator": ("clock", "live/coordinator/coordinator/1-00000001"),
 }
 SUBSCRIPTIONS = {
     **{
-        i: (f"area/*/*/{i}", f"telemetry/{i}", "clock", *(f"live/area/{j}/*" for j in CHAIN.neighbours[i]))
+        i: (f"area/*/*/{i}", f"telemetry/{i}/*", "clock", *(f"live/area/{j}/*" for j in CHAIN.neighbours[i]))
         for i in "abc"
     },
     "plant": (),
@@ -40,7 +40,7 @@ SUBSCRIPTIONS = {
 MESSAGES = {
     *((i, f"area/{i}/information/{j}", j) for i in "abc" for j in CHAIN.neighbours[i]),
     *((i, f"area/{i}/state", "coordinator") for i in "abc"),
-    *(("plant", f"telemetry/{i}", i) for i in "abc"),
+    *(("plant", f"telemetry/{i}/plant", i) for i in "abc"),
     *(("coordinator", "clock", i) for i in "abc"),
 }
 # (who shows it, to whom) of tokens

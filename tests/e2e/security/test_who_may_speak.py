@@ -183,7 +183,7 @@ def test_who_has_one_areas_key_can_neither_speak_for_others_nor_listen_to_them(s
     allowed = tuple(f"dsse/v2/{RUN}/live/area/{name}/" for name in ("area1", "area2"))  # a neighbour, and itself
     assert all(key.startswith(allowed) for key in reported["seen"])
     rejected = log_since(system, before)
-    for key in ("telemetry/area1", "area/area3/information/area1", "area/area1/state"):
+    for key in ("telemetry/area1/plant", "area/area3/information/area1", "area/area1/state"):
         assert any("is unauthorized to Put" in line and key in line for line in rejected.splitlines()), key
 
 

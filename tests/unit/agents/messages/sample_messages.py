@@ -6,11 +6,13 @@ import msgspec
 
 from agents.messages.packing import (
     ClockMessage,
+    CommandMessage,
     DownMessage,
     Header,
     HeartbeatMessage,
     Incarnation,
     LoadMessage,
+    ReadingsMessage,
     StateMessage,
     TelemetryMessage,
     UpMessage,
@@ -85,6 +87,8 @@ MESSAGES = [
         incarnation=(1, 2),
     ),
     TelemetryMessage(HEADER, "area1", ("vm@1",), (1.0,), (0.002,), (1.7952e9,), (False,)),
+    ReadingsMessage(HEADER, 1.7952e9, ("vm@1",), (1.0,), (0.002,), (1.7952e9 - 60,)),
+    CommandMessage(HEADER, "area1", ("vm@1",), True, False),
     ClockMessage(HEADER, 12.5),
     STATE,
 ]
