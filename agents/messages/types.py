@@ -235,7 +235,8 @@ class TelemetryMessage:
 class ReadingsMessage:
     """The readings that an area has used in a scan, for recorders: id, value, sigma grown with the age, p.u. and rad.
 
-    ``taken_at``: to which moment their ages count; ``times``: when they were measured, s since 1970 UTC.
+    ``taken_at``: to which moment their ages count; ``times``: when they were measured, s since 1970 UTC. ``estimates``:
+    what each would read in the state that the area publishes of this scan; empty without one.
     """
 
     kind: ClassVar[str] = "readings"
@@ -245,9 +246,11 @@ class ReadingsMessage:
     values: Numbers
     sigmas: Numbers
     times: Numbers
+    estimates: Numbers = ()
 
     def find_misfit(self) -> str:
-        return _find_unequal(self, "meters", "values", "sigmas", "times")
+        beside = ("estimates",) if self.estimates else ()
+        return _find_unequal(self, "meters", "values", "sigmas", "times", *beside)
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,7 +28,7 @@ from agents.strategies.installed import list_strategies, load_strategy
 from benchmarks.fuzz import parsing
 from benchmarks.fuzz.mutations import STEERING, spoil_bytes, spoil_text, spoil_tree
 from coordinator.deployment.split import area_files
-from coordinator.observe.live import format_view
+from coordinator.observe.view_text import format_view
 from coordinator.observe.watch import Watcher
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.decision import Totals

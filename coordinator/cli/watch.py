@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Callable
-from dataclasses import asdict
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,9 +21,13 @@ from coordinator.cli.terminal import (
 from coordinator.interrupts import end_orderly_on_signals
 
 if TYPE_CHECKING:  # the real imports stand in the command, so that every other starts fast
-    from coordinator.observe.watch import View
+    from coordinator.observe.watch import Watcher
+    from dsse_core.results.table import Table
+
+    Tables = Callable[[Watcher], Mapping[str, Table]]
 
 UPDATE_S = 0.2
+BRANCHES = "branches"  # a table of --json alone
 LINE_S = 1.0  # between two lines where there is no terminal
 
 
@@ -35,6 +38,9 @@ LINE_S = 1.0  # between two lines where there is no terminal
 @click.option(
     "--run", "run_id", help="Name of the run.  [default: the only one on the bus; with --keys the one named there]"
 )
+@click.option("--grid", metavar="SCENARIO", help="Its network and meters: kV and kW, and meters that are silent.")
+@click.option("--buses", is_flag=True, help="Show the voltage of every bus, too.")
+@click.option("--meters", is_flag=True, help="Show every reading and how far it is off the estimate, too.")
 @click.option("--once", is_flag=True, help="Show it once, when all areas that are there have been received, and end.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line.")
 @bus_timeout_option
@@ -43,58 +49,91 @@ def watch(
     direct: bool,
     keys: Path | None,
     run_id: str | None,
+    grid: str | None,
+    buses: bool,
+    meters: bool,
     once: bool,
     as_json: bool,
     timeout: float,
 ) -> int:
-    """Watch the areas of a running system, started by any command: what they estimate, receive and lack.
+    """Watch the areas of a running system, started by any command: how good their estimates are, and why not better.
+
+    A line for each area: quality, scan, age, range of voltages, and the meter that is farthest from the estimate, in
+    standard deviations of its reading; below it the reason for its quality. --json has all that is known.
 
     Ctrl-C ends the watching and nothing else. Exit code 1: with --once, no area was received.
 
     \b
     Examples:  dsse watch
+               dsse watch --grid ieee33 --buses --meters
                dsse watch --connect tcp/192.0.2.7:7447 --once --json
     """
     from coordinator.cli.watch_session import attach, wait_until_whole
 
     end_orderly_on_signals()
+    find_tables = _tables_of(grid, buses or as_json, meters or as_json)
     try:
         with attach(choose_endpoints(endpoints, keys is not None), run_id, timeout, keys, direct) as look:
             if once:
                 watcher = wait_until_whole(look, timeout)
-                show(_format(watcher.look(time.monotonic()), as_json))
+                show(_format(watcher, find_tables, as_json))
                 return 0 if watcher.is_whole() else 1
             live = sys.stdout.isatty() and not as_json
-            _show_on(lambda: look(UPDATE_S).look(time.monotonic()), live, as_json)
+            _show_on(lambda: look(UPDATE_S), find_tables, live, as_json)
             return 0
     except KeyboardInterrupt:
         return 0
 
 
-def _show_on(look: Callable[[], View], live: bool, as_json: bool) -> None:
+def _tables_of(grid: str | None, buses: bool, meters: bool) -> Tables:
+    """What makes the tables that are wanted of what a watcher has received."""
+    if not (buses or meters or grid):
+        return lambda watcher: {}
+    from coordinator.observe.grid_tables import GridTables, list_buses, list_meters, worst_first
+    from scenarios.scenario import load_scenario
+
+    known = GridTables(load_scenario(grid)) if grid else None
+
+    def find(watcher: Watcher) -> dict[str, Table]:
+        states, readings = watcher.states, watcher.readings
+        tables = {}
+        if buses and known:
+            tables = dict(zip(("buses", BRANCHES), known.buses_and_branches(states), strict=True))
+        elif buses:
+            tables["buses"] = list_buses(states)
+        if meters:
+            tables["meters"] = worst_first(known.meters(states, readings) if known else list_meters(states, readings))
+        return tables
+
+    return find
+
+
+def _show_on(look: Callable[[], Watcher], find_tables: Tables, live: bool, as_json: bool) -> None:
     """Go on showing what ``look`` sees, until Ctrl-C or until nobody reads it any more."""
     if live:
-        from coordinator.observe.live import live_view
+        from coordinator.observe.view_text import live_view
 
         with live_view() as update:
             while True:
-                update(look())
+                watcher = look()
+                update(
+                    watcher.look(time.monotonic()), [t for name, t in find_tables(watcher).items() if name != BRANCHES]
+                )
     next_line = 0.0
     while True:
-        view = look()
+        watcher = look()
         if time.monotonic() >= next_line:
             next_line = time.monotonic() + LINE_S
-            if not show(_format(view, as_json)):
+            if not show(_format(watcher, find_tables, as_json)):
                 return
 
 
-def _format(view: View, as_json: bool) -> str:
+def _format(watcher: Watcher, find_tables: Tables, as_json: bool) -> str:
+    view, tables = watcher.look(time.monotonic()), find_tables(watcher)
     if as_json:
-        areas = {area.name: {"state": area.state} | asdict(area) for area in view.areas}
-        for area in areas.values():
-            del area["name"]
-        about = {"others": view.others, "duplicates": view.duplicates, "other_versions": view.other_versions}
-        return json.dumps({"time": time.time(), "run": view.run, **about, "areas": areas})
-    from coordinator.observe.live import format_view
+        from coordinator.observe.view_json import describe_tables, describe_view
 
-    return format_view(view)
+        return json.dumps({"time": time.time(), **describe_view(view), **describe_tables(tables)})
+    from coordinator.observe.view_text import format_view
+
+    return format_view(view, [table for name, table in tables.items() if name != BRANCHES])

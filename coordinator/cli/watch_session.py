@@ -11,13 +11,14 @@ from agents.messages.checks import MessageError
 from agents.messages.keys import (
     all_live,
     all_live_of_any_version,
+    all_readings,
     all_states,
     name_of_live,
     run_of,
     sender_of,
     version_of,
 )
-from agents.messages.packing import WIRE_VERSION, StateMessage, decode, describe_other_version
+from agents.messages.packing import WIRE_VERSION, ReadingsMessage, StateMessage, decode, describe_other_version
 from agents.runtime.presence import read_leave
 from agents.security.access import COORDINATOR
 from agents.security.credentials import load_keys
@@ -56,6 +57,7 @@ def attach(
         run = run or _find_run(session, timeout_s)
         watcher, updates = Watcher(run), Updates()
         session.subscribe(all_states(run), lambda key, payload: updates.offer(_decoded(key, payload)))
+        session.subscribe(all_readings(run), lambda key, payload: updates.offer(_decoded(key, payload)))
         session.subscribe(all_live(run), lambda key, payload: updates.offer((key, read_leave(payload)), said_once=True))
         all_tokens = all_live(run) if loaded else all_live_of_any_version(run)  # keys let nobody see other versions
         session.watch_presence(all_tokens, lambda key, alive: updates.offer((key, alive), said_once=True))
@@ -65,6 +67,8 @@ def attach(
                 match item:
                     case StateMessage():
                         watcher.take_state(item, time.monotonic())
+                    case ReadingsMessage():
+                        watcher.take_readings(item)
                     case (key, bool() as alive):
                         watcher.take_presence(key, alive)
                     case (key, leave_reason) if leave_reason:
@@ -115,10 +119,12 @@ def _find_run(session: Session, timeout_s: float) -> str:
     return runs.pop()
 
 
-def _decoded(key: str, payload: bytes) -> StateMessage | None:
-    """What the area that ``key`` belongs to says of its state; None for anything else: no watcher's business."""
+def _decoded(key: str, payload: bytes) -> StateMessage | ReadingsMessage | None:
+    """What the area that ``key`` belongs to shows of itself; None for anything else: no watcher's business."""
     try:
         message = decode(payload)
     except MessageError:
         return None
-    return message if isinstance(message, StateMessage) and message.header.sender == sender_of(key) else None
+    if not isinstance(message, StateMessage | ReadingsMessage) or message.header.sender != sender_of(key):
+        return None
+    return message

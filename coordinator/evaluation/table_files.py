@@ -71,6 +71,11 @@ def rows_as_json(table: Table) -> list[dict[str, Any]]:
     return [dict(zip(table.columns, row, strict=True)) for row in zip(*columns, strict=True)]
 
 
+def columns_as_json(table: Table) -> dict[str, list[Any]]:
+    """The columns by their names; None for what is unknown."""
+    return {name: list(_as_values(table[name])) for name in table.columns}
+
+
 def _as_values(column: Column) -> Iterable[object]:
     if isinstance(column, tuple) or column.dtype.kind != "f":
         return column if isinstance(column, tuple) else column.tolist()

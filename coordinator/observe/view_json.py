@@ -1,0 +1,28 @@
+"""What a watcher sees as JSON: of ``dsse watch --json`` and of the page alike."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+from coordinator.evaluation.table_files import columns_as_json
+from coordinator.observe.view import AreaView, View
+from dsse_core.results.table import Table
+
+
+def describe_view(view: View) -> dict[str, Any]:
+    """A view as ``dsse watch --json`` prints it: areas by name."""
+    about = {"others": view.others, "duplicates": view.duplicates, "other_versions": view.other_versions}
+    return {"run": view.run, **about, "areas": {area.name: _describe_area(area) for area in view.areas}}
+
+
+def _describe_area(area: AreaView) -> dict[str, Any]:
+    described = {"state": area.state} | asdict(area)
+    del described["name"]
+    return described
+
+
+def describe_tables(tables: Mapping[str, Table]) -> dict[str, dict[str, list[Any]]]:
+    """Name -> the columns of a table, each with all its values; None for what is unknown."""
+    return {name: columns_as_json(table) for name, table in tables.items()}
