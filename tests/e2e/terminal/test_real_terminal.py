@@ -30,7 +30,7 @@ OF_RICH = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")  # how it draws: colours, and wh
 
 
 def terminal(folder: Path, *arguments: str, size: tuple[int, int] = (60, 500)) -> pexpect.spawn:
-    """``dsse`` with ``arguments`` in a terminal of its own; ``size``: lines, and columns, so many that no text is broken."""
+    """``dsse`` with ``arguments`` in a terminal of ``size`` (lines, columns): so wide that no text is broken."""
     of_worker = ("COLUMNS", "LINES")  # a test worker's own, which would count more than the terminal's
     environment = {name: value for name, value in ENVIRONMENT.items() if name not in of_worker}
     environment["TERM"] = "xterm-256color"
