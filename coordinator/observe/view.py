@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 
 from agents.protocol.quality import NONE
 
+OVER_S = 2.0  # after which an incarnation that is not received is over; nobody tells a watcher the heartbeat
+
 
 @dataclass(frozen=True, slots=True)
 class Extreme:
@@ -24,10 +26,10 @@ class AreaView:
     farthest from the estimate, in its standard deviations; None where no reading is known.
     ``mismatch_vm_pu``, ``mismatch_va_deg``: the largest differences to a neighbour at a bus that both publish, None
     where there is none. ``neighbours``: those that it speaks to. ``age_s``: None if it was never received.
-    ``leave_reason``: what it said when it left, empty if it died. ``silent``: it has said nothing for long, though its
-    token may be there. ``said_quality``: what it said of its own state (docs/explanation/quality.md); ``quality``: the
-    same, and stale once it is gone or silent. ``telemetry_age_s``, ``oldest_reading_s`` and ``ages_s`` (of each
-    neighbour's information) have gone on counting since.
+    ``leave_reason``: what it said when it left, empty if it died. ``silent``: it has said nothing for longer than
+    ``silent_after_s``, though its token may be there. ``said_quality``: what it said of its own state
+    (docs/explanation/quality.md); ``quality``: the same, and stale once it is gone or silent. ``telemetry_age_s``,
+    ``oldest_reading_s`` and ``ages_s`` (of each neighbour's information) have gone on counting since.
     """
 
     name: str
@@ -38,6 +40,7 @@ class AreaView:
     quality: str = NONE
     said_quality: str = NONE
     silent: bool = False
+    silent_after_s: float = OVER_S
     lowest_vm: Extreme | None = None
     highest_vm: Extreme | None = None
     worst_meter: Extreme | None = None

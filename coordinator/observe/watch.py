@@ -13,10 +13,9 @@ from agents.protocol.quality import weigh_from_outside
 from agents.runtime.presence import MAX_NAMES, Presence
 from coordinator.observe.duplicates import NOUNS, describe_duplicate
 from coordinator.observe.observer import count_exchanges
-from coordinator.observe.view import AreaView, Extreme, View
+from coordinator.observe.view import OVER_S, AreaView, Extreme, View
 from dsse_core.printable import listed
 
-OVER_S = 2.0  # after which an incarnation that is not received is over; nobody tells a watcher the heartbeat
 MOST_VERSIONS = 10  # other wire versions that are distinguished, and
 MOST_NAMED = 12  # names of each
 SILENT_PAUSES = 3  # an area that was not received for so many of its longest pauses, and for OVER_S, is silent
@@ -125,7 +124,8 @@ class Watcher:
             silence = f"has left: {leave_reason}" if leave_reason else "" if present else "is gone"
             return AreaView(name, present, None, leave_reason, notes=weigh_from_outside(None, silence).notes)
         at, state = self._received[name]
-        is_silent = now - at > max(OVER_S, SILENT_PAUSES * self._longest_pause.get(name, 0.0))
+        silent_after_s = max(OVER_S, SILENT_PAUSES * self._longest_pause.get(name, 0.0))
+        is_silent = now - at > silent_after_s
         mismatches = [mismatch for other in state.sent if (mismatch := self._mismatch(state, other))]
         silence = f"has sent nothing for {now - at:.1f} s" if is_silent else ""
         if not present:
@@ -140,6 +140,7 @@ class Watcher:
             quality=worth.quality,
             said_quality=state.quality,
             silent=is_silent,
+            silent_after_s=silent_after_s,
             telemetry_age_s=round(state.telemetry_age + now - at, 3),
             ages_s={other: round(age + now - at, 3) for other, age in state.ages.items()},
             lowest_vm=_extreme(state, min(state.vm, default=None)),

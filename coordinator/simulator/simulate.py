@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from agents.messages.packing import StateMessage
+from agents.messages.packing import Message, StateMessage
 from coordinator.deployment.split import area_files, default_run_id
 from coordinator.evaluation.evaluation import (
     NO_CHANGES,
@@ -61,12 +61,26 @@ def simulate_scenario(
     return result
 
 
+class Audience:
+    """Is shown all that happens on the simulated bus, in its order; this one does not look."""
+
+    def take_state(self, at: float, state: StateMessage) -> None:
+        """An area has published ``state``."""
+
+    def take_presence(self, at: float, area: str, alive: bool) -> None:
+        """An area has appeared or vanished."""
+
+    def take_message(self, at: float, receiver: str, message: Message, arrives: bool) -> None:
+        """A message to a neighbour has been sent, or ``arrives``."""
+
+
 class Simulation:
-    """One run of a prepared ``scenario`` on the simulator.
+    """One run of a prepared ``scenario`` on the simulator; ``id``: its name on the bus.
 
     Args:
         events: where to write down what happens, if anywhere.
         on_update: called now and then with what the areas are doing.
+        audience: shown everything that happens, at once.
     """
 
     def __init__(
@@ -74,6 +88,7 @@ class Simulation:
         scenario: Scenario,
         events: EventLog | None = None,
         on_update: Callable[[Progress], None] | None = None,
+        audience: Audience | None = None,
     ) -> None:
         self._started = time.monotonic()
         self._next_update = self._started
@@ -82,14 +97,22 @@ class Simulation:
         self._states = StateLog(events)
         self._schedule = FaultSchedule.of(scenario.faults.events)
         self._on_update = on_update
-        self._id = f"{default_run_id(scenario)}-{scenario.seed % 2**32:08x}"  # as long as that of processes
+        self._audience = audience or Audience()
+        self.id = f"{default_run_id(scenario)}-{scenario.seed % 2**32:08x}"  # as long as that of processes
         self._observer = make_observer(scenario)
         self._telemetry = make_telemetry(scenario)
         self._centralised = estimate_centralised(scenario, self._telemetry)
-        self._write(0.0, "run started", run=self._id, scenario=scenario.name, seed=scenario.seed)
-        files = area_files(scenario, self._id, NO_BUS)
+        self._write(0.0, "run started", run=self.id, scenario=scenario.name, seed=scenario.seed)
+        files = area_files(scenario, self.id, NO_BUS)
         late_s = find_lateness(scenario, FIRST_SCAN)
-        self._bus = SimulatedBus(files, self._telemetry.by_area, self._take_state, self._take_presence, late_s=late_s)
+        self._bus = SimulatedBus(
+            files,
+            self._telemetry.by_area,
+            self._take_state,
+            self._take_presence,
+            late_s,
+            self._audience.take_message,
+        )
         self._faults = SimulatorFaults(self._bus, scenario.transport.routers)
 
     def run(self) -> str | None:
@@ -119,7 +142,7 @@ class Simulation:
         self._write(now, "run ended")
         return evaluate(
             self._scenario,
-            self._id,
+            self.id,
             self._observer,
             self._telemetry,
             self._centralised,
@@ -132,6 +155,7 @@ class Simulation:
         )
 
     def _take_state(self, at: float, state: StateMessage) -> None:
+        self._audience.take_state(at, state)
         is_new = self._observer.take_state(state, at)
         if self._observer.states.get(state.header.sender) is state:
             self._states.take(state, at, is_new)
@@ -140,6 +164,7 @@ class Simulation:
             self._next_update = time.monotonic() + UPDATE_S
 
     def _take_presence(self, at: float, area: str, alive: bool) -> None:
+        self._audience.take_presence(at, area, alive)
         self._observer.take_presence(area, alive, at)
         self._write(at, "appeared" if alive else "vanished", role="area", name=area)
 

@@ -52,6 +52,8 @@ class SimulatedBus:
         telemetry: area -> its measurements of the first scan. late_s: area -> by how much they come late.
         on_state, on_presence: called at once, as a watcher who misses nothing, with every state that an area
             publishes (at, state), and when its presence token appears or vanishes (at, area, alive).
+        on_message: called with each message that an area sends a neighbour (at, receiver, message, False), and with
+            each that arrives (True); one that its link loses does not.
     """
 
     def __init__(
@@ -61,6 +63,7 @@ class SimulatedBus:
         on_state: Callable[[float, StateMessage], None] = lambda at, state: None,
         on_presence: Callable[[float, str, bool], None] = lambda at, area, alive: None,
         late_s: Mapping[str, float] | None = None,
+        on_message: Callable[[float, str, Message, bool], None] = lambda at, receiver, message, arrives: None,
     ) -> None:
         self.now = 0.0
         self.scan = 0
@@ -72,6 +75,7 @@ class SimulatedBus:
         self.plant_speaks = True
         self._on_state = on_state
         self._on_presence = on_presence
+        self._on_message = on_message
         self._queue: list[tuple[float, int, str, Event | _Wake | _Call]] = []
         self._order = itertools.count()
         self._wake: dict[str, float] = {}
@@ -171,7 +175,9 @@ class SimulatedBus:
     def deliver(self, sender: str, receiver: str, payload: bytes) -> None:
         """Let a payload that no link has lost travel to its receiver."""
         try:
-            event: Event = Received(decode(payload), sender)
+            message = decode(payload)
+            event: Event = Received(message, sender)
+            self._on_message(self.now + TRAVEL_S, receiver, message, True)
         except MessageError as error:
             self._rejected[receiver, error.reason] += 1
             event = Rejected(error.reason, self._rejected[receiver, error.reason])
@@ -221,7 +227,8 @@ class SimulatedBus:
             match action:
                 case Publish(message, None):
                     self._show(self.links[name].with_counts(message))
-                case Publish(message, to):
+                case Publish(message, str() as to):
+                    self._on_message(self.now, to, message, False)
                     self.links[name].send(message, to, self.now)
                 case Finish():
                     self.kill(name)

@@ -19,9 +19,10 @@ from matplotlib.text import Text
 from coordinator.evaluation.comparison import Voltages
 from coordinator.evaluation.result import RunResult
 from coordinator.figures.errors_figure import draw_errors
+from coordinator.figures.feeder_profile import find_distances
 from coordinator.figures.gap_figure import draw_gap, draw_gaps_of, find_course
 from coordinator.figures.network_figure import draw_network
-from coordinator.figures.profile_figures import draw_angles, draw_magnitudes, find_distances
+from coordinator.figures.profile_figures import draw_angles, draw_magnitudes
 from coordinator.figures.residuals_figure import draw_residuals
 from coordinator.figures.run_figures import draw_run
 from coordinator.figures.style import COLOURS, INK, PAPER, Drawing

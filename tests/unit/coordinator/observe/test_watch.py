@@ -10,9 +10,9 @@ from shown_states import a_state, said_by
 from agents.messages.keys import live_key
 from agents.messages.packing import Incarnation
 from coordinator.deployment.split import check_run_id
-from coordinator.observe.view import AreaView
+from coordinator.observe.view import OVER_S, AreaView
 from coordinator.observe.view_text import format_view
-from coordinator.observe.watch import OVER_S, Watcher
+from coordinator.observe.watch import Watcher
 from dsse_core.errors import InvalidInputError
 
 ONE, OTHER = (live_key("run", "area", "area1", Incarnation(start, 1)) for start in (1, 2))

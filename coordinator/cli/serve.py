@@ -1,0 +1,133 @@
+"""The command ``dsse serve``: a page that shows a running system, or plays back a simulated run."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from coordinator.cli.terminal import (
+    bus_timeout_option,
+    choose_endpoints,
+    connect_option,
+    keys_option,
+    say,
+    set_option,
+    show,
+)
+from coordinator.interrupts import end_orderly_on_signals
+from dsse_core.errors import InvalidInputError
+
+if TYPE_CHECKING:  # the real imports stand in the command, so that every other starts fast
+    from collections.abc import Mapping
+
+    from coordinator.web.sources import Source
+
+
+@click.command(short_help="Show a running system, or a simulated run, as a page in a browser.")
+@click.argument("scenario", required=False)
+@click.option("--simulate", "is_simulated", is_flag=True, help="Run SCENARIO on the simulator, and play that back.")
+@set_option
+@click.option("--listen", default="127.0.0.1:8080", show_default=True, metavar="ADDR:PORT", help="Where; port 0: any.")
+@click.option("--tls-cert", type=click.Path(path_type=Path), help="Certificate (PEM), needed beyond loopback.")
+@click.option("--tls-key", type=click.Path(path_type=Path), help="Its private key (PEM).")
+@click.option("--token-file", type=click.Path(path_type=Path), help="Who opens the page shows the token in this file.")
+@click.option("--name", "names", multiple=True, help="Name under which browsers ask for this host; repeatable.")
+@connect_option()
+@click.option("--direct", is_flag=True, help="There is no router: link with the endpoint of every area.")
+@keys_option
+@click.option("--run", "run_id", help="Name of the run.  [default: the only one on the bus]")
+@bus_timeout_option
+def serve(
+    scenario: str | None,
+    is_simulated: bool,
+    changes: Mapping[str, object],
+    listen: str,
+    tls_cert: Path | None,
+    tls_key: Path | None,
+    token_file: Path | None,
+    names: tuple[str, ...],
+    endpoints: tuple[str, ...],
+    direct: bool,
+    keys: Path | None,
+    run_id: str | None,
+    timeout: float,
+) -> int:
+    """Serve a page: the feeder coloured by voltage, profile, meters, areas and their reasons, events, history.
+
+    With SCENARIO, a shipped name or a file, the network is drawn and powers are shown; without it, what the bus tells.
+    The page can only be read. Beyond loopback it needs a certificate and a token. Ctrl-C ends it and nothing else.
+
+    \b
+    Examples:  dsse serve
+               dsse serve ieee33 --connect tcp/192.0.2.7:7447
+               dsse serve ieee33-lossy --simulate
+    """
+    if is_simulated and scenario is None:
+        raise click.UsageError("--simulate runs a scenario; name one")
+    _check_packages()
+    from coordinator.web.server import choose_place
+    from coordinator.web.server import serve as serve_source
+
+    place = choose_place(listen, tls_cert, tls_key, token_file, names)
+    end_orderly_on_signals()
+    try:
+        if is_simulated:
+            assert scenario is not None
+            sources = _simulated(scenario, changes)
+        else:
+            chosen = choose_endpoints(endpoints, keys is not None)
+            sources = _live(scenario, changes, chosen, run_id, timeout, keys, direct)
+        with sources as source:
+            serve_source(source, place, names, lambda url: show(f"open {url}"))
+    except KeyboardInterrupt:
+        return 0
+    return 0
+
+
+def _check_packages() -> None:
+    try:
+        import starlette  # noqa: F401
+        import uvicorn  # noqa: F401
+    except ImportError as error:
+        problem = f"{error.name} is not installed; `{Path(sys.executable).name} -m pip install 'consensus-dsse[web]'`"
+        raise InvalidInputError("dsse serve", [problem]) from None
+
+
+@contextmanager
+def _simulated(scenario: str, changes: Mapping[str, object]) -> Iterator[Source]:
+    from coordinator.evaluation.evaluation import choose_scenario
+    from coordinator.strategy_check import check_with_strategy
+    from coordinator.web.playback import play_simulation
+
+    say(f"simulating {scenario} ...")
+    yield play_simulation(check_with_strategy(choose_scenario(scenario, changes=changes)))
+
+
+@contextmanager
+def _live(
+    scenario: str | None,
+    changes: Mapping[str, object],
+    endpoints: tuple[str, ...],
+    run_id: str | None,
+    timeout: float,
+    keys: Path | None,
+    direct: bool,
+) -> Iterator[Source]:
+    from coordinator.cli.watch_session import attach
+    from coordinator.evaluation.evaluation import choose_scenario
+    from coordinator.observe.grid_tables import GridTables
+    from coordinator.web.sources import LiveSource
+
+    known = GridTables(choose_scenario(scenario, changes=changes)) if scenario else None
+    with attach(endpoints, run_id, timeout, keys, direct) as look:
+        source = LiveSource(look, known, look(0.0).run)
+        source.start()
+        try:
+            yield source
+        finally:
+            source.close()

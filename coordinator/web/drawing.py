@@ -1,0 +1,90 @@
+"""What of a grid does not change while one looks: places of buses, branches, areas, meters; the API's ``/api/grid``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from agents.messages.packing import StateMessage
+from coordinator.figures.feeder_layout import lay_out
+from coordinator.figures.feeder_profile import OPERATION, find_distances, find_limits
+from dsse_core.grid.columns import read_given
+from scenarios.scenario import Scenario
+
+BUSES_IN_A_ROW = 8  # of an area of which only the bus tells
+DECIMALS = 6  # of distances
+
+
+def draw_scenario(scenario: Scenario) -> dict[str, Any]:
+    """The grid of ``scenario``: buses in the order of its network, branches in that of its branches."""
+    partition, network = scenario.partition, scenario.network
+    place, (distance, axis) = lay_out(network).place, find_distances(network)
+    ids = network.table.bus_id.tolist()
+    low, high = find_limits(scenario)
+    sees: dict[int, list[str]] = {bus: [] for bus in ids}
+    for area in partition.areas:
+        for bus in area.network.buses:
+            sees[bus.id].append(area.name)
+    holds = {branch.id: area.name for area in partition.areas for branch in area.network.branches}
+    return {
+        "known": True,
+        "title": scenario.name,
+        "axis": axis,
+        "limits": [low, high],
+        "buses": {
+            "id": ids,
+            "name": list(read_given(network.buses, "name")) or [""] * len(ids),
+            "base_kv": network.table.base_kv.tolist(),
+            "x": place[:, 0].tolist(),
+            "y": place[:, 1].tolist(),
+            "distance": [round(value, DECIMALS) if np.isfinite(value) else None for value in distance.tolist()],
+            "area": [partition.owner_of_bus[bus] for bus in ids],
+            "areas": [sees[bus] for bus in ids],
+        },
+        "branches": {
+            "id": list(network.branch_ids),
+            "from_bus": network.table.from_bus.tolist(),
+            "to_bus": network.table.to_bus.tolist(),
+            "in_service": [branch.in_service for branch in network.branches],
+            "area": [holds.get(branch.id, "") for branch in network.branches],
+        },
+        "areas": [
+            {
+                "name": area.name,
+                "buses": [bus.id for bus in area.network.buses],
+                "neighbours": [{"area": n.area, "bus": n.bus} for n in area.neighbours],
+            }
+            for area in partition.areas
+        ],
+    }
+
+
+def draw_states(run: str, states: Mapping[str, StateMessage]) -> dict[str, Any]:
+    """The same as far as the bus tells: areas side by side, their buses in rows, no branches."""
+    buses: dict[str, list[Any]] = {key: [] for key in ("id", "name", "base_kv", "x", "y", "distance", "area", "areas")}
+    row_of: dict[int, int] = {}
+    areas, left = [], 0
+    for name, state in states.items():
+        for k, bus in enumerate(state.buses):
+            if bus in row_of:
+                buses["areas"][row_of[bus]].append(name)
+                continue
+            row_of[bus] = len(buses["id"])
+            place = left + k % BUSES_IN_A_ROW, k // BUSES_IN_A_ROW
+            for key, value in zip(buses, (bus, "", None, *place, None, name, [name]), strict=True):
+                buses[key].append(value)
+        left += min(BUSES_IN_A_ROW, len(state.buses)) + 2
+        shared = {other: sorted({*state.buses} & {*states[other].buses}) for other in state.sent if other in states}
+        neighbours = [{"area": other, "bus": bus} for other, found in shared.items() for bus in found]
+        areas.append({"name": name, "buses": list(state.buses), "neighbours": neighbours})
+    return {
+        "known": False,
+        "title": run,
+        "axis": "",
+        "limits": list(OPERATION),
+        "buses": buses,
+        "branches": {key: [] for key in ("id", "from_bus", "to_bus", "in_service", "area")},
+        "areas": areas,
+    }

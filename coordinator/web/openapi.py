@@ -1,0 +1,47 @@
+"""The API in the words of OpenAPI 3.1."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from coordinator.evaluation.result import version_of
+from coordinator.web.history import KINDS
+
+PATHS = {
+    "/health": "Whether the server runs, and in which mode.",
+    "/api/grid": "What does not change: buses with their places, branches, areas, limits. Columns have one order.",
+    "/api/now": "The newest moment: view of the areas, columns of buses, branches and meters, links, events.",
+    "/api/stream": "The same as server-sent events, at most four a second.",
+    "/api/history": "The recent past of one bus, branch, meter or area: times, and a list for each column.",
+    "/api/frames": "Times of the moments that can be played back; none of a live page.",
+    "/api/frame/{number}": "One of them, as /api/now.",
+    "/api/openapi.json": "This description.",
+}
+TEXT, WHOLE = {"type": "string"}, {"type": "integer", "minimum": 0}
+PARAMETERS: dict[str, list[dict[str, Any]]] = {
+    "/api/history": [
+        {"name": "kind", "in": "query", "required": True, "schema": TEXT | {"enum": list(KINDS)}},
+        {"name": "id", "in": "query", "required": True, "schema": TEXT, "description": "bus number, or id"},
+    ],
+    "/api/frame/{number}": [{"name": "number", "in": "path", "required": True, "schema": WHOLE}],
+}
+
+
+def describe_api() -> dict[str, Any]:
+    """All paths; each can be read only."""
+    return {
+        "openapi": "3.1.0",
+        "info": {
+            "title": "A running feeder",
+            "version": version_of("consensus-dsse") or "0",
+            "description": "Read-only. Units stand at the end of names: vm_pu, va_deg, p_kw.",
+        },
+        "paths": {path: {"get": _describe(path, text)} for path, text in PATHS.items()},
+    }
+
+
+def _describe(path: str, text: str) -> dict[str, Any]:
+    media = "text/event-stream" if path == "/api/stream" else "application/json"
+    wrong = {"400": {"description": "the question is wrong, and why"}} if path in PARAMETERS else {}
+    answers = {"200": {"description": text, "content": {media: {}}}, **wrong}
+    return {"summary": text, "parameters": PARAMETERS.get(path, []), "responses": answers}
