@@ -1,0 +1,37 @@
+/** How numbers and words are shown. Everything that comes from a bus is text, never markup. */
+
+const GOOD = "good";
+
+/** @param {string} quality @returns {string} class of its colour */
+export function qualityClass(quality) {
+  return quality === GOOD ? "good" : quality === "degraded" ? "degraded" : "bad";
+}
+
+/** @param {number | null | undefined} value @param {number} digits significant ones @returns {string} */
+export function number(value, digits = 5) {
+  if (value === null || value === undefined || !Number.isFinite(value)) return "-";
+  return Math.abs(value) >= 1e9 ? value.toExponential(2) : String(Number(value.toPrecision(digits)));
+}
+
+/** @param {number} seconds since 1970 @returns {string} local time of day */
+export function clock(seconds) {
+  return new Date(seconds * 1000).toLocaleTimeString();
+}
+
+/**
+ * @param {string} tag @param {string} [text] @param {string} [className]
+ * @returns {HTMLElement}
+ */
+export function element(tag, text = "", className = "") {
+  const made = document.createElement(tag);
+  made.textContent = text;
+  if (className) made.className = className;
+  return made;
+}
+
+/** @param {string} id @returns {HTMLElement} */
+export function byId(id) {
+  const found = document.getElementById(id);
+  if (!found) throw new Error(`the page has no element ${id}`);
+  return found;
+}

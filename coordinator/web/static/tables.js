@@ -1,0 +1,129 @@
+/** Areas, meters, messages and events as tables; rows are reused, so that nothing flickers and focus stays. */
+
+import { byId, clock, element, number, qualityClass } from "./format.js";
+
+/** @typedef {import("./types.js").Moment} Moment @typedef {import("./types.js").Choice} Choice */
+
+const MOST_METERS = 100;
+const MOST_EVENTS = 60;
+
+export class Rows {
+  /**
+   * @param {string} id of the table @param {string} caption
+   * @param {{title: string, number?: boolean}[]} columns
+   */
+  constructor(id, caption, columns) {
+    const table = byId(id), head = document.createElement("tr");
+    table.replaceChildren(element("caption", caption), element("thead"), element("tbody"));
+    for (const column of columns) {
+      const cell = element("th", column.title, column.number ? "number" : "");
+      cell.setAttribute("scope", "col");
+      head.append(cell);
+    }
+    /** @type {HTMLElement} */ (table.querySelector("thead")).append(head);
+    this.body = /** @type {HTMLElement} */ (table.querySelector("tbody"));
+    this.columns = columns;
+  }
+
+  /**
+   * @param {{cells: string[], className?: string, choose?: () => void, chosen?: boolean}[]} rows
+   * whose first cell is a button where a row can be chosen
+   */
+  show(rows) {
+    while (this.body.children.length > rows.length) this.body.lastElementChild?.remove();
+    rows.forEach((row, k) => {
+      const line = /** @type {HTMLTableRowElement} */ (this.body.children[k] ?? this.add());
+      line.className = row.chosen ? "chosen" : "";
+      row.cells.forEach((text, c) => {
+        const cell = line.cells[c];
+        if (c === 0 && row.choose) {
+          let button = /** @type {HTMLButtonElement | null} */ (cell.querySelector("button"));
+          if (!button) {
+            button = /** @type {HTMLButtonElement} */ (element("button"));
+            button.type = "button";
+            cell.replaceChildren(button);
+          }
+          if (button.textContent !== text) button.textContent = text;
+          button.onclick = row.choose;
+        } else if (cell.textContent !== text) {
+          cell.textContent = text;
+        }
+        if (c === 1 && row.className !== undefined) cell.className = row.className;
+      });
+    });
+  }
+
+  add() {
+    const line = document.createElement("tr");
+    for (const column of this.columns) line.append(element("td", "", column.number ? "number" : ""));
+    this.body.append(line);
+    return line;
+  }
+}
+
+export class Tables {
+  /** @param {(choice: Choice) => void} choose */
+  constructor(choose) {
+    this.choose = choose;
+    /** @type {Choice | null} */ this.choice = null;
+    this.areas = new Rows("areas", "What each area says of its estimate, and why.", [
+      { title: "Area" }, { title: "Quality" }, { title: "Scan", number: true }, { title: "Age s", number: true },
+      { title: "Voltage p.u." }, { title: "Worst meter, sigmas" }, { title: "Exchanges", number: true },
+      { title: "Messages", number: true }, { title: "Lost", number: true }, { title: "Why" },
+    ]);
+    this.meters = new Rows("meters", "Readings and estimates, the farthest off first.", [
+      { title: "Meter" }, { title: "Status" }, { title: "Area" }, { title: "Reading", number: true },
+      { title: "Estimate", number: true }, { title: "Unit" }, { title: "Off by sigmas", number: true },
+      { title: "Age s", number: true },
+    ]);
+    this.messages = new Rows("messages", "Messages on their way at this moment.", [
+      { title: "From" }, { title: "To" }, { title: "Kind" }, { title: "Sent s", number: true }, { title: "What became of it" },
+    ]);
+  }
+
+  /** @param {Moment} moment */
+  show(moment) {
+    const is = (/** @type {string} */ kind, /** @type {string} */ id) => this.choice?.kind === kind && this.choice.id === id;
+    this.areas.show(Object.entries(moment.view.areas).map(([name, area]) => ({
+      cells: [
+        name, area.quality, String(area.scan), number(area.age_s, 3),
+        area.lowest_vm && area.highest_vm ? `${number(area.lowest_vm.value, 4)} to ${number(area.highest_vm.value, 4)}` : "-",
+        area.worst_meter ? `${area.worst_meter.at} ${number(area.worst_meter.value, 2)}` : "-",
+        String(area.exchanges), String(area.messages), String(area.lost), area.notes.join("; "),
+      ],
+      className: qualityClass(area.quality),
+      choose: () => this.choose({ kind: "area", id: name }),
+      chosen: is("area", name),
+    })));
+    this.showMeters(moment.meters, is);
+    this.messages.show(moment.messages.map((m) => ({
+      cells: [m.from, m.to, m.kind, number(m.sent, 6), m.lost ? "lost" : m.arrived === null ? "on its way" : `arrived at ${number(m.arrived, 6)} s`],
+    })));
+    byId("messages-section").hidden = moment.mode !== "playback";
+    const newest = moment.events.slice(-MOST_EVENTS).reverse();
+    const list = byId("events");
+    list.setAttribute("start", String(moment.events.length));
+    list.replaceChildren(...newest.map((event) => {
+      const at = moment.mode === "playback" ? `${number(event.time, 6)} s` : clock(event.time);
+      return element("li", `${at} ${event.area} ${event.text}`);
+    }));
+  }
+
+  /** @param {import("./types.js").Columns} meters @param {(kind: string, id: string) => boolean} is */
+  showMeters(meters, is) {
+    const count = meters.meter?.length ?? 0, off = /** @type {(number|null)[]} */ (meters.residual_in_sigmas ?? []);
+    const order = [...Array(count).keys()].sort((a, b) => Math.abs(off[b] ?? -1) - Math.abs(off[a] ?? -1) || a - b);
+    const silent = (meters.status ?? []).filter((status) => status === "silent").length;
+    byId("meters-note").textContent = count
+      ? `${count} meters, ${silent} silent${count > MOST_METERS ? `; the first ${MOST_METERS} are shown` : ""}` : "No readings are known.";
+    this.meters.show(order.slice(0, MOST_METERS).map((k) => ({
+      cells: [
+        String(meters.meter[k]), String(meters.status[k]), String(meters.area[k]), number(/** @type {number} */ (meters.reading[k])),
+        number(/** @type {number} */ (meters.estimate[k])), String(meters.unit?.[k] ?? "p.u., rad"), number(off[k], 3), number(/** @type {number} */ (meters.age_s[k]), 3),
+      ],
+      className: meters.status[k] === "used" || meters.status[k] === "critical" ? "" : "bad",
+      choose: () => this.choose({ kind: "meter", id: String(meters.meter[k]) }),
+      chosen: is("meter", String(meters.meter[k])),
+    })));
+  }
+}
