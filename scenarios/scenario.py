@@ -18,6 +18,7 @@ from dsse_core.grid.measurement import Measurement, Meter, Source
 from dsse_core.grid.network import Network
 from dsse_core.grid.partition import Area, Partition
 from dsse_core.printable import printable
+from dsse_core.reading_rules import ReadingRules
 from scenarios.faults.faults import ALL_AREAS, Faults, build_faults, find_link_problems, find_name_problems
 from scenarios.faults.order import find_order_problems, find_time_problems
 from scenarios.files.fault_tables import FaultsTable
@@ -42,6 +43,7 @@ from scenarios.meters import (
     find_place_problems,
     find_virtual_buses,
 )
+from scenarios.reading_rules import build_reading_rules, find_gateway_problems
 
 AreaBuses = Mapping[str, Sequence[int]]
 RESERVED = {ALL_AREAS, "coordinator", "plant", "router", "router2"}
@@ -51,10 +53,11 @@ RESERVED = {ALL_AREAS, "coordinator", "plant", "router", "router2"}
 class TelemetrySettings:
     """How readings are made: ``gross_errors`` is meter id -> error in standard deviations.
 
-    ``readings``: meter id -> what a real meter read, of source ``file`` only, else empty.
+    ``readings``: meter id -> what a real meter read, of source ``file`` only, else empty. With source ``live`` none are
+    made: they come from gateways.
     """
 
-    source: Literal["network", "area-power-flow", "file"]
+    source: Literal["network", "area-power-flow", "file", "live"]
     noise: bool
     gross_errors: dict[str, float]
     readings: dict[str, Measurement] = field(default_factory=dict)
@@ -65,8 +68,8 @@ class Scenario:
     """A checked scenario, in p.u. and rad; ``tolerances``, ``run`` and ``transport`` are the tables of its file.
 
     ``meters`` are all that the telemetry reads: with ``area-power-flow`` no injection at boundary buses, because an
-    area's own power flow knows only its net load there. ``load_error`` has every area. ``changes``: key -> value that
-    replaces the file's.
+    area's own power flow knows only its net load there. ``load_error`` and ``reading_rules`` have every area.
+    ``changes``: key -> value that replaces the file's.
     """
 
     name: str
@@ -87,6 +90,7 @@ class Scenario:
     run: RunTable
     transport: TransportTable
     limits: StateLimits
+    reading_rules: Mapping[str, ReadingRules]
     changes: Mapping[str, object] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -122,7 +126,7 @@ def load_scenario(
     path = _find_file(name_or_path)
     file = load_strict(path, ScenarioFile, changes)
     if whole := whole and file.telemetry.source != "area-power-flow":
-        file = file.model_copy(update={"faults": FaultsTable(telemetry=file.faults.telemetry)})
+        file = file.model_copy(update={"faults": FaultsTable(telemetry=file.faults.telemetry), "gateways": {}})
     problems = []
     if strategies is not None and file.strategy not in strategies:
         problems.append(f"strategy: {describe_unknown('strategy', file.strategy, sorted(strategies))}")
@@ -151,6 +155,7 @@ def load_scenario(
         problems += _find_gross_error_problems(file, meters)
     if partition is not None:
         problems += find_link_problems(file.faults, partition)
+        problems += find_gateway_problems(file.gateways, file, partition, meters)
     if partition is None or problems:
         raise InvalidInputError(file.called(path), problems)
     return replace(_build_scenario(path, file, partition, meters, readings), changes=dict(changes or {}))
@@ -311,5 +316,7 @@ def _build_scenario(
             lowest_vm=file.quality.lowest_vm_pu,
             highest_vm=file.quality.highest_vm_pu,
             most_removed=file.quality.most_removed,
+            most_overdue=file.quality.most_overdue,
         ),
+        reading_rules=build_reading_rules(file, partition, meters),
     )

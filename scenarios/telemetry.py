@@ -71,10 +71,13 @@ def read_meters(scenario: Scenario, scan: int = 1) -> Scan:
     A meter's noise depends on seed, scan and its own id only, not on which other meters there are.
 
     Raises:
-        InvalidInputError: ``area-power-flow`` and an area without local slack voltage.
+        InvalidInputError: ``area-power-flow`` and an area without local slack voltage; or source ``live``.
         PowerFlowDivergedError: the grid, or an area by itself, has no power flow solution.
     """
     truth, area_power_flows = None, {}
+    if scenario.telemetry.source == "live":
+        problem = "telemetry.source is 'live': its readings come from gateways while it runs, and none can be made here"
+        raise InvalidInputError(f"scenario {scenario.name!r}", [problem])
     if scenario.telemetry.source == "file":
         values, sigmas = _real_readings(scenario)
     else:

@@ -20,6 +20,7 @@ from dsse_core.grid.measurement import Meter
 from dsse_core.grid.network import Branch, Bus, Generator
 from dsse_core.grid.partition import Area, Neighbour
 from dsse_core.link_faults import LinkFaults
+from dsse_core.reading_rules import DEFAULT_RULES, ReadingRules
 
 FORMAT = 1
 
@@ -45,6 +46,8 @@ class AreaFile:
         seed: of what goes wrong.
         penalty: of strategy ``admm``.
         limits: what an estimate must keep to be relied on.
+        readings: who numbers scans, who speaks for the meters, and how old their readings may be.
+        clock_error_s: injected fault: by how much the clock of the area is ahead, s.
     """
 
     run: str
@@ -62,6 +65,8 @@ class AreaFile:
     seed: int = 0
     penalty: float = 1.0
     limits: StateLimits = DEFAULT_LIMITS
+    readings: ReadingRules = DEFAULT_RULES
+    clock_error_s: float = 0.0
 
 
 def save_area_file(path: Path, content: AreaFile) -> None:
@@ -84,8 +89,10 @@ def save_area_file(path: Path, content: AreaFile) -> None:
         **({"scan_s": content.scan_s} if content.scan_s is not None else {}),
         "tolerance": content.tolerance,
         "seed": content.seed,
+        **({"clock_error_s": content.clock_error_s} if content.clock_error_s else {}),
         "admm": {"penalty": content.penalty},
         "quality": dataclasses.asdict(content.limits),
+        **({"telemetry": _readings_table(content.readings)} if content.readings != DEFAULT_RULES else {}),
         "local_slack": slack,
         "exchange": {
             **({"towards_hub": area.towards_hub} if area.towards_hub else {}),
@@ -111,6 +118,12 @@ def save_area_file(path: Path, content: AreaFile) -> None:
     comment = f"# Area {area.name}: all that its agent reads. Per unit on base_mva, and radians.\n"
     with whole_file(path) as draft:
         draft.write_bytes(to_json(table) if is_json else (comment + tomli_w.dumps(table)).encode())
+
+
+def _readings_table(rules: ReadingRules) -> dict[str, Any]:
+    gateways = {name: meters if meters == "all" else list(meters) for name, meters in rules.gateways.items()}
+    kinds = [{"kind": str(kind), **_row_of(rule)} for kind, rule in rules.kinds.items()]
+    return {"ticks": rules.ticks, "leader": rules.leader, "gateways": gateways, "kind": kinds}
 
 
 def _columns_of(cls: Any, items: Sequence[Any]) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from dsse_core.grid.network import Branch, Bus, Generator, Network
 from dsse_core.grid.partition import Area, Neighbour
 from dsse_core.grid.physical_ranges import find_range_problems
 from dsse_core.link_faults import LinkFaults
+from dsse_core.reading_rules import KindRule, ReadingRules
 
 T = TypeVar("T")
 
@@ -56,6 +57,17 @@ def load_area_file(path: Path, strategies: Collection[str] | None = None) -> Are
         seed=t.seed,
         penalty=t.admm.penalty,
         limits=StateLimits(**vars(t.quality)),
+        readings=_rules_of(t.telemetry),
+        clock_error_s=t.clock_error_s,
+    )
+
+
+def _rules_of(t: Any) -> ReadingRules:
+    return ReadingRules(
+        ticks=t.ticks,
+        leader=t.leader,
+        gateways={name: meters if meters == "all" else tuple(meters) for name, meters in t.gateways.items()},
+        kinds={row.kind: KindRule(**{key: v for key, v in vars(row).items() if key != "kind"}) for row in t.kind},
     )
 
 
@@ -129,8 +141,22 @@ def _find_problems(t: Any) -> Iterator[str]:
         yield f"exchange.areas: is {t.exchange.areas}; this area and its neighbours alone are {len(names) + 1}"
     if sum(n.is_parent for n in t.neighbour) != (0 if substations else 1):
         yield "neighbour: exactly one must be the parent, or none where the network holds the substation"
+    yield from _find_telemetry_problems(t)
     if not (t.endpoints or t.listen):
         yield "endpoints: is empty; name a router, or give listen, where neighbours link with this area"
+
+
+def _find_telemetry_problems(t: Any) -> Iterator[str]:
+    kinds = [row.kind for row in t.telemetry.kind]
+    for i, row in enumerate(t.telemetry.kind):
+        if row.kind in kinds[:i]:
+            yield f"telemetry.kind[{i + 1}].kind: {row.kind} is given twice; keep one"
+        if None not in (row.lowest, row.highest) and row.lowest >= row.highest:
+            yield f"telemetry.kind[{i + 1}].lowest: is {row.lowest:g}; it must be below highest, {row.highest:g}"
+        if row.aging_s is not None and row.period_s is None:
+            yield f"telemetry.kind[{i + 1}].aging_s: readings without period_s do not age; add period_s, or remove it"
+    if t.telemetry.ticks == "clock" and t.scan_s is None:
+        yield "telemetry.ticks: 'clock' needs the time between two ticks; add scan_s"
 
 
 def _values_of(table: Any, key: str) -> list[Any]:

@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import typing
 from enum import StrEnum
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, create_model, model_validator
 
@@ -15,21 +15,24 @@ from dsse_core.estimation.state_limits import DEFAULT_LIMITS
 from dsse_core.files.kinds import AREA_FILE, FileKind
 from dsse_core.files.quantities import (
     BeatSeconds,
+    ClockError,
     Moment,
     Name,
     NotNegative,
     Positive,
     Probability,
     ScanSeconds,
+    Seconds,
     Seed,
     Version,
 )
 from dsse_core.files.shared_tables import AdmmTable, GenerationTable, require_a_band
 from dsse_core.files.strict_table import ColumnsTable, FileTable, Table
-from dsse_core.grid.measurement import Meter
+from dsse_core.grid.measurement import MeasurementKind, Meter
 from dsse_core.grid.network import Branch, Bus, Generator
 from dsse_core.grid.partition import Neighbour
 from dsse_core.link_faults import LinkFaults
+from dsse_core.reading_rules import ANYBODY, LEADER, Ticks
 
 PROBABILITIES = ("loss", "burst_enter", "burst_leave", "burst_loss", "duplicate", "corrupt")
 Window = Annotated[tuple[NotNegative, NotNegative], Field(strict=False)]  # in a file a list
@@ -71,10 +74,37 @@ class QualityTable(Table):
     lowest_vm: NotNegative = DEFAULT_LIMITS.lowest_vm
     highest_vm: Positive = DEFAULT_LIMITS.highest_vm
     most_removed: Probability = DEFAULT_LIMITS.most_removed
+    most_overdue: Probability = DEFAULT_LIMITS.most_overdue
 
     @model_validator(mode="after")
     def _is_a_band(self) -> Self:
         return require_a_band(self, "lowest_vm", "highest_vm")
+
+
+class KindRuleTable(Table):
+    """One ``[[telemetry.kind]]``, in s, p.u. and rad."""
+
+    kind: Annotated[MeasurementKind, Field(strict=False, description="kind of meter, e.g. p_flow")]
+    period_s: Seconds | None = None
+    aging_s: Seconds | None = None
+    oldest_s: Seconds | None = None
+    lowest: float | None = None
+    highest: float | None = None
+
+
+def _all_of_the_leader() -> dict[Any, list[str] | Literal["all"]]:
+    return {LEADER: "all"}
+
+
+class TelemetryTable(Table):
+    """``[telemetry]``."""
+
+    ticks: Ticks = "gateway"
+    leader: Name = LEADER
+    gateways: dict[Name | Literal["*"], list[str] | Literal["all"]] = Field(
+        default_factory=_all_of_the_leader, description=f"gateway, or {ANYBODY!r} for each, and its meters"
+    )
+    kind: list[KindRuleTable] = Field(default_factory=list)
 
 
 class AreaTable(FileTable):
@@ -92,6 +122,8 @@ class AreaTable(FileTable):
     scan_s: ScanSeconds | None = None
     tolerance: Positive = 1e-6
     seed: Seed = 0
+    clock_error_s: ClockError = 0.0
+    telemetry: TelemetryTable = TelemetryTable()
     local_slack: SlackTable = Field(description="where the local power flow begins")
     reference: ReferenceTable | None = None
     exchange: ExchangeTable = Field(description="the way to the hub, the number of areas, where the area begins")

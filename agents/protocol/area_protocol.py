@@ -55,7 +55,7 @@ class AreaProtocol(ABC):
         self._beat_s = content.beat_s
         self._next_heartbeat = now + content.beat_s
         self._peers = PeerTable(content.area.neighbours, content.beat_s, now, self._clock_offset)
-        self._scan = ScanReadings(content, now)
+        self._scan = ScanReadings(content, now, self._clock_offset)
         self._rejections = Rejections()
         self._published = PublishedState(content.area, self._peers, self._scan, self._rejections, self._header)
 

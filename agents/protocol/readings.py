@@ -1,24 +1,34 @@
-"""The readings of an area's meters in its current scan, and the net load that follows from them."""
+"""The readings that an area works with in its current scan, and the net load that follows from them.
+
+A reading of a scan comes with the message of that scan. All others are the newest of their meters, whoever has sent
+them, and their standard deviations grow with their age. What is taken once is worked with until it is taken anew.
+"""
 
 from __future__ import annotations
 
+import math
+from bisect import bisect_right
 from collections.abc import Iterator
 
 from agents.area_files.area_file import AreaFile
 from agents.messages.packing import TelemetryMessage
 from agents.peers.rejections import find_reading_rejection
+from agents.protocol.reading_store import AHEAD, INVALID, ReadingStore
 from dsse_core.exchange.boundary_load import NetLoad, measured_net_loads, own_net_load
 from dsse_core.grid.measurement import Measurement, Source
 
 
 class Readings:
-    """``measurements``: those of the scan, virtual ones included. ``silent``: ids of the meters without a reading.
+    """``measurements``: those that are worked with, virtual ones included; ``times``: meter id -> when it was read, s
+    since 1970 UTC. ``taken_at``: to which moment of the area's clock ages count, s since 1970; 0 before any.
 
-    ``invalid``: of those whose reading its source has marked as not valid.
+    ``silent``: ids of the meters without a reading. ``invalid``: of those whose reading its source has marked as not
+    valid. ``too_old``: of those whose reading is left out for its age. ``refused``: id -> why its newest reading is.
     """
 
-    def __init__(self, content: AreaFile) -> None:
+    def __init__(self, content: AreaFile, store: ReadingStore) -> None:
         self._content = content
+        self._store = store
         self._meters = {meter.id: meter for meter in content.meters}
         self._virtual = {
             meter_id: Measurement(m, 0.0, 0.0) for meter_id, m in self._meters.items() if m.source is Source.VIRTUAL
@@ -26,28 +36,109 @@ class Readings:
         self.measurements: tuple[Measurement, ...] = tuple(self._virtual.values())
         self.silent = [meter_id for meter_id in self._meters if meter_id not in self._virtual]
         self.invalid: list[str] = []
+        self.too_old: list[str] = []
+        self.refused: dict[str, str] = {}
+        self.times: dict[str, float] = {}
+        self.taken_at = 0.0
+        self._taken = 0.0  # the same by the monotonic clock
+        by_clock = content.readings.ticks == "clock"
+        self._overdue_s = {
+            meter_id: rule.overdue_s(content.scan_s)  # of the meters that have an interval
+            for meter_id, meter in self._meters.items()
+            if meter_id not in self._virtual and ((rule := store.rule_of(meter)).period_s is not None or by_clock)
+        }
+        self._overdue_at: dict[str, float] = {}  # by the monotonic clock, of what is used
+        self._overdue_times: list[float] = []  # the same in their order
+        self._n_with_interval = 0
         self._net_load: NetLoad | None = None  # of these measurements, once asked for
 
-    def take(self, message: TelemetryMessage) -> Iterator[str]:
-        """Take over a scan; for each reading that is rejected, the reason."""
-        readings: dict[str, Measurement] = {}
-        self.invalid = []
-        columns = message.meters, message.values, message.sigmas, message.valid
-        for meter_id, value, sigma, is_valid in zip(*columns, strict=True):
-            meter = self._meters.get(meter_id)
-            if meter is None or meter.source is Source.VIRTUAL:
-                yield "unknown meter"
-            elif not is_valid:
-                self.invalid.append(meter_id)
-                yield "marked invalid"
-            elif reason := find_reading_rejection(value, sigma):
-                yield reason
-            else:
-                readings[meter_id] = Measurement(meter, value, sigma)
-        read = readings | self._virtual
-        self.measurements = tuple(read.values())
-        self.silent = [meter_id for meter_id in self._meters if meter_id not in read and meter_id not in self.invalid]
+    def take(self, message: TelemetryMessage | None, now: float, wall: float) -> Iterator[str]:
+        """Take over a scan, and the newest of all other readings; for each reading that is rejected, the reason.
+
+        ``message``: of the scan, None where clocks number scans. ``now``: monotonic time, ``wall``: s since 1970.
+        """
+        self.invalid, self.too_old, self.times = [], [], {}
+        self.taken_at, self._taken = wall, now
+        self.refused = {k: reason for k, reason in self._store.refused.items() if k not in self._store.off}
+        read: dict[str, Measurement] = {}
+        if message is not None:
+            yield from self._take_scan(message, read)
+        self._take_newest(read)
+        self.invalid += [meter_id for meter_id, why in self.refused.items() if why == INVALID and meter_id not in read]
+        known = read.keys() | self._virtual.keys() | self._store.off | {*self.invalid, *self.too_old}
+        self.measurements = (*read.values(), *self._virtual.values())
+        self.silent = [meter_id for meter_id in self._meters if meter_id not in known]
+        self._note_intervals(read)
         self._net_load = None
+
+    def _take_scan(self, message: TelemetryMessage, read: dict[str, Measurement]) -> Iterator[str]:
+        """Put the readings that belong to the scan of ``message`` into ``read``."""
+        gateway, store = message.header.sender, self._store
+        columns = message.meters, message.values, message.sigmas, message.times, message.valid
+        for meter_id, value, sigma, time, is_valid in zip(*columns, strict=True):
+            meter = self._meters.get(meter_id)
+            if meter_id in store.off or (meter is not None and not store.is_of_scan(meter, gateway)):
+                continue
+            if reason := store.find_refusal(meter_id, gateway, value, sigma, is_valid=is_valid):
+                if reason == INVALID:
+                    self.invalid.append(meter_id)
+                yield reason
+            elif meter is not None:
+                read[meter_id], self.times[meter_id] = Measurement(meter, value, sigma), time
+
+    def _take_newest(self, read: dict[str, Measurement]) -> None:
+        """Put the newest readings that are young enough into ``read``, their standard deviations grown."""
+        store, scan_s = self._store, self._content.scan_s
+        for meter_id, meter in self._meters.items() if store.newest else ():
+            reading = store.newest.get(meter_id)
+            if reading is None or meter_id in read or meter_id in store.off:
+                continue
+            rule, age = store.rule_of(meter), self.taken_at - reading.time
+            sigma = rule.grown(reading.sigma, age)
+            if age < -store.lead_s:
+                self.refused[meter_id] = AHEAD  # the clock of the area has been set back
+            elif age > rule.leaves_out_s(scan_s) or find_reading_rejection(reading.value, sigma):
+                self.too_old.append(meter_id)
+            else:
+                read[meter_id], self.times[meter_id] = Measurement(meter, reading.value, sigma), reading.time
+
+    # Ages
+
+    def _note_intervals(self, read: dict[str, Measurement]) -> None:
+        """Note when what is read will be overdue, of the meters that have an interval."""
+        with_interval = self._overdue_s.keys() - self._store.off
+        self._n_with_interval = len(with_interval)
+        self._overdue_at = {
+            meter_id: self._taken + self._overdue_s[meter_id] - self._age_when_taken(meter_id)
+            for meter_id in read
+            if meter_id in with_interval
+        }
+        self._overdue_times = sorted(self._overdue_at.values())
+
+    def _age_when_taken(self, meter_id: str) -> float:
+        return max(0.0, self.taken_at - self.times[meter_id])
+
+    @property
+    def oldest_s(self) -> float:
+        """The age of the oldest reading when they were taken, s; 0 without one."""
+        return max(map(self._age_when_taken, self.times), default=0.0)
+
+    def find_overdue(self, now: float) -> list[str]:
+        """Ids of the meters whose readings, in use, are overdue at monotonic time ``now``."""
+        if not bisect_right(self._overdue_times, now):
+            return []
+        return [meter_id for meter_id, at in self._overdue_at.items() if at <= now]
+
+    def overdue_share(self, now: float) -> float:
+        """Which share of the meters with an interval has no reading, or one that is overdue; 0 without such meters."""
+        if not self._n_with_interval:
+            return 0.0
+        return 1 - (len(self._overdue_times) - bisect_right(self._overdue_times, now)) / self._n_with_interval
+
+    def next_overdue(self, now: float) -> float:
+        """When the next one will be; infinity if none will."""
+        k = bisect_right(self._overdue_times, now)
+        return self._overdue_times[k] if k < len(self._overdue_times) else math.inf
 
     @property
     def net_load(self) -> NetLoad:

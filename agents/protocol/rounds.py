@@ -94,7 +94,7 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
         return FAR_SCAN if is_far else ""
 
     def _take_numbering(self, name: str, message: HeartbeatMessage) -> Iterator[Action]:
-        yield from self._act_on(self._scan.take_numbering(name, message.plant, message.offset))
+        yield from self._act_on(self._scan.take_numbering(name, message.plant, message.offset, self._now))
 
     def _take_telemetry(self, message: TelemetryMessage) -> Iterator[Action]:
         yield from self._act_on(self._scan.take(message, self._now))
@@ -283,7 +283,7 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
 
     def _act(self, *, is_heartbeat: bool) -> Iterator[Action]:
         if self._now >= self._scan.deadline:
-            self._scan.go_on_without()
+            self._scan.go_on_without(self._now)
             yield from self._begin()
         is_someone_silent = any(not self._peers.is_present(name, self._now) for name in self._round.links)
         if self._is_change_due or (is_someone_silent and not self._is_at_rest):

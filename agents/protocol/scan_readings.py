@@ -14,6 +14,7 @@ from agents.area_files.area_file import AreaFile
 from agents.messages.packing import NO_INCARNATION, Incarnation, TelemetryMessage
 from agents.peers.freshness import FRESH_HEARTBEATS, PATIENCE_HEARTBEATS, is_old
 from agents.peers.rejections import MOST_COUNTED
+from agents.protocol.reading_store import ReadingStore
 from agents.protocol.readings import Readings
 
 MOST_AHEAD = (
@@ -34,23 +35,32 @@ class TelemetryUpdate(Enum):
 
 class ScanReadings:
     """``scan``: the current one, 0 before any. ``are_there``: its readings are, or it goes on without them, which is
-    ``stale``. ``rejected``: readings that cannot be used, by reason.
+    ``stale``. ``store``: the readings that belong to no scan. ``clock_offset``: from monotonic to wall-clock time, s.
     """
 
-    def __init__(self, content: AreaFile, now: float) -> None:
-        self.readings = Readings(content)
+    def __init__(self, content: AreaFile, now: float, clock_offset: float = 0.0) -> None:
+        self.store = ReadingStore(content)
+        self.readings = Readings(content, self.store)
+        self.clock_offset = clock_offset
         self.scan = 0
         self.are_there = self.stale = False
         self.entered_at = now
-        self.rejected: Counter[str] = Counter()
+        self._rejected: Counter[str] = Counter()  # of readings of scans
         self._beat_s = content.beat_s
         self._deadline_s = DEADLINE_SHARE * content.scan_s if content.scan_s else DEADLINE_HEARTBEATS * content.beat_s
         self._last: TelemetryMessage | None = None
         self._received_at = now
         self._later: dict[int, TelemetryMessage] = {}
         self._used: TelemetryMessage | None = None  # the newest that has been read
+        self._leader = content.readings.leader
+        self._aging = {meter.id for meter in content.meters if content.readings.rule_of(meter.kind).period_s}
         self._offset = 0  # of the incarnation of the plant that was last received
         self._of_neighbours: dict[str, tuple[Incarnation, int]] = {}  # neighbour -> incarnation and offset of its plant
+
+    @property
+    def rejected(self) -> Counter[str]:
+        """Readings that cannot be used, by reason."""
+        return self._rejected + self.store.rejected
 
     @property
     def next_scan(self) -> int:
@@ -109,21 +119,33 @@ class ScanReadings:
 
     def take_at_once(self, message: TelemetryMessage, now: float) -> bool:
         """Asynchronous: work with telemetry at once if it is newer, whatever its scan; whether it is."""
+        is_changed = self.store.take(message, now + self.clock_offset)
+        if message.header.sender != self._leader:
+            return is_changed and self._read_again(now)
         if not self._is_newer(message, now):
             return False
         if message.header.scan != self.scan:
             self.scan, self.entered_at = message.header.scan, now
         self._last = message
-        self._read(message)
+        self._read(message, now)
         return True
+
+    def _read_again(self, now: float) -> bool:
+        """Take the newest of all readings beside those of the scan that is worked with; whether there is one."""
+        if self._used is not None:
+            self._read(self._used, now)
+        return self._used is not None
 
     def take(self, message: TelemetryMessage, now: float) -> TelemetryUpdate:
         """Keep telemetry if it is newer than what there is."""
+        self.store.take(message, now + self.clock_offset)
+        if message.header.sender != self._leader:
+            return TelemetryUpdate.NONE
         if not self._is_newer(message, now):
             return TelemetryUpdate.NONE
         self._renumber(message)
         self._last = message
-        return self._file(message)
+        return self._file(message, now)
 
     def _renumber(self, message: TelemetryMessage) -> None:
         """Find the offset of an incarnation of the plant that is received for the first time, or again; and of one so
@@ -146,16 +168,16 @@ class ScanReadings:
         """The incarnation of the plant that was last received, and the offset of its scans."""
         return (self._last.header.incarnation, self._offset) if self._last else (NO_INCARNATION, 0)
 
-    def take_numbering(self, name: str, incarnation: Incarnation, offset: int) -> TelemetryUpdate:
+    def take_numbering(self, name: str, incarnation: Incarnation, offset: int, now: float) -> TelemetryUpdate:
         """Follow neighbour ``name`` where it needs a larger ``offset`` for an ``incarnation`` of the plant."""
         self._of_neighbours[name] = incarnation, offset
         if self._last is None or incarnation != self._last.header.incarnation or offset <= self._offset:
             return TelemetryUpdate.NONE
         self._offset = offset
         self._later.clear()  # all else is older
-        return self._file(self._last)
+        return self._file(self._last, now)
 
-    def _file(self, message: TelemetryMessage) -> TelemetryUpdate:
+    def _file(self, message: TelemetryMessage, now: float) -> TelemetryUpdate:
         """Keep the newest readings for their scan."""
         scan = message.header.scan + self._offset
         if scan > self.scan:
@@ -164,10 +186,10 @@ class ScanReadings:
         if scan < self.scan:
             return TelemetryUpdate.NONE
         if not self.are_there:
-            self._read(message)
+            self._read(message, now)
             return TelemetryUpdate.AWAITED
         known = self._later.get(scan, self._used)
-        if self.stale or known is None or _says(message) != _says(known):
+        if self.stale or known is None or self._says(message) != self._says(known):
             self._later[scan] = message  # what is under way goes on with what there is until the next term
             return TelemetryUpdate.LATE
         return TelemetryUpdate.NONE
@@ -177,20 +199,23 @@ class ScanReadings:
         if scan != self.scan:
             self.scan, self.entered_at, self.are_there, self.stale = scan, now, False, False
         if scan in self._later:
-            self._read(self._later.pop(scan))
+            self._read(self._later.pop(scan), now)
         self._later = {later: message for later, message in self._later.items() if later > scan}
 
-    def go_on_without(self) -> None:
+    def go_on_without(self, now: float) -> None:
         """The newest readings stand in for those of the scan."""
         if self.next_scan:
-            self._read(self._later[self.next_scan])
+            self._read(self._later[self.next_scan], now)
+        elif self.store.newest:
+            self._rejected.update(self.readings.take(self._used, now, now + self.clock_offset))
         self.are_there = self.stale = True
 
-    def _read(self, message: TelemetryMessage) -> None:
+    def _read(self, message: TelemetryMessage, now: float) -> None:
         self._used = message
-        self.rejected.update(self.readings.take(message))
+        self._rejected.update(self.readings.take(message, now, now + self.clock_offset))
         self.are_there, self.stale = True, False
 
-
-def _says(message: TelemetryMessage) -> tuple[object, ...]:
-    return message.meters, message.values, message.sigmas, message.valid
+    def _says(self, message: TelemetryMessage) -> list[tuple[object, ...]]:
+        """The readings that belong to the scan of ``message``."""
+        columns = message.meters, message.values, message.sigmas, message.valid
+        return [reading for reading in zip(*columns, strict=True) if reading[0] not in self._aging]

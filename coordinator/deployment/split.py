@@ -48,6 +48,8 @@ def area_files(
             seed=scenario.seed,
             penalty=scenario.admm_penalty,
             limits=scenario.limits,
+            readings=scenario.reading_rules[area.name],
+            clock_error_s=scenario.faults.clock_error_s.get(area.name, 0.0),
         )
         for area in partition.areas
     ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from dsse_core.errors import InvalidInputError
@@ -57,10 +57,14 @@ class TelemetryFaults:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Faults:
-    """``links`` has every directed link between neighbours; ``events`` are in the order of their time."""
+    """``links`` has every directed link between neighbours; ``events`` are in the order of their time.
+
+    ``clock_error_s``: area -> by how much its clock is ahead.
+    """
 
     links: dict[Link, LinkFaults]
     telemetry: TelemetryFaults = TelemetryFaults()
+    clock_error_s: Mapping[str, float] = field(default_factory=dict)
     events: tuple[FaultEvent, ...] = ()
 
     def __repr__(self) -> str:
@@ -94,6 +98,7 @@ def build_faults(table: FaultsTable, partition: Partition) -> Faults:
     return Faults(
         links,
         TelemetryFaults(**table.telemetry.model_dump()),
+        dict(table.clock_error_s),
         tuple(sorted(events, key=lambda event: event.at_s)),
     )
 
@@ -186,6 +191,9 @@ def find_name_problems(table: FaultsTable, areas: Collection[str] | None, router
     for name in table.load_error:
         if name not in (*areas, ALL_AREAS):
             yield f"faults.load_error.{name}: there is no area {name!r}; areas: {known}; {ALL_AREAS!r} means each"
+    for name in table.clock_error_s:
+        if name not in areas:
+            yield f"faults.clock_error_s.{name}: there is no area {name!r}; areas: {known}"
     for i, link in enumerate(table.link, 1):
         for key, name in (("from", link.from_), ("to", link.to)):
             if name not in areas:

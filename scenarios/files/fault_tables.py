@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from dsse_core.files.quantities import Milliseconds, Moment, NotNegative, Positive, Probability, Seconds
+from dsse_core.files.quantities import ClockError, Milliseconds, Moment, NotNegative, Positive, Probability, Seconds
 from dsse_core.files.strict_table import Table
 from dsse_core.limits import LONGEST_NAME
 
@@ -128,4 +128,5 @@ class FaultsTable(Table):
     link: list[LinkTable] = Field(default_factory=list)
     load_error: dict[str, LoadErrorTable] = Field(default_factory=dict)
     telemetry: TelemetryFaultsTable = TelemetryFaultsTable()
+    clock_error_s: dict[str, ClockError] = Field(default_factory=dict)
     events: list[EventTable] = Field(default_factory=list)

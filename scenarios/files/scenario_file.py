@@ -24,6 +24,7 @@ from dsse_core.files.quantities import (
 from dsse_core.files.shared_tables import AdmmTable, GenerationTable, require_a_band
 from dsse_core.files.strict_table import FileTable, Table
 from dsse_core.limits import LONGEST_NAME
+from dsse_core.reading_rules import LEADER, Ticks
 from scenarios.files.fault_tables import FaultsTable
 
 SIGMA_PERCENT = "standard deviation in percent of the true value"
@@ -46,6 +47,14 @@ def _parse_branches(value: object) -> tuple[str, ...] | None:
     raise ValueError(f"must be \"all\" or a list of branch ids such as '3-4' that is not empty, found {value!r}")
 
 
+def _parse_areas(value: object) -> tuple[str, ...] | None:
+    if isinstance(value, list) and value and all(type(item) is str for item in value):
+        return tuple(value)
+    if value == "all":
+        return None
+    raise ValueError(f'must be "all" or a list of areas that is not empty, found {value!r}')
+
+
 BusSelection = Annotated[tuple[int, ...] | None, PlainValidator(_parse_buses)]
 """The listed buses; None means all."""
 
@@ -60,6 +69,8 @@ def _parse_zero_injection(value: object) -> Literal["virtual", "measured"] | tup
 
 ZeroInjection = Annotated[Literal["virtual", "measured"] | tuple[int, ...], PlainValidator(_parse_zero_injection)]
 """Which buses inject exactly nothing: all without load and source, none, or those listed."""
+AreaSelection = Annotated[tuple[str, ...] | None, PlainValidator(_parse_areas)]
+"""The listed areas; None means all."""
 BranchSelection = Annotated[tuple[str, ...] | None, PlainValidator(_parse_branches)]
 """The listed branches; None means all that are in service."""
 
@@ -120,9 +131,25 @@ Areas = Annotated[
 ]
 
 
-class SigmaTable(Table):
+class IntervalTable(Table):
+    """How often meters read, and how old their readings may be."""
+
+    period_s: Seconds | None = Field(default=None, description="interval of these meters, s")
+    aging_s: Seconds | None = None
+    oldest_s: Seconds | None = None
+
+    @model_validator(mode="after")
+    def _ages_by_its_period(self) -> Self:
+        if self.aging_s is not None and self.period_s is None:
+            raise ValueError("readings without period_s do not age; add period_s, or remove aging_s")
+        return self
+
+
+class SigmaTable(IntervalTable):
     """Meters whose sigma is given in percent or in p.u."""
 
+    lowest_pu: float | None = None
+    highest_pu: float | None = None
     sigma_percent: Sigma | None = Field(default=None, description=SIGMA_PERCENT)
     sigma_pu: Sigma | None = Field(default=None, description=SIGMA_PU)
 
@@ -132,6 +159,10 @@ class SigmaTable(Table):
             found = "neither" if self.sigma_pu is None else "both"
             raise ValueError(f"give exactly one of sigma_percent ({SIGMA_PERCENT}) and sigma_pu, found {found}")
         return self
+
+    @model_validator(mode="after")
+    def _has_a_range(self) -> Self:
+        return self if None in (self.lowest_pu, self.highest_pu) else require_a_band(self, "lowest_pu", "highest_pu")
 
 
 class BusMeterTable(SigmaTable):
@@ -146,11 +177,19 @@ class BranchMeterTable(SigmaTable):
     branches: BranchSelection = Field(description='where the meters stand: "all" or a list of branch ids')
 
 
-class AngleMeterTable(Table):
+class AngleMeterTable(IntervalTable):
     """``measurements.angle``."""
 
     buses: BusSelection = Field(description='where the meters stand: "all" or a list of bus numbers')
     sigma_deg: Sigma = Field(description="standard deviation in degrees")
+    lowest_deg: float | None = None
+    highest_deg: float | None = None
+
+    @model_validator(mode="after")
+    def _has_a_range(self) -> Self:
+        return (
+            self if None in (self.lowest_deg, self.highest_deg) else require_a_band(self, "lowest_deg", "highest_deg")
+        )
 
 
 class MeasurementsTable(Table):
@@ -182,7 +221,9 @@ class GrossErrorTable(Table):
 class TelemetryTable(Table):
     """``[telemetry]``."""
 
-    source: Literal["network", "area-power-flow", "file"] = "network"
+    source: Literal["network", "area-power-flow", "file", "live"] = "network"
+    ticks: Ticks | None = Field(default=None, description='who numbers scans: "gateway" or "clock"')
+    leader: Name = LEADER
     file: str | None = Field(default=None, description="path of a readings file, relative to this file")
     noise: bool = True
     gross_error: list[GrossErrorTable] = Field(default_factory=list)
@@ -195,7 +236,23 @@ class TelemetryTable(Table):
             raise ValueError(f"file has no meaning for source {self.source!r}; remove it or set source = 'file'")
         if self.source == "file" and "noise" in self.model_fields_set:
             raise ValueError("noise has no meaning for source 'file', whose readings are real; remove it")
+        if self.source == "live" and ("noise" in self.model_fields_set or self.gross_error):
+            raise ValueError(
+                "noise and gross_error have no meaning for source 'live', whose readings are real; remove them"
+            )
         return self
+
+    @property
+    def numbered_by(self) -> Ticks:
+        """``ticks``, or what its default is."""
+        return self.ticks or ("clock" if self.source == "live" else "gateway")
+
+
+class GatewayTable(Table):
+    """``[gateways.NAME]``."""
+
+    areas: AreaSelection = Field(description='for which areas it reads meters: "all" or a list of areas')
+    meters: list[str] | None = Field(default=None, min_length=1, description="ids of its meters, or shell patterns")
 
 
 class QualityTable(Table):
@@ -204,6 +261,7 @@ class QualityTable(Table):
     lowest_vm_pu: NotNegative = DEFAULT_LIMITS.lowest_vm
     highest_vm_pu: Positive = DEFAULT_LIMITS.highest_vm
     most_removed: Probability = DEFAULT_LIMITS.most_removed
+    most_overdue: Probability = DEFAULT_LIMITS.most_overdue
 
     @model_validator(mode="after")
     def _is_a_band(self) -> Self:
@@ -277,6 +335,7 @@ class ScenarioFile(FileTable):
     )
     measurements: MeasurementsTable = MeasurementsTable()
     telemetry: TelemetryTable = TelemetryTable()
+    gateways: dict[Name, GatewayTable] = Field(default_factory=dict)
     load_messages: GenerationTable = GenerationTable()
     admm: AdmmTable = AdmmTable()
     faults: FaultsTable = FaultsTable()
@@ -284,3 +343,12 @@ class ScenarioFile(FileTable):
     tolerances: TolerancesTable = TolerancesTable()
     run: RunTable = RunTable()
     transport: TransportTable = TransportTable()
+
+    @model_validator(mode="after")
+    def _has_time_between_ticks(self) -> Self:
+        if self.telemetry.numbered_by == "clock" and self.run.scan_s is None:
+            raise ValueError(
+                "telemetry.ticks 'clock', the default of source 'live', needs the time between two scans; "
+                "give run.scan_s"
+            )
+        return self

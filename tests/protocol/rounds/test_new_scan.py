@@ -168,7 +168,7 @@ def test_the_newest_readings_stand_in_for_those_that_are_lost():
             readings.enter(2, 0.2)
             assert readings.deadline > 0.2
     assert readings.deadline <= 0.2
-    readings.go_on_without()
+    readings.go_on_without(0.2)
     newest = {m.meter.id: m.value for m in telemetry}
     assert all(newest[m.meter.id] == m.value for m in readings.readings.measurements if m.meter.id in newest)
     assert readings.stale

@@ -20,7 +20,7 @@ def changed(old: str, new: str) -> str:
 
 def test_an_unknown_key_is_rejected_with_the_allowed_ones_and_the_closest(tmp_path: Path) -> None:
     problem = the_only(problems_of(tmp_path, changed("noise = true", "noise = true\nnois = true")))
-    allowed = "source, file, noise, gross_error"
+    allowed = "source, ticks, leader, file, noise, gross_error"
     assert problem == f"telemetry.nois: unknown key; allowed here: {allowed}; did you mean 'noise'?"
 
 

@@ -1,0 +1,116 @@
+"""The newest reading of each meter of an area, whoever has sent it, and which readings are refused.
+
+Of two readings of a meter the one that was measured later counts, so that neither the order in which messages come nor
+how often they do matters. What is refused does not take the place of what there is.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+from agents.area_files.area_file import AreaFile
+from agents.messages.packing import Incarnation, TelemetryMessage
+from agents.peers.rejections import find_reading_rejection
+from dsse_core.grid.measurement import Meter, Source
+from dsse_core.reading_rules import ANYBODY, KindRule
+
+LEAST_LEAD_S = 1.0  # by which a reading may be ahead of the area's clock, or
+LEAD_SHARE = 1 / 4  # of the time between two scans, if that is more
+INVALID = "marked invalid"  # a reason of refusal
+AHEAD = "time in the future"  # another
+UNKNOWN, NOT_ITS_METER = OF_THE_SENDER = "unknown meter", "meter of another gateway"  # of whom no meter is to blame
+Order = tuple[float, str, tuple[Incarnation, int]]
+"""Which of two readings of a meter is newer: when it was measured; of equal times, by whom and in which message."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What a meter read at ``order[0]``, s since 1970 UTC; p.u. or rad."""
+
+    value: float
+    sigma: float
+    order: Order
+
+    @property
+    def time(self) -> float:
+        return self.order[0]
+
+
+class ReadingStore:
+    """``newest``: meter id -> its newest reading. ``refused``: meter id -> why its newer one is not there.
+
+    ``rejected``: how many readings were refused, by reason. ``off``: ids of the meters that the operator has switched
+    off, which the next snapshot leaves out.
+    """
+
+    def __init__(self, content: AreaFile) -> None:
+        self.newest: dict[str, Reading] = {}
+        self.refused: dict[str, str] = {}
+        self.rejected: Counter[str] = Counter()
+        self.off: frozenset[str] = frozenset()
+        self.lead_s = max(LEAST_LEAD_S, LEAD_SHARE * (content.scan_s or 0.0))
+        self._rules = content.readings
+        self._meters = {meter.id: meter for meter in content.meters if meter.source is not Source.VIRTUAL}
+        self._taken: dict[str, tuple[Incarnation, int]] = {}  # gateway -> its last message
+        self._allowed = {
+            name: None if meters == "all" else frozenset(meters) for name, meters in self._rules.gateways.items()
+        }
+
+    @property
+    def newest_time(self) -> float:
+        """When the newest reading was measured, s since 1970 UTC; 0 without one."""
+        return max((reading.time for reading in self.newest.values()), default=0.0)
+
+    def rule_of(self, meter: Meter) -> KindRule:
+        """What holds for the readings of ``meter``."""
+        return self._rules.rule_of(meter.kind)
+
+    def is_of_scan(self, meter: Meter, gateway: str) -> bool:
+        """Whether a reading belongs to the scan of its message: it counts in no other, and does not age."""
+        is_leader = self._rules.ticks == "gateway" and gateway == self._rules.leader
+        return is_leader and self.rule_of(meter).period_s is None
+
+    def find_refusal(self, meter_id: str, gateway: str, value: float, sigma: float, *, is_valid: bool) -> str:
+        """Why a reading cannot be used, whenever it was measured; empty if it can."""
+        meter = self._meters.get(meter_id)
+        if meter is None:
+            return UNKNOWN
+        allowed = self._allowed.get(gateway, self._allowed.get(ANYBODY, frozenset()))
+        if allowed is not None and meter_id not in allowed:
+            return NOT_ITS_METER
+        if not is_valid:
+            return INVALID
+        if not self.rule_of(meter).holds(value):
+            return "reading out of range"
+        return find_reading_rejection(value, sigma)
+
+    def take(self, message: TelemetryMessage, wall: float) -> bool:
+        """Keep what is newer than what there is, at ``wall``, s since 1970; whether anything is.
+
+        Readings that belong to a scan are left to that.
+        """
+        gateway, order = message.header.sender, message.header.order
+        is_repeated, self._taken[gateway] = self._taken.get(gateway) == order, order
+        is_changed = False
+        columns = message.meters, message.values, message.sigmas, message.times, message.valid
+        for meter_id, value, sigma, time, is_valid in zip(*columns, strict=True):
+            meter = self._meters.get(meter_id)
+            if meter is not None and self.is_of_scan(meter, gateway):
+                continue
+            reading = Reading(value, sigma, (time, gateway, order))
+            known = self.newest.get(meter_id)
+            if known is not None and reading.order <= known.order:
+                continue
+            reason = self.find_refusal(meter_id, gateway, value, sigma, is_valid=is_valid)
+            if not reason and time > wall + self.lead_s:
+                reason = AHEAD
+            if not reason:
+                self.newest[meter_id] = reading
+                self.refused.pop(meter_id, None)
+                is_changed = True
+                continue
+            if reason not in OF_THE_SENDER:
+                self.refused[meter_id] = reason
+            self.rejected[reason] += not is_repeated
+        return is_changed

@@ -1,0 +1,95 @@
+"""Which readings an area takes, from whom and how old: the words that scenarios and agents share."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+from dsse_core.grid.measurement import MeasurementKind
+
+Ticks = Literal["gateway", "clock"]
+"""Who numbers scans: the gateway that leads, or the clock of each area, by UTC."""
+MetersOf = tuple[str, ...] | Literal["all"]
+"""Ids of the meters for which a gateway may speak."""
+LEADER = "plant"
+ANYBODY = "*"  # in place of a gateway's name, which none has
+OLDEST_INTERVALS = 5  # after which a reading is left out, unless the rule of its kind says otherwise
+OVERDUE_INTERVALS = 2  # after which it is overdue
+
+
+@dataclass(frozen=True, slots=True)
+class KindRule:
+    """What holds for the readings of one kind of meter, s, p.u. and rad.
+
+    Args:
+        period_s: interval of these meters; None: they read at every scan, and do not age.
+        aging_s: age at which the variance has doubled; None: the period.
+        oldest_s: older readings are left out; None: ``OLDEST_INTERVALS`` periods or scans, whichever is longer.
+        lowest, highest: readings outside are out of range.
+    """
+
+    period_s: float | None = None
+    aging_s: float | None = None
+    oldest_s: float | None = None
+    lowest: float | None = None
+    highest: float | None = None
+
+    def interval_s(self, scan_s: float | None) -> float:
+        """Between two readings that are used, scans being ``scan_s`` apart; 0 where neither is known."""
+        return max(self.period_s or 0.0, scan_s or 0.0)
+
+    def leaves_out_s(self, scan_s: float | None) -> float:
+        """The age beyond which a reading is left out; infinity where no interval is known."""
+        if self.oldest_s is not None:
+            return self.oldest_s
+        return OLDEST_INTERVALS * self.interval_s(scan_s) or math.inf
+
+    def overdue_s(self, scan_s: float | None) -> float:
+        """The age beyond which a reading is overdue; infinity where no interval is known."""
+        return OVERDUE_INTERVALS * self.interval_s(scan_s) or math.inf
+
+    def grown(self, sigma: float, age_s: float) -> float:
+        """The standard deviation of a reading with ``sigma`` at ``age_s``."""
+        aging_s = self.aging_s or self.period_s
+        return sigma * math.sqrt(1.0 + age_s / aging_s) if aging_s and age_s > 0 else sigma
+
+    def holds(self, value: float) -> bool:
+        """Whether ``value`` lies in the range."""
+        return (self.lowest is None or value >= self.lowest) and (self.highest is None or value <= self.highest)
+
+
+NO_RULE = KindRule()
+
+
+@dataclass(frozen=True, slots=True)
+class ReadingRules:
+    """Who numbers the scans of an area, who speaks for its meters, and what holds for their readings.
+
+    Args:
+        ticks: "gateway": gateway ``leader`` numbers scans. "clock": a scan begins at each multiple of ``scan_s``, UTC.
+        gateways: name -> its meters; the name ``ANYBODY`` stands for every gateway.
+        kinds: kind of meter -> its rule; ``NO_RULE`` of one that is not there.
+    """
+
+    ticks: Ticks = "gateway"
+    leader: str = LEADER
+    gateways: Mapping[str, MetersOf] = field(default_factory=lambda: {LEADER: "all"})
+    kinds: Mapping[MeasurementKind, KindRule] = field(default_factory=dict)
+
+    def rule_of(self, kind: MeasurementKind) -> KindRule:
+        """What holds for readings of ``kind``."""
+        return self.kinds.get(kind, NO_RULE)
+
+    def meters_of(self, gateway: str) -> MetersOf:
+        """The meters for which ``gateway`` may speak; none if nobody knows it."""
+        return self.gateways.get(gateway, self.gateways.get(ANYBODY, ()))
+
+    @property
+    def follow_clocks(self) -> bool:
+        """Whether anything depends on what time it is: ticks, or ages."""
+        return self.ticks == "clock" or any(rule.period_s for rule in self.kinds.values())
+
+
+DEFAULT_RULES = ReadingRules()

@@ -1,0 +1,100 @@
+"""What a scenario says of who reads its meters, how often, and how old readings may be: for each area its rules."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from fnmatch import fnmatchcase
+
+from dsse_core.files.wording import describe_unknown
+from dsse_core.grid.measurement import MeasurementKind, Meter, Source
+from dsse_core.grid.partition import Partition
+from dsse_core.reading_rules import ANYBODY, LEADER, NO_RULE, KindRule, MetersOf, ReadingRules
+from scenarios.files.scenario_file import AngleMeterTable, GatewayTable, ScenarioFile, SigmaTable
+
+KIND = MeasurementKind
+KINDS_OF_TABLE = {
+    "voltage": (KIND.VM,),
+    "angle": (KIND.VA,),
+    "flow": (KIND.P_FLOW, KIND.Q_FLOW),
+    "injection": (KIND.P_INJECTION, KIND.Q_INJECTION),
+    "current": (KIND.CURRENT,),
+}
+
+
+def build_kind_rules(file: ScenarioFile) -> dict[MeasurementKind, KindRule]:
+    """Kind of meter -> its rule, where it has one."""
+    rules = {key: _rule_of(getattr(file.measurements, key)) for key in file.measurements.kinds}
+    return {kind: rule for key, rule in rules.items() if rule != NO_RULE for kind in KINDS_OF_TABLE[key]}
+
+
+def _rule_of(table: SigmaTable | AngleMeterTable) -> KindRule:
+    if isinstance(table, AngleMeterTable):
+        limits = [None if limit is None else math.radians(limit) for limit in (table.lowest_deg, table.highest_deg)]
+    else:
+        limits = [table.lowest_pu, table.highest_pu]
+    return KindRule(table.period_s, table.aging_s, table.oldest_s, *limits)
+
+
+def build_reading_rules(file: ScenarioFile, partition: Partition, meters: Sequence[Meter]) -> dict[str, ReadingRules]:
+    """Area -> the rules of its readings."""
+    kinds, telemetry = build_kind_rules(file), file.telemetry
+    always: dict[str, MetersOf] = {} if telemetry.source == "live" else {LEADER: "all"}
+    if telemetry.source == "live" and not file.gateways:
+        always = {ANYBODY: "all"}
+    ids = _ids_by_area(partition, meters) if any(table.meters for table in file.gateways.values()) else {}
+    rules = {}
+    for area in partition.areas:
+        own = {
+            name: _meters_of(table, ids.get(area.name, []))
+            for name, table in file.gateways.items()
+            if table.areas is None or area.name in table.areas
+        }
+        rules[area.name] = ReadingRules(telemetry.numbered_by, telemetry.leader, always | own, kinds)
+    return rules
+
+
+def _meters_of(table: GatewayTable, ids: Sequence[str]) -> MetersOf:
+    if table.meters is None:
+        return "all"
+    return tuple(meter_id for meter_id in ids if any(fnmatchcase(meter_id, pattern) for pattern in table.meters))
+
+
+def _ids_by_area(partition: Partition, meters: Sequence[Meter]) -> dict[str, list[str]]:
+    return {
+        name: [meter.id for meter in own if meter.source is not Source.VIRTUAL]
+        for name, own in partition.meters_by_area(meters).items()
+    }
+
+
+def find_gateway_problems(
+    gateways: Mapping[str, GatewayTable], file: ScenarioFile, partition: Partition, meters: Sequence[Meter]
+) -> Iterator[str]:
+    """Gateways of unknown areas, patterns that no meter has, areas and meters that no gateway reads, and a leader that
+    is none.
+    """
+    names = [area.name for area in partition.areas]
+    if not gateways:
+        return
+    ids = _ids_by_area(partition, meters)
+    read: dict[str, set[str]] = {name: set() for name in names}
+    for gateway, table in gateways.items():
+        for name in (unknown := [name for name in table.areas or () if name not in names]):
+            yield f"gateways.{gateway}.areas: {describe_unknown('area', name, names)}"
+        own = [name for name in table.areas or names if name not in unknown]
+        for name in own:
+            matched = _meters_of(table, ids[name])
+            read[name] |= set(ids[name] if matched == "all" else matched)
+        of_all = [meter_id for name in own for meter_id in ids[name]]
+        for pattern in table.meters or ():
+            if not unknown and not any(fnmatchcase(meter_id, pattern) for meter_id in of_all):
+                yield f"gateways.{gateway}.meters: {pattern!r} is no meter of its areas, nor a pattern that one fits"
+    if file.telemetry.source != "live":
+        return  # the plant reads all
+    if file.telemetry.numbered_by == "gateway" and file.telemetry.leader not in gateways:
+        known = sorted(gateways)
+        yield f"telemetry.leader: {describe_unknown('gateway', file.telemetry.leader, known)}"
+    for name in names:
+        if unread := [meter_id for meter_id in ids[name] if meter_id not in read[name]]:
+            count = f" and {len(unread) - 1} more" if len(unread) > 1 else ""
+            yield f"gateways: no gateway reads meter {unread[0]}{count} of {name}; add a pattern to one of them"
