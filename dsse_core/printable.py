@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from itertools import islice
 
 LONGEST_LIST = 12
@@ -31,16 +31,25 @@ def printable(text: object) -> str:
     text.
     """
     shown = str(text)
-    if shown.isprintable() and (shown.isascii() or NOT_SEEN.isdisjoint(shown)):
+    if _is_printable(shown):
         return shown
     return "".join(
         c if c.isprintable() and c not in NOT_SEEN else c.encode("unicode_escape").decode("ascii") for c in shown
     )
 
 
+def all_printable(texts: Sequence[str]) -> list[str]:
+    """``printable`` of each of ``texts``: of a million at once, as hardly ever one needs it."""
+    return list(texts) if _is_printable("".join(texts)) else list(map(printable, texts))
+
+
 def printable_lines(text: str) -> str:
     """``text`` with the same escapes, its lines kept."""
-    return "\n".join(map(printable, text.split("\n")))
+    return text if _is_printable(text.replace("\n", "")) else "\n".join(map(printable, text.split("\n")))
+
+
+def _is_printable(text: str) -> bool:
+    return text.isprintable() and (text.isascii() or NOT_SEEN.isdisjoint(text))
 
 
 def on_one_line(text: object) -> str:

@@ -16,6 +16,7 @@ from dsse_core.grid.meter_table import KINDS, NO_BRANCH, find_virtual, number_ki
 from dsse_core.grid.network import Network
 from dsse_core.power_flow.exact_readings import read_exactly
 from dsse_core.power_flow.newton_raphson import PowerFlowResult, solve_power_flow
+from scenarios.crc32 import sum_up, write_bytes
 from scenarios.meter_noise import draw_noise
 from scenarios.scenario import Scenario
 
@@ -187,14 +188,16 @@ def sum_up_ids(network: Network, meters: Sequence[Meter]) -> np.ndarray:
     """The CRC-32 of the id of each of ``meters``, (n_meas,), uint32."""
     if not isinstance(meters, Records):
         return np.array([zlib.crc32(meter.id.encode()) for meter in meters], dtype=np.uint32)
-    columns, ids = meters.columns, network.branch_ids
+    columns, ids = meters.columns, write_bytes([branch.encode() for branch in network.branch_ids])
     own = np.zeros(len(meters), dtype=np.uint32)
     of_branch = columns["branch"] != NO_BRANCH
-    for k, kind in enumerate(KINDS):  # a sum goes on from that of the kind, which all of a kind begin with
-        begun = zlib.crc32(f"{kind}@".encode())
-        here = columns["kind"] == k
-        buses = columns["bus"][here & ~of_branch].tolist()
-        own[here & ~of_branch] = [zlib.crc32(b"%d" % bus, begun) for bus in buses]
-        places = zip(*(columns[name][here & of_branch].tolist() for name in ("bus", "branch")), strict=True)
-        own[here & of_branch] = [zlib.crc32(f"{bus}:{ids[row]}".encode(), begun) for bus, row in places]
+    for k, kind in enumerate(KINDS):
+        of_kind = columns["kind"] == k
+        for at_branch in (False, True):
+            here = np.flatnonzero(of_kind & (of_branch == at_branch))
+            begun = np.full(len(here), zlib.crc32(f"{kind}@".encode()), dtype=np.uint32)
+            sums = sum_up(begun, write_bytes(columns["bus"][here].astype(np.bytes_)))
+            if at_branch:
+                sums = sum_up(sum_up(sums, write_bytes([b":"] * len(here))), ids.of(columns["branch"][here]))
+            own[here] = sums
     return own

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -74,8 +75,14 @@ def _find_deviations(
     both = agreed[state.branches.f] & agreed[state.branches.t]
     branches = np.where(both & ~np.isnan(state.flows.s_from.real), central.branches, np.nan)
     injections = np.where(agreed & ~np.isnan(state.injection.real), central.injections, np.nan)
-    totals = np.where(_find_agreed_areas(state, division, both, agreed), central.totals, np.nan)
-    return replace(published, branches=branches, injections=injections, totals=totals), agreed
+    find_totals = partial(_find_agreed_totals, central, state, division, both, agreed)
+    return replace(published, branches=branches, injections=injections, find_totals=find_totals), agreed
+
+
+def _find_agreed_totals(
+    central: Deviations, state: GridState, division: Division, branches: np.ndarray, buses: np.ndarray
+) -> np.ndarray:
+    return np.where(_find_agreed_areas(state, division, branches, buses), central.totals, np.nan)
 
 
 def _find_agreed_areas(state: GridState, division: Division, branches: np.ndarray, buses: np.ndarray) -> np.ndarray:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+import sys
+from collections.abc import Sequence
 
 import numpy as np
 
+from coordinator.report.number_cells import place, write_fixed, write_significant, write_texts
 from dsse_core.estimation.bad_data import BadDataReport, SuspectKept
 from dsse_core.power_flow.newton_raphson import PowerFlowResult
-from dsse_core.printable import printable, shortened
+from dsse_core.printable import all_printable, printable, shortened
 from dsse_core.results.results import Results
 from dsse_core.results.table import Table
 from dsse_core.results.units import base_kw
@@ -20,28 +22,40 @@ SMALLEST_SHOWN = 1e-6  # kW, kvar, A
 
 def format_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Columns padded to their widest cell, all printable; the first is flush left, the others right."""
-    columns = zip(*rows, strict=True) if rows else ([] for _ in header)
-    return _join_columns(header, [list(map(printable, column)) for column in columns])
-
-
-def _join_columns(header: Sequence[str], columns: Iterable[list[str]]) -> str:
+    columns = [list(map(printable, column)) for column in zip(*rows, strict=True)] if rows else [[] for _ in header]
     table = [[name, *column] for name, column in zip(header, columns, strict=True)]
     widths = [max(map(len, column)) for column in table]
     row = "  ".join(f"%{width if k else -width}s" for k, width in enumerate(widths))
     return "\n".join([(row % cells).rstrip() for cells in zip(*table, strict=True)])
 
 
+def _join_cells(header: Sequence[str], columns: Sequence[np.ndarray]) -> str:
+    """As ``format_table``, of cells (width, n) of ``number_cells``: there may be a million."""
+    widths = [max(len(name), len(column)) for name, column in zip(header, columns, strict=True)]
+    padded = [name.rjust(width) for name, width in zip(header, widths, strict=True)]
+    titles = "  ".join([header[0].ljust(widths[0]), *padded[1:]])
+    n, kind = columns[0].shape[1], np.result_type(*columns)
+    table, end = np.full((n, len(titles) + 1), ord(" "), dtype=kind), 0
+    for k, (column, width) in enumerate(zip(columns, widths, strict=True)):
+        first = end + (width - len(column) if k else 0)
+        table[:, first : first + len(column)] = column.T
+        end += width + 2
+    table[:, -1] = ord("\n")
+    body = table.tobytes().decode("ascii" if kind == np.uint8 else f"utf-32-{sys.byteorder[0]}e")
+    return f"{titles.rstrip()}\n{body}".rstrip("\n")
+
+
 def format_state(buses: Table, branches: Table) -> str:
     """Voltages and injections of all buses, and what flows in the branches."""
     columns = [
         _name_rows(buses.bus, buses.name),
-        _write(buses.vm_pu, 5),
-        list(map("{:.4g}".format, buses.vm_kv.tolist())),
-        _write(buses.va_deg, 4),
+        write_fixed(buses.vm_pu, 5),
+        write_significant(buses.vm_kv, 4),
+        write_fixed(buses.va_deg, 4),
         _powers(buses.p_kw),
         _powers(buses.q_kvar),
     ]
-    of_buses = _join_columns(("bus", "vm p.u.", "kV", "va deg", "injection kW", "kvar"), columns)
+    of_buses = _join_cells(("bus", "vm p.u.", "kV", "va deg", "injection kW", "kvar"), columns)
     return f"{of_buses}\n\n{_format_branches(branches)}"
 
 
@@ -60,17 +74,17 @@ def format_estimate(report: BadDataReport, tables: Results) -> str:
     true = ("true",) if with_truth else ()
     columns = [
         _name_rows(buses.bus, buses.name),
-        _write(buses.vm_pu, 5),
-        _write(buses.sigma_vm_pu, 5),
-        *([_write(buses.true_vm_pu, 5)] if with_truth else ()),
-        _write(buses.va_deg, 4),
-        _write(buses.sigma_va_deg, 4),
-        *([_write(buses.true_va_deg, 4)] if with_truth else ()),
+        write_fixed(buses.vm_pu, 5),
+        write_fixed(buses.sigma_vm_pu, 5),
+        *([write_fixed(buses.true_vm_pu, 5)] if with_truth else ()),
+        write_fixed(buses.va_deg, 4),
+        write_fixed(buses.sigma_va_deg, 4),
+        *([write_fixed(buses.true_va_deg, 4)] if with_truth else ()),
         *map(_powers, (buses.p_kw, buses.sigma_p_kw, buses.q_kvar, buses.sigma_q_kvar)),
     ]
     header = ("bus", "vm p.u.", "sigma", *true, "va deg", "sigma", *true, "injection kW", "sigma", "kvar", "sigma")
     findings = "\n".join(map(printable, format_bad_data(report)))
-    return "\n\n".join([_join_columns(header, columns), _format_branches(tables.branches), findings])
+    return "\n\n".join([_join_cells(header, columns), _format_branches(tables.branches), findings])
 
 
 def _format_branches(branches: Table) -> str:
@@ -88,10 +102,8 @@ def _format_branches(branches: Table) -> str:
     }
     used = branches.in_service
     known = {header: column[used] for header, column in shown.items() if not np.isnan(column[used]).all()}
-    of_branches = [
-        text for text, is_used in zip(_name_rows(branches.branch, branches.name), used, strict=True) if is_used
-    ]
-    return _join_columns(["branch", *known], [of_branches, *map(_powers, known.values())])
+    of_branches = _name_rows(branches.branch, branches.name)[:, used]
+    return _join_cells(["branch", *known], [of_branches, *map(_powers, known.values())])
 
 
 def _describe_backend(report: BadDataReport) -> str:
@@ -139,32 +151,22 @@ def _format_suspect(suspect: SuspectKept | None) -> str:
     return f": {suspect.meter} has the largest normalised residual, {suspect.normalized_residual:.3g}, but {reason}"
 
 
-def _name_rows(ids: Iterable[object], names: Iterable[str]) -> list[str]:
-    """What the rows of a table are called: their ids, and a name beside where there is one."""
-    called = (
-        f"{of} {shortened(name, LONGEST_NAME_SHOWN)}" if name else str(of) for of, name in zip(ids, names, strict=True)
-    )
-    return list(map(printable, called))
+def _name_rows(ids: Sequence[str] | np.ndarray, names: Sequence[str]) -> np.ndarray:
+    """What the rows of a table are called, cells: their ids, and a name beside where there is one."""
+    called = list(map(str, ids.tolist())) if isinstance(ids, np.ndarray) else list(ids)
+    if any(names):
+        short = (shortened(name, LONGEST_NAME_SHOWN) for name in names)
+        called = [f"{of} {name}" if name else of for of, name in zip(called, short, strict=True)]
+    return write_texts(all_printable(called))
 
 
-def _write(values: np.ndarray, digits: int) -> list[str]:
-    """Each of ``values`` (n,) with so many digits after the point."""
-    return _write_all(f"%.{digits}f", values)
-
-
-def _write_all(form: str, values: np.ndarray) -> list[str]:
-    """Each of ``values`` (n,) as ``form`` says: in one go, as there may be a million."""
-    return ((form + "\n") * len(values) % tuple(values.tolist())).split("\n")[:-1]
-
-
-def _powers(values: np.ndarray) -> list[str]:
-    """``_power`` of each of ``values`` (n,)."""
+def _powers(values: np.ndarray) -> np.ndarray:
+    """``_power`` of each of ``values`` (n,): cells."""
     size = abs(values)
-    cells = np.where(np.isnan(values), "-", "0").astype(object)
-    for form, here in (("%.2f", size >= 1), ("%.3g", (size >= SMALLEST_SHOWN) & (size < 1))):
-        cells[here] = _write_all(form, values[here])
-    texts: list[str] = cells.tolist()
-    return texts
+    cells = np.where(np.isnan(values), ord("-"), ord("0")).astype(np.uint8)[None]
+    small = (size >= SMALLEST_SHOWN) & (size < 1)
+    cells = place(cells, small, write_significant(values[small], 3))
+    return place(cells, size >= 1, write_fixed(values[size >= 1], 2))
 
 
 def _power(value: float) -> str:

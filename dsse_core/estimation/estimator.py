@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.decision import Memory
 from dsse_core.estimation.plan import Backend, BackendChoice, EstimationPlan, build_estimation_plan
-from dsse_core.estimation.radial import estimate_radial, find_radial_variances
+from dsse_core.estimation.radial import RadialInverse, estimate_radial, find_radial_variances, invert_radial
 from dsse_core.estimation.sparse import estimate_sparse
 from dsse_core.gauss_newton import LAST_STEP
 from dsse_core.grid.measurement import Measurement, Source, check_measurements, check_readings
@@ -100,8 +100,8 @@ class EstimationResult:
 
     def state_sigma(self) -> tuple[np.ndarray, np.ndarray]:
         """Standard deviations (sigma_vm, sigma_va) of all buses, p.u. and rad; nan where they would take too long."""
-        if self._radial_variances is not None:
-            variance = self._radial_variances[0]
+        if (of_radial := self._radial_variances) is not None:
+            variance = of_radial[0]
         else:
             variance = np.zeros(2 * len(self.vm))
             variance[self.free] = self.factor.state_variance(limited=True)
@@ -114,18 +114,24 @@ class EstimationResult:
 
         In networks with so many long loops that all would take too long it is nan, but of the largest |r| / sigma.
         """
-        if self._radial_variances is not None:
-            return self._radial_variances[1]
+        if (of_radial := self._radial_variances) is not None:
+            return of_radial[1]
         exact = self.sigmas == 0
         weighted = np.where(exact, 0.0, abs(self.residual) / np.where(exact, 1.0, self.sigmas))
         found = self.factor.residual_variance(np.argsort(-weighted, kind="stable"))
         return np.where(exact, 0.0, found)
 
     @cached_property
+    def radial_inverse(self) -> RadialInverse:
+        """What all variances follow from where the back end is radial."""
+        assert not isinstance(self.plan.radial, str), "the back end is sparse"
+        return invert_radial(self.plan.radial, self.sigmas, self.vm, self.va)
+
+    @property
     def _radial_variances(self) -> tuple[np.ndarray, np.ndarray] | None:
         """Variances of x and of the residuals where the back end is radial."""
         radial = self.plan.radial
-        return None if isinstance(radial, str) else find_radial_variances(radial, self.sigmas, self.vm, self.va)
+        return None if isinstance(radial, str) else find_radial_variances(radial, self.radial_inverse)
 
 
 def estimate_state(

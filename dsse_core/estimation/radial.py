@@ -124,11 +124,8 @@ def invert_radial(plan: RadialPlan, sigmas: np.ndarray, vm: np.ndarray, va: np.n
     return RadialInverse(w, X, lam, T, Z, S, state, omega)
 
 
-def find_radial_variances(
-    plan: RadialPlan, sigmas: np.ndarray, vm: np.ndarray, va: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def find_radial_variances(plan: RadialPlan, inverse: RadialInverse) -> tuple[np.ndarray, np.ndarray]:
     """diag of the covariance of x = [va; vm], shape (2 n_bus,), network order, and diag(Omega), (n_meas,)."""
-    inverse = invert_radial(plan, sigmas, vm, va)
-    state = np.empty((2, len(vm)))
+    state = np.empty((2, len(plan.order)))
     state[:, plan.order] = inverse.state.T
     return state.ravel(), inverse.omega.ravel()[plan.slot]

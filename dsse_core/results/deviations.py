@@ -2,29 +2,40 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dsse_core.estimation.estimator import EstimationResult
-from dsse_core.results.branch_variances import find_branch_variances, find_gradients
+from dsse_core.results.branch_variances import BranchGradients, find_branch_variances, find_gradients
 from dsse_core.results.flows import BranchModel
-from dsse_core.results.state import find_state
+from dsse_core.results.state import GridState, find_state
 from dsse_core.results.totals import TOTALS, Division, find_total_gradients, whole_network
+
+if TYPE_CHECKING:
+    from dsse_core.results.radial_deviations import RadialDeviations
+    from dsse_core.results.sparse_deviations import SparseDeviations
 
 
 @dataclass(frozen=True)
 class Deviations:
     """Standard deviations in p.u. and rad. ``vm``, ``va`` (n_bus,). ``branches`` (8, n_branch): P, Q, I at the from
     end, P, Q, I at the to end, losses P and Q; of a current that does not flow nan. ``injections`` (2, n_bus): P, Q.
-    ``totals`` (2, 4, n_area): P, Q of load, generation, loss and import.
     """
 
     vm: np.ndarray
     va: np.ndarray
     branches: np.ndarray
     injections: np.ndarray
-    totals: np.ndarray
+    find_totals: Callable[[], np.ndarray]
+
+    @cached_property
+    def totals(self) -> np.ndarray:
+        """P, Q of load, generation, loss and import, (2, 4, n_area); found when they are first asked for."""
+        return self.find_totals()
 
 
 def find_deviations(
@@ -43,21 +54,31 @@ def find_deviations(
         from dsse_core.results.sparse_deviations import SparseDeviations
 
         at_from = np.ones(len(branches.f), dtype=bool)
-        sparse = SparseDeviations(result)
+        by_backend: SparseDeviations | RadialDeviations
+        by_backend = sparse = SparseDeviations(result)
         covariance = np.zeros((len(branches.f), 3, 3))
         covariance[branches.in_service], injections = sparse.of_branches_and_injections()
         gradients = find_gradients(branches, at_from, flows.s_from, result.vm[branches.f])
-        totals = sparse.of_sums(*find_total_gradients(state, division, at_from, gradients))
     else:
         from dsse_core.results.radial_deviations import RadialDeviations
 
-        tree = RadialDeviations(result.plan.radial, branches, result.sigmas, result.vm, result.va)
+        by_backend = tree = RadialDeviations(result.plan.radial, branches, result.radial_inverse, result.vm)
         at_from, covariance = tree.at_from, tree.of_branches(len(branches.f))
         s = np.where(at_from, flows.s_from, flows.s_to)
         gradients = find_gradients(branches, at_from, s, result.vm[np.where(at_from, branches.f, branches.t)])
         injections = tree.of_injections(gradients)
-        totals = tree.of_sums(*find_total_gradients(state, division, at_from, gradients))
     of_branches = find_branch_variances(branches, at_from, gradients, covariance)
     vm, va = result.state_sigma()
-    sigma_totals = np.sqrt(np.maximum(totals, 0.0)).reshape(2, len(TOTALS), -1)
-    return Deviations(vm, va, np.sqrt(of_branches), np.sqrt(injections), sigma_totals)
+    find_totals = partial(_find_totals, by_backend, state, division, at_from, gradients)
+    return Deviations(vm, va, np.sqrt(of_branches), np.sqrt(injections), find_totals)
+
+
+def _find_totals(
+    found: SparseDeviations | RadialDeviations,
+    state: GridState,
+    division: Division,
+    at_from: np.ndarray,
+    gradients: BranchGradients,
+) -> np.ndarray:
+    variances = found.of_sums(*find_total_gradients(state, division, at_from, gradients))
+    return np.asarray(np.sqrt(np.maximum(variances, 0.0)).reshape(2, len(TOTALS), -1))

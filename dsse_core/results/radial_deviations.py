@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from dsse_core.estimation.radial import invert_radial
+from dsse_core.estimation.radial import RadialInverse
 from dsse_core.estimation.residuals import LEAST_REDUCTION
 from dsse_core.radial.plan import RadialPlan
 from dsse_core.results.branch_variances import BranchGradients
@@ -18,13 +18,10 @@ from dsse_core.results.flows import BranchModel
 
 
 class RadialDeviations:
-    """Covariances on the tree of ``plan`` at the state vm, va (n_bus,), network order; ``sigmas`` (n_meas,)."""
+    """Covariances on the tree of ``plan``, by its selected ``inverse`` at vm (n_bus,), network order."""
 
-    def __init__(
-        self, plan: RadialPlan, branches: BranchModel, sigmas: np.ndarray, vm: np.ndarray, va: np.ndarray
-    ) -> None:
-        self._plan, self._vm = plan, vm
-        self._inverse = inverse = invert_radial(plan, sigmas, vm, va)
+    def __init__(self, plan: RadialPlan, branches: BranchModel, inverse: RadialInverse, vm: np.ndarray) -> None:
+        self._plan, self._vm, self._inverse = plan, vm, inverse
         number = np.empty(len(vm), dtype=np.int64)
         number[plan.order] = np.arange(len(vm))
         f, t = number[branches.f], number[branches.t]
@@ -37,14 +34,17 @@ class RadialDeviations:
 
     def of_branches(self, n_branch: int) -> np.ndarray:
         """Covariance of p, q and ln u at the end above of each branch, (n_branch, 3, 3); 0 out of service."""
-        child = self._child
         covariance = np.zeros((n_branch, 3, 3))
-        of_child = np.empty((len(child), 3, 3))
-        of_child[:, :2, :2] = self._ff[child]
-        of_child[:, :2, 2] = of_child[:, 2, :2] = -self._XS[child][:, 2:, 3]
-        of_child[:, 2, 2] = self._inverse.S[self._plan.parent[child], 3, 3]
-        covariance[self._branch] = of_child
+        covariance[self._branch] = self._at_parent(self._child)
         return covariance
+
+    def _at_parent(self, child: np.ndarray) -> np.ndarray:
+        """The same of the branches above the buses ``child`` (k,), by number; of the root's what means nothing."""
+        found = np.empty((len(child), 3, 3))
+        found[:, :2, :2] = self._ff[child]
+        found[:, :2, 2] = found[:, 2, :2] = -self._XS[child, 2:, 3]
+        found[:, 2, 2] = self._inverse.S[self._plan.parent[child], 3, 3]
+        return found
 
     def of_sums(self, by_ends: sp.csr_array, by_buses: sp.csr_array) -> np.ndarray:
         """Variances of sums, (n_sum,), with the derivatives ``by_ends`` (n_sum, 3 n_branch), by p, q and ln u at the
@@ -72,49 +72,51 @@ class RadialDeviations:
         n, R = len(plan.parent), inverse.weights[:, 2:4]
         metered = R - inverse.omega[:, 2:4]
         by_meter = (R >= 0) & (metered >= LEAST_REDUCTION * R)
-        if not by_meter.all():
-            metered = np.where(by_meter, metered, self._by_branches(gradients))
+        others = np.flatnonzero(~by_meter.all(axis=1))
+        metered[others] = np.where(by_meter[others], metered[others], self._by_branches(gradients, others))
         found = np.empty((2, n))
         found[:, plan.order] = np.maximum(metered, 0.0).T
         return found
 
-    def _by_branches(self, gradients: BranchGradients) -> np.ndarray:
-        """Variances of the sum of what goes into the branches below a bus, into that above it and into its shunt."""
-        plan, S = self._plan, self._inverse.S
-        n = len(plan.parent)
-        X, V = np.zeros((n, 2, 4)), np.zeros((n, 2))
-        below, above = np.arange(1, n), plan.parent[1:]
+    def _by_branches(self, gradients: BranchGradients, buses: np.ndarray) -> np.ndarray:
+        """Variances, (k, 2), of the sum of what goes into the branches below each of ``buses`` (k,), by number, into
+        that above it and into its shunt.
+        """
+        plan, S = self._plan, self._inverse.S[buses]
+        place = np.full(len(plan.parent), -1)
+        place[buses] = np.arange(len(buses))
+        X, V = np.zeros((len(buses), 2, 4)), np.zeros((len(buses), 2))
+        below = 1 + np.flatnonzero(place[plan.parent[1:]] >= 0)
+        above = place[plan.parent[below]]
         np.add.at(X, above, self._inverse.X[below, 2:])
         np.add.at(V, above, np.stack([self._inverse.X[below, 2, 0], self._inverse.X[below, 3, 1]], axis=1))
         XS = X @ S
-        shunt = 2 * plan.admittance[:, 7] * self._vm[plan.order] ** 2
+        shunt = 2 * plan.admittance[buses, 7] * self._vm[plan.order[buses]] ** 2
         h = np.stack([shunt.real, shunt.imag], axis=1)
-        own, own_z = self._at_own_end(gradients)
+        own, own_z = self._at_own_end(gradients, buses)
         total = own + V + np.einsum("nij,nij->ni", XS, X) + h**2 * S[:, 3, 3][:, None]
         total += 2 * (h * (own_z[:, :, 3] - XS[:, :, 3]) - np.einsum("nij,nij->ni", own_z, X))
         return np.asarray(total)
 
-    def _at_own_end(self, gradients: BranchGradients) -> tuple[np.ndarray, np.ndarray]:
-        """Of the powers into the branch above each bus, at the bus: variances, (n_bus, 2), and the covariance with z of
-        the bus, (n_bus, 2, 4); 0 at the root.
+    def _at_own_end(self, gradients: BranchGradients, buses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Of the powers into the branch above each of ``buses`` (k,), at the bus: variances, (k, 2), and the covariance
+        with z of the bus, (k, 2, 4); 0 at the root.
         """
-        n, child = len(self._plan.parent), self._child
-        far = gradients.far[self._branch]
-        G = np.zeros((n, 2, 3))
-        G[child] = np.stack([far.real, far.imag], axis=1)
-        C = np.zeros((n, 3, 3))
-        C[child] = self.of_branches(len(gradients.far))[self._branch]
-        return np.einsum("nij,njk,nik->ni", G, C, G), G @ self._with_z(C)
+        branch = np.zeros(len(self._plan.parent), dtype=np.int64)
+        branch[self._child] = self._branch
+        far = np.where(buses[:, None] > 0, gradients.far[branch[buses]], 0.0)
+        G, C = np.stack([far.real, far.imag], axis=1), self._at_parent(buses)
+        return np.einsum("nij,njk,nik->ni", G, C, G), G @ self._with_z(C, buses)
 
-    def _with_z(self, C: np.ndarray) -> np.ndarray:
-        """Covariance of (f, dvm_p / vm_p) of each bus with its own z = (lam, x), (n_bus, 3, 4)."""
-        inverse, X, XS = self._inverse, self._inverse.X, self._XS
-        T, Z = inverse.T.transpose(0, 2, 1), inverse.Z.transpose(0, 2, 1)
+    def _with_z(self, C: np.ndarray, buses: np.ndarray) -> np.ndarray:
+        """Covariance of (f, dvm_p / vm_p) of each of ``buses`` (k,) with its own z = (lam, x), (k, 3, 4)."""
+        inverse, X, XS = self._inverse, self._inverse.X[buses], self._XS[buses]
+        T, Z = inverse.T[buses].transpose(0, 2, 1), inverse.Z[buses].transpose(0, 2, 1)
         found = np.empty((len(X), 3, 4))
         found[:, :2, :2] = XS[:, 2:] @ X[:, :2].transpose(0, 2, 1) + X[:, :2, :2].transpose(0, 2, 1)
         found[:, 2, :2] = -XS[:, :2, 3]
-        with_parent = -XS[:, 2:, 2:], inverse.S[self._plan.parent, 3, 2:][:, None]
-        found[:, :2, 2:] = with_parent[0] @ T + self._ff @ Z
+        with_parent = -XS[:, 2:, 2:], inverse.S[self._plan.parent[buses], 3, 2:][:, None]
+        found[:, :2, 2:] = with_parent[0] @ T + self._ff[buses] @ Z
         found[:, 2:, 2:] = with_parent[1] @ T + C[:, 2:, :2] @ Z
-        found[:, :, :2] *= (inverse.weights[:, 2:4] >= 0)[:, None]  # no meter, no multiplier
+        found[:, :, :2] *= (inverse.weights[buses, 2:4] >= 0)[:, None]  # no meter, no multiplier
         return found

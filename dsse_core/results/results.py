@@ -147,12 +147,22 @@ def assemble_results(
         buses=buses,
         branches=make_branch_table(state.network, state.branches, state.flows, deviations.branches),
         make_meters=partial(_make_meters, state, readings),
-        make_areas=partial(make_area_table, state, division, deviations.totals, of_run, quality),
+        make_areas=partial(_make_areas, state, division, deviations, of_run, quality),
     )
 
 
 def _make_meters(state: GridState, readings: MeterReadings | Callable[[], MeterReadings]) -> Table:
     return make_meter_table(state, **vars(readings() if callable(readings) else readings))
+
+
+def _make_areas(
+    state: GridState,
+    division: Division,
+    deviations: Deviations,
+    of_run: Mapping[str, np.ndarray] | None,
+    quality: Sequence[str] | None,
+) -> Table:
+    return make_area_table(state, division, deviations.totals, of_run, quality)
 
 
 def find_division(network: Network, partition: Partition | None) -> Division:
@@ -162,8 +172,9 @@ def find_division(network: Network, partition: Partition | None) -> Division:
 
 def no_deviations(network: Network, division: Division) -> Deviations:
     """Where none is known."""
-    n, m, n_area = len(network.buses), len(network.branches), len(division.names)
-    return Deviations(*(np.full(shape, np.nan) for shape in (n, n, (8, m), (2, n), (2, len(TOTALS), n_area))))
+    n, m, totals = len(network.buses), len(network.branches), (2, len(TOTALS), len(division.names))
+    vm, va, branches, injections = (np.full(shape, np.nan) for shape in (n, n, (8, m), (2, n)))
+    return Deviations(vm, va, branches, injections, partial(np.full, totals, np.nan))
 
 
 def readings_of_estimate(

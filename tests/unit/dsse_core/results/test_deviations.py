@@ -92,7 +92,8 @@ def dense_deviations(result, division) -> Deviations:
         sigma_of(rows_of([Meter(k, bus.id) for bus in network.buses])) for k in (Kind.P_INJECTION, Kind.Q_INJECTION)
     ]
     va, vm = np.split(np.sqrt(np.diag(C)), 2)
-    return Deviations(vm, va, branches, np.array(injections), dense_totals(result, division, rows_of, sigma_of))
+    totals = dense_totals(result, division, rows_of, sigma_of)
+    return Deviations(vm, va, branches, np.array(injections), lambda: totals)
 
 
 def from_of(branch):
