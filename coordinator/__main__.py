@@ -27,6 +27,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout.reconfigure(errors="backslashreplace")
     code = _run_agent(arguments[1:]) if arguments[:1] == ["agent"] else _run_command(arguments)
     interrupts.ignore()
+    gc.freeze()  # what is left ends with the process: nobody need look for cycles in it
     return code
 
 

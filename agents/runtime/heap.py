@@ -7,7 +7,9 @@ from collections.abc import Callable
 
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD, M_ARENA_MAX = -1, -3, -8  # of <malloc.h>
 LARGE = 2**20  # bytes; what is as large goes back to the system as soon as it is free
-LARGE_ALONE = 2**25  # the same of a process that computes once and ends: to clear pages takes a fifth of its time
+# The same of a process that computes once and ends: to clear pages takes a fifth of its time. glibc takes no more.
+LARGE_ALONE = 2**25
+KEPT_ALONE = 2**30  # bytes free at the end of the heap that such a process keeps for what comes next
 
 
 def _find(name: str) -> Callable[..., int]:
@@ -21,9 +23,18 @@ def _find(name: str) -> Callable[..., int]:
 _mallopt, _malloc_trim = _find("mallopt"), _find("malloc_trim")
 
 
-def keep_small(large: int = LARGE) -> None:
-    """One heap for all threads of this process, and what is free at its end, or ``large``, goes back to the system."""
-    for option, value in ((M_ARENA_MAX, 1), (M_TRIM_THRESHOLD, large), (M_MMAP_THRESHOLD, large)):
+def keep_small() -> None:
+    """One heap for all threads of this process, and what is free at its end, or LARGE, goes back to the system."""
+    _set(LARGE, LARGE)
+
+
+def keep_all() -> None:
+    """The heap of a process that computes once and ends: what is free serves again, but for what is LARGE_ALONE."""
+    _set(KEPT_ALONE, LARGE_ALONE)
+
+
+def _set(kept: int, large: int) -> None:
+    for option, value in ((M_ARENA_MAX, 1), (M_TRIM_THRESHOLD, kept), (M_MMAP_THRESHOLD, large)):
         _mallopt(option, value)
 
 

@@ -75,7 +75,7 @@ def say_interrupted() -> int:
 
 def _show_version(context: click.Context, _: click.Parameter, asked: bool) -> None:
     if asked and not context.resilient_parsing:
-        from coordinator.evaluation.result import version_of
+        from coordinator.evaluation.answers import version_of
 
         show(f"{DISTRIBUTION} {version_of(DISTRIBUTION) or 'in a folder, not installed'}")
         context.exit()
@@ -197,7 +197,7 @@ def powerflow(scenario: str, changes: Mapping[str, object], output: Output) -> N
                dsse powerflow ieee33 --csv branches
                dsse powerflow ieee33 --out results
     """
-    from coordinator.evaluation.result import power_flow_as_json
+    from coordinator.evaluation.answers import power_flow_as_json
     from coordinator.report.grid_text import format_power_flow
     from dsse_core.grid.network import Network
     from dsse_core.power_flow.newton_raphson import solve_power_flow
@@ -212,7 +212,7 @@ def powerflow(scenario: str, changes: Mapping[str, object], output: Output) -> N
     else:
         result = solve_power_flow(loaded.network)
         tables = results_of_power_flow(result, partition=loaded.partition, meters=loaded.meters)
-    hand_over(output, tables, power_flow_as_json(loaded, result), lambda: format_power_flow(result, tables))
+    hand_over(output, tables, lambda: power_flow_as_json(loaded, result), lambda: format_power_flow(result, tables))
 
 
 @commands.command(short_help="Estimate the whole grid in one place.")
@@ -251,7 +251,7 @@ def estimate(
 
 
 def _estimate_once(loaded: Scenario, output: Output) -> None:
-    from coordinator.evaluation.result import estimate_as_json
+    from coordinator.evaluation.answers import estimate_as_json
     from coordinator.evaluation.whole_grid import estimate_whole_grid
     from coordinator.report.grid_text import format_bad_data, format_estimate
     from dsse_core.results.results import TABLES, results_of_estimate
@@ -260,12 +260,12 @@ def _estimate_once(loaded: Scenario, output: Output) -> None:
     report, truth = estimate_whole_grid(loaded)
     tables = results_of_estimate(report, partition=loaded.partition, meters=loaded.meters, truth=truth)
     notes = format_bad_data(report)[1:] if report.removed or report.detected else []
-    hand_over(output, tables, estimate_as_json(loaded, report), lambda: format_estimate(report, tables), notes)
+    hand_over(output, tables, lambda: estimate_as_json(loaded, report), lambda: format_estimate(report, tables), notes)
 
 
 def _estimate_scans(loaded: Scenario, scans: Scans, output: Output) -> int:
     """The exit code."""
-    from coordinator.evaluation.result import scans_as_json
+    from coordinator.evaluation.answers import scans_as_json
     from coordinator.evaluation.scan_estimates import estimate_scans
     from coordinator.report.scan_text import format_scans
     from dsse_core.results.scans import ScanTables
@@ -273,7 +273,7 @@ def _estimate_scans(loaded: Scenario, scans: Scans, output: Output) -> int:
     output.check_table(ScanTables.names, "of many scans")
     found = estimate_scans(loaded, scans)
     tables, failures = found.tables, [f"no estimate of {failure}" for failure in found.describe_failures()]
-    hand_over(output, tables, scans_as_json(loaded, found), lambda: format_scans(found, tables), failures)
+    hand_over(output, tables, lambda: scans_as_json(loaded, found), lambda: format_scans(found, tables), failures)
     return 1 if failures else 0
 
 

@@ -71,23 +71,26 @@ def check_parquet_option(parquet: bool) -> None:
 
 
 def hand_over(
-    output: Output, tables: Tables, content: dict[str, Any], text: Callable[[], str], notes: Sequence[str] = ()
+    output: Output,
+    tables: Tables,
+    content: Callable[[], dict[str, Any]],
+    text: Callable[[], str],
+    notes: Sequence[str] = (),
 ) -> None:
     """Write the files that are asked for, ``content`` as result.json, and print.
 
     ``text``: what is printed unless JSON or CSV is asked for. ``notes``: what it says of how far the result can be
     trusted; beside JSON and CSV, which others read on, they go to standard error.
     """
-    from coordinator.evaluation.table_files import format_csv, tables_as_json, write_json, write_parquet, write_tables
-
     if output.folder is not None:
-        write_json(output.folder / "result.json", content)
-        write_tables(output.folder, tables)
-        if output.parquet:
-            write_parquet(output.folder, tables)
+        _write_files(output.folder, output.parquet, tables, content())
     if output.as_json:
-        show(json.dumps(content | tables_as_json(tables), allow_nan=False))
+        from coordinator.evaluation.table_files import tables_as_json
+
+        show(json.dumps(content() | tables_as_json(tables), allow_nan=False))
     elif output.csv:
+        from coordinator.evaluation.table_files import format_csv
+
         show(format_csv(getattr(tables, output.csv)))
     else:
         show(text())
@@ -96,3 +99,12 @@ def hand_over(
         say(f"note: {note}")
     if output.folder is not None:
         (say if machine_reads else show)(f"files: {output.folder}")
+
+
+def _write_files(folder: Path, parquet: bool, tables: Tables, content: dict[str, Any]) -> None:
+    from coordinator.evaluation.table_files import write_json, write_parquet, write_tables
+
+    write_json(folder / "result.json", content)
+    write_tables(folder, tables)
+    if parquet:
+        write_parquet(folder, tables)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from agents.runtime.heap import LARGE_ALONE, keep_small
+from agents.runtime.heap import keep_all
 from coordinator.cli.figure_options import given_arguments
 from coordinator.interrupts import decide
 from coordinator.process_run.compile_clock import clock
@@ -69,7 +69,7 @@ run_folder_option = click.option(
 @contextmanager
 def answering_once() -> Iterator[None]:
     """Of a command that computes something and ends: it waits for no compiler, and has all memory for itself."""
-    keep_small(LARGE_ALONE)
+    keep_all()
     with only_loading():
         yield
 

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.metadata
-import math
-import platform
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
@@ -12,22 +9,17 @@ from pathlib import Path
 from typing import Any
 
 from agents.protocol.quality import GOOD
+from coordinator.evaluation.answers import head_json, report_as_json, versions_json
 from coordinator.evaluation.comparison import Comparison
 from coordinator.evaluation.run_tables import make_run_tables
-from coordinator.evaluation.scan_estimates import ScanEstimates
 from coordinator.evaluation.table_files import write_json, write_tables
 from coordinator.evaluation.verdict import Verdict
 from coordinator.observe.duplicates import Duplicate
 from coordinator.observe.observer import Observer, Sample, count_exchanges
 from dsse_core.estimation.bad_data import BadDataReport
 from dsse_core.grid.measurement import Measurement
-from dsse_core.grid.network import Network
-from dsse_core.power_flow.newton_raphson import PowerFlowResult
 from dsse_core.results.results import Results, WithTables
 from scenarios.scenario import Scenario
-
-VERSION = 2
-DISTRIBUTIONS = ("consensus-dsse", "numpy", "scipy", "eclipse-zenoh", "msgspec")
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,7 +155,7 @@ def write_result(result: RunResult) -> None:
 def as_json(result: RunOutcome) -> dict[str, Any]:
     """The content of ``result.json``; docs/reference/run-folder.md explains every key."""
     return {
-        **_head_json(result.scenario),
+        **head_json(result.scenario),
         "run": result.run,
         "verdict": asdict(result.verdict),
         "areas": {area.name: _area_json(area) for area in result.area_results},
@@ -171,52 +163,8 @@ def as_json(result: RunOutcome) -> dict[str, Any]:
         "timing_s": dict(result.timing_s),
         "faults": dict(result.faults),
         "duplicates": [asdict(duplicate) for duplicate in result.duplicates],
-        **_versions_json(),
+        **versions_json(),
     }
-
-
-def estimate_as_json(scenario: Scenario, report: BadDataReport) -> dict[str, Any]:
-    """The content of the ``result.json`` of ``dsse estimate``."""
-    how = {"iterations": report.result.iterations, "back_end": report.result.backend}
-    return {**_head_json(scenario), "estimate": report_as_json(report) | how, **_versions_json()}
-
-
-def scans_as_json(scenario: Scenario, found: ScanEstimates) -> dict[str, Any]:
-    """The content of the ``result.json`` of ``dsse estimate --readings`` with many scans."""
-    failed = {found.names[row]: str(failure.code) for row, failure in found.batch.failures.items()}
-    estimated = len(found.names) - len(failed)
-    of_all = {"scans": len(found.names), "estimated": estimated, "failed": failed}
-    return {**_head_json(scenario), "estimates": of_all | {"back_end": found.batch.plan.backend}, **_versions_json()}
-
-
-def power_flow_as_json(solved: Scenario | Network, result: PowerFlowResult) -> dict[str, Any]:
-    """The content of the ``result.json`` of ``dsse powerflow``."""
-    network = result.network
-    loss = result.losses * 1000 * network.base_mva
-    how = {"iterations": result.iterations, "method": result.method}
-    found = {"loss_kw": loss.real, "loss_kvar": loss.imag} | how
-    of_network = {"version": VERSION, "network": {"name": network.name, "buses": len(network.buses)}}
-    head = of_network if isinstance(solved, Network) else _head_json(solved)
-    return {**head, "power_flow": found, **_versions_json()}
-
-
-def _head_json(scenario: Scenario) -> dict[str, Any]:
-    of_scenario = {
-        "name": scenario.name,
-        "path": str(scenario.path),
-        "description": scenario.description,
-        "network": scenario.network.name,
-        "buses": len(scenario.network.buses),
-        "strategy": scenario.strategy,
-        "seed": scenario.seed,
-        "telemetry": scenario.telemetry.source,
-        "changes": dict(scenario.changes),
-    }
-    return {"version": VERSION, "scenario": of_scenario}
-
-
-def _versions_json() -> dict[str, Any]:
-    return {"versions": {"python": platform.python_version()} | {name: version_of(name) for name in DISTRIBUTIONS}}
 
 
 def _area_json(area: AreaResult) -> dict[str, Any]:
@@ -230,30 +178,3 @@ def _centralised_json(result: RunOutcome) -> dict[str, Any]:
     if report is None:
         return {"failure": result.centralised_failure}
     return {"failure": None, "error_vm_pu": error.vm_pu, "error_va_deg": error.va_deg, **report_as_json(report)}
-
-
-def report_as_json(report: BadDataReport) -> dict[str, Any]:
-    """What the chi-square test and the removal of bad data have found."""
-    return {
-        "objective": report.objective,
-        "degrees_of_freedom": report.degrees_of_freedom,
-        "chi_square_limit": report.chi_square_limit if math.isfinite(report.chi_square_limit) else None,
-        "bad_data_left": report.detected,
-        "removed": [
-            {
-                "meter": removed.measurement.meter.id,
-                "normalized_residual": removed.normalized_residual,
-                "indistinguishable_from": list(removed.indistinguishable_from),
-            }
-            for removed in report.removed
-        ],
-        "critical": list(report.critical),
-    }
-
-
-def version_of(distribution: str) -> str | None:
-    """The version of an installed package, None if it is not."""
-    try:
-        return importlib.metadata.version(distribution)
-    except importlib.metadata.PackageNotFoundError:
-        return None

@@ -15,7 +15,7 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
-from coordinator.evaluation.result import DISTRIBUTIONS, version_of
+from coordinator.evaluation.answers import DISTRIBUTIONS, version_of
 from coordinator.figures.style import Drawing, as_svg, styled
 from coordinator.report.settings import Origin
 from dsse_core.files.drafts import whole_file

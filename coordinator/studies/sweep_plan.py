@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from agents.strategies.installed import list_strategies
+from coordinator.evaluation.answers import version_of
 from coordinator.evaluation.evaluation import NO_CHANGES, NO_SETTINGS, choose_scenario
-from coordinator.evaluation.result import version_of
 from dsse_core.errors import InvalidInputError
 from scenarios.faults.faults import LinkChanges
 from scenarios.files.key_values import parse_values
