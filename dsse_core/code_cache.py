@@ -1,4 +1,4 @@
-"""The cache of compiled functions: numba's, in the places of ``code_places`` only."""
+"""How functions are compiled, and their cache: numba's, in the places of ``code_places`` only."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from numba import njit
 from numba.core import config, event
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
 
@@ -73,6 +74,19 @@ class KeptCode:
     def disable(self) -> None: ...
 
     def flush(self) -> None: ...
+
+
+def compiled(function: Callable[..., Any]) -> Any:
+    """``function`` compiled once for all processes; for each anew where there is no safe folder to keep it in.
+
+    Other threads go on while it runs: where nobody takes in what the bus receives, a link counts as lost. For each
+    view of an array, and each array given to a function, references are counted: inside the loops over all buses there
+    are neither, or these counts take as long as the work.
+    """
+    dispatcher = njit(error_model="numpy", fastmath={"contract"}, nogil=True)(function)
+    if hasattr(dispatcher, "_cache"):  # not where NUMBA_DISABLE_JIT is set
+        dispatcher._cache = KeptCode(function)  # as ``enable_caching`` does with a cache of numba's own
+    return dispatcher
 
 
 class _Locator:

@@ -26,8 +26,9 @@ from dsse_core.errors import InvalidInputError
 BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 SOURCES = Path(__file__).resolve().parent
 CODE = (".nbi", ".nbc", ".whole")  # numba's index and data files, and our notes
-Whole = Literal["exchange", "estimate", "batch"]
-"""What is compiled together: steps of an area; a power flow, an estimate and its bad data; many of these at once."""
+Whole = Literal["exchange", "estimate", "batch", "sparse"]
+"""What is compiled together: steps of an area; a power flow, an estimate and its bad data of a radial network; many of
+these at once; elimination in networks of any shape."""
 
 
 @dataclass(frozen=True, slots=True)

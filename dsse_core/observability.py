@@ -127,7 +127,9 @@ def _factor_shifted(A: sp.csr_array) -> spla.SuperLU:
     pattern = AugmentedPattern(A)
     for shift in SHIFTS:
         try:
-            return pattern.factor(pattern.fill(np.full(n_meas, TABLEAU_SCALE), A.data, np.full(n_free, -shift)))
+            return pattern.factor_by_superlu(
+                pattern.fill(np.full(n_meas, TABLEAU_SCALE), A.data, np.full(n_free, -shift))
+            )
         except RuntimeError:  # exactly singular
             continue
     problem = "the Jacobian at no load is singular beyond what unobservable buses explain; look for absurd impedances"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import scipy.sparse as sp
 
 from dsse_core.code_places import Whole
 from dsse_core.estimation.bad_data import process_bad_data
@@ -78,6 +79,18 @@ def warm_up_batches() -> None:
     estimate_batch(plan, values, sigmas, start=(flows.vm, flows.va), threads=1)
     estimate_with_plan(plan, values[0], sigmas[0], threads=2)
     _note("batch")
+
+
+def warm_up_sparse() -> None:
+    """Go once through all that elimination in a network with loops takes, and note where it is kept."""
+    from dsse_core.matrices.compiled_factor import factor_compiled  # numba
+
+    A = sp.csc_array(np.array([[2.0, 1.0], [1.0, 0.0]]))
+    factor = factor_compiled(A, 0.1)
+    factor = factor_compiled(A, 0.1, factor.elimination)
+    factor.solve(np.ones(2))
+    factor.find_inverse(A, np.arange(2), np.arange(2))
+    _note("sparse")
 
 
 def _note(what: Whole) -> None:

@@ -93,10 +93,15 @@ def estimate_centralised(scenario: Scenario, telemetry: Telemetry) -> Centralise
         report = process_bad_data(scenario.network, telemetry.union, tolerance=tolerance)
     except DsseError as error:
         return Centralised(None, str(error))
-    if report.result.backend == "radial" and not has_whole("estimate"):
+    plan = report.result.plan
+    if plan.backend == "radial" and not has_whole("estimate"):
         from agents.runtime.warm_up import warm_up_estimate  # which most runs do not need
 
         warm_up_estimate()
+    if plan.backend == "sparse" and plan.sparse.pattern.is_compiled and not has_whole("sparse"):
+        from agents.runtime.warm_up import warm_up_sparse
+
+        warm_up_sparse()
     return Centralised(report, None)
 
 

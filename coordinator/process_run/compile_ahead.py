@@ -33,13 +33,14 @@ def compile_ahead() -> CompiledAhead:
     if find_folder_to_keep_in() is None:
         faults = [f"{place.folder}: {place.fault or 'cannot be written'}" for place in find_places()]
         raise InvalidInputError("no safe folder for compiled code; set NUMBA_CACHE_DIR to one", faults)
-    from agents.runtime.warm_up import warm_up, warm_up_batches, warm_up_estimate
+    from agents.runtime.warm_up import warm_up, warm_up_batches, warm_up_estimate, warm_up_sparse
 
     folders: list[str | None] = []
     compiling.listen(lambda begins, folder: folders.append(folder) if begins else None)
     warm_up()
     warm_up_estimate()
     warm_up_batches()
+    warm_up_sparse()
     if not_kept:
         raise OSError(not_kept[0].errno, not_kept[0].strerror, folders[0] if folders else None)
     looked_in = tuple(str(place.folder) for place in find_places() if place.fault is None)

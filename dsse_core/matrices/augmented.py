@@ -14,12 +14,17 @@ Problems, 2.7).
 from __future__ import annotations
 
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
+from dsse_core.compiling import find_obstacle
 from dsse_core.matrices.selected_inverse import find_inverse_diagonal, find_inverse_entries
+
+if TYPE_CHECKING:
+    from dsse_core.matrices.compiled_factor import CompiledFactor, Elimination
 
 PIVOT_SCALE = 1e-3  # median of the scaled a R; anything from 1 to 1e-6 works, with fewer digits at the ends
 LARGEST_DAMPING = 1e-6  # of the scaled tableau
@@ -32,6 +37,10 @@ MOST_REFINEMENTS = 5
 ORDERED = {"diag_pivot_thresh": 1e-3, "relax": 1, "panel_size": 1, "options": {"SymmetricMode": True}}
 KEPT_PIVOT = 1e-6  # in place of 1e-3 where a pivot that is moved fills in: below it of its column's largest entry
 REFINED = 1e-6  # of a correction to a solution, whose square is what is left; else pivots are moved after all
+# Of the tableau's rows, from which elimination in a given order is compiled: with 500 buses loading numba pays.
+FEWEST_COMPILED = 2500
+PIVOT = 0.1  # of a compiled elimination that fills in nothing, in parts of the largest entry left in the column
+PIVOT_FILLING_IN = 1e-3  # of one that does: a pivot that is moved fills in more
 FEWEST_SELECTED = 400  # rows of the tableau, from which the selected inverse takes less than solves
 MOST_SOLVED = 100_000_000  # rows of the tableau times right-hand sides: some ten seconds
 FEW_SOLVED = 256  # right-hand sides, where MOST_SOLVED does not allow all
@@ -58,6 +67,12 @@ class AugmentedPattern:
         self._gather = np.lexsort((rows, columns))
         self._indices = rows[self._gather].astype(np.int32)
         self._indptr = np.concatenate([[0], np.cumsum(np.bincount(columns, minlength=self._size))]).astype(np.int32)
+        self._elimination: Elimination | None = None  # the last one, whose pivots mostly serve again
+
+    @cached_property
+    def is_compiled(self) -> bool:
+        """Whether elimination in this order is: decided once, when it is first asked for."""
+        return self.order is not None and self._size >= FEWEST_COMPILED and find_obstacle("sparse") is None
 
     def fill(self, above: np.ndarray, data: np.ndarray, below: np.ndarray) -> sp.csc_array:
         """``[[diag(above), H], [H', diag(below)]]`` in the order of elimination, ``data`` the entries of H."""
@@ -75,7 +90,21 @@ class AugmentedPattern:
         there[self.order] = b
         return there
 
-    def factor(self, tableau: sp.csc_array, *, exact: bool = False) -> spla.SuperLU:
+    def factor(self, tableau: sp.csc_array) -> spla.SuperLU | CompiledFactor:
+        """What most steps and variances are found with.
+
+        Raises RuntimeError where the tableau is exactly singular.
+        """
+        if not self.is_compiled:
+            return self.factor_by_superlu(tableau)
+        from dsse_core.matrices.compiled_factor import factor_compiled  # numba
+
+        pivot = PIVOT_FILLING_IN if self.fills_in else PIVOT
+        factor = factor_compiled(tableau, pivot, self._elimination)
+        self._elimination = factor.elimination
+        return factor
+
+    def factor_by_superlu(self, tableau: sp.csc_array, *, exact: bool = False) -> spla.SuperLU:
         """``exact``: with full pivoting, so that refinement has nothing to make up for.
 
         Raises RuntimeError where the tableau is exactly singular.
@@ -119,7 +148,7 @@ class AugmentedFactor:
         while True:
             self._tableau = self._fill(H)
             try:
-                self._lu = pattern.factor(self._tableau)
+                self._lu: spla.SuperLU | CompiledFactor = pattern.factor(self._tableau)
                 break
             except RuntimeError:  # exactly singular
                 self._below = raise_damping(self._below)
@@ -183,16 +212,31 @@ class AugmentedFactor:
         Nan where the selected inverse declines and solves would cost more than MOST_SOLVED.
         """
         rows, columns = self._n_meas + np.asarray(rows), self._n_meas + np.asarray(columns)
-        found = None
-        if len(self._scale) >= FEWEST_SELECTED:
+        found = self._find_compiled(rows, columns)
+        if found is None and len(self._scale) >= FEWEST_SELECTED:
             place = self._pattern.place
-            factor = self._pattern.factor(self._tableau, exact=True)
-            found = find_inverse_entries(self._tableau, factor, place[rows], place[columns])
+            factor = self._pattern.factor_by_superlu(self._tableau, exact=True)
+            selected = find_inverse_entries(self._tableau, factor, place[rows], place[columns])
+            found = None if selected is None else self._scale[rows] * selected * self._scale[columns]
         if found is None and len(self._scale) * len(np.unique(columns)) > MOST_SOLVED:
             return np.full(len(rows), np.nan)
-        if found is None:
-            return self._solve_entries(rows, columns) / -self._a
-        return np.asarray(self._scale[rows] * found * self._scale[columns] / -self._a)
+        return np.asarray((self._solve_entries(rows, columns) if found is None else found) / -self._a)
+
+    def _find_compiled(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray | None:
+        """Entries of the inverse of the tableau by compiled elimination; solutions where that loses digits.
+
+        None where it is not compiled, there are too many solutions, or an entry is far from all of the tableau.
+        """
+        if isinstance(self._lu, spla.SuperLU):
+            return None
+        place = self._pattern.place
+        found, wrong = self._lu.find_inverse(self._tableau, place[rows], place[columns])
+        if np.isnan(found).any() or len(self._scale) * len(np.unique(columns[wrong])) > MOST_SOLVED:
+            return None
+        found *= self._scale[rows] * self._scale[columns]
+        if wrong.any():
+            found[wrong] = self._solve_entries(rows[wrong], columns[wrong])
+        return np.asarray(found)
 
     def _solve_entries(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Entries of the inverse of the tableau, a solution for each of the ``columns``."""
@@ -227,9 +271,12 @@ class AugmentedFactor:
         """Of the tableau, where that takes less than its solves."""
         if len(self._scale) < FEWEST_SELECTED:
             return None
-        found = find_inverse_diagonal(self._tableau, self._pattern.factor(self._tableau, exact=True))
+        everywhere = np.arange(len(self._scale))
+        if (compiled := self._find_compiled(everywhere, everywhere)) is not None:
+            return compiled
+        found = find_inverse_diagonal(self._tableau, self._pattern.factor_by_superlu(self._tableau, exact=True))
         if found is None and self._pattern.fills_in:  # fewer entries, and accurate enough for most grids
-            found = find_inverse_diagonal(self._tableau, self._pattern.factor(self._tableau))
+            found = find_inverse_diagonal(self._tableau, self._pattern.factor_by_superlu(self._tableau))
         return None if found is None else self._scale**2 * self._pattern.permute_back(found)
 
     def _diagonal(self, rows: np.ndarray) -> np.ndarray:
@@ -244,7 +291,7 @@ class AugmentedFactor:
         scaled = self._lu.solve(b)
         change = self._lu.solve(b - self._tableau @ scaled)  # information is a difference
         if self._pattern.fills_in and not abs(change).max(initial=0.0) <= REFINED * abs(scaled).max(initial=0.0):
-            self._lu = self._pattern.factor(self._tableau, exact=True)
+            self._lu = self._pattern.factor_by_superlu(self._tableau, exact=True)
             scaled = self._lu.solve(b)
             change = self._lu.solve(b - self._tableau @ scaled)
         solution: np.ndarray = scale * self._pattern.permute_back(scaled + change)

@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
+from dsse_core.code_cache import compiled
 from dsse_core.grid.network import Network
-from dsse_core.radial.block import compiled, modulus, scaled
+from dsse_core.radial.block import modulus, scaled
 from dsse_core.radial.iteration import branch_powers
 from dsse_core.radial.plan import RadialLayout, orient_branches, read_branches, read_shunts, stack_admittances
 

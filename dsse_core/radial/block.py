@@ -1,32 +1,16 @@
-"""What the compiled passes over a tree share: how they are compiled, the 4 x 4 block of a bus, small formulas."""
+"""What the compiled passes over a tree share: the 4 x 4 block of a bus, small formulas."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
-from numba import njit
 
-from dsse_core.code_cache import KeptCode
+from dsse_core.code_cache import compiled
 
 LEAST_SCALE = 1e-8  # of the rows of lam, in units of 1 / variance: round-off in place of information sets no scale
 NO_INFORMATION = 1e-20  # with all sigmas 1: a pivot that only round-off can have made
 N_INVERSE = 11  # columns of a block with right-hand sides: D (4), U (4), r (1), and two of the unit matrix
-
-
-def compiled(function: Callable[..., Any]) -> Any:
-    """``function`` compiled once for all processes; for each anew where there is no safe folder to keep it in.
-
-    Other threads go on while it runs: where nobody takes in what the bus receives, a link counts as lost. For each
-    view of an array, and each array given to a function, references are counted: inside the loops over all buses there
-    are neither, or these counts take as long as the work.
-    """
-    dispatcher = njit(error_model="numpy", fastmath={"contract"}, nogil=True)(function)
-    if hasattr(dispatcher, "_cache"):  # not where NUMBA_DISABLE_JIT is set
-        dispatcher._cache = KeptCode(function)  # as ``enable_caching`` does with a cache of numba's own
-    return dispatcher
 
 
 @compiled

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 
-from dsse_core.radial.block import compiled
+from dsse_core.code_cache import compiled
 from dsse_core.radial.inverse import find_variances
 from dsse_core.radial.iteration import branch_powers
 from dsse_core.radial.kernel import UPWARD, eliminate, substitute

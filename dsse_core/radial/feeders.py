@@ -10,7 +10,8 @@ import itertools
 
 import numpy as np
 
-from dsse_core.radial.block import N_INVERSE, compiled
+from dsse_core.code_cache import compiled
+from dsse_core.radial.block import N_INVERSE
 from dsse_core.radial.iteration import move
 from dsse_core.radial.kernel import STEP, eliminate_below, eliminate_root, root_objective, substitute_below
 from dsse_core.radial.root import N_KNOWN

@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from dsse_core.radial.block import compiled, modulus, scaled
+from dsse_core.code_cache import compiled
+from dsse_core.radial.block import modulus, scaled
 from dsse_core.radial.iteration import branch_powers
 from dsse_core.radial.kernel import coefficients_of, row_of_branch
 

@@ -7,8 +7,9 @@ import math
 import numpy as np
 
 from dsse_core import gauss_newton
+from dsse_core.code_cache import compiled
 from dsse_core.gauss_newton import FLOWS_KNOWN, FULL_STEPS, LARGEST_STEP, MAX_DVA, MAX_DVM, NEAR_LIMIT, SURE_STEP
-from dsse_core.radial.block import N_INVERSE, compiled, modulus, scaled, wrap
+from dsse_core.radial.block import N_INVERSE, modulus, scaled, wrap
 from dsse_core.radial.kernel import N_FACTOR, N_MORE, SMALL_ANGLE, STEP, eliminate, substitute
 from dsse_core.radial.root import N_KNOWN
 

@@ -23,8 +23,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dsse_core.code_cache import compiled
 from dsse_core.grid.measurement_model import CURRENT_FLOOR
-from dsse_core.radial.block import N_INVERSE, compiled, modulus, scaled, solve_block, wrap
+from dsse_core.radial.block import N_INVERSE, modulus, scaled, solve_block, wrap
 from dsse_core.radial.root import N_KNOWN, solve_root
 
 SMALL_ANGLE = 0.01  # rad; below it three terms give sine and cosine to the last digit

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from dsse_core.code_cache import compiled
 from dsse_core.observability import NO_RESIDUAL, WIDTH
 from dsse_core.radial import kernel as radial_kernel
-from dsse_core.radial.block import compiled
 from dsse_core.radial.iteration import branch_powers, predict
 from dsse_core.radial.kernel import coefficients_of, row_of_branch
 from dsse_core.radial.plan import N_SLOT, RadialPlan

@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from dsse_core.radial.block import NO_INFORMATION, compiled, scaled, solve_block, wrap
+from dsse_core.code_cache import compiled
+from dsse_core.radial.block import NO_INFORMATION, scaled, solve_block, wrap
 
 N_KNOWN = 16  # of a root or an addressee: see describe_root
 

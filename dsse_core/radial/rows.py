@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from dsse_core.radial.block import compiled, modulus, scaled
+from dsse_core.code_cache import compiled
+from dsse_core.radial.block import modulus, scaled
 from dsse_core.radial.iteration import LOST, carve, find_objective, forget_meters, iterate, place_of
 from dsse_core.radial.kernel import CHECK, eliminate
 from dsse_core.radial.plan import LEAST_PIVOT_RATIO

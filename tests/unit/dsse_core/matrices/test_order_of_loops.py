@@ -15,10 +15,24 @@ from dsse_core.matrices.augmented import AugmentedFactor, AugmentedPattern
 Kind = MeasurementKind
 
 
-def looped(seed: int, n: int, ties: int) -> Network:
+@pytest.fixture(params=[pytest.param("compiled", marks=pytest.mark.long), "superlu"])
+def numerics(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Both by which a tableau in a given order is eliminated, for tableaus of any size."""
+    if request.param == "compiled":
+        pytest.importorskip("numba")
+    monkeypatch.setattr(augmented, "FEWEST_COMPILED", 0 if request.param == "compiled" else 10**9)
+    return str(request.param)
+
+
+@pytest.fixture
+def superlu(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(augmented, "FEWEST_COMPILED", 10**9)
+
+
+def looped(seed: int, n: int, ties: int, farthest: int = 20) -> Network:
     rng = np.random.default_rng(seed)
     tree = [(int(rng.integers(max(1, k - 8), k + 1)), k + 1) for k in range(1, n)]
-    near = [(int(k), int(k + rng.integers(2, 20))) for k in rng.integers(1, n - 20, ties)]
+    near = [(int(k), int(k + rng.integers(2, farthest))) for k in rng.integers(1, n - farthest, ties)]
     pairs = [*tree, *(pair for pair in near if pair not in tree)]
     branches = tuple(Branch(f"{k}", *pair, *rng.uniform(0.001, 0.03, 2)) for k, pair in enumerate(pairs))
     buses = tuple(Bus(k + 1, 20.0, p_load=0.01 * (k % 7 > 0)) for k in range(n))
@@ -39,6 +53,7 @@ def system_of(network: Network, seed: int) -> tuple[sp.csr_array, np.ndarray, Au
     return plan.sparse.linearize(plan.sparse.start)[1], sigma, plan.sparse.pattern
 
 
+@pytest.mark.usefixtures("numerics")
 @pytest.mark.parametrize("seed", range(12))
 def test_steps_of_looped_networks_do_not_depend_on_the_order_of_elimination(seed: int) -> None:
     network = looped(seed, 120, 12)
@@ -49,6 +64,7 @@ def test_steps_of_looped_networks_do_not_depend_on_the_order_of_elimination(seed
         np.testing.assert_allclose(ours, others, rtol=0, atol=1e-9 * abs(others).max())
 
 
+@pytest.mark.usefixtures("superlu")
 def test_loops_that_join_neighbours_do_not_fill_the_factor() -> None:
     open_ring = looped(1, 600, 40)
     tree = replace(open_ring, branches=open_ring.branches[:599])
@@ -57,6 +73,7 @@ def test_loops_that_join_neighbours_do_not_fill_the_factor() -> None:
     assert entries[0] < 2 * entries[1]
 
 
+@pytest.mark.usefixtures("superlu")
 def test_residual_variances_of_2000_buses_and_100_ties_take_few_products(monkeypatch: pytest.MonkeyPatch) -> None:
     H, sigma, pattern = system_of(looped(1, 2000, 100), 1)
     n = sum(H.shape)
@@ -65,6 +82,7 @@ def test_residual_variances_of_2000_buses_and_100_ties_take_few_products(monkeyp
     assert not np.isnan(AugmentedFactor(H, sigma, pattern=pattern).residual_variance()).any()
 
 
+@pytest.mark.usefixtures("superlu")
 def test_variances_that_would_take_too_long_are_unknown_but_of_the_rows_wanted_most(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -81,6 +99,7 @@ def test_variances_that_would_take_too_long_are_unknown_but_of_the_rows_wanted_m
     assert not np.isnan(factor.state_variance()).any()
 
 
+@pytest.mark.usefixtures("superlu")
 def test_a_factor_that_is_too_full_with_full_pivoting_gives_way_to_that_of_the_steps(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -95,3 +114,35 @@ def test_a_factor_that_is_too_full_with_full_pivoting_gives_way_to_that_of_the_s
     found = AugmentedFactor(H, sigma, pattern=pattern).residual_variance()
     assert len(calls) == 2
     np.testing.assert_allclose(found / np.maximum(sigma, 1e-9) ** 2, expected / np.maximum(sigma, 1e-9) ** 2, atol=1e-7)
+
+
+@pytest.mark.long  # it compiles
+@pytest.mark.parametrize("seed", range(4))
+def test_no_variance_of_a_network_with_long_loops_is_unknown_and_all_are_those_of_solutions(
+    monkeypatch: pytest.MonkeyPatch, seed: int
+) -> None:
+    pytest.importorskip("numba")
+    H, sigma, pattern = system_of(looped(seed, 300, 60, 280), seed)
+    monkeypatch.setattr(augmented, "FEWEST_COMPILED", 0)
+    plain = AugmentedFactor(H, sigma)
+    with monkeypatch.context() as patch:
+        patch.setattr(augmented, "FEWEST_SELECTED", 10**9)
+        expected = plain.state_variance(), plain.residual_variance()
+    monkeypatch.setattr(augmented, "MOST_SOLVED", 100)
+    factor = AugmentedFactor(H, sigma, pattern=pattern)
+    found = factor.state_variance(limited=True), factor.residual_variance(np.arange(len(sigma)))
+    np.testing.assert_allclose(found[0], expected[0], rtol=1e-8)
+    real = sigma > 0
+    ratios = [part[real] / sigma[real] ** 2 for part in (found[1], expected[1])]
+    np.testing.assert_allclose(*ratios, rtol=0, atol=1e-10)
+
+
+@pytest.mark.long  # it compiles
+def test_what_compiled_elimination_is_not_sure_of_is_solved_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    compiled_factor = pytest.importorskip("dsse_core.matrices.compiled_factor", exc_type=ImportError)
+    monkeypatch.setattr(augmented, "FEWEST_COMPILED", 0)
+    H, sigma, pattern = system_of(looped(1, 300, 20), 1)
+    expected = AugmentedFactor(H, sigma, pattern=pattern).residual_variance()
+    monkeypatch.setattr(compiled_factor, "WRONG", -1.0)
+    found = AugmentedFactor(H, sigma, pattern=pattern).residual_variance()
+    np.testing.assert_allclose(found / np.maximum(sigma, 1e-9) ** 2, expected / np.maximum(sigma, 1e-9) ** 2, atol=1e-9)
