@@ -38,6 +38,7 @@ class PublishedState:
         self._scan = scan
         self._rejections = rejections
         self._header_for = header_for
+        self._described: tuple[Estimate | None, dict[str, Any]] = None, describe_estimate(None, ())  # the last one
         self._standing: object = None  # what makes a state that stays the same worth publishing
 
     def is_as_shown(self, quality: str, old_sides: tuple[str, ...]) -> bool:
@@ -68,7 +69,7 @@ class PublishedState:
         peers, last = sorted(self._peers.items()), self.message
         state = StateMessage(
             header=replace(self._header_for(last.header.sequence + 1 if last else 1), scan=scan),
-            **describe_estimate(estimate, self._buses),
+            **self._describe(estimate),
             sent={name: (peer.load.sequence, peer.exchange.sequence) for name, peer in peers},
             received={name: peer.received for name, peer in peers},
             messages=0,
@@ -87,6 +88,12 @@ class PublishedState:
             state = replace(state, header=replace(state.header, sequence=last.header.sequence))
         self.message, self._standing = state, self._find_standing(worth.quality)
         return state
+
+    def _describe(self, estimate: Estimate | None) -> dict[str, Any]:
+        """``describe_estimate``, once for the one that every heartbeat repeats."""
+        if self._described[0] is not estimate:
+            self._described = estimate, describe_estimate(estimate, self._buses)
+        return self._described[1]
 
 
 def describe_estimate(estimate: Estimate | None, buses: tuple[int, ...]) -> dict[str, Any]:

@@ -102,7 +102,7 @@ class Compiling:
     folder: str | None
 
 
-@dataclass
+@dataclass(repr=False)  # ``signal.getsignal`` of a method words one in every child, and all children would be in it
 class ForkServer:
     """Serves the commands that arrive on ``orders``."""
 

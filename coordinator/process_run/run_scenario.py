@@ -43,6 +43,7 @@ from scenarios.telemetry import make_telemetry
 DAYS_OF_A_RUN = 1.0  # that the keys of one secured run are valid
 MANY_AREAS = 50  # from which on the agents that start have the cores, and readings are made when all are there,
 JOIN_SHARE = 0.25  # or after this part of the time limit
+LOOK_SHARE = 0.05  # of the time of watching that may pass in looks at hundreds of areas, which need the cores to get on
 INTERRUPTED = "interrupted"
 
 
@@ -195,13 +196,13 @@ def _watch(
             _carry_out_faults(run, observer, now)
             if now < next_check:
                 continue
-            next_check = now + check_s
             standing = observer.standing(now)
             obstacles = (*run.schedule.describe_next(), *standing.obstacles)
             is_over = until(obstacles)
             if on_update and (now >= next_update or is_over):
                 next_update = now + UPDATE_S
                 on_update(describe_progress(observer, now - run.started, standing.obstacles))
+            next_check = now + max(check_s, (time.monotonic() - now) / LOOK_SHARE)
             if is_over:
                 return None
             if not run.schedule.steps and standing.dead_end:

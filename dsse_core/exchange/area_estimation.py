@@ -72,10 +72,12 @@ class AreaEstimation:
         self._uses_currents = False
         self._n_current = 0  # current meters that can be used
         self._received: Received = {}  # at ``linearized_at``
+        self._boundary_values: dict[str, tuple[np.ndarray, tuple[float, ...]]] = {}  # of which x
         self._aged: dict[str, BoundaryInformation] = {}
         self._stand_ins: dict[str, BoundaryInformation] = {}
         self._model: AreaModel | None = None
-        self._no_load: NoLoadModel | None = None
+        self._no_load: NoLoadModel | None = None  # while something of it is asked for
+        self._measured_at_no_load: Sequence[Measurement] = ()
         self._meters_of_no_load: tuple[Meter, ...] = ()
         self._kept_no_load: dict[tuple[object, ...], object] = {}  # of the no-load model
 
@@ -157,9 +159,17 @@ class AreaEstimation:
 
     def _build_no_load(self, in_use: Sequence[Measurement]) -> None:
         meters = tuple(m.meter for m in in_use)
-        if self._no_load is None or self._meters_of_no_load != meters:
-            self._no_load = build_no_load_model(self.area, in_use, self._reference)
-            self._meters_of_no_load, self._kept_no_load = meters, {}
+        if self._meters_of_no_load != meters:
+            self._meters_of_no_load, self._no_load, self._kept_no_load = meters, None, {}
+        self._measured_at_no_load = in_use
+
+    def _at_no_load(self) -> NoLoadModel:
+        """Built when it is first asked for, and kept until all of this start have been told what follows from it:
+        later scans of the same meters ask for the same, which is kept in its place.
+        """
+        if self._no_load is None:
+            self._no_load = build_no_load_model(self.area, self._measured_at_no_load, self._reference)
+        return self._no_load
 
     # What others are sent
 
@@ -176,8 +186,12 @@ class AreaEstimation:
         return tuple(self.model.boundary_values(self.x, n)[:2].tolist()) if n.is_parent else ()
 
     def boundary_values(self, neighbour: str) -> tuple[float, ...]:
-        """y = (p, q, vm, va) at the boundary to ``neighbour``."""
-        return tuple(self.model.boundary_values(self.x, self._by_name[neighbour]).tolist())
+        """y = (p, q, vm, va) at the boundary to ``neighbour``; found once of one x, which every heartbeat repeats."""
+        kept = self._boundary_values.get(neighbour)
+        if kept is None or kept[0] is not self.x:
+            values = tuple(self.model.boundary_values(self.x, self._by_name[neighbour]).tolist())
+            self._boundary_values[neighbour] = kept = self.x, values
+        return kept[1]
 
     def information_for(self, neighbour: str, received: Received) -> BoundaryInformation:
         """What this side, all areas but those behind ``neighbour``, knows at x_k; ``received``: of the others in use.
@@ -193,11 +207,8 @@ class AreaEstimation:
         others = {n for n in self._by_name if n != neighbour}
         if self._silent or self._is_blank or others - received.keys():
             return None
-        assert self._no_load is not None  # ``begin`` was called
-        no_load, beyond = self._no_load, {name: received[name] for name in others}
-        return self._keep(
-            (neighbour,), beyond, lambda: _checked(no_load.information_for(self._by_name[neighbour], beyond))
-        )
+        beyond, n = {name: received[name] for name in others}, self._by_name[neighbour]
+        return self._keep((neighbour,), beyond, lambda: _checked(self._at_no_load().information_for(n, beyond)))
 
     def _keep(self, what: tuple[str, ...], received: Received, find: Callable[[], T]) -> T | None:
         """What ``find`` makes of the no-load model and ``received``, found anew only where these differ."""
@@ -296,13 +307,15 @@ class AreaEstimation:
         if not self.is_first:
             return
         self.is_first = False
-        if self._silent or self._is_blank or self._by_name.keys() - received.keys():
-            return
-        assert self._no_load is not None  # ``begin`` was called
-        no_load = self._no_load
-        self.unobservable, found = self._keep((), received, lambda: no_load.examine(received)) or ((), frozenset())
+        if not (self._silent or self._is_blank or self._by_name.keys() - received.keys()):
+            self._examine_no_load(received)
+        self._no_load, self._measured_at_no_load = None, ()
+
+    def _examine_no_load(self, received: Received) -> None:
+        found = self._keep((), received, lambda: self._at_no_load().examine(received))
+        self.unobservable, indispensable = found or ((), frozenset())
         if not self.unobservable:
-            self.critical = tuple(sorted(found & self.model.real_ids))
+            self.critical = tuple(sorted(indispensable & self.model.real_ids))
 
     def _evaluate(self) -> None:
         """Which meters are critical, and the largest normalised residual of the others."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from dsse_core.estimation.residuals import THRESHOLD, keep_tied, normalize_residuals
 from dsse_core.grid.admittance import flat_start
-from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter
+from dsse_core.grid.measurement import Measurement, MeasurementKind
 from dsse_core.grid.partition import Area, Neighbour
 from dsse_core.linear import NoLoadSolver, make_no_load
 from dsse_core.linear.area_model import AreaModel, build_area_model
@@ -109,15 +109,11 @@ class NoLoadModel:
 
 def build_no_load_model(area: Area, measurements: Sequence[Measurement], reference: int | None) -> NoLoadModel:
     """``reference``: bus of the grid's angle reference, if the area sees it."""
-    unit = [
-        Measurement(Meter(m.meter.kind, m.meter.bus, m.meter.branch), 0.0, 1.0)
-        for m in measurements
-        if m.meter.kind is not MeasurementKind.CURRENT
-    ]
-    model = build_area_model(area, unit, reference, with_shunts=False)
+    but_currents = [m for m in measurements if m.meter.kind is not MeasurementKind.CURRENT]
+    model = build_area_model(area, but_currents, reference, with_shunts=False)
     vm, va = flat_start(area.network, area.slack_bus if reference is None else reference)
     x = np.concatenate([va, vm, np.zeros(model.size - 2 * len(vm))])
     of_power = ~np.isin(model.kinds, (MeasurementKind.VM, MeasurementKind.VA))
     typical = np.median([1 / abs(complex(b.r, b.x)) for b in area.network.active_branches])
     model = replace(model, z=model.predict(x), sigma=np.where(of_power, typical, 1.0))
-    return NoLoadModel(model, make_no_load(model), x, tuple(m.meter.id for m in unit), float(typical))
+    return NoLoadModel(model, make_no_load(model), x, model.ids, float(typical))

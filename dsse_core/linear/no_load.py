@@ -10,6 +10,7 @@ from dsse_core.linear.sparse import SparseRows
 
 NO_LOAD_NOT_YET = 1e-18  # information given to what nothing determines, relative to what rows tell where less than 1
 DRAWS = 32  # of which the mean square is a fifth of its expectation with a probability of 1e-7
+DRAWS_OF_STATE = 8  # a hundredth, or six times, with 1e-7: between what is known and what is not lie six powers of ten
 NOTHING = 1e-30  # for variables that no row speaks of
 
 
@@ -39,8 +40,9 @@ class NoLoadSolver(RowSolver):
         return H, np.where(weight > 0, NO_LOAD_NOT_YET * np.minimum(weight, 1.0), NOTHING)
 
     def sample(self, x: np.ndarray, received: Received, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-        """diag(G^-1), shape (size,), and diag(Omega) / sigma^2 of the area's own measurements, shape (n_meas,), each
-        to a factor of two or so, from what random readings lead to: on one factor, and without its inverse.
+        """diag(G^-1), shape (size,), to a power of ten, and diag(Omega) / sigma^2 of the area's own measurements,
+        shape (n_meas,), to a factor of two or so, from what random readings lead to: on one factor, and without its
+        inverse.
 
         With S = Omega / (sigma sigma') a projection, readings of variance 1 leave residuals of variance S_ii, here the
         mean square of DRAWS of them, and 0 to the square of round-off. With random readings of the damping, too, the
@@ -49,11 +51,11 @@ class NoLoadSolver(RowSolver):
         H, _, sigma = self.stack(x, received)
         free, model = self.model.free, self.model
         H, damping = self._damp(H, sigma, free)
+        factor = self.rows.factor(H, sigma, damping)
         above = sigma[:, None] * rng.standard_normal((len(sigma), DRAWS))
-        below = np.sqrt(damping)[:, None] * rng.standard_normal((len(free), DRAWS))
-        columns = np.zeros((len(free), 2 * DRAWS))
-        columns[:, DRAWS:] = below
-        s, dx = self.rows.factor(H, sigma, damping).solve(np.hstack([above, above]), columns)
+        s, _ = factor.solve(above, np.zeros((len(free), DRAWS)))
+        below = np.sqrt(damping)[:, None] * rng.standard_normal((len(free), DRAWS_OF_STATE))
+        _, dx = factor.solve(above[:, :DRAWS_OF_STATE], below)
         variance = np.zeros(model.size)
-        variance[free] = (dx[:, DRAWS:] ** 2).mean(axis=1)
-        return variance, ((model.sigma[:, None] * s[: len(model.z), :DRAWS]) ** 2).mean(axis=1)
+        variance[free] = (dx**2).mean(axis=1)
+        return variance, ((model.sigma[:, None] * s[: len(model.z)]) ** 2).mean(axis=1)

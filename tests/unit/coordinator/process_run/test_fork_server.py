@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 import sys
 from pathlib import Path
 
@@ -61,3 +62,18 @@ def test_without_a_place_to_keep_it_no_other_process_compiles(
     monkeypatch.setattr(fork_server, "find_folder_to_keep_in", lambda: None)
     server._compile_in_child(TARGET)
     assert not (tmp_path / "pids").exists()
+
+
+class Sibling:
+    def __repr__(self) -> str:
+        raise AssertionError("a child that finds the signals of its parent describes all its siblings")
+
+
+def test_a_forked_child_does_not_describe_all_that_were_forked_before_it(server: ForkServer):
+    """``signal.getsignal`` puts the handler, a method of the parent, into the words of an error that nobody sees."""
+    server.children[1] = Sibling()  # type: ignore[assignment]
+    before = signal.signal(signal.SIGUSR1, server._stop)
+    try:
+        assert signal.getsignal(signal.SIGUSR1) == server._stop
+    finally:
+        signal.signal(signal.SIGUSR1, before)
