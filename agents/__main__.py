@@ -19,6 +19,7 @@ from agents.runtime.inbox import Inbox
 from agents.runtime.log_format import start_log
 from agents.runtime.loop import run_agent
 from agents.runtime.renewal import Renewal, on_hangup
+from agents.runtime.watchdog import Watchdog
 from agents.security.credentials import load_keys
 from agents.strategies.installed import list_strategies
 from agents.transport.zenoh_bus import Session
@@ -64,21 +65,27 @@ def run_process(
     Where hundreds are forked, none of them needs a parser of its own: 2 ms and 1.5 MiB each.
     """
     start_log()
-    compiling.listen(_log_compiling)
+    watchdog = Watchdog()
+    for listener in (_LogOfCompiling(), watchdog.take_compiling):
+        compiling.listen(listener)
     try:
-        run_area(path, endpoints, timeout_s, keys)
+        run_area(path, endpoints, timeout_s, keys, watchdog)
     except DsseError as error:
         print(f"error: {error}", file=sys.stderr)
         return REPLACED_CODE if isinstance(error, ReplacedError) else 2
     return 0
 
 
-def _log_compiling(begins: bool, folder: str | None) -> None:
-    """Say once what takes so long."""
-    if begins:
-        compiling.forget_listeners()
-        kept = f"this happens once, the code is kept in {folder}" if folder else "there is no safe folder to keep it in"
-        logging.getLogger(__name__).info("compiling the solvers of large radial areas; %s", kept)
+class _LogOfCompiling:
+    """Says once what takes so long."""
+
+    said = False
+
+    def __call__(self, begins: bool, folder: str | None) -> None:
+        if begins and not self.said:
+            self.said = True
+            kept = f"this happens once, the code is kept in {folder}" if folder else "no safe folder can keep it"
+            logging.getLogger(__name__).info("compiling the solvers of large radial areas; %s", kept)
 
 
 def _seconds(text: str) -> float:
@@ -91,7 +98,9 @@ def _seconds(text: str) -> float:
     return value
 
 
-def run_area(path: Path, endpoints: Sequence[str], timeout_s: float, keys: Path | None) -> None:
+def run_area(
+    path: Path, endpoints: Sequence[str], timeout_s: float, keys: Path | None, watchdog: Watchdog | None = None
+) -> None:
     """Run the agent of area file ``path``; ``endpoints``, if any, replace the file's; ``keys``: folder of credentials.
 
     Raises:
@@ -114,7 +123,7 @@ def run_area(path: Path, endpoints: Sequence[str], timeout_s: float, keys: Path 
     with _open_session(content, timeout_s, keys) as session:
         signal.signal(signal.SIGTERM, stop)
         signal.signal(signal.SIGINT, stop)
-        reason = run_agent(content, session, inbox)
+        reason = run_agent(content, session, inbox, watchdog)
     logging.getLogger(__name__).info("area %s ends: %s", content.area.name, reason)
 
 

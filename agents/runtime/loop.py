@@ -32,6 +32,7 @@ from agents.runtime.ingress_filter import IngressFilter
 from agents.runtime.link import FaultyLinks
 from agents.runtime.presence import Presence, begin_incarnation, read_leave
 from agents.runtime.renewal import Renewal
+from agents.runtime.watchdog import Watchdog
 from agents.transport.zenoh_bus import Session
 
 log = logging.getLogger(__name__)
@@ -60,10 +61,11 @@ class _ClockReceived:
     payload: bytes
 
 
-def run_agent(content: AreaFile, session: Session, inbox: Inbox) -> str:
+def run_agent(content: AreaFile, session: Session, inbox: Inbox, watchdog: Watchdog | None = None) -> str:
     """Take part in the exchange until something puts ``StopRequested`` into ``inbox``; return its reason.
 
     Subscribes first and shows its presence last, so that who sees the token can be sure that its messages are received.
+    ``watchdog``: learns when it is there, and that the loop goes round.
 
     Raises:
         ReplacedError: another agent of the area runs that began later.
@@ -85,8 +87,11 @@ def run_agent(content: AreaFile, session: Session, inbox: Inbox) -> str:
     events: list[Event] = []
     logged: object = None
     next_tidying = now
+    watchdog = watchdog or Watchdog({})
+    watchdog.ready(now)
     while True:
         now = time.monotonic()
+        next_beat = now + watchdog.beat(now)
         for action in protocol.handle(events, now):
             match action:
                 case Publish(message, to):
@@ -102,7 +107,7 @@ def run_agent(content: AreaFile, session: Session, inbox: Inbox) -> str:
         if now >= next_tidying:
             next_tidying = now + TIDY_S
             give_back()
-        updates = inbox.take(min(protocol.wait_s(now), links.next_due() - now, guard.next_due() - now))
+        updates = inbox.take(min(protocol.wait_s(now), min(links.next_due(), guard.next_due(), next_beat) - now))
         links.release(time.monotonic())
         if Renewal.ASKED in updates and session.interrupt():
             updates += [*inbox.take(0.0), _OutOfSight()]

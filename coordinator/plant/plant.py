@@ -17,6 +17,7 @@ from agents.runtime.inbox import Inbox
 from agents.runtime.log_format import start_log
 from agents.runtime.presence import begin_incarnation
 from agents.runtime.renewal import Renewal, on_hangup
+from agents.runtime.watchdog import Watchdog
 from agents.security.access import PLANT
 from agents.security.credentials import load_keys
 from agents.transport.renewable_bus import RenewableBus
@@ -80,6 +81,7 @@ def run_plant(
             for number in (SILENT, SPEAK):
                 signal.signal(number, voice.be_silent)
             signal.pthread_sigmask(signal.SIG_UNBLOCK, (SILENT, SPEAK))  # a run's plant may have its orders already
+            voice.watchdog.ready(time.monotonic())
             try:
                 while not voice.serve(payloads, scans.late_s(scan), every_s or math.inf):
                     scan += 1
@@ -127,6 +129,7 @@ class _Voice:
     bus: RenewableBus
     silent: bool = False
     alone: _Alone = field(default_factory=_Alone)
+    watchdog: Watchdog = field(default_factory=Watchdog)
     _newest: dict[str, bytes] = field(default_factory=dict)  # area -> the readings that have come in
     _due: dict[str, None] = field(default_factory=dict)  # areas to be served, in this order; a new scan goes on with it
 
@@ -147,6 +150,7 @@ class _Voice:
                 self._due |= dict.fromkeys(payloads)
             said = self._publish_some(payloads, late_s, now - start)
             wait_s = said / RATE if self._due else math.inf
+            wait_s = min(wait_s, self.watchdog.beat(now))
             updates = self.inbox.take(min(next_heartbeat - time.monotonic(), over - time.monotonic(), wait_s))
             if Renewal.ASKED in updates and self.bus.interrupt():
                 updates += self.inbox.take(0.0)

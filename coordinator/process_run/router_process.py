@@ -6,12 +6,14 @@ import argparse
 import os
 import signal
 import sys
+import time
 from collections.abc import Sequence
 from pathlib import Path
 
 from agents.runtime.inbox import Inbox
 from agents.runtime.log_format import start_log
 from agents.runtime.renewal import Renewal, on_hangup
+from agents.runtime.watchdog import Watchdog
 from agents.security.access import ROUTER
 from agents.security.credentials import load_keys
 from agents.transport.zenoh_bus import Router
@@ -60,7 +62,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             print("listening on", ", ".join(router.endpoints), flush=True)
             if arguments.endpoints_file:
                 _write_whole(arguments.endpoints_file, "\n".join(router.endpoints))
-            while True not in (updates := inbox.take(AWAKE_S)):
+            watchdog = Watchdog()
+            watchdog.ready(time.monotonic())
+            while True not in (updates := inbox.take(min(AWAKE_S, watchdog.beat(time.monotonic())))):
                 if Renewal.ASKED in updates and router.interrupt():
                     router.resume()
     except DsseError as error:
