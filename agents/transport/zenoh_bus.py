@@ -115,6 +115,11 @@ class Session(RenewableBus):
             return cls.meet(endpoints, keys=keys, beat_s=beat_s)
         return cls.connect(endpoints, timeout_s, keys, beat_s=beat_s)
 
+    def is_linked(self) -> bool:
+        """Whether there is a link to a router, or to any of those met directly."""
+        bus = cast("zenoh.Session | None", self.bus)
+        return bus is not None and any((bus.info.routers_zid(), bus.info.peers_zid()))
+
     def publisher(self, key: str) -> Callable[[bytes], None]:
         """A function that puts a payload on ``key``; while links are closed to be opened again, nobody receives it."""
         declared = self.declare(

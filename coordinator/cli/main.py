@@ -35,7 +35,7 @@ from coordinator.cli.terminal import (
     timeout_option,
 )
 from coordinator.cli.thesis import thesis
-from coordinator.cli.watch import watch
+from coordinator.cli.watch import watch_commands
 from coordinator.interrupts import INTERRUPTED_CODE, end_orderly_on_signals
 from dsse_core.errors import DsseError
 
@@ -278,5 +278,5 @@ def _estimate_scans(loaded: Scenario, scans: Scans, output: Output) -> int:
 
 
 groups = (*process_commands, *network_commands, *study_commands)
-for command in (*groups, keys_commands, scenarios_commands, thesis, watch, serve, flows):
+for command in (*groups, *watch_commands, serve, keys_commands, scenarios_commands, thesis, flows):
     commands.add_command(command)

@@ -14,7 +14,9 @@ from coordinator.cli.terminal import (
     bus_timeout_option,
     choose_endpoints,
     connect_option,
+    direct_option,
     keys_option,
+    run_option,
     say,
     set_option,
     show,
@@ -38,9 +40,9 @@ if TYPE_CHECKING:  # the real imports stand in the command, so that every other 
 @click.option("--token-file", type=click.Path(path_type=Path), help="Who opens the page shows the token in this file.")
 @click.option("--name", "names", multiple=True, help="Name under which browsers ask for this host; repeatable.")
 @connect_option()
-@click.option("--direct", is_flag=True, help="There is no router: link with the endpoint of every area.")
+@direct_option
 @keys_option
-@click.option("--run", "run_id", help="Name of the run.  [default: the only one on the bus]")
+@run_option
 @bus_timeout_option
 def serve(
     scenario: str | None,

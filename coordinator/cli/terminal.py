@@ -55,6 +55,10 @@ timeout_option = click.option(
 )
 quiet_option = click.option("--quiet", is_flag=True, help="Print the verdict only.")
 run_id_option = click.option("--run", "run_id", help="Name of the run, a part of every key.  [default: the scenario's]")
+direct_option = click.option("--direct", is_flag=True, help="There is no router: link with the endpoint of every area.")
+run_option = click.option(
+    "--run", "run_id", help="Name of the run.  [default: the only one on the bus; with --keys the one named there]"
+)
 keys_option = click.option(
     "--keys", type=click.Path(path_type=Path), metavar="DIR", help="Show the certificate in DIR (`dsse keys create`)."
 )

@@ -15,7 +15,9 @@ from coordinator.cli.terminal import (
     bus_timeout_option,
     choose_endpoints,
     connect_option,
+    direct_option,
     keys_option,
+    run_option,
     show,
 )
 from coordinator.interrupts import end_orderly_on_signals
@@ -29,15 +31,14 @@ if TYPE_CHECKING:  # the real imports stand in the command, so that every other 
 UPDATE_S = 0.2
 BRANCHES = "branches"  # a table of --json alone
 LINE_S = 1.0  # between two lines where there is no terminal
+ATTEMPT_S = 2.0  # to reach the bus; `dsse metrics` answers questions meanwhile, and tries again
 
 
 @click.command(short_help="Watch a running system from outside.")
 @connect_option()
-@click.option("--direct", is_flag=True, help="There is no router: link with the endpoint of every area.")
+@direct_option
 @keys_option
-@click.option(
-    "--run", "run_id", help="Name of the run.  [default: the only one on the bus; with --keys the one named there]"
-)
+@run_option
 @click.option("--grid", metavar="SCENARIO", help="Its network and meters: kV and kW, and meters that are silent.")
 @click.option("--buses", is_flag=True, help="Show the voltage of every bus, too.")
 @click.option("--meters", is_flag=True, help="Show every reading and how far it is off the estimate, too.")
@@ -137,3 +138,36 @@ def _format(watcher: Watcher, find_tables: Tables, as_json: bool) -> str:
     from coordinator.observe.view_text import format_view
 
     return format_view(view, [table for name, table in tables.items() if name != BRANCHES])
+
+
+@click.command(short_help="Serve /metrics, /health and /ready of a running system over HTTP.")
+@click.option("--listen", default="127.0.0.1:9464", show_default=True, metavar="HOST:PORT", help="Where to answer.")
+@connect_option()
+@direct_option
+@keys_option
+@run_option
+def metrics(listen: str, endpoints: tuple[str, ...], direct: bool, keys: Path | None, run_id: str | None) -> int:
+    """Watch the areas of a running system and serve what is seen to Prometheus, until Ctrl-C.
+
+    /health answers 200 while the bus is reachable, /ready while every area that was ever seen shows a fresh state, else
+    503 with the reasons.
+
+    \b
+    Examples:  dsse metrics
+               dsse metrics --listen 0.0.0.0:9464 --connect tls/192.0.2.7:7447 --keys keys
+    """
+    from coordinator.observe.serve_metrics import check_prometheus, serve_metrics
+
+    check_prometheus()
+    from agents.runtime.log_format import start_log
+    from coordinator.cli.watch_session import attach
+    from coordinator.observe.metrics_page import MetricsPage, parse_listen
+
+    start_log()
+    chosen = choose_endpoints(endpoints, keys is not None)
+    with MetricsPage(*parse_listen(listen)) as page:
+        serve_metrics(page, lambda: attach(chosen, run_id, ATTEMPT_S, keys, direct), keys is not None)
+    return 0
+
+
+watch_commands = (watch, metrics)

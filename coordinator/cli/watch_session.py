@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -33,8 +33,34 @@ SETTLE_S = 0.3  # from the first run seen to the belief that there is no other
 STEP_S = 0.05
 MOST_RUNS = 12  # that an error names
 
-Look = Callable[[float], Watcher]
-"""Take in what arrives within so many seconds, and the watcher that knows of it."""
+
+class Look:
+    """What arrives on ``session``; called with a number of seconds it takes in what arrives within them."""
+
+    def __init__(self, watcher: Watcher, updates: Updates, session: Session) -> None:
+        self.is_linked = session.is_linked
+        self._watcher, self._updates, self._session = watcher, updates, session
+
+    def renew(self) -> None:
+        """Take up the keys that are in the files now; who is there is seen anew."""
+        if self._session.interrupt():
+            self(0.0)
+            self._watcher.forget_presence()
+            self._session.resume()
+
+    def __call__(self, duration_s: float) -> Watcher:
+        """The watcher, which knows of all up to now."""
+        for item in self._updates.take(duration_s):
+            match item:
+                case StateMessage():
+                    self._watcher.take_state(item, time.monotonic())
+                case ReadingsMessage():
+                    self._watcher.take_readings(item)
+                case (key, bool() as alive):
+                    self._watcher.take_presence(key, alive)
+                case (key, leave_reason) if leave_reason:
+                    self._watcher.take_leave(key, leave_reason)
+        return self._watcher
 
 
 @contextmanager
@@ -62,20 +88,7 @@ def attach(
         all_tokens = all_live(run) if loaded else all_live_of_any_version(run)  # keys let nobody see other versions
         session.watch_presence(all_tokens, lambda key, alive: updates.offer((key, alive), said_once=True))
 
-        def look(duration_s: float) -> Watcher:
-            for item in updates.take(duration_s):
-                match item:
-                    case StateMessage():
-                        watcher.take_state(item, time.monotonic())
-                    case ReadingsMessage():
-                        watcher.take_readings(item)
-                    case (key, bool() as alive):
-                        watcher.take_presence(key, alive)
-                    case (key, leave_reason) if leave_reason:
-                        watcher.take_leave(key, leave_reason)
-            return watcher
-
-        yield look
+        yield Look(watcher, updates, session)
 
 
 def wait_until_whole(look: Look, timeout_s: float) -> Watcher:

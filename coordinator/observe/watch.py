@@ -45,6 +45,11 @@ class Watcher:
         if self._presence.take(key, alive) and alive:
             self._leave_reasons.pop(name_of_live(key)[1], None)  # that was said by a former incarnation
 
+    def forget_presence(self) -> None:
+        """Know of no token any more: the links to the bus are opened anew."""
+        self._presence.forget()
+        self._other_versions.clear()
+
     def take_leave(self, key: str, leave_reason: str) -> None:
         """Note that a process said that it goes."""
         if self._presence.take_leave(key) and len(self._leave_reasons) < MAX_NAMES:

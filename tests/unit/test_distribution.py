@@ -40,7 +40,7 @@ def test_no_dependency_is_without_a_lowest_version_that_can_be_tried():
 
 def test_an_extra_asks_for_no_lower_version_than_the_tests_try():
     lowest = dict(line.split(">=") for line in PROJECT["optional-dependencies"]["test"])
-    for extra in ("fast", "bench", "pandapower", "power-grid-model"):
+    for extra in ("fast", "bench", "metrics", "pandapower", "parquet", "power-grid-model"):
         for line in PROJECT["optional-dependencies"][extra]:
             name, version = line.split(">=")
             assert lowest.get(name, version) == version

@@ -1,0 +1,96 @@
+"""The process of ``dsse metrics``: attaches to the bus as often as it must, looks, and has a page show what it sees."""
+
+from __future__ import annotations
+
+import importlib.util
+import logging
+import signal
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from typing import TYPE_CHECKING, Protocol
+
+from agents.runtime.inbox import Inbox
+from agents.runtime.renewal import Renewal, on_hangup
+from agents.runtime.watchdog import Watchdog
+from agents.transport.zenoh_bus import TransportError
+from coordinator.observe.watch import Watcher
+from dsse_core.errors import InvalidInputError
+
+if TYPE_CHECKING:
+    from coordinator.observe.metrics_page import MetricsPage
+
+log = logging.getLogger(__name__)
+LOOK_S = 0.25
+PAUSE_S = 1.0  # between two attempts to attach
+NO_LINK = "has no link to the bus"
+
+
+class Attached(Protocol):
+    """A watcher on the bus, of ``coordinator/cli/watch_session.py``."""
+
+    def is_linked(self) -> bool:
+        """Whether the bus is there."""
+        ...
+
+    def renew(self) -> None:
+        """Take up the keys that are in the files now."""
+        ...
+
+    def __call__(self, duration_s: float) -> Watcher:
+        """Take in what arrives within ``duration_s``."""
+        ...
+
+
+def check_prometheus() -> None:
+    """That metrics can be written.
+
+    Raises:
+        InvalidInputError: prometheus-client is not installed.
+    """
+    if importlib.util.find_spec("prometheus_client") is None:
+        cure = "needs prometheus-client; install it with `pip install 'consensus-dsse[metrics]'`"
+        raise InvalidInputError("dsse metrics", [cure])
+
+
+def serve_metrics(page: MetricsPage, attach: Callable[[], AbstractContextManager[Attached]], renews: bool) -> None:
+    """Show on ``page`` what is seen of a run, until SIGTERM or Ctrl-C; with ``renews`` SIGHUP takes up new keys.
+
+    ``attach`` is called again until it succeeds: the system may be started later.
+
+    Raises:
+        InvalidInputError: of ``attach``: keys that cannot be used.
+    """
+    inbox, watchdog = Inbox(), Watchdog()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: inbox.put("stop", None))
+    if renews:
+        on_hangup(lambda: inbox.put("renewal", Renewal.ASKED), lambda: inbox.put("stop", None))
+    watchdog.ready(time.monotonic())
+    last = ""
+    wait_s = 0.0
+    while None not in inbox.take(min(wait_s, watchdog.beat(time.monotonic()))):
+        try:
+            with attach() as look:
+                log.info("watching at %s", page.where)
+                _look_on(page, look, inbox, watchdog)
+                return
+        except TransportError as error:
+            if str(error) != last:
+                log.warning("%s", error)
+            last, wait_s = str(error), PAUSE_S
+            page.tell(time.monotonic(), last)
+
+
+def _look_on(page: MetricsPage, look: Attached, inbox: Inbox, watchdog: Watchdog) -> None:
+    """Look again and again, until something says to stop."""
+    linked = True
+    while None not in (updates := inbox.take(0.0)):
+        if Renewal.ASKED in updates:
+            look.renew()
+        watchdog.beat(time.monotonic())
+        watcher = look(LOOK_S)
+        if look.is_linked() != linked:
+            linked = not linked
+            (log.info if linked else log.warning)("%s", "on the bus again" if linked else NO_LINK)
+        page.show(watcher, time.monotonic(), "" if linked else NO_LINK)

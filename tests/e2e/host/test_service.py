@@ -1,0 +1,149 @@
+"""Processes as a service manager and a monitoring system see them: notifications, metrics, health, readiness."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from dsse_command import free_endpoint, free_port
+from system_by_hand import SystemByHand, agreeing_system, prepare_by_hand
+from waiting import DEADLINE_S, wait_until
+
+LIMIT_US = 400_000
+
+
+class ServiceManager:
+    """The socket on which systemd is told by its processes; ``variables``: what it gives to them."""
+
+    def __init__(self, folder: Path) -> None:
+        path = folder / "notify"
+        self.variables = {"NOTIFY_SOCKET": str(path), "WATCHDOG_USEC": str(LIMIT_US)}
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_PASSCRED, 1)
+        self._socket.bind(str(path))
+
+    def take(self, timeout_s: float) -> tuple[int, str]:
+        """The next notification with the process id of its sender; (0, "") if none comes in time."""
+        self._socket.settimeout(timeout_s)
+        try:
+            text, ancillary, _, _ = self._socket.recvmsg(4096, socket.CMSG_SPACE(12))
+        except (TimeoutError, BlockingIOError):
+            return 0, ""
+        return int.from_bytes(ancillary[0][2][:4], "little"), text.decode()
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+@contextmanager
+def service_manager(folder: Path) -> Iterator[ServiceManager]:
+    made = ServiceManager(folder)
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+def test_a_process_that_is_stuck_falls_silent_to_systemd_and_the_others_do_not(dsse, tmp_path: Path):
+    endpoint, _ = prepare_by_hand(dsse, False)
+    port = free_port()
+    with service_manager(tmp_path) as manager, SystemByHand(tmp_path, manager.variables) as system:
+        system.start("router", "router", "--listen", endpoint)
+        system.start("area1", "agent", "areas/area1.toml")
+        system.start("plant", "plant", "industrial13", "--connect", endpoint)
+        system.start("metrics", "metrics", "--listen", f"127.0.0.1:{port}", "--connect", endpoint)
+        pids = {system.processes[name].pid: name for name in system.processes}
+        said: dict[str, list[str]] = {name: [] for name in pids.values()}
+
+        def take() -> bool:
+            pid, text = manager.take(DEADLINE_S)
+            said[pids[pid]].append(text)
+            return all(texts.count("WATCHDOG=1") >= 3 for texts in said.values())
+
+        wait_until(take)
+        assert all(texts[0] == "READY=1" and set(texts[1:]) == {"WATCHDOG=1"} for texts in said.values())
+        frozen = system.processes["area1"].pid
+        os.kill(frozen, signal.SIGSTOP)
+        try:
+            while manager.take(0.0) != (0, ""):  # what it has said before
+                pass
+            heard = [manager.take(DEADLINE_S)[0] for _ in range(40)]  # some 4 s of three processes that go on
+        finally:
+            os.kill(frozen, signal.SIGCONT)
+        assert {pids[pid] for pid in heard} == {"router", "plant", "metrics"}
+        wait_until(lambda: manager.take(DEADLINE_S)[0] == frozen)
+
+
+def ask(port: int, page: str) -> tuple[int, str]:
+    """HTTP status and body; 0 while nobody listens."""
+    try:
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/{page}", timeout=DEADLINE_S) as answer:
+            return answer.status, answer.read().decode()
+    except urllib.error.HTTPError as error:
+        return error.code, error.read().decode()
+    except OSError:
+        return 0, ""
+
+
+def test_metrics_health_and_readiness_tell_of_a_death_and_of_a_lost_bus(dsse, tmp_path: Path):
+    port = free_port()
+    with agreeing_system(dsse, tmp_path, secured=True) as (system, _, endpoint, keys):
+        where = ("--listen", f"127.0.0.1:{port}", "--connect", endpoint, *keys)
+        system.start("metrics", "metrics", *where)
+        wait_until(lambda: ask(port, "ready")[0] == 200)
+        _, text = ask(port, "metrics")
+        assert 'dsse_area_quality{area="area1",quality="good"} 1.0' in text
+        assert 'dsse_run{run="industrial13"} 1.0' in text
+        assert "dsse_gateways_alive 1.0" in text
+
+        system.end("area1", signal.SIGKILL)
+        wait_until(lambda: ask(port, "ready")[0] == 503)
+        assert "area1 is gone" in json.loads(ask(port, "ready")[1])["why"]
+        assert ask(port, "health")[0] == 200
+        assert 'dsse_area_quality{area="area1",quality="stale"} 1.0' in ask(port, "metrics")[1]
+        system.start("area1", "agent", "areas/area1.toml", *keys)
+        wait_until(lambda: ask(port, "ready")[0] == 200)
+
+        system.processes["metrics"].send_signal(signal.SIGHUP)  # renewed keys: it knows who was there before
+        wait_until(lambda: "open again with the keys of now" in system.said("metrics"))
+        wait_until(lambda: ask(port, "ready")[0] == 200)
+
+        system.end("router", signal.SIGKILL)
+        wait_until(lambda: ask(port, "health")[0] == 503)
+        assert json.loads(ask(port, "health")[1])["why"] == ["has no link to the bus"]
+        system.start("router", "router", "--listen", endpoint, *keys)
+        wait_until(lambda: ask(port, "ready")[0] == 200)
+        assert system.end("metrics") == 0
+
+
+def test_a_system_that_is_started_after_its_monitor_is_found(dsse, tmp_path: Path):
+    endpoint, _ = prepare_by_hand(dsse, False)
+    port = free_port()
+    with SystemByHand(tmp_path) as system:
+        system.start("metrics", "metrics", "--listen", f"127.0.0.1:{port}", "--connect", endpoint)
+        wait_until(lambda: "cannot reach" in ask(port, "health")[1])
+        assert ask(port, "health")[0] == ask(port, "ready")[0] == 503
+        system.start("router", "router", "--listen", endpoint)
+        for name in ("area1", "area2"):
+            system.start(name, "agent", f"areas/{name}.toml")
+        system.start("plant", "plant", "industrial13", "--connect", endpoint)
+        wait_until(lambda: ask(port, "ready")[0] == 200)
+        assert system.end("metrics") == 0
+    assert system.said("metrics").count("cannot reach") == 1
+
+
+def test_without_a_bus_that_can_be_called_metrics_says_what_is_wrong(dsse):
+    done = dsse("metrics", "--listen", "nowhere")
+    assert done.returncode == 2
+    assert "HOST:PORT" in done.stderr
+    done = dsse("metrics", "--listen", f"127.0.0.1:{free_port()}", "--connect", free_endpoint("tls"), "--keys", "none")
+    assert done.returncode == 2
+    assert "none" in done.stderr
+    assert "Traceback" not in done.stderr
