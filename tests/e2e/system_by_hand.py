@@ -48,15 +48,19 @@ class SystemByHand:
         self.processes: dict[str, subprocess.Popen[bytes] | ForkedProcess] = {}
         self._environment = {**ENVIRONMENT, **(environment or {})}
 
-    def start(self, name: str, *arguments: object, prefix: Sequence[str] = ()) -> None:
-        """Start ``dsse`` with ``arguments``, in a forked process; ``prefix``: the command that runs it elsewhere."""
+    def start(self, name: str, *arguments: object, prefix: Sequence[str] = (), python: Path | None = None) -> None:
+        """Start ``dsse`` with ``arguments``, in a forked process.
+
+        ``prefix``: the command that runs it elsewhere; ``python``: that of another environment, which then runs it.
+        """
         said, words = self.log_of(name), list(map(str, arguments))
-        if not prefix:
+        if not prefix and python is None:
             self.processes[name] = parent().start(words, self.folder, self._environment, said, said)
             return
         with said.open("ab") as log:
+            command = [str(python or COMMAND[0]), *COMMAND[1:]]
             self.processes[name] = subprocess.Popen(
-                [*prefix, *COMMAND, *words], cwd=self.folder, env=self._environment, stdout=log, stderr=log
+                [*prefix, *command, *words], cwd=self.folder, env=self._environment, stdout=log, stderr=log
             )
 
     def log_of(self, name: str) -> Path:
