@@ -1,4 +1,8 @@
-"""``events.jsonl``: what happened in a run, one JSON object a line, written at once."""
+"""``events.jsonl``: what happened in a run, one JSON object a line, written at once.
+
+A part that has become large is followed by ``events-1.jsonl`` and so on. The first, which tells of all processes of the
+run, stays, and so do the newest.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +16,9 @@ from typing import Any, Self
 
 from dsse_core.files.whole_lines import WholeLines
 
+PART_BYTES = 32 * 2**20  # of a part; whoever stops a run reads the first one whole
+MOST_PARTS = 16  # beside the first
+
 
 class EventLog:
     """Appends events to ``path``; ``time`` in each is seconds since ``started`` on the monotonic clock.
@@ -20,9 +27,10 @@ class EventLog:
     could not be.
     """
 
-    def __init__(self, path: Path, started: float) -> None:
+    def __init__(self, path: Path, started: float, part_bytes: int = PART_BYTES, most_parts: int = MOST_PARTS) -> None:
         self.failure: str | None = None
         self._path = path
+        self._part, self._part_bytes, self._most_parts = 0, part_bytes, most_parts
         self._started = started
         self._lines = WholeLines(path)
 
@@ -40,6 +48,18 @@ class EventLog:
         at = (time.monotonic() if now is None else now) - self._started
         with self._noting_failure():
             self._lines.append(json.dumps({"time": at, "event": event, **details}) + "\n")
+            if self._lines.file.tell() >= self._part_bytes:
+                self._begin_part()
+
+    def _begin_part(self) -> None:
+        former, self._lines = self._lines, WholeLines(self._name(self._part + 1))
+        former.close()
+        self._part += 1
+        if self._part > self._most_parts:
+            self._name(self._part - self._most_parts).unlink(missing_ok=True)
+
+    def _name(self, part: int) -> Path:
+        return self._path.with_stem(f"{self._path.stem}-{part}")
 
     @contextmanager
     def _noting_failure(self) -> Iterator[None]:

@@ -11,7 +11,7 @@ from prometheus_client.metrics_core import Metric
 
 from agents.messages.packing import StateMessage
 from agents.protocol.quality import NONE, QUALITIES, STALE
-from coordinator.observe.watch import AreaView, View
+from coordinator.observe.view import AreaView, View
 
 LOOKED_LATELY_S = 10.0  # a picture that is older is nobody's: the loop of the process that makes them is stuck
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from coordinator.evaluation.result import version_of
+from coordinator.evaluation.answers import version_of
 from coordinator.web.history import KINDS
 
 PATHS = {

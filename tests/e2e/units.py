@@ -25,3 +25,14 @@ def command_of(unit: str, variables: Mapping[str, str], configuration: Path, ins
     assert program == PROGRAM
     values = [variables[word[1:]].split() if word.startswith("$") else [word] for word in words]
     return [part.replace(CONFIGURATION, str(configuration)) for value in values for part in value]
+
+
+def setting_of(unit: str, key: str) -> str:
+    """What the unit says of ``key``; empty if nothing."""
+    found = [line.partition("=")[2] for line in (DEPLOY / unit).read_text().splitlines() if line.startswith(f"{key}=")]
+    return found[-1] if found else ""
+
+
+def bytes_of(size: str) -> int:
+    """A size as systemd writes it."""
+    return int(size[:-1]) << {"K": 10, "M": 20, "G": 30}[size[-1]]

@@ -12,8 +12,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import psutil
 from dsse_command import free_endpoint, free_port
 from system_by_hand import SystemByHand, agreeing_system, prepare_by_hand
+from units import bytes_of, setting_of
 from waiting import DEADLINE_S, wait_until
 
 LIMIT_US = 400_000
@@ -92,12 +94,24 @@ def ask(port: int, page: str) -> tuple[int, str]:
         return 0, ""
 
 
+UNIT_OF = {"area1": "dsse-agent@.service", "area2": "dsse-agent@.service"}
+
+
+def assert_room(system: SystemByHand) -> None:
+    """That no process takes half of the memory or the threads that its unit allows."""
+    for name, process in system.processes.items():
+        unit, seen = UNIT_OF.get(name, f"dsse-{name}.service"), psutil.Process(process.pid)
+        assert seen.memory_info().rss < bytes_of(setting_of(unit, "MemoryMax")) / 2, name
+        assert seen.num_threads() < int(setting_of(unit, "TasksMax")) / 2, name
+
+
 def test_metrics_health_and_readiness_tell_of_a_death_and_of_a_lost_bus(dsse, tmp_path: Path):
     port = free_port()
     with agreeing_system(dsse, tmp_path, secured=True) as (system, _, endpoint, keys):
         where = ("--listen", f"127.0.0.1:{port}", "--connect", endpoint, *keys)
         system.start("metrics", "metrics", *where)
         wait_until(lambda: ask(port, "ready")[0] == 200)
+        assert_room(system)
         _, text = ask(port, "metrics")
         assert 'dsse_area_quality{area="area1",quality="good"} 1.0' in text
         assert 'dsse_run{run="industrial13"} 1.0' in text

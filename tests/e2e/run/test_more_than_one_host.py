@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from dsse_command import ENVIRONMENT
-from units import DEPLOY, PROGRAM, command_of, read_host_file
+from units import DEPLOY, PROGRAM, command_of, read_host_file, setting_of
 from waiting import DEADLINE_S
 
 UNITS = sorted(path.name for path in DEPLOY.glob("*.service"))
@@ -38,6 +38,13 @@ def test_systemd_accepts_every_unit(tmp_path: Path):
         unit = tmp_path / name.replace("@", "@area1")
         done = subprocess.run(["systemd-analyze", "verify", str(unit)], capture_output=True, text=True, check=False)
         assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+@pytest.mark.parametrize("name", UNITS)
+def test_every_unit_is_restarted_when_its_loop_is_stuck_and_bounded_in_memory_and_tasks(name: str):
+    said = {key: setting_of(name, key) for key in ("Type", "WatchdogSec", "Restart", "MemoryMax", "TasksMax")}
+    assert (said["Type"], said["Restart"]) == ("notify", "always")
+    assert all(said.values()), said
 
 
 @pytest.mark.parametrize("name", UNITS)
