@@ -6,24 +6,31 @@ other end says who that is, not the place where it was found, and everything tha
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 from agents.messages.keys import (
+    all_commands,
     all_from_neighbours,
     all_incarnations,
     all_live,
     all_of_run,
+    all_readings,
     all_states,
     all_telemetry,
     clock_key,
+    command_key,
     neighbour_key,
+    readings_key,
     state_key,
     telemetry_key,
 )
 
-ROUTER, PLANT, COORDINATOR = "router", "plant", "coordinator"
+ROUTER, PLANT, COORDINATOR, OPERATOR, WATCHER = "router", "plant", "coordinator", "operator", "watcher"
+ROLES = (ROUTER, PLANT, COORDINATOR, OPERATOR, WATCHER)
+GATEWAY_ = "gateway-"  # by what the common names of gateways begin
 SECOND_ROUTER = f"{ROUTER}2"  # with the certificate of a router, too
 ROUTERS = (ROUTER, SECOND_ROUTER)
 EVERY_MESSAGE = (
@@ -43,20 +50,52 @@ REVOKED = "/revoked"  # a rule's name that is no area's
 
 @dataclass(frozen=True)
 class Access:
-    """All that decides who may speak in ``run``: area -> its neighbours, and names whose keys are in wrong hands."""
+    """All that decides who may speak in ``run``.
+
+    ``neighbours``: area -> its neighbours. ``revoked``: names whose keys are in wrong hands. ``gateways``: gateway ->
+    the areas to which it may send readings; the plant may to all, unless it stands there as ``plant``.
+    """
 
     run: str
     neighbours: Mapping[str, tuple[str, ...]]
     revoked: tuple[str, ...] = ()
+    gateways: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def names(self) -> tuple[str, ...]:
         """The common names of all certificates of a deployment."""
-        return (ROUTER, PLANT, COORDINATOR, *self.neighbours)
+        return (*ROLES, *self.speakers, *self.neighbours)
+
+    @property
+    def speakers(self) -> Mapping[str, str]:
+        """Common name of each gateway but the plant -> the gateway."""
+        return {f"{GATEWAY_}{gateway}": gateway for gateway in self.gateways if gateway != PLANT}
+
+    def areas_of(self, gateway: str) -> tuple[str, ...]:
+        """The areas to which ``gateway`` may send readings."""
+        return self.gateways.get(gateway, tuple(self.neighbours) if gateway == PLANT else ())
+
+    def gateways_of(self, area: str) -> tuple[str, ...]:
+        """The gateways that may send readings to ``area``, the plant among them."""
+        return tuple(g for g in dict.fromkeys((PLANT, *self.gateways)) if area in self.areas_of(g))
 
     def met_directly_by(self, name: str) -> tuple[str, ...]:
-        """Whom ``name`` links with where there is no router: a plant and a watcher with all areas."""
-        return (*self.neighbours[name], PLANT, COORDINATOR) if name in self.neighbours else tuple(self.neighbours)
+        """Whom ``name`` links with where there is no router: a gateway with its areas, a watcher with all."""
+        if name not in self.neighbours:
+            return self.areas_of(self.speakers[name]) if name in self.speakers else tuple(self.neighbours)
+        speakers = (speaker for speaker, gateway in self.speakers.items() if name in self.areas_of(gateway))
+        return (*self.neighbours[name], PLANT, COORDINATOR, OPERATOR, WATCHER, *speakers)
+
+
+def find_name_problems(access: Access) -> Iterator[str]:
+    """Areas whose certificate would be another process's too, and gateways of areas that there are not."""
+    for name, count in Counter(access.names).items():
+        if count > 1:
+            yield f"neighbours: no area can be called {name!r}, as another process is; name the area otherwise"
+    for gateway, areas in access.gateways.items():
+        for area in areas:
+            if area not in access.neighbours:
+                yield f"gateways.{gateway}: there is no area {area!r}; the areas are {', '.join(access.neighbours)}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +124,9 @@ def find_rights(access: Access) -> dict[str, Rights]:
     return {
         PLANT: _rights_of_plant(access),
         COORDINATOR: _rights_of_coordinator(access),
+        OPERATOR: _rights_of_operator(access),
+        WATCHER: _rights_of_watcher(access),
+        **{name: _rights_of_gateway(access, gateway) for name, gateway in access.speakers.items()},
         **{area: _rights_of_area(access, area) for area in access.neighbours},
     }
 
@@ -92,37 +134,80 @@ def find_rights(access: Access) -> dict[str, Rights]:
 def _rights_of_area(access: Access, area: str) -> Rights:
     run, neighbours = access.run, access.neighbours[area]
     to_neighbours = tuple(neighbour_key(run, area, "*", n) for n in neighbours)
+    telemetry = tuple(telemetry_key(run, area, gateway) for gateway in access.gateways_of(area))
+    from_anybody = (command_key(run, area), clock_key(run))
     return Rights(
-        publishes=(*to_neighbours, state_key(run, area)),
+        publishes=(*to_neighbours, state_key(run, area), readings_key(run, area)),
         shows=(all_incarnations(run, "area", area),),
-        subscribes=(all_from_neighbours(run, area), all_telemetry(run, area), clock_key(run)),
-        receives=(*(neighbour_key(run, n, "*", area) for n in neighbours), telemetry_key(run, area), clock_key(run)),
+        subscribes=(all_from_neighbours(run, area), all_telemetry(run, area), *from_anybody),
+        receives=(*(neighbour_key(run, n, "*", area) for n in neighbours), *telemetry, *from_anybody),
         sees=tuple(all_incarnations(run, "area", n) for n in (area, *neighbours)),
-        is_received_by=(*(all_from_neighbours(run, n) for n in neighbours), all_states(run), all_live(run)),
+        is_received_by=(
+            *(all_from_neighbours(run, n) for n in neighbours),
+            all_states(run),
+            all_readings(run),
+            all_live(run),
+        ),
     )
 
 
 def _rights_of_plant(access: Access) -> Rights:
-    telemetry = tuple(telemetry_key(access.run, area) for area in access.neighbours)
+    run, areas = access.run, access.areas_of(PLANT)
+    command = command_key(run, PLANT)
     return Rights(
-        publishes=telemetry,
-        shows=(all_incarnations(access.run, "plant", PLANT),),
-        subscribes=(),
-        receives=(),
-        sees=(all_incarnations(access.run, "area", "*"), all_incarnations(access.run, "plant", PLANT)),
-        is_received_by=(*(all_telemetry(access.run, area) for area in access.neighbours), all_live(access.run)),
+        publishes=tuple(telemetry_key(run, area) for area in areas),
+        shows=(all_incarnations(run, "plant", PLANT),),
+        subscribes=(command,),
+        receives=(command,),
+        sees=(all_incarnations(run, "area", "*"), all_incarnations(run, "plant", PLANT)),
+        is_received_by=(*(all_telemetry(run, area) for area in areas), all_live(run)),
+    )
+
+
+def _rights_of_gateway(access: Access, gateway: str) -> Rights:
+    """It also gets the states of its areas, to pass the results on."""
+    run, areas, own_tokens = access.run, access.areas_of(gateway), all_incarnations(access.run, "gateway", gateway)
+    return Rights(
+        publishes=tuple(telemetry_key(run, area, gateway) for area in areas),
+        shows=(own_tokens,),
+        subscribes=(all_states(run),),
+        receives=tuple(state_key(run, area) for area in areas),
+        sees=(all_incarnations(run, "area", "*"), own_tokens),
+        is_received_by=(*(all_telemetry(run, area) for area in areas), all_live(run)),
     )
 
 
 def _rights_of_coordinator(access: Access) -> Rights:
+    run, everything = access.run, _for_watchers(access)
     return Rights(
-        publishes=(clock_key(access.run),),
-        shows=(all_incarnations(access.run, "coordinator", COORDINATOR),),
-        subscribes=(all_states(access.run),),
-        receives=(all_states(access.run),),
-        sees=(all_live(access.run),),
-        is_received_by=(clock_key(access.run),),
+        publishes=(clock_key(run),),
+        shows=(all_incarnations(run, "coordinator", COORDINATOR),),
+        subscribes=everything,
+        receives=everything,
+        sees=(all_live(run),),
+        is_received_by=(clock_key(run),),
     )
+
+
+def _rights_of_operator(access: Access) -> Rights:
+    run = access.run
+    return Rights(
+        publishes=(all_commands(run),),
+        shows=(),
+        subscribes=(all_states(run),),
+        receives=(all_states(run),),
+        sees=(all_live(run),),
+        is_received_by=(*(command_key(run, name) for name in (*access.neighbours, PLANT)), all_commands(run)),
+    )
+
+
+def _rights_of_watcher(access: Access) -> Rights:
+    everything, tokens = _for_watchers(access), (all_live(access.run),)
+    return Rights(publishes=(), shows=(), subscribes=everything, receives=everything, sees=tokens, is_received_by=())
+
+
+def _for_watchers(access: Access) -> tuple[str, ...]:
+    return all_states(access.run), all_readings(access.run), all_commands(access.run)
 
 
 def zenoh_access_control(access: Access, meets: Iterable[str]) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import ClassVar
 import tomli_w
 from pydantic import Field
 
-from agents.security.access import COORDINATOR, PLANT, ROUTER, Access
+from agents.security.access import ROUTER, Access, find_name_problems
 from agents.security.credential_files import find_mode_problems, write_public
 from dsse_core.errors import InvalidInputError
 from dsse_core.files.kinds import ACCESS_FILE as KIND
@@ -19,6 +19,7 @@ from dsse_core.files.strict_table import FileTable, load_strict
 ACCESS_FILE = "access.toml"
 HEAD = """\
 # Who may speak with whom: nobody lets through anything else.
+# "gateways": to which areas each gateway may send readings.
 # Names in "revoked" are denied everything; after a change, send SIGHUP to every process.
 """
 
@@ -29,6 +30,7 @@ def save_access(path: Path, access: Access) -> None:
         "run": access.run,
         "revoked": list(access.revoked),
         "neighbours": {area: list(names) for area, names in access.neighbours.items()},
+        "gateways": {gateway: list(areas) for gateway, areas in access.gateways.items()},
     }
     write_public(path, (HEAD + tomli_w.dumps(table)).encode())
 
@@ -42,14 +44,16 @@ def load_access(path: Path) -> Access:
     table = load_strict(path, AccessTable)
     problems = []
     for area, neighbours in table.neighbours.items():
-        if area in (ROUTER, PLANT, COORDINATOR):
-            problems.append(f"neighbours: no area can be called {area!r}, as another process is")
         for n in neighbours:
             if area not in table.neighbours.get(n, ()):
                 problems.append(f"neighbours.{area}: {n!r} does not name {area!r} as its neighbour; add it there")
     access = Access(
-        table.run, {area: tuple(names) for area, names in table.neighbours.items()}, tuple(dict.fromkeys(table.revoked))
+        table.run,
+        {area: tuple(names) for area, names in table.neighbours.items()},
+        tuple(dict.fromkeys(table.revoked)),
+        {gateway: tuple(dict.fromkeys(areas)) for gateway, areas in table.gateways.items()},
     )
+    problems += find_name_problems(access)
     problems += [problem for name in access.revoked if (problem := _find_problem_of_revoked(access, name))]
     problems += find_mode_problems(path)
     if problems:
@@ -71,3 +75,4 @@ class AccessTable(FileTable):
     run: Name = Field(description="name of the system whose keys these are")
     revoked: list[str] = Field(default_factory=list)
     neighbours: dict[Name, list[str]] = Field(min_length=1, description="area -> the areas that it meets")
+    gateways: dict[Name, list[str]] = Field(default_factory=dict)

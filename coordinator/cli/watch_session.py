@@ -20,7 +20,8 @@ from agents.messages.keys import (
 )
 from agents.messages.packing import WIRE_VERSION, ReadingsMessage, StateMessage, decode, describe_other_version
 from agents.runtime.presence import read_leave
-from agents.security.access import COORDINATOR
+from agents.security.access import COORDINATOR, WATCHER
+from agents.security.credential_files import credentials_in
 from agents.security.credentials import load_keys
 from agents.transport.zenoh_bus import Session, TransportError
 from coordinator.deployment.split import check_run_id
@@ -69,15 +70,15 @@ def attach(
 ) -> Iterator[Look]:
     """Join the bus at ``endpoints`` as a mere listener of ``run``, or of the only run that is there.
 
-    ``keys``: folder of the coordinator's credentials; it names the run, too, unless ``run`` is given. ``direct``:
-    ``endpoints`` are those of all areas, and there is no router.
+    ``keys``: folder of the watcher's or the coordinator's credentials; it names the run, too, unless ``run`` is given.
+    ``direct``: ``endpoints`` are those of all areas, and there is no router.
 
     Raises:
         InvalidInputError: ``keys`` cannot be used, or ``run`` is no name of a run.
         TransportError: no endpoint answers in time, no run or several are there.
     """
     run = check_run_id(run) if run is not None else None
-    loaded = load_keys(keys, COORDINATOR, run)
+    loaded = load_keys(keys, _find_own_name(keys), run) if keys else None
     run = loaded.access.run if loaded else run
     with Session.join(endpoints, timeout_s, loaded, direct=direct) as session:
         run = run or _find_run(session, timeout_s)
@@ -89,6 +90,12 @@ def attach(
         session.watch_presence(all_tokens, lambda key, alive: updates.offer((key, alive), said_once=True))
 
         yield Look(watcher, updates, session)
+
+
+def _find_own_name(keys: Path) -> str:
+    """Who a watcher with the credentials in ``keys`` is: the coordinator where only that has some there."""
+    has = {name: credentials_in(keys, name).certificate.exists() for name in (WATCHER, COORDINATOR)}
+    return COORDINATOR if has[COORDINATOR] and not has[WATCHER] else WATCHER
 
 
 def wait_until_whole(look: Look, timeout_s: float) -> Watcher:

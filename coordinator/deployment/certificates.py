@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 import ipaddress
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from cryptography import x509
@@ -13,7 +13,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from agents.security.access import ROUTER, Access
+from agents.security.access import OPERATOR, ROUTER, WATCHER, Access, find_name_problems
 from agents.security.access_file import ACCESS_FILE, load_access, save_access
 from agents.security.credential_files import AUTHORITY, credentials_in, make_private_folder, write_private, write_public
 from agents.security.credentials import check_credentials
@@ -29,9 +29,10 @@ LONGEST_NAME = 64  # letters of a common name, X.520
 CLOCKS_DIFFER = datetime.timedelta(minutes=5)  # a certificate is valid so long before it was made
 
 
-def access_of(partition: Partition, run: str) -> Access:
-    """Who is whose neighbour among the areas of ``partition``."""
-    return Access(run, {area.name: tuple(sorted({n.area for n in area.neighbours})) for area in partition.areas})
+def access_of(partition: Partition, run: str, gateways: Mapping[str, tuple[str, ...]] | None = None) -> Access:
+    """Who is whose neighbour among the areas of ``partition``; ``gateways``: of which areas each sends readings."""
+    neighbours = {area.name: tuple(sorted({n.area for n in area.neighbours})) for area in partition.areas}
+    return Access(run, neighbours, gateways=gateways or {})
 
 
 def listeners_of(access: Access, direct: bool) -> tuple[str, ...]:
@@ -40,14 +41,15 @@ def listeners_of(access: Access, direct: bool) -> tuple[str, ...]:
 
 
 def check_keys(folder: Path, access: Access, direct: bool = False) -> None:
-    """Check that ``folder`` has good credentials of all of ``access``, and rules for the same areas and neighbours.
+    """Check that ``folder`` has good credentials of all processes of a run, and rules for its areas and neighbours.
 
     ``direct``: areas listen, and there is no router.
 
     Raises:
         InvalidInputError: every problem of the files, or of the rules.
     """
-    check_credentials(folder, access.names, listeners_of(access, direct))
+    needed = [name for name in access.names if name not in (OPERATOR, WATCHER, *access.speakers)]
+    check_credentials(folder, needed, listeners_of(access, direct))
     path = folder / ACCESS_FILE
     rules = load_access(path)
     there = rules.neighbours
@@ -56,7 +58,17 @@ def check_keys(folder: Path, access: Access, direct: bool = False) -> None:
         for area in sorted({*there, *access.neighbours})
         if (found := there.get(area, ())) != (wanted := access.neighbours.get(area, ()))
     ]
-    problems += [f"revoked: {name} is denied everything, and is a part of this scenario" for name in rules.revoked]
+    problems += [
+        f"gateway {gateway} sends readings to {', '.join(found) or 'nobody'} there, to {', '.join(wanted) or 'nobody'} "
+        "in the scenario"
+        for gateway in sorted({*rules.gateways, *access.gateways})
+        if set(found := rules.gateways.get(gateway, ())) != set(wanted := access.gateways.get(gateway, ()))
+    ]
+    problems += [
+        f"revoked: {name} is denied everything, and is a part of this scenario"
+        for name in rules.revoked
+        if name in needed
+    ]
     if problems:
         raise InvalidInputError(f"access file {path}", [*problems, "make keys for this scenario: dsse keys create"])
 
@@ -73,10 +85,11 @@ def create_keys(folder: Path, access: Access, days: float, hosts: Sequence[str] 
         OSError: ``folder`` cannot be made or written; then it is as before.
     """
     problems = [
-        f"area {name!r} is longer than the {LONGEST_NAME} letters of a certificate's common name; shorten it"
+        f"{name!r} is longer than the {LONGEST_NAME} letters of a certificate's common name; shorten it"
         for name in access.names
         if len(name) > LONGEST_NAME
     ]
+    problems += find_name_problems(access)
     listeners = listeners_of(access, direct)
     problems += [problem for host in hosts if (problem := _find_host_problem(host, listeners))]
     if AUTHORITY in access.names:

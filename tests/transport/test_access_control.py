@@ -17,24 +17,38 @@ from agents.security.credentials import load_keys
 from agents.transport.zenoh_bus import Router, Session, TransportError
 from coordinator.deployment.certificates import create_keys
 
-CHAIN = Access("run", {"a": ("b",), "b": ("a", "c"), "c": ("b",)})
-NAMES = ("a", "b", "c", "plant", "coordinator")
+CHAIN = Access("run", {"a": ("b",), "b": ("a", "c"), "c": ("b",)}, gateways={"north": ("a", "b"), "south": ("c",)})
+NAMES = ("a", "b", "c", "plant", "coordinator", "operator", "watcher", "gateway-north", "gateway-south")
 SUBSCRIPTIONS = {
-    **{area: (f"area/*/*/{area}", f"telemetry/{area}/*") for area in CHAIN.neighbours},
-    "coordinator": ("area/*/state",),
+    **{area: (f"area/*/*/{area}", f"telemetry/{area}/*", f"command/{area}") for area in CHAIN.neighbours},
+    "plant": ("command/plant",),
+    **dict.fromkeys(("operator", "gateway-north", "gateway-south"), ("area/*/state",)),
+    **dict.fromkeys(("coordinator", "watcher"), ("area/*/state", "area/*/readings", "command/*")),
 }
 KEYS = (
     *(f"area/{i}/information/{j}" for i in "abc" for j in "abc"),
-    *(f"area/{i}/state" for i in "abc"),
-    *(f"telemetry/{i}/plant" for i in "abc"),
+    *(f"area/{i}/{kind}" for i in "abc" for kind in ("state", "readings")),
+    *(f"telemetry/{i}/{gateway}" for i in "abc" for gateway in ("plant", "north", "south")),
+    *(f"command/{name}" for name in ("a", "b", "c", "plant")),
 )
 DELIVERED = {
     ("a", "area/a/information/b", "b"),
     ("b", "area/b/information/a", "a"),
     ("b", "area/b/information/c", "c"),
     ("c", "area/c/information/b", "b"),
-    *((area, f"area/{area}/state", "coordinator") for area in "abc"),
+    *((area, f"area/{area}/state", who) for area in "abc" for who in ("coordinator", "watcher", "operator")),
+    *((area, f"area/{area}/readings", who) for area in "abc" for who in ("coordinator", "watcher")),
     *(("plant", f"telemetry/{area}/plant", area) for area in "abc"),
+    *(
+        message
+        for gateway, areas in CHAIN.gateways.items()
+        for area in areas
+        for message in (
+            (f"gateway-{gateway}", f"telemetry/{area}/{gateway}", area),
+            (area, f"area/{area}/state", f"gateway-{gateway}"),
+        )
+    ),
+    *(("operator", f"command/{to}", who) for to in ("a", "b", "c", "plant") for who in (to, "coordinator", "watcher")),
 }
 
 Received = set[tuple[str, str, str]]

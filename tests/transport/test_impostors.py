@@ -18,33 +18,59 @@ from agents.security.credentials import load_keys
 from agents.transport.zenoh_bus import Router, Session, TransportError
 from coordinator.deployment.certificates import create_keys
 
-CHAIN = Access("run", {"a": ("b",), "b": ("a", "c"), "c": ("b",)})
+CHAIN = Access("run", {"a": ("b",), "b": ("a", "c"), "c": ("b",)}, gateways={"north": ("a", "b")})
 ALL = CHAIN.names
 OWN_KEYS = {
     **{
-        i: (*(f"area/{i}/information/{j}" for j in "abc"), f"area/{i}/state", f"live/area/{i}/1-00000001")
+        i: (
+            *(f"area/{i}/information/{j}" for j in "abc"),
+            f"area/{i}/state",
+            f"area/{i}/readings",
+            f"live/area/{i}/1-00000001",
+        )
         for i in "abc"
     },
     "plant": (*(f"telemetry/{i}/plant" for i in "abc"), "live/plant/plant/1-00000001"),
     "coordinator": ("clock", "live/coordinator/coordinator/1-00000001"),
+    "gateway-north": (*(f"telemetry/{i}/north" for i in "abc"), "live/gateway/north/1-00000001"),
+    "operator": tuple(f"command/{name}" for name in (*"abc", "plant")),
+    "watcher": (),
 }
+WATCHED = ("area/*/state", "area/*/readings", "command/*", "live/*/*/*")
 SUBSCRIPTIONS = {
     **{
-        i: (f"area/*/*/{i}", f"telemetry/{i}/*", "clock", *(f"live/area/{j}/*" for j in CHAIN.neighbours[i]))
+        i: (
+            f"area/*/*/{i}",
+            f"telemetry/{i}/*",
+            f"command/{i}",
+            "clock",
+            *(f"live/area/{j}/*" for j in CHAIN.neighbours[i]),
+        )
         for i in "abc"
     },
-    "plant": (),
-    "coordinator": ("area/*/state", "live/*/*/*"),
+    "plant": ("command/plant",),
+    "coordinator": WATCHED,
+    "gateway-north": ("area/*/state", "live/area/*/*"),
+    "operator": ("area/*/state", "live/*/*/*"),
+    "watcher": WATCHED,
 }
 # (who says it, key, to whom) of messages, on links without a router
 MESSAGES = {
     *((i, f"area/{i}/information/{j}", j) for i in "abc" for j in CHAIN.neighbours[i]),
-    *((i, f"area/{i}/state", "coordinator") for i in "abc"),
+    *((i, f"area/{i}/state", who) for i in "abc" for who in ("coordinator", "watcher", "operator")),
+    *((i, f"area/{i}/readings", who) for i in "abc" for who in ("coordinator", "watcher")),
+    *((i, f"area/{i}/state", "gateway-north") for i in "ab"),
+    *(("gateway-north", f"telemetry/{i}/north", i) for i in "ab"),
+    *(("operator", f"command/{i}", i) for i in "abc"),
     *(("plant", f"telemetry/{i}/plant", i) for i in "abc"),
     *(("coordinator", "clock", i) for i in "abc"),
 }
 # (who shows it, to whom) of tokens
-TOKENS = {(i, j) for i in "abc" for j in (*CHAIN.neighbours[i], "plant", "coordinator")}
+TOKENS = {
+    (i, j)
+    for i in "abc"
+    for j in (*CHAIN.neighbours[i], "plant", "coordinator", "operator", "watcher", *("gateway-north",) * (i in "ab"))
+}
 
 
 def whole(key: str) -> str:

@@ -38,13 +38,13 @@ def problems_of(folder: Path, name: str = "area1") -> str:
 def test_every_process_gets_a_certificate_of_the_same_authority_and_a_key_of_its_own(keys: Path):
     check_keys(keys, ACCESS)
     authority = x509.load_pem_x509_certificate((keys / "authority.crt").read_bytes())
-    for name in ("router", "plant", "coordinator", "area1", "area2"):
+    for name in ("router", "plant", "coordinator", "operator", "watcher", "area1", "area2"):
         certificate = x509.load_pem_x509_certificate((keys / f"{name}.crt").read_bytes())
         certificate.verify_directly_issued_by(authority)
         assert certificate.subject.rfc4514_string() == f"CN={name}"
         left = certificate.not_valid_after_utc - datetime.datetime.now(datetime.UTC)
         assert datetime.timedelta(days=9) < left < datetime.timedelta(days=10)
-    assert len({path.read_bytes() for path in keys.glob("*.key")}) == 6
+    assert len({path.read_bytes() for path in keys.glob("*.key")}) == 8
     assert load_access(keys / ACCESS_FILE) == ACCESS
 
 
@@ -147,6 +147,33 @@ def test_a_name_that_fits_into_no_certificate_is_rejected(tmp_path: Path):
         create_keys(tmp_path / "keys", Access("run", {"authority": ()}), days=1)
 
 
+@pytest.mark.parametrize("role", ["plant", "operator", "watcher", "gateway-north"])
+def test_no_area_gets_the_certificate_of_another_role(tmp_path: Path, role: str):
+    access = Access("run", {role: ()}, gateways={"north": (role,)})
+    with pytest.raises(InvalidInputError, match=f"no area can be called '{role}', as another process is"):
+        create_keys(tmp_path / "keys", access, days=1)
+
+
+def test_every_gateway_gets_a_certificate_for_calling_only(tmp_path: Path):
+    access = replace(ACCESS, gateways={"north": ("area1",), "plant": ("area2",)})
+    create_keys(tmp_path / "keys", access, days=1, hosts=["grid-a.example", "192.0.2.7"])
+    keys = load_keys(tmp_path / "keys", "gateway-north")
+    assert keys is not None
+    assert keys.access == access
+    called, _ = find_roles(tmp_path / "keys")
+    assert called == {"router"}
+    assert sorted(path.stem for path in (tmp_path / "keys").glob("gateway-*.key")) == ["gateway-north"]
+    check_keys(tmp_path / "keys", access)
+    with pytest.raises(InvalidInputError, match="gateway north sends readings to area1 there, to area2 in the scen"):
+        check_keys(tmp_path / "keys", replace(access, gateways={"north": ("area2",), "plant": ("area2",)}))
+
+
+def test_a_run_needs_no_keys_of_who_watches_and_operates_it(keys: Path):
+    for name in ("operator", "watcher"):
+        (keys / f"{name}.key").unlink()
+    check_keys(keys, ACCESS)
+
+
 def test_missing_files_are_named_with_how_to_get_them(tmp_path: Path):
     text = problems_of(tmp_path / "nowhere")
     assert "3 problems" in text
@@ -207,7 +234,7 @@ def test_dsse_keys_create_says_what_it_made_and_rejects_to_do_it_again(tmp_path:
     command = ["keys", "create", "industrial13", "--out", str(out), "--days", "3", "--run", "trial"]
     assert run_command(command) == 0
     said = capsys.readouterr().out
-    assert f"{out}: keys of router, plant, coordinator, area1, area2, valid for 3 days" in said
+    assert f"{out}: keys of router, plant, coordinator, operator, watcher, area1, area2, valid for 3 days" in said
     assert f"keep {out / 'authority.key'} off the hosts" in said
     check_keys(out, Access("trial", {"area1": ("area2",), "area2": ("area1",)}))
     assert load_access(out / ACCESS_FILE).run == "trial"
