@@ -1,0 +1,161 @@
+"""Closing: the logs of ended segments become Parquet. ``python -m coordinator.recording.closing FOLDER``.
+
+A log is closed by whoever finds it unlocked: at the end of a segment a process beside the recorder, or the next
+recorder, if one was killed. It is removed only when all its tables are on the disk, so that closing can be broken off
+anywhere.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from agents.runtime.log_format import start_log
+from coordinator.recording.entries import read_entries
+from coordinator.recording.folder import LOG, LOGS, TABLES, list_segments, load_areas, log_of, table_of
+from coordinator.recording.frames import is_being_written
+from coordinator.recording.parquet import has_parquet, sync_path, write_rows
+from coordinator.recording.rows import Row, RowMaker
+from dsse_core.errors import DsseError, InvalidInputError
+from dsse_core.files.drafts import draft_folder, remove_leftovers
+
+log = logging.getLogger(__name__)
+NICE = 10
+ROOT = Path(__file__).resolve().parents[2]  # where this package was imported from
+NO_PARQUET = "pyarrow is not installed, so logs are not closed into Parquet; pip install 'consensus-dsse[parquet]'"
+
+
+def close_ended(folder: Path) -> list[str]:
+    """Close every log in ``folder`` that nobody writes; what is to be said about it.
+
+    Raises:
+        InvalidInputError: ``folder`` is no recording.
+        OSError: the tables cannot be written; the log stays.
+    """
+    ended = [path for path in _list_logs(folder) if not is_being_written(path)]
+    if not ended:
+        return []
+    if not has_parquet():
+        return [NO_PARQUET]
+    remove_leftovers(folder)
+    notes = []
+    for path in ended:
+        try:
+            _close(folder, path.stem)
+        except InvalidInputError as error:  # a foreign file; the others are closed all the same
+            notes.append(str(error))
+    return notes
+
+
+def _close(folder: Path, segment: str) -> None:
+    """Put the tables of ``segment`` in the place of its log."""
+    path = log_of(folder, segment)
+    with draft_folder(folder) as draft:
+        for table in write_rows(rows_of_log(folder, segment), draft):
+            target = table_of(folder, table, segment)
+            target.parent.mkdir(exist_ok=True)
+            (draft / f"{table}.parquet").replace(target)
+            sync_path(target.parent)
+    path.unlink(missing_ok=True)
+
+
+def rows_of_log(folder: Path, segment: str) -> Iterator[Row]:
+    """The rows of all tables in the log of ``segment``, in order.
+
+    Raises:
+        InvalidInputError: it cannot be read, or is no log.
+    """
+    maker = RowMaker(load_areas(folder))
+    for entry in read_entries(log_of(folder, segment)):
+        yield from maker.rows_of(entry)
+    yield from maker.finish()
+
+
+def remove_oldest(folder: Path, limit: float) -> list[str]:
+    """Remove the oldest segments in ``folder`` until it has ``limit`` bytes at most, never one that is being written;
+    their names.
+    """
+    sizes = {segment: sum(map(_size_of, files_of(folder, segment))) for segment in list_segments(folder)}
+    left, removed = sum(sizes.values()), []
+    for segment, size in sizes.items():
+        if left <= limit:
+            break
+        if is_being_written(log_of(folder, segment)):
+            continue
+        for path in files_of(folder, segment):
+            path.unlink(missing_ok=True)
+        left -= size
+        removed.append(segment)
+    return removed
+
+
+def files_of(folder: Path, segment: str) -> list[Path]:
+    """The files of a segment that there are."""
+    paths = (log_of(folder, segment), *(table_of(folder, table, segment) for table in TABLES))
+    return [path for path in paths if path.exists()]
+
+
+def _list_logs(folder: Path) -> list[Path]:
+    return sorted(path for path in (folder / LOGS).glob(f"*{LOG}") if not path.name.startswith("."))
+
+
+def _size_of(path: Path) -> int:
+    try:
+        return path.stat().st_size
+    except OSError:
+        return 0
+
+
+class Closer:
+    """Closes ended segments of ``folder`` beside the recorder, which must not wait for it: in a process of its own."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._process: subprocess.Popen[bytes] | None = None
+        self._is_asked = False
+
+    def ask(self) -> None:
+        """Have closed what has ended."""
+        self._is_asked = True
+        self.check()
+
+    def check(self) -> None:
+        """Begin what was asked for, if nothing is under way any more."""
+        if self._process is not None and self._process.poll() is None:
+            return
+        self._process = None
+        if self._is_asked:
+            self._is_asked = False
+            path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH", "")]))
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "coordinator.recording.closing", str(self._folder)],
+                stdin=subprocess.DEVNULL,
+                start_new_session=True,  # Ctrl-C is the recorder's business
+                env={**os.environ, "PYTHONPATH": path},
+            )
+
+    def wait(self) -> None:
+        """Wait for what is under way."""
+        if self._process is not None:
+            self._process.wait()
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Close what has ended in the folder that is given; 0, or 2 after an error that is printed."""
+    start_log()
+    os.nice(NICE)
+    try:
+        for text in close_ended(Path(arguments[0])):
+            log.warning("%s", text)
+    except (DsseError, OSError) as error:
+        log.error("closing %s: %s", arguments[0], error)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,53 @@
+"""What one frame of a log says: a payload as it came from the bus, a presence token, or a note of the recorder."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+
+from coordinator.recording.frames import Gap, read_frames
+
+MESSAGE, APPEARED, VANISHED, LEFT, NOTE = "message", "appeared", "vanished", "left", "note"
+
+
+class Entry(msgspec.Struct, frozen=True, array_like=True):
+    """``at``: when it arrived, s since 1970 by the clock of the recorder. ``key``: on the bus; of a note its event.
+
+    ``payload``: of a message; of ``LEFT`` the reason in ASCII; of a note JSON.
+    """
+
+    kind: str
+    at: float
+    key: str
+    payload: bytes = b""
+
+
+_encoder = msgspec.msgpack.Encoder()
+_decoder = msgspec.msgpack.Decoder(Entry)
+
+
+def encode_entry(entry: Entry) -> bytes:
+    return _encoder.encode(entry)
+
+
+def note(at: float, event: str, **details: object) -> Entry:
+    """What the recorder itself has to say."""
+    return Entry(NOTE, at, event, msgspec.json.encode(details))
+
+
+def read_entries(path: Path) -> Iterator[Entry | str]:
+    """The entries of the log at ``path``, and in words what of it is lost.
+
+    Raises:
+        InvalidInputError: it cannot be read, or is no log.
+    """
+    for found in read_frames(path):
+        if isinstance(found, Gap):
+            yield str(found)
+            continue
+        try:
+            yield _decoder.decode(found)
+        except msgspec.MsgspecError as error:
+            yield f"a frame is no entry of this version: {error}"

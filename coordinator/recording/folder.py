@@ -1,0 +1,143 @@
+"""The folder of a recording: what lies where, of which run it is, and that one recorder alone writes it.
+
+``recording.json`` says whose it is, ``areas/`` holds the area files where they are known, ``log/`` the logs, and
+``states/``, ``buses/`` and so on the closed tables. One *segment*, of an hour or less, has one log, then one file in
+each folder of tables, all of one name: when it began.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from agents.area_files.area_file import AreaFile, save_area_file
+from agents.area_files.reader import load_area_file
+from dsse_core.errors import InvalidInputError
+from dsse_core.files.bounded_file import read_text
+from dsse_core.files.drafts import whole_file
+
+ABOUT, AREAS, LOGS = "recording.json", "areas", "log"
+TABLES = ("states", "buses", "branches", "readings", "events")
+LOG, PARQUET = ".log", ".parquet"
+FORMAT = 1
+
+
+@dataclass(frozen=True, slots=True)
+class About:
+    """Of which run a recording is; ``areas``: their names where their files are in the recording, else none."""
+
+    run: str
+    areas: tuple[str, ...]
+
+
+def name_segment(at: float) -> str:
+    """The name of a segment that begins ``at``, s since 1970; sorted by name they are sorted by time."""
+    return datetime.fromtimestamp(at, UTC).strftime("%Y%m%dT%H%M%S-%f")[:-3]
+
+
+def log_of(folder: Path, segment: str) -> Path:
+    return folder / LOGS / f"{segment}{LOG}"
+
+
+def table_of(folder: Path, table: str, segment: str) -> Path:
+    return folder / table / f"{segment}{PARQUET}"
+
+
+def list_segments(folder: Path) -> list[str]:
+    """The names of all segments, the oldest first."""
+    logs = (folder / LOGS).glob(f"*{LOG}")
+    tables = (path for table in TABLES for path in (folder / table).glob(f"*{PARQUET}"))
+    return sorted({path.stem for path in (*logs, *tables) if not path.name.startswith(".")})
+
+
+def read_about(folder: Path) -> About:
+    """Of which run the recording in ``folder`` is.
+
+    Raises:
+        InvalidInputError: ``folder`` is no recording.
+    """
+    path = folder / ABOUT
+    try:
+        content = json.loads(read_text(path))
+        if content["format"] != FORMAT:
+            raise InvalidInputError(str(path), [f"has format {content['format']!r}; this version reads {FORMAT}"])
+        return About(str(content["run"]), tuple(map(str, content["areas"])))
+    except (ValueError, RecursionError, KeyError, TypeError):
+        problem = "does not say of which run this is; give a folder that `dsse record` has written"
+        raise InvalidInputError(str(path), [problem]) from None
+
+
+def load_areas(folder: Path) -> list[AreaFile]:
+    """The area files of the recording in ``folder``, in the scenario's order; none where they are not known.
+
+    Raises:
+        InvalidInputError: one cannot be read.
+    """
+    return [load_area_file(folder / AREAS / f"{name}.json") for name in read_about(folder).areas]
+
+
+@contextmanager
+def begin_writing(folder: Path, run: str, files: Sequence[AreaFile] = ()) -> Iterator[None]:
+    """Make ``folder``, or go on with what was recorded of ``run`` there; within the block nobody else writes there.
+
+    Raises:
+        InvalidInputError: something else is there, or another recorder writes there.
+        OSError: it cannot be written.
+    """
+    for part in (LOGS, *TABLES):
+        (folder / part).mkdir(parents=True, exist_ok=True)
+    path = folder / ABOUT
+    names = [content.area.name for content in files]
+    with _locked(folder):
+        if path.exists():
+            _check_same(folder, run, files)
+        elif list_segments(folder):
+            problem = f"holds tables of a recording, but no {ABOUT}; put it back, or choose a new folder"
+            raise InvalidInputError(str(folder), [problem])
+        else:
+            _save_areas(folder, files)
+            about = {"format": FORMAT, "run": run, "areas": names, "begun": time.strftime("%FT%TZ", time.gmtime())}
+            with whole_file(path) as draft:
+                draft.write_text(json.dumps(about, indent=2) + "\n", encoding="utf-8")
+        yield
+
+
+def _save_areas(folder: Path, files: Sequence[AreaFile]) -> None:
+    if files:
+        (folder / AREAS).mkdir(exist_ok=True)
+    for content in files:
+        save_area_file(folder / AREAS / f"{content.area.name}.json", content)
+
+
+def _check_same(folder: Path, run: str, files: Sequence[AreaFile]) -> None:
+    about = read_about(folder)
+    if about.run != run:
+        problem = f"is a recording of run {about.run!r}, not of {run!r}; choose a new folder"
+        raise InvalidInputError(str(folder), [problem])
+    if files and load_areas(folder) != list(files):
+        problem = "is a recording of other areas than the scenario has now; choose a new folder"
+        raise InvalidInputError(str(folder), [problem])
+
+
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """The folder itself, for this process alone; the system opens the lock however the process ends."""
+    lock = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            problem = "another recorder writes here; stop it, or choose another folder"
+            raise InvalidInputError(str(folder), [problem]) from None
+        except OSError:
+            pass  # a system of files without locks
+        yield
+    finally:
+        os.close(lock)

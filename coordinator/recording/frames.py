@@ -1,0 +1,152 @@
+"""The format of a log: frames, each of which is there whole or is seen not to be. Knows neither the bus nor tables.
+
+A file begins with ``MAGIC``. A frame is ``MARK``, the length of its body and the CRC-32 of both (big-endian, 4 bytes
+each), then the body. After damage the next frame is found by its mark and its checksum.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import mmap
+import os
+import struct
+import zlib
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from dsse_core.errors import InvalidInputError
+
+MAGIC = b"dsse recording 1\n"
+MARK = b"\xd5\x5e\xf4\x01"
+_HEAD = struct.Struct(">4sII")
+LARGEST = 16 * 2**20  # bytes of a body: twice what the bus carries
+
+
+def frame(body: bytes) -> bytes:
+    """``body`` as it stands in a log."""
+    length = len(body).to_bytes(4, "big")
+    return _HEAD.pack(MARK, len(body), zlib.crc32(body, zlib.crc32(length))) + body
+
+
+class FrameLog:
+    """A new log at ``path``, locked as long as the process that writes it lives.
+
+    Raises:
+        OSError: naming ``path``; where it exists, ``FileExistsError``.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o644)
+        with contextlib.suppress(OSError):  # a system of files without locks
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        self.size = 0
+        self._write(MAGIC)
+
+    def append(self, bodies: Iterable[bytes]) -> None:
+        """Write all of them at once, or none."""
+        self._write(b"".join(map(frame, bodies)))
+
+    def sync(self) -> None:
+        """Wait until all that is written also survives the end of the power supply."""
+        os.fsync(self._file)
+
+    def close(self) -> None:
+        os.close(self._file)
+
+    def _write(self, content: bytes) -> None:
+        left = memoryview(content)
+        try:
+            while left:
+                left = left[os.write(self._file, left) :]
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                os.truncate(self._file, self.size)
+            raise OSError(error.errno, error.strerror, str(self.path)) from None
+        self.size += len(content)
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """``size`` bytes from byte ``at`` on that are no frames; ``is_end``: none follows, as after a sudden end."""
+
+    at: int
+    size: int
+    is_end: bool
+
+    def __str__(self) -> str:
+        what = "the last frame was not written to its end" if self.is_end else "frames are damaged"
+        return f"{what}: {self.size} bytes from byte {self.at} on are left out"
+
+
+def read_frames(path: Path) -> Iterator[bytes | Gap]:
+    """The bodies in the log at ``path`` in order, and what lies between them.
+
+    Raises:
+        InvalidInputError: it cannot be read, or is no log.
+    """
+    try:
+        with path.open("rb") as file:
+            size = os.fstat(file.fileno()).st_size
+            if not size:
+                return  # killed before its first byte
+            with mmap.mmap(file.fileno(), size, access=mmap.ACCESS_READ) as content:
+                yield from _read(path, content, size)
+    except OSError as error:
+        raise InvalidInputError(str(path), [f"cannot be read: {error.strerror}; check the path"]) from None
+
+
+def _read(path: Path, content: mmap.mmap, size: int) -> Iterator[bytes | Gap]:
+    if size < len(MAGIC) and MAGIC.startswith(content[:size]):
+        return
+    if content[: len(MAGIC)] != MAGIC:
+        found = ascii(content[: len(MAGIC)])[2:-1]
+        raise InvalidInputError(str(path), [f"is no log of a recording: it begins with {found!r}; move it elsewhere"])
+    at = len(MAGIC)
+    while at < size:
+        body = _body_at(content, at, size)
+        if body is None:
+            following = _find_next(content, at + 1, size)
+            yield Gap(at, following - at, following == size)
+            at = following
+        else:
+            yield body
+            at += _HEAD.size + len(body)
+
+
+def _body_at(content: mmap.mmap, at: int, size: int) -> bytes | None:
+    """The body of the frame at byte ``at``; None if there is no whole one."""
+    if at + _HEAD.size > size:
+        return None
+    mark, length, checksum = _HEAD.unpack_from(content, at)
+    end = at + _HEAD.size + length
+    if mark != MARK or length > LARGEST or end > size:
+        return None
+    body = content[at + _HEAD.size : end]
+    return body if zlib.crc32(body, zlib.crc32(length.to_bytes(4, "big"))) == checksum else None
+
+
+def _find_next(content: mmap.mmap, at: int, size: int) -> int:
+    """Where the next whole frame begins; ``size`` without one."""
+    while (found := content.find(MARK, at)) >= 0:
+        if _body_at(content, found, size) is not None:
+            return found
+        at = found + 1
+    return size
+
+
+def is_being_written(path: Path) -> bool:
+    """Whether the process that writes the log at ``path`` lives."""
+    try:
+        lock = os.open(path, os.O_RDONLY)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return True
+    finally:
+        os.close(lock)
+    return False

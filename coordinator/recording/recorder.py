@@ -1,0 +1,88 @@
+"""What of all that arrives is written into a recording, from the bus and from the simulator alike."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+
+from agents.messages.checks import MessageError, is_worth_writing
+from agents.messages.keys import run_of, sender_of
+from agents.messages.packing import CommandMessage, Message, ReadingsMessage, StateMessage, decode
+from coordinator.recording.entries import LEFT, MESSAGE, Entry, note
+from coordinator.recording.segment_log import SegmentLog
+
+REPEAT_S = 10.0  # of what an area repeats without anything new, one is written in so many seconds
+NUMBERS = re.compile(r"[0-9.]+")  # in notes: for how long something lasts
+MOST_KEYS = 20_000  # whose last message is kept in mind; who may speak may speak on many
+
+
+class Recorder:
+    """Writes to ``log`` what is new of run ``run``.
+
+    ``rejected``: payloads that are no messages of this wire version, or of somebody else than their key, by reason.
+    """
+
+    def __init__(self, log: SegmentLog, run: str) -> None:
+        self._log = log
+        self._run = run
+        self._last: dict[str, tuple[object, float]] = {}  # key -> what its last message said, and when that was written
+        self.rejected: Counter[str] = Counter()
+
+    def take(self, entries: Sequence[Entry]) -> None:
+        """Write what of ``entries``, in the order of their arrival, says something new."""
+        if new := list(self._filter(entries)):
+            self._log.write(new)
+
+    def _filter(self, entries: Iterable[Entry]) -> Iterator[Entry]:
+        for entry in entries:
+            if entry.kind != MESSAGE:
+                yield entry
+                continue
+            try:
+                if self._is_new(entry):
+                    yield entry
+            except MessageError as error:
+                self.rejected[error.reason] += 1
+                if is_worth_writing(count := self.rejected[error.reason]):
+                    yield note(entry.at, "rejected", reason=error.reason, count=count, key=entry.key[:200])
+
+    def _is_new(self, entry: Entry) -> bool:
+        """Whether a message says something new, or something old once more after a while.
+
+        Raises:
+            MessageError: it is none, or not of who may speak on its key.
+        """
+        message = decode(entry.payload)
+        check_sender(entry.key, message, self._run)
+        says, (said, at) = _gist_of(message), self._last.get(entry.key, (None, 0.0))
+        if says == said and abs(entry.at - at) < REPEAT_S:
+            return False
+        if entry.key in self._last or len(self._last) < MOST_KEYS:
+            self._last[entry.key] = says, entry.at
+        return True
+
+
+def check_sender(key: str, message: Message, run: str) -> None:
+    """That ``message`` belongs into a recording and to ``key``.
+
+    Raises:
+        MessageError: it does not.
+    """
+    is_own = sender_of(key) == message.header.sender or isinstance(message, CommandMessage)
+    if not isinstance(message, StateMessage | ReadingsMessage | CommandMessage):
+        raise MessageError("other kind", f"{message.kind} is no state, readings or command")
+    if not is_own or run_of(key) != run or message.header.run != run:
+        raise MessageError("unknown sender", "the message is of somebody else than its key")
+
+
+def _gist_of(message: Message) -> object:
+    """What makes a message new: all but what repeats may change."""
+    h = message.header
+    worth = (message.quality, NUMBERS.sub("", "; ".join(message.notes))) if isinstance(message, StateMessage) else ()
+    return h.incarnation, h.scan, h.sequence, worth
+
+
+def left(at: float, key: str, reason: str) -> Entry:
+    """A leave message."""
+    return Entry(LEFT, at, key, reason.encode("ascii"))
