@@ -65,10 +65,10 @@ class Look:
 
 
 @contextmanager
-def attach(
+def join_run(
     endpoints: Sequence[str], run: str | None, timeout_s: float, keys: Path | None = None, direct: bool = False
-) -> Iterator[Look]:
-    """Join the bus at ``endpoints`` as a mere listener of ``run``, or of the only run that is there.
+) -> Iterator[tuple[Session, str]]:
+    """Join the bus at ``endpoints`` as a mere listener of ``run``, or of the only run that is there; which that is.
 
     ``keys``: folder of the watcher's or the coordinator's credentials; it names the run, too, unless ``run`` is given.
     ``direct``: ``endpoints`` are those of all areas, and there is no router.
@@ -81,12 +81,20 @@ def attach(
     loaded = load_keys(keys, _find_own_name(keys), run) if keys else None
     run = loaded.access.run if loaded else run
     with Session.join(endpoints, timeout_s, loaded, direct=direct) as session:
-        run = run or _find_run(session, timeout_s)
+        yield session, run or _find_run(session, timeout_s)
+
+
+@contextmanager
+def attach(
+    endpoints: Sequence[str], run: str | None, timeout_s: float, keys: Path | None = None, direct: bool = False
+) -> Iterator[Look]:
+    """Watch a run; the arguments and what is raised are those of ``join_run``."""
+    with join_run(endpoints, run, timeout_s, keys, direct) as (session, run):
         watcher, updates = Watcher(run), Updates()
         session.subscribe(all_states(run), lambda key, payload: updates.offer(_decoded(key, payload)))
         session.subscribe(all_readings(run), lambda key, payload: updates.offer(_decoded(key, payload)))
         session.subscribe(all_live(run), lambda key, payload: updates.offer((key, read_leave(payload)), said_once=True))
-        all_tokens = all_live(run) if loaded else all_live_of_any_version(run)  # keys let nobody see other versions
+        all_tokens = all_live(run) if session.keys else all_live_of_any_version(run)  # keys let nobody see other versions
         session.watch_presence(all_tokens, lambda key, alive: updates.offer((key, alive), said_once=True))
 
         yield Look(watcher, updates, session)

@@ -1,0 +1,50 @@
+"""What has arrived from the bus and is not written yet: bounded, and what it has no room for is counted."""
+
+from __future__ import annotations
+
+import queue
+import threading
+
+from coordinator.recording.entries import Entry
+
+MOST_WAITING = 256 * 2**20  # bytes
+SIZE_OF_ENTRY = 200  # bytes beside its payload
+
+
+class Arrivals:
+    """Filled by the threads of the bus, emptied by the recorder."""
+
+    def __init__(self, most: int = MOST_WAITING) -> None:
+        self._queue: queue.SimpleQueue[Entry] = queue.SimpleQueue()
+        self._most = most
+        self._lock = threading.Lock()
+        self._waiting = 0
+        self._dropped = 0
+
+    def put(self, entry: Entry) -> None:
+        """Leave it, or count it where too much waits, as behind a disk that does not answer."""
+        size = len(entry.payload) + SIZE_OF_ENTRY
+        with self._lock:
+            if self._waiting + size > self._most:
+                self._dropped += 1
+                return
+            self._waiting += size
+            self._queue.put(entry)  # within the lock: in the order of their times
+
+    def take(self, timeout_s: float) -> list[Entry]:
+        """Wait up to ``timeout_s`` for something; everything that has arrived."""
+        entries: list[Entry] = []
+        try:
+            entries.append(self._queue.get(timeout=timeout_s))
+            while True:
+                entries.append(self._queue.get_nowait())
+        except queue.Empty:
+            with self._lock:
+                self._waiting -= sum(len(entry.payload) + SIZE_OF_ENTRY for entry in entries)
+            return entries
+
+    def take_dropped(self) -> int:
+        """How many had no room since the last call."""
+        with self._lock:
+            dropped, self._dropped = self._dropped, 0
+        return dropped

@@ -1,0 +1,142 @@
+"""The recorder on the bus: a mere listener that writes down what all areas of a run use and show."""
+
+from __future__ import annotations
+
+import logging
+import signal
+import sys
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Event
+
+from agents.area_files.area_file import AreaFile
+from agents.messages.keys import all_commands, all_live, all_readings, all_states
+from agents.runtime.log_format import start_log
+from agents.runtime.presence import read_leave
+from agents.runtime.renewal import on_hangup
+from agents.security.access import COORDINATOR
+from agents.security.credentials import load_keys
+from agents.transport.zenoh_bus import Session
+from coordinator.recording.arrivals import Arrivals
+from coordinator.recording.closing import Closer, close_ended, remove_oldest
+from coordinator.recording.entries import APPEARED, MESSAGE, VANISHED, Entry, note
+from coordinator.recording.folder import begin_writing
+from coordinator.recording.recorder import Recorder, left
+from coordinator.recording.segment_log import SegmentLog
+from dsse_core.errors import DsseError
+
+log = logging.getLogger(__name__)
+AWAKE_S = 0.1  # a signal that a thread of Zenoh has caught is acted on when this thread wakes
+TIDY_S = 10.0  # between two looks at the size of the recording
+GIB = 2**30
+
+
+@dataclass(frozen=True)
+class Order:
+    """What is recorded where. ``files``: of the areas, where known; ``limit_gb``: of the folder, GiB; None: none.
+
+    ``closes``: whether what is left at the end is closed by the recorder itself.
+    """
+
+    folder: Path
+    run: str
+    files: Sequence[AreaFile] = ()
+    limit_gb: float | None = None
+    closes: bool = True
+
+
+def run_recorder(
+    order: Order, endpoints: Sequence[str], keys: Path | None = None, direct: bool = False, timeout_s: float = 10.0
+) -> int:
+    """Record as a process of a run until SIGTERM or Ctrl-C; 0, or 2 after a user's mistake."""
+    start_log()
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # Zenoh's connecting would defer Python's handler to its end
+    try:
+        with Session.join(endpoints, timeout_s, load_keys(keys, COORDINATOR, order.run), direct=direct) as session:
+            record_from(session, order)
+    except DsseError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def record_from(session: Session, order: Order) -> None:
+    """Record until SIGTERM, SIGINT or, without keys, SIGHUP, which with keys renews them.
+
+    Raises:
+        InvalidInputError: the folder holds something else.
+        OSError: it cannot be written at the start; later that is counted, and the recorder goes on.
+    """
+    over, renew = Event(), Event()
+    with begin_writing(order.folder, order.run, order.files):
+        ends = (signal.SIGTERM, signal.SIGINT) if session.keys else (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
+        for number in ends:
+            signal.signal(number, lambda *_: over.set())
+        if session.keys:
+            on_hangup(renew.set, over.set)
+        arrivals, closer = Arrivals(), Closer(order.folder)
+        limit = order.limit_gb * GIB if order.limit_gb else None
+        written = SegmentLog(order.folder, limit, closer.ask)
+        recorder = Recorder(written, order.run)
+        _listen(session, order.run, arrivals)
+        recorder.take([note(time.time(), "recorder started", run=order.run)])
+        closer.ask()  # what a killed recorder has left
+        _serve(session, order, arrivals, recorder, closer, over, renew)
+        written.write([note(time.time(), "recorder stopped", lost=written.lost)])
+        written.close()
+        closer.wait()
+    if order.closes:
+        for text in close_ended(order.folder):
+            log.warning("%s", text)
+
+
+def _listen(session: Session, run: str, arrivals: Arrivals) -> None:
+    """Have all that is recorded put into ``arrivals``."""
+
+    def on_message(key: str, payload: bytes) -> None:
+        arrivals.put(Entry(MESSAGE, time.time(), key, payload))
+
+    def on_leave(key: str, payload: bytes) -> None:
+        if reason := read_leave(payload):
+            arrivals.put(left(time.time(), key, reason))
+
+    def on_presence(key: str, alive: bool) -> None:
+        arrivals.put(Entry(APPEARED if alive else VANISHED, time.time(), key))
+
+    for expression in (all_states(run), all_readings(run), all_commands(run)):
+        session.subscribe(expression, on_message)
+    session.subscribe(all_live(run), on_leave)
+    session.watch_presence(all_live(run), on_presence)
+
+
+def _serve(
+    session: Session,
+    order: Order,
+    arrivals: Arrivals,
+    recorder: Recorder,
+    closer: Closer,
+    over: Event,
+    renew: Event,
+) -> None:
+    next_tidying = time.monotonic()
+    while not over.is_set():
+        recorder.take(arrivals.take(AWAKE_S))
+        if dropped := arrivals.take_dropped():
+            recorder.take([note(time.time(), "lost", entries=dropped, why="more arrived than could be written")])
+        if renew.is_set() and session.interrupt():
+            session.resume()
+        renew.clear()
+        closer.check()
+        if order.limit_gb and time.monotonic() >= next_tidying:
+            next_tidying = time.monotonic() + TIDY_S
+            _keep_limit(order, recorder)
+    recorder.take(arrivals.take(0.0))
+
+
+def _keep_limit(order: Order, recorder: Recorder) -> None:
+    with suppress(OSError):
+        if removed := remove_oldest(order.folder, (order.limit_gb or 0.0) * GIB):
+            recorder.take([note(time.time(), "removed", segments=removed, limit_gb=order.limit_gb)])
