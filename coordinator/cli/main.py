@@ -16,7 +16,7 @@ from coordinator.cli.keys import keys_commands
 from coordinator.cli.networks import network_commands
 from coordinator.cli.outputs import Output, check_parquet_option, hand_over, output_options, parquet_option
 from coordinator.cli.processes import process_commands
-from coordinator.cli.record import record
+from coordinator.cli.record import record_commands
 from coordinator.cli.serve import serve
 from coordinator.cli.shipped import scenarios_commands
 from coordinator.cli.studies import study_commands
@@ -278,6 +278,6 @@ def _estimate_scans(loaded: Scenario, scans: Scans, output: Output) -> int:
     return 1 if failures else 0
 
 
-groups = (*process_commands, *network_commands, *study_commands)
-for command in (*groups, *watch_commands, serve, record, keys_commands, scenarios_commands, thesis, flows):
+groups = (*process_commands, *watch_commands, *network_commands, *study_commands, *record_commands)
+for command in (*groups, serve, keys_commands, scenarios_commands, thesis, flows):
     commands.add_command(command)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -13,9 +15,17 @@ from coordinator.cli.terminal import (
     choose_endpoints,
     connect_option,
     keys_option,
+    quiet_option,
     say,
+    show,
 )
+from coordinator.interrupts import end_orderly_on_signals
 
+if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts fast
+    from coordinator.recording.ticks import Tick
+
+LINE_S = 1.0  # between two lines of progress
+SPEED = Number(min=0, min_open=True)
 GIGABYTES = Number(min=0, min_open=True)
 
 
@@ -64,3 +74,51 @@ def record(
             say("note: pyarrow is not installed, so the logs stay logs; pip install 'consensus-dsse[parquet]'")
         record_from(session, Order(folder, run, files, limit_gb))
     return 0
+
+
+@click.command(short_help="Play a recording back.")
+@click.argument("folder", metavar="FOLDER", type=click.Path(path_type=Path))
+@click.option("--processes", is_flag=True, help="On a router and agents of its own instead of the simulator.")
+@click.option(
+    "--speed", type=SPEED, metavar="X", help="So many times as fast as recorded.  [default: as fast as it goes]"
+)
+@click.option("--scenario", metavar="NAME|FILE", help="Areas of this scenario instead of the recorded ones.")
+@quiet_option
+def replay(folder: Path, processes: bool, speed: float | None, scenario: str | None, quiet: bool) -> int:
+    """Play the readings in FOLDER, as they were used, to the same areas again, and compare what they make of them.
+
+    On the simulator the states are those that were recorded, to the bit; of processes, within 1e-9. Scans of which
+    readings are missing are named and left out. Exit code 1: good states did not come out again.
+
+    \b
+    Examples:  dsse replay recordings/ieee33
+               dsse replay recordings/ieee33 --processes --speed 10
+    """
+    from coordinator.evaluation.evaluation import choose_scenario
+    from coordinator.recording.play import play_on_processes, play_on_simulator
+    from coordinator.recording.replay_text import format_replay
+
+    end_orderly_on_signals()
+    other = None if scenario is None else choose_scenario(scenario)
+    play = play_on_processes if processes else play_on_simulator
+    began = time.monotonic()
+    found = play(folder, other, speed, None if quiet else _Progress().show)
+    show(format_replay(found, "processes" if processes else "the simulator", time.monotonic() - began))
+    return 0 if found.agrees else 1
+
+
+class _Progress:
+    """A line now and then."""
+
+    def __init__(self) -> None:
+        self._next = time.monotonic() + LINE_S
+        self._scans = 0
+
+    def show(self, tick: Tick) -> None:
+        self._scans += 1
+        if time.monotonic() >= self._next:
+            self._next = time.monotonic() + LINE_S
+            say(f"{self._scans} scans, the last is {tick.scan}")
+
+
+record_commands = (record, replay)

@@ -94,7 +94,9 @@ def attach(
         session.subscribe(all_states(run), lambda key, payload: updates.offer(_decoded(key, payload)))
         session.subscribe(all_readings(run), lambda key, payload: updates.offer(_decoded(key, payload)))
         session.subscribe(all_live(run), lambda key, payload: updates.offer((key, read_leave(payload)), said_once=True))
-        all_tokens = all_live(run) if session.keys else all_live_of_any_version(run)  # keys let nobody see other versions
+        all_tokens = (
+            all_live(run) if session.keys else all_live_of_any_version(run)
+        )  # keys let nobody see other versions
         session.watch_presence(all_tokens, lambda key, alive: updates.offer((key, alive), said_once=True))
 
         yield Look(watcher, updates, session)

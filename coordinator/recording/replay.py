@@ -1,0 +1,176 @@
+"""A recording played back: its readings scan by scan to the same areas, and what they make of them beside the record.
+
+The areas take the readings as they were used: ages have been counted already, so that nothing ages again, and a plant
+numbers the scans. Faults of links are those of the area files.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from agents.area_files.area_file import AreaFile
+from agents.messages.packing import Header, Incarnation, StateMessage, TelemetryMessage
+from agents.protocol.quality import GOOD
+from agents.security.access import PLANT
+from coordinator.deployment.split import area_files
+from coordinator.recording.folder import load_areas, read_about
+from coordinator.recording.ticks import Estimate, Snapshot, Tick, read_ticks
+from dsse_core.errors import InvalidInputError
+from dsse_core.printable import listed
+from dsse_core.reading_rules import DEFAULT_RULES
+from scenarios.scenario import Scenario
+
+MOST_NAMED = 8
+TOLERANCE = 1e-9  # p.u. and rad
+
+
+class Stage(Protocol):
+    """Where a recording is played: the simulator, or processes."""
+
+    def play(self, tick: Tick) -> Mapping[str, StateMessage]:
+        """Give the areas the readings of one scan; area -> what it makes of them, at rest or when that takes long."""
+        ...
+
+
+@dataclass
+class Comparison:
+    """What came of a replay.
+
+    ``scans``: those that were played; ``left_out``: scan -> why it was not; ``unequal``: states of scans that differ
+    from the recorded ones at all; ``largest``: the largest difference of states that were recorded as good, of vm p.u.,
+    va deg and their standard deviations; ``of_others``: the same of those that were not. ``missing``: (scan, area) of
+    good states that the replay did not find.
+    """
+
+    scans: int = 0
+    compared: int = 0
+    not_good: int = 0
+    unequal: int = 0
+    largest: np.ndarray = field(default_factory=lambda: np.zeros(4))
+    of_others: np.ndarray = field(default_factory=lambda: np.zeros(4))
+    left_out: dict[int, str] = field(default_factory=dict)
+    missing: list[tuple[int, str]] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def agrees(self) -> bool:
+        """Whether all good states of the scans that were played came out again."""
+        largest = np.append(self.largest[[0, 2]], np.radians(self.largest[[1, 3]]))
+        return bool(self.compared) and not self.missing and bool((largest <= TOLERANCE).all())
+
+
+def load_replay_areas(folder: Path, scenario: Scenario | None = None) -> list[AreaFile]:
+    """The areas of the recording at ``folder`` as they take part in a replay; of ``scenario``, if one is given.
+
+    Raises:
+        InvalidInputError: the recording has no area files, and no scenario is given.
+    """
+    about = read_about(folder)
+    files = load_areas(folder) if scenario is None else area_files(scenario, about.run, ["tcp/127.0.0.1:7447"])
+    if not files:
+        problem = "was recorded without its area files; say by --scenario what the areas were split from"
+        raise InvalidInputError(str(folder), [problem])
+    return [replace(content, readings=DEFAULT_RULES, clock_error_s=0.0, scan_s=None) for content in files]
+
+
+def replay(
+    folder: Path,
+    stage: Stage,
+    names: Sequence[str],
+    speed: float | None = None,
+    on_scan: Callable[[Tick], None] = lambda tick: None,
+) -> Comparison:
+    """Play the recording at ``folder`` on ``stage``; ``names``: of all areas there.
+
+    ``speed``: how much faster than it was recorded; None: as fast as it goes. ``on_scan``: called after each scan.
+
+    Raises:
+        InvalidInputError: it is no recording, or holds no readings of these areas.
+    """
+    found = Comparison()
+    pace = _Pace(speed)
+    for tick in read_ticks(folder, found.notes):
+        if why := _find_hole(tick, names):
+            found.left_out[tick.scan] = why
+            continue
+        pace.wait_for(tick.at)
+        _compare(found, tick, stage.play(tick))
+        on_scan(tick)
+    if not found.scans:
+        problem = "there is no scan of which the readings of all areas that took part are recorded"
+        raise InvalidInputError(str(folder), [problem, *found.notes])
+    return found
+
+
+def _find_hole(tick: Tick, names: Sequence[str]) -> str:
+    """What is missing of a scan; an area of which there is nothing was not there."""
+    if strange := (tick.readings.keys() | tick.estimates.keys()) - set(names):
+        return f"area {listed(sorted(strange), MOST_NAMED)} is not among the area files"
+    if lost := tick.estimates.keys() - tick.readings.keys():
+        return f"no readings of {listed(sorted(lost), MOST_NAMED)} are recorded"
+    return "" if tick.readings else "no readings are recorded"
+
+
+class _Pace:
+    """Waits until it is time, ``speed`` times as fast as then."""
+
+    def __init__(self, speed: float | None) -> None:
+        self._speed = speed
+        self._first: tuple[float, float] | None = None  # the first time in the recording, and now
+
+    def wait_for(self, at: float) -> None:
+        if self._speed is None:
+            return
+        self._first = self._first or (at, time.monotonic())
+        due = self._first[1] + (at - self._first[0]) / self._speed
+        time.sleep(max(0.0, due - time.monotonic()))
+
+
+def _compare(found: Comparison, tick: Tick, states: Mapping[str, StateMessage]) -> None:
+    found.scans += 1
+    for area, recorded in tick.estimates.items():
+        state = states.get(area)
+        if state is None or state.header.scan != tick.scan or set(state.buses) != set(recorded.buses):
+            if recorded.quality == GOOD:
+                found.missing.append((tick.scan, area))
+            continue
+        differences = _find_differences(recorded, state)
+        found.unequal += bool(differences.any())
+        if recorded.quality == GOOD:
+            found.compared += 1
+            found.largest = np.maximum(found.largest, differences)
+        else:
+            found.not_good += 1
+            found.of_others = np.maximum(found.of_others, differences)
+
+
+def _find_differences(recorded: Estimate, state: StateMessage) -> np.ndarray:
+    """The largest of each of the four quantities; where an angle counts from nowhere in one of them, infinity."""
+    place = {bus: k for k, bus in enumerate(state.buses)}
+    order = [place[bus] for bus in recorded.buses]
+    va, sigma_va = (np.degrees(angles) if state.referenced else np.full(len(order), np.nan)
+                    for angles in (state.va, state.sigma_va))  # fmt: skip
+    played = np.array([state.vm, va, state.sigma_vm, sigma_va], dtype=float)[:, order]
+    both_unknown = np.isnan(played) & np.isnan(recorded.values)
+    return np.asarray(np.nan_to_num(abs(np.where(both_unknown, 0.0, played - recorded.values)), nan=np.inf).max(axis=1))
+
+
+def make_telemetry_message(
+    run: str, area: str, scan: int, snapshot: Snapshot, incarnation: Incarnation, now: float
+) -> TelemetryMessage:
+    """The readings of ``snapshot`` as a plant would say them ``now``, s since 1970."""
+    count = len(snapshot.meters)
+    header = Header(run, PLANT, incarnation, scan, scan, now)
+    columns = snapshot.meters, snapshot.values, snapshot.sigmas, (now,) * count, (True,) * count
+    return TelemetryMessage(header, area, *columns)
+
+
+def is_at_rest(states: Iterable[StateMessage | None], scan: int) -> bool:
+    """Whether all areas have shown a good state of ``scan``."""
+    return all(state is not None and state.header.scan == scan and state.quality == GOOD for state in states)

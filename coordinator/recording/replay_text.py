@@ -1,0 +1,41 @@
+"""What came of a replay, as text."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+
+import numpy as np
+
+from coordinator.recording.replay import MOST_NAMED, TOLERANCE, Comparison
+from dsse_core.printable import listed
+
+
+def format_replay(found: Comparison, where: str, wall_s: float) -> str:
+    """Lines: how much was played, how far it is from the record, and what was left out."""
+    lines = [f"{found.scans} scans played on {where} in {wall_s:.1f} s, {found.compared} good states compared"]
+    if not found.compared:
+        lines.append("no good state is recorded of them, so that nothing was compared")
+    elif found.agrees and not found.unequal:
+        lines.append("all states are those that were recorded, to the bit")
+    else:
+        words = f"within {TOLERANCE:g}" if found.agrees else "DIFFERENT"
+        lines.append(f"{words} p.u. and rad: {_describe(found.largest)}")
+    if found.not_good:
+        others = f"{found.not_good} states were not good when they were recorded"
+        lines.append(f"{others}; they rest on more than readings: {_describe(found.of_others)}")
+    if found.missing:
+        names = [f"{area} in {scan}" for scan, area in found.missing]
+        lines.append(f"not found again: {listed(names, MOST_NAMED)}")
+    why: dict[str, list[int]] = defaultdict(list)
+    for scan, reason in found.left_out.items():
+        why[reason].append(scan)
+    lines += [f"note: left out, {reason}: scan {listed(scans, MOST_NAMED)}" for reason, scans in why.items()]
+    return "\n".join([*lines, *(f"note: {text}" for text in found.notes)])
+
+
+def _describe(differences: np.ndarray) -> str:
+    vm, va, sigma_vm, sigma_va = differences
+    return (
+        f"largest difference of vm {vm:.3g} p.u., va {va:.3g} deg, their standard deviations {sigma_vm:.3g} p.u., "
+        f"{sigma_va:.3g} deg"
+    )
