@@ -12,6 +12,7 @@ import click
 
 from coordinator.cli.figure_options import figure_options
 from coordinator.cli.flows import flows
+from coordinator.cli.gateway import gateway
 from coordinator.cli.keys import keys_commands
 from coordinator.cli.networks import network_commands
 from coordinator.cli.outputs import Output, check_parquet_option, hand_over, output_options, parquet_option
@@ -278,6 +279,18 @@ def _estimate_scans(loaded: Scenario, scans: Scans, output: Output) -> int:
     return 1 if failures else 0
 
 
-groups = (*process_commands, *watch_commands, *network_commands, *study_commands, *record_commands)
-for command in (*groups, serve, keys_commands, scenarios_commands, thesis, flows):
+ALL = (
+    *process_commands,
+    *watch_commands,
+    *network_commands,
+    *study_commands,
+    *record_commands,
+    gateway,
+    serve,
+    keys_commands,
+    scenarios_commands,
+    thesis,
+    flows,
+)
+for command in ALL:
     commands.add_command(command)

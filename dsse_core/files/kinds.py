@@ -40,7 +40,8 @@ AREA_FILE = FileKind(
 ACCESS_FILE = FileKind(
     "an", "access file", frozenset({"revoked", "neighbours"}), "lies beside certificates", "dsse keys create SCENARIO"
 )
-KINDS = (SCENARIO_FILE, NETWORK_FILE, AREA_FILE, ACCESS_FILE)
+GATEWAY_MAP = FileKind("a", "gateway map", frozenset({"scenario", "name"}), "`dsse gateway` takes")
+KINDS = (SCENARIO_FILE, NETWORK_FILE, AREA_FILE, ACCESS_FILE, GATEWAY_MAP)
 
 
 def kind_reported_by(keys: Collection[str]) -> FileKind | None:

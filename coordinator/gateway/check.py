@@ -1,0 +1,135 @@
+"""``dsse gateway --check``: what a source gives, meter by meter, and what looks wrong with it."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from coordinator.gateway import counts as reasons
+from coordinator.gateway.counts import Counts
+from coordinator.gateway.gateway import ahead_of, read_source
+from coordinator.gateway.intake import Intake, Reading
+from coordinator.gateway.map_file import GatewayMap
+from coordinator.gateway.plausibility import Read, Schedule, find_schedule, find_suspects
+from coordinator.gateway.points import Point
+from coordinator.gateway.reconnection import Link
+from coordinator.report.grid_text import format_table
+from dsse_core.errors import PowerFlowDivergedError
+from dsse_core.grid.measurement import Source
+from dsse_core.printable import listed
+
+MOST_ROWS = 200
+MOST_NAMED = 12
+NOTHING = "nothing is read"
+
+
+@dataclass(frozen=True)
+class CheckReport:
+    """``text``: what to print. ``is_sound``: whether nothing looks wrong."""
+
+    text: str
+    is_sound: bool
+
+
+def check_map(content: GatewayMap, duration_s: float) -> CheckReport:
+    """Read the source of a map for ``duration_s``, or until it ends, publishing nothing."""
+    if content.source is None:
+        return CheckReport("the map has no [source]; nothing to read", True)
+    logging.getLogger("coordinator.gateway").setLevel(logging.ERROR)  # the report says it all
+    intake = Intake(content.points, time.time, ahead_of(content))
+    link = Link("source")
+    asyncio.run(_read_for(duration_s, content, intake, link))
+    newest = {meter: reading for part in intake.newest.values() for meter, reading in part.items()}
+    return make_report(content, newest, _find_schedule(content), intake.counts, link.error)
+
+
+async def _read_for(duration_s: float, content: GatewayMap, intake: Intake, link: Link) -> None:
+    assert content.source
+    try:
+        async with asyncio.timeout(duration_s):
+            await read_source(content.source, intake, link)
+    except TimeoutError:
+        pass
+
+
+def _find_schedule(content: GatewayMap) -> dict[str, Schedule] | None:
+    """Of the meters of the map; None where the scenario's loads have no power flow."""
+    try:
+        return find_schedule(content.scenario.network, [point.meter for point in content.points.values()])
+    except PowerFlowDivergedError:
+        return None
+
+
+def make_report(
+    content: GatewayMap,
+    newest: Mapping[str, Reading],
+    schedule: Mapping[str, Schedule] | None,
+    counts: Counts,
+    error: str,
+) -> CheckReport:
+    """``newest``: meter id -> reading; ``error``: why the source cannot be read, empty if it can."""
+    suspects, unexplained = _find_suspects(content, newest, schedule)
+    remarks = {
+        point.meter.id: suspects.get(point.meter.id, "") if point.meter.id in newest else NOTHING
+        for point in content.points.values()
+    }
+    wrong = [f"the source cannot be read: {error}"] if error else []
+    wrong += [
+        f"{reason}, {found.count} times: {listed(found.addresses, MOST_NAMED) or 'no address'}; last: {found.last}"
+        for reason, found in sorted(counts.refused.items())
+        if reason not in (reasons.OLDER, reasons.TWICE)
+    ]
+    if unexplained:
+        wrong.append(
+            f"the powers at {listed(unexplained, MOST_NAMED)} do not add up, and no single sign or unit explains it"
+        )
+    count = sum(map(bool, remarks.values()))
+    if count:
+        wrong.append(f"{count} of {len(remarks)} meters: see the remarks")
+    others = _find_unmapped(content)
+    notes = [f"not in this map: {len(others)} meters of the scenario: {listed(others, MOST_NAMED)}"] if others else []
+    if schedule is None:
+        notes.append("the scenario's loads have no power flow: nothing is compared with them")
+    found = [f"wrong: {problem}" for problem in wrong] or ["nothing looks wrong"]
+    text = "\n".join([_format(content, newest, schedule or {}, remarks), "", *notes, *found, counts.describe()])
+    return CheckReport(text, not wrong)
+
+
+def _find_suspects(
+    content: GatewayMap, newest: Mapping[str, Reading], schedule: Mapping[str, Schedule] | None
+) -> tuple[dict[str, str], list[str]]:
+    if schedule is None:
+        return {}, []
+    reads = {meter: Read(found.value, found.sigma, schedule[meter]) for meter, found in newest.items() if found.valid}
+    return find_suspects(content.scenario.network, content.scenario.meters, reads)
+
+
+def _find_unmapped(content: GatewayMap) -> Sequence[str]:
+    """The meters of the scenario that this map does not have."""
+    mapped = {point.meter.id for point in content.points.values()}
+    return [m.id for m in content.scenario.meters if m.source is not Source.VIRTUAL and m.id not in mapped]
+
+
+def _format(
+    content: GatewayMap, newest: Mapping[str, Reading], schedule: Mapping[str, Schedule], remarks: Mapping[str, str]
+) -> str:
+    """A row for each meter; of many those with a remark first."""
+    points = sorted(content.points.values(), key=lambda point: not remarks[point.meter.id])
+    now = time.time()
+    rows = [_row(point, newest.get(point.meter.id), schedule, remarks[point.meter.id], now) for point in points]
+    header = ("meter", "address", "unit", "reading", "schedule", "age s", "remark")
+    more = [f"... and {len(rows) - MOST_ROWS} more meters"] if len(rows) > MOST_ROWS else []
+    return "\n".join([format_table(header, rows[:MOST_ROWS]), *more])
+
+
+def _row(
+    point: Point, reading: Reading | None, schedule: Mapping[str, Schedule], remark: str, now: float
+) -> tuple[str, ...]:
+    scheduled = schedule[point.meter.id].value / point.size if schedule else math.nan
+    read = f"{reading.value / point.size:.5g}" + ("" if reading.valid else " (invalid)") if reading else "-"
+    age = f"{max(0.0, now - reading.time):.1f}" if reading else "-"
+    return (point.meter.id, point.address, point.unit, read, f"{scheduled:.5g}", age, remark or "-")

@@ -1,0 +1,86 @@
+"""What became of the readings that a source has handed over: counted by reason, with names, and logged now and then."""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from agents.messages.checks import is_worth_writing
+from dsse_core.printable import shortened
+
+log = logging.getLogger(__name__)
+MOST_NAMED = 50  # addresses of each reason
+MOST_REASONS = 50
+OTHER = "other"
+LONGEST_DETAIL = 300  # characters
+UNKNOWN, BAD_TYPE, NOT_FINITE, WRONG_UNIT = "unknown address", "bad type", "not finite", "wrong unit"
+OUT_OF_RANGE, AHEAD, BAD_TIME, TWICE = "out of range", "ahead of time", "bad time", "two values for one time"
+OLDER, INVALID, DROPPED, MALFORMED = "older than the last", "marked invalid", "dropped", "malformed"
+
+
+@dataclass
+class Refused:
+    """Of one reason: how many, how many of each address (of some), and the last one in words."""
+
+    count: int = 0
+    addresses: Counter[str] = field(default_factory=Counter)
+    last: str = ""
+
+
+@dataclass
+class Counts:
+    """``received`` readings are ``used``, ``superseded`` by newer ones before they could be published, refused, or
+    still waiting. ``invalid``: those of the used that their source did not vouch for.
+
+    ``say``: what to do with a reason for the first, 10th, 100th, ... time.
+    """
+
+    received: int = 0
+    used: int = 0
+    superseded: int = 0
+    invalid: int = 0
+    messages: int = 0
+    refused: dict[str, Refused] = field(default_factory=dict)
+    say: Callable[[str], None] = log.warning
+
+    def refuse(self, reason: str, address: str, detail: str) -> None:
+        """Count one that is not used. A source of one's own may have reasons of its own, but not any number of them."""
+        if reason not in self.refused and len(self.refused) >= MOST_REASONS:
+            reason = OTHER
+        found = self.refused.setdefault(shortened(reason, 80), Refused())
+        found.count += 1
+        found.last = shortened(detail, LONGEST_DETAIL)
+        if address and (address in found.addresses or len(found.addresses) < MOST_NAMED):
+            found.addresses[shortened(address, LONGEST_DETAIL)] += 1
+        if is_worth_writing(found.count):
+            self.say(f"not used, {reason} ({found.count} so far): {found.last}")
+
+    @property
+    def total_refused(self) -> int:
+        """Of the readings; lines that are no readings are not among them."""
+        return sum(found.count for found in self.refused.values())
+
+    def as_json(self) -> dict[str, Any]:
+        """All of it."""
+        return {
+            "received": self.received,
+            "used": self.used,
+            "superseded": self.superseded,
+            "marked_invalid": self.invalid,
+            "messages": self.messages,
+            "refused": {
+                reason: {"count": found.count, "addresses": dict(found.addresses), "last": found.last}
+                for reason, found in sorted(self.refused.items())
+            },
+        }
+
+    def describe(self) -> str:
+        """In one line."""
+        refused = ", ".join(f"{found.count} {reason}" for reason, found in sorted(self.refused.items()))
+        return (
+            f"{self.received} readings received, {self.used} used, {self.superseded} superseded by newer ones, "
+            f"{self.messages} messages" + (f"; not used: {refused}" if refused else "")
+        )

@@ -1,0 +1,206 @@
+"""The gateway: a process that publishes what a source reads of meters, and hands results to sinks."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import signal
+import sys
+import time
+from collections.abc import Coroutine, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from agents.runtime.duplicate_guard import REPLACED_CODE, ReplacedError
+from agents.runtime.log_format import start_log
+from agents.runtime.presence import begin_incarnation
+from agents.runtime.renewal import on_hangup
+from coordinator.gateway.bus import GatewayBus, join_bus
+from coordinator.gateway.intake import Intake
+from coordinator.gateway.map_file import GatewayMap, SinkOf, SourceOf
+from coordinator.gateway.publisher import Publisher
+from coordinator.gateway.reconnection import Link, keep_on
+from coordinator.gateway.results import ResultQueue
+from dsse_core.errors import DsseError
+from dsse_core.files.drafts import whole_file
+
+log = logging.getLogger(__name__)
+STATUS_S = 1.0  # between two status files, and
+LOG_S = 60.0  # two lines in the log; where something has changed
+
+
+def run_gateway(
+    content: GatewayMap,
+    endpoints: Sequence[str],
+    timeout_s: float = 10.0,
+    keys: Path | None = None,
+    status_file: Path | None = None,
+    direct: bool = False,
+) -> int:
+    """Run the gateway of a map until SIGTERM, Ctrl-C or the end of its source; 0, or 2 after a user's mistake.
+
+    3 if another process of this name began later. ``keys``: folder of credentials. ``status_file``: where one line of
+    JSON says now and then what became of the readings. ``direct``: ``endpoints`` are those of all areas.
+    """
+    start_log()
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # Zenoh's connecting would defer Python's handler to its end
+    incarnation = begin_incarnation()
+    try:
+        with join_bus(content, incarnation, endpoints, timeout_s, keys, direct) as bus:
+            asyncio.run(_Gateway(content, bus, status_file).serve(renews=keys is not None))
+            bus.send_leave(b"stopped")
+    except DsseError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return REPLACED_CODE if isinstance(error, ReplacedError) else 2
+    return 0
+
+
+@dataclass
+class _Gateway:
+    content: GatewayMap
+    bus: GatewayBus
+    status_file: Path | None
+    links: list[Link] = field(default_factory=list)
+    queues: list[ResultQueue] = field(default_factory=list)
+    _status: str = ""
+
+    async def serve(self, renews: bool) -> None:
+        """Until a signal, the end of the source, or another process of our name, with which it raises ReplacedError."""
+        content = self.content
+        self.intake = Intake(content.points, time.time, ahead_of(content))
+        publisher = self._make_publisher()
+        ended = asyncio.Event()
+        self._on_signals(ended, renews)
+        self.queues = [
+            ResultQueue({area.name: area for area in content.scenario.partition.areas}) for _ in content.sinks
+        ]
+        self.bus.watch(publisher.publish_soon, self._on_state if content.sinks else None)
+        log.info(
+            "gateway %s of run %s, %s meters in %s areas",
+            content.name,
+            content.run,
+            len(content.points),
+            len(content.areas),
+        )
+        jobs: list[Coroutine[Any, Any, None]] = [_wait(ended), self.bus.mind_successors(), self._report()]
+        if content.source:
+            jobs.append(self._read(content.source))
+        jobs += [self._write(sink, queue) for sink, queue in zip(content.sinks, self.queues, strict=True)]
+        tasks = [asyncio.create_task(job) for job in jobs]
+        try:
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            for task in done:
+                task.result()
+        finally:
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+            publisher.finish()
+            self._write_status()
+            log.info("gateway %s ends: %s", content.name, self.intake.counts.describe())
+
+    def _make_publisher(self) -> Publisher:
+        content = self.content
+        publisher = Publisher(
+            run=content.run,
+            name=content.name,
+            incarnation=self.bus.incarnation,
+            intake=self.intake,
+            send=self.bus.send,
+            least_interval_s=content.least_interval_s,
+            scan_s=content.scenario.run.scan_s,
+        )
+        publisher.start()
+        return publisher
+
+    def _on_signals(self, ended: asyncio.Event, renews: bool) -> None:
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGTERM, signal.SIGINT):
+            loop.add_signal_handler(number, ended.set)
+        if renews:
+
+            def renew() -> None:
+                loop.call_soon_threadsafe(self.bus.renew)
+
+            def end() -> None:
+                loop.call_soon_threadsafe(ended.set)
+
+            on_hangup(renew, end)
+
+    def _on_state(self, state: Any) -> None:
+        for queue in self.queues:
+            queue.put(state)
+
+    async def _read(self, source: SourceOf) -> None:
+        link = Link("source")
+        self.links.append(link)
+        await read_source(source, self.intake, link)
+        log.info("the source has no more readings")
+
+    async def _write(self, sink: SinkOf, queue: ResultQueue) -> None:
+        link = Link(sink.name)
+        self.links.append(link)
+        queue.on_written = link.note_success
+
+        async def attempt() -> None:
+            queue.begin()
+            await sink.make().write(queue)
+
+        await keep_on(link, attempt)
+        await asyncio.Event().wait()  # a sink that has enough does not end the gateway
+
+    async def _report(self) -> None:
+        """Status file and log."""
+        logged, due = "", 0.0
+        while True:
+            await asyncio.sleep(STATUS_S)
+            self._write_status()
+            described = self.intake.counts.describe()
+            if time.monotonic() >= due and described != logged:
+                log.info(described)
+                logged, due = described, time.monotonic() + LOG_S
+
+    def _write_status(self) -> None:
+        if self.status_file is None:
+            return
+        content: dict[str, Any] = {"gateway": self.content.name, "run": self.content.run}
+        content |= self.intake.counts.as_json()
+        content["links"] = [{"name": link.name, "failures": link.failures, "error": link.error} for link in self.links]
+        content["results"] = [{"written": q.written, "superseded": q.superseded} for q in self.queues]
+        text = json.dumps(content)
+        if text == self._status:
+            return
+        try:
+            with whole_file(self.status_file) as draft:
+                draft.write_text(text + "\n", encoding="utf-8")
+            self._status = text
+        except OSError as error:
+            log.warning("status file %s: %s", self.status_file, error.strerror or error)
+
+
+def ahead_of(content: GatewayMap) -> float:
+    """By how much a reading may be ahead of the clock of this host, s: what areas allow, too."""
+    return max(1.0, (content.scenario.run.scan_s or 0.0) / 4)
+
+
+async def read_source(source: SourceOf, intake: Intake, link: Link) -> None:
+    """Read ``source`` into ``intake`` until it has no more; errors make a new beginning."""
+    addresses = tuple(intake.points)
+
+    class Noting:
+        """An ``Emit`` by which every reading shows that the link works."""
+
+        refuse = staticmethod(intake.refuse)
+
+        def __call__(self, *arguments: Any, **options: Any) -> None:
+            if link.error:
+                link.note_success()
+            intake(*arguments, **options)
+
+    await keep_on(link, lambda: source.make(addresses).read(Noting()))
+
+
+async def _wait(ended: asyncio.Event) -> None:
+    await ended.wait()

@@ -1,0 +1,232 @@
+"""Whether readings fit together: which sign or unit of a map looks wrong, by balances of power and by the schedule."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dsse_core.errors import PowerFlowDivergedError
+from dsse_core.grid.measurement import MeasurementKind, Meter, Source
+from dsse_core.grid.network import Network
+from dsse_core.power_flow.exact_readings import read_exactly
+from dsse_core.power_flow.newton_raphson import solve_power_flow
+
+KIND = MeasurementKind
+POWERS = ((KIND.P_INJECTION, KIND.P_FLOW), (KIND.Q_INJECTION, KIND.Q_FLOW))
+MISTAKES: Mapping[float, str] = {-1.0: "sign", 1e-3: "unit, 1000 times too large", 1e3: "unit, 1000 times too small"}
+"""By what a reading would have to be multiplied -> what looks wrong with it in the map."""
+SHARE = 0.05  # of the largest power of a balance, which it may miss by losses that differ from those of the schedule
+SIGMAS = 5.0
+LIKE_SCHEDULE = 5.0  # a load is at most so many times that of the schedule, and at least so small a part
+LIKE_THOUSAND = 3.0  # and a thousand times it, within this factor
+LOWEST_VM, HIGHEST_VM = 0.8, 1.2  # p.u.
+MOST_ANGLE = 0.5  # rad from the schedule
+PUSHING = 0.1  # of what the loads cause, what sources cause in the other direction
+SIGNIFICANT = 0.02  # of the largest power of its kind: what is smaller may have any sign
+
+
+@dataclass(frozen=True, slots=True)
+class Schedule:
+    """What a meter reads under the loads and sources of the network, p.u. or rad.
+
+    ``can_turn``: with other loads it may have the other sign, as sources push against them there.
+    """
+
+    value: float
+    can_turn: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Read:
+    """What a meter reads, with its standard deviation, p.u. or rad, and what the schedule has."""
+
+    value: float
+    sigma: float
+    schedule: Schedule
+
+    @property
+    def expected(self) -> float:
+        return self.schedule.value
+
+
+def find_schedule(network: Network, meters: Sequence[Meter]) -> dict[str, Schedule]:
+    """Meter id -> what it reads under the schedule.
+
+    Raises:
+        PowerFlowDivergedError: the network's loads have no power flow.
+    """
+    expected, _ = read_exactly(solve_power_flow(network), meters)
+    idle_buses = tuple(replace(bus, p_load=0.0, q_load=0.0) for bus in network.buses)
+    try:
+        idle, _ = read_exactly(solve_power_flow(replace(network, buses=idle_buses)), meters)
+        by_loads = expected - idle
+        can_turn = (idle * by_loads < 0) & (abs(idle) > PUSHING * abs(by_loads))
+    except PowerFlowDivergedError:
+        can_turn = np.full(len(meters), True)
+    found = zip(meters, expected.tolist(), can_turn.tolist(), strict=True)
+    return {meter.id: Schedule(value, turns) for meter, value, turns in found}
+
+
+@dataclass(frozen=True, slots=True)
+class Balance:
+    """Powers that add up: ``terms``, meter id and sign of each, at ``place``, such as ``bus 4``."""
+
+    place: str
+    terms: tuple[tuple[str, int], ...]
+
+    def find_excess(self, reads: Mapping[str, Read], changed: str = "", factor: float = 1.0) -> float:
+        """By how much more than it may the balance is missed, p.u., if meter ``changed`` read ``factor`` times that;
+        not positive where it holds.
+        """
+        missed, largest, variance = 0.0, 0.0, 0.0
+        for meter, sign in self.terms:
+            read = reads[meter]
+            value = read.value * (factor if meter == changed else 1.0)
+            missed += sign * (value - read.expected)  # under the schedule it holds with its losses and charging
+            largest = max(largest, abs(value))
+            variance += read.sigma**2
+        return abs(missed) - SHARE * largest - SIGMAS * math.sqrt(variance)
+
+
+def find_balances(network: Network, meters: Sequence[Meter], read: Iterable[str]) -> Iterator[Balance]:
+    """The balances all of whose meters are ``read``: of each bus, and between the two ends of each branch."""
+    known = set(read)
+    virtual = {(meter.kind, meter.bus) for meter in meters if meter.source is Source.VIRTUAL}
+    for injection, flow in POWERS:
+        ends: dict[int, list[tuple[str, int] | None]] = {bus.id: [] for bus in network.buses}
+        for branch in network.branches:
+            if not branch.in_service:
+                continue
+            at = {bus: Meter(flow, bus, branch.id).id for bus in (branch.from_bus, branch.to_bus)}
+            here, there = at[branch.from_bus], at[branch.to_bus]
+            if here in known and there in known:
+                yield Balance(f"branch {branch.id}", ((here, 1), (there, 1)))
+            for bus, other in ((branch.from_bus, there), (branch.to_bus, here)):
+                term = (at[bus], -1) if at[bus] in known else (other, 1) if other in known else None
+                ends[bus].append(term)
+        for bus, terms in ends.items():
+            own = Meter(injection, bus).id
+            if (own in known or (injection, bus) in virtual) and terms and None not in terms:
+                flows = tuple(term for term in terms if term is not None)
+                yield Balance(f"bus {bus}", ((own, 1), *flows) if own in known else flows)
+
+
+def find_suspects(
+    network: Network, meters: Sequence[Meter], reads: Mapping[str, Read]
+) -> tuple[dict[str, str], list[str]]:
+    """Meter id -> what looks wrong with it, in words; and the balances that no single mistake explains.
+
+    ``meters``: of the scenario; ``reads``: meter id -> what was read.
+    """
+    balances = list(find_balances(network, meters, reads))
+    suspects, unexplained, corrected = _explain(balances, reads)
+    kinds = {meter.id: meter.kind for meter in meters}
+    largest: dict[MeasurementKind, float] = {}
+    for meter, read in reads.items():
+        largest[kinds[meter]] = max(largest.get(kinds[meter], 0.0), abs(read.expected))
+    confirmed = _find_confirmed(balances, corrected)
+    for meter, read in reads.items():
+        if meter not in suspects:
+            words = _compare(kinds[meter], read, SIGNIFICANT * largest[kinds[meter]], meter in confirmed)
+            suspects |= {meter: words} if words else {}
+    return suspects, unexplained
+
+
+def _explain(
+    balances: Sequence[Balance], reads: Mapping[str, Read]
+) -> tuple[dict[str, str], list[str], dict[str, Read]]:
+    """Suspects by balances, those left unexplained, and the readings with mistakes corrected, the likeliest first."""
+    now = dict(reads)
+    of_meter: dict[str, list[Balance]] = {}
+    for balance in balances:
+        for meter, _ in balance.terms:
+            of_meter.setdefault(meter, []).append(balance)
+    suspects: dict[str, str] = {}
+    while missed := [balance for balance in balances if balance.find_excess(now) > 0]:
+        found = [
+            (gain, meter, factor)
+            for meter in dict.fromkeys(meter for balance in missed for meter, _ in balance.terms)
+            for factor in MISTAKES
+            if meter not in suspects and (gain := _gain(of_meter[meter], now, meter, factor)) > 0
+        ]
+        if not found:
+            break
+        best = max(gain for gain, _, _ in found)
+        first = next((meter, factor) for gain, meter, factor in found if gain == best)
+        mended = [b for b in of_meter[first[0]] if b.find_excess(now) > 0 >= b.find_excess(now, *first)]
+        equal = [
+            (meter, factor)
+            for gain, meter, factor in found
+            if gain == best and any(meter in dict(balance.terms) for balance in mended)
+        ]
+        places = " and ".join(balance.place for balance in mended)
+        for meter, factor in equal:
+            others = [other for other, _ in equal if other != meter]
+            instead = f", or that of {' or '.join(others)}" if others else ""
+            suspects[meter] = f"{MISTAKES[factor]}{instead}: the powers at {places} do not add up"
+        meter, factor = first
+        read = now[meter]
+        now[meter] = replace(read, value=read.value * factor)
+    suspected = {meter for meter in suspects}
+    unexplained = [b.place for b in missed if not suspected & dict(b.terms).keys()]
+    return suspects, unexplained, now
+
+
+def _gain(balances: Sequence[Balance], reads: Mapping[str, Read], meter: str, factor: float) -> float:
+    """How many more of the meter's balances hold without the mistake; half a one more if the schedule says so."""
+    held = sum(balance.find_excess(reads) <= 0 for balance in balances)
+    holding = sum(balance.find_excess(reads, meter, factor) <= 0 for balance in balances)
+    read = reads[meter]
+    if holding <= held:
+        return 0.0
+    agrees = _is_like(factor * read.value, read.expected) and not _is_like(read.value, read.expected)
+    return holding - held + 0.5 * agrees
+
+
+def _find_confirmed(balances: Iterable[Balance], reads: Mapping[str, Read]) -> set[str]:
+    """The meters whose sign a balance confirms: it holds, and would not with the other one."""
+    return {
+        meter
+        for balance in balances
+        if balance.find_excess(reads) <= 0
+        for meter, _ in balance.terms
+        if balance.find_excess(reads, meter, -1.0) > 0
+    }
+
+
+def _is_like(value: float, expected: float) -> bool:
+    """Whether a power may be that of the schedule on another day."""
+    return expected != 0 and 1 / LIKE_SCHEDULE <= value / expected <= LIKE_SCHEDULE
+
+
+def _compare(kind: MeasurementKind, read: Read, least: float, is_confirmed: bool) -> str:
+    """What looks wrong with a reading beside the schedule; empty if nothing does."""
+    if kind is KIND.VM:
+        return _compare_voltage(read.value)
+    if kind is KIND.VA:
+        off = math.pi - (math.pi - (read.value - read.expected)) % (2 * math.pi)
+        return f"unit deg or rad, or reference: {off:.3g} rad from the schedule" if abs(off) > MOST_ANGLE else ""
+    if abs(read.expected) <= max(least, SIGMAS * read.sigma):
+        return ""
+    for factor, words in MISTAKES.items():
+        is_turned = factor < 0 and not (is_confirmed or read.schedule.can_turn) and _is_like(-read.value, read.expected)
+        times = abs(factor * read.value / read.expected)
+        is_scaled = factor > 0 and 1 / LIKE_THOUSAND <= times <= LIKE_THOUSAND
+        if is_turned or is_scaled:
+            return f"{words}: the schedule has {read.expected / read.value:.3g} times this"
+    return ""
+
+
+def _compare_voltage(vm: float) -> str:
+    if vm == 0 or LOWEST_VM <= vm <= HIGHEST_VM:
+        return ""  # a dead voltmeter reads 0, and is seen as such
+    known = {
+        1 / math.sqrt(3): "line to neutral? then factor = 1.732",
+        1e3: "V in place of kV?",
+        1e-3: "kV in place of V?",
+    }
+    hint = next((words for times, words in known.items() if LOWEST_VM <= vm / times <= HIGHEST_VM), "")
+    return f"unit or base voltage: {vm:.3g} p.u." + (f"; {hint}" if hint else "")

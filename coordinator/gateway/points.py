@@ -1,0 +1,113 @@
+"""A point: the meter behind an address of a source, and how what is found there becomes a reading in p.u. or rad."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from coordinator.gateway.map_tables import ReadingTable
+from coordinator.gateway.units import physical_range, size_of, units_of
+from dsse_core.grid.measurement import Meter
+from dsse_core.grid.network import Network
+from dsse_core.limits import LARGEST_SIGMA, SMALLEST_SIGMA
+from scenarios.meters import SigmaRule
+
+
+@dataclass(frozen=True, slots=True)
+class Deviation:
+    """Standard deviation of a reading, p.u. or rad: ``relative`` to its size, at least ``least``."""
+
+    relative: float
+    least: float
+
+    def of(self, value: float) -> float:
+        return max(self.relative * abs(value), self.least)
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """The ``meter`` of ``area`` at ``address``. It reads ``sign (factor raw + offset)`` in ``unit``, of which one is
+    ``size`` in p.u. or rad; ``lowest``, ``highest``: in p.u. or rad, outside of which a reading is none.
+    """
+
+    address: str
+    meter: Meter
+    area: str
+    unit: str
+    size: float
+    factor: float
+    offset: float
+    deviation: Deviation
+    lowest: float
+    highest: float
+
+    def value_of(self, raw: float) -> float:
+        """In p.u. or rad."""
+        return (self.factor * raw + self.offset) * self.size
+
+    def is_in_range(self, value: float) -> bool:
+        """Whether the meter can read ``value``, p.u. or rad."""
+        return self.lowest <= value <= self.highest
+
+
+def make_point(table: ReadingTable, meter: Meter, area: str, network: Network, rule: SigmaRule) -> Point:
+    """The point of a ``[[reading]]`` without problems; ``rule``: for one that states no sigma."""
+    size = size_of(table.unit, meter, network)
+    lowest, highest = physical_range(meter, network)
+    if table.lowest is not None:
+        lowest = max(lowest, table.lowest * size)
+    if table.highest is not None:
+        highest = min(highest, table.highest * size)
+    return Point(
+        address=table.address,
+        meter=meter,
+        area=area,
+        unit=table.unit,
+        size=size,
+        factor=table.sign * table.factor,
+        offset=table.sign * table.offset,
+        deviation=_deviation_of(table, meter, size, rule),
+        lowest=lowest,
+        highest=highest,
+    )
+
+
+def find_point_problems(table: ReadingTable, meter: Meter, network: Network, rule: SigmaRule) -> Iterator[str]:
+    """Every way in which a ``[[reading]]`` does not fit its meter, as text."""
+    allowed = units_of(meter.kind)
+    if table.unit not in allowed:
+        yield f"unit is {table.unit}; meter {meter.id} reads {' or '.join(allowed)}"
+        return
+    size = size_of(table.unit, meter, network)
+    lowest, highest = (limit / size for limit in physical_range(meter, network))
+    for key in ("lowest", "highest"):
+        limit = getattr(table, key)
+        if limit is not None and not lowest <= limit <= highest:
+            yield f"{key} is {limit:g} {table.unit}; meter {meter.id} reads {lowest:g} to {highest:g} {table.unit}"
+    if table.sigma is None and not rule.relative.keys() | rule.absolute.keys() >= {meter.kind}:
+        yield f"sigma is missing, and the scenario states none for {meter.kind}; give it in {table.unit}"
+    elif not SMALLEST_SIGMA <= (least := _deviation_of(table, meter, size, rule).least) <= LARGEST_SIGMA:
+        yield (
+            f"the least sigma is {least / size:g} {table.unit}, {least:.3g} in p.u. or rad; it must lie between "
+            f"{SMALLEST_SIGMA:g} and {LARGEST_SIGMA:g}; give a sigma in {table.unit}"
+        )
+
+
+def _deviation_of(table: ReadingTable, meter: Meter, size: float, rule: SigmaRule) -> Deviation:
+    if table.sigma is not None:
+        return Deviation((table.sigma_percent or 0.0) / 100, table.sigma * size)
+    if meter.kind in rule.absolute:
+        return Deviation(0.0, rule.absolute[meter.kind])
+    return Deviation(rule.relative.get(meter.kind, 0.0), rule.floor)
+
+
+def number_of(raw: object) -> float | str:
+    """``raw`` as a finite number; or the few words under which it is counted that it is none."""
+    if isinstance(raw, bool) or not isinstance(raw, (int, float)):
+        return "bad type"
+    try:
+        value = float(raw)
+    except OverflowError:
+        return "not finite"
+    return value if math.isfinite(value) else "not finite"

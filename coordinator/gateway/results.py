@@ -1,0 +1,104 @@
+"""What areas publish as results in the units of engineers, and their way to a sink: of each area the newest."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from agents.messages.packing import StateMessage
+from coordinator.evaluation.table_files import rows_as_json
+from coordinator.gateway.interface import Result
+from coordinator.observe.area_flows import make_area_flows
+from dsse_core.errors import InvalidInputError
+from dsse_core.grid.partition import Area
+
+BUS_COLUMNS = ("bus", "name", "vm_pu", "va_deg", "vm_kv", "p_kw", "q_kvar", "sigma_vm_pu", "sigma_vm_kv")
+BRANCH_COLUMNS = (
+    "branch",
+    "name",
+    "from_bus",
+    "to_bus",
+    "p_from_kw",
+    "q_from_kvar",
+    "i_from_a",
+    "p_to_kw",
+    "q_to_kvar",
+    "i_to_a",
+    "loss_kw",
+    "loading_percent",
+)
+
+
+def make_result(areas: Mapping[str, Area], state: StateMessage) -> Result:
+    """What ``state`` says of its area: quality and its reasons, ages, voltages in kV, flows in kW, kvar and A.
+
+    ``problem``: why there are no buses and branches; empty if there are.
+    """
+    header = state.header
+    result: dict[str, Any] = {
+        "run": header.run,
+        "area": header.sender,
+        "time": header.time,
+        "scan": header.scan,
+        "quality": state.quality,
+        "notes": list(state.notes),
+        "telemetry_age_s": state.telemetry_age,
+        "oldest_reading_s": state.oldest_reading,
+        "removed": list(state.removed),
+        "buses": [],
+        "branches": [],
+        "problem": "",
+    }
+    if (area := areas.get(header.sender)) is None:
+        return result | {"problem": "the scenario has no such area"}
+    if not state.buses:
+        return result | {"problem": "the area has no estimate"}
+    try:
+        buses, branches = make_area_flows(area, state)
+    except InvalidInputError as error:
+        return result | {"problem": "; ".join(error.problems)}
+    return result | {
+        "buses": [{key: row[key] for key in BUS_COLUMNS} for row in rows_as_json(buses)],
+        "branches": [{key: row[key] for key in BRANCH_COLUMNS} for row in rows_as_json(branches)],
+    }
+
+
+@dataclass
+class ResultQueue(AsyncIterator[Result]):
+    """States that wait for a sink, of each area the newest: one that is slow gets fewer, and the bus never waits.
+
+    ``superseded``: how many it never got. ``on_written``: called when a sink asks for the next one.
+    """
+
+    areas: Mapping[str, Area]
+    on_written: Callable[[], None] = lambda: None
+    written: int = 0
+    superseded: int = 0
+    _waiting: dict[str, StateMessage] = field(default_factory=dict)
+    _is_there: asyncio.Event = field(default_factory=asyncio.Event)
+    _at_sink: StateMessage | None = None
+
+    def put(self, state: StateMessage) -> None:
+        area = state.header.sender
+        self.superseded += area in self._waiting
+        self._waiting[area] = state
+        self._is_there.set()
+
+    def begin(self) -> None:
+        """For a sink that begins anew: what it had in hand comes again, unless there is something newer."""
+        if (state := self._at_sink) is not None:
+            self._waiting.setdefault(state.header.sender, state)
+            self._at_sink = None
+
+    async def __anext__(self) -> Result:
+        if self._at_sink is not None:  # it is written, else the sink would not ask for another
+            self._at_sink = None
+            self.written += 1
+            self.on_written()
+        while not self._waiting:
+            self._is_there.clear()
+            await self._is_there.wait()
+        self._at_sink = self._waiting.pop(next(iter(self._waiting)))
+        return make_result(self.areas, self._at_sink)

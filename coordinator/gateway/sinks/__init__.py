@@ -1,0 +1,1 @@
+"""The sinks that are shipped: JSON lines, MQTT."""

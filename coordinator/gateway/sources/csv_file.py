@@ -1,0 +1,118 @@
+"""Source ``csv``: a file that another program appends to, or replaces by a new one."""
+
+from __future__ import annotations
+
+import asyncio
+import csv
+import os
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, BinaryIO, Literal
+
+from pydantic import Field
+
+from coordinator.gateway.interface import Emit, MapPath, Source
+from coordinator.gateway.sources.lines import PIECE, TOO_LONG, LineCutter
+from coordinator.gateway.sources.texts import as_number, as_time, as_validity
+from dsse_core.files.strict_table import Table
+
+MALFORMED = "malformed"
+ADDRESS, VALUE, VALID, UNIT = "address", "value", "valid", "unit"
+
+
+class CsvSettings(Table):
+    """Of ``[source]``. ``time``: the column of the times of measurement."""
+
+    path: MapPath
+    delimiter: Literal[",", ";", "\t"] = ","
+    time: str = "time"
+    poll_s: Annotated[float, Field(ge=0.01, le=60.0)] = 0.2
+
+
+class HeaderError(ValueError):
+    """The first line names no columns that can be used."""
+
+
+class CsvSource(Source):
+    """Reads a file with a header: columns ``time``, ``address`` and ``value``, with or without ``valid`` and ``unit``;
+    or ``time`` and a column for each address. An empty cell is no reading. A line counts when it is whole.
+    """
+
+    Settings = CsvSettings
+    settings: CsvSettings
+
+    async def read(self, emit: Emit) -> None:
+        while True:
+            with self.settings.path.open("rb") as file:
+                await self._follow(file, emit)
+
+    async def _follow(self, file: BinaryIO, emit: Emit) -> None:
+        """Until another file stands in its place, or it is shorter than it was."""
+        cutter = LineCutter()
+        columns: _Columns | None = None
+        while True:
+            is_replaced = not _is_same(file, self.settings.path)  # asked first: what it still has is read once more
+            while piece := file.read(PIECE):
+                for line in cutter.cut(piece):
+                    if line is None:
+                        emit.refuse(MALFORMED, TOO_LONG)
+                    elif columns is None and line.strip():
+                        columns = _Columns(line, self.settings)
+                    elif columns is not None and line.strip():
+                        columns.take(line, emit)
+                await asyncio.sleep(0)
+            if is_replaced:
+                return
+            await asyncio.sleep(self.settings.poll_s)
+
+
+def _is_same(file: BinaryIO, path: Path) -> bool:
+    """Whether ``path`` is still ``file``, and not shorter than what was read of it; between two files it is."""
+    try:
+        now = path.stat()
+    except FileNotFoundError:
+        return True
+    return os.path.samestat(now, os.fstat(file.fileno())) and now.st_size >= file.tell()
+
+
+class _Columns:
+    """The columns of a file, from its header."""
+
+    def __init__(self, header: str, settings: CsvSettings) -> None:
+        self.delimiter = settings.delimiter
+        self.names = _cells(header.removeprefix("\ufeff"), settings.delimiter)
+        twice = [name for name, count in Counter(self.names).items() if count > 1]
+        if twice:
+            raise HeaderError(f"{settings.path}: column {twice[0]!r:.80} stands twice in the first line; keep one")
+        if settings.time not in self.names:
+            raise HeaderError(
+                f"{settings.path}: the first line has no column {settings.time!r}, found {header[:200]!r}; a reading "
+                "without a time may be of any age; add the column, or name it by source.time"
+            )
+        self.time = self.names.index(settings.time)
+        self.is_long = ADDRESS in self.names and VALUE in self.names
+
+    def take(self, line: str, emit: Emit) -> None:
+        try:
+            cells = _cells(line, self.delimiter)
+        except csv.Error as error:
+            emit.refuse(MALFORMED, f"line {line!r:.120}: {error}")
+            return
+        if len(cells) != len(self.names):
+            emit.refuse(MALFORMED, f"line {line!r:.120}: {len(cells)} columns, but the header has {len(self.names)}")
+            return
+        time = as_time(cells[self.time])
+        if not self.is_long:
+            for k, (name, cell) in enumerate(zip(self.names, cells, strict=True)):
+                if k != self.time and cell:
+                    emit(name, as_number(cell), time)
+            return
+        row = dict(zip(self.names, cells, strict=True))
+        if row[VALUE]:
+            valid = as_validity(row.get(VALID))
+            emit(row[ADDRESS], as_number(row[VALUE]), time, valid=valid, unit=row.get(UNIT) or None)
+
+
+def _cells(line: str, delimiter: str) -> Sequence[str]:
+    return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, strict=True), [])]

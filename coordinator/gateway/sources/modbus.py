@@ -1,0 +1,137 @@
+"""Source ``modbus``: registers of a Modbus TCP device, read again and again. Needs pymodbus, extra ``modbus``."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+from pymodbus.client import AsyncModbusTcpClient
+
+from coordinator.gateway.interface import Emit, Source
+from dsse_core.files.strict_table import Table
+
+REJECTED = "rejected by the device"
+ADDRESS = re.compile(r"(?:(?P<device>\d{1,3})/)?(?P<table>holding|input):(?P<register>\d{1,5})(?::(?P<type>\w+))?")
+MOST_REGISTERS = 120  # of one question; the protocol allows 125
+TYPES = {
+    "int16": AsyncModbusTcpClient.DATATYPE.INT16,
+    "uint16": AsyncModbusTcpClient.DATATYPE.UINT16,
+    "int32": AsyncModbusTcpClient.DATATYPE.INT32,
+    "uint32": AsyncModbusTcpClient.DATATYPE.UINT32,
+    "int64": AsyncModbusTcpClient.DATATYPE.INT64,
+    "uint64": AsyncModbusTcpClient.DATATYPE.UINT64,
+    "float32": AsyncModbusTcpClient.DATATYPE.FLOAT32,
+    "float64": AsyncModbusTcpClient.DATATYPE.FLOAT64,
+}
+
+
+class ModbusSettings(Table):
+    """Of ``[source]``. ``period_s``: from one reading of all registers to the next. ``words``: which 16 bits of a
+    longer number come first.
+    """
+
+    host: str
+    port: Annotated[int, Field(ge=1, le=65535)] = 502
+    device: Annotated[int, Field(ge=0, le=255)] = 1
+    period_s: Annotated[float, Field(ge=0.01, le=3600.0)] = 1.0
+    timeout_s: Annotated[float, Field(ge=0.1, le=60.0)] = 3.0
+    words: Literal["big", "little"] = "big"
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class _Register:
+    """Where an ``address`` is; ``count`` registers of 16 bits."""
+
+    device: int
+    table: str
+    first: int
+    count: int
+    type: str
+    address: str
+
+    @property
+    def place(self) -> tuple[int, str]:
+        return self.device, self.table
+
+
+class ModbusSource(Source):
+    """An address is ``TABLE:REGISTER:TYPE`` or ``DEVICE/TABLE:REGISTER:TYPE``, the register counted from 0: such as
+    ``holding:100:float32``. The time of a reading is that of the answer.
+    """
+
+    Settings = ModbusSettings
+    settings: ModbusSettings
+
+    def __init__(self, settings: Any, addresses: Sequence[str]) -> None:
+        super().__init__(settings, addresses)
+        self.blocks = list(_join(sorted(_parse(address, settings.device) for address in addresses)))
+
+    @classmethod
+    def find_address_problem(cls, address: str) -> str:
+        found = ADDRESS.fullmatch(address)
+        if found and (found["type"] or "uint16") in TYPES and int(found["register"]) <= 0xFFFF:
+            return ""
+        return f"TABLE:REGISTER:TYPE, such as holding:100:float32 or 3/input:0:int16; types: {', '.join(TYPES)}"
+
+    async def read(self, emit: Emit) -> None:
+        settings = self.settings
+        client = AsyncModbusTcpClient(
+            settings.host, port=settings.port, timeout=settings.timeout_s, retries=0, reconnect_delay=0
+        )
+        try:
+            if not await client.connect():
+                raise ConnectionError(f"no Modbus device at {settings.host}:{settings.port}")
+            loop = asyncio.get_running_loop()
+            due = loop.time()
+            while True:
+                for block in self.blocks:
+                    await self._read_block(client, block, emit)
+                due = max(due + settings.period_s, loop.time())
+                await asyncio.sleep(due - loop.time())
+        finally:
+            client.close()
+
+    async def _read_block(self, client: AsyncModbusTcpClient, block: Sequence[_Register], emit: Emit) -> None:
+        """Read registers that follow one another; where the device rejects them together, each by itself."""
+        first, last = block[0], block[-1]
+        read = client.read_holding_registers if first.table == "holding" else client.read_input_registers
+        answer = await read(first.first, count=last.first + last.count - first.first, device_id=first.device)
+        if answer.isError():
+            if len(block) > 1:
+                for register in block:
+                    await self._read_block(client, [register], emit)
+            else:
+                emit.refuse(REJECTED, f"address {first.address}: {answer}")
+            return
+        for register in block:
+            start = register.first - first.first
+            words = answer.registers[start : start + register.count]
+            emit(register.address, client.convert_from_registers(words, TYPES[register.type], self.settings.words))
+
+
+def _parse(address: str, device: int) -> _Register:
+    found = ADDRESS.fullmatch(address)
+    assert found, address  # the map was checked
+    kind = found["type"] or "uint16"
+    count = TYPES[kind].value[1]
+    return _Register(int(found["device"] or device), found["table"], int(found["register"]), count, kind, address)
+
+
+def _join(registers: Sequence[_Register]) -> Iterator[list[_Register]]:
+    """Blocks of registers without a gap: a device may have none between two of the map."""
+    block: list[_Register] = []
+    for register in registers:
+        if block and (
+            register.place != block[-1].place
+            or register.first > block[-1].first + block[-1].count
+            or register.first + register.count - block[0].first > MOST_REGISTERS
+        ):
+            yield block
+            block = []
+        block.append(register)
+    if block:
+        yield block

@@ -1,0 +1,160 @@
+"""Source ``mqtt``: topics of a broker. Needs aiomqtt, extra ``mqtt``."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
+
+import aiomqtt
+from pydantic import Field
+
+from coordinator.gateway.broker import BrokerSettings, connect
+from coordinator.gateway.interface import Emit, Source
+from coordinator.gateway.sources.texts import (
+    NotUsableError,
+    as_number,
+    as_time,
+    as_validity,
+    find_at,
+    parse_object,
+)
+
+MALFORMED, DROPPED, NO_TIME = "malformed", "dropped", "retained without a time"
+MOST_OF_A_TOPIC = 100  # messages of one topic that wait; a flood of one topic takes nothing from the others
+LARGEST_PAYLOAD = 2**16  # bytes
+
+
+class MqttSettings(BrokerSettings):
+    """Of ``[source]``. ``topics``: what to subscribe to, in place of the topics of the addresses; ``value``, ``time``,
+    ``valid``, ``unit``: where they stand in a payload that is a JSON object, keys with dots between them.
+    """
+
+    topics: list[str] = Field(default_factory=list)
+    qos: Literal[0, 1, 2] = 1
+    value: str = "value"
+    time: str = "time"
+    valid: str = "valid"
+    unit: str = "unit"
+
+
+class MqttSource(Source):
+    """An address is a topic, whose payload is a number or a JSON object; ``TOPIC#PATH`` says where the value stands in
+    the object, so that one message may read many meters.
+
+    What the broker has kept for newcomers is as old as its time says; without one it is no reading.
+    """
+
+    Settings = MqttSettings
+    settings: MqttSettings
+
+    def __init__(self, settings: Any, addresses: Sequence[str]) -> None:
+        super().__init__(settings, addresses)
+        self.paths: dict[str, list[tuple[str, str]]] = {}  # topic -> the addresses there, and where they stand
+        for address in addresses:
+            topic, _, path = address.partition("#")
+            self.paths.setdefault(topic, []).append((address, path or settings.value))
+
+    @classmethod
+    def find_address_problem(cls, address: str) -> str:
+        topic, has_path, path = address.partition("#")
+        if not topic or "+" in topic or (has_path and (not path or topic.endswith("/"))):
+            return "a topic without wildcards, or TOPIC#PATH, such as feeder1/power#phases.total"
+        return ""
+
+    async def read(self, emit: Emit) -> None:
+        queue = _FairQueue()
+        async with connect(self.settings, queue_type=lambda maxsize: queue) as client:
+            subscribed: list[tuple[str, int]] = [
+                (topic, self.settings.qos) for topic in self.settings.topics or self.paths
+            ]
+            await client.subscribe(subscribed)
+            async for message in client.messages:
+                if queue.dropped:
+                    _tell_dropped(queue, emit)
+                self._take(message, emit)
+
+    def _take(self, message: aiomqtt.Message, emit: Emit) -> None:
+        topic, payload = str(message.topic), message.payload
+        if not isinstance(payload, bytes) or len(payload) > LARGEST_PAYLOAD:
+            emit.refuse(MALFORMED, f"topic {topic}: payload of more than {LARGEST_PAYLOAD} bytes, or of none")
+            return
+        places = self.paths.get(topic, [(topic, self.settings.value)])
+        if payload.lstrip()[:1] == b"{":
+            self._take_object(topic, payload, places, bool(message.retain), emit)
+        elif message.retain:
+            emit.refuse(NO_TIME, f"topic {topic}: the broker has kept it, nobody knows for how long")
+        else:
+            text = payload.decode("utf-8", "replace").strip()
+            for address, path in places:
+                if path == self.settings.value:
+                    emit(address, as_number(text))
+                else:
+                    emit.refuse(MALFORMED, f"address {address}: the payload is no JSON object, but {text!r:.80}")
+
+    def _take_object(
+        self, topic: str, payload: bytes, places: Sequence[tuple[str, str]], is_kept: bool, emit: Emit
+    ) -> None:
+        try:
+            content: Mapping[str, Any] = parse_object(payload)
+        except NotUsableError as error:
+            emit.refuse(MALFORMED, f"topic {topic}: payload {payload[:80]!r}: {error}")
+            return
+        has_time, time = find_at(content, self.settings.time)
+        if is_kept and not has_time:
+            emit.refuse(NO_TIME, f"topic {topic}: the broker has kept it, nobody knows for how long")
+            return
+        valid = as_validity(find_at(content, self.settings.valid)[1])
+        unit = find_at(content, self.settings.unit)[1]
+        for address, path in places:
+            found, value = find_at(content, path)
+            if found:
+                stated = None if unit is None else str(unit)
+                emit(address, value, as_time(time) if has_time else None, valid=valid, unit=stated)
+            else:
+                emit.refuse(MALFORMED, f"address {address}: nothing at {path} of payload {payload[:80]!r}")
+
+
+class _FairQueue(asyncio.Queue[aiomqtt.Message]):
+    """Messages that wait, some of each topic: of more, the oldest of that topic are dropped and counted."""
+
+    def __init__(self) -> None:
+        self.dropped: dict[str, int] = {}
+        super().__init__()
+
+    def _init(self, maxsize: int) -> None:
+        self._by_topic: dict[str, deque[aiomqtt.Message]] = {}
+        self._count = 0
+
+    def qsize(self) -> int:
+        return self._count
+
+    def empty(self) -> bool:
+        return self._count == 0
+
+    def _put(self, item: aiomqtt.Message) -> None:
+        topic = str(item.topic)
+        waiting = self._by_topic.setdefault(topic, deque())
+        waiting.append(item)
+        self._count += 1
+        if len(waiting) > MOST_OF_A_TOPIC:
+            waiting.popleft()
+            self._count -= 1
+            self.dropped[topic] = self.dropped.get(topic, 0) + 1
+
+    def _get(self) -> aiomqtt.Message:
+        topic, waiting = next(iter(self._by_topic.items()))
+        item = waiting.popleft()
+        self._count -= 1
+        del self._by_topic[topic]
+        if waiting:
+            self._by_topic[topic] = waiting  # behind the other topics
+        return item
+
+
+def _tell_dropped(queue: _FairQueue, emit: Emit) -> None:
+    for topic, count in queue.dropped.items():
+        for _ in range(count):
+            emit.refuse(DROPPED, f"topic {topic}: more messages than this host can take; the newest are kept")
+    queue.dropped.clear()
