@@ -21,6 +21,7 @@ from dsse_core.files.bounded_file import read_bounded
 LOOPBACK_NAMES = ("localhost", "127.0.0.1", "[::1]")
 MOST_READERS = 200
 REQUEST_S = 10.0  # in which a request must have come whole
+PATIENCE_S = 10.0  # with a reader that takes nothing
 LEAST_TOKEN, MOST_TOKEN = 16, 4096  # characters
 
 
@@ -80,11 +81,29 @@ def choose_place(
 
 
 class PatientProtocol(H11Protocol):
-    """Closes a connection on which no whole request comes in time: else a few hundred of them would fill the server."""
+    """Closes a connection on which no whole request comes in time, and aborts one whose reader takes nothing for long:
+    else a few hundred of them would fill the server.
+    """
+
+    _abortion: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: Any) -> None:
         super().connection_made(transport)
         self._ask_in_time()
+
+    def pause_writing(self) -> None:
+        super().pause_writing()
+        self._abortion = asyncio.get_running_loop().call_later(PATIENCE_S, self.transport.abort)
+
+    def resume_writing(self) -> None:
+        if self._abortion is not None:
+            self._abortion.cancel()
+        super().resume_writing()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        if self._abortion is not None:
+            self._abortion.cancel()
+        super().connection_lost(exc)
 
     def on_response_complete(self) -> None:
         super().on_response_complete()

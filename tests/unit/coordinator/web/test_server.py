@@ -1,0 +1,167 @@
+"""The server on a real socket: readers who never read, connections that never ask, certificates."""
+
+from __future__ import annotations
+
+import json
+import socket
+import ssl
+from contextlib import ExitStack
+from pathlib import Path
+
+import httpx
+import pytest
+from served import live, played, serving, wait_for
+from shown_states import a_state
+
+from agents.security.access import Access
+from coordinator.deployment.certificates import create_keys
+from coordinator.observe.watch import Watcher
+from coordinator.web import server
+from coordinator.web.moment import Moments
+from coordinator.web.server import Place, choose_place
+from dsse_core.errors import InvalidInputError
+
+
+def connect(url: str) -> socket.socket:
+    host, port = url.removeprefix("http://").rstrip("/").split(":")
+    return socket.create_connection((host, int(port)), timeout=30)
+
+
+def ask(url: str, path: str) -> socket.socket:
+    link = connect(url)
+    link.sendall(f"GET {path} HTTP/1.1\r\nHost: {url.removeprefix('http://').rstrip('/')}\r\n\r\n".encode())
+    return link
+
+
+def is_closed(link: socket.socket) -> bool:
+    link.settimeout(0.05)
+    try:
+        return link.recv(65536) == b""
+    except TimeoutError:
+        return False
+    except OSError:
+        return True
+
+
+@pytest.mark.long
+def test_twenty_browsers_see_the_same_and_one_that_never_reads_is_dropped_unnoticed(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(server, "PATIENCE_S", 0.5)
+    watcher = Watcher("run")
+    n = 4000
+    watcher.take_state(
+        a_state(buses=tuple(range(n)), **dict.fromkeys(("vm", "va", "sigma_vm", "sigma_va"), (1.0,) * n)), 0.0
+    )
+    with live(watcher) as source, serving(source) as url, ExitStack() as opened:
+        lazy = socket.socket()
+        lazy.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        lazy.connect((url.removeprefix("http://").rstrip("/").split(":")[0], int(url.rstrip("/").rsplit(":", 1)[1])))
+        opened.enter_context(lazy)
+        lazy.sendall(f"GET /api/stream HTTP/1.1\r\nHost: {url.removeprefix('http://').rstrip('/')}\r\n\r\n".encode())
+        browsers = [opened.enter_context(httpx.Client(base_url=url, timeout=60)) for _ in range(20)]
+        streams = [opened.enter_context(browser.stream("GET", "/api/stream")) for browser in browsers]
+        numbers = []
+        for answer in streams:
+            lines = (line for line in answer.iter_lines() if line.startswith("data: "))
+            first, second = json.loads(next(lines)[6:]), json.loads(next(lines)[6:])
+            numbers.append(second["number"] - first["number"])
+        assert min(numbers) > 0
+
+        def is_dropped() -> bool:
+            try:
+                lazy.sendall(b"\r\n")
+            except OSError:
+                return True
+            return False
+
+        wait_for(is_dropped)
+        assert browsers[0].get("/health").json()["status"] == "ok"
+
+
+def test_connections_that_never_ask_are_closed_and_others_are_answered_meanwhile(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(server, "REQUEST_S", 0.3)
+    with serving(played()) as url, ExitStack() as opened:
+        idle = [opened.enter_context(connect(url)) for _ in range(50)]
+        for k, link in enumerate(idle[:25]):
+            link.sendall(b"GET / HTTP/1.1\r\nHo"[: k % 18])
+        assert httpx.get(f"{url}health").json()["status"] == "ok"
+        wait_for(lambda: all(is_closed(link) for link in idle))
+
+
+def test_a_connection_that_dribbles_its_question_is_closed(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(server, "REQUEST_S", 0.3)
+    with serving(played()) as url, connect(url) as link:
+        link.sendall(b"GET / HTTP/1.1\r\n")
+
+        def is_ended() -> bool:
+            try:
+                link.sendall(b"X-a: b\r\n")
+            except OSError:
+                return True
+            return is_closed(link)
+
+        wait_for(is_ended)
+
+
+def test_a_question_without_an_end_is_not_kept():
+    with serving(played()) as url, connect(url) as link:
+        link.sendall(b"GET / HTTP/1.1\r\n" + b"X-a: " + b"b" * 100_000 + b"\r\n")
+        answer = link.recv(4096)
+        assert answer.startswith(b"HTTP/1.1 4") or answer == b""
+
+
+def test_beyond_loopback_a_certificate_a_token_and_a_name_are_needed():
+    with pytest.raises(InvalidInputError) as caught:
+        choose_place("0.0.0.0:8080", None, None, None, ())
+    text = str(caught.value)
+    assert all(word in text for word in ("--tls-cert and --tls-key", "--token-file", "--name"))
+
+
+@pytest.mark.parametrize("listen", ["", "8080", ":8080", "127.0.0.1:", "127.0.0.1:x", "127.0.0.1:70000", "127.0.0.1:٣"])
+def test_a_place_that_is_none_is_named(listen: str):
+    with pytest.raises(InvalidInputError, match=r"write 127\.0\.0\.1:8080"):
+        choose_place(listen, None, None, None, ())
+
+
+@pytest.mark.parametrize(("content", "why"), [(b"short", "5 characters; 16 at least"), ("ä".encode() * 16, "ASCII")])
+def test_a_bad_token_is_named(tmp_path: Path, content: bytes, why: str):
+    path = tmp_path / "token"
+    path.write_bytes(content)
+    with pytest.raises(InvalidInputError, match=why):
+        choose_place("127.0.0.1:0", None, None, path, ())
+
+
+def test_with_a_certificate_and_a_token_the_page_is_served_to_who_shows_it(tmp_path: Path):
+    create_keys(tmp_path / "keys", Access("run", {"area1": ()}), days=1)
+    (tmp_path / "token").write_text("0123456789abcdef\n")
+    keys = tmp_path / "keys"
+    place = choose_place("127.0.0.1:0", keys / "router.crt", keys / "router.key", tmp_path / "token", ())
+    trusted = ssl.create_default_context(cafile=str(keys / "authority.crt"))
+    with serving(played(), place) as url, httpx.Client(base_url=url, verify=trusted) as browser:
+        assert url.startswith("https://")
+        assert browser.get("/api/now").status_code == 401
+        assert browser.get("/?token=0123456789abcdef", follow_redirects=True).status_code == 200
+        assert browser.get("/api/now").status_code == 200
+
+
+def test_a_place_that_is_taken_is_an_error_of_the_system():
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        place = Place("127.0.0.1", taken.getsockname()[1])
+        with pytest.raises(OSError, match="in use"):
+            server.serve(played(), place, (), lambda url: None)
+
+
+@pytest.mark.long
+def test_hours_of_updates_leave_the_memory_of_the_server_as_it_was():
+    watcher = Watcher("run")
+    moments = Moments(None)
+    n, sizes = 50, []
+    for scan in range(4000):
+        state = a_state(buses=tuple(range(n)), **dict.fromkeys(("vm", "va", "sigma_vm", "sigma_va"), (1.0,) * n))
+        watcher.take_state(state, float(scan))
+        moments._scan_kept = None
+        moments.make(watcher, float(scan), float(scan))
+        sizes.append(sum(series.bytes for series in moments.history.of.values()))
+    assert len(moments.events.kept) <= 200
+    assert max(sizes) <= 64 * 1024 * 1024
