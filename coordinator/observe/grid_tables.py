@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from agents.messages.packing import ReadingsMessage, StateMessage
+from dsse_core.grid.measurement import Meter, Source
 from dsse_core.grid.partition import Partition
 from dsse_core.results.branches import make_branch_table
 from dsse_core.results.buses import make_bus_table
@@ -109,15 +111,12 @@ class GridTables:
     def meters(self, states: States, readings: UsedReadings) -> Table:
         """As ``list_meters``, readings in their ``unit``, and a row for each meter that is silent."""
         plain = list_meters(states, readings)
-        meters = {meter.id: meter for meter in self.scenario.meters}
-        known = [k for k, meter in enumerate(plain.meter) if meter in meters]
-        listed = [meters[plain.meter[k]] for k in known]
-        size = find_unit_sizes(self.scenario.network, listed)
-        by_area = self.partition.meters_by_area(self.scenario.meters)
-        area_of = {meter.id: area for area, own in by_area.items() for meter in own}
+        known = [k for k, meter in enumerate(plain.meter) if meter in self._meters]
+        listed = [self._meters[plain.meter[k]] for k in known]
         present = set(plain.meter)
-        silent = [m for m in self.scenario.meters if m.id not in present and m.source != "virtual"]
-        gap = np.full(len(silent), np.nan)
+        silent = [name for name in self._telemetered if name not in present]
+        all_meters = [*listed, *(self._meters[name] for name in silent)]
+        size, gap = find_unit_sizes(self.scenario.network, listed), np.full(len(silent), np.nan)
 
         def scaled(name: str) -> np.ndarray:
             return np.concatenate([plain[name][known] * size, gap])
@@ -125,16 +124,30 @@ class GridTables:
         return Table(
             "meters",
             {
-                "meter": [m.id for m in (*listed, *silent)],
-                "area": [*(plain.area[k] for k in known), *(area_of.get(m.id, "") for m in silent)],
-                "bus": np.array([m.bus for m in (*listed, *silent)], dtype=np.int64),
-                "branch": [m.branch or "" for m in (*listed, *silent)],
-                "unit": [UNIT[m.kind] for m in (*listed, *silent)],
+                "meter": [*(plain.meter[k] for k in known), *silent],
+                "area": [*(plain.area[k] for k in known), *(self._area_of_meter.get(name, "") for name in silent)],
+                "bus": np.array([m.bus for m in all_meters], dtype=np.int64),
+                "branch": [m.branch or "" for m in all_meters],
+                "unit": [UNIT[m.kind] for m in all_meters],
                 "status": [*(plain.status[k] for k in known), *[SILENT] * len(silent)],
                 **{name: scaled(name) for name in ("reading", "sigma", "estimate")},
                 **{name: np.concatenate([plain[name][known], gap]) for name in ("age_s", "residual_in_sigmas")},
             },
         )
+
+    @cached_property
+    def _meters(self) -> dict[str, Meter]:
+        return {meter.id: meter for meter in self.scenario.meters}
+
+    @cached_property
+    def _telemetered(self) -> list[str]:
+        """Ids of the meters that can have a reading."""
+        return [name for name, meter in self._meters.items() if meter.source is not Source.VIRTUAL]
+
+    @cached_property
+    def _area_of_meter(self) -> dict[str, str]:
+        by_area = self.partition.meters_by_area(self.scenario.meters)
+        return {meter.id: area for area, own in by_area.items() for meter in own}
 
     def _fitting(self, area: str, states: States) -> StateMessage | None:
         """The state of ``area`` if it is about its buses: a stranger's may be about others."""

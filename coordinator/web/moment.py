@@ -67,17 +67,22 @@ class Moments:
         self.known = known
         self.history = History()
         self.events = Events()
-        self._scan_kept: object = None
+        self._scans_kept: object = None
 
-    def make(self, watcher: Watcher, now: float, at: float, **more: Any) -> dict[str, Any]:
-        """The moment ``now`` on the watcher's clock, called ``at`` (s)."""
+    def note(self, watcher: Watcher, now: float, at: float) -> View:
+        """What is seen ``now`` on the watcher's clock, called ``at`` (s); events and past take in what is new of it."""
         view = watcher.look(now)
         self.events.take(at, view)
-        buses, branches, meters = self._find_tables(watcher)
         scans = tuple((area.name, area.scan, area.quality) for area in view.areas)
-        if scans != self._scan_kept:
-            self._scan_kept = scans
-            self._keep(at, view, buses, branches, meters)
+        if scans != self._scans_kept:
+            self._scans_kept = scans
+            self._keep(at, view, *self._find_tables(watcher))
+        return view
+
+    def make(self, watcher: Watcher, now: float, at: float, **more: Any) -> dict[str, Any]:
+        """The moment ``now``, see ``note``."""
+        view = self.note(watcher, now, at)
+        buses, branches, meters = self._find_tables(watcher)
         return {
             "at": at,
             "view": describe_view(view),

@@ -87,7 +87,7 @@ class PlaybackSource:
         self._sent_at = [sent.at for sent in play.messages]
         self._moments = Moments(self._known)
         for at, watcher in self._walk():
-            self._moments.make(watcher, at, at)
+            self._moments.note(watcher, at, at)
 
     def _walk(self) -> Iterator[tuple[float, Watcher]]:
         """The watcher after each moment at which a state was published, or an area came or went."""

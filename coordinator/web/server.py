@@ -129,6 +129,7 @@ def serve(source: Source, place: Place, names: tuple[str, ...], on_ready: Callab
     with socket.socket(family) as listener:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind((place.host, place.port))
+        listener.listen()  # who is told the address may ask at once
         port = listener.getsockname()[1]
         own = (place.url(port).partition("//")[2].rstrip("/"),)
         others = LOOPBACK_NAMES if place.is_loopback else names

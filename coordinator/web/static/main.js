@@ -11,6 +11,7 @@ import { Tables } from "./tables.js";
 
 const SILENT_MS = 6000; // after which the server counts as gone
 const PAST_MS = 2000; // between two times that the past is asked for
+const MOST_OFFERED = 50; // buses and branches whose names begin as typed
 
 /** @type {Choice | null} */ let choice = null;
 /** @type {Moment | null} */ let moment = null;
@@ -37,31 +38,33 @@ function choose(wanted) {
 }
 
 /** @param {Grid} found */
-function takeGrid(found) {
+async function takeGrid(found) {
   grid = found;
   feeder.setGrid(grid);
+  await pause();
   profile = grid.known ? new Profile(grid) : null;
   byId("profile-section").hidden = !grid.known;
-  byId("things").replaceChildren(...[...grid.buses.id.map(String), ...grid.branches.id].map((name) => {
-    const option = document.createElement("option");
-    option.value = name;
-    return option;
-  }));
   const [low, high] = grid.limits;
   byId("legend").textContent =
     `Buses from dark (${low} p.u.) to bright (${high} p.u.); ringed in red outside of these limits. ` +
     "Dark rings are boundary buses, a red cross a link over which nothing is received. Thick branches are loaded; dashed ones are out of service.";
 }
 
-/** @param {Moment} found */
-function show(found) {
+/** Part after part, so that nobody who types or clicks waits for all of them. @param {Moment} found */
+async function show(found) {
   moment = found;
   if (!moment.view) return;
-  feeder.show(moment);
-  profile?.show(moment);
-  tables.show(moment);
-  showStatus();
-  showChoice();
+  const parts = [showStatus, () => feeder.show(found), () => profile?.show(found), () => tables.show(found), showChoice];
+  for (const part of parts) {
+    if (moment !== found) return;
+    part();
+    await pause();
+  }
+}
+
+/** Lets the browser do something else. @returns {Promise<void>} */
+function pause() {
+  return new Promise((resolve) => setTimeout(resolve));
 }
 
 function showStatus() {
@@ -119,7 +122,7 @@ function listen() {
   stream.onmessage = async (event) => {
     heardAt = performance.now();
     const found = JSON.parse(event.data);
-    if (found.view && !grid.known && Object.keys(found.view.areas).length !== grid.areas.length) takeGrid(await ask("/api/grid"));
+    if (found.view && !grid.known && Object.keys(found.view.areas).length !== grid.areas.length) await await takeGrid(await ask("/api/grid"));
     show(found);
   };
   setInterval(showStatus, 1000);
@@ -130,6 +133,15 @@ byId("find").addEventListener("submit", (event) => {
   const id = /** @type {HTMLInputElement} */ (byId("what")).value.trim();
   if (grid.buses.id.includes(Number(id))) choose({ kind: "bus", id });
   else if (grid.branches.id.includes(id)) choose({ kind: "branch", id });
+});
+byId("what").addEventListener("input", () => {
+  const typed = /** @type {HTMLInputElement} */ (byId("what")).value.trim();
+  const found = [...grid.buses.id.map(String), ...grid.branches.id].filter((name) => name.startsWith(typed));
+  byId("things").replaceChildren(...found.slice(0, MOST_OFFERED).map((name) => {
+    const option = document.createElement("option");
+    option.value = name;
+    return option;
+  }));
 });
 byId("whole").addEventListener("click", () => feeder.reset());
 

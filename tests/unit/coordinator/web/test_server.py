@@ -160,7 +160,7 @@ def test_hours_of_updates_leave_the_memory_of_the_server_as_it_was():
     for scan in range(4000):
         state = a_state(buses=tuple(range(n)), **dict.fromkeys(("vm", "va", "sigma_vm", "sigma_va"), (1.0,) * n))
         watcher.take_state(state, float(scan))
-        moments._scan_kept = None
+        moments._scans_kept = None
         moments.make(watcher, float(scan), float(scan))
         sizes.append(sum(series.bytes for series in moments.history.of.values()))
     assert len(moments.events.kept) <= 200

@@ -1,0 +1,171 @@
+"""The page in a real browser: a running system, an area that dies, playback, keyboard, hostile names."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from browser import browsing, find_chromium, keep_picture, serve
+from dsse_command import free_endpoint
+from system_by_hand import SystemByHand, agreeing_system
+from waiting import DEADLINE_S, wait_until
+
+from agents.messages.keys import live_key, state_key
+from agents.messages.packing import Header, StateMessage, encode
+from agents.runtime.presence import begin_incarnation
+from agents.transport.zenoh_bus import Session
+
+pytestmark = pytest.mark.long
+LONG_MS = DEADLINE_S * 1000
+
+
+@dataclass
+class Shown:
+    """A page that shows a running system."""
+
+    system: SystemByHand
+    url: str
+    endpoint: str
+
+
+@pytest.fixture(autouse=True)
+def _needs_a_browser() -> None:
+    find_chromium()
+
+
+@pytest.fixture
+def shown(dsse: Any, tmp_path: Path) -> Iterator[Shown]:
+    with agreeing_system(dsse, tmp_path) as (system, _, endpoint, _):
+        yield Shown(system, serve(system, "industrial13", "--connect", endpoint), endpoint)
+
+
+def quality_of(page: Any, area: str) -> Any:
+    return page.locator("#areas tbody tr", has_text=area).first.locator("td").nth(1)
+
+
+def test_a_bus_is_selected_an_area_dies_and_comes_back(shown: Shown):
+    with browsing() as page:
+        page.goto(shown.url)
+        wait_until(lambda: page.locator("#areas .good").count() == 2)
+        assert "2 good" in page.locator("#status").inner_text()
+        page.fill("#what", "3")
+        page.keyboard.press("Enter")
+        page.wait_for_selector("#facts >> text=vm pu")
+        assert "area1, area2" in page.locator("#facts").inner_text()
+        page.wait_for_selector("#past canvas")
+        keep_picture(page, "page-live")
+        shown.system.end("area2", signal.SIGKILL)
+        page.wait_for_selector("#areas >> text=is gone", timeout=LONG_MS)
+        assert quality_of(page, "area1").inner_text() == "degraded"
+        assert "area2 is gone" in page.locator("#events").inner_text()
+        shown.system.start("area2", "agent", "areas/area2.toml")
+        wait_until(lambda: page.locator("#areas .good").count() == 2)
+
+
+def test_the_page_says_that_the_server_is_gone_and_goes_on_when_it_is_back(shown: Shown):
+    port = shown.url.rstrip("/").rsplit(":", 1)[1]
+    with browsing(may_complain=True) as page:
+        page.goto(shown.url)
+        page.wait_for_selector("#areas .good", timeout=LONG_MS)
+        shown.system.end("page")
+        page.wait_for_selector("#status.lost", timeout=LONG_MS)
+        assert "has sent nothing since" in page.locator("#status").inner_text()
+        shown.system.start(
+            "page", "serve", "industrial13", "--connect", shown.endpoint, "--listen", f"127.0.0.1:{port}"
+        )
+        page.wait_for_selector("#status:not(.lost)", timeout=LONG_MS)
+        wait_until(lambda: quality_of(page, "area1").inner_text() == "good")
+
+
+def test_a_run_is_played_back_with_the_keyboard_alone(tmp_path: Path):
+    with SystemByHand(tmp_path) as system, browsing() as page:
+        page.goto(serve(system, "ieee33-lossy", "--simulate"))
+        page.wait_for_selector("#areas .good", timeout=LONG_MS)
+        keep_picture(page, "page-playback")
+        page.locator("#first").focus()
+        page.keyboard.press("Enter")
+        page.wait_for_selector("#areas .bad")
+        assert page.locator("#clock").inner_text() == "0 s"
+        for _ in range(3):
+            page.keyboard.press("Tab")
+        assert page.evaluate("document.activeElement.id") == "forward"
+        page.keyboard.press("Enter")
+        wait_until(lambda: page.locator("#clock").inner_text() != "0 s")
+        page.locator("#moment").focus()
+        page.keyboard.press("End")
+        page.wait_for_selector("#areas .good")
+        page.keyboard.press("Home")
+        page.wait_for_selector("#areas .bad")
+        page.locator("#play").focus()
+        page.keyboard.press("Enter")
+        page.wait_for_selector("#messages tbody tr", timeout=LONG_MS)
+        page.keyboard.press("Enter")
+        assert page.locator("#play").get_attribute("aria-pressed") == "false"
+        page.locator("#areas button").first.focus()
+        page.keyboard.press("Enter")
+        page.wait_for_selector("#facts >> text=degrees of freedom")
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_assistive_technology_finds_its_way(tmp_path: Path, scheme: str):
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright")
+    with SystemByHand(tmp_path) as system, browsing(color_scheme=scheme) as page:
+        page.goto(serve(system, "ieee33-lossy", "--simulate"))
+        page.wait_for_selector("#areas .good", timeout=LONG_MS)
+        page.fill("#what", "18")
+        page.keyboard.press("Enter")
+        page.wait_for_selector("#past canvas")
+        keep_picture(page, f"page-{scheme}")
+        found = axe.Axe().run(page).response["violations"]
+    assert [(v["id"], [node["target"] for node in v["nodes"]]) for v in found] == []
+
+
+def test_a_thousand_buses_never_hold_up_the_page(dsse: Any, tmp_path: Path):
+    assert dsse("generate", "--buses", "1000", "--areas", "50", "--out", "feeder").returncode == 0
+    with SystemByHand(tmp_path) as system, browsing() as page:
+        url = serve(system, "feeder/scenario.toml", "--simulate")
+        page.add_init_script(
+            "window.longest = 0; new PerformanceObserver(list => list.getEntries().forEach("
+            "entry => { window.longest = Math.max(window.longest, entry.duration); }))"
+            ".observe({ type: 'longtask', buffered: true });"
+        )
+        page.goto(url)
+        page.wait_for_selector("#areas .good", timeout=LONG_MS)
+        assert page.locator("#areas tbody tr").count() == 50
+        page.locator("#back").click()
+        print(f"longest task of the main thread: {page.evaluate('window.longest'):.0f} ms")
+
+
+def hostile(run: str, area: str) -> StateMessage:
+    markup = "<img src=x onerror=\"document.title='owned'\"><script>document.title='owned'</script>"
+    return StateMessage(
+        header=Header(run, area, begin_incarnation(), 1, 1, 0.0),
+        **dict.fromkeys(("buses", "vm", "va", "sigma_vm", "sigma_va", "removed", "critical", "old_sides"), ()),
+        **{key: {} for key in ("sent", "received", "rejected", "faults", "ages", "scans")},
+        **{"referenced": False, "objective": 0.0, "degrees_of_freedom": 0, "checked": False},
+        **{"messages": 0, "bytes": 0, "lost": 0, "notes": (markup,), "quality": markup, "telemetry_age": 0.0},
+    )
+
+
+def test_what_strangers_write_is_text_on_the_page(tmp_path: Path):
+    endpoint = free_endpoint()
+    with SystemByHand(tmp_path) as system:
+        system.start("router", "router", "--listen", endpoint)
+        with Session.connect([endpoint], DEADLINE_S) as session, browsing() as page:
+            token = live_key("run", "area", "area1", begin_incarnation())
+            session.declare_presence(token)
+            put = session.publisher(state_key("run", "area1"))
+            page.goto(serve(system, "--connect", endpoint, "--run", "run"))
+            for sequence in range(1, 200):
+                state = hostile("run", "area1")
+                put(encode(replace(state, header=replace(state.header, sequence=sequence))))
+                if page.locator("#areas", has_text="onerror").count():
+                    break
+                page.wait_for_timeout(100)
+            assert "<script>" in page.locator("#areas").inner_text()
+            assert page.locator("#areas img, #events img, #areas script").count() == 0
+            assert page.title() == "Running feeder"
