@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import scipy.sparse as sp
 
 from dsse_core.code_places import Whole
 from dsse_core.estimation.bad_data import process_bad_data
@@ -17,11 +16,13 @@ from dsse_core.grid.division import build_partition
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from dsse_core.linear.area_model import build_area_model
+from dsse_core.matrices.augmented import FEWEST_COMPILED
 from dsse_core.power_flow.batch import solve_power_flow_batch
 from dsse_core.power_flow.newton_raphson import solve_power_flow
 from dsse_core.results.deviations import find_deviations
 
 SIGMA = 0.01
+INJECTIONS = (MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION)
 NETWORK = Network(
     name="warm-up",
     base_mva=1.0,
@@ -82,14 +83,15 @@ def warm_up_batches() -> None:
 
 
 def warm_up_sparse() -> None:
-    """Go once through all that elimination in a network with loops takes, and note where it is kept."""
-    from dsse_core.matrices.compiled_factor import factor_compiled  # numba
-
-    A = sp.csc_array(np.array([[2.0, 1.0], [1.0, 0.0]]))
-    factor = factor_compiled(A, 0.1)
-    factor = factor_compiled(A, 0.1, factor.elimination)
-    factor.solve(np.ones(2))
-    factor.find_inverse(A, np.arange(2), np.arange(2))
+    """Estimate a ring that is large enough for compiled elimination, and note where the code is kept."""
+    buses = tuple(Bus(i, 20.0, p_load=1e-5) for i in range(1, FEWEST_COMPILED // 4))
+    ends = [(bus.id, bus.id % len(buses) + 1) for bus in buses]
+    branches = tuple(Branch(f"{f}-{t}", f, t, 1e-3, 1e-3) for f, t in ends)
+    ring = Network("ring", 1.0, buses, branches, (Generator(1, Control.SLACK),))
+    meters = [Meter(kind, bus.id) for bus in buses for kind in (MeasurementKind.VM, *INJECTIONS)]
+    readings = [Measurement(m, 1.0 if m.kind is MeasurementKind.VM else -1e-5, SIGMA) for m in meters]
+    result = estimate_state(ring, readings, backend="sparse")
+    result.residual_variance.sum()
     _note("sparse")
 
 

@@ -86,7 +86,7 @@ class EstimationResult:
 
     @cached_property
     def factor(self) -> AugmentedFactor:
-        return AugmentedFactor(self.jacobian, self.sigmas, pattern=self.plan.sparse.pattern)
+        return self.plan.sparse.factor(self.jacobian, self.sigmas)
 
     def state_covariance(self, rows: Sequence[int]) -> np.ndarray:
         """Covariance of the entries ``rows`` of x = [va; vm], shape (k, k); 0 for the reference angle."""

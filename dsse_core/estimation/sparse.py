@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
@@ -23,8 +25,8 @@ SMALL_STEP = 0.02  # p.u. and rad; after a smaller one the last factor may serve
 
 @dataclass(frozen=True, repr=False)
 class SparsePlan:
-    """``free``: the state variables but the reference angle. ``entries``: which entries of the model's H are theirs,
-    ``indices`` and ``indptr`` where they stand. ``start``: x = [va; vm] of the flat start with the reference's angle.
+    """``free``: the state variables but the reference angle. ``entries``: which entries of the model's H are theirs;
+    ``empty`` (n_meas, n_free): where they stand. ``start``: x = [va; vm] of the flat start with the reference's angle.
     ``at_start``: the factor there for the last sigmas, which most meters keep from scan to scan.
     """
 
@@ -32,8 +34,7 @@ class SparsePlan:
     model: MeasurementModel
     free: np.ndarray
     entries: np.ndarray
-    indices: np.ndarray
-    indptr: np.ndarray
+    empty: sp.csr_array
     pattern: AugmentedPattern
     start: np.ndarray
     at_start: dict[bytes, AugmentedFactor] = field(default_factory=dict, compare=False)
@@ -43,9 +44,39 @@ class SparsePlan:
 
     def linearize(self, x: np.ndarray) -> tuple[np.ndarray, sp.csr_array]:
         """h(x), (n_meas,), and the columns ``free`` of H(x)."""
-        h, H = self.model.linearize(x)
-        shape = len(self.meters), len(self.free)
-        return h, sp.csr_array((H.data[self.entries], self.indices, self.indptr), shape=shape)
+        if self.pattern.is_compiled:
+            h, data = self.model.linearize_compiled(x, self.entries)
+        else:
+            h, whole = self.model.linearize(x)
+            data = whole.data[self.entries]
+        H = copy.copy(self.empty)  # a new one would have its indices checked each time
+        H.data = data
+        return h, H
+
+    @cached_property
+    def currents(self) -> np.ndarray:
+        """Positions of the meters of current magnitudes."""
+        return np.flatnonzero(self.model.kinds == MeasurementKind.CURRENT)
+
+    def factor(self, H: sp.csr_array, sigmas: np.ndarray, *, at_start: bool = False) -> AugmentedFactor:
+        """The factor for H; ``at_start``: of the flat start, without currents, the one that is kept.
+
+        Compiled, the pivots are those of the flat start for these sigmas, if they serve, and not those of whatever was
+        estimated before: the same readings have the same estimate, to the bit.
+        """
+        if not at_start and not self.pattern.is_compiled:
+            return AugmentedFactor(H, sigmas, pattern=self.pattern)
+        key = sigmas.tobytes()
+        if (kept := self.at_start.get(key)) is None:
+            kept = AugmentedFactor(H if at_start else self._linearize_at_start(), sigmas, pattern=self.pattern)
+            self.at_start.clear()
+            self.at_start[key] = kept
+        return kept if at_start else AugmentedFactor(H, sigmas, pattern=self.pattern, nearby=kept)
+
+    def _linearize_at_start(self) -> sp.csr_array:
+        H = self.linearize(self.start)[1]
+        H.data[np.isin(self.pattern.row, self.currents)] = 0.0
+        return H
 
 
 def build_sparse_plan(network: Network, meters: Sequence[Meter], reference: int) -> SparsePlan:
@@ -62,7 +93,7 @@ def build_sparse_plan(network: Network, meters: Sequence[Meter], reference: int)
     reduced = sp.csr_array((H.data[entries], indices, indptr), shape=(len(meters), len(free)))
     order = order_tableau(network, reference, model, free)
     pattern = AugmentedPattern(reduced, order.rows, fills_in=order.fills_in)
-    return SparsePlan(tuple(meters), model, free, entries, reduced.indices, reduced.indptr, pattern, start)
+    return SparsePlan(tuple(meters), model, free, entries, reduced, pattern, start)
 
 
 def estimate_sparse(
@@ -107,7 +138,7 @@ class SparseIteration:
         self._plan, self._values, self._sigmas = plan, values, sigmas
         self._start = plan.start if start is None or from_flat_start else np.concatenate([start[1], start[0]])
         self._weight = np.where(sigmas > 0, 1 / np.where(sigmas > 0, sigmas, 1.0), 0.0)
-        self._currents = np.flatnonzero(plan.model.kinds == MeasurementKind.CURRENT)
+        self._currents = plan.currents
         self._of_currents = np.flatnonzero(np.isin(plan.pattern.row, self._currents))
         self._factor: AugmentedFactor | None = None
         self._size = 0.0, 0.0  # the largest entries of the last step, dva and dvm
@@ -191,21 +222,10 @@ class SparseIteration:
         if self._factor and max(self._size) < SMALL_STEP:
             found = self._factor.solve_nearby(H, r, self._multipliers)
         if found is None:
-            self._factor = self._find_factor(H)
+            self._factor = self._plan.factor(H, self._sigmas, at_start=self.x is self._plan.start)
             found = self._factor.solve(r, np.zeros(H.shape[1]))
         self._multipliers, dx = found
         return dx
-
-    def _find_factor(self, H: sp.csr_array) -> AugmentedFactor:
-        kept, sigmas = self._plan.at_start, self._sigmas.tobytes()
-        at_start = self.x is self._plan.start
-        if at_start and (found := kept.get(sigmas)):
-            return found
-        factor = AugmentedFactor(H, self._sigmas, pattern=self._plan.pattern)
-        if at_start:
-            kept.clear()
-            kept[sigmas] = factor
-        return factor
 
     def solution(self) -> Solution:
         va, vm = np.split(self.x, 2)

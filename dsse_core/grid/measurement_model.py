@@ -68,6 +68,17 @@ class MeasurementModel:
         data = np.concatenate([-along.imag * vm[column], along.real])[order]
         return self.read(u, i), sp.csr_array((data, indices, indptr), shape=(len(self.kinds), 2 * self.y.shape[1]))
 
+    def linearize_compiled(self, x: np.ndarray, entries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """h(x) and the stored ``entries`` of H(x), by compiled code: needs numba."""
+        from dsse_core.grid.derivatives import find_entries
+
+        u, i, vm, phase = self._phasors(x)
+        of_u, of_i = self.weigh(u, i)
+        wanted = self._pattern[0][entries]
+        y = self.y
+        found = find_entries(of_u, of_i, self.meter_row, self.at_bus, y.data, y.indices, phase, vm, wanted)
+        return self.read(u, i), found
+
     def read(self, u: np.ndarray, i: np.ndarray) -> np.ndarray:
         """h of ``u`` and ``i``, shape (n_meas,) each."""
         current, magnitude, angle = self._rows

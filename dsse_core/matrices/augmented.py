@@ -13,6 +13,7 @@ Problems, 2.7).
 
 from __future__ import annotations
 
+import copy
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -65,9 +66,9 @@ class AugmentedPattern:
         row, column = place[self.row], place[H.shape[0] + H.indices]
         rows, columns = np.concatenate([place, row, column]), np.concatenate([place, column, row])
         self._gather = np.lexsort((rows, columns))
-        self._indices = rows[self._gather].astype(np.int32)
-        self._indptr = np.concatenate([[0], np.cumsum(np.bincount(columns, minlength=self._size))]).astype(np.int32)
-        self._elimination: Elimination | None = None  # the last one, whose pivots mostly serve again
+        indptr = np.concatenate([[0], np.cumsum(np.bincount(columns, minlength=self._size))]).astype(np.int32)
+        values, indices = np.zeros(len(rows)), rows[self._gather].astype(np.int32)
+        self._empty = sp.csc_array((values, indices, indptr), shape=(self._size, self._size))
 
     @cached_property
     def is_compiled(self) -> bool:
@@ -76,8 +77,23 @@ class AugmentedPattern:
 
     def fill(self, above: np.ndarray, data: np.ndarray, below: np.ndarray) -> sp.csc_array:
         """``[[diag(above), H], [H', diag(below)]]`` in the order of elimination, ``data`` the entries of H."""
-        values = np.concatenate([above, below, data, data])[self._gather]
-        return sp.csc_array((values, self._indices, self._indptr), shape=(self._size, self._size))
+        return self._with_values(np.concatenate([above, below, data, data])[self._gather])
+
+    def fill_scaled(self, above: np.ndarray, H: sp.csr_array, below: np.ndarray, scale: np.ndarray) -> sp.csc_array:
+        """``fill`` with the rows and columns of H times ``scale`` (n_meas + n_state,)."""
+        n_meas = H.shape[0]
+        if not self.is_compiled:
+            data = H.data * scale[:n_meas][self.row] * scale[n_meas:][H.indices]
+            return self.fill(above, data, below)
+        from dsse_core.matrices.elimination import fill_tableau  # numba
+
+        return self._with_values(fill_tableau(self._gather, above, below, H.data, self.row, H.indices, scale))
+
+    def _with_values(self, values: np.ndarray) -> sp.csc_array:
+        """The tableau with these entries; a new one would have its indices checked each time."""
+        tableau = copy.copy(self._empty)
+        tableau.data = values
+        return tableau
 
     def permute(self, b: np.ndarray) -> np.ndarray:
         """Rows of ``b`` in the order of elimination."""
@@ -90,8 +106,8 @@ class AugmentedPattern:
         there[self.order] = b
         return there
 
-    def factor(self, tableau: sp.csc_array) -> spla.SuperLU | CompiledFactor:
-        """What most steps and variances are found with.
+    def factor(self, tableau: sp.csc_array, known: Elimination | None = None) -> spla.SuperLU | CompiledFactor:
+        """What most steps and variances are found with; ``known``: of a tableau nearby.
 
         Raises RuntimeError where the tableau is exactly singular.
         """
@@ -99,10 +115,7 @@ class AugmentedPattern:
             return self.factor_by_superlu(tableau)
         from dsse_core.matrices.compiled_factor import factor_compiled  # numba
 
-        pivot = PIVOT_FILLING_IN if self.fills_in else PIVOT
-        factor = factor_compiled(tableau, pivot, self._elimination)
-        self._elimination = factor.elimination
-        return factor
+        return factor_compiled(tableau, PIVOT_FILLING_IN if self.fills_in else PIVOT, known)
 
     def factor_by_superlu(self, tableau: sp.csc_array, *, exact: bool = False) -> spla.SuperLU:
         """``exact``: with full pivoting, so that refinement has nothing to make up for.
@@ -120,7 +133,7 @@ class AugmentedFactor:
 
     ``damping``, a number or one per state variable, is added to the diagonal of the information about the state:
     the lower right block becomes ``-diag(damping)``. ``pattern``: that of H, where it is there already.
-    ``variance`` (n_meas,): sigma squared. ``n_state``: unknowns.
+    ``variance`` (n_meas,): sigma squared. ``n_state``: unknowns. ``nearby``: a factor whose pivots may serve.
 
     Raises:
         RuntimeError: the matrix is exactly singular, and damping does not help.
@@ -132,6 +145,7 @@ class AugmentedFactor:
         sigma: np.ndarray,
         damping: float | np.ndarray = 0.0,
         pattern: AugmentedPattern | None = None,
+        nearby: AugmentedFactor | None = None,
     ) -> None:
         self._pattern = pattern = pattern or AugmentedPattern(H)
         self._n_meas, self.n_state = H.shape
@@ -148,15 +162,14 @@ class AugmentedFactor:
         while True:
             self._tableau = self._fill(H)
             try:
-                self._lu: spla.SuperLU | CompiledFactor = pattern.factor(self._tableau)
+                self._lu = pattern.factor(self._tableau, nearby.elimination if nearby else None)
                 break
             except RuntimeError:  # exactly singular
                 self._below = raise_damping(self._below)
+        self.elimination: Elimination | None = None if isinstance(self._lu, spla.SuperLU) else self._lu.elimination
 
     def _fill(self, H: sp.csr_array) -> sp.csc_array:
-        row_scale, column_scale = self._scale[: self._n_meas], self._scale[self._n_meas :]
-        data = H.data * row_scale[self._pattern.row] * column_scale[H.indices]
-        return self._pattern.fill(self._above, data, -self._below)
+        return self._pattern.fill_scaled(self._above, H, -self._below, self._scale)
 
     def solve_nearby(self, H: sp.csr_array, above: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """(s, dx) of ``solve(above, 0)`` for another H of the same pattern, by refinement with this factor.

@@ -13,6 +13,26 @@ from dsse_core.code_cache import compiled
 
 
 @compiled
+def fill_tableau(gather, above, below, data, row, column, scale):
+    """The entries of ``[[diag(above), H], [H', diag(below)]]`` in the order ``gather``, H scaled on both sides.
+
+    ``data``, ``row``, ``column``: the entries of H.
+    """
+    n_meas, n, n_entries = len(above), len(scale), len(data)
+    scaled, found = np.empty(n_entries), np.empty(len(gather))
+    for e in range(n_entries):
+        scaled[e] = data[e] * scale[row[e]] * scale[n_meas + column[e]]
+    for k in range(len(gather)):
+        g = gather[k]
+        if g >= n:
+            g -= n
+            found[k] = scaled[g if g < n_entries else g - n_entries]
+        else:
+            found[k] = above[g] if g < n_meas else below[g - n_meas]
+    return found
+
+
+@compiled
 def eliminate(indptr, indices, data, threshold):
     """F of the matrix (n, n) by columns, and for each row the number of its pivot; number -1 where it is singular.
 

@@ -14,18 +14,21 @@ from dsse_core.grid.admittance import build_admittance
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.grid.measurement_model import build_measurement_model
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
+from dsse_core.matrices import augmented
 from dsse_core.power_flow.newton_raphson import PowerFlowResult
 from scenarios.files.network_file import load_case
 
 Kind = MeasurementKind
 
 
-@pytest.fixture(params=["sparse", "radial"])
-def backend(request) -> str:
-    """Every test with this fixture runs on both back ends of the estimate."""
-    if request.param == "radial":
-        pytest.importorskip("numba", reason="the radial back end needs numba: pip install 'consensus-dsse[fast]'")
-    return str(request.param)
+@pytest.fixture(params=["sparse", pytest.param("sparse, compiled", marks=pytest.mark.long), "radial"])
+def backend(request, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Every test with this fixture runs on both back ends of the estimate, on sparse matrices also compiled."""
+    if request.param != "sparse":
+        pytest.importorskip("numba", reason="compiled code needs numba: pip install 'consensus-dsse[fast]'")
+    if request.param == "sparse, compiled":
+        monkeypatch.setattr(augmented, "FEWEST_COMPILED", 0)
+    return str(request.param).removesuffix(", compiled")
 
 
 @pytest.fixture

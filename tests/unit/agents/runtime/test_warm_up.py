@@ -69,6 +69,42 @@ def test_what_is_compiled_ahead_serves_batches_and_threads_too():
     assert done.stdout == "compiled 0 failed 0\n"
 
 
+SPARSE = """
+import numpy as np
+from agents.runtime.warm_up import warm_up_sparse
+from dsse_core import compiling
+from dsse_core.estimation.bad_data import process_bad_data
+from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter
+from dsse_core.matrices import augmented
+from dsse_core.results.deviations import find_deviations
+from scenarios.scenario import load_scenario
+from scenarios.telemetry import make_telemetry
+
+warm_up_sparse()
+compiled = []
+compiling.listen(lambda begins, folder: compiled.append(begins))
+augmented.FEWEST_COMPILED = 0
+scenario = load_scenario("case33bw", whole=True)
+report = process_bad_data(scenario.network, make_telemetry(scenario).union, backend="sparse")
+assert report.result.plan.sparse.pattern.is_compiled
+find_deviations(report.result)
+print("compiled", len(compiled))
+"""
+
+
+@pytest.mark.long
+def test_what_is_compiled_ahead_serves_sparse_estimates_too():
+    pytest.importorskip("numba")
+    done = subprocess.run([sys.executable, "-c", SPARSE], capture_output=True, text=True, timeout=500, check=True)
+    assert done.stdout == "compiled 0\n"
+
+
+def test_a_sparse_estimate_does_not_wait_for_a_compiler(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(compiling, "has_whole", lambda what: what != "sparse")
+    with compiling.only_loading():
+        assert compiling.find_obstacle("sparse") is not None
+
+
 def test_a_batch_does_not_wait_for_a_compiler_either(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(compiling, "has_whole", lambda what: what != "batch")
     with compiling.only_loading():
