@@ -40,8 +40,8 @@ def build_reading_rules(file: ScenarioFile, partition: Partition, meters: Sequen
     """Area -> the rules of its readings."""
     kinds, telemetry = build_kind_rules(file), file.telemetry
     always: dict[str, MetersOf] = {} if telemetry.source == "live" else {LEADER: "all"}
-    if telemetry.source == "live" and not file.gateways:
-        always = {ANYBODY: "all"}
+    if not file.gateways:
+        always |= {ANYBODY if telemetry.source == "live" else telemetry.leader: "all"}
     ids = _ids_by_area(partition, meters) if any(table.meters for table in file.gateways.values()) else {}
     rules = {}
     for area in partition.areas:
@@ -89,11 +89,12 @@ def find_gateway_problems(
         for pattern in table.meters or ():
             if not unknown and not any(fnmatchcase(meter_id, pattern) for meter_id in of_all):
                 yield f"gateways.{gateway}.meters: {pattern!r} is no meter of its areas, nor a pattern that one fits"
-    if file.telemetry.source != "live":
-        return  # the plant reads all
-    if file.telemetry.numbered_by == "gateway" and file.telemetry.leader not in gateways:
-        known = sorted(gateways)
+    has_plant = file.telemetry.source != "live"
+    known = sorted({*gateways, LEADER} if has_plant else gateways)
+    if file.telemetry.numbered_by == "gateway" and file.telemetry.leader not in known:
         yield f"telemetry.leader: {describe_unknown('gateway', file.telemetry.leader, known)}"
+    if has_plant:
+        return  # which reads all
     for name in names:
         if unread := [meter_id for meter_id in ids[name] if meter_id not in read[name]]:
             count = f" and {len(unread) - 1} more" if len(unread) > 1 else ""

@@ -114,6 +114,12 @@ def sender_of(key: str) -> str:
     return chunks[4] if len(chunks) > 4 and chunks[3] == "area" else ""
 
 
+def gateway_of(key: str, run: str, area: str) -> str:
+    """The gateway that a key of the telemetry of ``area`` belongs to; empty for other keys."""
+    root, _, gateway = key.rpartition("/")
+    return gateway if f"{root}/" == telemetry_key(run, area, "") and NAME.fullmatch(gateway) else ""
+
+
 def name_of_live(key: str) -> tuple[str, str]:
     """(role, name) of a presence token."""
     chunks = key.split("/")

@@ -147,6 +147,7 @@ class HeartbeatMessage(PlaceMessage):
     boundary in its final state. ``plant``, ``offset``: the scan of terms is the number that this incarnation of the
     plant gives it, plus so much (``agents/protocol/scan_readings.py``). ``towards_hub``, ``is_parent``: what the
     receiver is to the sender; ``areas``: of the grid; ``base_mva``: all from the sender's area file (``agreement.py``).
+    ``clock``: by how much the sender's clock is ahead of its send times, s, which go on where that has been set back.
     """
 
     kind: ClassVar[str] = "heartbeat"
@@ -159,6 +160,7 @@ class HeartbeatMessage(PlaceMessage):
     is_parent: bool = False
     areas: Count = 1
     base_mva: Number = 1.0
+    clock: Number = 0.0
 
     def lengths(self) -> Lengths:
         return {"y": (len(self.y), (0, len(self.variables)))}

@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any, TypeVar
 
 from agents.messages.packing import BoundaryUpdate, Header, HeartbeatMessage, LinkMessage
+from agents.peers.clock_skew import ClockSkew, Skew
 from agents.peers.freshness import FRESH_HEARTBEATS, PASSED_ON_HEARTBEATS, PATIENCE_HEARTBEATS
 from agents.peers.peers import Peer, Term, term_of
 from dsse_core.grid.partition import Neighbour
@@ -17,18 +18,30 @@ M = TypeVar("M", bound=LinkMessage)
 
 class PeerTable:
     """``gone``: neighbours whose processes have ended -> their leave message. ``distrusted``: neighbour -> why its
-    messages are not used in this scan.
+    messages are not used in this scan. ``skewed``: neighbours whose clocks are too far from the own one.
+    ``correction``: by how much the own clock is ahead of the own send times, s.
 
     Args:
-        clock_offset: from monotonic to wall-clock time, s.
+        clock_offset: from monotonic to wall-clock time, s, as send times state it.
+        skew_limit_s: by how much clocks may differ, s.
     """
 
-    def __init__(self, neighbours: Sequence[Neighbour], beat_s: float, now: float, clock_offset: float) -> None:
+    def __init__(
+        self,
+        neighbours: Sequence[Neighbour],
+        beat_s: float,
+        now: float,
+        clock_offset: float,
+        skew_limit_s: float = math.inf,
+    ) -> None:
         self.gone: dict[str, str] = {}
         self.distrusted: dict[str, str] = {}
         self._peers = {n.area: Peer(n.bus, present_at=now, since=now + clock_offset) for n in neighbours}
         self._beat_s = beat_s
-        self._clock_offset = clock_offset
+        self.clock_offset = clock_offset
+        self.correction = 0.0
+        self.skewed: dict[str, Skew] = {}
+        self._skew_limit_s = skew_limit_s
 
     def __getitem__(self, name: str) -> Peer:
         return self._peers[name]
@@ -38,6 +51,33 @@ class PeerTable:
 
     def items(self) -> Iterator[tuple[str, Peer]]:
         yield from self._peers.items()
+
+    def follow_clock(self, offset: float, now: float) -> None:
+        """The own clock has been set, ``offset`` from monotonic time: send times go forward with it, never back."""
+        if offset > self.clock_offset:
+            self.clock_offset = offset
+            for peer in self._peers.values():  # nothing that was sent before tells a round trip
+                peer.since, peer.clock = now + offset, ClockSkew()
+        self.correction = offset - self.clock_offset
+        for name in self._peers:
+            self.note_skew(name)
+
+    def note_skew(self, name: str) -> None:
+        """Note whether the clock of a neighbour, or the own one, is wrong by too much, now that more is known of it."""
+        skew = self._find_skew(self._peers[name])
+        if skew is not None and skew.exceeds(self._skew_limit_s):
+            self.skewed[name] = skew
+        else:
+            self.skewed.pop(name, None)
+
+    def clock_skews(self) -> dict[str, float]:
+        """Neighbour -> by how much its clock is ahead, s, where that is known."""
+        skews = ((name, self._find_skew(peer)) for name, peer in sorted(self._peers.items()))
+        return {name: skew.ahead_s for name, skew in skews if skew is not None}
+
+    def _find_skew(self, peer: Peer) -> Skew | None:
+        skew = peer.clock.skew
+        return skew and skew._replace(ahead_s=skew.ahead_s + peer.correction - self.correction)
 
     def silent_at(self, name: str) -> float:
         """When a neighbour counts as gone if it does not say until then that it receives us."""
@@ -82,7 +122,7 @@ class PeerTable:
         link: dict[str, Any] = {"complete": is_complete} if tells else {}
         return replace(
             message,
-            header=replace(message.header, time=peer.next_time(now + self._clock_offset)),
+            header=replace(message.header, time=peer.next_time(now + self.clock_offset)),
             receives=self.receives(name, now) and name not in self.distrusted,  # else it would wait for us
             answers=peer.answers(now),
             received=peer.received,

@@ -18,6 +18,7 @@ from agents.messages.packing import (
     LinkMessage,
     LoadMessage,
 )
+from agents.peers.clock_skew import ClockSkew
 from agents.peers.round_trip import MEAN_GAIN, RoundTrip
 
 PATIENCE_WAITS = 20  # messages, one each longest wait, that should have come through: none does once in 5e8 times
@@ -61,7 +62,8 @@ class Peer:
     received. ``term``, ``k``, ``final``, ``complete``, ``y``: where it stood then. ``load``, ``exchange``: the last
     load message and the last message of the strategy to it; ``received_load``, ``boundary``: its newest ones, the
     latter of asynchronous strategies; ``received_sequence``: number of its newest message of the strategy in this
-    incarnation.
+    incarnation. ``clock``: how its send times compare to the own ones; ``correction``: by how much its clock is ahead
+    of its send times, s.
     """
 
     bus: int
@@ -88,7 +90,10 @@ class Peer:
     received_sequence: int = 0
     mean_count: float = 1.0  # of sendings until an answer comes
     round_trip: RoundTrip = field(default_factory=RoundTrip)
+    clock: ClockSkew = field(default_factory=ClockSkew)
+    correction: float = 0.0
     _newest: tuple[float, float] = (0.0, 0.0)  # send time by its clock, and when it arrived here
+    _timed: Incarnation | None = None  # the one whose send times these are
 
     def take(self, message: LinkMessage, now: float, wall: float, *, is_awake: bool) -> None:
         """Note what any message says of the process and the link; ``wall``: ``now`` as own messages state it.
@@ -97,21 +102,40 @@ class Peer:
         """
         header = message.header
         if header.incarnation != self.incarnation:
-            self.term, self._newest, self.received_sequence = (0, 0), (0.0, 0.0), 0
+            self.term, self.received_sequence = (0, 0), 0
             self.round_trip, self.final, self.complete, self.y = RoundTrip(), False, False, ()
             if self.incarnation is not None:
                 self.load.repeat = self.exchange.repeat = None  # the new process says what it lacks
         self.incarnation, self.received_at = header.incarnation, now
         if message.receives:
             self.present_at = now
-        if header.time > self._newest[0]:
-            self._newest = (header.time, now)
+        is_newest, trip_s = self.take_times(message, now, wall)
+        if is_newest:
             self._note_standing(message)
-        if is_awake and message.answers > 0 and self.since <= message.answers <= wall:
-            self.round_trip.take(wall - message.answers)
+        if is_awake and trip_s is not None:
+            self.round_trip.take(trip_s)
         for sent, number in zip(self.outgoing, message.received, strict=True):
             if number == sent.sequence:  # a higher one was said to a former incarnation of this area
                 self.take_answer(sent)
+
+    def take_times(self, message: LinkMessage, now: float, wall: float) -> tuple[bool, float | None]:
+        """Note when a message was sent: all that counts of one whose content is rejected for what its clock says.
+
+        Whether it is the newest one, and its round trip, s, None where it answers nothing.
+        """
+        header, trip_s = message.header, None
+        if header.incarnation != self._timed:
+            self._timed, self._newest = header.incarnation, (0.0, 0.0)
+            self.clock, self.correction = ClockSkew(), 0.0
+        if message.answers > 0 and self.since <= message.answers <= wall:
+            trip_s = wall - message.answers
+            self.clock.take(header.time, wall, trip_s)
+        is_newest = header.time > self._newest[0]
+        if is_newest:
+            self._newest = (header.time, now)
+            if isinstance(message, HeartbeatMessage):
+                self.correction = message.clock
+        return is_newest, trip_s
 
     def _note_standing(self, message: LinkMessage) -> None:
         self.final, self.complete, self.y = False, False, ()

@@ -7,6 +7,7 @@ tells them the load of its side and where it stands, and publishes the state. Wh
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -20,17 +21,31 @@ from agents.messages.packing import (
     LinkMessage,
     LoadMessage,
     Message,
+    ReadingsMessage,
     TelemetryMessage,
 )
 from agents.peers.agreement import Agreement, describe_boundary
+from agents.peers.clock_skew import SKEW_SHARE
 from agents.peers.freshness import FRESH_HEARTBEATS, PASSED_ON_HEARTBEATS
 from agents.peers.peer_table import PeerTable
 from agents.peers.peers import M, Outgoing
-from agents.peers.rejections import CONTRADICTION, OTHER_STRATEGY, Rejections, find_rejection
-from agents.protocol.events import Action, Event, Finish, PresenceChanged, Publish, Received, Rejected, StopRequested
+from agents.peers.rejections import CONTRADICTION, FAR_SCAN, FUTURE, OTHER_STRATEGY, Rejections, find_rejection
+from agents.protocol.events import (
+    Action,
+    ClockSet,
+    Event,
+    Finish,
+    PresenceChanged,
+    Publish,
+    Received,
+    Rejected,
+    StopRequested,
+)
 from agents.protocol.published_state import PublishedState
 from agents.protocol.scan_readings import ScanReadings
+from agents.protocol.tick_readings import TickReadings
 from dsse_core.exchange.boundary_load import NetLoad, load_message_for
+from dsse_core.grid.measurement import Source
 
 
 class AreaProtocol(ABC):
@@ -38,7 +53,7 @@ class AreaProtocol(ABC):
 
     Args:
         kinds: of messages of the strategy.
-        started_at: wall-clock time, s since 1970, at monotonic time ``now``; only stamps messages.
+        started_at: wall-clock time, s since 1970, at monotonic time ``now``.
     """
 
     def __init__(
@@ -49,13 +64,16 @@ class AreaProtocol(ABC):
         self._kinds = {TelemetryMessage.kind, LoadMessage.kind, HeartbeatMessage.kind, *kinds}
         self._agreement = Agreement(content.area, content.strategy, kinds)
         self._incarnation = incarnation
-        self._clock_offset = started_at - now
         self._now = now
         self._is_awake = True  # it has missed no heartbeat of its own: else messages have lain unacknowledged
         self._beat_s = content.beat_s
         self._next_heartbeat = now + content.beat_s
-        self._peers = PeerTable(content.area.neighbours, content.beat_s, now, self._clock_offset)
-        self._scan = ScanReadings(content, now, self._clock_offset)
+        skew_limit_s = SKEW_SHARE * content.scan_s if content.scan_s else math.inf
+        self._peers = PeerTable(content.area.neighbours, content.beat_s, now, started_at - now, skew_limit_s)
+        by_clock = content.readings.ticks == "clock"
+        self._scan = (TickReadings if by_clock else ScanReadings)(content, now, started_at - now)
+        self._shown_ages = self._scan.readings.ages  # of the readings that were last published
+        self._n_shown = 0
         self._rejections = Rejections()
         self._published = PublishedState(content.area, self._peers, self._scan, self._rejections, self._header)
 
@@ -78,6 +96,8 @@ class AreaProtocol(ABC):
         yield self._next_heartbeat
         yield from self._peers.due_times(self._now, self._is_at_rest)
         yield from self._peers.aging_times(self._now)
+        yield self._scan.next_tick_at
+        yield self._scan.readings.ages.next_overdue(self._now)
         yield from (
             at
             for heartbeats in (FRESH_HEARTBEATS, PASSED_ON_HEARTBEATS)
@@ -91,11 +111,15 @@ class AreaProtocol(ABC):
         """
         self._is_awake = now < self._next_heartbeat + self._beat_s
         self._now = now
+        self._scan.note_time(now)
         for event in events:
             match event:
                 case StopRequested(reason):
                     yield Finish(reason)
                     return
+                case ClockSet(offset):
+                    self._scan.clock_offset = offset
+                    self._peers.follow_clock(offset, now)
                 case Received(message, key_sender):
                     yield from self._take(message, key_sender)
                 case Rejected(reason, count):
@@ -112,6 +136,7 @@ class AreaProtocol(ABC):
         yield from (self._publish(name, message) for name, message in self._peers.take_due_repeats(now))
         yield from self._answer()
         yield from self._show(is_heartbeat=is_heartbeat)
+        yield from self._show_readings()
 
     # What a strategy says
 
@@ -159,7 +184,7 @@ class AreaProtocol(ABC):
     # What comes in
 
     def _take(self, message: Message, key_sender: str) -> Iterator[Action]:
-        wall = self._now + self._clock_offset
+        wall = self._wall
         reason = find_rejection(message, key_sender, self._content, wall)
         if not reason and not isinstance(message, TelemetryMessage):
             self._rejections.note_contradiction(key_sender, self._agreement.find_contradiction(message))
@@ -171,8 +196,12 @@ class AreaProtocol(ABC):
             yield from self._take_numbering(key_sender, message)
         if not reason:
             reason = self._find_rejection(message)
+        if isinstance(message, TelemetryMessage) and message.header.sender != self._content.readings.leader:
+            key_sender = message.header.sender
         if reason:
             self._rejections.reject(message, key_sender, reason, wall)
+            if reason in (FUTURE, FAR_SCAN):
+                self._note_clock(message, key_sender)
             return
         self._rejections.ahead.pop(key_sender, None)
         if isinstance(message, TelemetryMessage):
@@ -186,12 +215,19 @@ class AreaProtocol(ABC):
             elif isinstance(message, LinkMessage):
                 yield from self._receive(key_sender, message)
 
+    def _note_clock(self, message: Message, name: str) -> None:
+        """What a message of a neighbour that is rejected for its clock says of that."""
+        if isinstance(message, LinkMessage) and message.header.sender == name and name in set(self._peers):
+            self._peers[name].take_times(message, self._now, self._wall)
+            self._peers.note_skew(name)
+
     def _note(self, name: str, message: LinkMessage) -> bool:
         """What a message says of its sender and of the link; whether the sender has begun anew."""
         peer = self._peers[name]
         is_restart = peer.incarnation not in (None, message.header.incarnation)
         peer.is_owed_reply |= is_restart or not self._peers.receives(name, self._now)  # that it is received
-        peer.take(message, self._now, self._now + self._clock_offset, is_awake=self._is_awake)
+        peer.take(message, self._now, self._wall, is_awake=self._is_awake)
+        self._peers.note_skew(name)
         is_asking = self._is_at_rest and peer.has_been_left_alone(self._now)  # it repeats until it receives us
         peer.is_owed_reply |= is_asking
         if message.receives:
@@ -207,8 +243,13 @@ class AreaProtocol(ABC):
             incarnation=self._incarnation,
             scan=self.scan,
             sequence=sequence,
-            time=self._now + self._clock_offset,
+            time=self._wall,
         )
+
+    @property
+    def _wall(self) -> float:
+        """Now, as own messages state it: the host's clock, s since 1970, that never goes back."""
+        return self._now + self._peers.clock_offset
 
     def _publish(self, name: str, message: LoadMessage | LinkMessage) -> Publish:
         """``message`` to neighbour ``name``, with what holds of the link now."""
@@ -239,7 +280,15 @@ class AreaProtocol(ABC):
         link: dict[str, Any] = {"receives": False, "answers": 0.0, "received": (0, 0), "complete": False}
         standing |= link | describe_boundary(self._area, name)
         return self._publish(
-            name, HeartbeatMessage(header=self._header(1), bus=peer.bus, **standing, plant=plant, offset=offset)
+            name,
+            HeartbeatMessage(
+                header=self._header(1),
+                bus=peer.bus,
+                **standing,
+                plant=plant,
+                offset=offset,
+                clock=self._peers.correction,
+            ),
         )
 
     def _answer(self) -> Iterator[Publish]:
@@ -248,6 +297,34 @@ class AreaProtocol(ABC):
             is_changed = peer.sent_complete != self._is_side_complete(name)
             if peer.is_owed_reply or is_changed or self._peers.owes_heartbeat(name, self._now, self._is_at_rest):
                 yield self._heartbeat(name)
+
+    # Readings
+
+    @property
+    def _may_show_readings(self) -> bool:
+        """Whether nobody waits for anything else of this scan."""
+        return self._is_at_rest
+
+    def _show_readings(self) -> Iterator[Publish]:
+        """The readings of the scan, for recorders, once."""
+        readings = self._scan.readings
+        if readings.ages is self._shown_ages or not self._may_show_readings:
+            return
+        self._shown_ages = readings.ages
+        self._n_shown += 1
+        read = [m for m in readings.measurements if m.meter.source is not Source.VIRTUAL]
+        ids = tuple(m.meter.id for m in read)
+        yield Publish(
+            ReadingsMessage(
+                header=self._header(self._n_shown),
+                taken_at=readings.ages.taken_at,
+                meters=ids,
+                values=tuple(float(m.value) for m in read),
+                sigmas=tuple(float(m.sigma) for m in read),
+                times=tuple(map(readings.ages.times.__getitem__, ids)),
+            ),
+            None,
+        )
 
     # Load messages
 

@@ -34,10 +34,14 @@ from agents.protocol.quality import (
     EstimateLimits,
     Finding,
     find_contradictions,
+    find_early_scan,
     find_gone,
+    find_left_out_readings,
     find_missing_readings,
     find_missing_side,
+    find_overdue_readings,
     find_rejected_clocks,
+    find_skewed_clocks,
     weigh,
 )
 from agents.strategies.interface import Estimate, Knowledge, Strategy
@@ -119,6 +123,9 @@ class AsynchronousProtocol(AreaProtocol):
         if is_heartbeat:  # an iteration that ran out of steps goes on
             self._has_update = True
             self._set_aside.clear()
+        if tick := self._scan.next_scan:
+            self._scan.enter(tick, self._now)
+            self._has_update = True
         basis = self._usable().keys(), self._peers.present(self._now)
         if self._scan.has_been_read and (self._has_update or basis != self._basis):
             self._has_update, self._basis, self._has_solved = False, basis, True
@@ -210,7 +217,8 @@ class AsynchronousProtocol(AreaProtocol):
     def _is_side_complete(self, name: str) -> bool:
         if not self._scan.has_been_read or self._scan.is_late(self._now, PASSED_ON_HEARTBEATS):
             return False
-        return not self._find_old(PASSED_ON_HEARTBEATS) - {name}
+        overdue = self._scan.readings.ages.overdue_share(self._now) > self._content.limits.most_overdue
+        return not (overdue or self._peers.skewed or self._find_old(PASSED_ON_HEARTBEATS) - {name})
 
     def _find_old(self, heartbeats: float = FRESH_HEARTBEATS) -> set[str]:
         """Neighbours that are not received, in another scan or not complete, or whose newest message is not here."""
@@ -228,7 +236,9 @@ class AsynchronousProtocol(AreaProtocol):
         if is_as_shown and not (is_heartbeat or self._has_solved):
             return
         self._has_solved = False
-        state = self._published.compose(self._estimate, worth, old_sides, self.scan, self._now)
+        state = self._published.compose(
+            self._estimate, worth, old_sides, self.scan, self._now, self._scan.readings.ages
+        )
         is_same = last is not None and (state.header.sequence, state.notes) == (last.header.sequence, last.notes)
         if is_heartbeat or not (is_same and is_as_shown):
             yield Publish(state, None)
@@ -239,14 +249,18 @@ class AsynchronousProtocol(AreaProtocol):
         yield from (Finding(DEGRADED if estimate else NONE, note) for note in self._notes)
         yield from find_rejected_clocks(self._rejections.ahead)
         yield from find_contradictions(self._rejections.contradictions)
+        yield from find_skewed_clocks(self._peers.skewed)
+        yield from find_early_scan(self._scan.lead_s)
         if self._scan.has_been_read:
             yield from find_missing_readings(self._scan.readings.silent, self._scan.readings.invalid)
+            yield from find_left_out_readings(self._scan.readings)
         yield from (find_gone(name, leave_reason) for name, leave_reason in sorted(self._peers.gone.items()))
         if estimate is None:
             yield Finding(NONE, "there is no estimate" if self._scan.has_been_read else "no telemetry yet")
             return
         if self._scan.is_late(self._now):
             yield Finding(STALE, "telemetry is no longer received")
+        yield from find_overdue_readings(self._scan.readings.ages, self._content.limits.most_overdue, self._now)
         if not estimate.referenced:
             yield Finding(RELATIVE_ANGLE, "angles do not count from the substation")
         if not estimate.checked:

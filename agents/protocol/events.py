@@ -33,11 +33,18 @@ class PresenceChanged:
 
 
 @dataclass(frozen=True, slots=True)
+class ClockSet:
+    """The host's clock has been set; ``offset``: from monotonic to wall-clock time, s, from now on."""
+
+    offset: float
+
+
+@dataclass(frozen=True, slots=True)
 class StopRequested:
     reason: str
 
 
-Event = Received | Rejected | PresenceChanged | StopRequested
+Event = Received | Rejected | PresenceChanged | ClockSet | StopRequested
 
 
 @dataclass(frozen=True, slots=True)

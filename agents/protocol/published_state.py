@@ -12,6 +12,7 @@ from agents.messages.packing import Header, StateMessage, content_of
 from agents.peers.peer_table import PeerTable
 from agents.peers.rejections import Rejections
 from agents.protocol.quality import Worth
+from agents.protocol.readings import Ages
 from agents.protocol.scan_readings import ScanReadings
 from agents.strategies.interface import Estimate
 from dsse_core.grid.partition import Area
@@ -51,7 +52,7 @@ class PublishedState:
 
     def _find_standing(self, quality: str) -> object:
         r = self._rejections
-        rejections = set(r.ahead), dict(r.contradictions), dict(r.far_scans)
+        rejections = set(r.ahead), dict(r.contradictions), dict(r.far_scans), set(self._peers.skewed)
         return quality, dict(self._peers.gone), rejections
 
     def compose(
@@ -61,8 +62,11 @@ class PublishedState:
         old_sides: tuple[str, ...],
         scan: int,
         now: float,
+        ages: Ages,
     ) -> StateMessage:
         """The state of ``scan`` as things are at time ``now``, but for what the links have counted.
+
+        ``ages``: of the readings that ``estimate`` rests on.
 
         Under one number only what ``content_of`` leaves out may change.
         """
@@ -83,6 +87,10 @@ class PublishedState:
             scans={name: peer.term[0] for name, peer in peers if peer.incarnation is not None},
             old_sides=old_sides,
             rejected=dict(Counter(self._rejections.counts) + self._scan.rejected),
+            clock_skews=self._peers.clock_skews(),
+            taken_at=ages.taken_at,
+            oldest_reading=ages.oldest_s,
+            meters_off=tuple(sorted(self._scan.store.off)),
         )
         if last is not None and content_of(last) == content_of(state) and last.header.scan == scan:
             state = replace(state, header=replace(state.header, sequence=last.header.sequence))

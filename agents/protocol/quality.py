@@ -14,6 +14,9 @@ import numpy as np
 
 from agents.messages.checks import limit_notes
 from agents.messages.packing import StateMessage
+from agents.peers.clock_skew import Skew
+from agents.protocol.reading_store import INVALID
+from agents.protocol.readings import Ages, Readings
 from agents.strategies.interface import Estimate
 from dsse_core.estimation.state_limits import StateLimits
 from dsse_core.grid.measurement import Meter, Source
@@ -21,6 +24,8 @@ from dsse_core.grid.measurement import Meter, Source
 GOOD, DEGRADED, RELATIVE_ANGLE, STALE, NONE = "good", "degraded", "relative-angle", "stale", "none"
 UNOBSERVABLE = "unobservable"
 QUALITIES = (GOOD, DEGRADED, RELATIVE_ANGLE, STALE, NONE, UNOBSERVABLE)  # from the best to the worst
+
+EARLY_S = 1.0  # ahead of the own clock, from which on a scan is worth a remark
 
 
 class Finding(NamedTuple):
@@ -127,6 +132,51 @@ def find_far_scans(far_scans: Mapping[str, int]) -> Iterator[Finding]:
             f"messages of {name} are rejected: one announced scan {scan}, far ahead of the telemetry; if its own state "
             f"shows none like it, somebody else sends in the name of {name}: use keys",
         )
+
+
+def find_skewed_clocks(skewed: Mapping[str, Skew]) -> Iterator[Finding]:
+    """Neighbours whose clocks are too far from that of this area."""
+    for name, skew in sorted(skewed.items()):
+        where = "ahead of" if skew.ahead_s > 0 else "behind"
+        yield Finding(
+            DEGRADED, f"the clock of {name} is {abs(skew.ahead_s):.2g} s {where} that of this area; set the wrong one"
+        )
+
+
+def find_overdue_readings(ages: Ages, most_overdue: float, now: float) -> Iterator[Finding]:
+    """Readings that are older than two of their intervals, and what that leaves of an estimate which rests on them."""
+    if overdue := ages.find_overdue(now):
+        yield Finding(GOOD, f"overdue: the reading of {_first_of(overdue)}")
+    share = ages.overdue_share(now)
+    if share >= 1:
+        yield Finding(STALE, "all readings of this area are overdue or missing")
+    elif share > most_overdue:
+        yield Finding(
+            DEGRADED,
+            f"{100 * share:.0f} % of the readings of this area are overdue or missing, more than "
+            f"{100 * most_overdue:g} %",
+        )
+
+
+def find_early_scan(lead_s: float) -> Iterator[Finding]:
+    """That the scan has come more than a moment before its time by the area's clock."""
+    if lead_s >= EARLY_S:
+        yield Finding(
+            GOOD,
+            "this scan is ahead of the clock of this area: that of a neighbour is ahead, or this one has been set back",
+        )
+
+
+def find_left_out_readings(readings: Readings) -> Iterator[Finding]:
+    """Meters whose newest reading is not used, and why."""
+    if readings.too_old:
+        yield Finding(GOOD, f"too old: the reading of {_first_of(readings.too_old)}")
+    by_reason: dict[str, list[str]] = {}
+    for meter_id, reason in readings.refused.items():
+        by_reason.setdefault(reason, []).append(meter_id)
+    for reason, meters in sorted(by_reason.items()):
+        if reason != INVALID:  # which is said of all
+            yield Finding(GOOD, f"{reason}: the newest reading of {_first_of(meters)}")
 
 
 def find_missing_readings(silent: Sequence[str], invalid: Sequence[str]) -> Iterator[Finding]:

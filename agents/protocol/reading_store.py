@@ -58,6 +58,16 @@ class ReadingStore:
         }
 
     @property
+    def has_meters(self) -> bool:
+        """Whether there is anything to be read."""
+        return bool(self._meters.keys() - self.off)
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether there is a reading of every meter."""
+        return self.newest.keys() >= self._meters.keys() - self.off
+
+    @property
     def newest_time(self) -> float:
         """When the newest reading was measured, s since 1970 UTC; 0 without one."""
         return max((reading.time for reading in self.newest.values()), default=0.0)

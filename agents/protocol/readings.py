@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
 
 from agents.area_files.area_file import AreaFile
 from agents.messages.packing import TelemetryMessage
@@ -17,10 +19,53 @@ from agents.protocol.reading_store import AHEAD, INVALID, ReadingStore
 from dsse_core.exchange.boundary_load import NetLoad, measured_net_loads, own_net_load
 from dsse_core.grid.measurement import Measurement, Source
 
+Read = dict[str, tuple[Measurement, float]]
+"""Meter id -> its reading, and when it was measured, s since 1970 UTC."""
+
+
+@dataclass(frozen=True)
+class Ages:
+    """How old readings were when they were taken at once, and when they will be overdue.
+
+    ``taken_at``: to which moment of the area's clock their ages count, s since 1970; ``times``: meter id -> when it was
+    read, s since 1970 UTC. ``overdue_at``: meter id -> when its reading is overdue, of those that have an interval, by
+    the monotonic clock: no clock that is set makes a reading younger. ``n_with_interval``: how many meters have one.
+    """
+
+    taken_at: float = 0.0
+    times: Mapping[str, float] = field(default_factory=dict)
+    overdue_at: Mapping[str, float] = field(default_factory=dict)
+    n_with_interval: int = 0
+
+    @cached_property
+    def _overdue_times(self) -> list[float]:
+        return sorted(self.overdue_at.values())
+
+    @cached_property
+    def oldest_s(self) -> float:
+        """The age of the oldest reading when they were taken, s; 0 without one."""
+        return max(0.0, self.taken_at - min(self.times.values(), default=self.taken_at))
+
+    def find_overdue(self, now: float) -> list[str]:
+        """Ids of the meters whose readings are overdue at monotonic time ``now``."""
+        if not bisect_right(self._overdue_times, now):
+            return []
+        return [meter_id for meter_id, at in self.overdue_at.items() if at <= now]
+
+    def overdue_share(self, now: float) -> float:
+        """Which share of the meters with an interval has no reading, or one that is overdue; 0 without such meters."""
+        if not self.n_with_interval:
+            return 0.0
+        return 1 - (len(self._overdue_times) - bisect_right(self._overdue_times, now)) / self.n_with_interval
+
+    def next_overdue(self, now: float) -> float:
+        """When the next one will be; infinity if none will."""
+        k = bisect_right(self._overdue_times, now)
+        return self._overdue_times[k] if k < len(self._overdue_times) else math.inf
+
 
 class Readings:
-    """``measurements``: those that are worked with, virtual ones included; ``times``: meter id -> when it was read, s
-    since 1970 UTC. ``taken_at``: to which moment of the area's clock ages count, s since 1970; 0 before any.
+    """``measurements``: those that are worked with, virtual ones included; ``ages``: how old they are.
 
     ``silent``: ids of the meters without a reading. ``invalid``: of those whose reading its source has marked as not
     valid. ``too_old``: of those whose reading is left out for its age. ``refused``: id -> why its newest reading is.
@@ -38,18 +83,13 @@ class Readings:
         self.invalid: list[str] = []
         self.too_old: list[str] = []
         self.refused: dict[str, str] = {}
-        self.times: dict[str, float] = {}
-        self.taken_at = 0.0
-        self._taken = 0.0  # the same by the monotonic clock
+        self.ages = Ages()
         by_clock = content.readings.ticks == "clock"
         self._overdue_s = {
             meter_id: rule.overdue_s(content.scan_s)  # of the meters that have an interval
             for meter_id, meter in self._meters.items()
             if meter_id not in self._virtual and ((rule := store.rule_of(meter)).period_s is not None or by_clock)
         }
-        self._overdue_at: dict[str, float] = {}  # by the monotonic clock, of what is used
-        self._overdue_times: list[float] = []  # the same in their order
-        self._n_with_interval = 0
         self._net_load: NetLoad | None = None  # of these measurements, once asked for
 
     def take(self, message: TelemetryMessage | None, now: float, wall: float) -> Iterator[str]:
@@ -57,21 +97,20 @@ class Readings:
 
         ``message``: of the scan, None where clocks number scans. ``now``: monotonic time, ``wall``: s since 1970.
         """
-        self.invalid, self.too_old, self.times = [], [], {}
-        self.taken_at, self._taken = wall, now
+        self.invalid, self.too_old = [], []
         self.refused = {k: reason for k, reason in self._store.refused.items() if k not in self._store.off}
-        read: dict[str, Measurement] = {}
+        read: Read = {}
         if message is not None:
             yield from self._take_scan(message, read)
-        self._take_newest(read)
+        self._take_newest(read, wall)
         self.invalid += [meter_id for meter_id, why in self.refused.items() if why == INVALID and meter_id not in read]
-        known = read.keys() | self._virtual.keys() | self._store.off | {*self.invalid, *self.too_old}
-        self.measurements = (*read.values(), *self._virtual.values())
+        known = read.keys() | self._virtual.keys() | self._store.off | {*self.invalid, *self.too_old, *self.refused}
+        self.measurements = (*(measurement for measurement, _ in read.values()), *self._virtual.values())
         self.silent = [meter_id for meter_id in self._meters if meter_id not in known]
-        self._note_intervals(read)
+        self.ages = self._find_ages({meter_id: time for meter_id, (_, time) in read.items()}, now, wall)
         self._net_load = None
 
-    def _take_scan(self, message: TelemetryMessage, read: dict[str, Measurement]) -> Iterator[str]:
+    def _take_scan(self, message: TelemetryMessage, read: Read) -> Iterator[str]:
         """Put the readings that belong to the scan of ``message`` into ``read``."""
         gateway, store = message.header.sender, self._store
         columns = message.meters, message.values, message.sigmas, message.times, message.valid
@@ -84,61 +123,32 @@ class Readings:
                     self.invalid.append(meter_id)
                 yield reason
             elif meter is not None:
-                read[meter_id], self.times[meter_id] = Measurement(meter, value, sigma), time
+                read[meter_id] = Measurement(meter, value, sigma), time
 
-    def _take_newest(self, read: dict[str, Measurement]) -> None:
+    def _take_newest(self, read: Read, wall: float) -> None:
         """Put the newest readings that are young enough into ``read``, their standard deviations grown."""
         store, scan_s = self._store, self._content.scan_s
         for meter_id, meter in self._meters.items() if store.newest else ():
             reading = store.newest.get(meter_id)
             if reading is None or meter_id in read or meter_id in store.off:
                 continue
-            rule, age = store.rule_of(meter), self.taken_at - reading.time
+            rule, age = store.rule_of(meter), wall - reading.time
             sigma = rule.grown(reading.sigma, age)
             if age < -store.lead_s:
                 self.refused[meter_id] = AHEAD  # the clock of the area has been set back
             elif age > rule.leaves_out_s(scan_s) or find_reading_rejection(reading.value, sigma):
                 self.too_old.append(meter_id)
             else:
-                read[meter_id], self.times[meter_id] = Measurement(meter, reading.value, sigma), reading.time
+                read[meter_id] = Measurement(meter, reading.value, sigma), reading.time
 
-    # Ages
-
-    def _note_intervals(self, read: dict[str, Measurement]) -> None:
-        """Note when what is read will be overdue, of the meters that have an interval."""
-        with_interval = self._overdue_s.keys() - self._store.off
-        self._n_with_interval = len(with_interval)
-        self._overdue_at = {
-            meter_id: self._taken + self._overdue_s[meter_id] - self._age_when_taken(meter_id)
-            for meter_id in read
-            if meter_id in with_interval
+    def _find_ages(self, times: Mapping[str, float], now: float, wall: float) -> Ages:
+        overdue_s = {k: limit for k, limit in self._overdue_s.items() if k not in self._store.off}
+        overdue_at = {
+            meter_id: now + limit - max(0.0, wall - times[meter_id])
+            for meter_id, limit in overdue_s.items()
+            if meter_id in times
         }
-        self._overdue_times = sorted(self._overdue_at.values())
-
-    def _age_when_taken(self, meter_id: str) -> float:
-        return max(0.0, self.taken_at - self.times[meter_id])
-
-    @property
-    def oldest_s(self) -> float:
-        """The age of the oldest reading when they were taken, s; 0 without one."""
-        return max(map(self._age_when_taken, self.times), default=0.0)
-
-    def find_overdue(self, now: float) -> list[str]:
-        """Ids of the meters whose readings, in use, are overdue at monotonic time ``now``."""
-        if not bisect_right(self._overdue_times, now):
-            return []
-        return [meter_id for meter_id, at in self._overdue_at.items() if at <= now]
-
-    def overdue_share(self, now: float) -> float:
-        """Which share of the meters with an interval has no reading, or one that is overdue; 0 without such meters."""
-        if not self._n_with_interval:
-            return 0.0
-        return 1 - (len(self._overdue_times) - bisect_right(self._overdue_times, now)) / self._n_with_interval
-
-    def next_overdue(self, now: float) -> float:
-        """When the next one will be; infinity if none will."""
-        k = bisect_right(self._overdue_times, now)
-        return self._overdue_times[k] if k < len(self._overdue_times) else math.inf
+        return Ages(wall, times, overdue_at, len(overdue_s))
 
     @property
     def net_load(self) -> NetLoad:

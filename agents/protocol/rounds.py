@@ -190,7 +190,9 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
 
     def _enter(self, term: Term) -> Iterator[Action]:
         """Show the end of the former term, forget it; begin ``term`` with all present neighbours that are believed."""
-        yield from self._publish_state(self._state.show_end(self.term, self._now))
+        if self._round.outcome is not None:
+            yield from self._publish_state(self._state.show_end(self.term, self._now))
+            yield from self._show_readings()
         scan, self._revision = term
         if scan != self.scan:
             self._peers.distrusted = {}
@@ -300,6 +302,10 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
         if self._has_loads_to_tell and (is_heartbeat or is_first):
             self._has_loads_to_tell = False
             yield from self._tell_loads()
+
+    @property
+    def _may_show_readings(self) -> bool:
+        return self._round.outcome is not None
 
     def _publish_state(self, state: StateMessage | None) -> Iterator[Publish]:
         if state is not None:

@@ -24,13 +24,18 @@ from agents.protocol.quality import (
     Finding,
     Worth,
     find_contradictions,
+    find_early_scan,
     find_far_scans,
     find_gone,
+    find_left_out_readings,
     find_missing_readings,
     find_missing_side,
+    find_overdue_readings,
     find_rejected_clocks,
+    find_skewed_clocks,
     weigh,
 )
+from agents.protocol.readings import Ages
 from agents.protocol.scan_readings import ScanReadings
 from agents.strategies.interface import Estimate
 from dsse_core.estimation.decision import UNOBSERVABLE as NOT_OBSERVABLE
@@ -65,6 +70,8 @@ class RoundsState:
         self._estimate: Estimate | None = None
         self._outcome: Outcome | None = None  # which the estimate is of
         self._of_scan = 0
+        self._ages = Ages()  # of the readings that it rests on
+        self._most_overdue = content.limits.most_overdue
         self._findings: tuple[Finding, ...] = ()  # of the outcome
         self._kept_mismatches: dict[
             str, tuple[Outcome, tuple[float, ...], tuple[float, float]]
@@ -74,12 +81,12 @@ class RoundsState:
         """The state to be published at time ``now``, if any is; passing notes alone wait for the heartbeat."""
         outcome = self._round.outcome
         if outcome is not None and outcome is not self._outcome:
-            self._outcome, self._of_scan = outcome, term[0]
+            self._outcome, self._of_scan, self._ages = outcome, term[0], self._scan.readings.ages
             self._estimate, self._findings = self._read(outcome)
         elif not is_heartbeat and (self._is_first_way_through(term) or self._is_as_shown(term, now)):
             return None
         worth, old_sides, scan = self._weigh(term, now), self._old_sides(term, now), self._of_scan or term[0]
-        return self._published.compose(self._estimate_now(term), worth, old_sides, scan, now)
+        return self._published.compose(self._estimate_now(term), worth, old_sides, scan, now, self._ages)
 
     def show_end(self, term: Term, now: float) -> StateMessage | None:
         """The state at an end of ``term`` that has not been shown yet, as the next term begins at once."""
@@ -203,13 +210,17 @@ class RoundsState:
         yield from find_rejected_clocks(self._rejections.ahead)
         yield from find_contradictions(self._rejections.contradictions)
         yield from find_far_scans(self._rejections.far_scans)
+        yield from find_skewed_clocks(self._peers.skewed)
+        yield from find_early_scan(self._scan.lead_s)
         if self._scan.has_been_read:
             yield from find_missing_readings(self._scan.readings.silent, self._scan.readings.invalid)
+            yield from find_left_out_readings(self._scan.readings)
 
     def _aging(self, term: Term, now: float) -> Iterator[Finding]:
         """What has grown old since the outcome, or is being replaced."""
         if self._scan.is_late(now):
             yield Finding(STALE, "telemetry is not received")
+        yield from find_overdue_readings(self._ages, self._most_overdue, now)
         if self._scan.stale:
             yield Finding(STALE, "no readings of this scan; the last ones stand in")
         if self._scan.are_outdated:
@@ -261,6 +272,8 @@ class RoundsState:
         if outcome is None or self._scan.is_late(now, PASSED_ON_HEARTBEATS) or self._scan.are_outdated:
             return False
         if not self._counts_all(outcome) or any(self._mismatches(term)):
+            return False
+        if self._scan.readings.ages.overdue_share(now) > self._most_overdue or self._peers.skewed:
             return False
         return not self._peers.find_old(term, self._round.links, now, PASSED_ON_HEARTBEATS) - {name}
 

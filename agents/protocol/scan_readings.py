@@ -62,6 +62,19 @@ class ScanReadings:
         """Readings that cannot be used, by reason."""
         return self._rejected + self.store.rejected
 
+    def note_time(self, now: float) -> None:
+        """It is ``now``, monotonic time."""
+
+    @property
+    def next_tick_at(self) -> float:
+        """When the next scan begins by itself, monotonic time: never, as telemetry numbers scans."""
+        return float("inf")
+
+    @property
+    def lead_s(self) -> float:
+        """By how much the scan is ahead of the area's clock, s, where that numbers scans."""
+        return 0.0
+
     @property
     def next_scan(self) -> int:
         """The newest later scan with readings; 0 without one."""

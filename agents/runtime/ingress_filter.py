@@ -8,12 +8,14 @@ from collections import Counter
 from collections.abc import Collection
 
 from agents.messages.checks import MessageError, is_worth_writing
-from agents.messages.keys import sender_of
-from agents.messages.packing import MAX_BYTES, MAX_NEIGHBOUR_BYTES, decode
+from agents.messages.keys import gateway_of, sender_of
+from agents.messages.packing import MAX_BYTES, MAX_NEIGHBOUR_BYTES, Message, TelemetryMessage, decode
 from agents.protocol.events import Received, Rejected
 from agents.runtime.inbox import Inbox
 
 log = logging.getLogger(__name__)
+MOST_GATEWAYS = 64  # that have a slot, where any name may speak
+ANY_GATEWAY = "*"
 
 
 class IngressFilter:
@@ -21,11 +23,17 @@ class IngressFilter:
 
     Args:
         neighbour_keys: those on which neighbours speak to this area.
-        telemetry_key: of this area's telemetry.
+        run, area: whose telemetry it is.
+        gateways: names that may speak for its meters; of ``ANY_GATEWAY`` the first ``MOST_GATEWAYS`` that do.
     """
 
-    def __init__(self, neighbour_keys: Collection[str], telemetry_key: str, inbox: Inbox) -> None:
-        self._largest = dict.fromkeys(neighbour_keys, MAX_NEIGHBOUR_BYTES) | {telemetry_key: MAX_BYTES}
+    def __init__(
+        self, neighbour_keys: Collection[str], run: str, area: str, gateways: Collection[str], inbox: Inbox
+    ) -> None:
+        self._neighbour_keys = frozenset(neighbour_keys)
+        self._run, self._area = run, area
+        self._gateways = set(gateways) - {ANY_GATEWAY}
+        self._room = MOST_GATEWAYS if ANY_GATEWAY in gateways else 0
         self._inbox = inbox
         self._last: dict[str, tuple[bytes, Received]] = {}  # of each key; most of what comes repeats it
         self._rejected: Counter[str] = Counter()
@@ -33,8 +41,8 @@ class IngressFilter:
 
     def take(self, key: str, payload: bytes) -> None:
         """Let a message in, or count why not."""
-        largest = self._largest.get(key)
-        if largest is None:
+        gateway = "" if key in self._neighbour_keys else gateway_of(key, self._run, self._area)
+        if not (key in self._neighbour_keys or self._may_speak(gateway)):
             self._reject("unknown sender", key, "nobody who has a say here speaks on this key")
             return
         last = self._last.get(key)
@@ -42,13 +50,21 @@ class IngressFilter:
             self._inbox.put(key, last[1])
             return
         try:
-            message = decode(payload, largest)
+            message = decode(payload, MAX_BYTES if gateway else MAX_NEIGHBOUR_BYTES)
+            _require_its_own(message, gateway)
         except MessageError as error:
             self._reject(error.reason, key, str(error))
         else:
             received = Received(message, sender_of(key))
             self._last[key] = payload, received
             self._inbox.put(key, received)
+
+    def _may_speak(self, gateway: str) -> bool:
+        with self._lock:
+            if gateway and gateway not in self._gateways and self._room:
+                self._room -= 1
+                self._gateways.add(gateway)
+            return gateway in self._gateways
 
     def _reject(self, reason: str, key: str, why: str) -> None:
         with self._lock:
@@ -57,3 +73,13 @@ class IngressFilter:
         self._inbox.put(("rejected", reason), Rejected(reason, count))
         if is_worth_writing(count):
             log.warning("rejected payload number %s for this reason, on %.200s: %s", count, ascii(key), why)
+
+
+def _require_its_own(message: Message, gateway: str) -> None:
+    """Telemetry comes on the key of who says it.
+
+    Raises:
+        MessageError: it does not.
+    """
+    if gateway and not (isinstance(message, TelemetryMessage) and message.header.sender == gateway):
+        raise MessageError("sender does not own the key", f"{gateway} speaks for {message.header.sender}")

@@ -19,14 +19,15 @@ from agents.messages.keys import (
     live_key,
     name_of_live,
     neighbour_key,
+    readings_key,
     state_key,
-    telemetry_key,
 )
-from agents.messages.packing import ClockMessage, StateMessage, decode
+from agents.messages.packing import ClockMessage, ReadingsMessage, StateMessage, decode
 from agents.protocol.choose import kinds_of, make_protocol
-from agents.protocol.events import Event, Finish, PresenceChanged, Publish
+from agents.protocol.events import ClockSet, Event, Finish, PresenceChanged, Publish
 from agents.runtime.duplicate_guard import GIVES_WAY, DuplicateGuard, ReplacedError
 from agents.runtime.heap import give_back
+from agents.runtime.host_clock import HostClock
 from agents.runtime.inbox import Inbox
 from agents.runtime.ingress_filter import IngressFilter
 from agents.runtime.link import FaultyLinks
@@ -72,7 +73,8 @@ def run_agent(content: AreaFile, session: Session, inbox: Inbox, watchdog: Watch
     """
     now = time.monotonic()
     incarnation = begin_incarnation()
-    protocol = make_protocol(content, incarnation, now=now, started_at=time.time())
+    clock = HostClock(content.clock_error_s)
+    protocol = make_protocol(content, incarnation, now=now, started_at=now + clock.offset)
     kinds = kinds_of(content.strategy)
     links = FaultyLinks(content.area.name, content.links, content.seed, _publishers(content, session, kinds))
     name, run = content.area.name, content.run
@@ -112,7 +114,8 @@ def run_agent(content: AreaFile, session: Session, inbox: Inbox, watchdog: Watch
         if Renewal.ASKED in updates and session.interrupt():
             updates += [*inbox.take(0.0), _OutOfSight()]
             session.resume()
-        events = list(_events_of(name, updates, presence, guard, links))
+        events = [ClockSet(clock.offset)] if clock.has_been_set() else []
+        events += _events_of(name, updates, presence, guard, links)
         try:
             guard.check(time.monotonic())
         except ReplacedError:
@@ -125,7 +128,7 @@ def _listen(content: AreaFile, session: Session, kinds: Sequence[str], inbox: In
     run, name = content.run, content.area.name
     neighbours = sorted({n.area for n in content.area.neighbours})
     known = {neighbour_key(run, neighbour, kind, name) for neighbour in neighbours for kind in kinds}
-    ingress_filter = IngressFilter(known, telemetry_key(run, name), inbox)
+    ingress_filter = IngressFilter(known, run, name, content.readings.gateways, inbox)
     session.subscribe(all_from_neighbours(run, name), ingress_filter.take)
     session.subscribe(all_telemetry(run, name), ingress_filter.take)
     if any(faults.has_windows for faults in content.links.values()):
@@ -154,7 +157,8 @@ def _publishers(content: AreaFile, session: Session, kinds: Sequence[str]) -> Ca
     """One publisher per key, all declared at the start."""
     run, name = content.run, content.area.name
     publishers: dict[tuple[str | None, str], Callable[[bytes], None]] = {}
-    publishers[None, "state"] = session.publisher(state_key(run, name))
+    publishers[None, StateMessage.kind] = session.publisher(state_key(run, name))
+    publishers[None, ReadingsMessage.kind] = session.publisher(readings_key(run, name))
     for n in content.area.neighbours:
         for kind in kinds:
             publishers[n.area, kind] = session.publisher(neighbour_key(run, name, kind, n.area))

@@ -13,14 +13,22 @@ import itertools
 import zlib
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from agents.area_files.area_file import AreaFile
 from agents.messages.checks import MessageError
-from agents.messages.packing import Header, Incarnation, Message, StateMessage, TelemetryMessage, decode
+from agents.messages.packing import (
+    Header,
+    Incarnation,
+    Message,
+    ReadingsMessage,
+    StateMessage,
+    TelemetryMessage,
+    decode,
+)
 from agents.protocol.area_protocol import AreaProtocol
 from agents.protocol.choose import make_protocol
-from agents.protocol.events import Event, Finish, PresenceChanged, Publish, Received, Rejected
+from agents.protocol.events import ClockSet, Event, Finish, PresenceChanged, Publish, Received, Rejected
 from agents.runtime.link import FaultyLinks
 from coordinator.plant.telemetry_messages import make_message
 from dsse_core.grid.measurement import Measurement
@@ -54,6 +62,7 @@ class SimulatedBus:
             publishes (at, state), and when its presence token appears or vanishes (at, area, alive).
         on_message: called with each message that an area sends a neighbour (at, receiver, message, False), and with
             each that arrives (True); one that its link loses does not.
+        on_readings: the same with the readings that an area has used.
     """
 
     def __init__(
@@ -64,11 +73,14 @@ class SimulatedBus:
         on_presence: Callable[[float, str, bool], None] = lambda at, area, alive: None,
         late_s: Mapping[str, float] | None = None,
         on_message: Callable[[float, str, Message, bool], None] = lambda at, receiver, message, arrives: None,
+        on_readings: Callable[[float, ReadingsMessage], None] = lambda at, readings: None,
     ) -> None:
         self.now = 0.0
         self.scan = 0
         self.files = {content.area.name: content for content in files}
         self.states: dict[str, StateMessage] = {}
+        self.readings: dict[str, ReadingsMessage] = {}
+        self.clock_error_s = {content.area.name: content.clock_error_s for content in files}
         self._rejected: Counter[tuple[str, str]] = Counter()  # receiver, reason
         self.protocols: dict[str, AreaProtocol] = {}
         self.links: dict[str, FaultyLinks] = {}
@@ -76,6 +88,7 @@ class SimulatedBus:
         self._on_state = on_state
         self._on_presence = on_presence
         self._on_message = on_message
+        self._on_readings = on_readings
         self._queue: list[tuple[float, int, str, Event | _Wake | _Call]] = []
         self._order = itertools.count()
         self._wake: dict[str, float] = {}
@@ -94,7 +107,8 @@ class SimulatedBus:
         content = self.files[name]
         self._incarnations[name] += 1
         incarnation = Incarnation(int(STARTED_AT * 1000) + self._incarnations[name], zlib.crc32(name.encode()))
-        self.protocols[name] = make_protocol(content, incarnation, now=self.now, started_at=STARTED_AT + self.now)
+        started_at = STARTED_AT + self.now + self.clock_error_s[name]
+        self.protocols[name] = make_protocol(content, incarnation, now=self.now, started_at=started_at)
         links = FaultyLinks(name, content.links, content.seed, lambda to, _, payload: self._put(name, to, payload))
         links.begin(0.0)
         self.links[name] = links
@@ -128,6 +142,11 @@ class SimulatedBus:
         self._push(self.now, name, WAKE)
         self._wake[name] = self.now
 
+    def set_clock(self, name: str, error_s: float) -> None:
+        """Set the clock of an area, which then is ``error_s`` ahead."""
+        self.clock_error_s[name] = error_s
+        self.post(name, ClockSet(STARTED_AT + error_s), delay_s=0.0)
+
     def stop_router(self) -> None:
         """Let nothing pass at all; everybody misses everybody's presence."""
         self.router_runs = False
@@ -139,18 +158,32 @@ class SimulatedBus:
         self._show_all(alive=True)
 
     def next_scan(
-        self, telemetry: Mapping[str, Sequence[Measurement]], late_s: Mapping[str, float] | None = None
+        self,
+        telemetry: Mapping[str, Sequence[Measurement]],
+        late_s: Mapping[str, float] | None = None,
+        measured_at: Mapping[str, float] | None = None,
     ) -> None:
-        """Have the plant make a new scan; ``late_s``: area -> how much later its readings are there."""
+        """Have the plant make a new scan; ``late_s``: area -> how much later its readings are there.
+
+        ``measured_at``: meter id -> when it was read, virtual time, if not now.
+        """
         self.scan += 1
         for name, content in self.files.items():
             header = Header(content.run, "plant", Incarnation(0, 0), self.scan, self.scan, STARTED_AT + self.now)
             message = make_message(header, name, telemetry[name])
+            if measured_at:
+                times = (STARTED_AT + measured_at.get(meter_id, self.now) for meter_id in message.meters)
+                message = replace(message, times=tuple(times))
             late = (late_s or {}).get(name, 0.0)
             if late > 0:
                 self.at(self.now + late, functools.partial(self._take_over, name, message))
             else:
                 self._take_over(name, message)
+
+    def hear(self, message: TelemetryMessage) -> None:
+        """A gateway beside the plant says ``message`` to its area."""
+        if self.router_runs:
+            self.post(message.area, Received(message, ""))
 
     def send_telemetry(self, name: str) -> None:
         """Send one area its newest readings, as the plant does when it appears."""
@@ -242,11 +275,15 @@ class SimulatedBus:
             self._push(at, name, WAKE)
 
     def _show(self, message: Message) -> None:
-        """Show who watches the state of an area."""
-        assert isinstance(message, StateMessage)
-        if self.router_runs:
+        """Show who watches what an area publishes."""
+        if not self.router_runs:
+            return
+        if isinstance(message, StateMessage):
             self.states[message.header.sender] = message
             self._on_state(self.now, message)
+        elif isinstance(message, ReadingsMessage):
+            self.readings[message.header.sender] = message
+            self._on_readings(self.now, message)
 
     def _put(self, sender: str, receiver: str | None, payload: bytes) -> None:
         """What a link hands to the bus for a neighbour."""

@@ -96,7 +96,7 @@ def test_the_variance_doubles_at_the_period():
     readings = taken(store)
     assert sigma_of(readings, VM) == pytest.approx(0.01 * math.sqrt(2.0))
     assert sigma_of(readings, FLOW) == pytest.approx(0.01 * math.sqrt(1.5))
-    assert readings.oldest_s == 30.0
+    assert readings.ages.oldest_s == 30.0
 
 
 def test_a_reading_without_period_does_not_age():
@@ -113,7 +113,7 @@ def test_a_reading_that_is_too_old_is_left_out_and_named():
     assert readings.too_old == [VM]
     assert VM not in {m.meter.id for m in readings.measurements}
     assert VM not in readings.silent
-    assert readings.times == {FLOW: NOW - 51.0}
+    assert readings.ages.times == {FLOW: NOW - 51.0}
 
 
 @pytest.mark.parametrize(
@@ -152,7 +152,7 @@ def test_a_reading_left_in_the_future_by_a_clock_that_was_set_back_is_not_used()
     store.take(message([(VM, 1.0, 0.0)]), NOW)
     readings = taken(store, -3600.0)
     assert readings.refused == {VM: "time in the future"}
-    assert VM not in readings.times
+    assert VM not in readings.ages.times
 
 
 def test_a_gateway_cannot_speak_for_the_meter_of_another():
@@ -187,7 +187,7 @@ def test_meters_that_are_off_are_neither_read_nor_missed():
     readings = taken(store)
     assert VM not in {m.meter.id for m in readings.measurements}
     assert VM not in readings.silent
-    assert readings.overdue_share(0.0) == 0.0
+    assert readings.ages.overdue_share(0.0) == 0.0
 
 
 def test_shares_and_moments_of_overdue_readings():
@@ -196,12 +196,12 @@ def test_shares_and_moments_of_overdue_readings():
     store.take(message([(VM, 1.0, -5.0), *others]), NOW)
     readings = taken(store)
     n = len(METERS)
-    assert readings.overdue_share(0.0) == pytest.approx(1 / n)  # FLOW has none
-    assert readings.next_overdue(0.0) == 2.0  # those that read at every scan
-    assert readings.find_overdue(1.9) == []
-    assert VM not in readings.find_overdue(14.9)
-    assert VM in readings.find_overdue(15.0)
-    assert readings.overdue_share(120.0) == 1.0
+    assert readings.ages.overdue_share(0.0) == pytest.approx(1 / n)  # FLOW has none
+    assert readings.ages.next_overdue(0.0) == 2.0  # those that read at every scan
+    assert readings.ages.find_overdue(1.9) == []
+    assert VM not in readings.ages.find_overdue(14.9)
+    assert VM in readings.ages.find_overdue(15.0)
+    assert readings.ages.overdue_share(120.0) == 1.0
 
 
 def test_where_a_gateway_numbers_scans_its_readings_without_period_belong_to_theirs():
@@ -214,5 +214,5 @@ def test_where_a_gateway_numbers_scans_its_readings_without_period_belong_to_the
     for each, found in ((first, {VM, meter_id}), (second, {VM})):
         store.take(each, NOW)
         assert list(readings.take(each, 0.0, NOW)) == []
-        assert readings.times.keys() == found
+        assert readings.ages.times.keys() == found
     assert meter_id in readings.silent

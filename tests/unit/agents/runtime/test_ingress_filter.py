@@ -5,19 +5,19 @@ from dataclasses import replace
 
 import pytest
 
-from agents.messages.packing import MAX_NEIGHBOUR_BYTES, Header, Incarnation, LoadMessage, encode
+from agents.messages.packing import MAX_NEIGHBOUR_BYTES, Header, Incarnation, LoadMessage, TelemetryMessage, encode
 from agents.protocol.events import Received, Rejected
 from agents.runtime.inbox import Inbox
-from agents.runtime.ingress_filter import IngressFilter
+from agents.runtime.ingress_filter import MOST_GATEWAYS, IngressFilter
 
-KEY, TELEMETRY = "dsse/v2/r/area/area2/load/area1", "dsse/v2/r/telemetry/area1"
+KEY, TELEMETRY = "dsse/v2/r/area/area2/load/area1", "dsse/v2/r/telemetry/area1/plant"
 LOAD = LoadMessage(Header("r", "area2", Incarnation(1, 1), 1, 1, 0.0), 6, 0.1, 0.0, 0.01)
 
 
 @pytest.fixture
 def door():
     inbox = Inbox()
-    return IngressFilter({KEY}, TELEMETRY, inbox), inbox
+    return IngressFilter({KEY}, "r", "area1", ["plant"], inbox), inbox
 
 
 def test_a_message_on_a_known_key_is_let_in_with_the_owner_of_the_key(door):
@@ -67,3 +67,27 @@ def test_rejections_do_not_push_out_what_has_been_let_in(door):
     for _ in range(100):
         ingress_filter.take(KEY, encode(LOAD)[:-1])
     assert inbox.take(0.0) == [Received(LOAD, "area2"), Rejected("damaged", 100)]
+
+
+def telemetry_of(gateway: str) -> TelemetryMessage:
+    return TelemetryMessage(Header("r", gateway, Incarnation(1, 1), 1, 1, 0.0), "area1", (), (), (), (), ())
+
+
+def test_a_gateway_speaks_on_its_own_key_only(door):
+    ingress_filter, inbox = door
+    ingress_filter.take(TELEMETRY, encode(telemetry_of("feeder")))
+    ingress_filter.take("dsse/v2/r/telemetry/area1/feeder", encode(telemetry_of("feeder")))
+    ingress_filter.take("dsse/v2/r/telemetry/area2/plant", encode(telemetry_of("plant")))
+    assert inbox.take(0.0) == [Rejected("sender does not own the key", 1), Rejected("unknown sender", 2)]
+    ingress_filter.take(TELEMETRY, encode(telemetry_of("plant")))
+    assert inbox.take(0.0) == [Received(telemetry_of("plant"), "")]
+
+
+def test_where_any_gateway_may_speak_strangers_take_a_bounded_number_of_slots():
+    inbox = Inbox()
+    ingress_filter = IngressFilter({KEY}, "r", "area1", ["*"], inbox)
+    for k in range(3 * MOST_GATEWAYS):
+        ingress_filter.take(f"dsse/v2/r/telemetry/area1/g{k}", encode(telemetry_of(f"g{k}")))
+    *received, rejected = inbox.take(0.0)
+    assert [r.message.header.sender for r in received] == [f"g{k}" for k in range(MOST_GATEWAYS)]
+    assert rejected == Rejected("unknown sender", 2 * MOST_GATEWAYS)
