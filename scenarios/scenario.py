@@ -93,6 +93,14 @@ class Scenario:
     reading_rules: Mapping[str, ReadingRules]
     changes: Mapping[str, object] = field(default_factory=dict)
 
+    @property
+    def renew_s(self) -> float | None:
+        """How often readings must be made anew, s, as they age or clocks number scans; None if neither."""
+        rules = next(iter(self.reading_rules.values()))
+        if not rules.follow_clocks:
+            return None
+        return self.run.scan_s or min(rule.period_s for rule in rules.kinds.values() if rule.period_s)
+
     def __repr__(self) -> str:
         buses, areas = len(self.network.buses), len(self.partition.areas)
         return (

@@ -66,6 +66,13 @@ def make_telemetry(scenario: Scenario, scan: int = 1) -> Telemetry:
     return Telemetry(read.truth, parts, union, read.area_power_flows)
 
 
+def expect_telemetry(scenario: Scenario) -> Telemetry:
+    """What is known of the readings of a run before it: nothing of those that gateways will bring."""
+    if scenario.telemetry.source == "live":
+        return Telemetry(None, {area.name: () for area in scenario.partition.areas}, (), {})
+    return make_telemetry(scenario)
+
+
 def read_meters(scenario: Scenario, scan: int = 1) -> Scan:
     """Readings of all meters in scan number ``scan``: the same for the same scenario, seed and scan.
 

@@ -137,7 +137,7 @@ def plant(
     from coordinator.strategy_check import check_with_strategy
 
     prepared = check_with_strategy(choose_scenario(scenario, seed))
-    every = every or prepared.run.scan_s
+    every = every or prepared.run.scan_s or prepared.renew_s
     # a plant that is started anew has new readings: the clock is ahead of all numbers of its last incarnation
     scan = int(time.time() / SHORTEST_SCAN_S)
     direct = prepared.transport.kind == "neighbours"

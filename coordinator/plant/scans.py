@@ -5,13 +5,14 @@ from __future__ import annotations
 import pickle
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 from agents.messages.packing import Incarnation
+from coordinator.plant.held_readings import HeldReadings
 from coordinator.plant.telemetry_messages import DRAW, encode_readings, make_payloads, read
 from scenarios.scenario import Scenario
-from scenarios.telemetry import Telemetry, find_lateness
+from scenarios.telemetry import Telemetry, find_lateness, make_telemetry
 
 
 class Scans(Protocol):
@@ -34,10 +35,11 @@ class Scans(Protocol):
 
 @dataclass(frozen=True)
 class OwnScans:
-    """Made from ``scenario``; ``many``: each scan has noise of its own."""
+    """Made from ``scenario``; ``many``: each scan has noise of its own. Meters read at their intervals."""
 
     scenario: Scenario
     many: bool
+    _held: list[HeldReadings] = field(default_factory=list)  # one, from the first scan on
 
     @property
     def seed(self) -> int:
@@ -48,7 +50,14 @@ class OwnScans:
         return self.scenario.run.beat_s
 
     def payloads(self, run: str, incarnation: Incarnation, scan: int) -> dict[str, bytes]:
-        return make_payloads(self.scenario, run, incarnation, scan, draw=scan if self.many else DRAW)
+        draw = scan if self.many else DRAW
+        if self.scenario.renew_s is None:
+            return make_payloads(self.scenario, run, incarnation, scan, draw=draw)
+        if not self._held:
+            self._held.append(HeldReadings(next(iter(self.scenario.reading_rules.values())).kinds))
+        by_area, read_at = self._held[0].take(make_telemetry(self.scenario, draw).by_area, time.time())
+        readings = ((area, read(part, read_at)) for area, part in by_area.items())
+        return encode_readings(readings, run, incarnation, scan)
 
     def late_s(self, scan: int) -> Mapping[str, float]:
         return find_lateness(self.scenario, scan)

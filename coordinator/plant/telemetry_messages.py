@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from agents.messages.packing import Header, Incarnation, TelemetryMessage, encode
@@ -17,22 +17,23 @@ DRAW = 1  # of the noise: the same readings for the same seed
 
 @dataclass(frozen=True, slots=True)
 class Readings:
-    """What the meters of one area have read at ``time``, s since 1970; p.u. and rad."""
+    """What the meters of one area have read at ``times``, s since 1970; p.u. and rad."""
 
     meters: tuple[str, ...]
     values: tuple[float, ...]
     sigmas: tuple[float, ...]
-    time: float
+    times: tuple[float, ...]
 
 
-def read(measurements: Sequence[Measurement], measured_at: float) -> Readings:
-    """Virtual measurements are no readings: agents know them."""
+def read(measurements: Sequence[Measurement], measured_at: float | Mapping[str, float]) -> Readings:
+    """Virtual measurements are no readings: agents know them. ``measured_at``: when, of all or by id of the meter."""
     readings = [m for m in measurements if m.meter.source is not Source.VIRTUAL]
+    ids = tuple(m.meter.id for m in readings)
     return Readings(
-        tuple(m.meter.id for m in readings),
+        ids,
         tuple(float(m.value) for m in readings),
         tuple(float(m.sigma) for m in readings),
-        measured_at,
+        (measured_at,) * len(ids) if isinstance(measured_at, float) else tuple(measured_at[k] for k in ids),
     )
 
 
@@ -60,5 +61,5 @@ def make_message(header: Header, area: str, measurements: Sequence[Measurement])
 
 def _message(header: Header, area: str, readings: Readings) -> TelemetryMessage:
     count = len(readings.meters)  # all meters of a simulated plant are sound
-    columns = readings.meters, readings.values, readings.sigmas, (readings.time,) * count, (True,) * count
+    columns = readings.meters, readings.values, readings.sigmas, readings.times, (True,) * count
     return TelemetryMessage(header, area, *columns)

@@ -13,7 +13,13 @@ from agents.security.access import COORDINATOR
 from agents.security.credential_files import AUTHORITY, credentials_in
 from agents.strategies.installed import load_strategy
 from coordinator.deployment.split import default_run_id
-from coordinator.evaluation.evaluation import choose_scenario, evaluate, make_observer, no_consensus_within
+from coordinator.evaluation.evaluation import (
+    choose_scenario,
+    estimate_centralised,
+    evaluate,
+    make_observer,
+    no_consensus_within,
+)
 from coordinator.evaluation.reference_estimate import start_reference_estimate
 from coordinator.evaluation.result import RunResult, write_files
 from coordinator.observe.events import EventLog
@@ -38,7 +44,7 @@ from coordinator.strategy_check import check_with_strategy
 from dsse_core.estimation.plan import FEWEST_BUSES_OF_RADIAL
 from dsse_core.linear import needs_compiled_code
 from scenarios.scenario import Scenario
-from scenarios.telemetry import make_telemetry
+from scenarios.telemetry import expect_telemetry
 
 DAYS_OF_A_RUN = 1.0  # that the keys of one secured run are valid
 MANY_AREAS = 50  # from which on the agents that start have the cores, and readings are made when all are there,
@@ -69,6 +75,7 @@ def run_scenario(
         run_id = f"{default_run_id(scenario)}-{secrets.token_hex(4)}"
         keys = _find_keys(scenario, run_id, launcher.mark, at_the_end, secure, keys)
         system = System(launcher, scenario, run_id, folder, keys=keys)
+        system.scan_every_s = scenario.renew_s
         run = RunUnderWay(scenario, run_id, folder, system, events, started)
         parent = {"parent_pid": launcher.pid, "mark": launcher.mark}
         events.write("run started", None, run=run_id, scenario=scenario.name, seed=scenario.seed, **parent)
@@ -138,25 +145,27 @@ def _run_with_router(run: RunUnderWay, on_update: Callable[[Progress], None] | N
         reason = None
         if len(scenario.partition.areas) >= MANY_AREAS:
             reason = _watch(run, observer, on_update, until=lambda _: _is_time_to_begin(run))
-        telemetry = make_telemetry(scenario)  # of fewer areas while they join
-        if reason is None:
+        telemetry = expect_telemetry(scenario)  # of fewer areas made while they join
+        if reason is None and scenario.telemetry.source != "live":
             run.note_time("plant_started")
-            run.system.start_plant(telemetry)
+            run.system.start_plant(telemetry if scenario.renew_s is None else None)
         reference_estimate = start_reference_estimate(
             scenario, telemetry, lambda: run.note_time("centralised_estimated")
         )
         reason = reason or _watch(run, observer, on_update, until=lambda obstacles: not obstacles)
+        used = run.used.put_into(telemetry)
         wall_s = time.monotonic() - run.started
     run.timing_s["last_change"] = max(0.0, observer.changed_at - run.started)
     run.note_time("verdict")
     run.events.write("consensus" if reason is None else "no consensus", reason=reason)
     run.system.launcher.stop()  # the processes end while the files are written
+    centralised = reference_estimate.result() if used is telemetry else estimate_centralised(scenario, used)
     outcome = evaluate(
         scenario,
         run.id,
         observer,
-        telemetry,
-        reference_estimate.result(),
+        used,
+        centralised,
         reason,
         started=run.started,
         wall_s=wall_s,
@@ -198,6 +207,7 @@ def _watch(
                 continue
             standing = observer.standing(now)
             obstacles = (*run.schedule.describe_next(), *standing.obstacles)
+            obstacles = obstacles or tuple(run.used.find_missing(observer.states))
             is_over = until(obstacles)
             if on_update and (now >= next_update or is_over):
                 next_update = now + UPDATE_S

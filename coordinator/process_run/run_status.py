@@ -9,11 +9,12 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from agents.messages.checks import MessageError, is_worth_writing
-from agents.messages.keys import all_live, all_states, clock_key, live_key, name_of_live, sender_of
-from agents.messages.packing import StateMessage, decode
+from agents.messages.keys import all_live, all_readings, all_states, clock_key, live_key, name_of_live, sender_of
+from agents.messages.packing import ReadingsMessage, StateMessage, decode
 from agents.runtime.presence import Presence, begin_incarnation, read_leave
 from agents.security.access import COORDINATOR, PLANT
 from agents.transport.zenoh_bus import Session
+from coordinator.evaluation.used_readings import UsedReadings
 from coordinator.observe.duplicates import Duplicate, Duplicates
 from coordinator.observe.events import EventLog
 from coordinator.observe.observer import Observer
@@ -67,6 +68,7 @@ class RunUnderWay:
     def __post_init__(self) -> None:
         self.schedule = FaultSchedule.of(self.scenario.faults.events)
         self.states = StateLog(self.events)
+        self.used = UsedReadings(self.scenario)
         self.duplicates = Duplicates(self.scenario.run.beat_s)
         self.clock = RunClock(self.id, self.scenario.run.beat_s, begin_incarnation())
 
@@ -82,16 +84,20 @@ def listen_to_processes(run: RunUnderWay) -> None:
 def listen(run: RunUnderWay, session: Session) -> None:
     """Have states and presence put into the run's updates, each with the time of its arrival."""
 
-    def on_state(key: str, payload: bytes) -> None:
+    def on_shown(key: str, payload: bytes) -> None:
         try:
             message = decode(payload)
         except MessageError as error:
             run.updates.offer(error)
-        else:
-            if isinstance(message, StateMessage) and message.header.sender == sender_of(key):
-                run.updates.offer(_StateReceived(time.monotonic(), message))
+            return
+        if isinstance(message, StateMessage) and message.header.sender == sender_of(key):
+            run.updates.offer(_StateReceived(time.monotonic(), message))
+        elif isinstance(message, ReadingsMessage) and message.header.sender == sender_of(key):
+            run.updates.offer(message)
 
-    session.subscribe(all_states(run.id), on_state)
+    session.subscribe(all_states(run.id), on_shown)
+    if run.scenario.renew_s is not None:
+        session.subscribe(all_readings(run.id), on_shown)
     known = {("plant", PLANT), ("coordinator", COORDINATOR)}
     known |= {("area", area.name) for area in run.scenario.partition.areas}
 
@@ -117,6 +123,8 @@ def take_update(run: RunUnderWay, observer: Observer, item: object) -> str | Non
             is_new = state.header.run == run.id and observer.take_state(state, at)
             if observer.states.get(state.header.sender) is state:  # neither a stranger's nor one that came too late
                 run.states.take(state, at, is_new)
+        case ReadingsMessage():
+            run.used.take(item)
         case _PresenceSeen(at, key, alive, leave_reason):
             if duplicate := run.duplicates.take(key, alive, at, leave_reason):
                 note_duplicates(run, [duplicate], at)

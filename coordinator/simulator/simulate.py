@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from agents.messages.packing import Message, StateMessage
+from agents.messages.packing import Message, ReadingsMessage, StateMessage
 from coordinator.deployment.split import area_files, default_run_id
 from coordinator.evaluation.evaluation import (
     NO_CHANGES,
@@ -18,13 +18,15 @@ from coordinator.evaluation.evaluation import (
     no_consensus_within,
 )
 from coordinator.evaluation.result import RunOutcome, RunResult, write_files
+from coordinator.evaluation.used_readings import UsedReadings
 from coordinator.observe.events import EventLog
 from coordinator.observe.progress import UPDATE_S, Progress, describe_progress
 from coordinator.observe.state_log import StateLog
+from coordinator.plant.held_readings import HeldReadings
 from coordinator.process_run.fault_schedule import FaultSchedule
 from coordinator.run_folder import make_run_folder
 from coordinator.simulator.faults import SimulatorFaults
-from coordinator.simulator.simulator import SimulatedBus
+from coordinator.simulator.simulator import STARTED_AT, SimulatedBus
 from coordinator.strategy_check import check_with_strategy
 from scenarios.faults.faults import LinkChanges
 from scenarios.scenario import Scenario
@@ -67,6 +69,9 @@ class Audience:
     def take_state(self, at: float, state: StateMessage) -> None:
         """An area has published ``state``."""
 
+    def take_readings(self, at: float, readings: ReadingsMessage) -> None:
+        """An area has published the readings that it has used."""
+
     def take_presence(self, at: float, area: str, alive: bool) -> None:
         """An area has appeared or vanished."""
 
@@ -105,14 +110,19 @@ class Simulation:
         self._write(0.0, "run started", run=self.id, scenario=scenario.name, seed=scenario.seed)
         files = area_files(scenario, self.id, NO_BUS)
         late_s = find_lateness(scenario, FIRST_SCAN)
+        self._used = UsedReadings(scenario)
         self._bus = SimulatedBus(
             files,
             self._telemetry.by_area,
             self._take_state,
             self._take_presence,
-            late_s,
-            self._audience.take_message,
+            late_s=late_s,
+            on_message=self._audience.take_message,
+            on_readings=self._take_readings,
         )
+        self._held = HeldReadings(scenario.reading_rules[files[0].area.name].kinds)
+        self._held.take(self._telemetry.by_area, STARTED_AT)
+        self._renew_later()
         self._faults = SimulatorFaults(self._bus, scenario.transport.routers)
 
     def run(self) -> str | None:
@@ -128,6 +138,7 @@ class Simulation:
                 self._observer.take_fault(now)
             standing = self._observer.standing(now)
             obstacles = (*self._schedule.describe_next(), *standing.obstacles)
+            obstacles = obstacles or tuple(self._used.find_missing(self._observer.states))
             if now - self._observer.changed_at >= check_s and not obstacles:
                 return None
             if not self._schedule.steps and standing.dead_end:
@@ -135,17 +146,33 @@ class Simulation:
             if now >= settings.timeout_s:
                 return no_consensus_within(self._scenario, obstacles)
 
+    def _renew_later(self) -> None:
+        """Have the plant make its next scan when it is due, if readings are to be made anew."""
+        if self._scenario.renew_s is not None:
+            self._bus.at(self._bus.now + self._scenario.renew_s, self._renew)
+
+    def _renew(self) -> None:
+        scan = self._bus.scan + 1
+        fresh = make_telemetry(self._scenario, scan).by_area
+        readings, read_at = self._held.take(fresh, STARTED_AT + self._bus.now)
+        times = {meter_id: at - STARTED_AT for meter_id, at in read_at.items()}
+        self._bus.next_scan(readings, find_lateness(self._scenario, scan), times)
+        self._renew_later()
+
     def evaluate(self, reason: str | None) -> RunOutcome:
         """The outcome up to now; ``reason``: why there is no consensus, None if there is."""
         now = self._bus.now
         self._write(now, "consensus" if reason is None else "no consensus", reason=reason)
         self._write(now, "run ended")
+        telemetry, centralised = self._used.put_into(self._telemetry), self._centralised
+        if telemetry is not self._telemetry:
+            centralised = estimate_centralised(self._scenario, telemetry)
         return evaluate(
             self._scenario,
             self.id,
             self._observer,
-            self._telemetry,
-            self._centralised,
+            telemetry,
+            centralised,
             reason,
             started=0.0,
             wall_s=time.monotonic() - self._started,
@@ -162,6 +189,10 @@ class Simulation:
         if self._on_update and time.monotonic() >= self._next_update:
             self._on_update(describe_progress(self._observer, at, self._observer.standing(at).obstacles))
             self._next_update = time.monotonic() + UPDATE_S
+
+    def _take_readings(self, at: float, readings: ReadingsMessage) -> None:
+        self._audience.take_readings(at, readings)
+        self._used.take(readings)
 
     def _take_presence(self, at: float, area: str, alive: bool) -> None:
         self._audience.take_presence(at, area, alive)

@@ -55,6 +55,9 @@ class Play(Audience):
     def take_state(self, at: float, state: StateMessage) -> None:
         self.happenings.append((at, state))
 
+    def take_readings(self, at: float, readings: ReadingsMessage) -> None:
+        self.happenings.append((at, readings))
+
     def take_presence(self, at: float, area: str, alive: bool) -> None:
         self.happenings.append((at, Presence(live_key("played", "area", area, IN_SIMULATION), alive)))
 

@@ -1,0 +1,58 @@
+"""The readings that areas have used in the scan that they show, which a verdict on that scan compares with.
+
+Where readings age, or clocks number scans, nobody else knows which those are: not the newest of a plant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+
+from agents.messages.packing import ReadingsMessage, StateMessage
+from dsse_core.grid.measurement import Measurement, Source
+from scenarios.scenario import Scenario
+from scenarios.telemetry import Telemetry
+
+
+class UsedReadings:
+    """The newest that each area has said; nothing is asked of areas whose readings do not age."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._scenario = scenario
+        self._is_needed = scenario.renew_s is not None
+        self._meters = {meter.id: meter for meter in scenario.meters} if self._is_needed else {}
+        self._virtual = [meter for meter in self._meters.values() if meter.source is Source.VIRTUAL]
+        self._newest: dict[str, ReadingsMessage] = {}
+
+    def take(self, message: ReadingsMessage) -> None:
+        """An area has said what it has used."""
+        known = self._newest.get(message.header.sender)
+        if self._is_needed and (known is None or message.header.order > known.header.order):
+            self._newest[message.header.sender] = message
+
+    def find_missing(self, states: Mapping[str, StateMessage]) -> Iterator[str]:
+        """Why the scan that ``states`` show cannot be judged yet."""
+        for name, state in sorted(states.items()) if self._is_needed else ():
+            used = self._newest.get(name)
+            if used is None or (used.header.incarnation, used.header.scan, used.taken_at) != (
+                state.header.incarnation,
+                state.header.scan,
+                state.taken_at,
+            ):
+                yield f"which readings {name} has used in scan {state.header.scan} is not known yet"
+
+    def put_into(self, telemetry: Telemetry) -> Telemetry:
+        """``telemetry`` with the readings that were used, where those are others."""
+        if not self._is_needed:
+            return telemetry
+        by_area = {area.name: self._readings_of(area.name) for area in self._scenario.partition.areas}
+        virtual = tuple(Measurement(meter, 0.0, 0.0) for meter in self._virtual)
+        union = tuple(m for part in by_area.values() for m in part)
+        return replace(telemetry, by_area=by_area, union=(*union, *virtual))
+
+    def _readings_of(self, area: str) -> tuple[Measurement, ...]:
+        used = self._newest.get(area)
+        if used is None:
+            return ()
+        columns = zip(used.meters, used.values, used.sigmas, strict=True)
+        return tuple(Measurement(self._meters[k], value, sigma) for k, value, sigma in columns if k in self._meters)

@@ -1,0 +1,44 @@
+"""What meters that read at intervals have read last, as a gateway knows it between two of their readings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from dsse_core.grid.measurement import Measurement, MeasurementKind
+from dsse_core.reading_rules import KindRule
+
+Held = tuple[dict[str, tuple[Measurement, ...]], dict[str, float]]
+"""Area -> its readings, and meter id -> when it was read."""
+
+
+class HeldReadings:
+    """Keeps the readings of meters with an interval until the next ones are due.
+
+    ``rules``: kind of meter -> its rule. Intervals count from multiples of themselves, as meters in the field do.
+    """
+
+    def __init__(self, rules: Mapping[MeasurementKind, KindRule]) -> None:
+        self._periods = {kind: rule.period_s for kind, rule in rules.items() if rule.period_s}
+        self._interval: dict[MeasurementKind, int] = {}  # in which the meters of a kind read last
+        self._held: dict[str, dict[str, tuple[Measurement, float]]] = {}
+
+    def take(self, by_area: Mapping[str, Sequence[Measurement]], now: float) -> Held:
+        """All meters could be read ``now``, s: those that are due are, of the others the last reading stays.
+
+        A meter that is due and has no reading keeps its last one; one without interval has none then.
+        """
+        interval = {kind: int(now // period_s) for kind, period_s in self._periods.items()}
+        due = {kind for kind, number in interval.items() if self._interval.get(kind) != number}
+        self._interval = interval
+        for area, part in by_area.items():
+            held = self._held.get(area, {})
+            kept = {meter_id: pair for meter_id, pair in held.items() if pair[0].meter.kind in self._periods}
+            fresh = {m.meter.id: m for m in part}
+            kept |= {
+                meter_id: (m, now)
+                for meter_id, m in fresh.items()
+                if m.meter.kind not in self._periods or m.meter.kind in due or meter_id not in kept
+            }
+            self._held[area] = kept
+        readings = {area: tuple(m for m, _ in held.values()) for area, held in self._held.items()}
+        return readings, {meter_id: at for held in self._held.values() for meter_id, (_, at) in held.items()}
