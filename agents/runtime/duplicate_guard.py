@@ -13,8 +13,8 @@ from agents.peers.rejections import LONGEST_LEAD_S
 from agents.runtime.presence import MAX_INCARNATIONS
 from dsse_core.errors import DsseError
 
-# The larger of both: longer than the bus takes to notice a death (2 s or 3 heartbeats).
-OVERLAP_S, OVERLAP_HEARTBEATS = 3.0, 4.5
+# The larger of both: longer than the bus takes to notice a death (2 s or 8 heartbeats).
+OVERLAP_S, OVERLAP_HEARTBEATS = 3.0, 12.0
 GIVES_WAY = "gives way to a newer incarnation"  # leave message of the older one
 REPLACED_CODE = 3  # its exit code: started again, it would be the newer one, and the other one would have to go
 

@@ -7,12 +7,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from agents.messages.packing import MAX_BYTES
+from agents.peers.freshness import PATIENCE_HEARTBEATS
 from agents.security.access import zenoh_access_control
 from agents.security.credential_files import Credentials
 from agents.security.credentials import Keys
 
 SHORTEST_LEASE_S = 2.0
-LEASE_HEARTBEATS = 3  # by then, what has come over the link is stale anyway; where there are many, heartbeats are long
+LEASE_HEARTBEATS = PATIENCE_HEARTBEATS  # where hundreds share two cores, one may have to wait that long for its turn
 RETRY = {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 2}
 
 

@@ -9,7 +9,7 @@ from agents.messages.packing import Incarnation
 from agents.runtime.duplicate_guard import GIVES_WAY
 from agents.runtime.presence import MAX_INCARNATIONS
 
-SURE_S, SURE_HEARTBEATS = 2.5, 3.75  # the larger: when the bus must have noticed a death, and nobody has given way yet
+SURE_S, SURE_HEARTBEATS = 2.5, 10.0  # the larger: when the bus must have noticed a death, and nobody has given way yet
 NOUNS = {"area": "agents of area {}", "plant": "plants"}
 
 

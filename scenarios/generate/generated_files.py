@@ -38,7 +38,7 @@ injection = {{ buses = "all", sigma_percent = {injection_percent} }}
 [run]
 beat_s = {beat_s}
 """
-SHORTEST_HEARTBEAT_S, LONGEST_HEARTBEAT_S = 0.2, 2.0
+SHORTEST_HEARTBEAT_S, LONGEST_HEARTBEAT_S = 0.2, 10.0
 REPEATS_PER_S = 100  # of all areas together, each with its whole state: what one who watches has to read
 
 

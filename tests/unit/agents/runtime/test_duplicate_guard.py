@@ -33,9 +33,9 @@ def test_it_gives_way_to_a_newer_incarnation_that_stays_and_says_whose_and_which
 def test_it_waits_longer_where_heartbeats_are_long_and_with_them_the_lease():
     watched = guard(beat_s=2.0)
     watched.take(token(), True, 101.0)
-    watched.check(101.0 + 3 * 2.0)
+    watched.check(101.0 + 8 * 2.0)
     with pytest.raises(ReplacedError):
-        watched.check(101.0 + 4.5 * 2.0)
+        watched.check(101.0 + 12 * 2.0)
 
 
 def test_a_token_that_vanishes_in_time_was_that_of_a_dead_incarnation_and_is_no_reason_to_go():

@@ -63,5 +63,5 @@ def test_where_heartbeats_are_long_a_dead_ones_token_may_be_there_for_longer():
     duplicates = Duplicates(beat_s=2.0)
     for key in tokens("area", "area1"):
         duplicates.take(key, True, 0.0)
-    assert duplicates.find_lasting(3 * 2.0) == []
-    assert len(duplicates.find_lasting(4 * 2.0)) == 1
+    assert duplicates.find_lasting(8 * 2.0) == []
+    assert len(duplicates.find_lasting(10 * 2.0)) == 1

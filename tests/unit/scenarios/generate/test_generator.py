@@ -106,6 +106,11 @@ def test_broken_json_is_rejected_with_its_place(tmp_path: Path) -> None:
         load_network(path)
 
 
+def test_all_areas_together_repeat_themselves_a_hundred_times_a_second_however_many_they_are(tmp_path: Path) -> None:
+    write_generated(tmp_path, 1500, 7, n_area=500)
+    assert load_scenario(tmp_path / "scenario.toml", strategies=["information"]).run.beat_s == 5.0
+
+
 def test_meters_do_not_change_the_network(tmp_path: Path) -> None:
     write_generated(tmp_path / "many", 150, 7, n_area=6)
     write_generated(tmp_path / "few", 150, 7, n_area=6, meters="sparse")
