@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,7 @@ from dsse_core.grid.measurement import MeasurementKind
 from dsse_core.grid.measurement_model import MeasurementModel
 from dsse_core.grid.network import Network
 
+Walk = Callable[[np.ndarray, np.ndarray, int, int], tuple[np.ndarray, np.ndarray]]
 _INJECTIONS = (MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION)
 
 
@@ -28,20 +30,27 @@ class Tree:
     t: np.ndarray
 
 
-def find_tree(network: Network, root: int) -> Tree | str:
-    """The tree of the network below bus ``root``, or, as text, why it is none."""
+def walk_graph(f: np.ndarray, t: np.ndarray, top: int, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """The rows of n that are reached from ``top`` over branches from ``f`` to ``t`` (n_branch,): those from the top, a
+    subtree in one piece, and of each the row next on the way to the top, (n,), the top's being its own.
+    """
+    graph = sp.csr_array((np.ones(len(f)), (f, t)), shape=(n, n))
+    order, upstream = csgraph.depth_first_order(graph, top, directed=False, return_predecessors=True)
+    upstream = upstream.astype(np.int64)
+    upstream[top] = top
+    return order.astype(np.int64), upstream
+
+
+def find_tree(network: Network, root: int, walk: Walk = walk_graph) -> Tree | str:
+    """The tree of the network below bus ``root``, or, as text, why it is none; ``walk``: or one as ``walk_graph``."""
     table = network.table
     f, t, n = table.f, table.t, len(table.bus_id)
     if len(f) != n - 1:
         return f"the network is not radial: {n} buses, {len(f)} branches in service"
-    top = int(table.rows.find(np.array([root]))[0])
-    graph = sp.csr_array((np.ones(len(f)), (f, t)), shape=(n, n))
-    order, upstream = csgraph.depth_first_order(graph, top, directed=False, return_predecessors=True)
+    order, upstream = walk(f, t, int(table.rows.find(np.array([root]))[0]), n)
     if len(order) != n:
         return f"the network is not radial: {n - len(order)} buses are out of reach of bus {root}"
-    upstream = upstream.astype(np.int64)
-    upstream[top] = top
-    return Tree(order.astype(np.int64), upstream, f, t)
+    return Tree(order, upstream, f, t)
 
 
 @dataclass(frozen=True)
