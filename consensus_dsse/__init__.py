@@ -1,7 +1,8 @@
 """Decentralised state estimation of power grids from Python: ``import consensus_dsse as dsse``.
 
 ``run``, ``simulate``, ``compare`` and ``sweep`` do what the commands of ``dsse`` do; ``estimate`` and ``power_flow``
-give what a control centre would know and what is true. Results have the tables ``buses``, ``branches``, ``meters`` and
+give what a control centre would know and what is true, ``estimate_batch`` estimates many scans at once. Results have
+the tables ``buses``, ``branches``, ``meters`` and
 ``areas``: columns by name, ``to_pandas()``. Everything is imported when it is first used.
 """
 
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
     from coordinator import run, simulate
     from coordinator.evaluation.result import RunResult
     from dsse_core.errors import DsseError, InvalidInputError
+    from dsse_core.estimation.batch import estimate_batch
+    from dsse_core.estimation.plan import build_estimation_plan
     from dsse_core.results.table import Table
 
 __all__ = [
@@ -25,8 +28,10 @@ __all__ = [
     "PowerFlow",
     "RunResult",
     "Table",
+    "build_estimation_plan",
     "compare",
     "estimate",
+    "estimate_batch",
     "load_network",
     "load_scenario",
     "power_flow",
@@ -43,8 +48,10 @@ _MODULES = {
     "PowerFlow": "consensus_dsse.centralised",
     "RunResult": "coordinator.evaluation.result",
     "Table": "dsse_core.results.table",
+    "build_estimation_plan": "dsse_core.estimation.plan",
     "compare": "consensus_dsse.studies",
     "estimate": "consensus_dsse.centralised",
+    "estimate_batch": "dsse_core.estimation.batch",
     "load_network": "consensus_dsse.grids",
     "load_scenario": "consensus_dsse.grids",
     "power_flow": "consensus_dsse.centralised",

@@ -91,6 +91,12 @@ def estimate_batch(
         tolerance: see ``estimate_with_plan``.
         threads: how many; all processors by default. The numbers do not depend on it.
 
+    >>> import consensus_dsse as dsse, numpy as np
+    >>> scan = dsse.estimate("ieee33").report.result
+    >>> batch = dsse.estimate_batch(scan.plan, np.stack([scan.values, scan.values]), scan.sigmas)
+    >>> batch.vm.shape, batch.failures
+    ((2, 33), {})
+
     Raises:
         InvalidInputError: shapes that do not fit, sigmas for all rows that cannot be. What is wrong with one row is in
             ``failures``.

@@ -97,6 +97,11 @@ def build_estimation_plan(
         backend: ``radial`` (compiled, radial networks, numba), ``sparse`` (any network), or ``auto``: radial where it
             can serve and the network has FEWEST_BUSES_OF_RADIAL buses or more, whatever is loaded already.
 
+    >>> import consensus_dsse as dsse
+    >>> scenario = dsse.load_scenario("ieee33")
+    >>> dsse.build_estimation_plan(scenario.network, scenario.meters).degrees_of_freedom > 0
+    True
+
     Raises:
         InvalidInputError: listing every meter that does not fit the network; or why radial cannot serve.
         NotObservableError: names the buses that the meters do not determine.
