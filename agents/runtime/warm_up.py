@@ -61,7 +61,7 @@ def warm_up_estimate() -> None:
     bad = [replace(readings[0], value=readings[0].value + 100 * SIGMA), *readings[1:]]
     report = process_bad_data(NETWORK, bad, backend="radial")
     estimate_state(NETWORK, readings, start=(report.result.vm, report.result.va), backend="radial")
-    find_deviations(report.result)
+    find_deviations(report.result).find_totals()
     _note("estimate")
 
 

@@ -16,6 +16,7 @@ import click
 from benchmarks.commands.cost import Cost, measure
 from benchmarks.commands.growth import find_exponent, find_n_log_n
 from benchmarks.commands.sizes import BUSES_OF_AN_AREA, SEED, count_areas
+from benchmarks.figures import figures_option, write_section
 from benchmarks.machine import describe_machine
 
 PACKAGES = ("numpy", "scipy", "pydantic", "numba", "consensus-dsse")
@@ -50,7 +51,8 @@ COMMANDS: Mapping[str, Command] = {
 @click.option("--only", help=f"Some of the commands, joined by commas: {'; '.join(COMMANDS)}.")
 @click.option("--runs", type=click.IntRange(1), default=3, help="Runs of which the least counts.")
 @click.option("--out", type=click.Path(path_type=Path), help="Write commands.md and commands.json there, too.")
-def main(sizes: str, only: str | None, runs: int, out: Path | None) -> None:
+@figures_option
+def main(sizes: str, only: str | None, runs: int, out: Path | None, figures: str | None) -> None:
     """Processor time and memory of every command against the size of a generated feeder, with the exponent of growth.
 
     A feeder has an area for every 500 buses. The exponent k is that of a + b n^k through the last three sizes, so that
@@ -69,8 +71,12 @@ def main(sizes: str, only: str | None, runs: int, out: Path | None) -> None:
                     costs[key][n_bus] = _measure_least(command, n_bus, folder, runs)
                     click.echo(f"{key}, {n_bus} buses: {costs[key][n_bus].cpu_s:.2f} s", err=True)
     machine = describe_machine(PACKAGES)
-    text = "\n".join([*(f"- {name}: {value}" for name, value in machine.items()), "", *_format_rows(costs)])
+    table = "\n".join(_format_rows(costs))
+    areas = f"Areas of {BUSES_OF_AN_AREA} buses. s of a processor / MiB; k of the last three sizes."
+    text = "\n".join([*(f"- {name}: {value}" for name, value in machine.items()), "", areas, "", table])
     click.echo(text)
+    if figures:
+        write_section(figures, machine, table)
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         (out / "commands.md").write_text(text + "\n", encoding="utf-8")
@@ -90,8 +96,6 @@ def _measure_least(command: Command, n_bus: int, folder: Path, runs: int) -> Cos
 def _format_rows(costs: Mapping[str, Mapping[int, Cost]]) -> list[str]:
     """A markdown table: time and memory at each size, the exponents, and what grows faster than n log n."""
     lines = [
-        f"Areas of {BUSES_OF_AN_AREA} buses. s of a processor / MiB; k of the last three sizes.",
-        "",
         "| command | buses: s / MiB | k of time | k of memory | faster than n log n |",
         "|---|---|---|---|---|",
     ]

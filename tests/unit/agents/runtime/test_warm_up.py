@@ -40,6 +40,7 @@ from dsse_core.estimation.batch import estimate_batch
 from dsse_core.estimation.estimator import estimate_with_plan
 from dsse_core.estimation.plan import build_estimation_plan
 from dsse_core.power_flow.batch import solve_power_flow_batch
+from dsse_core.results.results import results_of_estimate
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import read_meters
 
@@ -56,6 +57,7 @@ for threads in (1, 2):
     found = estimate_batch(plan, values, sigmas, threads=threads)
     estimate_batch(plan, values, sigmas[0], start=(found.vm[0], found.va[0]), threads=threads)
     estimate_with_plan(plan, values[0], sigmas[0], threads=threads)
+results_of_estimate(estimate_with_plan(plan, values[0], sigmas[0])).areas
 s = np.tile(scenario.network.scheduled, (3, 1))
 solve_power_flow_batch(scenario.network, s.real.copy(), s.imag.copy(), method="sweep")
 print("compiled", len(compiled), "failed", len(found.failures))

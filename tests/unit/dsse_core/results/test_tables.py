@@ -14,6 +14,7 @@ from dsse_core.estimation.estimator import estimate_state
 from dsse_core.grid.division import build_partition
 from dsse_core.grid.measurement import MeasurementKind, Meter
 from dsse_core.power_flow.newton_raphson import solve_power_flow
+from dsse_core.results import deviations
 from dsse_core.results.meters import make_meter_table
 from dsse_core.results.results import Results, results_of_estimate, results_of_power_flow
 from dsse_core.results.state import find_state, read_state
@@ -50,6 +51,18 @@ def test_normalised_residuals_are_those_of_dense_algebra(meshed, meters_of, read
     of_power = np.isin(table.unit, ("kw", "kvar"))
     np.testing.assert_allclose(table.residual[of_power], result.residual[of_power] * rich.base_mva * 1e3, atol=1e-7)
     assert set(table.status) == {"used"}
+
+
+def test_totals_of_areas_are_not_derived_before_they_are_asked_for(meshed, meters_of, read, backend, rich, monkeypatch):
+    readings = read(solve_power_flow(rich), meters_of(rich, Kind.VM, *POWERS, Kind.P_FLOW, Kind.Q_FLOW))
+    result, asked = estimate_state(rich, readings, backend=backend), []
+    find = deviations.find_total_gradients
+    monkeypatch.setattr(deviations, "find_total_gradients", lambda *given: asked.append(given) or find(*given))
+    tables = results_of_estimate(result)
+    assert len(tables.buses) == len(rich.buses)
+    assert asked == []
+    assert (tables.areas.sigma_loss_kw > 0).all()
+    assert len(asked) == 1
 
 
 def test_every_meter_says_what_became_of_it(meshed, meters_of, read):
