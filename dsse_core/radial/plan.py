@@ -73,7 +73,8 @@ class RadialPlan:
 
     @cached_property
     def has_currents(self) -> bool:
-        return bool(np.isin(self.slot % N_SLOT, (6, 9)).any())
+        column = self.slot % N_SLOT
+        return bool(((column == 6) | (column == 9)).any())
 
 
 @dataclass(frozen=True)
