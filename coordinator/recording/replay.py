@@ -7,6 +7,7 @@ numbers the scans. Faults of links are those of the area files.
 from __future__ import annotations
 
 import time
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -58,6 +59,13 @@ class Comparison:
     missing: list[tuple[int, str]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
+    def describe_left_out(self) -> list[str]:
+        """Why scans were not played, each reason with the first of them."""
+        why: dict[str, list[int]] = defaultdict(list)
+        for scan, reason in self.left_out.items():
+            why[reason].append(scan)
+        return [f"left out, {reason}: scan {listed(scans, MOST_NAMED)}" for reason, scans in why.items()]
+
     @property
     def agrees(self) -> bool:
         """Whether all good states of the scans that were played came out again."""
@@ -104,7 +112,7 @@ def replay(
         on_scan(tick)
     if not found.scans:
         problem = "there is no scan of which the readings of all areas that took part are recorded"
-        raise InvalidInputError(str(folder), [problem, *found.notes])
+        raise InvalidInputError(str(folder), [problem, *found.describe_left_out(), *found.notes])
     return found
 
 

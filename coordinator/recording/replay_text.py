@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-
 import numpy as np
 
 from coordinator.recording.replay import MOST_NAMED, TOLERANCE, Comparison
@@ -26,11 +24,8 @@ def format_replay(found: Comparison, where: str, wall_s: float) -> str:
     if found.missing:
         names = [f"{area} in {scan}" for scan, area in found.missing]
         lines.append(f"not found again: {listed(names, MOST_NAMED)}")
-    why: dict[str, list[int]] = defaultdict(list)
-    for scan, reason in found.left_out.items():
-        why[reason].append(scan)
-    lines += [f"note: left out, {reason}: scan {listed(scans, MOST_NAMED)}" for reason, scans in why.items()]
-    return "\n".join([*lines, *(f"note: {text}" for text in found.notes)])
+    notes = [*found.describe_left_out(), *found.notes]
+    return "\n".join([*lines, *(f"note: {text}" for text in notes)])
 
 
 def _describe(differences: np.ndarray) -> str:

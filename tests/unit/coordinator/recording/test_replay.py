@@ -1,0 +1,126 @@
+"""Replay: the same readings give the same states; what is not recorded is named and nothing else is left out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from recordings import AT, RUN, entry_of, load_areas_of, make_readings, make_state, record_simulated
+
+from coordinator.recording.closing import close_ended
+from coordinator.recording.folder import LOGS, begin_writing, list_segments, table_of
+from coordinator.recording.frames import MARK
+from coordinator.recording.play import play_on_simulator
+from coordinator.recording.recorder import Recorder
+from coordinator.recording.replay_text import format_replay
+from coordinator.recording.segment_log import SegmentLog
+from coordinator.recording.ticks import read_ticks
+from dsse_core.errors import InvalidInputError
+from scenarios.scenario import load_scenario
+
+
+@pytest.mark.parametrize("is_closed", [True, False])
+@pytest.mark.parametrize("scenario", ["ieee33", "ieee33-lossy", "industrial13"])
+def test_a_replay_on_the_simulator_has_the_recorded_states_to_the_bit(
+    tmp_path: Path, scenario: str, is_closed: bool
+) -> None:
+    folder = record_simulated(tmp_path, 4, scenario)
+    if is_closed:
+        close_ended(folder)
+    found = play_on_simulator(folder)
+    areas = len(load_areas_of(load_scenario(scenario)))
+    assert (found.scans, found.compared, found.unequal) == (4, 4 * areas, 0)
+    assert found.agrees
+    assert not found.left_out
+    assert "to the bit" in format_replay(found, "the simulator", 1.0)
+
+
+def test_a_change_of_one_reading_is_seen(tmp_path: Path) -> None:
+    folder = tmp_path / "a"
+    record_simulated(folder, 2)
+    original = list(read_ticks(folder, []))
+    changed = original[1].readings["area2"]
+    message = make_readings(load_areas_of()[1], 2, 3, AT)
+    values = tuple(1.02 * value for value in changed.values)
+    message = type(message)(
+        message.header, changed.taken_at, changed.meters, values, changed.sigmas, (AT,) * len(values)
+    )
+    with begin_writing(folder, RUN):
+        log = SegmentLog(folder)
+        Recorder(log, RUN).take([entry_of(message, 1_800_000_000.0)])
+        log.close()
+    found = play_on_simulator(folder)
+    assert not found.agrees
+    assert found.unequal == 3
+    assert "DIFFERENT" in format_replay(found, "the simulator", 1.0)
+
+
+def test_an_area_that_was_not_there_takes_no_part(tmp_path: Path) -> None:
+    folder = record_simulated(tmp_path, 4, away={"area3": 2}, between_s=5.0)
+    found = play_on_simulator(folder)
+    assert found.scans == 4
+    assert not found.left_out
+    assert found.agrees
+    assert found.compared >= 3 * 3
+
+
+def test_a_scan_without_the_readings_of_an_area_is_named_and_the_others_are_played(tmp_path: Path) -> None:
+    folder = record_simulated(tmp_path, 4)
+    (path,) = (folder / LOGS).iterdir()
+    content = bytearray(path.read_bytes())
+    frames = content.split(MARK)
+    at = next(k for k, frame in enumerate(frames) if b"readings" in frame[:200] and b"area2" in frame[:200])
+    frames[at] = frames[at][:-1] + bytes([frames[at][-1] ^ 1])
+    path.write_bytes(MARK.join(frames))
+    found = play_on_simulator(folder)
+    assert found.left_out == {1: "no readings of area2 are recorded"}
+    assert found.scans == 3
+    assert found.agrees
+    assert "frames are damaged" in found.notes[0]
+    assert "left out, no readings of area2 are recorded: scan 1" in format_replay(found, "the simulator", 1.0)
+
+
+def test_a_missing_hour_leaves_out_its_scans_alone(tmp_path: Path) -> None:
+    folder = record_simulated(tmp_path, 6, apart_s=1500.0)  # two or three an hour
+    close_ended(folder)
+    segments = list_segments(folder)
+    assert len(segments) == 3
+    table_of(folder, "readings", segments[1]).unlink()
+    found = play_on_simulator(folder)
+    assert set(found.left_out.values()) == {"no readings of area1, area2, area3 are recorded"}
+    assert found.scans + len(found.left_out) == 6
+    assert found.agrees
+
+
+def test_a_foreign_table_is_one_note(tmp_path: Path) -> None:
+    folder = record_simulated(tmp_path, 3)
+    close_ended(folder)
+    (folder / "events" / "20200101T000000-000.parquet").write_bytes(b"PAR1 not at all")
+    found = play_on_simulator(folder)
+    assert found.agrees
+    assert found.scans == 3
+    assert "is no table of a recording" in found.notes[0]
+
+
+def test_without_area_files_a_scenario_must_be_given(tmp_path: Path) -> None:
+    with begin_writing(tmp_path, RUN):
+        log = SegmentLog(tmp_path)
+        Recorder(log, RUN).take([entry_of(make_readings(load_areas_of()[0]))])
+        log.close()
+    with pytest.raises(InvalidInputError, match="say by --scenario"):
+        play_on_simulator(tmp_path)
+
+
+def test_a_recording_without_readings_is_one_clear_error(tmp_path: Path) -> None:
+    with begin_writing(tmp_path, RUN, load_areas_of()):
+        log = SegmentLog(tmp_path)
+        Recorder(log, RUN).take([entry_of(make_state(content)) for content in load_areas_of()])
+        log.close()
+    with pytest.raises(InvalidInputError, match="no scan of which the readings"):
+        play_on_simulator(tmp_path)
+
+
+def test_the_areas_of_another_grid_are_one_clear_error(tmp_path: Path) -> None:
+    folder = record_simulated(tmp_path, 2)
+    with pytest.raises(InvalidInputError, match="area area3 is not among the area files: scan 1, 2"):
+        play_on_simulator(folder, load_scenario("industrial13"))
