@@ -10,6 +10,7 @@ from dsse_core.errors import InvalidInputError
 
 PARTS = ("areas", "logs")
 EVENTS = "events.jsonl"
+RECORDING = "recording"  # folder, where the scenario asks for one
 
 
 def make_run_folder(out: str | Path | None, name: str, inside: Sequence[str] = ()) -> Path:

@@ -27,6 +27,7 @@ from scenarios.files.network_file import load_case, load_network
 from scenarios.files.readings_file import load_readings
 from scenarios.files.scenario_file import (
     CountTable,
+    RecordTable,
     RunTable,
     ScenarioFile,
     SwitchesTable,
@@ -46,7 +47,7 @@ from scenarios.meters import (
 from scenarios.reading_rules import build_reading_rules, find_gateway_problems
 
 AreaBuses = Mapping[str, Sequence[int]]
-RESERVED = {ALL_AREAS, "coordinator", "plant", "router", "router2"}
+RESERVED = {ALL_AREAS, "coordinator", "plant", "recorder", "router", "router2"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +66,7 @@ class TelemetrySettings:
 
 @dataclass(frozen=True, repr=False)
 class Scenario:
-    """A checked scenario, in p.u. and rad; ``tolerances``, ``run`` and ``transport`` are the tables of its file.
+    """A checked scenario, in p.u. and rad; ``tolerances``, ``run``, ``transport`` and ``record``: tables of its file.
 
     ``meters`` are all that the telemetry reads: with ``area-power-flow`` no injection at boundary buses, because an
     area's own power flow knows only its net load there. ``load_error`` and ``reading_rules`` have every area.
@@ -91,6 +92,7 @@ class Scenario:
     transport: TransportTable
     limits: StateLimits
     reading_rules: Mapping[str, ReadingRules]
+    record: RecordTable | None = None
     changes: Mapping[str, object] = field(default_factory=dict)
 
     @property
@@ -327,4 +329,5 @@ def _build_scenario(
             most_overdue=file.quality.most_overdue,
         ),
         reading_rules=build_reading_rules(file, partition, meters),
+        record=file.record,
     )

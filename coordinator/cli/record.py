@@ -22,7 +22,7 @@ from coordinator.cli.terminal import (
 from coordinator.interrupts import end_orderly_on_signals
 
 if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts fast
-    from coordinator.recording.ticks import Tick
+    from coordinator.replay.ticks import Tick
 
 LINE_S = 1.0  # between two lines of progress
 SPEED = Number(min=0, min_open=True)
@@ -61,7 +61,8 @@ def record(
     from coordinator.cli.watch_session import join_run
     from coordinator.deployment.split import area_files
     from coordinator.evaluation.evaluation import choose_scenario
-    from coordinator.recording.bus_recorder import Order, record_from
+    from coordinator.recording.bus_recorder import record_from
+    from coordinator.recording.order import Order
     from coordinator.recording.parquet import has_parquet
 
     start_log()
@@ -95,8 +96,8 @@ def replay(folder: Path, processes: bool, speed: float | None, scenario: str | N
                dsse replay recordings/ieee33 --processes --speed 10
     """
     from coordinator.evaluation.evaluation import choose_scenario
-    from coordinator.recording.play import play_on_processes, play_on_simulator
-    from coordinator.recording.replay_text import format_replay
+    from coordinator.replay.play import play_on_processes, play_on_simulator
+    from coordinator.replay.text import format_replay
 
     end_orderly_on_signals()
     other = None if scenario is None else choose_scenario(scenario)

@@ -39,7 +39,7 @@ from coordinator.process_run.run_status import (
     take_update,
 )
 from coordinator.process_run.system import System
-from coordinator.run_folder import EVENTS, PARTS, make_run_folder
+from coordinator.run_folder import EVENTS, PARTS, RECORDING, make_run_folder
 from coordinator.strategy_check import check_with_strategy
 from dsse_core.estimation.plan import FEWEST_BUSES_OF_RADIAL
 from dsse_core.linear import needs_compiled_code
@@ -86,11 +86,17 @@ def run_scenario(
         try:
             run.system.start_bus(lambda: _wait_for_router(run))
             run.note_time("router_listens")
+            if scenario.record is not None:
+                run.system.start_recorder(folder / RECORDING, scenario.record.limit_gb, lambda: _wait_for_router(run))
             return _run_with_router(run, on_update)
         finally:
             launcher.close()
             note_ends(run)
             events.write("run ended")
+            if scenario.record is not None:
+                from coordinator.recording.closing import close_recording  # which most runs do not need
+
+                close_recording(folder / RECORDING)
 
 
 def _find_solvers(scenario: Scenario) -> tuple[str, ...]:

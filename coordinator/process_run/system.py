@@ -15,10 +15,12 @@ from agents.security.access import PLANT, ROUTER, ROUTERS, SECOND_ROUTER
 from agents.security.credentials import load_keys
 from agents.transport.zenoh_bus import Session, TransportError, warn_of_strangers
 from coordinator.deployment.endpoints import choose_area_endpoints
-from coordinator.deployment.split import write_area_files
+from coordinator.deployment.split import area_files, write_area_files
 from coordinator.plant.scans import MadeScan, OwnScans
 from coordinator.process_run.fork_server import Ended, Started
 from coordinator.process_run.processes import Launcher, check_open_files, read_end
+from coordinator.recording.folder import LOG, LOGS
+from coordinator.recording.order import RECORDER, Order
 from dsse_core.limits import LONGEST_S
 from scenarios.scenario import Scenario
 from scenarios.telemetry import Telemetry
@@ -106,6 +108,20 @@ class System:
         self._orders[name] = (target, [*again, *always])
         return endpoints
 
+    def start_recorder(self, folder: Path, limit_gb: float | None, wait: Callable[[], str | None]) -> None:
+        """Start the recorder, which writes into ``folder``, and wait until it listens; ``wait`` as for the bus.
+
+        Raises:
+            TransportError: it has ended.
+        """
+        files = area_files(self.scenario, self.id, self.endpoints, self._area_endpoints)
+        order = Order(folder.absolute(), self.id, files, limit_gb, closes=False)
+        target = "coordinator.recording.bus_recorder:run_recorder"
+        self._order(RECORDER, target, order, self.endpoints, self.keys, self.direct, stop_last=True)
+        while not any((folder / LOGS).glob(f"*{LOG}")):
+            if reason := wait():
+                raise TransportError(self._last_error(RECORDER) or reason)
+
     def start_agents(self) -> None:
         """Write the area files, start the agents."""
         where = (self.endpoints, self.folder / "areas", self._area_endpoints, ".json")
@@ -167,12 +183,13 @@ class System:
         where = (scans, self.id, self.endpoints, ROUTER_START_S)
         self._order(PLANT, "coordinator.plant.plant:run_plant", *where, scan, self.scan_every_s, self.keys, self.direct)
 
-    def _order(self, name: str, target: str, *arguments: Any) -> None:
+    def _order(self, name: str, target: str, *arguments: Any, stop_last: bool = False) -> None:
         self._orders[name] = (target, *arguments)
         self._running.add(name)
-        is_router, is_area = name in ROUTERS, name not in (*ROUTERS, PLANT)
+        is_router, is_area = name in ROUTERS, name not in (*ROUTERS, PLANT, RECORDER)
         nice = NICE_OF_AREAS if is_area else 0
-        self.launcher.start(name, target, *arguments, log=self.log_of(name), stop_last=is_router, nice=nice)
+        stop_last |= is_router
+        self.launcher.start(name, target, *arguments, log=self.log_of(name), stop_last=stop_last, nice=nice)
 
     def _keys(self) -> list[str]:
         return ["--keys", str(self.keys)] if self.keys else []

@@ -8,11 +8,9 @@ import sys
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
 
-from agents.area_files.area_file import AreaFile
 from agents.messages.keys import all_commands, all_live, all_readings, all_states
 from agents.runtime.log_format import start_log
 from agents.runtime.presence import read_leave
@@ -24,6 +22,7 @@ from coordinator.recording.arrivals import Arrivals
 from coordinator.recording.closing import Closer, close_ended, remove_oldest
 from coordinator.recording.entries import APPEARED, MESSAGE, VANISHED, Entry, note
 from coordinator.recording.folder import begin_writing
+from coordinator.recording.order import GIB, Order
 from coordinator.recording.recorder import Recorder, left
 from coordinator.recording.segment_log import SegmentLog
 from dsse_core.errors import DsseError
@@ -31,21 +30,6 @@ from dsse_core.errors import DsseError
 log = logging.getLogger(__name__)
 AWAKE_S = 0.1  # a signal that a thread of Zenoh has caught is acted on when this thread wakes
 TIDY_S = 10.0  # between two looks at the size of the recording
-GIB = 2**30
-
-
-@dataclass(frozen=True)
-class Order:
-    """What is recorded where. ``files``: of the areas, where known; ``limit_gb``: of the folder, GiB; None: none.
-
-    ``closes``: whether what is left at the end is closed by the recorder itself.
-    """
-
-    folder: Path
-    run: str
-    files: Sequence[AreaFile] = ()
-    limit_gb: float | None = None
-    closes: bool = True
 
 
 def run_recorder(

@@ -51,6 +51,16 @@ def close_ended(folder: Path) -> list[str]:
     return notes
 
 
+def close_recording(folder: Path) -> None:
+    """Close what a run has recorded, and log what is to be said about it: the run does not fail by that."""
+    try:
+        notes = close_ended(folder)
+    except (DsseError, OSError) as error:
+        notes = [str(error)]
+    for text in notes:
+        log.warning("recording %s: %s", folder, text)
+
+
 def _close(folder: Path, segment: str) -> None:
     """Put the tables of ``segment`` in the place of its log."""
     path = log_of(folder, segment)

@@ -18,7 +18,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from agents.area_files.area_file import AreaFile, save_area_file
-from agents.area_files.reader import load_area_file
 from dsse_core.errors import InvalidInputError
 from dsse_core.files.bounded_file import read_text
 from dsse_core.files.drafts import whole_file
@@ -80,6 +79,8 @@ def load_areas(folder: Path) -> list[AreaFile]:
     Raises:
         InvalidInputError: one cannot be read.
     """
+    from agents.area_files.reader import load_area_file  # its schema takes time, and who writes does not need it
+
     return [load_area_file(folder / AREAS / f"{name}.json") for name in read_about(folder).areas]
 
 

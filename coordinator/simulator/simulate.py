@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from agents.messages.packing import Message, ReadingsMessage, StateMessage
+from agents.messages.packing import ReadingsMessage, StateMessage
 from coordinator.deployment.split import area_files, default_run_id
 from coordinator.evaluation.evaluation import (
     NO_CHANGES,
@@ -24,7 +24,9 @@ from coordinator.observe.progress import UPDATE_S, Progress, describe_progress
 from coordinator.observe.state_log import StateLog
 from coordinator.plant.held_readings import HeldReadings
 from coordinator.process_run.fault_schedule import FaultSchedule
-from coordinator.run_folder import make_run_folder
+from coordinator.recording.simulated import SimulatedRecording
+from coordinator.run_folder import RECORDING, make_run_folder
+from coordinator.simulator.audience import Audience
 from coordinator.simulator.faults import SimulatorFaults
 from coordinator.simulator.simulator import STARTED_AT, SimulatedBus
 from coordinator.strategy_check import check_with_strategy
@@ -50,12 +52,16 @@ def simulate_scenario(
     scenario = check_with_strategy(choose_scenario(scenario, seed, strategy, timeout_s, links))
     folder = make_run_folder(out, default_run_id(scenario))
     with EventLog(folder / "events.jsonl", 0.0) as events:
-        simulation = Simulation(scenario, events, on_update)
+        recording = _begin_recording(scenario, folder / RECORDING)
+        simulation = Simulation(scenario, events, on_update, recording)
         interrupted = False
         try:
             reason = simulation.run()
         except KeyboardInterrupt:
             reason, interrupted = "interrupted", True
+        finally:
+            if recording:
+                recording.close()
         outcome = simulation.evaluate(reason).in_folder(folder)
     result = write_files(outcome, events.failure)
     if interrupted:
@@ -63,20 +69,9 @@ def simulate_scenario(
     return result
 
 
-class Audience:
-    """Is shown all that happens on the simulated bus, in its order; this one does not look."""
-
-    def take_state(self, at: float, state: StateMessage) -> None:
-        """An area has published ``state``."""
-
-    def take_readings(self, at: float, readings: ReadingsMessage) -> None:
-        """An area has published the readings that it has used."""
-
-    def take_presence(self, at: float, area: str, alive: bool) -> None:
-        """An area has appeared or vanished."""
-
-    def take_message(self, at: float, receiver: str, message: Message, arrives: bool) -> None:
-        """A message to a neighbour has been sent, or ``arrives``."""
+def _begin_recording(scenario: Scenario, folder: Path) -> SimulatedRecording | None:
+    """In ``folder``, if the scenario asks for one."""
+    return SimulatedRecording(folder, STARTED_AT, scenario.record.limit_gb) if scenario.record else None
 
 
 class Simulation:
@@ -109,6 +104,7 @@ class Simulation:
         self._centralised = estimate_centralised(scenario, self._telemetry)
         self._write(0.0, "run started", run=self.id, scenario=scenario.name, seed=scenario.seed)
         files = area_files(scenario, self.id, NO_BUS)
+        self._audience.begin(self.id, files)
         late_s = find_lateness(scenario, FIRST_SCAN)
         self._used = UsedReadings(scenario)
         self._bus = SimulatedBus(

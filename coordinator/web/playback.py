@@ -7,11 +7,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from agents.area_files.area_file import AreaFile
 from agents.messages.keys import live_key
 from agents.messages.packing import Header, Incarnation, Message, ReadingsMessage, StateMessage
 from coordinator.observe.grid_tables import GridTables
 from coordinator.observe.watch import Watcher
-from coordinator.simulator.simulate import Audience, Simulation
+from coordinator.simulator.audience import Audience
+from coordinator.simulator.simulate import Simulation
 from coordinator.web.drawing import draw_scenario
 from coordinator.web.moment import Moments, encode_json
 from coordinator.web.sources import Frame
@@ -52,6 +54,9 @@ class Play(Audience):
     messages: list[Sent] = field(default_factory=list)
     _on_the_way: dict[tuple[object, ...], Sent] = field(default_factory=dict)
 
+    def begin(self, run: str, files: Sequence[AreaFile]) -> None:
+        self.run = run
+
     def take_state(self, at: float, state: StateMessage) -> None:
         self.happenings.append((at, state))
 
@@ -59,7 +64,7 @@ class Play(Audience):
         self.happenings.append((at, readings))
 
     def take_presence(self, at: float, area: str, alive: bool) -> None:
-        self.happenings.append((at, Presence(live_key("played", "area", area, IN_SIMULATION), alive)))
+        self.happenings.append((at, Presence(live_key(self.run, "area", area, IN_SIMULATION), alive)))
 
     def take_message(self, at: float, receiver: str, message: Message, arrives: bool) -> None:
         header, kind = message.header, message.kind
@@ -170,6 +175,5 @@ def play_simulation(scenario: Scenario) -> PlaybackSource:
     """Run ``scenario`` on the simulator, to its verdict or its time limit, and keep all that happens."""
     play = Play()
     simulation = Simulation(scenario, audience=play)
-    play.run = simulation.id
     simulation.run()
     return PlaybackSource(play, scenario)

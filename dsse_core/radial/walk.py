@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dsse_core.radial.block import compiled
+from dsse_core.code_cache import compiled
 
 
 def walk_tree(f: np.ndarray, t: np.ndarray, top: int, n: int) -> tuple[np.ndarray, np.ndarray]:

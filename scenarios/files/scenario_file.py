@@ -315,6 +315,12 @@ class TransportTable(Table):
         return self
 
 
+class RecordTable(Table):
+    """``[record]``: the run is recorded into ``recording`` in its run folder."""
+
+    limit_gb: Positive | None = Field(default=None, description="size in GiB beyond which the oldest hours are removed")
+
+
 class ScenarioFile(FileTable):
     """A whole scenario file."""
 
@@ -343,6 +349,7 @@ class ScenarioFile(FileTable):
     tolerances: TolerancesTable = TolerancesTable()
     run: RunTable = RunTable()
     transport: TransportTable = TransportTable()
+    record: RecordTable | None = None
 
     @model_validator(mode="after")
     def _has_time_between_ticks(self) -> Self:

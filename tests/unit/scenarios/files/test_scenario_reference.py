@@ -44,6 +44,7 @@ TABLE_OF_HEADING: dict[str, list[type[Table]]] = {
     "`[tolerances]`": [scenario_file.TolerancesTable],
     "`[run]`": [scenario_file.RunTable],
     "`[transport]`": [scenario_file.TransportTable],
+    "`[record]`": [scenario_file.RecordTable],
     "Network file": [network_tables.NetworkFile],
     "`[[bus]]`": [network_tables.BusTable, network_tables.BusColumns],
     "`[[branch]]`": [network_tables.BranchTable, network_tables.BranchColumns],

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from coordinator.recording.replay import MOST_NAMED, TOLERANCE, Comparison
+from coordinator.replay.replay import MOST_NAMED, TOLERANCE, Comparison
 from dsse_core.printable import listed
 
 

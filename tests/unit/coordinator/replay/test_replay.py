@@ -10,11 +10,11 @@ from recordings import AT, RUN, entry_of, load_areas_of, make_readings, make_sta
 from coordinator.recording.closing import close_ended
 from coordinator.recording.folder import LOGS, begin_writing, list_segments, table_of
 from coordinator.recording.frames import MARK
-from coordinator.recording.play import play_on_simulator
 from coordinator.recording.recorder import Recorder
-from coordinator.recording.replay_text import format_replay
 from coordinator.recording.segment_log import SegmentLog
-from coordinator.recording.ticks import read_ticks
+from coordinator.replay.play import play_on_simulator
+from coordinator.replay.text import format_replay
+from coordinator.replay.ticks import read_ticks
 from dsse_core.errors import InvalidInputError
 from scenarios.scenario import load_scenario
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from coordinator.recording.process_stage import ProcessStage
-from coordinator.recording.replay import Comparison, load_replay_areas, replay
-from coordinator.recording.simulator_stage import SimulatorStage
-from coordinator.recording.ticks import Tick
+from coordinator.replay.process_stage import ProcessStage
+from coordinator.replay.replay import Comparison, load_replay_areas, replay
+from coordinator.replay.simulator_stage import SimulatorStage
+from coordinator.replay.ticks import Tick
 from scenarios.scenario import Scenario
 
 OnScan = Callable[[Tick], None] | None

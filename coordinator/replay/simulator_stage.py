@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from agents.area_files.area_file import AreaFile
 from agents.messages.packing import Incarnation, StateMessage
 from agents.protocol.quality import GOOD
-from coordinator.recording.replay import is_at_rest, make_telemetry_message
-from coordinator.recording.ticks import Tick
+from coordinator.replay.replay import is_at_rest, make_telemetry_message
+from coordinator.replay.ticks import Tick
 from coordinator.simulator.simulator import STARTED_AT, SimulatedBus
 from dsse_core.grid.measurement import Measurement
 

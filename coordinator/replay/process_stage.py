@@ -25,8 +25,8 @@ from agents.security.access import ROUTER
 from agents.transport.zenoh_bus import Session, TransportError
 from coordinator.process_run.fork_server import Ended, Started
 from coordinator.process_run.processes import Launcher, Updates, describe_end, read_end
-from coordinator.recording.replay import is_at_rest, make_telemetry_message
-from coordinator.recording.ticks import Tick
+from coordinator.replay.replay import is_at_rest, make_telemetry_message
+from coordinator.replay.ticks import Tick
 
 START_S = 60.0  # for a router to listen and for agents to join; a busy machine takes its time
 LONGEST_SCAN_S = 30.0

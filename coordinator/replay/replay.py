@@ -21,7 +21,7 @@ from agents.protocol.quality import GOOD
 from agents.security.access import PLANT
 from coordinator.deployment.split import area_files
 from coordinator.recording.folder import load_areas, read_about
-from coordinator.recording.ticks import Estimate, Snapshot, Tick, read_ticks
+from coordinator.replay.ticks import Estimate, Snapshot, Tick, read_ticks
 from dsse_core.errors import InvalidInputError
 from dsse_core.printable import listed
 from dsse_core.reading_rules import DEFAULT_RULES
