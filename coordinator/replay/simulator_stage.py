@@ -21,7 +21,10 @@ class _Bus(SimulatedBus):
     """One whose plant reads a recording."""
 
     def next_scan(
-        self, telemetry: Mapping[str, Sequence[Measurement]], late_s: Mapping[str, float] | None = None
+        self,
+        telemetry: Mapping[str, Sequence[Measurement]],
+        late_s: Mapping[str, float] | None = None,
+        measured_at: Mapping[str, float] | None = None,
     ) -> None:
         """None of its own."""
 

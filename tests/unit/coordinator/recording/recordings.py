@@ -9,13 +9,11 @@ from agents.area_files.area_file import AreaFile
 from agents.messages.keys import live_key, readings_key, state_key
 from agents.messages.packing import Header, Incarnation, ReadingsMessage, StateMessage, encode
 from coordinator.deployment.split import area_files
-from coordinator.plant.telemetry_messages import read
 from coordinator.recording.entries import APPEARED, MESSAGE, Entry
 from coordinator.recording.folder import begin_writing
 from coordinator.recording.recorder import Recorder
 from coordinator.recording.segment_log import SegmentLog
 from coordinator.simulator.simulator import STARTED_AT, SimulatedBus
-from dsse_core.grid.measurement import Measurement
 from scenarios.scenario import Scenario, load_scenario
 from scenarios.telemetry import make_telemetry
 
@@ -82,47 +80,39 @@ def read_table(folder: Path, table: str) -> list[dict[str, object]]:
 def record_simulated(
     folder: Path,
     scans: int = 5,
-    scenario: str = "ieee33",
+    scenario: Scenario | str = "ieee33",
     between_s: float = 1.0,
     away: Mapping[str, int] | None = None,
     apart_s: float = 0.0,
+    measured_at: Callable[[int, str], float] | None = None,
 ) -> Path:
     """Scans of ``scenario`` as the simulator has them; ``away``: area -> the scan in which it is not there.
 
-    ``apart_s``: by how much more time, of which nothing is simulated, one scan follows the other.
+    ``apart_s``: by how much more time, of which nothing is simulated, one scan follows the other. ``measured_at``:
+    scan and meter -> when it was read, s of virtual time.
     """
-    prepared = load_scenario(scenario)
+    prepared = load_scenario(scenario) if isinstance(scenario, str) else scenario
     files = load_areas_of(prepared)
     with begin_writing(folder, RUN, files):
         log = SegmentLog(folder)
         recorder = Recorder(log, RUN)
-        bus = SimulatedBus(
-            files,
-            make_telemetry(prepared, 1).by_area,
-            lambda at, state: recorder.take([entry_of(state, STARTED_AT + at + apart_s * state.header.scan)]),
-        )
+
+        def take(at: float, message: StateMessage | ReadingsMessage) -> None:
+            recorder.take([entry_of(message, STARTED_AT + at + apart_s * message.header.scan)])
+
+        bus = SimulatedBus(files, make_telemetry(prepared, 1).by_area, take, on_readings=take)
         for scan in range(1, scans + 1):
-            telemetry = make_telemetry(prepared, scan).by_area
             if scan > 1:
-                for name in files_away(away, scan - 1):
+                for name in _find_away(away, scan - 1):
                     bus.start(name)
-                for name in files_away(away, scan):
+                for name in _find_away(away, scan):
                     bus.kill(name)
-                bus.next_scan(telemetry)
-            now = STARTED_AT + bus.now + apart_s * scan
-            used = {name: part for name, part in telemetry.items() if name not in files_away(away, scan)}
-            recorder.take([entry_of(_used(name, part, scan, now), now) for name, part in used.items()])
+                times = {m.id: measured_at(scan, m.id) for m in prepared.meters} if measured_at else None
+                bus.next_scan(make_telemetry(prepared, scan).by_area, measured_at=times)
             bus.run(between_s)
         log.close()
     return folder
 
 
-def files_away(away: Mapping[str, int] | None, scan: int) -> list[str]:
+def _find_away(away: Mapping[str, int] | None, scan: int) -> list[str]:
     return [name for name, gone in (away or {}).items() if gone == scan]
-
-
-def _used(area: str, measurements: Sequence[Measurement], scan: int, now: float) -> ReadingsMessage:
-    readings = read(measurements, now)
-    times = (now,) * len(readings.meters)
-    header = Header(RUN, area, ME, scan, scan, now)
-    return ReadingsMessage(header, now, readings.meters, readings.values, readings.sigmas, times)

@@ -35,6 +35,20 @@ def test_a_replay_on_the_simulator_has_the_recorded_states_to_the_bit(
     assert "to the bit" in format_replay(found, "the simulator", 1.0)
 
 
+def test_readings_that_had_aged_are_played_as_they_were_used(tmp_path: Path) -> None:
+    changes = {"run.scan_s": 1.0, "measurements.flow.period_s": 2.0, "measurements.voltage.period_s": 5.0}
+    scenario = load_scenario("ieee33", changes=changes)
+    folder = record_simulated(
+        tmp_path, 5, scenario, measured_at=lambda scan, meter: scan - 1.7 - 0.1 * (len(meter) % 5)
+    )
+    ticks = list(read_ticks(folder, []))
+    sigmas = [dict(zip(t.readings["area1"].meters, t.readings["area1"].sigmas, strict=True)) for t in ticks]
+    assert any(sigmas[0][meter] != sigmas[-1][meter] for meter in sigmas[0].keys() & sigmas[-1].keys())
+    found = play_on_simulator(folder)
+    assert (found.scans, found.unequal) == (5, 0)
+    assert found.agrees
+
+
 def test_a_change_of_one_reading_is_seen(tmp_path: Path) -> None:
     folder = tmp_path / "a"
     record_simulated(folder, 2)
