@@ -7,11 +7,13 @@ anywhere.
 
 from __future__ import annotations
 
+import fcntl
 import logging
 import os
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from agents.runtime.log_format import start_log
@@ -36,19 +38,32 @@ def close_ended(folder: Path) -> list[str]:
         InvalidInputError: ``folder`` is no recording.
         OSError: the tables cannot be written; the log stays.
     """
-    ended = [path for path in _list_logs(folder) if not is_being_written(path)]
-    if not ended:
-        return []
-    if not has_parquet():
-        return [NO_PARQUET]
-    remove_leftovers(folder)
-    notes = []
-    for path in ended:
-        try:
-            _close(folder, path.stem)
-        except InvalidInputError as error:  # a foreign file; the others are closed all the same
-            notes.append(str(error))
-    return notes
+    with _closing_alone(folder):
+        ended = [path for path in _list_logs(folder) if not is_being_written(path)]
+        if not ended:
+            return []
+        if not has_parquet():
+            return [NO_PARQUET]
+        remove_leftovers(folder)
+        notes = []
+        for path in ended:
+            try:
+                _close(folder, path.stem)
+            except InvalidInputError as error:  # a foreign file; the others are closed all the same
+                notes.append(str(error))
+        return notes
+
+
+@contextmanager
+def _closing_alone(folder: Path) -> Iterator[None]:
+    """Wait for who closes there already: what a killed recorder has begun goes on."""
+    lock = os.open(folder / LOGS, os.O_RDONLY)
+    try:
+        with suppress(OSError):  # a system of files without locks
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(lock)
 
 
 def close_recording(folder: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -105,6 +106,14 @@ def test_closing_that_was_broken_off_is_done_again(record: Record, monkeypatch: 
     close_ended(folder)
     assert len(read_table(folder, "states")) == 3 * len(AREAS)
     assert not list((folder / LOGS).iterdir())
+
+
+def test_two_who_close_at_once_do_not_take_a_log_from_each_other(record: Record) -> None:
+    folder = record([entry for hour in range(4) for entry in _scans(5, AT + hour * HOUR)])
+    with ThreadPoolExecutor(3) as pool:
+        closing_at_once = [pool.submit(close_ended, folder) for _ in range(3)]
+    assert [done.result() for done in closing_at_once] == [[], [], []]
+    assert len(read_table(folder, "states")) == 4 * 5 * len(AREAS)
 
 
 def test_a_log_that_is_being_written_is_left_alone(tmp_path: Path) -> None:
