@@ -88,7 +88,7 @@ class _Handler:
         found = data.monitored_item.Value
         stamp: datetime | None = found.SourceTimestamp or found.ServerTimestamp
         time = None if stamp is None else (stamp if stamp.tzinfo else stamp.replace(tzinfo=UTC)).timestamp()
-        valid = found.StatusCode_ is None or found.StatusCode_.is_good()
+        valid = found.StatusCode is None or found.StatusCode.is_good()
         if not valid and value is None:
             value = 0.0  # a bad value need not be there
         self.emit(self.nodes[node], value, time, valid=valid)

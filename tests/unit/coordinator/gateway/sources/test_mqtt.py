@@ -1,0 +1,112 @@
+"""Topics of a real broker, in this process."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import AsyncIterator
+
+import aiomqtt
+import pytest
+from amqtt.broker import Broker
+
+from coordinator.gateway.sources import mqtt
+from coordinator.gateway.sources.mqtt import MqttSettings, MqttSource, _FairQueue
+
+pytestmark = pytest.mark.long
+
+
+@contextlib.asynccontextmanager
+async def broker(port: int) -> AsyncIterator[None]:
+    config = {
+        "listeners": {"default": {"type": "tcp", "bind": f"127.0.0.1:{port}"}},
+        "plugins": {"amqtt.plugins.authentication.AnonymousAuthPlugin": {"allow_anonymous": True}},
+    }
+    found = Broker(config)
+    await found.start()
+    try:
+        yield
+    finally:
+        await found.shutdown()
+
+
+def make_source(port: int, *addresses: str, **options: object) -> MqttSource:
+    return MqttSource(MqttSettings.model_validate({"host": "127.0.0.1", "port": port, **options}), addresses)
+
+
+def test_numbers_objects_and_bad_payloads(free_port: int, recorder, reading, run) -> None:
+    async def test() -> None:
+        async with broker(free_port), aiomqtt.Client("127.0.0.1", free_port) as client:
+            await client.publish("f/old", "5", retain=True, qos=1)
+            await client.publish("f/dated", '{"value": 6, "time": 1800000000}', retain=True, qos=1)
+            source = make_source(free_port, "f/u", "f/p#a.total", "f/p#b", "f/old", "f/dated", topics=["f/#"])
+            async with reading(source, recorder):
+                await recorder.wait_until(lambda: bool(recorder.refused) and bool(recorder.readings))
+                for topic, payload in (
+                    ("f/u", "12.6"),
+                    ("f/u", "NaN"),
+                    ("f/u", "abc"),
+                    ("f/u", "{broken"),
+                    ("f/u", b"x" * 100_000),
+                    ("f/p", '{"a": {"total": 7}, "time": "2027-01-15T08:00:00Z", "valid": false, "unit": "kW"}'),
+                    ("f/p", "8"),
+                    ("f/stranger", "9"),
+                    ("f/u", "12.7"),
+                ):
+                    await client.publish(topic, payload, qos=1)
+                await recorder.wait_until(lambda: 12.7 in recorder.values_of("f/u"))
+
+    run(test())
+    assert recorder.readings[0] == ("f/dated", 6, 1800000000, True, None)
+    assert recorder.values_of("f/u")[0] == 12.6
+    assert recorder.values_of("f/u")[2:] == ["abc", 12.7]
+    assert ("f/p#a.total", 7, 1.8e9, False, "kW") in recorder.readings
+    assert recorder.values_of("f/stranger") == [9.0]
+    assert [reason for reason, _ in recorder.refused] == [
+        "retained without a time",
+        "malformed",  # broken
+        "malformed",  # too large
+        "malformed",  # nothing at b
+        "malformed",  # no object, twice
+        "malformed",
+    ]
+
+
+def test_a_broker_that_goes_is_an_error(free_port: int, recorder, reading, run) -> None:
+    async def test() -> None:
+        async with contextlib.AsyncExitStack() as stack:
+            await stack.enter_async_context(broker(free_port))
+            async with reading(make_source(free_port, "u"), recorder) as task:
+                async with aiomqtt.Client("127.0.0.1", free_port) as client:
+                    while not recorder.readings:
+                        await client.publish("u", "1", qos=1)
+                await stack.aclose()
+                with pytest.raises(aiomqtt.MqttError):
+                    await task
+
+    run(test())
+
+
+def test_nobody_there_is_an_error(free_port: int, recorder, run) -> None:
+    with pytest.raises(aiomqtt.MqttError):
+        run(make_source(free_port, "u").read(recorder))
+
+
+def test_a_flood_of_one_topic_takes_no_message_of_another_and_is_counted(recorder, run) -> None:
+    def message(topic: str, k: int) -> aiomqtt.Message:
+        return aiomqtt.Message(topic, str(k).encode(), 0, False, k, None)
+
+    async def test() -> None:
+        queue = _FairQueue()
+        queue.put_nowait(message("quiet", 1))
+        for k in range(10_000):
+            queue.put_nowait(message("loud", k))
+        assert queue.qsize() == 1 + mqtt.MOST_OF_A_TOPIC
+        found = [await queue.get() for _ in range(queue.qsize())]
+        assert str(found[0].topic) == "quiet"
+        assert [int(m.payload) for m in found[1:]] == list(range(10_000 - mqtt.MOST_OF_A_TOPIC, 10_000))
+        assert queue.empty()
+        mqtt._tell_dropped(queue, recorder)
+
+    run(test())
+    assert len(recorder.refused) == 10_000 - mqtt.MOST_OF_A_TOPIC
+    assert recorder.refused[0][0] == "dropped"

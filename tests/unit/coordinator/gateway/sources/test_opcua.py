@@ -1,0 +1,76 @@
+"""Nodes of a real OPC UA server, in this process."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import AsyncIterator
+from datetime import UTC, datetime
+from typing import Any
+
+import pytest
+from asyncua import Server, ua
+
+from coordinator.gateway.sources.opcua import OpcUaSettings, OpcUaSource
+
+pytestmark = pytest.mark.long
+
+
+@contextlib.asynccontextmanager
+async def server(port: int) -> AsyncIterator[dict[str, Any]]:
+    """A server with nodes u and p; name -> node."""
+    found = Server()
+    await found.init()
+    found.set_endpoint(f"opc.tcp://127.0.0.1:{port}/")
+    found.set_security_policy([ua.SecurityPolicyType.NoSecurity])
+    space = await found.register_namespace("test")
+    nodes = {
+        name: await found.nodes.objects.add_variable(ua.NodeId(name, space), name, value)
+        for name, value in (("u", 12.6), ("p", 7.0), ("text", "on"))
+    }
+    async with found:
+        yield nodes
+
+
+def make_source(port: int, *names: str) -> OpcUaSource:
+    settings = OpcUaSettings(url=f"opc.tcp://127.0.0.1:{port}/", interval_s=0.02, timeout_s=2.0)
+    return OpcUaSource(settings, [f"ns=2;s={name}" for name in names])
+
+
+def test_values_come_with_their_time_and_status(free_port: int, recorder, reading, run) -> None:
+    async def test() -> None:
+        async with server(free_port) as nodes:
+            async with reading(make_source(free_port, "u", "p", "text", "none"), recorder):
+                await recorder.wait_until(lambda: len(recorder.readings) == 3)
+                at = datetime(2027, 1, 15, 8, tzinfo=UTC)
+                value = ua.DataValue(ua.Variant(12.7), SourceTimestamp=at.replace(tzinfo=None))
+                await nodes["u"].write_value(value)
+                await recorder.wait_until(lambda: 12.7 in recorder.values_of("ns=2;s=u"))
+                bad = ua.DataValue(ua.Variant(float("nan")), ua.StatusCode(ua.StatusCodes.BadSensorFailure))
+                await nodes["p"].write_value(bad)
+                await recorder.wait_until(lambda: len(recorder.values_of("ns=2;s=p")) == 2)
+
+    run(test())
+    assert ("ns=2;s=u", 12.7, 1.8e9, True, None) in recorder.readings
+    assert [reading[3] for reading in recorder.readings if reading[0] == "ns=2;s=p"] == [True, False]
+    assert recorder.values_of("ns=2;s=text") == ["on"]
+    assert len(recorder.refused) == 1
+    assert recorder.refused[0][0] == "unknown to the server"
+    assert "ns=2;s=none" in recorder.refused[0][1]
+
+
+def test_a_server_that_goes_is_an_error(free_port: int, recorder, reading, run) -> None:
+    async def test() -> None:
+        async with contextlib.AsyncExitStack() as stack:
+            await stack.enter_async_context(server(free_port))
+            async with reading(make_source(free_port, "u"), recorder) as task:
+                await recorder.wait_until(lambda: bool(recorder.readings))
+                await stack.aclose()
+                await recorder.wait_until(task.done)
+                assert task.exception() is not None
+
+    run(test())
+
+
+def test_nobody_there_is_an_error(free_port: int, recorder, run) -> None:
+    with pytest.raises(OSError):
+        run(make_source(free_port, "u").read(recorder))
