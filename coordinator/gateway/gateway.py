@@ -20,7 +20,7 @@ from agents.runtime.renewal import on_hangup
 from coordinator.gateway.bus import GatewayBus, join_bus
 from coordinator.gateway.intake import Intake
 from coordinator.gateway.map_file import GatewayMap, SinkOf, SourceOf
-from coordinator.gateway.publisher import Publisher
+from coordinator.gateway.publisher import REPEATS_S, LeadingPublisher, Publisher
 from coordinator.gateway.reconnection import Link, keep_on
 from coordinator.gateway.results import ResultQueue
 from dsse_core.errors import DsseError
@@ -103,7 +103,8 @@ class _Gateway:
 
     def _make_publisher(self) -> Publisher:
         content = self.content
-        publisher = Publisher(
+        cls = LeadingPublisher if content.leads else Publisher
+        publisher = cls(
             run=content.run,
             name=content.name,
             incarnation=self.bus.incarnation,
@@ -111,6 +112,7 @@ class _Gateway:
             send=self.bus.send,
             least_interval_s=content.least_interval_s,
             scan_s=content.scenario.run.scan_s,
+            repeats_s=(content.scenario.run.beat_s,) if content.leads else REPEATS_S,
         )
         publisher.start()
         return publisher

@@ -61,10 +61,15 @@ class GatewayMap:
         return f"<GatewayMap {self.name!r}: {len(self.points)} meters of {self.scenario.name!r}>"
 
     @property
+    def leads(self) -> bool:
+        """Whether this gateway numbers the scans of all areas."""
+        return _leads(self.name, self.scenario)
+
+    @property
     def areas(self) -> tuple[str, ...]:
-        """The areas that have a meter here, in scenario order."""
+        """Those to which it has something to say, in scenario order: that have a meter here, or all if it leads."""
         used = {point.area for point in self.points.values()}
-        return tuple(area.name for area in self.scenario.partition.areas if area.name in used)
+        return tuple(area.name for area in self.scenario.partition.areas if area.name in used or self.leads)
 
 
 def load_map(path: Path) -> GatewayMap:
@@ -94,11 +99,21 @@ def load_map(path: Path) -> GatewayMap:
         except InvalidInputError as error:
             problems += error.problems
     points, reading_problems = _make_points(file.reading, scenario, source.cls if source else None)
+    problems += _find_foreign(file.name, points, scenario)
+    if _leads(file.name, scenario) and scenario.run.scan_s is None:
+        problems.append(
+            f"name: {file.name!r} is the scenario's telemetry.leader and numbers scans; give run.scan_s there"
+        )
     if problems := [*problems, *reading_problems]:
         raise InvalidInputError(file.called(path), problems)
     return GatewayMap(
         path, file.name, run, scenario, tuple(file.connect), file.least_interval_s, source, points, tuple(sinks)
     )
+
+
+def _leads(name: str, scenario: Scenario) -> bool:
+    rules = next(iter(scenario.reading_rules.values()))
+    return rules.ticks == "gateway" and rules.leader == name
 
 
 def _load_scenario_of(file: MapFile, path: Path) -> Scenario:
@@ -138,8 +153,19 @@ def _make_points(
         problems += [f"{place}: {problem}" for problem in found]
         if not found:
             area = scenario.partition.area_of_meter(meter)
-            points[table.address] = make_point(table, meter, area, scenario.network, scenario.sigma_rule)
+            points[table.address] = make_point(table, meter, area, scenario)
     return points, problems
+
+
+def _find_foreign(name: str, points: Mapping[str, Point], scenario: Scenario) -> Iterator[str]:
+    """The meters that the scenario gives to other gateways."""
+    for point in points.values():
+        own = scenario.reading_rules[point.area].meters_of(name)
+        if own != "all" and point.meter.id not in own:
+            yield (
+                f"address {point.address!r}: meter {point.meter.id} of {point.area} is not that of gateway {name!r}; "
+                f"in the scenario, add it to gateways.{name}, or remove this reading"
+            )
 
 
 def _find_meter_problems(table: ReadingTable, meters: Mapping[str, Meter], close: Suggestions) -> Iterator[str]:

@@ -12,6 +12,7 @@ from dsse_core.grid.measurement import Meter
 from dsse_core.grid.network import Network
 from dsse_core.limits import LARGEST_SIGMA, SMALLEST_SIGMA
 from scenarios.meters import SigmaRule
+from scenarios.scenario import Scenario
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,10 +52,13 @@ class Point:
         return self.lowest <= value <= self.highest
 
 
-def make_point(table: ReadingTable, meter: Meter, area: str, network: Network, rule: SigmaRule) -> Point:
-    """The point of a ``[[reading]]`` without problems; ``rule``: for one that states no sigma."""
-    size = size_of(table.unit, meter, network)
-    lowest, highest = physical_range(meter, network)
+def make_point(table: ReadingTable, meter: Meter, area: str, scenario: Scenario) -> Point:
+    """The point of a ``[[reading]]`` without problems; the scenario's sigma is for one that states none."""
+    size = size_of(table.unit, meter, scenario.network)
+    lowest, highest = physical_range(meter, scenario.network)
+    allowed = scenario.reading_rules[area].rule_of(meter.kind)
+    lowest = lowest if allowed.lowest is None else max(lowest, allowed.lowest)
+    highest = highest if allowed.highest is None else min(highest, allowed.highest)
     if table.lowest is not None:
         lowest = max(lowest, table.lowest * size)
     if table.highest is not None:
@@ -67,7 +71,7 @@ def make_point(table: ReadingTable, meter: Meter, area: str, network: Network, r
         size=size,
         factor=table.sign * table.factor,
         offset=table.sign * table.offset,
-        deviation=_deviation_of(table, meter, size, rule),
+        deviation=_deviation_of(table, meter, size, scenario.sigma_rule),
         lowest=lowest,
         highest=highest,
     )

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 from agents.messages.packing import Header, Incarnation, TelemetryMessage, encode
 from coordinator.gateway.intake import Intake
@@ -29,6 +29,7 @@ class Publisher:
     send: Mapping[str, Callable[[bytes], None]]
     least_interval_s: float
     scan_s: float | None = None
+    repeats_s: Sequence[float] = REPEATS_S
     _loop: asyncio.AbstractEventLoop = field(init=False)
     _sequence: int = 0
     _of_area: dict[str, int] = field(default_factory=dict)  # area -> number of its newest content
@@ -47,7 +48,7 @@ class Publisher:
             wait_s = self._allowed.get(area, 0.0) - self._loop.time()
             self._timers[area] = self._loop.call_later(max(0.0, wait_s), self._publish, area, 0)
 
-    def finish(self, areas: Iterable[str] = ()) -> None:
+    def finish(self) -> None:
         """Publish what waits, and nothing any more."""
         for timer in (*self._timers.values(), *self._repeats.values()):
             timer.cancel()
@@ -57,7 +58,7 @@ class Publisher:
             timer.cancel()
 
     def _publish(self, area: str, repeats: int | None) -> None:
-        """``repeats``: of REPEATS_S the one that follows; None: none."""
+        """``repeats``: of ``repeats_s`` the one that follows; None: none."""
         self._timers.pop(area, None)
         if (last := self._repeats.pop(area, None)) is not None:
             last.cancel()
@@ -71,8 +72,8 @@ class Publisher:
         self.intake.counts.messages += 1
         self._allowed[area] = self._loop.time() + max(self.least_interval_s, len(payload) / RATE)
         if repeats is not None:
-            following = min(repeats + 1, len(REPEATS_S) - 1)
-            self._repeats[area] = self._loop.call_later(REPEATS_S[repeats], self._publish, area, following)
+            following = min(repeats + 1, len(self.repeats_s) - 1)
+            self._repeats[area] = self._loop.call_later(self.repeats_s[repeats], self._publish, area, following)
 
     def message(self, area: str) -> TelemetryMessage:
         """All that is known of ``area``, with the time of now."""
@@ -96,3 +97,51 @@ class Publisher:
             times=tuple(reading.time for reading in readings.values()),
             valid=tuple(reading.valid for reading in readings.values()),
         )
+
+
+@dataclass
+class LeadingPublisher(Publisher):
+    """Of the gateway that numbers scans: at each multiple of ``scan_s`` in UTC all areas get what there is then, under
+    the number of the scan, and the same again at each interval of ``repeats_s`` until the next.
+    """
+
+    _scan: int = 0
+    _messages: dict[str, TelemetryMessage] = field(default_factory=dict)
+
+    def start(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        self._begin_scan()
+
+    def publish_soon(self, area: str) -> None:
+        """What has been said in this scan, to an area that has just appeared."""
+        if area in self._messages:
+            self._publish(area, None)
+
+    def finish(self) -> None:
+        for timer in self._timers.values():
+            timer.cancel()
+
+    def _begin_scan(self) -> None:
+        assert self.scan_s is not None  # as the map was checked
+        now = time.time()
+        self._scan = int(now // self.scan_s)
+        self._sequence += 1
+        for area in self.send:
+            self.intake.take_waiting(area)
+            self._of_area[area] = self._sequence
+            self._messages[area] = self.message(area)
+        self._repeat()
+        self._timers["scan"] = self._loop.call_later((self._scan + 1) * self.scan_s - now, self._begin_scan)
+
+    def _repeat(self) -> None:
+        if (timer := self._timers.pop("repeat", None)) is not None:
+            timer.cancel()
+        for area in self.send:
+            self._publish(area, None)
+        self._timers["repeat"] = self._loop.call_later(self.repeats_s[0], self._repeat)
+
+    def _publish(self, area: str, repeats: int | None) -> None:
+        message = self._messages[area]
+        header = replace(message.header, time=time.time())
+        self.send[area](encode(replace(message, header=header)))
+        self.intake.counts.messages += 1

@@ -25,11 +25,24 @@ unit = "kW"
 CSV = '[source]\nkind = "csv"\npath = "readings.csv"\n'
 
 
-@pytest.fixture
-def write_map(tmp_path: Path) -> Callable[..., Path]:
-    """Write a map of ieee33: its ``source`` and more text."""
+LIVE = (
+    'source = "network"                       # readings of one true grid\nnoise = true',
+    'source = "live"\n[run]\nscan_s = 0.5',
+)
 
-    def write(*parts: str, source: str = CSV, head: str = 'name = "north"\nscenario = "ieee33"\n') -> Path:
+
+@pytest.fixture
+def write_map(tmp_path: Path, edited_scenario: Callable[..., Path]) -> Callable[..., Path]:
+    """Write a map of ieee33 with live readings: its ``source`` and more text."""
+
+    def write(
+        *parts: str,
+        is_edited: bool = False,
+        source: str = CSV,
+        head: str = 'name = "north"\nscenario = "edited.toml"\n',
+    ) -> Path:
+        if not is_edited:
+            edited_scenario("ieee33", LIVE)
         path = tmp_path / "map.toml"
         path.write_text("\n".join([head, source, *parts]))
         return path

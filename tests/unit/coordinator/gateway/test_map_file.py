@@ -14,6 +14,9 @@ from dsse_core.errors import InvalidInputError
 READING = '[[reading]]\naddress = "{}"\nmeter = "{}"\nunit = "{}"\n{}\n'
 
 
+LIVE = ("noise = true", 'ticks = "gateway"\nleader = "n"\n[run]\nscan_s = 1.0')
+
+
 def find_problems(path: Path) -> str:
     with pytest.raises(InvalidInputError) as raised:
         load_map(path)
@@ -129,6 +132,7 @@ def test_sign_factor_and_offset_come_in_this_order(write_map: Callable[..., Path
 def test_current_and_angle_have_their_units(edited_scenario: Callable[..., Path], tmp_path: Path) -> None:
     scenario = edited_scenario(
         "ieee33",
+        LIVE,
         (
             'injection = { buses = "all", sigma_percent = 10.0 }     # P and Q\n',
             'injection = { buses = "all", sigma_percent = 10.0 }\n'
@@ -149,3 +153,16 @@ def test_current_and_angle_have_their_units(edited_scenario: Callable[..., Path]
     points = load_map(path).points
     assert points["a"].value_of(180.0) == pytest.approx(math.pi)
     assert points["i"].value_of(0.1) == pytest.approx(100.0 * math.sqrt(3) * 12.66 / 1000 / 10)
+
+
+def test_meters_of_another_gateway_are_refused(edited_scenario: Callable[..., Path], write_map, tmp_path: Path) -> None:
+    own = '[gateways.north]\nareas = ["area1"]\nmeters = ["vm@*"]\n[gateways.south]\nareas = "all"\n'
+    edited_scenario(
+        "ieee33", ("noise = true", own), ('source = "network" ', 'source = "live"\nticks = "gateway"\nleader = "south"')
+    )
+    readings = READING.format("a", "vm@1", "kV", ""), READING.format("b", "p_flow@1:1-2", "kW", "")
+    text = find_problems(write_map(*readings, is_edited=True))
+    assert "address 'b': meter p_flow@1:1-2 of area1 is not that of gateway 'north'" in text
+    assert "1 problem" in text
+    head = 'name = "south"\nscenario = "edited.toml"\n'
+    assert "give run.scan_s there" in find_problems(write_map(*readings, head=head, is_edited=True))

@@ -38,16 +38,16 @@ def make_source(port: int, *names: str) -> OpcUaSource:
 
 def test_values_come_with_their_time_and_status(free_port: int, recorder, reading, run) -> None:
     async def test() -> None:
-        async with server(free_port) as nodes:
-            async with reading(make_source(free_port, "u", "p", "text", "none"), recorder):
-                await recorder.wait_until(lambda: len(recorder.readings) == 3)
-                at = datetime(2027, 1, 15, 8, tzinfo=UTC)
-                value = ua.DataValue(ua.Variant(12.7), SourceTimestamp=at.replace(tzinfo=None))
-                await nodes["u"].write_value(value)
-                await recorder.wait_until(lambda: 12.7 in recorder.values_of("ns=2;s=u"))
-                bad = ua.DataValue(ua.Variant(float("nan")), ua.StatusCode(ua.StatusCodes.BadSensorFailure))
-                await nodes["p"].write_value(bad)
-                await recorder.wait_until(lambda: len(recorder.values_of("ns=2;s=p")) == 2)
+        source = make_source(free_port, "u", "p", "text", "none")
+        async with server(free_port) as nodes, reading(source, recorder):
+            await recorder.wait_until(lambda: len(recorder.readings) == 3)
+            at = datetime(2027, 1, 15, 8, tzinfo=UTC)
+            value = ua.DataValue(ua.Variant(12.7), SourceTimestamp=at.replace(tzinfo=None))
+            await nodes["u"].write_value(value)
+            await recorder.wait_until(lambda: 12.7 in recorder.values_of("ns=2;s=u"))
+            bad = ua.DataValue(ua.Variant(float("nan")), ua.StatusCode(ua.StatusCodes.BadSensorFailure))
+            await nodes["p"].write_value(bad)
+            await recorder.wait_until(lambda: len(recorder.values_of("ns=2;s=p")) == 2)
 
     run(test())
     assert ("ns=2;s=u", 12.7, 1.8e9, True, None) in recorder.readings
@@ -72,5 +72,5 @@ def test_a_server_that_goes_is_an_error(free_port: int, recorder, reading, run) 
 
 
 def test_nobody_there_is_an_error(free_port: int, recorder, run) -> None:
-    with pytest.raises(OSError):
+    with pytest.raises(ConnectionRefusedError):
         run(make_source(free_port, "u").read(recorder))
