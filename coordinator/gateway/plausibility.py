@@ -15,7 +15,7 @@ from dsse_core.power_flow.exact_readings import read_exactly
 from dsse_core.power_flow.newton_raphson import solve_power_flow
 
 KIND = MeasurementKind
-POWERS = ((KIND.P_INJECTION, KIND.P_FLOW), (KIND.Q_INJECTION, KIND.Q_FLOW))
+POWERS = ((KIND.P_INJECTION, KIND.P_FLOW, "P"), (KIND.Q_INJECTION, KIND.Q_FLOW, "Q"))
 MISTAKES: Mapping[float, str] = {-1.0: "sign", 1e-3: "unit, 1000 times too large", 1e3: "unit, 1000 times too small"}
 """By what a reading would have to be multiplied -> what looks wrong with it in the map."""
 SHARE = 0.05  # of the largest power of a balance, which it may miss by losses that differ from those of the schedule
@@ -72,7 +72,7 @@ def find_schedule(network: Network, meters: Sequence[Meter]) -> dict[str, Schedu
 
 @dataclass(frozen=True, slots=True)
 class Balance:
-    """Powers that add up: ``terms``, meter id and sign of each, at ``place``, such as ``bus 4``."""
+    """Powers that add up: ``terms``, meter id and sign of each, at ``place``, such as ``bus 4 (P)``."""
 
     place: str
     terms: tuple[tuple[str, int], ...]
@@ -95,7 +95,7 @@ def find_balances(network: Network, meters: Sequence[Meter], read: Iterable[str]
     """The balances all of whose meters are ``read``: of each bus, and between the two ends of each branch."""
     known = set(read)
     virtual = {(meter.kind, meter.bus) for meter in meters if meter.source is Source.VIRTUAL}
-    for injection, flow in POWERS:
+    for injection, flow, letter in POWERS:
         ends: dict[int, list[tuple[str, int] | None]] = {bus.id: [] for bus in network.buses}
         for branch in network.branches:
             if not branch.in_service:
@@ -103,7 +103,7 @@ def find_balances(network: Network, meters: Sequence[Meter], read: Iterable[str]
             at = {bus: Meter(flow, bus, branch.id).id for bus in (branch.from_bus, branch.to_bus)}
             here, there = at[branch.from_bus], at[branch.to_bus]
             if here in known and there in known:
-                yield Balance(f"branch {branch.id}", ((here, 1), (there, 1)))
+                yield Balance(f"branch {branch.id} ({letter})", ((here, 1), (there, 1)))
             for bus, other in ((branch.from_bus, there), (branch.to_bus, here)):
                 term = (at[bus], -1) if at[bus] in known else (other, 1) if other in known else None
                 ends[bus].append(term)
@@ -111,7 +111,7 @@ def find_balances(network: Network, meters: Sequence[Meter], read: Iterable[str]
             own = Meter(injection, bus).id
             if (own in known or (injection, bus) in virtual) and terms and None not in terms:
                 flows = tuple(term for term in terms if term is not None)
-                yield Balance(f"bus {bus}", ((own, 1), *flows) if own in known else flows)
+                yield Balance(f"bus {bus} ({letter})", ((own, 1), *flows) if own in known else flows)
 
 
 def find_suspects(

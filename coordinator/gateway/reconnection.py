@@ -17,24 +17,25 @@ LONGEST_ERROR = 500  # characters
 @dataclass
 class Link:
     """What a source or sink is linked with. ``failures``: how often it has failed; ``error``: why last, empty while it
-    works.
+    works. ``say``: what to do with a sentence about that.
     """
 
     name: str
     failures: int = 0
     error: str = ""
+    say: Callable[[str], None] = log.warning
 
     def note_success(self) -> None:
         """Something has come or gone through."""
         if self.error:
-            log.info("%s works again", self.name)
+            self.say(f"{self.name} works again")
             self.error = ""
 
     def note_failure(self, error: BaseException) -> None:
         self.failures += 1
         if (found := describe_error(error)) != self.error:
             self.error = found
-            log.warning("%s: %s; trying again, in %g to %g s", self.name, found, FIRST_PAUSE_S, LONGEST_PAUSE_S)
+            self.say(f"{self.name}: {found}; trying again, in {FIRST_PAUSE_S:g} to {LONGEST_PAUSE_S:g} s")
 
 
 async def keep_on(link: Link, attempt: Callable[[], Awaitable[None]]) -> None:

@@ -1,0 +1,124 @@
+"""What goes onto the bus: snapshots, no more often than allowed, and repeated; scans of a gateway that leads."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+
+import pytest
+
+from agents.messages.packing import Incarnation, TelemetryMessage, decode
+from coordinator.gateway.intake import Intake
+from coordinator.gateway.map_file import GatewayMap
+from coordinator.gateway.publisher import LeadingPublisher, Publisher
+
+DEADLINE_S = 30.0
+
+
+def make(
+    content: GatewayMap, cls: type[Publisher] = Publisher, **options: object
+) -> tuple[Intake, Publisher, list[TelemetryMessage]]:
+    """In a running loop: an intake, its publisher, and what it sends."""
+    sent: list[TelemetryMessage] = []
+
+    def send(payload: bytes) -> None:
+        message = decode(payload)
+        assert isinstance(message, TelemetryMessage)
+        sent.append(message)
+
+    intake = Intake(content.points, time.time)
+    settings = {"least_interval_s": 0.01, "scan_s": 0.5, "repeats_s": (0.02, 0.03)} | options
+    publisher = cls("r", "north", Incarnation(1, 2), intake, {"area1": send}, **settings)  # type: ignore[arg-type]
+    publisher.start()
+    return intake, publisher, sent
+
+
+async def until(holds: Callable[[], bool]) -> None:
+    async with asyncio.timeout(DEADLINE_S):
+        while not holds():
+            await asyncio.sleep(0.005)
+
+
+def test_a_message_is_a_snapshot_of_all_that_was_read(two_meters: GatewayMap) -> None:
+    async def test() -> list[TelemetryMessage]:
+        intake, publisher, sent = make(two_meters)
+        intake("U1", 12.66, 1.7e9)
+        await until(lambda: len(sent) == 1)
+        intake("P1", 100.0, valid=False)
+        await until(lambda: sent[-1].header.sequence == 2)
+        publisher.finish()
+        return sent
+
+    sent = asyncio.run(test())
+    first, last = sent[0], sent[-1]
+    assert (first.area, first.meters, first.times, first.valid) == ("area1", ("vm@1",), (1.7e9,), (True,))
+    assert (first.header.run, first.header.sender, first.header.sequence) == ("r", "north", 1)
+    assert last.meters == ("vm@1", "p_flow@1:1-2")
+    assert last.valid == (True, False)
+
+
+def test_a_flood_is_few_messages_with_the_newest_of_all_meters(two_meters: GatewayMap) -> None:
+    async def test() -> tuple[Intake, list[TelemetryMessage]]:
+        intake, publisher, sent = make(two_meters, least_interval_s=1000.0, repeats_s=(1000.0,))
+        intake("P1", 100.0)
+        await until(lambda: len(sent) == 1)
+        for k in range(10_000):
+            intake("U1", 12.0 + k / 1e5)
+            if not k % 100:
+                await asyncio.sleep(0)
+        publisher.finish()
+        return intake, sent
+
+    intake, sent = asyncio.run(test())
+    assert len(sent) == 2 == intake.counts.messages
+    assert sent[-1].values[sent[-1].meters.index("vm@1")] == pytest.approx(12.09999 / 12.66)
+    assert intake.counts.used == 2
+    assert intake.counts.superseded == 9_999
+
+
+def test_the_same_is_said_again_for_who_has_missed_it(two_meters: GatewayMap) -> None:
+    async def test() -> list[TelemetryMessage]:
+        intake, publisher, sent = make(two_meters)
+        publisher.publish_soon("area1")  # an area is there before any reading
+        publisher.publish_soon("area2")
+        intake("U1", 12.66)
+        await until(lambda: len(sent) >= 4)
+        publisher.finish()
+        return sent
+
+    sent = asyncio.run(test())
+    assert {message.header.sequence for message in sent} == {1}
+    assert {message.values for message in sent} == {sent[0].values}
+
+
+def test_an_area_that_appears_gets_what_there_is(two_meters: GatewayMap) -> None:
+    async def test() -> list[TelemetryMessage]:
+        intake, publisher, sent = make(two_meters, repeats_s=(1000.0,))
+        intake("U1", 12.66)
+        await until(lambda: len(sent) == 1)
+        publisher.publish_soon("area1")
+        await until(lambda: len(sent) == 2)
+        publisher.finish()
+        return sent
+
+    assert [message.header.sequence for message in asyncio.run(test())] == [1, 1]
+
+
+def test_of_a_gateway_that_leads_all_messages_of_a_scan_say_the_same(two_meters: GatewayMap) -> None:
+    async def test() -> list[TelemetryMessage]:
+        intake, publisher, sent = make(two_meters, LeadingPublisher, scan_s=0.1, repeats_s=(0.01,))
+        value = 12.0
+        while len({message.header.scan for message in sent}) < 3:
+            intake("U1", value := value + 1e-4)
+            publisher.publish_soon("area1")
+            await asyncio.sleep(0.005)
+        publisher.finish()
+        return sent
+
+    by_scan: dict[int, list[TelemetryMessage]] = {}
+    for message in asyncio.run(test()):
+        by_scan.setdefault(message.header.scan, []).append(message)
+    assert max(map(len, by_scan.values())) > 1
+    for messages in by_scan.values():
+        assert len({(message.header.sequence, message.values) for message in messages}) == 1
