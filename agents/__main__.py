@@ -13,6 +13,8 @@ from types import FrameType
 
 from agents.area_files.area_file import AreaFile
 from agents.area_files.reader import load_area_file
+from agents.orders.order_book import BY_OPERATOR, STOPPED_CODE, OrderBook
+from agents.orders.order_file import OrderFile
 from agents.protocol.events import StopRequested
 from agents.runtime.duplicate_guard import REPLACED_CODE, ReplacedError
 from agents.runtime.inbox import Inbox
@@ -32,7 +34,8 @@ SWITCH_S = 1e-4  # after which computing lets a thread of the bus in that has me
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one agent; 0 after an orderly end, 2 on wrong input or a bus that cannot be reached, 3 if replaced."""
+    """Run one agent; 0 after an orderly end, 2 on wrong input or a bus that cannot be reached, 3 if replaced, 4 if
+    the operator has stopped it."""
     arguments = make_parser().parse_args(argv)
     return run_process(arguments.area_file, arguments.keys, arguments.connect or (), arguments.timeout)
 
@@ -69,11 +72,11 @@ def run_process(
     for listener in (_LogOfCompiling(), watchdog.take_compiling):
         compiling.listen(listener)
     try:
-        run_area(path, endpoints, timeout_s, keys, watchdog)
+        reason = run_area(path, endpoints, timeout_s, keys, watchdog)
     except DsseError as error:
         print(f"error: {error}", file=sys.stderr)
         return REPLACED_CODE if isinstance(error, ReplacedError) else 2
-    return 0
+    return STOPPED_CODE if reason == BY_OPERATOR else 0
 
 
 class _LogOfCompiling:
@@ -100,17 +103,21 @@ def _seconds(text: str) -> float:
 
 def run_area(
     path: Path, endpoints: Sequence[str], timeout_s: float, keys: Path | None, watchdog: Watchdog | None = None
-) -> None:
+) -> str:
     """Run the agent of area file ``path``; ``endpoints``, if any, replace the file's; ``keys``: folder of credentials.
 
+    Returns why it has ended.
+
     Raises:
-        InvalidInputError: the area file or the credentials cannot be used.
+        InvalidInputError: the area file, the operator file or the credentials cannot be used.
         TransportError: no endpoint answers within ``timeout_s``.
         ReplacedError: another agent of the area runs that began later.
     """
     content = load_area_file(path, list_strategies())
     if endpoints:
         content = replace(content, endpoints=tuple(endpoints))
+    name = content.area.name
+    orders = OrderBook.of(content, OrderFile.of(path, content.run, name))
     inbox = Inbox()
     sys.setswitchinterval(SWITCH_S)
 
@@ -123,8 +130,9 @@ def run_area(
     with _open_session(content, timeout_s, keys) as session:
         signal.signal(signal.SIGTERM, stop)
         signal.signal(signal.SIGINT, stop)
-        reason = run_agent(content, session, inbox, watchdog)
-    logging.getLogger(__name__).info("area %s ends: %s", content.area.name, reason)
+        reason = run_agent(content, session, inbox, watchdog, orders)
+    logging.getLogger(__name__).info("area %s ends: %s", name, reason)
+    return reason
 
 
 def _open_session(content: AreaFile, timeout_s: float, keys: Path | None) -> Session:

@@ -35,6 +35,7 @@ from agents.protocol.events import (
     ClockSet,
     Event,
     Finish,
+    Ordered,
     PresenceChanged,
     Publish,
     Received,
@@ -129,6 +130,8 @@ class AreaProtocol(ABC):
                     self._peers[area].is_owed_reply = True
                 case PresenceChanged(area, False, leave_reason):
                     self._peers.note_gone(area, leave_reason)
+                case Ordered():
+                    yield from self._follow(event)
         is_heartbeat = now >= self._next_heartbeat
         if is_heartbeat:
             self._next_heartbeat = now + self._beat_s
@@ -181,7 +184,17 @@ class AreaProtocol(ABC):
     def _show(self, *, is_heartbeat: bool) -> Iterator[Publish]:
         """The state, if it is to be published."""
 
+    @abstractmethod
+    def _take_readings_anew(self) -> Iterator[Action]:
+        """Work with the readings of this scan that there are now, as the operator has asked."""
+
     # What comes in
+
+    def _follow(self, ordered: Ordered) -> Iterator[Action]:
+        """A command of the operator."""
+        self._published.ordered = ordered
+        if self._scan.follow(ordered):
+            yield from self._take_readings_anew()
 
     def _take(self, message: Message, key_sender: str) -> Iterator[Action]:
         wall = self._wall

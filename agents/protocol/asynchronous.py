@@ -37,6 +37,7 @@ from agents.protocol.quality import (
     find_early_scan,
     find_gone,
     find_left_out_readings,
+    find_meters_off,
     find_missing_readings,
     find_missing_side,
     find_overdue_readings,
@@ -100,6 +101,11 @@ class AsynchronousProtocol(AreaProtocol):
 
     def _take_telemetry(self, message: TelemetryMessage) -> Iterator[Action]:
         self._has_update |= self._scan.take_at_once(message, self._now)
+        yield from ()
+
+    def _take_readings_anew(self) -> Iterator[Action]:
+        self._scan.enter(self.scan, self._now)
+        self._has_update = True
         yield from ()
 
     def _take_load(self) -> Iterator[Action]:
@@ -254,6 +260,7 @@ class AsynchronousProtocol(AreaProtocol):
         if self._scan.has_been_read:
             yield from find_missing_readings(self._scan.readings.silent, self._scan.readings.invalid)
             yield from find_left_out_readings(self._scan.readings)
+        yield from find_meters_off(self._published.ordered.meters_off)
         yield from (find_gone(name, leave_reason) for name, leave_reason in sorted(self._peers.gone.items()))
         if estimate is None:
             yield Finding(NONE, "there is no estimate" if self._scan.has_been_read else "no telemetry yet")

@@ -40,11 +40,24 @@ class ClockSet:
 
 
 @dataclass(frozen=True, slots=True)
+class Ordered:
+    """A command of the operator that is to be followed, and was recorded.
+
+    ``order``: start in ms, random number and sequence number; ``meters_off``: all meters of the area that are off.
+    ``scan``: the newest readings are to be taken at once.
+    """
+
+    order: tuple[int, int, int]
+    meters_off: tuple[str, ...]
+    scan: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class StopRequested:
     reason: str
 
 
-Event = Received | Rejected | PresenceChanged | ClockSet | StopRequested
+Event = Received | Rejected | PresenceChanged | ClockSet | Ordered | StopRequested
 
 
 @dataclass(frozen=True, slots=True)

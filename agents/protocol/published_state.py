@@ -11,6 +11,7 @@ from typing import Any
 from agents.messages.packing import Header, StateMessage, content_of
 from agents.peers.peer_table import PeerTable
 from agents.peers.rejections import Rejections
+from agents.protocol.events import Ordered
 from agents.protocol.quality import Worth
 from agents.protocol.readings import Ages
 from agents.protocol.scan_readings import ScanReadings
@@ -19,7 +20,7 @@ from dsse_core.grid.partition import Area
 
 
 class PublishedState:
-    """``message``: the state as last published, None before the first.
+    """``message``: the state as last published, None before the first. ``ordered``: what the operator has, last.
 
     Args:
         header_for: the header of the message with that sequence number.
@@ -34,6 +35,7 @@ class PublishedState:
         header_for: Callable[[int], Header],
     ) -> None:
         self.message: StateMessage | None = None
+        self.ordered = Ordered((0, 0, 0), ())
         self._buses = tuple(bus.id for bus in area.network.buses)
         self._peers = peers
         self._scan = scan
@@ -53,7 +55,7 @@ class PublishedState:
     def _find_standing(self, quality: str) -> object:
         r = self._rejections
         rejections = set(r.ahead), dict(r.contradictions), dict(r.far_scans), set(self._peers.skewed)
-        return quality, dict(self._peers.gone), rejections
+        return quality, dict(self._peers.gone), rejections, self.ordered
 
     def compose(
         self,
@@ -90,7 +92,8 @@ class PublishedState:
             clock_skews=self._peers.clock_skews(),
             taken_at=ages.taken_at,
             oldest_reading=ages.oldest_s,
-            meters_off=tuple(sorted(self._scan.store.off)),
+            meters_off=self.ordered.meters_off,
+            command=self.ordered.order,
         )
         if last is not None and content_of(last) == content_of(state) and last.header.scan == scan:
             state = replace(state, header=replace(state.header, sequence=last.header.sequence))

@@ -187,6 +187,12 @@ def find_missing_readings(silent: Sequence[str], invalid: Sequence[str]) -> Iter
         yield Finding(GOOD, f"no reading from {_first_of(silent)}")
 
 
+def find_meters_off(meters: Sequence[str]) -> Iterator[Finding]:
+    """Meters that the operator has switched off."""
+    if meters:
+        yield Finding(GOOD, f"switched off by the operator: {_first_of(meters)}")
+
+
 def _first_of(meters: Sequence[str]) -> str:
     """The first by its id, and how many there are beside it."""
     n = len(meters) - 1

@@ -99,6 +99,9 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
     def _take_telemetry(self, message: TelemetryMessage) -> Iterator[Action]:
         yield from self._act_on(self._scan.take(message, self._now))
 
+    def _take_readings_anew(self) -> Iterator[Action]:
+        yield from self._change()
+
     def _act_on(self, update: TelemetryUpdate) -> Iterator[Action]:
         """Use new readings, or readings that belong to another scan than was thought."""
         match update:

@@ -28,6 +28,7 @@ from agents.protocol.quality import (
     find_far_scans,
     find_gone,
     find_left_out_readings,
+    find_meters_off,
     find_missing_readings,
     find_missing_side,
     find_overdue_readings,
@@ -215,6 +216,7 @@ class RoundsState:
         if self._scan.has_been_read:
             yield from find_missing_readings(self._scan.readings.silent, self._scan.readings.invalid)
             yield from find_left_out_readings(self._scan.readings)
+        yield from find_meters_off(self._published.ordered.meters_off)
 
     def _aging(self, term: Term, now: float) -> Iterator[Finding]:
         """What has grown old since the outcome, or is being replaced."""

@@ -14,6 +14,7 @@ from agents.area_files.area_file import AreaFile
 from agents.messages.packing import NO_INCARNATION, Incarnation, TelemetryMessage
 from agents.peers.freshness import FRESH_HEARTBEATS, PATIENCE_HEARTBEATS, is_old
 from agents.peers.rejections import MOST_COUNTED
+from agents.protocol.events import Ordered
 from agents.protocol.reading_store import ReadingStore
 from agents.protocol.readings import Readings
 
@@ -52,6 +53,7 @@ class ScanReadings:
         self._received_at = now
         self._later: dict[int, TelemetryMessage] = {}
         self._used: TelemetryMessage | None = None  # the newest that has been read
+        self._takes_anew = False  # as the operator has asked
         self._leader = content.readings.leader
         self._aging = {meter.id for meter in content.meters if content.readings.rule_of(meter.kind).period_s}
         self._offset = 0  # of the incarnation of the plant that was last received
@@ -83,7 +85,7 @@ class ScanReadings:
     @property
     def are_outdated(self) -> bool:
         """Whether other readings of this scan wait for the next term."""
-        return self.scan in self._later
+        return self.scan in self._later or self._takes_anew
 
     def age(self, now: float) -> float:
         """s since telemetry was last received; 0 before the first."""
@@ -213,7 +215,20 @@ class ScanReadings:
             self.scan, self.entered_at, self.are_there, self.stale = scan, now, False, False
         if scan in self._later:
             self._read(self._later.pop(scan), now)
+        elif self._takes_anew and self.are_there:
+            list(self.readings.take(self._used, now, now + self.clock_offset))  # what is rejected has been counted
+        self._takes_anew = False
         self._later = {later: message for later, message in self._later.items() if later > scan}
+
+    def follow(self, ordered: Ordered) -> bool:
+        """Leave out the meters that the operator has switched off; whether the readings are to be taken anew for it,
+        which the next term does.
+        """
+        off = frozenset(ordered.meters_off)
+        is_change, self.store.off = off != self.store.off, off
+        is_due = (is_change or ordered.scan) and self.are_there
+        self._takes_anew |= is_due
+        return is_due
 
     def go_on_without(self, now: float) -> None:
         """The newest readings stand in for those of the scan."""

@@ -50,7 +50,7 @@ class TickReadings(ScanReadings):
 
     @property
     def are_outdated(self) -> bool:
-        return self._waits_for_term
+        return self._waits_for_term or self._takes_anew
 
     def age(self, now: float) -> float:
         """s since the newest reading was measured; 0 before the first."""
@@ -113,8 +113,9 @@ class TickReadings(ScanReadings):
             self.scan, self.entered_at, self.are_there, self.stale = scan, now, False, False
             if self.store.newest:
                 self._read_newest(now)
-        elif self._waits_for_term:
+        elif self.are_outdated:
             self._read_newest(now)
+        self._takes_anew = False
 
     def go_on_without(self, now: float) -> None:
         """With what there is."""

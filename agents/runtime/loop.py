@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import logging
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -15,6 +16,7 @@ from agents.messages.keys import (
     all_incarnations,
     all_telemetry,
     clock_key,
+    command_key,
     incarnation_of,
     live_key,
     name_of_live,
@@ -23,6 +25,7 @@ from agents.messages.keys import (
     state_key,
 )
 from agents.messages.packing import ClockMessage, ReadingsMessage, StateMessage, decode
+from agents.orders.order_book import OrderBook
 from agents.protocol.choose import kinds_of, make_protocol
 from agents.protocol.events import ClockSet, Event, Finish, PresenceChanged, Publish
 from agents.runtime.duplicate_guard import GIVES_WAY, DuplicateGuard, ReplacedError
@@ -62,9 +65,23 @@ class _ClockReceived:
     payload: bytes
 
 
-def run_agent(content: AreaFile, session: Session, inbox: Inbox, watchdog: Watchdog | None = None) -> str:
+@dataclass(frozen=True, slots=True)
+class _CommandReceived:
+    """What arrived on the key of the operator's commands."""
+
+    payload: bytes
+
+
+def run_agent(
+    content: AreaFile,
+    session: Session,
+    inbox: Inbox,
+    watchdog: Watchdog | None = None,
+    orders: OrderBook | None = None,
+) -> str:
     """Take part in the exchange until something puts ``StopRequested`` into ``inbox``; return its reason.
 
+    ``orders``: of the operator, to be followed; None: those that come from now on.
     Subscribes first and shows its presence last, so that who sees the token can be sure that its messages are received.
     ``watchdog``: learns when it is there, and that the loop goes round.
 
@@ -86,7 +103,9 @@ def run_agent(content: AreaFile, session: Session, inbox: Inbox, watchdog: Watch
     how = f"{content.strategy}, back end {backend}" if backend else content.strategy
     log.info("area %s of run %s, strategy %s, incarnation %s", name, run, how, incarnation)
     presence, guard = Presence(), DuplicateGuard(f"area {name} of run {run}", incarnation, now, content.beat_s)
-    events: list[Event] = []
+    orders = orders or OrderBook.of(content)
+    events = orders.begin()
+    take_command = functools.partial(_take_command, orders, clock)
     logged: object = None
     next_tidying = now
     watchdog = watchdog or Watchdog({})
@@ -115,7 +134,7 @@ def run_agent(content: AreaFile, session: Session, inbox: Inbox, watchdog: Watch
             updates += [*inbox.take(0.0), _OutOfSight()]
             session.resume()
         events = [ClockSet(clock.offset)] if clock.has_been_set() else []
-        events += _events_of(name, updates, presence, guard, links)
+        events += _events_of(name, updates, presence, guard, links, take_command)
         try:
             guard.check(time.monotonic())
         except ReplacedError:
@@ -131,6 +150,7 @@ def _listen(content: AreaFile, session: Session, kinds: Sequence[str], inbox: In
     ingress_filter = IngressFilter(known, run, name, content.readings.gateways, inbox)
     session.subscribe(all_from_neighbours(run, name), ingress_filter.take)
     session.subscribe(all_telemetry(run, name), ingress_filter.take)
+    session.subscribe(command_key(run, name), lambda key, payload: inbox.put(key, _CommandReceived(payload)))
     if any(faults.has_windows for faults in content.links.values()):
         session.subscribe(
             clock_key(run), lambda key, payload: inbox.put(key, _ClockReceived(time.monotonic(), payload))
@@ -178,13 +198,20 @@ def _put_leave(inbox: Inbox, key: str, payload: bytes) -> None:
 
 
 def _events_of(
-    area: str, updates: Sequence[Any], presence: Presence, guard: DuplicateGuard, links: FaultyLinks
+    area: str,
+    updates: Sequence[Any],
+    presence: Presence,
+    guard: DuplicateGuard,
+    links: FaultyLinks,
+    take_command: Callable[[bytes], Iterator[Event]],
 ) -> Iterator[Event]:
     """What of ``updates`` is for the protocol of ``area``; the rest is taken in here."""
     for item in updates:
         match item:
             case _ClockReceived(at, payload):
                 _take_clock(links, at, payload)
+            case _CommandReceived(payload):
+                yield from take_command(payload)
             case _OutOfSight():
                 guard.forget()
                 for _, gone in presence.forget():
@@ -198,6 +225,10 @@ def _events_of(
                     yield PresenceChanged(name_of_live(key)[1], alive, leave_reason)
             case _:
                 yield item
+
+
+def _take_command(orders: OrderBook, clock: HostClock, payload: bytes) -> Iterator[Event]:
+    return orders.take(payload, time.monotonic() + clock.offset)
 
 
 def _take_clock(links: FaultyLinks, at: float, payload: bytes) -> None:

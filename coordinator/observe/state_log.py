@@ -9,6 +9,8 @@ from agents.messages.packing import Incarnation, StateMessage
 from agents.runtime.link_faults import KINDS
 from coordinator.observe.events import EventLog
 
+NO_COMMAND = (0, 0, 0)
+
 
 @dataclass
 class StateLog:
@@ -17,6 +19,7 @@ class StateLog:
     events: EventLog | None
     faults: Counter[str] = field(default_factory=Counter)
     _quality: dict[str, str] = field(default_factory=dict)
+    _commands: dict[str, tuple[int, int, int]] = field(default_factory=dict)  # the last that each area has followed
     _counted: dict[str, tuple[Incarnation, Counter[str]]] = field(default_factory=dict)  # of the last incarnation
 
     def take(self, state: StateMessage, at: float, is_new: bool) -> None:
@@ -31,6 +34,11 @@ class StateLog:
         self.faults += more
         if self.events is None:
             return
+        if state.command != self._commands.get(area, NO_COMMAND):
+            self._commands[area] = state.command
+            self.events.write(
+                "command followed", at, area=area, command=list(state.command), meters_off=list(state.meters_off)
+            )
         if is_new:
             self._write_change(self.events, state, at)
         if more:

@@ -41,7 +41,10 @@ ACCESS_FILE = FileKind(
     "an", "access file", frozenset({"revoked", "neighbours"}), "lies beside certificates", "dsse keys create SCENARIO"
 )
 GATEWAY_MAP = FileKind("a", "gateway map", frozenset({"scenario", "name"}), "`dsse gateway` takes")
-KINDS = (SCENARIO_FILE, NETWORK_FILE, AREA_FILE, ACCESS_FILE, GATEWAY_MAP)
+OPERATOR_FILE = FileKind(
+    "an", "operator file", frozenset({"followed", "meters_off"}), "`dsse agent` keeps of the operator's commands"
+)
+KINDS = (SCENARIO_FILE, NETWORK_FILE, AREA_FILE, ACCESS_FILE, GATEWAY_MAP, OPERATOR_FILE)
 
 
 def kind_reported_by(keys: Collection[str]) -> FileKind | None:

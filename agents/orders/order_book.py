@@ -1,0 +1,130 @@
+"""The operator's commands to one process: each is followed once, in their order, and refused with a reason otherwise.
+
+Without keys on the bus anybody may write the operator's name; with keys nobody but the operator reaches the key on
+which commands come, and what is left to refuse is a command that is repeated by somebody who has heard it.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter
+from collections.abc import Collection, Iterator
+
+from agents.area_files.area_file import AreaFile
+from agents.messages.checks import MessageError, is_worth_writing
+from agents.messages.packing import MAX_NEIGHBOUR_BYTES, CommandMessage, decode
+from agents.orders.order_file import Followed, OrderFile
+from agents.peers.rejections import LONGEST_LEAD_S, find_lead
+from agents.protocol.events import Event, Ordered, Rejected, StopRequested
+from agents.security.access import OPERATOR
+from dsse_core.grid.measurement import Source
+from dsse_core.printable import listed, printable
+
+log = logging.getLogger(__name__)
+LONGEST_AGE_S = 60.0  # of a command, by the operator's clock; who gives one repeats it with the time of each
+LARGEST_COMMAND = MAX_NEIGHBOUR_BYTES
+MOST_NAMED = 12  # meters in a line of the log
+BY_OPERATOR = "stopped by the operator"  # leave message, and
+STOPPED_CODE = 4  # exit code of a process that was: started again at once, it would not be
+REPLAYED = "command of the past"
+UNRECORDED = "command that cannot be recorded"
+
+
+class OrderBook:
+    """What process ``name`` of ``run`` has followed of the operator's commands.
+
+    Args:
+        meters: ids of its own meters; others in a command are somebody else's.
+        file: where that outlives the process; None: a process without meters, which
+        began_at: at that time, s since 1970, and follows no command from before.
+
+    Raises:
+        InvalidInputError: ``file`` cannot be read.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        run: str,
+        meters: Collection[str] = (),
+        file: OrderFile | None = None,
+        began_at: float = 0.0,
+    ) -> None:
+        self._name = name
+        self._run = run
+        self._meters = frozenset(meters)
+        self._file = file
+        self._began_at = began_at
+        self._followed = file.load() if file else Followed()
+        self._refused: Counter[str] = Counter()
+
+    @classmethod
+    def of(cls, content: AreaFile, file: OrderFile | None = None) -> OrderBook:
+        """That of the area of ``content``."""
+        meters = [meter.id for meter in content.meters if meter.source is not Source.VIRTUAL]
+        return cls(content.area.name, content.run, meters, file)
+
+    def begin(self) -> list[Event]:
+        """What was ordered before the process began, and still holds."""
+        if self._followed == Followed():
+            return []
+        return [self._ordered(scan=False)]
+
+    def take(self, payload: bytes, wall: float) -> Iterator[Event]:
+        """What follows from a ``payload`` on the key of commands that came at ``wall``, s since 1970."""
+        try:
+            message = decode(payload, LARGEST_COMMAND)
+        except MessageError as error:
+            yield self._refuse(f"command {error.reason}", str(error))
+            return
+        reason = self._find_refusal(message, wall) if isinstance(message, CommandMessage) else "no command"
+        if reason:
+            yield self._refuse(reason, f"from {printable(message.header.sender)}")
+        elif isinstance(message, CommandMessage) and message.header.order > self._followed.order:
+            yield from self._follow(message)
+
+    def _find_refusal(self, message: CommandMessage, wall: float) -> str:
+        header = message.header
+        if header.run != self._run:
+            return "other run"
+        if header.sender != OPERATOR:
+            return "command of somebody else than the operator"
+        if message.to != self._name:
+            return "command to somebody else"
+        if find_lead(header, wall) > LONGEST_LEAD_S:
+            return "command from the future"
+        if header.order < self._followed.order or header.time < self._began_at:
+            return REPLAYED
+        if header.time < wall - LONGEST_AGE_S and header.order != self._followed.order:
+            return f"command older than {LONGEST_AGE_S:.0f} s"
+        return ""
+
+    def _follow(self, message: CommandMessage) -> Iterator[Event]:
+        """Record ``message`` first: what a restart would forget is not followed."""
+        off = tuple(sorted(self._meters.intersection(message.meters_off)))
+        followed = Followed(message.header.incarnation, message.header.sequence, off)
+        try:
+            if self._file:
+                self._file.save(followed)
+        except OSError as error:
+            yield self._refuse(UNRECORDED, f"{error.filename}: {error.strerror}")
+            return
+        if off != self._followed.meters_off:
+            log.info("the operator has switched off: %s", printable(listed(off, MOST_NAMED)) or "no meter")
+        self._followed = followed
+        if message.scan:
+            log.info("the operator has asked for a scan")
+        yield self._ordered(scan=message.scan)
+        if message.stop:
+            yield StopRequested(BY_OPERATOR)
+
+    def _ordered(self, *, scan: bool) -> Ordered:
+        start, sequence = self._followed.order
+        return Ordered((start.start_ms, start.random, sequence), self._followed.meters_off, scan)
+
+    def _refuse(self, reason: str, why: str) -> Rejected:
+        self._refused[reason] += 1
+        count = self._refused[reason]
+        if is_worth_writing(count):
+            log.warning("refused command number %s for this reason, %s: %s", count, reason, why)
+        return Rejected(reason, count)
