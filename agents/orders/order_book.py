@@ -27,6 +27,7 @@ MOST_NAMED = 12  # meters in a line of the log
 BY_OPERATOR = "stopped by the operator"  # leave message, and
 STOPPED_CODE = 4  # exit code of a process that was: started again at once, it would not be
 REPLAYED = "command of the past"
+TOO_OLD, TOO_EARLY = f"command older than {LONGEST_AGE_S:.0f} s", "command from the future"
 UNRECORDED = "command that cannot be recorded"
 
 
@@ -92,11 +93,11 @@ class OrderBook:
         if message.to != self._name:
             return "command to somebody else"
         if find_lead(header, wall) > LONGEST_LEAD_S:
-            return "command from the future"
+            return TOO_EARLY
         if header.order < self._followed.order or header.time < self._began_at:
             return REPLAYED
         if header.time < wall - LONGEST_AGE_S and header.order != self._followed.order:
-            return f"command older than {LONGEST_AGE_S:.0f} s"
+            return TOO_OLD
         return ""
 
     def _follow(self, message: CommandMessage) -> Iterator[Event]:

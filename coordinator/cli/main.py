@@ -39,6 +39,7 @@ from coordinator.cli.terminal import (
 from coordinator.cli.thesis import thesis
 from coordinator.cli.watch import watch_commands
 from coordinator.interrupts import INTERRUPTED_CODE, end_orderly_on_signals
+from coordinator.operate.command import operator_commands
 from dsse_core.errors import DsseError
 
 if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts fast
@@ -281,6 +282,7 @@ def _estimate_scans(loaded: Scenario, scans: Scans, output: Output) -> int:
 
 ALL = (
     *process_commands,
+    *operator_commands,
     *watch_commands,
     *network_commands,
     *study_commands,

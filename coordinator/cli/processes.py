@@ -156,27 +156,6 @@ def plant(
     )
 
 
-@click.command(short_help="End what is left of a run.")
-@click.argument("folder", metavar="RUN_FOLDER", type=click.Path(path_type=Path))
-def stop(folder: Path) -> None:
-    """End the processes of the run in RUN_FOLDER that are left on this host, as after `kill -9` of its `dsse run`.
-
-    \b
-    Example:  dsse stop runs/ieee33-20261122-120000
-    """
-    from coordinator.process_run.run_keys import remove_keys_of_dead_runs
-    from coordinator.process_run.stop_run import stop_run
-
-    run, count = stop_run(folder)
-    remove_keys_of_dead_runs()
-    if run is None:
-        show(printable(f"{folder}: nothing to stop; the run was killed before it had started a process"))
-    elif count:
-        show(printable(f"run {run.id}: {count} process{'es' * (count > 1)} ended"))
-    else:
-        show(printable(f"run {run.id}: no process of it is left on this host"))
-
-
 @click.command("compile", short_help="Compile the solvers of large radial networks ahead.")
 def compile_() -> None:
     """Compile the solvers of large radial networks now, so that no run has to: for an image, or by an administrator.
@@ -193,4 +172,4 @@ def compile_() -> None:
     print(f"kept in {ahead.folder}" if ahead.folder else f"is compiled already, in {' or '.join(ahead.found_in)}")
 
 
-process_commands = (split, agent, router, plant, stop, compile_)
+process_commands = (split, agent, router, plant, compile_)

@@ -36,18 +36,19 @@ MOST_RUNS = 12  # that an error names
 
 
 class Look:
-    """What arrives on ``session``; called with a number of seconds it takes in what arrives within them."""
+    """What arrives on ``session`` of ``run``; called with a number of seconds it takes in what arrives within them."""
 
     def __init__(self, watcher: Watcher, updates: Updates, session: Session) -> None:
         self.is_linked = session.is_linked
-        self._watcher, self._updates, self._session = watcher, updates, session
+        self.session, self.run = session, watcher.run
+        self._watcher, self._updates = watcher, updates
 
     def renew(self) -> None:
         """Take up the keys that are in the files now; who is there is seen anew."""
-        if self._session.interrupt():
+        if self.session.interrupt():
             self(0.0)
             self._watcher.forget_presence()
-            self._session.resume()
+            self.session.resume()
 
     def __call__(self, duration_s: float) -> Watcher:
         """The watcher, which knows of all up to now."""
@@ -66,19 +67,24 @@ class Look:
 
 @contextmanager
 def join_run(
-    endpoints: Sequence[str], run: str | None, timeout_s: float, keys: Path | None = None, direct: bool = False
+    endpoints: Sequence[str],
+    run: str | None,
+    timeout_s: float,
+    keys: Path | None = None,
+    direct: bool = False,
+    name: str = "",
 ) -> Iterator[tuple[Session, str]]:
     """Join the bus at ``endpoints`` as a mere listener of ``run``, or of the only run that is there; which that is.
 
     ``keys``: folder of the watcher's or the coordinator's credentials; it names the run, too, unless ``run`` is given.
-    ``direct``: ``endpoints`` are those of all areas, and there is no router.
+    ``direct``: ``endpoints`` are those of all areas, and there is no router. ``name``: whose credentials instead.
 
     Raises:
         InvalidInputError: ``keys`` cannot be used, or ``run`` is no name of a run.
         TransportError: no endpoint answers in time, no run or several are there.
     """
     run = check_run_id(run) if run is not None else None
-    loaded = load_keys(keys, _find_own_name(keys), run) if keys else None
+    loaded = load_keys(keys, name or _find_own_name(keys), run) if keys else None
     run = loaded.access.run if loaded else run
     with Session.join(endpoints, timeout_s, loaded, direct=direct) as session:
         yield session, run or _find_run(session, timeout_s)
@@ -86,10 +92,15 @@ def join_run(
 
 @contextmanager
 def attach(
-    endpoints: Sequence[str], run: str | None, timeout_s: float, keys: Path | None = None, direct: bool = False
+    endpoints: Sequence[str],
+    run: str | None,
+    timeout_s: float,
+    keys: Path | None = None,
+    direct: bool = False,
+    name: str = "",
 ) -> Iterator[Look]:
     """Watch a run; the arguments and what is raised are those of ``join_run``."""
-    with join_run(endpoints, run, timeout_s, keys, direct) as (session, run):
+    with join_run(endpoints, run, timeout_s, keys, direct, name) as (session, run):
         watcher, updates = Watcher(run), Updates()
         session.subscribe(all_states(run), lambda key, payload: updates.offer(_decoded(key, payload)))
         session.subscribe(all_readings(run), lambda key, payload: updates.offer(_decoded(key, payload)))

@@ -76,7 +76,7 @@ class Watcher:
 
     def is_whole(self) -> bool:
         """Whether there are areas, and every one that is there has been received."""
-        present = self._names_of("area")
+        present = self.names_of("area")
         return bool(present) and present <= self._received.keys()
 
     def state_of(self, area: str) -> StateMessage | None:
@@ -96,7 +96,7 @@ class Watcher:
     def look(self, now: float) -> View:
         """What is known at ``now``."""
         spoken_to = {name for _, state in self._received.values() for name in state.sent}
-        names = sorted(self._names_of("area") | self._received.keys() | spoken_to, key=_by_number)[:MAX_NAMES]
+        names = sorted(self.names_of("area") | self._received.keys() | spoken_to, key=_by_number)[:MAX_NAMES]
         others = sorted(f"{role} {name}" for role, name in self._presence.names if role != "area")
         views = tuple(self._view_of(name, now) for name in names)
         return View(self.run, views, tuple(others), tuple(self._find_duplicates()), self.find_other_versions())
@@ -119,11 +119,12 @@ class Watcher:
             if role in NOUNS and len(incarnations) > 1:
                 yield describe_duplicate(role, name, tuple(map(str, incarnations)))
 
-    def _names_of(self, role: str) -> set[str]:
+    def names_of(self, role: str) -> set[str]:
+        """Who of ``role`` is there."""
         return {name for its_role, name in self._presence.names if its_role == role}
 
     def _view_of(self, name: str, now: float) -> AreaView:
-        present = name in self._names_of("area")
+        present = name in self.names_of("area")
         leave_reason = "" if present else self._leave_reasons.get(name, "")
         if name not in self._received:
             silence = f"has left: {leave_reason}" if leave_reason else "" if present else "is gone"
@@ -168,6 +169,7 @@ class Watcher:
             bytes=state.bytes,
             lost=state.lost,
             removed=state.removed,
+            meters_off=state.meters_off,
             rejected=state.rejected,
             notes=worth.notes,
         )

@@ -7,11 +7,13 @@ import math
 import signal
 import sys
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from agents.messages.keys import all_incarnations, live_key, name_of_live, telemetry_key
+from agents.messages.keys import all_incarnations, command_key, live_key, name_of_live, telemetry_key
+from agents.orders.order_book import BY_OPERATOR, STOPPED_CODE, OrderBook
+from agents.protocol.events import Event, Ordered, StopRequested
 from agents.runtime.duplicate_guard import GIVES_WAY, REPLACED_CODE, DuplicateGuard, ReplacedError
 from agents.runtime.inbox import Inbox
 from agents.runtime.log_format import start_log
@@ -43,7 +45,7 @@ def run_plant(
 ) -> int:
     """Publish ``scans`` for ``run`` until SIGTERM or Ctrl-C; 0, or 2 after a user's mistake.
 
-    3 if another plant of the run began later.
+    3 if another plant of the run began later, 4 if the operator has stopped it.
 
     An area is served when it appears and then at every heartbeat: it subscribes before it shows itself. ``scan``: above
     that of any plant before it in the same run. ``every_s``: time from one scan to the next; None: there is one only.
@@ -71,12 +73,16 @@ def run_plant(
             session.watch_presence(
                 all_incarnations(run, "plant", PLANT), lambda key, alive: inbox.put(key, (key, alive))
             )
+            session.subscribe(
+                command_key(run, PLANT), lambda key, payload: inbox.put("command", _CommandReceived(payload))
+            )
             own_token = live_key(run, "plant", PLANT, incarnation)
             send_leave = session.publisher(own_token)
             session.declare_presence(own_token)
             log.info("plant of run %s, seed %s, %s areas", run, scans.seed, len(payloads))
             guard = DuplicateGuard(f"plant of run {run}", incarnation, time.monotonic(), scans.beat_s)
-            voice = _Voice(publishers, inbox, scans.beat_s, guard, session)
+            orders = OrderBook(PLANT, run, began_at=incarnation.start_ms / 1000)
+            voice = _Voice(publishers, inbox, scans.beat_s, guard, session, orders)
             voice.alone = _Alone(time.monotonic() + timeout_s, f"of run {run} within {timeout_s:g} s", endpoints)
             for number in (SILENT, SPEAK):
                 signal.signal(number, voice.be_silent)
@@ -89,16 +95,23 @@ def run_plant(
             except ReplacedError:
                 send_leave(GIVES_WAY.encode())
                 raise
-            send_leave(b"stopped")
+            send_leave(voice.stops_for.encode())
     except DsseError as error:
         print(f"error: {error}", file=sys.stderr)
         return REPLACED_CODE if isinstance(error, ReplacedError) else 2
-    return 0
+    return STOPPED_CODE if voice.stops_for == BY_OPERATOR else 0
 
 
 def _is_known(key: str, areas: Collection[str]) -> bool:
     """Whether a token is that of one of ``areas``: for strangers there is nothing, and no place in the inbox."""
     return name_of_live(key)[1] in areas
+
+
+@dataclass(frozen=True, slots=True)
+class _CommandReceived:
+    """What arrived on the key of the operator's commands."""
+
+    payload: bytes
 
 
 @dataclass
@@ -127,6 +140,8 @@ class _Voice:
     beat_s: float
     guard: DuplicateGuard
     bus: RenewableBus
+    orders: OrderBook
+    stops_for: str = "stopped"
     silent: bool = False
     alone: _Alone = field(default_factory=_Alone)
     watchdog: Watchdog = field(default_factory=Watchdog)
@@ -134,7 +149,7 @@ class _Voice:
     _due: dict[str, None] = field(default_factory=dict)  # areas to be served, in this order; a new scan goes on with it
 
     def serve(self, payloads: Mapping[str, bytes], late_s: Mapping[str, float], duration_s: float) -> bool:
-        """Publish one scan at every heartbeat for ``duration_s``; whether to stop.
+        """Publish one scan at every heartbeat for ``duration_s``, or until another is asked for; whether to stop.
 
         ``late_s``: area -> by how much its readings come late; until then the former ones are repeated.
 
@@ -163,9 +178,16 @@ class _Voice:
             self._mind_successors([item for item in updates if isinstance(item, tuple)])
             names = [name_of_live(key)[1] for key in updates if isinstance(key, str)]
             self.alone.check(names, time.monotonic())
-            if time.monotonic() >= over:
+            commands = [event for item in updates if isinstance(item, _CommandReceived) for event in self._follow(item)]
+            if any(isinstance(event, StopRequested) for event in commands):
+                self.stops_for = BY_OPERATOR
+                return True
+            if time.monotonic() >= over or any(isinstance(event, Ordered) and event.scan for event in commands):
                 return False
             self._due |= dict.fromkeys(name for name in names if name in payloads)
+
+    def _follow(self, command: _CommandReceived) -> Iterator[Event]:
+        return self.orders.take(command.payload, time.time())
 
     def _publish_some(self, payloads: Mapping[str, bytes], late_s: Mapping[str, float], elapsed_s: float) -> int:
         """Publish the newest readings of the areas that are due next, one or many small ones; bytes said."""

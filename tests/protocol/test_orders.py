@@ -1,4 +1,4 @@
-"""What the operator's commands do to areas: a meter that is off has no part in the estimate, and everybody can see it."""
+"""What the operator's commands do to areas: a meter that is off has no part in the estimate, and all can see it."""
 
 from __future__ import annotations
 

@@ -1,0 +1,148 @@
+"""The operator's commands: ``dsse meter``, ``dsse scan`` and ``dsse stop``."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from coordinator.cli.terminal import (
+    bus_timeout_option,
+    choose_endpoints,
+    connect_option,
+    keys_option,
+    say,
+    show,
+)
+from coordinator.interrupts import end_orderly_on_signals
+from dsse_core.printable import printable
+
+if TYPE_CHECKING:  # the real import stands in the commands, so that every other starts fast
+    from coordinator.operate.operator import Operator
+
+Joining = Callable[[], "AbstractContextManager[Operator]"]
+UNSECURED = "without --keys anybody on this bus can do the same"
+
+
+def operator_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Where the system is; the command gets ``join``, which joins it as its operator."""
+
+    @connect_option()
+    @click.option("--direct", is_flag=True, help="There is no router: link with the endpoint of every area.")
+    @keys_option
+    @click.option(
+        "--run", "run_id", help="Name of the run.  [default: the only one on the bus; with --keys the one named there]"
+    )
+    @bus_timeout_option
+    @functools.wraps(command)
+    def with_operator(
+        *arguments: Any,
+        endpoints: tuple[str, ...],
+        direct: bool,
+        keys: Path | None,
+        run_id: str | None,
+        timeout: float,
+        **options: Any,
+    ) -> Any:
+        def join() -> AbstractContextManager[Operator]:
+            from coordinator.operate.operator import operate
+
+            end_orderly_on_signals()
+            if keys is None:
+                say(UNSECURED)
+            return operate(choose_endpoints(endpoints, keys is not None), run_id, timeout, keys, direct)
+
+        return command(*arguments, join=join, is_connected=bool(endpoints), **options)
+
+    return with_operator
+
+
+@click.group(short_help="Switch meters of a running system off and on.")
+def meter() -> None:
+    """Switch meters of a running system off and on, with the operator's key.
+
+    \b
+    Example:  dsse meter off "p inj@18" --connect tls/192.0.2.7:7447 --keys keys
+    """
+
+
+@meter.command(short_help="Leave the readings of meters out.")
+@click.argument("meters", metavar="ID...", nargs=-1, required=True)
+@operator_options
+def off(meters: tuple[str, ...], join: Joining, is_connected: bool) -> None:
+    """Leave the readings of the meters out, from now on and after restarts, until `dsse meter on`.
+
+    \b
+    Example:  dsse meter off vm@18 vm@22
+    """
+    with join() as operator:
+        for name, area in operator.switch_off(meters).items():
+            show(printable(f"{area}: {name} is off"))
+
+
+@meter.command(short_help="Use the readings of meters again.")
+@click.argument("meters", metavar="ID...", nargs=-1, required=True)
+@operator_options
+def on(meters: tuple[str, ...], join: Joining, is_connected: bool) -> None:
+    """Use the readings of meters again that are off.
+
+    \b
+    Example:  dsse meter on vm@18
+    """
+    with join() as operator:
+        for name, area in operator.switch_on(meters).items():
+            show(printable(f"{area}: {name} is on"))
+
+
+@click.command(short_help="Have a running system make a scan at once.")
+@operator_options
+def scan(join: Joining, is_connected: bool) -> None:
+    """Have the plant make a new scan at once; where gateways send the readings, all areas take the newest ones.
+
+    \b
+    Example:  dsse scan --connect tls/192.0.2.7:7447 --keys keys
+    """
+    with join() as operator:
+        show(printable(operator.scan()))
+
+
+@click.command(short_help="End what is left of a run, or a running system.")
+@click.argument("folder", metavar="[RUN_FOLDER]", type=click.Path(path_type=Path), required=False)
+@operator_options
+def stop(folder: Path | None, join: Joining, is_connected: bool) -> None:
+    """End the processes of the run in RUN_FOLDER that are left on this host, as after `kill -9` of its `dsse run`.
+
+    With --connect in its place: end the areas and the plant of the system there, on all its hosts.
+
+    \b
+    Examples:  dsse stop runs/ieee33-20261122-120000
+               dsse stop --connect tls/192.0.2.7:7447 --keys keys
+    """
+    if (folder is None) == (not is_connected):
+        raise click.UsageError("give either RUN_FOLDER, or with --connect where the system is that is to end")
+    if folder is not None:
+        _stop_run(folder)
+        return
+    with join() as operator:
+        show(printable(f"run {operator.run}: {', '.join(operator.stop())} stopped"))
+
+
+def _stop_run(folder: Path) -> None:
+    from coordinator.process_run.run_keys import remove_keys_of_dead_runs
+    from coordinator.process_run.stop_run import stop_run
+
+    run, count = stop_run(folder)
+    remove_keys_of_dead_runs()
+    if run is None:
+        show(printable(f"{folder}: nothing to stop; the run was killed before it had started a process"))
+    elif count:
+        show(printable(f"run {run.id}: {count} process{'es' * (count > 1)} ended"))
+    else:
+        show(printable(f"run {run.id}: no process of it is left on this host"))
+
+
+operator_commands = (meter, scan, stop)

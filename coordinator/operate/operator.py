@@ -1,0 +1,211 @@
+"""The operator of a running system: gives a command again and again until those whom it concerns show its effect."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from agents.messages.keys import command_key
+from agents.messages.packing import CommandMessage, Header, Incarnation, StateMessage, encode
+from agents.orders.order_book import REPLAYED, TOO_EARLY, TOO_OLD, UNRECORDED
+from agents.runtime.presence import begin_incarnation
+from agents.security.access import OPERATOR, PLANT
+from agents.transport.zenoh_bus import Session
+from coordinator.cli.watch_session import STEP_S, Look, attach, wait_until_whole
+from coordinator.observe.watch import Watcher
+from dsse_core.errors import DsseError, InvalidInputError
+from dsse_core.printable import listed
+
+REPEAT_S = 0.2
+MOST_NAMED = 12
+CURES = {
+    TOO_OLD: "the clocks of its host and of this one differ; set them",
+    TOO_EARLY: "the clocks of its host and of this one differ; set them",
+    REPLAYED: "another operator was faster; look with `dsse watch`, and give the command again",
+    UNRECORDED: "its log names the file; it must be able to write in the folder of its area file, or STATE_DIRECTORY",
+}
+
+
+class NotFollowedError(DsseError):
+    """A command shows no effect: who has not followed it, and why, as far as they say."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Order:
+    """What a command asks for."""
+
+    meters_off: Collection[str] = ()
+    scan: bool = False
+    stop: bool = False
+
+
+@contextmanager
+def operate(
+    endpoints: Sequence[str], run: str | None, timeout_s: float, keys: Path | None = None, direct: bool = False
+) -> Iterator[Operator]:
+    """Join the bus as the operator of ``run``, and wait until all areas that are there have shown their states.
+
+    For the arguments see ``attach``; ``keys``: folder of the operator's credentials.
+
+    Raises:
+        InvalidInputError: ``keys`` cannot be used, or ``run`` is no name of a run.
+        TransportError: no endpoint answers in time, no run or several are there.
+        NotFollowedError: no area is there, or one says nothing.
+    """
+    with attach(endpoints, run, timeout_s, keys, direct, OPERATOR) as look:
+        watcher = wait_until_whole(look, timeout_s)
+        areas = sorted(watcher.names_of("area"))
+        if not areas:
+            raise NotFollowedError(f"no area of run {look.run} is on this bus within {timeout_s:g} s")
+        if silent := [area for area in areas if watcher.state_of(area) is None]:
+            raise NotFollowedError(f"{listed(silent, MOST_NAMED)} show no state within {timeout_s:g} s")
+        yield Operator(look.session, look.run, look, timeout_s, watcher, tuple(areas))
+
+
+@dataclass
+class Operator:
+    """``areas``: those that were there in the beginning."""
+
+    session: Session
+    run: str
+    look: Look
+    timeout_s: float
+    watcher: Watcher
+    areas: tuple[str, ...]
+    _incarnation: Incarnation = field(default_factory=begin_incarnation)
+    _sequence: int = 0
+    _publishers: dict[str, Callable[[bytes], None]] = field(default_factory=dict)
+
+    def switch_off(self, meters: Collection[str]) -> dict[str, str]:
+        """Have ``meters`` left out by the areas that they belong to, as those say: meter -> area.
+
+        Raises:
+            InvalidInputError: no area has a meter of this id.
+            NotFollowedError: an area does not answer in time.
+        """
+        orders = {area: _Order({*self._off_in(area), *meters}) for area in self.areas}
+        self._give(orders, until=lambda: set(meters) <= self._owners().keys())
+        owners = self._owners()
+        if unknown := [meter for meter in meters if meter not in owners]:
+            where = f"areas {listed(self.areas, MOST_NAMED)}"
+            raise InvalidInputError(
+                f"run {self.run}",
+                [f"no area has a meter {meter!r}; ids are in the area files of {where}" for meter in unknown],
+            )
+        return {meter: owners[meter] for meter in meters}
+
+    def switch_on(self, meters: Collection[str]) -> dict[str, str]:
+        """Have ``meters``, which are off, used again; meter -> area.
+
+        Raises:
+            InvalidInputError: one is not off.
+            NotFollowedError: its area does not answer in time.
+        """
+        owners = self._owners()
+        if not_off := [meter for meter in meters if meter not in owners]:
+            there = f"off are {listed(sorted(owners), MOST_NAMED)}" if owners else "none is"
+            raise InvalidInputError(f"run {self.run}", [f"meter {meter!r} is not off; {there}" for meter in not_off])
+        concerned = {owners[meter] for meter in meters}
+        self._give({area: _Order(self._off_in(area) - set(meters)) for area in concerned})
+        return {meter: owners[meter] for meter in meters}
+
+    def scan(self) -> str:
+        """Have the plant make a new scan, or, where there is none, all areas take the newest readings; what was done.
+
+        Raises:
+            NotFollowedError: an area does not show it in time.
+        """
+        if PLANT not in self.watcher.names_of("plant"):
+            self._give({area: _Order(self._off_in(area), scan=True) for area in self.areas})
+            return f"{', '.join(self.areas)}: the newest readings are taken"
+        before = {area: self._state_of(area).header.scan for area in self.areas}
+
+        def find_left() -> list[str]:
+            return [area for area in self.areas if self._state_of(area).header.scan <= before[area]]
+
+        self._give({PLANT: _Order(scan=True)}, find_left)
+        return f"{', '.join(self.areas)}: scan {max(self._state_of(area).header.scan for area in self.areas)}"
+
+    def stop(self) -> list[str]:
+        """End the processes of all areas and the plant; who has ended.
+
+        Raises:
+            NotFollowedError: one is still there.
+        """
+        plants = sorted(self.watcher.names_of("plant") & {PLANT})
+        orders = {area: _Order(self._off_in(area), stop=True) for area in self.areas}
+        orders |= {plant: _Order(stop=True) for plant in plants}
+
+        def find_left() -> list[str]:
+            there = self.watcher.names_of("area") | self.watcher.names_of("plant")
+            return [name for name in orders if name in there]
+
+        self._give(orders, find_left)
+        return [*self.areas, *plants]
+
+    def _give(
+        self,
+        orders: Mapping[str, _Order],
+        find_left: Callable[[], Sequence[str]] | None = None,
+        until: Callable[[], bool] = lambda: False,
+    ) -> None:
+        """Give ``orders`` (name -> what it is asked) until nobody is left who has not followed, or ``until`` holds.
+
+        Raises:
+            NotFollowedError: that is not so in time.
+        """
+        refused = {area: dict(self._state_of(area).rejected) for area in self.areas}
+        numbers = {name: self._next_order(name) for name in orders}
+        find_left = find_left or (lambda: [n for n, order in numbers.items() if self._followed_by(n) < order])
+        deadline, next_time = time.monotonic() + self.timeout_s, 0.0
+        while (left := find_left()) and not until():
+            now = time.monotonic()
+            if now > deadline:
+                raise NotFollowedError("; ".join(self._explain(name, refused.get(name, {})) for name in left))
+            if now >= next_time:
+                next_time = now + REPEAT_S
+                for name in orders:
+                    self._publish(name, orders[name], numbers[name])
+            self.look(STEP_S)
+
+    def _publish(self, name: str, order: _Order, number: tuple[Incarnation, int]) -> None:
+        incarnation, sequence = number
+        header = Header(self.run, OPERATOR, incarnation, 0, sequence, time.time())
+        message = CommandMessage(header, name, tuple(sorted(order.meters_off)), order.scan, order.stop)
+        if name not in self._publishers:
+            self._publishers[name] = self.session.publisher(command_key(self.run, name))
+        self._publishers[name](encode(message))
+
+    def _next_order(self, name: str) -> tuple[Incarnation, int]:
+        """Above the last that ``name`` has followed, whatever the clock of that operator has said."""
+        self._sequence += 1
+        followed, own = self._followed_by(name), (self._incarnation, self._sequence)
+        return own if own > followed else (followed[0], followed[1] + 1)
+
+    def _followed_by(self, name: str) -> tuple[Incarnation, int]:
+        state = self.watcher.state_of(name)
+        start_ms, random, sequence = state.command if state else (0, 0, 0)
+        return Incarnation(start_ms, random), sequence
+
+    def _explain(self, name: str, before: Mapping[str, int]) -> str:
+        """Why ``name`` does not follow; ``before``: what it had refused by then."""
+        state = self.watcher.state_of(name)
+        more = {r for r, count in (state.rejected if state else {}).items() if count > before.get(r, 0)}
+        reasons = [f"{reason} ({cure})" for reason, cure in CURES.items() if reason in more]
+        why = f"it refuses: {', '.join(reasons)}" if reasons else "it says nothing about it"
+        return f"{name} has not followed the command within {self.timeout_s:g} s: {why}"
+
+    def _state_of(self, area: str) -> StateMessage:
+        state = self.watcher.state_of(area)
+        assert state is not None  # it has been waited for
+        return state
+
+    def _off_in(self, area: str) -> set[str]:
+        return set(self._state_of(area).meters_off)
+
+    def _owners(self) -> dict[str, str]:
+        """Meter that is off -> its area."""
+        return {meter: area for area in self.areas for meter in self._state_of(area).meters_off}
