@@ -8,6 +8,7 @@ import subprocess
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -93,8 +94,8 @@ class Watcher:
 
     def __init__(self, scenario: str, endpoints: Sequence[str], keys: Path | None = None) -> None:
         self.scenario = load_scenario(scenario)
-        self._telemetry = make_telemetry(self.scenario)
-        self._centralised = estimate_centralised(self.scenario, self._telemetry).report
+        self.telemetry = make_telemetry(self.scenario)
+        self.leave_out()
         self._observer = make_observer(self.scenario)
         self._presence = Presence()
         self._updates: queue.SimpleQueue[bytes | tuple[str, bool]] = queue.SimpleQueue()
@@ -116,10 +117,26 @@ class Watcher:
         """Area -> its newest state."""
         return self._observer.states
 
+    @property
+    def present(self) -> set[str]:
+        """The names of all that are there."""
+        return {name for _, name in self._presence.names}
+
+    def leave_out(self, *meters: str) -> None:
+        """Compare from now on with the centralised estimate without the readings of ``meters``."""
+        by_area = {name: [m for m in part if m.meter.id not in meters] for name, part in self.telemetry.by_area.items()}
+        union = [m for m in self.telemetry.union if m.meter.id not in meters]
+        used = replace(self.telemetry, by_area=by_area, union=union)
+        self._centralised = estimate_centralised(self.scenario, used).report
+
     def wait_for_consensus(self, deadline_s: float = DEADLINE_S) -> Gap:
         """Until all areas are there and agree; their largest difference to the centralised estimate."""
         self.wait_until(lambda: not self.obstacles(), deadline_s)
-        return compare(self.scenario.partition, self.states, self._telemetry.truth, self._centralised).gap
+        return self.gap()
+
+    def gap(self) -> Gap:
+        """Of the areas' largest difference to the centralised estimate."""
+        return compare(self.scenario.partition, self.states, self.telemetry.truth, self._centralised).gap
 
     def obstacles(self) -> tuple[str, ...]:
         """What is missing for consensus."""

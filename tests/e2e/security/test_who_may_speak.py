@@ -17,6 +17,7 @@ from pathlib import Path
 import pytest
 from dsse_command import ENVIRONMENT, ROOT, free_endpoint
 from expiring import let_expire
+from impostor import Impostor
 from stranger import RUN
 from system_by_hand import SystemByHand, Watcher
 from waiting import DEADLINE_S, wait_until
@@ -43,7 +44,7 @@ class Secured(SystemByHand):
         self.files = dict(write_area_files(scenario, RUN, [self.endpoint], folder / "areas"))
         self.keys = folder / "keys" if secured else None
         if self.keys:
-            create_keys(self.keys, access_of(scenario.partition, RUN), days=1)
+            create_keys(self.keys, access_of(scenario.partition, RUN, {"north": ("area1",)}), days=1)
         self.with_keys = ["--keys", self.keys] if self.keys else []
 
     def start_all(self) -> None:
@@ -185,6 +186,35 @@ def test_who_has_one_areas_key_can_neither_speak_for_others_nor_listen_to_them(s
     rejected = log_since(system, before)
     for key in ("telemetry/area1/plant", "area/area3/information/area1", "area/area1/state"):
         assert any("is unauthorized to Put" in line and key in line for line in rejected.splitlines()), key
+
+
+@pytest.mark.parametrize(
+    ("thief", "spoken_on"),
+    [
+        ("gateway-north", ("telemetry/area2/north", "telemetry/area1/plant", "telemetry/area1/south")),
+        ("gateway-north", ("area/area1/state", "area/area1/readings", "area/area1/up/area2", "command/area1")),
+        ("operator", ("telemetry/area1/plant", "telemetry/area1/operator", "area/area1/state", "clock")),
+        ("watcher", ("command/area1", "telemetry/area1/plant", "area/area1/state", "clock")),
+        ("coordinator", ("command/area1", "command/plant")),
+        ("area2", ("command/area1", "command/area2", "telemetry/area1/north", "area/area1/readings")),
+        ("plant", ("command/area1", "telemetry/area1/north")),
+    ],
+)
+def test_who_has_stolen_a_key_can_do_what_its_owner_may_and_nothing_else(
+    system: Secured, thief: str, spoken_on: tuple[str, ...]
+):
+    before = len(system.said("router"))
+    keys = [f"dsse/v2/{RUN}/{key}" for key in spoken_on]
+    with Impostor.calling([system.endpoint], system.keys, thief) as mouth:
+        said = mouth.say(keys, b"lie")
+
+        def are_rejected() -> bool:
+            for put in said:
+                put()
+            lines = [line for line in log_since(system, before).splitlines() if "is unauthorized to Put" in line]
+            return all(any(key in line for line in lines) for key in keys)
+
+        wait_until(are_rejected)
 
 
 def test_without_keys_the_same_stranger_receives_and_moves_the_whole_grid(tmp_path: Path):

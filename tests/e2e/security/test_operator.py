@@ -1,0 +1,150 @@
+"""The operator of a running system: meters off and on, a scan, the end; by its key only, and no command twice."""
+
+from __future__ import annotations
+
+import json
+import math
+import queue
+import subprocess
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from system_by_hand import SystemByHand, Watcher, agreeing_system
+from waiting import wait_until
+
+from agents.messages.keys import all_commands, command_key
+from agents.orders.order_book import STOPPED_CODE
+from agents.security.credentials import load_keys
+from agents.transport.zenoh_bus import Session
+from dsse_core.grid.measurement import Source
+
+RUN = "industrial13"
+Dsse = Callable[..., subprocess.CompletedProcess[str]]
+
+
+class System:
+    """industrial13, whose areas agree; ``order``: run ``dsse`` there with arguments and the keys that there are."""
+
+    def __init__(self, dsse: Dsse, system: SystemByHand, watcher: Watcher, endpoint: str, keys: list[str]) -> None:
+        self.dsse, self.processes, self.watcher, self.endpoint, self.keys = dsse, system, watcher, endpoint, keys
+
+    def order(self, *arguments: str, keys: list[str] | None = None) -> subprocess.CompletedProcess[str]:
+        return self.dsse(*arguments, "--connect", self.endpoint, *(self.keys if keys is None else keys))
+
+    def spared(self, area: str) -> str:
+        """A meter of ``area`` without which the estimate changes, and is still one."""
+        state = self.watcher.states[area]
+        meters = [m.meter for m in self.watcher.telemetry.by_area[area] if m.meter.source is not Source.VIRTUAL]
+        return next(m.id for m in meters if m.id not in (*state.critical, *state.removed))
+
+    def wait_for_gap_below(self, limit: float) -> None:
+        """Until all areas agree, and with the centralised estimate of all readings but those of meters that are off."""
+
+        def is_near() -> bool:
+            if self.watcher.obstacles():
+                return False
+            gap = self.watcher.gap()
+            return gap.vm_pu is not None and max(gap.vm_pu, math.radians(gap.va_deg or 0.0)) <= limit
+
+        self.watcher.wait_until(is_near)
+
+
+@pytest.fixture(params=[False, True], ids=["without keys", "with keys"])
+def system(dsse: Dsse, tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[System]:
+    with agreeing_system(dsse, tmp_path, secured=request.param) as parts:
+        processes, watcher, endpoint, keys = parts
+        yield System(dsse, processes, watcher, endpoint, keys)
+
+
+def test_a_meter_that_is_off_is_left_out_until_it_is_on_again_also_by_a_restarted_area(system: System):
+    watcher, meter = system.watcher, system.spared("area2")
+    done = system.order("meter", "off", meter)
+    assert (done.returncode, done.stdout) == (0, f"area2: {meter} is off\n"), done.stderr
+    assert ("without --keys anybody on this bus can do the same" in done.stderr) == (not system.keys)
+    watcher.wait_until(lambda: watcher.states["area2"].meters_off == (meter,))
+    watcher.leave_out(meter)
+    system.wait_for_gap_below(1e-8)
+    assert f"switched off by the operator: {meter}" in watcher.states["area2"].notes
+    assert f"the operator has switched off: {meter}" in system.processes.said("area2")
+    shown = json.loads(system.order("watch", "--once", "--json").stdout)
+    assert shown["areas"]["area2"]["meters_off"] == [meter]
+
+    assert system.processes.end("area2") == 0
+    before = watcher.states["area2"].header.incarnation
+    system.processes.start("area2", "agent", "areas/area2.toml", *system.keys)
+    watcher.wait_until(lambda: watcher.states["area2"].header.incarnation > before)
+    system.wait_for_gap_below(1e-8)
+    assert watcher.states["area2"].meters_off == (meter,)
+
+    done = system.order("meter", "on", meter)
+    assert (done.returncode, done.stdout) == (0, f"area2: {meter} is on\n"), done.stderr
+    watcher.leave_out()
+    system.wait_for_gap_below(1e-8)
+    assert watcher.states["area2"].meters_off == ()
+
+
+def test_a_command_that_somebody_has_heard_and_says_again_is_refused_also_after_a_restart(system: System):
+    watcher, meter = system.watcher, system.spared("area2")
+    heard: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+    operators = system.processes.folder / "keys" if system.keys else None
+    with (
+        Session.connect([system.endpoint], 20.0, load_keys(operators, "watcher")) as ear,
+        Session.connect([system.endpoint], 20.0, load_keys(operators, "operator")) as mouth,  # a stolen key
+    ):
+        ear.subscribe(all_commands(RUN), lambda key, payload: heard.put(payload) if key.endswith("area2") else None)
+        assert system.order("meter", "off", meter).returncode == 0
+        payload = heard.get(timeout=20.0)
+        assert system.order("meter", "on", meter).returncode == 0
+        watcher.wait_until(lambda: watcher.states["area2"].meters_off == ())
+        system.processes.end("area2")
+        before = watcher.states["area2"].header.incarnation
+        system.processes.start("area2", "agent", "areas/area2.toml", *system.keys)
+        watcher.wait_until(lambda: watcher.states["area2"].header.incarnation > before)
+        put = mouth.publisher(command_key(RUN, "area2"))
+
+        def is_refused() -> bool:
+            put(payload)
+            return "command of the past" in watcher.states["area2"].rejected
+
+        watcher.wait_until(is_refused)
+        assert watcher.states["area2"].meters_off == ()
+        assert "refused command number 1 for this reason, command of the past" in system.processes.said("area2")
+
+
+def test_mistakes_of_the_operator_are_one_clear_error_each(system: System):
+    done = system.order("meter", "off", "no such meter")
+    assert done.returncode == 2
+    assert "no area has a meter 'no such meter'; ids are in the area files of areas area1, area2" in done.stderr
+    done = system.order("meter", "on", "vm@1")
+    assert done.returncode == 2
+    assert "meter 'vm@1' is not off; none is" in done.stderr
+    assert "Traceback" not in done.stderr
+    done = system.order("stop", "folder")
+    assert done.returncode == 2
+    assert "give either RUN_FOLDER, or with --connect where the system is" in done.stderr
+
+
+def test_a_scan_that_is_asked_for_is_made_by_the_plant(system: System):
+    before = system.watcher.states["area1"].header.scan
+    done = system.order("scan")
+    assert (done.returncode, done.stdout) == (0, f"area1, area2: scan {before + 1}\n"), done.stderr
+    system.wait_for_gap_below(1e-8)
+
+
+def test_where_no_plant_is_a_scan_has_the_areas_take_the_newest_readings(system: System):
+    system.processes.end("plant")
+    system.watcher.wait_until(lambda: "plant" not in system.watcher.present)
+    done = system.order("scan")
+    assert (done.returncode, done.stdout) == (0, "area1, area2: the newest readings are taken\n"), done.stderr
+    assert "the operator has asked for a scan" in system.processes.said("area1")
+
+
+def test_a_system_ends_when_the_operator_stops_it(system: System):
+    done = system.order("stop")
+    assert (done.returncode, done.stdout) == (0, f"run {RUN}: area1, area2, plant stopped\n"), done.stderr
+    for name in ("area1", "area2", "plant"):
+        process = system.processes.processes[name]
+        wait_until(lambda process=process: process.poll() is not None)
+        assert process.poll() == STOPPED_CODE
+    assert "area area1 ends: stopped by the operator" in system.processes.said("area1")
