@@ -47,7 +47,7 @@ from scenarios.meters import (
 from scenarios.reading_rules import build_reading_rules, find_gateway_problems
 
 AreaBuses = Mapping[str, Sequence[int]]
-RESERVED = {ALL_AREAS, "coordinator", "plant", "recorder", "router", "router2"}
+RESERVED = {ALL_AREAS, "coordinator", "operator", "plant", "recorder", "router", "router2", "watcher"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,8 +149,8 @@ def load_scenario(
     problems += find_time_problems(file.faults.events, file.run.timeout_s)
     problems += find_order_problems(file.faults.events)
     problems += [
-        f"areas.{name}: this name belongs to a process of every run; choose another"
-        for name in sorted(RESERVED & (area_buses or {}).keys())
+        f"areas.{name}: this name belongs to another process; choose another"
+        for name in sorted({*RESERVED, *(f"gateway-{name}" for name in file.gateways)} & (area_buses or {}).keys())
     ]
     if network is None:
         raise InvalidInputError(file.called(path), problems)

@@ -53,7 +53,7 @@ def create(scenario: str, out: Path, days: float, hosts: tuple[str, ...], run_id
     from scenarios.scenario import load_scenario
 
     loaded = load_scenario(scenario)
-    access = access_of(loaded.partition, choose_run_id(loaded, run_id))
+    access = access_of(loaded.partition, choose_run_id(loaded, run_id), loaded.reading_rules)
     create_keys(out, access, days, hosts, direct=loaded.transport.kind == "neighbours")
     show(printable(f"{out}: keys of {', '.join(access.names)}, valid for {days:g} days"))
     authority = printable(out / "authority.key")

@@ -13,13 +13,14 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from agents.security.access import OPERATOR, ROUTER, WATCHER, Access, find_name_problems
+from agents.security.access import OPERATOR, PLANT, ROUTER, WATCHER, Access, find_name_problems
 from agents.security.access_file import ACCESS_FILE, load_access, save_access
 from agents.security.credential_files import AUTHORITY, credentials_in, make_private_folder, write_private, write_public
 from agents.security.credentials import check_credentials
 from coordinator.run_folder import folder_error
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.partition import Partition
+from dsse_core.reading_rules import ANYBODY, ReadingRules
 from scenarios.files.whole_folder import written_whole
 
 HERE = ("localhost", "127.0.0.1", "::1")
@@ -29,10 +30,22 @@ LONGEST_NAME = 64  # letters of a common name, X.520
 CLOCKS_DIFFER = datetime.timedelta(minutes=5)  # a certificate is valid so long before it was made
 
 
-def access_of(partition: Partition, run: str, gateways: Mapping[str, tuple[str, ...]] | None = None) -> Access:
-    """Who is whose neighbour among the areas of ``partition``; ``gateways``: of which areas each sends readings."""
+def access_of(partition: Partition, run: str, rules: Mapping[str, ReadingRules] | None = None) -> Access:
+    """Who is whose neighbour among the areas of ``partition``, and who sends them readings.
+
+    ``rules``: area -> those of its readings; None: the plant sends to all.
+    """
     neighbours = {area.name: tuple(sorted({n.area for n in area.neighbours})) for area in partition.areas}
-    return Access(run, neighbours, gateways=gateways or {})
+    gateways: dict[str, tuple[str, ...]] = {}
+    for area, its_rules in (rules or {}).items():
+        for gateway in its_rules.gateways:
+            gateways[gateway] = (*gateways.get(gateway, ()), area)
+    has_strangers = gateways.pop(ANYBODY, None) is not None
+    if len(gateways.get(PLANT, ())) == len(neighbours):
+        del gateways[PLANT]  # as where nothing is said
+    elif rules and not has_strangers:
+        gateways.setdefault(PLANT, ())
+    return Access(run, neighbours, gateways=gateways)
 
 
 def listeners_of(access: Access, direct: bool) -> tuple[str, ...]:
@@ -61,8 +74,8 @@ def check_keys(folder: Path, access: Access, direct: bool = False) -> None:
     problems += [
         f"gateway {gateway} sends readings to {', '.join(found) or 'nobody'} there, to {', '.join(wanted) or 'nobody'} "
         "in the scenario"
-        for gateway in sorted({*rules.gateways, *access.gateways})
-        if set(found := rules.gateways.get(gateway, ())) != set(wanted := access.gateways.get(gateway, ()))
+        for gateway in sorted({PLANT, *rules.gateways, *access.gateways})
+        if set(found := rules.areas_of(gateway)) != set(wanted := access.areas_of(gateway))
     ]
     problems += [
         f"revoked: {name} is denied everything, and is a part of this scenario"

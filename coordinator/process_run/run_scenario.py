@@ -121,7 +121,8 @@ def _find_keys(
         return None
     from coordinator.deployment.certificates import access_of, check_keys, create_keys  # not needed by most runs
 
-    access, direct = access_of(scenario.partition, run_id), scenario.transport.kind == "neighbours"
+    access = access_of(scenario.partition, run_id, scenario.reading_rules)
+    direct = scenario.transport.kind == "neighbours"
     if keys is not None:
         check_keys(Path(keys), access, direct)
         return Path(keys).absolute()

@@ -12,6 +12,7 @@ import subprocess
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -44,7 +45,7 @@ class Secured(SystemByHand):
         self.files = dict(write_area_files(scenario, RUN, [self.endpoint], folder / "areas"))
         self.keys = folder / "keys" if secured else None
         if self.keys:
-            create_keys(self.keys, access_of(scenario.partition, RUN, {"north": ("area1",)}), days=1)
+            create_keys(self.keys, replace(access_of(scenario.partition, RUN), gateways={"north": ("area1",)}), days=1)
         self.with_keys = ["--keys", self.keys] if self.keys else []
 
     def start_all(self) -> None:

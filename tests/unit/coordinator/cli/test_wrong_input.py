@@ -172,7 +172,7 @@ def test_an_area_may_not_be_called_like_a_process(dsse, edited_scenario):
     path = edited_scenario("industrial13", ("[areas.area1]", "[areas.router]"))
     code, _, err = dsse("check", path)
     assert code == 2
-    assert "areas.router: this name belongs to a process of every run" in err
+    assert "areas.router: this name belongs to another process" in err
 
 
 def test_area_files_cannot_be_written_where_a_file_stands(dsse, tmp_path: Path):

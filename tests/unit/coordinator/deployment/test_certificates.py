@@ -18,6 +18,7 @@ from agents.security.credentials import load_keys
 from coordinator.cli.main import run_command
 from coordinator.deployment.certificates import HERE, access_of, check_keys, create_keys
 from dsse_core.errors import InvalidInputError
+from dsse_core.reading_rules import ANYBODY, ReadingRules
 from scenarios.scenario import load_scenario
 
 ACCESS = Access("grid", {"area1": ("area2",), "area2": ("area1",)})
@@ -145,6 +146,22 @@ def test_a_name_that_fits_into_no_certificate_is_rejected(tmp_path: Path):
         create_keys(tmp_path / "keys", Access("run", {"a" * 65: ()}), days=1)
     with pytest.raises(InvalidInputError, match="would be those of the authority"):
         create_keys(tmp_path / "keys", Access("run", {"authority": ()}), days=1)
+
+
+def test_the_rules_of_a_scenario_name_its_gateways():
+    partition = load_scenario("ieee33").partition
+    with_plant = ReadingRules()
+    assert access_of(partition, "run", load_scenario("ieee33").reading_rules).gateways == {}
+    by_area = {
+        "area1": replace(with_plant, gateways={"plant": "all", "north": ("vm@1",)}),
+        "area2": replace(with_plant, gateways={"plant": "all", "north": "all", "south": "all"}),
+        "area3": with_plant,
+    }
+    assert access_of(partition, "run", by_area).gateways == {"north": ("area1", "area2"), "south": ("area2",)}
+    live = {area: ReadingRules(gateways={"north": "all"}) for area in by_area}
+    assert access_of(partition, "run", live).gateways == {"north": ("area1", "area2", "area3"), "plant": ()}
+    anybody = {area: ReadingRules(gateways={ANYBODY: "all"}) for area in by_area}
+    assert access_of(partition, "run", anybody).gateways == {}
 
 
 @pytest.mark.parametrize("role", ["plant", "operator", "watcher", "gateway-north"])
