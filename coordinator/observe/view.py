@@ -61,7 +61,6 @@ class AreaView:
     bytes: int = 0
     lost: int = 0
     removed: tuple[str, ...] = ()
-    meters_off: tuple[str, ...] = ()
     critical: tuple[str, ...] = ()
     meters_off: tuple[str, ...] = ()
     rejected: Mapping[str, int] = field(default_factory=dict)

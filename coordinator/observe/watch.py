@@ -169,7 +169,6 @@ class Watcher:
             bytes=state.bytes,
             lost=state.lost,
             removed=state.removed,
-            meters_off=state.meters_off,
             rejected=state.rejected,
             notes=worth.notes,
         )
