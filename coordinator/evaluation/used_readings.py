@@ -5,7 +5,7 @@ Where readings age, or clocks number scans, nobody else knows which those are: n
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 
 from agents.messages.packing import ReadingsMessage, StateMessage
@@ -41,10 +41,10 @@ class UsedReadings:
             ):
                 yield f"which readings {name} has used in scan {state.header.scan} is not known yet"
 
-    def put_into(self, telemetry: Telemetry) -> Telemetry:
-        """``telemetry`` with the readings that were used, where those are others."""
+    def put_into(self, telemetry: Telemetry, states: Mapping[str, StateMessage]) -> Telemetry:
+        """``telemetry`` with the readings that were used in ``states``, where those are others."""
         if not self._is_needed:
-            return telemetry
+            return _without(telemetry, {meter_id for state in states.values() for meter_id in state.meters_off})
         by_area = {area.name: self._readings_of(area.name) for area in self._scenario.partition.areas}
         virtual = tuple(Measurement(meter, 0.0, 0.0) for meter in self._virtual)
         union = tuple(m for part in by_area.values() for m in part)
@@ -56,3 +56,11 @@ class UsedReadings:
             return ()
         columns = zip(used.meters, used.values, used.sigmas, strict=True)
         return tuple(Measurement(self._meters[k], value, sigma) for k, value, sigma in columns if k in self._meters)
+
+
+def _without(telemetry: Telemetry, off: Collection[str]) -> Telemetry:
+    """``telemetry`` without the readings of meters that are ``off``."""
+    if not off:
+        return telemetry
+    by_area = {name: tuple(m for m in part if m.meter.id not in off) for name, part in telemetry.by_area.items()}
+    return replace(telemetry, by_area=by_area, union=tuple(m for m in telemetry.union if m.meter.id not in off))

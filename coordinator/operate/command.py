@@ -66,7 +66,7 @@ def meter() -> None:
     """Switch meters of a running system off and on, with the operator's key.
 
     \b
-    Example:  dsse meter off "p inj@18" --connect tls/192.0.2.7:7447 --keys keys
+    Example:  dsse meter off vm@30 --connect tls/192.0.2.7:7447 --keys keys
     """
 
 
@@ -77,7 +77,7 @@ def off(meters: tuple[str, ...], join: Joining, is_connected: bool) -> None:
     """Leave the readings of the meters out, from now on and after restarts, until `dsse meter on`.
 
     \b
-    Example:  dsse meter off vm@18 vm@22
+    Example:  dsse meter off vm@22 vm@30
     """
     with join() as operator:
         for name, area in operator.switch_off(meters).items():
@@ -91,7 +91,7 @@ def on(meters: tuple[str, ...], join: Joining, is_connected: bool) -> None:
     """Use the readings of meters again that are off.
 
     \b
-    Example:  dsse meter on vm@18
+    Example:  dsse meter on vm@30
     """
     with join() as operator:
         for name, area in operator.switch_on(meters).items():

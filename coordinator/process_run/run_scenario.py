@@ -160,7 +160,7 @@ def _run_with_router(run: RunUnderWay, on_update: Callable[[Progress], None] | N
             scenario, telemetry, lambda: run.note_time("centralised_estimated")
         )
         reason = reason or _watch(run, observer, on_update, until=lambda obstacles: not obstacles)
-        used = run.used.put_into(telemetry)
+        used = run.used.put_into(telemetry, observer.states)
         wall_s = time.monotonic() - run.started
     run.timing_s["last_change"] = max(0.0, observer.changed_at - run.started)
     run.note_time("verdict")

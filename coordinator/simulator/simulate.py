@@ -160,7 +160,7 @@ class Simulation:
         now = self._bus.now
         self._write(now, "consensus" if reason is None else "no consensus", reason=reason)
         self._write(now, "run ended")
-        telemetry, centralised = self._used.put_into(self._telemetry), self._centralised
+        telemetry, centralised = self._used.put_into(self._telemetry, self._observer.states), self._centralised
         if telemetry is not self._telemetry:
             centralised = estimate_centralised(self._scenario, telemetry)
         return evaluate(

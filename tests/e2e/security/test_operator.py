@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from keys_by_hand import AREAS, KeysByHand, scenario_of
 from system_by_hand import SystemByHand, Watcher, agreeing_system
 from waiting import wait_until
 
@@ -148,3 +149,18 @@ def test_a_system_ends_when_the_operator_stops_it(system: System):
         wait_until(lambda process=process: process.poll() is not None)
         assert process.poll() == STOPPED_CODE
     assert "area area1 ends: stopped by the operator" in system.processes.said("area1")
+
+
+def test_where_areas_link_directly_the_operator_links_with_each(
+    dsse: Dsse, edited_scenario: Callable[..., Path], tmp_path: Path
+):
+    with KeysByHand(tmp_path, scenario_of(edited_scenario, "neighbours")) as system:
+        system.start_others()
+        wait_until(lambda: all("scan 1" in system.said(area) or "estimates" in system.said(area) for area in AREAS))
+        done = dsse("meter", "off", "vm@30", "--direct", *system.connect())
+        assert (done.returncode, done.stdout) == (0, "area3: vm@30 is off\n"), done.stderr
+        assert "the operator has switched off: vm@30" in system.said("area3")
+        done = dsse("scan", "--direct", *system.connect())
+        assert done.stdout == "area1, area2, area3: the newest readings are taken\n", done.stderr
+        done = dsse("stop", "--direct", *system.connect())
+        assert done.stdout == f"run {system.access.run}: area1, area2, area3 stopped\n", done.stderr
