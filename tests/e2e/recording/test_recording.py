@@ -62,8 +62,9 @@ def test_a_recording_of_processes_is_whole_and_plays_back(dsse: Dsse, recording:
     assert "played on processes" in on_processes.stdout
 
 
-def test_a_run_with_a_record_table_leaves_its_recording(dsse: Dsse, tmp_path: Path) -> None:
-    done = dsse("run", "ieee33", "--set", "record={}", "--out", "run", "--no-plots")
+@pytest.mark.parametrize("secured", [False, True])
+def test_a_run_with_a_record_table_leaves_its_recording(dsse: Dsse, secured: bool) -> None:
+    done = dsse("run", "ieee33", "--set", "record={}", "--out", "run", "--no-plots", *["--secure"] * secured)
     assert done.returncode == 0, done.stderr
     played = dsse("replay", "run/recording")
     assert played.returncode == 0, played.stdout + played.stderr
