@@ -15,6 +15,7 @@ from agents.messages.keys import all_commands, all_live, all_readings, all_state
 from agents.runtime.log_format import start_log
 from agents.runtime.presence import read_leave
 from agents.runtime.renewal import on_hangup
+from agents.runtime.watchdog import Watchdog
 from agents.security.access import COORDINATOR
 from agents.security.credentials import load_keys
 from agents.transport.zenoh_bus import Session
@@ -105,8 +106,11 @@ def _serve(
     over: Event,
     renew: Event,
 ) -> None:
+    watchdog = Watchdog()
     next_tidying = time.monotonic()
+    watchdog.ready(next_tidying)
     while not over.is_set():
+        watchdog.beat(time.monotonic())
         recorder.take(arrivals.take(AWAKE_S))
         if dropped := arrivals.take_dropped():
             recorder.take([note(time.time(), "lost", entries=dropped, why="more arrived than could be written")])

@@ -61,6 +61,7 @@ def test_a_process_that_is_stuck_falls_silent_to_systemd_and_the_others_do_not(d
         system.start("area1", "agent", "areas/area1.toml")
         system.start("plant", "plant", "industrial13", "--connect", endpoint)
         system.start("metrics", "metrics", "--listen", f"127.0.0.1:{port}", "--connect", endpoint)
+        system.start("record", "record", "--run", "industrial13", "--connect", endpoint, "--out", "recording")
         pids = {system.processes[name].pid: name for name in system.processes}
         said: dict[str, list[str]] = {name: [] for name in pids.values()}
 
@@ -76,10 +77,10 @@ def test_a_process_that_is_stuck_falls_silent_to_systemd_and_the_others_do_not(d
         try:
             while manager.take(0.0) != (0, ""):  # what it has said before
                 pass
-            heard = [manager.take(DEADLINE_S)[0] for _ in range(40)]  # some 4 s of three processes that go on
+            heard = [manager.take(DEADLINE_S)[0] for _ in range(40)]  # some 4 s of four processes that go on
         finally:
             os.kill(frozen, signal.SIGCONT)
-        assert {pids[pid] for pid in heard} == {"router", "plant", "metrics"}
+        assert {pids[pid] for pid in heard} == {"router", "plant", "metrics", "record"}
         wait_until(lambda: manager.take(DEADLINE_S)[0] == frozen)
 
 
