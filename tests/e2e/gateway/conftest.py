@@ -1,0 +1,98 @@
+"""A live industrial13 whose areas run as processes; its meters are read by what a test starts."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+from dsse_command import free_endpoint
+from system_by_hand import SystemByHand
+from waiting import DEADLINE_S, wait_until
+
+from agents.messages.checks import MessageError
+from agents.messages.keys import all_states
+from agents.messages.packing import StateMessage, decode
+from agents.transport.zenoh_bus import Session
+from scenarios.scenario import Scenario, load_scenario
+from scenarios.telemetry import read_meters
+
+AREAS = ("area1", "area2")
+LIVE = ("noise = true", "[run]\nscan_s = 0.25")
+READING = '[[reading]]\naddress = "{}"\nmeter = "{}"\nunit = "{}"\nsigma = {!r}\n'
+
+
+@dataclass
+class LiveSystem:
+    """``values``: meter id -> what it reads, p.u. ``states``: area -> its newest state."""
+
+    folder: Path
+    endpoint: str
+    scenario: Scenario
+    processes: SystemByHand
+    values: dict[str, float]
+    sigmas: dict[str, float]
+    states: dict[str, StateMessage] = field(default_factory=dict)
+
+    def write_map(self, name: str, source: str, address: Callable[[str], str], *more: str) -> Path:
+        """A map of all meters in p.u.; ``address``: of a meter."""
+        path = self.folder / f"{name}.toml"
+        head = f'name = "{name}"\nscenario = "edited.toml"\nrun = "live"\nconnect = ["{self.endpoint}"]\n'
+        readings = [READING.format(address(meter), meter, "pu", self.sigmas[meter]) for meter in self.values]
+        path.write_text("\n".join([head, source, *readings, *more]))
+        return path
+
+    def wait_for(self, quality: str) -> None:
+        """Until all areas say this of their states."""
+        wait_until(lambda: [state.quality for state in self.states.values()] == [quality] * len(AREAS))
+
+    def wait_for_voltage(self, bus: int, holds: Callable[[float], bool]) -> None:
+        """Until an area that sees ``bus`` has an estimate of its voltage, p.u., for which ``holds``."""
+
+        def is_there() -> bool:
+            states = [state for state in self.states.values() if bus in state.buses]
+            return any(holds(state.vm[state.buses.index(bus)]) for state in states)
+
+        wait_until(is_there)
+
+
+@pytest.fixture
+def live(dsse, edited_scenario: Callable[..., Path], tmp_path: Path) -> Iterator[LiveSystem]:
+    """Router and areas, without any reading."""
+    path = edited_scenario("industrial13", LIVE, ('source = "network" ', 'source = "live" '))
+    known, endpoint = load_scenario("industrial13"), free_endpoint()
+    scan = read_meters(known)
+    found = [(m.id, v, s) for m, v, s in zip(known.meters, scan.values, scan.sigmas, strict=True) if s > 0]
+    assert dsse("split", path, "--out", "areas", "--run", "live", "--connect", endpoint).returncode == 0
+    with SystemByHand(tmp_path) as processes:
+        processes.start("router", "router", "--listen", endpoint)
+        for name in AREAS:
+            processes.start(name, "agent", f"areas/{name}.toml")
+        values = {meter: float(value) for meter, value, _ in found}
+        sigmas = {meter: float(sigma) for meter, _, sigma in found}
+        system = LiveSystem(tmp_path, endpoint, load_scenario(path), processes, values, sigmas)
+
+        def take(_: str, payload: bytes) -> None:
+            try:
+                message = decode(payload)
+            except MessageError:
+                return
+            if isinstance(message, StateMessage):
+                system.states[message.header.sender] = message
+
+        with Session.connect([endpoint], DEADLINE_S) as session:
+            session.subscribe(all_states("live"), take)
+            yield system
+
+
+def read_status(path: Path) -> dict[str, object]:
+    """A status file; empty while there is none."""
+    return json.loads(path.read_text()) if path.exists() else {}
+
+
+@pytest.fixture
+def status_of(tmp_path: Path) -> Callable[[str], dict[str, object]]:
+    """What the status file NAME says."""
+    return lambda name: read_status(tmp_path / name)

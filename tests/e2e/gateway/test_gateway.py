@@ -1,0 +1,179 @@
+"""Readings of the field reach areas as processes, whatever else comes, and results go back."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import signal
+import threading
+import time
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+
+import aiomqtt
+import pytest
+from amqtt.broker import Broker
+from dsse_command import free_port
+from waiting import wait_until
+
+PERIOD_S = 0.1
+
+
+@contextlib.contextmanager
+def writing(path: Path, values: dict[str, float]):
+    """A CSV file, to which a line for each meter is appended again and again during the block."""
+    ended = threading.Event()
+    path.write_text("time,address,value\n")
+
+    def write() -> None:
+        while not ended.wait(PERIOD_S):
+            now = time.time()
+            append(path, [f"{now},{meter},{value}" for meter, value in values.items()])
+
+    thread = threading.Thread(target=write)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+
+
+def append(path: Path, lines: list[str]) -> None:
+    """In one piece: two writers do not mix their lines."""
+    with path.open("ab", buffering=0) as file:
+        file.write(("\n".join(lines) + "\n").encode())
+
+
+def test_a_flood_of_bad_readings_is_counted_and_nothing_else_is_lost(live, status_of) -> None:
+    readings = live.folder / "r.csv"
+    map_file = live.write_map("north", '[source]\nkind = "csv"\npath = "r.csv"\npoll_s = 0.02\n', str)
+    with writing(readings, live.values):
+        live.processes.start("gateway", "gateway", map_file, "--status-file", "status.json")
+        live.wait_for("good")
+        now, ahead = time.time(), time.time() + 7200
+        bad = [f"{now},vm@1,nan", f"{now},vm@4,abc", f"{now},nowhere,1", f"{ahead},vm@1,1.1", f"{now},vm@1,1000", "x"]
+        for _ in range(10):
+            append(readings, bad * 1000 + [f"{now - 3600},vm@1,1.3"] * 4000)
+        wanted = {"not finite", "bad type", "unknown address", "ahead of time", "out of range", "malformed"}
+
+        def is_counted() -> bool:
+            refused = status_of("status.json").get("refused", {})
+            return all(refused.get(reason, {}).get("count") == 10_000 for reason in wanted)
+
+        wait_until(is_counted)
+        refused = status_of("status.json")["refused"]
+        assert refused["older than the last"]["count"] == 40_000
+        assert refused["bad type"]["addresses"] == {"vm@4": 10_000}
+        states = {name: state.header.sequence for name, state in live.states.items()}
+        wait_until(lambda: all(state.header.sequence > states[name] for name, state in live.states.items()))
+        live.wait_for("good")
+        assert all(abs(vm - 1) < 0.2 for state in live.states.values() for vm in state.vm)
+    code = live.processes.end("gateway", signal.SIGINT)
+    assert code == 0
+    counts = status_of("status.json")
+    refused_readings = sum(found["count"] for reason, found in counts["refused"].items() if reason != "malformed")
+    assert counts["received"] == counts["used"] + counts["superseded"] + refused_readings
+    said = live.processes.said("gateway")
+    assert "not used, bad type (1000 so far): address vm@4" in said
+    assert "Traceback" not in said
+    assert said.count("\n") < 100
+
+
+def test_a_gateway_that_is_killed_is_missed_and_another_goes_on(live) -> None:
+    source = '[source]\nkind = "csv"\npath = "r.csv"\npoll_s = 0.02\n'
+    first, second = live.write_map("north", source, str), live.write_map("south", source, str)
+    with writing(live.folder / "r.csv", live.values):
+        live.processes.start("gateway", "gateway", first)
+        live.wait_for("good")
+        live.processes.end("gateway", signal.SIGKILL)
+        live.wait_for("stale")
+        live.processes.start("gateway", "gateway", second)
+        live.wait_for("good")
+    assert live.processes.end("gateway") == 0
+
+
+def test_of_two_gateways_under_one_name_the_older_ends(live) -> None:
+    map_file = live.write_map("north", '[source]\nkind = "csv"\npath = "r.csv"\n', str)
+    live.processes.start("older", "gateway", map_file)
+    wait_until(lambda: "gateway north of run live" in live.processes.said("older"))
+    live.processes.start("newer", "gateway", map_file)
+    assert live.processes.processes["older"].wait(60.0) == 3
+    assert "two processes run as gateway north of run live at once" in live.processes.said("older")
+    assert live.processes.end("newer") == 0
+    assert "r.csv" in live.processes.said("newer")
+
+
+@contextlib.asynccontextmanager
+async def broker(port: int) -> AsyncIterator[None]:
+    config = {
+        "listeners": {"default": {"type": "tcp", "bind": f"127.0.0.1:{port}"}},
+        "plugins": {"amqtt.plugins.authentication.AnonymousAuthPlugin": {"allow_anonymous": True}},
+    }
+    found = Broker(config)
+    await found.start()
+    try:
+        yield
+    finally:
+        await found.shutdown()
+
+
+async def publish(port: int, values: dict[str, float], ended: asyncio.Event) -> None:
+    async with aiomqtt.Client("127.0.0.1", port) as client:
+        while not ended.is_set():
+            for meter, value in values.items():
+                payload = json.dumps({"value": value, "time": time.time()})
+                await client.publish(f"field/{meter}", payload, qos=0)
+            await asyncio.sleep(PERIOD_S)
+
+
+async def until(holds: Callable[[], bool]) -> None:
+    await asyncio.to_thread(wait_until, holds)
+
+
+def test_values_in_a_broker_become_results_in_it_also_after_it_was_away(live, status_of) -> None:
+    port = free_port()
+    address = f'host = "127.0.0.1"\nport = {port}\n'
+    results = f'[[results]]\nkind = "mqtt"\n{address}\n[[results]]\nkind = "jsonl"\npath = "results.jsonl"\n'
+    map_file = live.write_map("north", f'[source]\nkind = "mqtt"\n{address}', lambda m: f"field/{m}", results)
+
+    async def test() -> list[dict[str, object]]:
+        ended, found = asyncio.Event(), []
+        async with contextlib.AsyncExitStack() as stack:
+            await stack.enter_async_context(broker(port))
+            task = asyncio.create_task(publish(port, live.values, ended))
+            live.processes.start("gateway", "gateway", map_file, "--status-file", "status.json")
+            await asyncio.to_thread(live.wait_for, "good")
+            ended.set()
+            await task
+        await until(
+            lambda: [bool(link["error"]) for link in status_of("status.json").get("links", [])[:2]] == [True] * 2
+        )
+        ended = asyncio.Event()
+        async with broker(port):
+            task = asyncio.create_task(publish(port, live.values, ended))
+            async with aiomqtt.Client("127.0.0.1", port) as client:
+                await client.subscribe("dsse/live/+/state")
+                async for message in client.messages:
+                    found.append(json.loads(message.payload))
+                    if {result["area"] for result in found if result["quality"] == "good"} == {"area1", "area2"}:
+                        break
+            ended.set()
+            await task
+        return found
+
+    async def with_deadline() -> list[dict[str, object]]:
+        async with asyncio.timeout(180.0):
+            return await test()
+
+    found = asyncio.run(with_deadline())
+    bus = next(row for row in found[-1]["buses"])
+    base_kv = live.scenario.network.bus(bus["bus"]).base_kv
+    assert bus["vm_kv"] == pytest.approx(base_kv * bus["vm_pu"])
+    assert found[-1]["branches"]
+    assert {json.loads(line)["area"] for line in (live.folder / "results.jsonl").open()} == {"area1", "area2"}
+    assert live.processes.end("gateway") == 0
+    said = live.processes.said("gateway")
+    assert "source works again" in said
+    assert "Traceback" not in said
