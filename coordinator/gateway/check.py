@@ -19,7 +19,7 @@ from coordinator.gateway.reconnection import Link
 from coordinator.report.grid_text import format_table
 from dsse_core.errors import PowerFlowDivergedError
 from dsse_core.grid.measurement import Source
-from dsse_core.printable import listed
+from dsse_core.printable import listed, printable
 
 MOST_ROWS = 200
 MOST_NAMED = 12
@@ -124,16 +124,16 @@ def _format(
     """A row for each meter; of many those with a remark first."""
     points = sorted(content.points.values(), key=lambda point: not remarks[point.meter.id])
     now = time.time()
-    rows = [_row(point, newest.get(point.meter.id), schedule, remarks[point.meter.id], now) for point in points]
-    header = ("meter", "address", "unit", "reading", "schedule", "age s", "remark")
+    rows = [_row(point, newest.get(point.meter.id), schedule, now) for point in points]
+    header = ("meter", "address", "unit", "reading", "schedule", "age s")
+    lines = format_table(header, rows[:MOST_ROWS]).split("\n")
+    said = ["remark", *(printable(remarks[point.meter.id]) for point in points[:MOST_ROWS])]
     more = [f"... and {len(rows) - MOST_ROWS} more meters"] if len(rows) > MOST_ROWS else []
-    return "\n".join([format_table(header, rows[:MOST_ROWS]), *more])
+    return "\n".join([*(f"{line}  {remark}".rstrip() for line, remark in zip(lines, said, strict=True)), *more])
 
 
-def _row(
-    point: Point, reading: Reading | None, schedule: Mapping[str, Schedule], remark: str, now: float
-) -> tuple[str, ...]:
+def _row(point: Point, reading: Reading | None, schedule: Mapping[str, Schedule], now: float) -> tuple[str, ...]:
     scheduled = schedule[point.meter.id].value / point.size if schedule else math.nan
     read = f"{reading.value / point.size:.5g}" + ("" if reading.valid else " (invalid)") if reading else "-"
     age = f"{max(0.0, now - reading.time):.1f}" if reading else "-"
-    return (point.meter.id, point.address, point.unit, read, f"{scheduled:.5g}", age, remark or "-")
+    return (point.meter.id, point.address, point.unit, read, f"{scheduled:.5g}", age)

@@ -14,6 +14,7 @@ from foreign_distribution import write_example
 
 EXAMPLES = ROOT / "examples"
 LONGEST_S = 240.0
+OF_GATEWAYS = {"gateway/meters.py", "own_source/udp_source.py"}  # run by tests/e2e/gateway
 SCRIPTS: dict[str, tuple[list[str], list[str], list[str]]] = {  # arguments, what it says, files that it leaves
     "first_run.py": ([], ["p.u. from the centralised estimate", "angle-offset"], ["runs"]),
     "own_feeder.py": (
@@ -58,8 +59,10 @@ def test_the_script_of_a_tutorial_runs(name: str, tmp_path: Path):
 
 def test_no_script_is_left_out_and_each_has_its_tutorial():
     scripts = {str(path.relative_to(EXAMPLES)) for path in EXAMPLES.rglob("*.py")}
-    assert scripts == {*SCRIPTS, "own_strategy/boundary_average.py"}
-    pages = "".join(page.read_text() for page in (ROOT / "docs" / "tutorials").glob("*.md"))
+    assert scripts == {*SCRIPTS, "own_strategy/boundary_average.py", *OF_GATEWAYS}
+    pages = "".join(
+        page.read_text() for room in ("tutorials", "how-to") for page in (ROOT / "docs" / room).glob("*.md")
+    )
     assert [name for name in scripts if f"examples/{name}" not in pages] == []
 
 
