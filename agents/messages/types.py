@@ -237,8 +237,9 @@ class TelemetryMessage:
 class ReadingsMessage:
     """The readings that an area has used in a scan, for recorders: id, value, sigma grown with the age, p.u. and rad.
 
-    ``taken_at``: to which moment their ages count; ``times``: when they were measured, s since 1970 UTC. ``estimates``:
-    what each would read in the state that the area publishes of this scan; empty without one.
+    ``taken_at``: to which moment their ages count; ``times``: when they were measured, s since 1970 UTC. ``estimates``,
+    ``normalised``: of as many of the first meters as the state of this scan rests on, what each would read in it, and
+    its normalised residual (0: no other tells what it reads).
     """
 
     kind: ClassVar[str] = "readings"
@@ -249,10 +250,14 @@ class ReadingsMessage:
     sigmas: Numbers
     times: Numbers
     estimates: Numbers = ()
+    normalised: Numbers = ()
 
     def find_misfit(self) -> str:
-        beside = ("estimates",) if self.estimates else ()
-        return _find_unequal(self, "meters", "values", "sigmas", "times", *beside)
+        if len(self.estimates) > len(self.meters):
+            return "more estimates than meters"
+        return _find_unequal(self, "meters", "values", "sigmas", "times") or _find_unequal(
+            self, "estimates", "normalised"
+        )
 
 
 @dataclass(frozen=True, slots=True)

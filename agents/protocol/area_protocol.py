@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -318,6 +318,10 @@ class AreaProtocol(ABC):
         """Whether nobody waits for anything else of this scan."""
         return self._is_at_rest
 
+    def _describe_readings(self) -> Mapping[str, tuple[float, float]]:
+        """Meter -> what it would read in the state of this scan, and its normalised residual; empty if not known."""
+        return {}
+
     def _show_readings(self) -> Iterator[Publish]:
         """The readings of the scan, for recorders, once."""
         readings = self._scan.readings
@@ -325,16 +329,20 @@ class AreaProtocol(ABC):
             return
         self._shown_ages = readings.ages
         self._n_shown += 1
-        read = [m for m in readings.measurements if m.meter.source is not Source.VIRTUAL]
-        ids = tuple(m.meter.id for m in read)
+        described = self._describe_readings()
+        read = {m.meter.id: m for m in readings.measurements if m.meter.source is not Source.VIRTUAL}
+        estimated = [meter for meter in read if meter in described]
+        ids = (*estimated, *(meter for meter in read if meter not in described))
         yield Publish(
             ReadingsMessage(
                 header=self._header(self._n_shown),
                 taken_at=readings.ages.taken_at,
                 meters=ids,
-                values=tuple(float(m.value) for m in read),
-                sigmas=tuple(float(m.sigma) for m in read),
+                values=tuple(float(read[meter].value) for meter in ids),
+                sigmas=tuple(float(read[meter].sigma) for meter in ids),
                 times=tuple(map(readings.ages.times.__getitem__, ids)),
+                estimates=tuple(described[meter][0] for meter in estimated),
+                normalised=tuple(described[meter][1] for meter in estimated),
             ),
             None,
         )

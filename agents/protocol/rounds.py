@@ -14,7 +14,7 @@ round 0 with the state so far.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from agents.area_files.area_file import AreaFile
@@ -309,6 +309,9 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
     @property
     def _may_show_readings(self) -> bool:
         return self._round.outcome is not None
+
+    def _describe_readings(self) -> Mapping[str, tuple[float, float]]:
+        return self._state.describe_readings()
 
     def _publish_state(self, state: StateMessage | None) -> Iterator[Publish]:
         if state is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 from agents.area_files.area_file import AreaFile
@@ -119,6 +119,10 @@ class RoundsState:
         if estimate is not None:
             findings += self._limits.find_breaches(estimate)
         return estimate, tuple(findings)
+
+    def describe_readings(self) -> Mapping[str, tuple[float, float]]:
+        """Of the estimate that is shown; see ``AreaEstimation``."""
+        return self._round.estimation.describe_readings() if self._estimate is not None else {}
 
     def _read_estimate(self, outcome: Outcome) -> Estimate:
         estimation = self._round.estimation

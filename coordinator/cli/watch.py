@@ -41,7 +41,7 @@ ATTEMPT_S = 2.0  # to reach the bus; `dsse metrics` answers questions meanwhile,
 @run_option
 @click.option("--grid", metavar="SCENARIO", help="Its network and meters: kV and kW, and meters that are silent.")
 @click.option("--buses", is_flag=True, help="Show the voltage of every bus, too.")
-@click.option("--meters", is_flag=True, help="Show every reading and how far it is off the estimate, too.")
+@click.option("--meters", is_flag=True, help="Show every reading and its normalised residual, too.")
 @click.option("--once", is_flag=True, help="Show it once, when all areas that are there have been received, and end.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line.")
 @bus_timeout_option
@@ -59,8 +59,8 @@ def watch(
 ) -> int:
     """Watch the areas of a running system, started by any command: how good their estimates are, and why not better.
 
-    A line for each area: quality, scan, age, range of voltages, and the meter that is farthest from the estimate, in
-    standard deviations of its reading; below it the reason for its quality. --json has all that is known.
+    A line for each area: quality, scan, age, range of voltages, and the meter of the largest normalised
+    residual; below it the reason for its quality. --json has all that is known.
 
     Ctrl-C ends the watching and nothing else. Exit code 1: with --once, no area was received.
 

@@ -20,6 +20,7 @@ from scenarios.scenario import Scenario
 
 States = Mapping[str, StateMessage]
 UsedReadings = Mapping[str, ReadingsMessage]
+RELATIVE = "age_s", "residual_in_sigmas", "normalised_residual"  # columns without a unit of the meter
 USED, REMOVED, CRITICAL, SILENT, OFF = "used", "removed", "critical", "silent", "off"
 
 
@@ -39,21 +40,24 @@ def list_buses(states: States) -> Table:
 def list_meters(states: States, readings: UsedReadings) -> Table:
     """A row for each meter that an area has used, or left out, in its last scan; p.u. and rad.
 
-    ``residual_in_sigmas``: reading - estimate in standard deviations of the reading; nan where either is not known.
+    ``residual_in_sigmas``: reading - estimate in standard deviations of the reading, ``normalised_residual``: its
+    magnitude in those of its own; nan where it is not known, as of a meter that is left out.
     ``age_s``: at the tick of the scan.
     """
     columns: dict[str, list[str]] = {name: [] for name in ("meter", "area", "status")}
-    numbers: dict[str, list[float]] = {name: [] for name in ("reading", "sigma", "estimate", "age_s")}
+    names = "reading", "sigma", "estimate", "normalised_residual", "age_s"
+    numbers: dict[str, list[float]] = {name: [] for name in names}
     for area, used in readings.items():
         state = states.get(area)
         status = _status_of(state)
-        estimates = used.estimates or (np.nan,) * len(used.meters)
+        unknown = (np.nan,) * (len(used.meters) - len(used.estimates))
         columns["meter"] += used.meters
         columns["area"] += [area] * len(used.meters)
         columns["status"] += [status.get(meter, USED) for meter in used.meters]
         numbers["reading"] += used.values
         numbers["sigma"] += used.sigmas
-        numbers["estimate"] += estimates
+        numbers["estimate"] += (*used.estimates, *unknown)
+        numbers["normalised_residual"] += (*used.normalised, *unknown)
         numbers["age_s"] += [max(0.0, used.taken_at - time) for time in used.times]
         if state is not None:
             missing = [meter for meter in state.meters_off if meter not in used.meters]
@@ -70,7 +74,7 @@ def list_meters(states: States, readings: UsedReadings) -> Table:
 
 def worst_first(meters: Table) -> Table:
     """The same rows, the farthest from the estimate first; what is not known comes last."""
-    order = np.argsort(-abs(meters.residual_in_sigmas), kind="stable")  # nan last
+    order = np.argsort(-meters.normalised_residual, kind="stable")  # nan last
     columns = {name: meters[name] for name in meters.columns}
     return Table(
         "meters",
@@ -131,7 +135,7 @@ class GridTables:
                 "unit": [UNIT[m.kind] for m in all_meters],
                 "status": [*(plain.status[k] for k in known), *[SILENT] * len(silent)],
                 **{name: scaled(name) for name in ("reading", "sigma", "estimate")},
-                **{name: np.concatenate([plain[name][known], gap]) for name in ("age_s", "residual_in_sigmas")},
+                **{name: np.concatenate([plain[name][known], gap]) for name in RELATIVE},
             },
         )
 

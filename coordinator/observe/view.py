@@ -22,8 +22,8 @@ class Extreme:
 class AreaView:
     """One area as a watcher sees it; everything but ``present`` is what it published ``age_s`` ago.
 
-    ``lowest_vm``, ``highest_vm``: of its buses, p.u.; None without an estimate. ``worst_meter``: the reading that lies
-    farthest from the estimate, in its standard deviations; None where no reading is known.
+    ``lowest_vm``, ``highest_vm``: of its buses, p.u.; None without an estimate. ``worst_meter``: the one of the
+    largest normalised residual; None where none is known.
     ``mismatch_vm_pu``, ``mismatch_va_deg``: the largest differences to a neighbour at a bus that both publish, None
     where there is none. ``neighbours``: those that it speaks to. ``age_s``: None if it was never received.
     ``leave_reason``: what it said when it left, empty if it died. ``silent``: it has said nothing for longer than

@@ -57,7 +57,7 @@ def _write_view(view: View) -> Iterator[tuple[str, str]]:
     others = listed(view.others, MOST_LISTED) or "nobody"
     for remark in (f"also there: {others}", *view.duplicates[:MOST_LISTED], *view.other_versions):
         yield from ((line, "") for line in _wrap(remark))
-    yield _columns([name for name, _ in COLUMNS], "worst meter, sigmas"), "bold"
+    yield _columns([name for name, _ in COLUMNS], "worst normalised residual"), "bold"
     for area in view.areas:
         cells = [
             shortened(printable(area.name), COLUMNS[0][1]),

@@ -192,12 +192,10 @@ def _extreme(state: StateMessage, vm: float | None) -> Extreme | None:
 
 
 def _find_worst(readings: ReadingsMessage | None, state: StateMessage) -> Extreme | None:
-    """The reading in use that lies farthest from the estimate of the same scan, in its standard deviations."""
-    if readings is None or readings.header.scan != state.header.scan or not readings.estimates:
+    """The meter in use whose normalised residual is the largest in the same scan."""
+    if readings is None or readings.header.scan != state.header.scan:
         return None
-    rows = zip(readings.meters, readings.values, readings.estimates, readings.sigmas, strict=True)
-    left_out = {*state.removed, *state.meters_off}
-    off = [Extreme(abs(z - h) / sigma, meter) for meter, z, h, sigma in rows if sigma > 0 and meter not in left_out]
+    off = map(Extreme, readings.normalised, readings.meters)
     return max(off, key=lambda extreme: extreme.value, default=None)
 
 

@@ -56,6 +56,6 @@ class History:
         self.of = {
             "bus": Series(("vm_pu", "sigma_vm_pu", "va_deg"), share),
             "branch": Series(("p_from_kw", "q_from_kvar", "i_from_a", "loading_percent"), share),
-            "meter": Series(("reading", "estimate", "residual_in_sigmas"), share),
+            "meter": Series(("reading", "estimate", "normalised_residual"), share),
             "area": Series(("quality", "lowest_vm_pu", "highest_vm_pu", "messages", "lost"), share),
         }

@@ -22,7 +22,7 @@ MOST_EVENTS = 200
 # column -> decimals: what a page can show, in a third of the bytes
 BUS = {"vm_pu": 6, "va_deg": 5, "sigma_vm_pu": 7, "sigma_va_deg": 6, "p_kw": 3, "q_kvar": 3}
 BRANCH = {"p_from_kw": 3, "q_from_kvar": 3, "i_from_a": 3, "loss_kw": 4, "loading_percent": 2}
-METER = {"reading": 6, "sigma": 7, "estimate": 6, "residual_in_sigmas": 3, "age_s": 1}
+METER = {"reading": 6, "sigma": 7, "estimate": 6, "residual_in_sigmas": 3, "normalised_residual": 3, "age_s": 1}
 WORDS = ("meter", "area", "status", "unit")
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from dsse_core.errors import DsseError
 from dsse_core.estimation.decision import MOST_NAMED, Decision, Memory, Totals, Verdict
-from dsse_core.estimation.residuals import CRITICAL_REDUNDANCY, find_dead
+from dsse_core.estimation.residuals import CRITICAL_REDUNDANCY, find_dead, normalize_residuals
 from dsse_core.exchange.boundary_load import NetLoad
 from dsse_core.exchange.feeder_bad_data import (
     NoLoadModel,
@@ -75,6 +75,7 @@ class AreaEstimation:
         self._boundary_values: dict[str, tuple[np.ndarray, tuple[float, ...]]] = {}  # of which x
         self._aged: dict[str, BoundaryInformation] = {}
         self._stand_ins: dict[str, BoundaryInformation] = {}
+        self._omega: np.ndarray | None = None  # variances of residuals, where they were found last
         self._model: AreaModel | None = None
         self._no_load: NoLoadModel | None = None  # while something of it is asked for
         self._measured_at_no_load: Sequence[Measurement] = ()
@@ -333,8 +334,21 @@ class AreaEstimation:
             FAILURES: numbers that no estimate can have.
         """
         of_state, variance = self._variances()
+        self._omega = variance
         sigma = np.sqrt(np.maximum(of_state, 0.0))
         return sigma[self._n : 2 * self._n], sigma[: self._n], self._find_critical(variance)
+
+    def describe_readings(self) -> dict[str, tuple[float, float]]:
+        """Id of each real meter in use -> what it would read in this state, p.u. or rad, and its normalised residual, 0
+        where it is the only one that tells; empty before ``find_sigmas``.
+        """
+        model = self.model
+        if self._omega is None or len(self._omega) != len(model.z):
+            return {}
+        residual = model.residual(self.x)
+        normalised = normalize_residuals(residual, self._omega, model.sigma, ~model.virtual)
+        rows = zip(model.ids, (model.z - residual).tolist(), normalised.tolist(), model.virtual.tolist(), strict=True)
+        return {meter: (estimate, off) for meter, estimate, off, is_virtual in rows if not is_virtual}
 
     def _variances(self) -> tuple[np.ndarray, np.ndarray]:
         """Of all state variables, shape (size,), and of the residuals, shape (n_meas,)."""

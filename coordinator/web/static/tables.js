@@ -68,12 +68,12 @@ export class Tables {
     /** @type {Choice | null} */ this.choice = null;
     this.areas = new Rows("areas", "What each area says of its estimate, and why.", [
       { title: "Area" }, { title: "Quality" }, { title: "Scan", number: true }, { title: "Age s", number: true },
-      { title: "Voltage p.u." }, { title: "Worst meter, sigmas" }, { title: "Exchanges", number: true },
+      { title: "Voltage p.u." }, { title: "Worst normalised residual" }, { title: "Exchanges", number: true },
       { title: "Messages", number: true }, { title: "Lost", number: true }, { title: "Why" },
     ]);
     this.meters = new Rows("meters", "Readings and estimates, the farthest off first.", [
       { title: "Meter" }, { title: "Status" }, { title: "Area" }, { title: "Reading", number: true },
-      { title: "Estimate", number: true }, { title: "Unit" }, { title: "Off by sigmas", number: true },
+      { title: "Estimate", number: true }, { title: "Unit" }, { title: "Normalised residual", number: true },
       { title: "Age s", number: true },
     ]);
     this.messages = new Rows("messages", "Messages on their way at this moment.", [
@@ -111,7 +111,7 @@ export class Tables {
 
   /** @param {import("./types.js").Columns} meters @param {(kind: string, id: string) => boolean} is */
   showMeters(meters, is) {
-    const count = meters.meter?.length ?? 0, off = /** @type {(number|null)[]} */ (meters.residual_in_sigmas ?? []);
+    const count = meters.meter?.length ?? 0, off = /** @type {(number|null)[]} */ (meters.normalised_residual ?? []);
     const order = [...Array(count).keys()].sort((a, b) => Math.abs(off[b] ?? -1) - Math.abs(off[a] ?? -1) || a - b);
     const silent = (meters.status ?? []).filter((status) => status === "silent").length;
     byId("meters-note").textContent = count

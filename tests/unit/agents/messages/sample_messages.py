@@ -87,7 +87,7 @@ MESSAGES = [
         incarnation=(1, 2),
     ),
     TelemetryMessage(HEADER, "area1", ("vm@1",), (1.0,), (0.002,), (1.7952e9,), (False,)),
-    ReadingsMessage(HEADER, 1.7952e9, ("vm@1",), (1.0,), (0.002,), (1.7952e9 - 60,), (1.001,)),
+    ReadingsMessage(HEADER, 1.7952e9, ("vm@1",), (1.0,), (0.002,), (1.7952e9 - 60,), (1.001,), (0.5,)),
     CommandMessage(HEADER, "area1", ("vm@1",), True, False),
     ClockMessage(HEADER, 12.5),
     STATE,
