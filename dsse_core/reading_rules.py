@@ -47,8 +47,11 @@ class KindRule:
         return OLDEST_INTERVALS * self.interval_s(scan_s) or math.inf
 
     def overdue_s(self, scan_s: float | None) -> float:
-        """The age beyond which a reading is overdue; infinity where no interval is known."""
-        return OVERDUE_INTERVALS * self.interval_s(scan_s) or math.inf
+        """The age beyond which a reading is overdue; infinity where no interval is known.
+
+        One may have been lost, and the scan that uses the last one lasts until the next.
+        """
+        return OVERDUE_INTERVALS * self.interval_s(scan_s) + (scan_s or 0.0) or math.inf
 
     def grown(self, sigma: float, age_s: float) -> float:
         """The standard deviation of a reading with ``sigma`` at ``age_s``."""

@@ -15,7 +15,6 @@ import numpy as np
 from agents.messages.checks import limit_notes
 from agents.messages.packing import StateMessage
 from agents.peers.clock_skew import Skew
-from agents.protocol.reading_store import INVALID
 from agents.protocol.readings import Ages, Readings
 from agents.strategies.interface import Estimate
 from dsse_core.estimation.state_limits import StateLimits
@@ -173,10 +172,10 @@ def find_left_out_readings(readings: Readings) -> Iterator[Finding]:
         yield Finding(GOOD, f"too old: the reading of {_first_of(readings.too_old)}")
     by_reason: dict[str, list[str]] = {}
     for meter_id, reason in readings.refused.items():
-        by_reason.setdefault(reason, []).append(meter_id)
+        if meter_id not in readings.invalid:  # which is said of all of these
+            by_reason.setdefault(reason, []).append(meter_id)
     for reason, meters in sorted(by_reason.items()):
-        if reason != INVALID:  # which is said of all
-            yield Finding(GOOD, f"{reason}: the newest reading of {_first_of(meters)}")
+        yield Finding(GOOD, f"{reason}: the newest reading of {_first_of(meters)}")
 
 
 def find_missing_readings(silent: Sequence[str], invalid: Sequence[str]) -> Iterator[Finding]:

@@ -197,11 +197,11 @@ def test_shares_and_moments_of_overdue_readings():
     readings = taken(store)
     n = len(METERS)
     assert readings.ages.overdue_share(0.0) == pytest.approx(1 / n)  # FLOW has none
-    assert readings.ages.next_overdue(0.0) == 2.0  # those that read at every scan
-    assert readings.ages.find_overdue(1.9) == []
-    assert VM not in readings.ages.find_overdue(14.9)
-    assert VM in readings.ages.find_overdue(15.0)
-    assert readings.ages.overdue_share(120.0) == 1.0
+    assert readings.ages.next_overdue(0.0) == 3.0  # those that read at every scan
+    assert readings.ages.find_overdue(2.9) == []
+    assert VM not in readings.ages.find_overdue(15.9)
+    assert VM in readings.ages.find_overdue(16.0)
+    assert readings.ages.overdue_share(121.0) == 1.0
 
 
 def test_where_a_gateway_numbers_scans_its_readings_without_period_belong_to_theirs():
