@@ -150,8 +150,9 @@ def last_state(actions):
 
 def test_neighbours_get_messages_before_the_state_is_shown(area1):
     protocol, telemetry, content = area1
-    receivers = [action.to for action in protocol.handle([telemetry], 0.0) if action.message.kind != "load"]
-    assert receivers == [*(n.area for n in content.area.neighbours), None]
+    actions = [action for action in protocol.handle([telemetry], 0.0) if action.message.kind != "load"]
+    assert [action.to for action in actions] == [*(n.area for n in content.area.neighbours), None, None]
+    assert [action.message.kind for action in actions[-2:]] == ["state", "readings"]
 
 
 def test_before_any_telemetry_an_area_says_that_it_has_none(area1):
