@@ -190,12 +190,12 @@ def _rights_of_coordinator(access: Access) -> Rights:
 
 
 def _rights_of_operator(access: Access) -> Rights:
-    run = access.run
+    run, everything = access.run, _for_watchers(access)
     return Rights(
         publishes=(all_commands(run),),
         shows=(),
-        subscribes=(all_states(run),),
-        receives=(all_states(run),),
+        subscribes=everything,
+        receives=everything,
         sees=(all_live(run),),
         is_received_by=(*(command_key(run, name) for name in (*access.neighbours, PLANT)), all_commands(run)),
     )
