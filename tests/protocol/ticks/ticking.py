@@ -86,7 +86,7 @@ class Ticking:
             if message.header.scan in scans:
                 used.take(message)
         assert not list(used.find_missing(states))
-        telemetry = used.put_into(make_telemetry(self.scenario))
+        telemetry = used.put_into(make_telemetry(self.scenario), self.bus.states)
         report = estimate_centralised(self.scenario, telemetry).report
         assert report is not None
         row = self.scenario.network.row
