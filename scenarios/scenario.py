@@ -69,7 +69,7 @@ class Scenario:
     """A checked scenario, in p.u. and rad; ``tolerances``, ``run``, ``transport`` and ``record``: tables of its file.
 
     ``meters`` are all that the telemetry reads: with ``area-power-flow`` no injection at boundary buses, because an
-    area's own power flow knows only its net load there. ``load_error`` and ``reading_rules`` have every area.
+    area's own power flow knows only its net load there. ``load_error`` and ``reading_rules`` are by area.
     ``changes``: key -> value that replaces the file's.
     """
 

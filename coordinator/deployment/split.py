@@ -10,6 +10,7 @@ from agents.area_files.area_file import AreaFile, save_area_file
 from agents.messages.keys import NAME
 from dsse_core.errors import InvalidInputError
 from dsse_core.limits import LONGEST_NAME
+from dsse_core.reading_rules import DEFAULT_RULES
 from scenarios.scenario import Scenario
 
 
@@ -48,7 +49,7 @@ def area_files(
             seed=scenario.seed,
             penalty=scenario.admm_penalty,
             limits=scenario.limits,
-            readings=scenario.reading_rules[area.name],
+            readings=scenario.reading_rules.get(area.name, DEFAULT_RULES),
             clock_error_s=scenario.faults.clock_error_s.get(area.name, 0.0),
         )
         for area in partition.areas

@@ -249,7 +249,7 @@ class ToyBus:
                 self.states[name] = message
                 counted = len(protocol._round.estimation.final)
                 assert message.quality != GOOD or counted == len(self.files), f"{name} is good on {counted} areas"
-            elif not isinstance(message, LoadMessage):
+            elif action.to is not None and not isinstance(message, LoadMessage):
                 self._send(name, action.to, message)
         self._check(name, protocol)
         at = self.now + protocol.wait_s(self.now)
