@@ -79,6 +79,11 @@ class Watcher:
         present = self.names_of("area")
         return bool(present) and present <= self._received.keys()
 
+    def find_absent(self) -> tuple[str, ...]:
+        """Areas that others speak to, and that are not there."""
+        spoken_to = {name for _, state in self._received.values() for name in state.sent}
+        return tuple(sorted(spoken_to - self.names_of("area")))
+
     def state_of(self, area: str) -> StateMessage | None:
         """What ``area`` published last."""
         return self._received[area][1] if area in self._received else None

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -48,13 +48,17 @@ def operator_options(command: Callable[..., Any]) -> Callable[..., Any]:
         timeout: float,
         **options: Any,
     ) -> Any:
-        def join() -> AbstractContextManager[Operator]:
+        @contextmanager
+        def join() -> Iterator[Operator]:
             from coordinator.operate.operator import operate
 
             end_orderly_on_signals()
             if keys is None:
                 say(UNSECURED)
-            return operate(choose_endpoints(endpoints, keys is not None), run_id, timeout, keys, direct)
+            with operate(choose_endpoints(endpoints, keys is not None), run_id, timeout, keys, direct) as operator:
+                if operator.absent:
+                    say(f"not on the bus, and not reached: {', '.join(operator.absent)}")
+                yield operator
 
         return command(*arguments, join=join, is_connected=bool(endpoints), **options)
 

@@ -20,6 +20,7 @@ from dsse_core.errors import DsseError, InvalidInputError
 from dsse_core.printable import listed
 
 REPEAT_S = 0.2
+LINK_S = 3.0  # for areas that others speak to, and that are not there
 MOST_NAMED = 12
 CURES = {
     TOO_OLD: "the clocks of its host and of this one differ; set them",
@@ -57,17 +58,26 @@ def operate(
     """
     with attach(endpoints, run, timeout_s, keys, direct, OPERATOR) as look:
         watcher = wait_until_whole(look, timeout_s)
+        if watcher.names_of("area"):
+            _wait_for_neighbours(look, min(timeout_s, LINK_S))
         areas = sorted(watcher.names_of("area"))
         if not areas:
             raise NotFollowedError(f"no area of run {look.run} is on this bus within {timeout_s:g} s")
         if silent := [area for area in areas if watcher.state_of(area) is None]:
             raise NotFollowedError(f"{listed(silent, MOST_NAMED)} show no state within {timeout_s:g} s")
-        yield Operator(look.session, look.run, look, timeout_s, watcher, tuple(areas))
+        yield Operator(look.session, look.run, look, timeout_s, watcher, tuple(areas), watcher.find_absent())
+
+
+def _wait_for_neighbours(look: Look, timeout_s: float) -> None:
+    """Wait until all areas are there that others speak to, in turn: without a router links come about one by one."""
+    deadline = time.monotonic() + timeout_s
+    while ((watcher := look(STEP_S)).find_absent() or not watcher.is_whole()) and time.monotonic() < deadline:
+        pass
 
 
 @dataclass
 class Operator:
-    """``areas``: those that were there in the beginning."""
+    """``areas``: those that were there in the beginning; ``absent``: those that were not, and that they speak to."""
 
     session: Session
     run: str
@@ -75,6 +85,7 @@ class Operator:
     timeout_s: float
     watcher: Watcher
     areas: tuple[str, ...]
+    absent: tuple[str, ...]
     _incarnation: Incarnation = field(default_factory=begin_incarnation)
     _sequence: int = 0
     _publishers: dict[str, Callable[[bytes], None]] = field(default_factory=dict)
@@ -90,11 +101,10 @@ class Operator:
         self._give(orders, until=lambda: set(meters) <= self._owners().keys())
         owners = self._owners()
         if unknown := [meter for meter in meters if meter not in owners]:
-            where = f"areas {listed(self.areas, MOST_NAMED)}"
-            raise InvalidInputError(
-                f"run {self.run}",
-                [f"no area has a meter {meter!r}; ids are in the area files of {where}" for meter in unknown],
-            )
+            where = f"ids are in the area files of areas {listed(self.areas, MOST_NAMED)}"
+            where += f"; not on the bus: {listed(self.absent, MOST_NAMED)}" if self.absent else ""
+            problems = [f"no area has a meter {meter!r}; {where}" for meter in unknown]
+            raise InvalidInputError(f"run {self.run}", problems)
         return {meter: owners[meter] for meter in meters}
 
     def switch_on(self, meters: Collection[str]) -> dict[str, str]:

@@ -126,6 +126,25 @@ def test_mistakes_of_the_operator_are_one_clear_error_each(system: System):
     assert "give either RUN_FOLDER, or with --connect where the system is" in done.stderr
 
 
+def test_an_area_that_is_away_is_named_and_the_others_follow(system: System):
+    meter = system.spared("area2")
+    system.processes.end("area1")
+    system.watcher.wait_until(lambda: "area1" not in system.watcher.present)
+    done = system.order("meter", "off", meter)
+    assert (done.returncode, done.stdout) == (0, f"area2: {meter} is off\n"), done.stderr
+    assert "not on the bus, and not reached: area1" in done.stderr
+
+
+def test_an_area_that_cannot_record_a_command_refuses_it_and_the_operator_learns_why(system: System):
+    meter = system.spared("area2")
+    (system.processes.folder / "areas" / f"{RUN}.area2.operator.json").mkdir()  # no file can take its place
+    done = system.order("meter", "off", meter, "--timeout", "3")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "area2 has not followed the command within 3 s: it refuses: command that cannot be recorded" in done.stderr
+    assert "area2.operator.json: Is a directory" in system.processes.said("area2")
+    assert system.watcher.states["area2"].meters_off == ()
+
+
 def test_a_scan_that_is_asked_for_is_made_by_the_plant(system: System):
     before = system.watcher.states["area1"].header.scan
     done = system.order("scan")

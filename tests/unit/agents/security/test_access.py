@@ -72,6 +72,7 @@ ALLOWED = [
     ("operator", "ingress", "put", "run/command/plant"),
     ("operator", "ingress", "declare_subscriber", "run/area/*/state"),
     ("operator", "egress", "put", "run/area/c/state"),
+    ("operator", "egress", "put", "run/area/c/readings"),
     ("operator", "egress", "declare_subscriber", "run/command/a"),
     ("operator", "egress", "declare_subscriber", "run/command/plant"),
     ("operator", "ingress", "declare_liveliness_subscriber", "run/live/*/*/*"),
