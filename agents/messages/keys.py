@@ -11,7 +11,7 @@
 ``telemetry/<i>/<gateway>``            meter readings for area i, from the plant or a gateway
 ``command/<i>``                        what the operator asks of area i, or of the plant
 ``clock``                              how long the run has lasted, from the coordinator, for injected faults only
-``live/<role>/<name>/<incarnation>``   presence tokens of areas, plant and coordinator, one for each incarnation
+``live/<role>/<name>/<incarnation>``   presence tokens of areas, plant, gateways, coordinator: one per incarnation
 =====================================  ============================================================================
 """
 

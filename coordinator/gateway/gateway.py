@@ -65,6 +65,7 @@ class _Gateway:
     links: list[Link] = field(default_factory=list)
     queues: list[ResultQueue] = field(default_factory=list)
     _status: str = ""
+    _status_problem: str = ""
 
     async def serve(self, renews: bool) -> None:
         """Until a signal, the end of the source, or another process of our name, with which it raises ReplacedError."""
@@ -178,8 +179,11 @@ class _Gateway:
             with whole_file(self.status_file) as draft:
                 draft.write_text(text + "\n", encoding="utf-8")
             self._status = text
+            self._status_problem = ""
         except OSError as error:
-            log.warning("status file %s: %s", self.status_file, error.strerror or error)
+            if (problem := error.strerror or str(error)) != self._status_problem:
+                log.warning("status file %s: %s", self.status_file, problem)
+            self._status_problem = problem
 
 
 def ahead_of(content: GatewayMap) -> float:

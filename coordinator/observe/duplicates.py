@@ -10,7 +10,7 @@ from agents.runtime.duplicate_guard import GIVES_WAY
 from agents.runtime.presence import MAX_INCARNATIONS
 
 SURE_S, SURE_HEARTBEATS = 2.5, 10.0  # the larger: when the bus must have noticed a death, and nobody has given way yet
-NOUNS = {"area": "agents of area {}", "plant": "plants"}
+NOUNS = {"area": "agents of area {}", "plant": "plants", "gateway": "gateways {}"}
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -15,18 +15,23 @@ from waiting import DEADLINE_S, wait_until
 from agents.messages.checks import MessageError
 from agents.messages.keys import all_states
 from agents.messages.packing import StateMessage, decode
+from agents.security.access import WATCHER
+from agents.security.credentials import load_keys
 from agents.transport.zenoh_bus import Session
 from scenarios.scenario import Scenario, load_scenario
 from scenarios.telemetry import read_meters
 
 AREAS = ("area1", "area2")
 LIVE = ("noise = true", "[run]\nscan_s = 0.25")
+SECURED = ("noise = true", '[gateways.north]\nareas = "all"\n[gateways.south]\nareas = ["area1"]\n[run]\nscan_s = 0.25')
 READING = '[[reading]]\naddress = "{}"\nmeter = "{}"\nunit = "{}"\nsigma = {!r}\n'
 
 
 @dataclass
 class LiveSystem:
-    """``values``: meter id -> what it reads, p.u. ``states``: area -> its newest state."""
+    """``values``: meter id -> what it reads, p.u. ``keys``: the options that name the credentials, if there are any.
+    ``states``: area -> its newest state.
+    """
 
     folder: Path
     endpoint: str
@@ -34,6 +39,7 @@ class LiveSystem:
     processes: SystemByHand
     values: dict[str, float]
     sigmas: dict[str, float]
+    keys: Sequence[str]
     states: dict[str, StateMessage] = field(default_factory=dict)
 
     def write_map(self, name: str, source: str, address: Callable[[str], str], *more: str) -> Path:
@@ -59,20 +65,24 @@ class LiveSystem:
 
 
 @pytest.fixture
-def live(dsse, edited_scenario: Callable[..., Path], tmp_path: Path) -> Iterator[LiveSystem]:
-    """Router and areas, without any reading."""
-    path = edited_scenario("industrial13", LIVE, ('source = "network" ', 'source = "live" '))
-    known, endpoint = load_scenario("industrial13"), free_endpoint()
+def live(request: pytest.FixtureRequest, dsse, edited_scenario, tmp_path: Path) -> Iterator[LiveSystem]:
+    """Router and areas, without any reading; with parameter "keys" all of them have keys, and north the meters."""
+    is_secured = getattr(request, "param", "") == "keys"
+    path = edited_scenario("industrial13", SECURED if is_secured else LIVE, ('source = "network" ', 'source = "live" '))
+    known, endpoint = load_scenario("industrial13"), free_endpoint("tls" if is_secured else "tcp")
+    keys = ["--keys", "keys"] if is_secured else []
+    if is_secured:
+        assert dsse("keys", "create", path, "--out", "keys", "--run", "live").returncode == 0
     scan = read_meters(known)
     found = [(m.id, v, s) for m, v, s in zip(known.meters, scan.values, scan.sigmas, strict=True) if s > 0]
     assert dsse("split", path, "--out", "areas", "--run", "live", "--connect", endpoint).returncode == 0
     with SystemByHand(tmp_path) as processes:
-        processes.start("router", "router", "--listen", endpoint)
+        processes.start("router", "router", "--listen", endpoint, *keys)
         for name in AREAS:
-            processes.start(name, "agent", f"areas/{name}.toml")
+            processes.start(name, "agent", f"areas/{name}.toml", *keys)
         values = {meter: float(value) for meter, value, _ in found}
         sigmas = {meter: float(sigma) for meter, _, sigma in found}
-        system = LiveSystem(tmp_path, endpoint, load_scenario(path), processes, values, sigmas)
+        system = LiveSystem(tmp_path, endpoint, load_scenario(path), processes, values, sigmas, keys)
 
         def take(_: str, payload: bytes) -> None:
             try:
@@ -82,7 +92,8 @@ def live(dsse, edited_scenario: Callable[..., Path], tmp_path: Path) -> Iterator
             if isinstance(message, StateMessage):
                 system.states[message.header.sender] = message
 
-        with Session.connect([endpoint], DEADLINE_S) as session:
+        watching = load_keys(tmp_path / "keys", WATCHER) if is_secured else None
+        with Session.connect([endpoint], DEADLINE_S, watching) as session:
             session.subscribe(all_states("live"), take)
             yield system
 

@@ -177,3 +177,25 @@ def test_values_in_a_broker_become_results_in_it_also_after_it_was_away(live, st
     said = live.processes.said("gateway")
     assert "source works again" in said
     assert "Traceback" not in said
+
+
+@pytest.mark.parametrize("live", ["keys"], indirect=True)
+def test_with_keys_a_gateway_speaks_for_its_own_areas_and_gets_their_results(live) -> None:
+    source = '[source]\nkind = "csv"\npath = "r.csv"\npoll_s = 0.02\n'
+    results = '[[results]]\nkind = "jsonl"\npath = "results.jsonl"\n'
+    north = live.write_map("north", source, str, results)
+    with writing(live.folder / "r.csv", live.values):
+        live.processes.start("north", "gateway", north, *live.keys)
+        live.wait_for("good")
+        written = live.folder / "results.jsonl"
+        wait_until(lambda: written.exists() and written.read_text().count("\n") > 5)
+    assert {json.loads(line)["area"] for line in written.read_text().splitlines()} == {"area1", "area2"}
+    assert live.processes.end("north") == 0
+    south = live.write_map("south", source, str)
+    live.processes.start("south", "gateway", south, *live.keys)
+    assert live.processes.processes["south"].wait(60.0) == 2
+    assert "is not that of gateway 'south'" in live.processes.said("south")
+    west = live.folder / "west.toml"
+    west.write_text(north.read_text().replace('name = "north"', 'name = "west"'))
+    live.processes.start("west", "gateway", west, *live.keys)
+    assert live.processes.processes["west"].wait(60.0) == 2
