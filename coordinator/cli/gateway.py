@@ -48,7 +48,7 @@ def gateway(
                dsse gateway map.toml --connect tcp/192.0.2.7:7447
     """
     from coordinator.deployment.endpoints import known_area_endpoints
-    from coordinator.gateway.map_file import load_map
+    from coordinator.gateway.maps.map_file import load_map
 
     content = load_map(map_file)
     if check:

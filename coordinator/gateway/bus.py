@@ -17,7 +17,7 @@ from agents.messages.packing import Incarnation, StateMessage, decode
 from agents.runtime.duplicate_guard import GIVES_WAY, DuplicateGuard, ReplacedError
 from agents.security.credentials import load_keys
 from agents.transport.zenoh_bus import Session
-from coordinator.gateway.map_file import GatewayMap
+from coordinator.gateway.maps.map_file import GatewayMap
 
 log = logging.getLogger(__name__)
 ROLE = "gateway"

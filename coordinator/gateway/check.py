@@ -12,9 +12,9 @@ from coordinator.gateway import counts as reasons
 from coordinator.gateway.counts import Counts
 from coordinator.gateway.gateway import ahead_of, read_source
 from coordinator.gateway.intake import Intake, Reading
-from coordinator.gateway.map_file import GatewayMap
+from coordinator.gateway.maps.map_file import GatewayMap
+from coordinator.gateway.maps.points import Point
 from coordinator.gateway.plausibility import Read, Schedule, find_schedule, find_suspects
-from coordinator.gateway.points import Point
 from coordinator.gateway.reconnection import Link
 from coordinator.report.grid_text import format_table
 from dsse_core.errors import PowerFlowDivergedError

@@ -17,9 +17,10 @@ from agents.runtime.duplicate_guard import REPLACED_CODE, ReplacedError
 from agents.runtime.log_format import start_log
 from agents.runtime.presence import begin_incarnation
 from agents.runtime.renewal import on_hangup
+from agents.runtime.watchdog import Watchdog
 from coordinator.gateway.bus import GatewayBus, join_bus
 from coordinator.gateway.intake import Intake
-from coordinator.gateway.map_file import GatewayMap, SinkOf, SourceOf
+from coordinator.gateway.maps.map_file import GatewayMap, SinkOf, SourceOf
 from coordinator.gateway.publisher import REPEATS_S, LeadingPublisher, Publisher
 from coordinator.gateway.reconnection import Link, keep_on
 from coordinator.gateway.results import ResultQueue
@@ -85,7 +86,12 @@ class _Gateway:
             len(content.points),
             len(content.areas),
         )
-        jobs: list[Coroutine[Any, Any, None]] = [_wait(ended), self.bus.mind_successors(), self._report()]
+        jobs: list[Coroutine[Any, Any, None]] = [
+            _wait(ended),
+            self.bus.mind_successors(),
+            self._report(),
+            _tell_systemd(),
+        ]
         if content.source:
             jobs.append(self._read(content.source))
         jobs += [self._write(sink, queue) for sink, queue in zip(content.sinks, self.queues, strict=True)]
@@ -206,6 +212,14 @@ async def read_source(source: SourceOf, intake: Intake, link: Link) -> None:
             intake(*arguments, **options)
 
     await keep_on(link, lambda: source.make(addresses).read(Noting()))
+
+
+async def _tell_systemd() -> None:
+    """That the loop goes round: it cannot where a source blocks it."""
+    watchdog = Watchdog()
+    watchdog.ready(time.monotonic())
+    while True:
+        await asyncio.sleep(min(STATUS_S, watchdog.beat(time.monotonic())))
 
 
 async def _wait(ended: asyncio.Event) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from coordinator.gateway import counts as reasons
 from coordinator.gateway.counts import Counts
-from coordinator.gateway.points import Point, number_of
+from coordinator.gateway.maps.points import Point, number_of
 from dsse_core.printable import printable, shortened
 
 EARLIEST_S = 946_684_800.0  # 2000-01-01: a device that has no clock counts from 1970

@@ -31,7 +31,7 @@ def why_no_namespaces() -> str:
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="the program systemd-analyze is not here")
 def test_systemd_accepts_every_unit(tmp_path: Path):
-    names = ["dsse-agent@", "dsse-metrics", "dsse-plant", "dsse-record", "dsse-router"]
+    names = ["dsse-agent@", "dsse-gateway@", "dsse-metrics", "dsse-plant", "dsse-record", "dsse-router"]
     assert [f"{name}.service" for name in names] == UNITS
     for name in UNITS:  # systemd looks whether the program is there
         (tmp_path / name).write_text((DEPLOY / name).read_text().replace(PROGRAM, sys.executable))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from coordinator.gateway.map_file import GatewayMap, load_map
+from coordinator.gateway.maps.map_file import GatewayMap, load_map
 
 VOLTAGE = """
 [[reading]]

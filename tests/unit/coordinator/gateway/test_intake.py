@@ -11,7 +11,7 @@ import pytest
 from coordinator.gateway import counts as reasons
 from coordinator.gateway.counts import MOST_NAMED, MOST_REASONS, Counts
 from coordinator.gateway.intake import Intake
-from coordinator.gateway.map_file import GatewayMap
+from coordinator.gateway.maps.map_file import GatewayMap
 
 NOW = 1_800_000_000.0
 

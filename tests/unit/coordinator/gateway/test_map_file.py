@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from coordinator.gateway.map_file import load_map
+from coordinator.gateway.maps.map_file import load_map
 from dsse_core.errors import InvalidInputError
 
 READING = '[[reading]]\naddress = "{}"\nmeter = "{}"\nunit = "{}"\n{}\n'

@@ -10,7 +10,7 @@ import pytest
 
 from agents.messages.packing import Incarnation, TelemetryMessage, decode
 from coordinator.gateway.intake import Intake
-from coordinator.gateway.map_file import GatewayMap
+from coordinator.gateway.maps.map_file import GatewayMap
 from coordinator.gateway.publisher import LeadingPublisher, Publisher
 
 DEADLINE_S = 30.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 from collections.abc import AsyncIterator
 
@@ -110,3 +111,44 @@ def test_a_flood_of_one_topic_takes_no_message_of_another_and_is_counted(recorde
     run(test())
     assert len(recorder.refused) == 10_000 - mqtt.MOST_OF_A_TOPIC
     assert recorder.refused[0][0] == "dropped"
+
+
+async def blast(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, count: int) -> None:
+    """A broker in the fewest bytes: it sends its client ``count`` messages of one topic at once, and one of another."""
+
+    async def take() -> tuple[int, bytes]:
+        first, length = await reader.readexactly(2)  # of less than 128 bytes
+        return first >> 4, await reader.readexactly(length)
+
+    def put(topic: bytes, payload: bytes) -> None:
+        body = len(topic).to_bytes(2, "big") + topic + payload
+        writer.write(bytes([0x30, len(body)]) + body)
+
+    await take()
+    writer.write(b"\x20\x02\x00\x00")
+    _, asked = await take()
+    writer.write(b"\x90\x04" + asked[:2] + b"\x00\x00")
+    for k in range(count):
+        put(b"loud", b"%d" % k)
+    put(b"quiet", b"1")
+    await writer.drain()
+    with contextlib.suppress(asyncio.IncompleteReadError, ConnectionError):
+        await take()
+    writer.close()
+
+
+def test_a_broker_that_floods_is_taken_or_counted_to_the_last_message(free_port: int, recorder, reading, run) -> None:
+    count = 20_000
+
+    async def test() -> None:
+        server = await asyncio.start_server(lambda r, w: blast(r, w, count), "127.0.0.1", free_port)
+        async with server, reading(make_source(free_port, "loud", "quiet"), recorder):
+            await recorder.wait_until(
+                lambda: (
+                    len(recorder.readings) + len(recorder.refused) == count + 1 and recorder.values_of("quiet") == [1.0]
+                )
+            )
+
+    run(test())
+    assert recorder.values_of("loud")[-1] == count - 1
+    assert {reason for reason, _ in recorder.refused} <= {"dropped"}

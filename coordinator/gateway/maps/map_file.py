@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from coordinator.deployment.split import choose_run_id
-from coordinator.gateway.installed import load_sink, load_source
 from coordinator.gateway.interface import Sink, Source
-from coordinator.gateway.map_tables import MapFile, ReadingTable
-from coordinator.gateway.points import Point, find_point_problems, make_point
+from coordinator.gateway.maps.installed import load_sink, load_source
+from coordinator.gateway.maps.map_tables import MapFile, ReadingTable
+from coordinator.gateway.maps.points import Point, find_point_problems, make_point
 from dsse_core.errors import InvalidInputError
 from dsse_core.files.strict_table import Table, load_strict
 from dsse_core.files.wording import Suggestions

@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from coordinator.gateway.map_tables import ReadingTable
-from coordinator.gateway.units import physical_range, size_of, units_of
+from coordinator.gateway.maps.map_tables import ReadingTable
+from coordinator.gateway.maps.units import physical_range, size_of, units_of
 from dsse_core.grid.measurement import Meter
 from dsse_core.grid.network import Network
 from dsse_core.limits import LARGEST_SIGMA, SMALLEST_SIGMA
