@@ -44,7 +44,7 @@ def test_a_message_is_a_snapshot_of_all_that_was_read(two_meters: GatewayMap) ->
     async def test() -> list[TelemetryMessage]:
         intake, publisher, sent = make(two_meters)
         intake("U1", 12.66, 1.7e9)
-        await until(lambda: len(sent) == 1)
+        await until(lambda: len(sent) >= 1)
         intake("P1", 100.0, valid=False)
         await until(lambda: sent[-1].header.sequence == 2)
         publisher.finish()
