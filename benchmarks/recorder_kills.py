@@ -72,9 +72,10 @@ def kill_recorders(folder: Path, kills: int, seed: int) -> dict[str, object]:
             _wait(live, lambda: _is_writing(recording))
     notes = close_ended(recording)
     recorded = _read(recording)
-    missing = [(at, said) for at, said in passed if said not in recorded]
-    lost_s = [life.killed - min(at for at, _ in in_it) for life in lives if (in_it := _of(missing, life))]
-    seen = [said for life in lives for _, said in _of(passed, life)]
+    heard = [find_heard(passed, life, recorded) for life in lives]
+    missing = [[at for at, said in messages if said not in recorded] for messages in heard]
+    lost_s = [life.killed - min(times) for life, times in zip(lives, missing, strict=True) if times]
+    seen = [said for messages in heard for _, said in messages]
     return {
         "kills": kills,
         "messages while a recorder ran": len(seen),
@@ -94,8 +95,19 @@ def _note(passed: list[tuple[float, Said]], payload: bytes) -> None:
         passed.append((time.time(), (table, message.header.sender, message.header.scan)))
 
 
-def _of(passed: list[tuple[float, Said]], life: Life) -> list[tuple[float, Said]]:
-    return [(at, said) for at, said in passed if life.began <= at <= life.killed]
+def find_heard(passed: list[tuple[float, Said]], life: Life, recorded: set[Said]) -> list[tuple[float, Said]]:
+    """What passed from the first message on that the recorder of ``life`` wrote, of each area and kind: before, the
+    area did not know yet that it listens.
+    """
+    begun: set[tuple[str, str]] = set()
+    heard = []
+    for at, said in passed:
+        if life.began <= at <= life.killed:
+            if said in recorded:
+                begun.add(said[:2])
+            if said[:2] in begun:
+                heard.append((at, said))
+    return heard
 
 
 def _is_writing(recording: Path) -> bool:
