@@ -42,8 +42,9 @@ def record_long(folder: Path, scans: int) -> dict[str, object]:
     scenario = load_scenario(SCENARIO)
     files = area_files(scenario, RUN, ["tcp/127.0.0.1:7447"])
     telemetry = [make_telemetry(scenario, draw + 1).by_area for draw in range(min(DRAWS, scans))]
-    recording = SimulatedRecording(folder, RUN, files, STARTED_AT, None)
-    bus = SimulatedBus(files, telemetry[0], recording.take_message, on_readings=recording.take_message)
+    recording = SimulatedRecording(folder, STARTED_AT, None)
+    recording.begin(RUN, files)
+    bus = SimulatedBus(files, telemetry[0], recording.take_state, on_readings=recording.take_readings)
     began, rss_mib = time.monotonic(), []
     for scan in range(1, scans + 1):
         if scan > 1:
