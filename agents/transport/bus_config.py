@@ -14,6 +14,7 @@ from agents.security.credentials import Keys
 
 SHORTEST_LEASE_S = 2.0
 LEASE_HEARTBEATS = PATIENCE_HEARTBEATS  # where hundreds share two cores, one may have to wait that long for its turn
+BURST = 16  # messages of one priority, the most that Zenoh allows
 RETRY = {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 2}
 
 
@@ -41,7 +42,12 @@ def bus_config(
                 "tx": {
                     "lease": int(1000 * max(SHORTEST_LEASE_S, LEASE_HEARTBEATS * beat_s)),
                     "keep_alive": 4,
-                    "queue": {"congestion_control": {"block": {"wait_before_close": 1_000_000}}},
+                    "queue": {
+                        # what waits for the thread that sends: an area says a dozen things at once, and Zenoh
+                        # would drop all that has no place here
+                        "size": {"data_high": BURST},
+                        "congestion_control": {"block": {"wait_before_close": 1_000_000}},
+                    },
                 },
                 "rx": {"max_message_size": MAX_BYTES},
             },
