@@ -33,6 +33,7 @@ if TYPE_CHECKING:  # the real imports stand in the command, so that every other 
 @click.command(short_help="Show a running system, or a simulated run, as a page in a browser.")
 @click.argument("scenario", required=False)
 @click.option("--simulate", "is_simulated", is_flag=True, help="Run SCENARIO on the simulator, and play that back.")
+@click.option("--recording", type=click.Path(path_type=Path), help="Play back what `dsse record` has put there.")
 @set_option
 @click.option("--listen", default="127.0.0.1:8080", show_default=True, metavar="ADDR:PORT", help="Where; port 0: any.")
 @click.option("--tls-cert", type=click.Path(path_type=Path), help="Certificate (PEM), needed beyond loopback.")
@@ -47,6 +48,7 @@ if TYPE_CHECKING:  # the real imports stand in the command, so that every other 
 def serve(
     scenario: str | None,
     is_simulated: bool,
+    recording: Path | None,
     changes: Mapping[str, object],
     listen: str,
     tls_cert: Path | None,
@@ -68,9 +70,12 @@ def serve(
     Examples:  dsse serve
                dsse serve ieee33 --connect tcp/192.0.2.7:7447
                dsse serve ieee33-lossy --simulate
+               dsse serve ieee33 --recording recordings/ieee33
     """
     if is_simulated and scenario is None:
         raise click.UsageError("--simulate runs a scenario; name one")
+    if is_simulated and recording is not None:
+        raise click.UsageError("--simulate and --recording are two things to play back; choose one")
     _check_packages()
     from coordinator.web.server import choose_place
     from coordinator.web.server import serve as serve_source
@@ -81,6 +86,8 @@ def serve(
         if is_simulated:
             assert scenario is not None
             sources = _simulated(scenario, changes)
+        elif recording is not None:
+            sources = _recorded(recording, scenario, changes)
         else:
             chosen = choose_endpoints(endpoints, keys is not None)
             sources = _live(scenario, changes, chosen, run_id, timeout, keys, direct)
@@ -111,6 +118,19 @@ def _simulated(scenario: str, changes: Mapping[str, object]) -> Iterator[Source]
 
 
 @contextmanager
+def _recorded(folder: Path, scenario: str | None, changes: Mapping[str, object]) -> Iterator[Source]:
+    from coordinator.evaluation.evaluation import choose_scenario
+    from coordinator.web.recorded import play_recording
+
+    say(f"reading {folder} ...")
+    notes: list[str] = []
+    source = play_recording(folder, choose_scenario(scenario, changes=changes) if scenario else None, notes)
+    for note in dict.fromkeys(notes):
+        say(f"note: {note}")
+    yield source
+
+
+@contextmanager
 def _live(
     scenario: str | None,
     changes: Mapping[str, object],
@@ -126,7 +146,8 @@ def _live(
     from coordinator.web.sources import LiveSource
 
     known = GridTables(choose_scenario(scenario, changes=changes)) if scenario else None
-    with attach(endpoints, run_id, timeout, keys, direct) as look:
+    areas = frozenset(area.name for area in known.partition.areas) if known else None
+    with attach(endpoints, run_id, timeout, keys, direct, areas=areas) as look:
         source = LiveSource(look, known, look(0.0).run)
         source.start()
         try:

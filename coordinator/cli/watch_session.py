@@ -98,10 +98,13 @@ def attach(
     keys: Path | None = None,
     direct: bool = False,
     name: str = "",
+    areas: frozenset[str] | None = None,
 ) -> Iterator[Look]:
-    """Watch a run; the arguments and what is raised are those of ``join_run``."""
+    """Watch a run, of which nothing but ``areas`` are areas if they are given; the other arguments and what is raised
+    are those of ``join_run``.
+    """
     with join_run(endpoints, run, timeout_s, keys, direct, name) as (session, run):
-        watcher, updates = Watcher(run), Updates()
+        watcher, updates = Watcher(run, areas), Updates()
         session.subscribe(all_states(run), lambda key, payload: updates.offer(_decoded(key, payload)))
         session.subscribe(all_readings(run), lambda key, payload: updates.offer(_decoded(key, payload)))
         session.subscribe(all_live(run), lambda key, payload: updates.offer((key, read_leave(payload)), said_once=True))

@@ -84,6 +84,7 @@ class View:
 
     ``duplicates``: in words, which area or plant runs more than once; one that has just been started again may, for 2
     s. ``other_versions``: in words, who speaks another wire version, of whom nothing else can be shown.
+    ``strangers``: how many are there as areas that are none of the scenario's, where that is known.
     """
 
     run: str
@@ -91,3 +92,4 @@ class View:
     others: tuple[str, ...]
     duplicates: tuple[str, ...] = ()
     other_versions: tuple[str, ...] = ()
+    strangers: int = 0

@@ -13,7 +13,7 @@ from dsse_core.results.table import Table
 
 def describe_view(view: View) -> dict[str, Any]:
     """A view as ``dsse watch --json`` prints it: areas by name."""
-    about = {"others": view.others, "duplicates": view.duplicates, "other_versions": view.other_versions}
+    about = {name: getattr(view, name) for name in ("others", "duplicates", "other_versions", "strangers")}
     return {"run": view.run, **about, "areas": {area.name: _describe_area(area) for area in view.areas}}
 
 

@@ -25,11 +25,14 @@ SILENT_PAUSES = 3  # an area that was not received for so many of its longest pa
 class Watcher:
     """Takes in presence and states of run ``run`` with the time of their arrival, s on any one clock.
 
-    Of no more than ``MAX_NAMES`` areas: a watcher has no scenario that would tell areas from strangers.
+    ``areas``: their names, if they are known: nothing else is an area then, and strangers, however many, take nobody's
+    place. Otherwise no more than ``MAX_NAMES`` are.
     """
 
     run: str
+    areas: frozenset[str] | None = None
     _presence: Presence = field(default_factory=Presence)
+    _strangers: Presence = field(default_factory=Presence)  # all but ``areas``, if these are known
     _other_versions: dict[int, Presence] = field(default_factory=dict)
     _leave_reasons: dict[str, str] = field(default_factory=dict)
     _received: dict[str, tuple[float, StateMessage]] = field(default_factory=dict)
@@ -42,24 +45,26 @@ class Watcher:
             if version in self._other_versions or len(self._other_versions) < MOST_VERSIONS:
                 self._other_versions.setdefault(version, Presence()).take(key, alive)
             return
-        if self._presence.take(key, alive) and alive:
+        if self._presence_of(key).take(key, alive) and alive and self._is_known(name_of_live(key)[1]):
             self._leave_reasons.pop(name_of_live(key)[1], None)  # that was said by a former incarnation
 
     def forget_presence(self) -> None:
         """Know of no token any more: the links to the bus are opened anew."""
         self._presence.forget()
+        self._strangers.forget()
         self._other_versions.clear()
 
     def take_leave(self, key: str, leave_reason: str) -> None:
         """Note that a process said that it goes."""
-        if self._presence.take_leave(key) and len(self._leave_reasons) < MAX_NAMES:
+        is_gone = self._presence_of(key).take_leave(key) and self._is_known(name_of_live(key)[1])
+        if is_gone and len(self._leave_reasons) < MAX_NAMES:
             self._leave_reasons[name_of_live(key)[1]] = leave_reason
 
     def take_state(self, state: StateMessage, now: float) -> None:
         """Keep ``state`` if it is of this run and as new as the area's last, or the incarnation of that is over."""
         area = state.header.sender
         at, last = self._received.get(area, (now, state))
-        if area not in self._received and len(self._received) >= MAX_NAMES:
+        if not self._is_known(area) or (area not in self._received and len(self._received) >= MAX_NAMES):
             return
         if state.header.run == self.run and not is_old(state.header, last.header, now - at, OVER_S):
             same_incarnation = state.header.incarnation == last.header.incarnation
@@ -69,7 +74,8 @@ class Watcher:
     def take_readings(self, readings: ReadingsMessage) -> None:
         """Keep what an area has used last."""
         area, known = readings.header.sender, self._readings.get(readings.header.sender)
-        if readings.header.run != self.run or (known is None and len(self._readings) >= MAX_NAMES):
+        is_too_much = known is None and len(self._readings) >= MAX_NAMES
+        if readings.header.run != self.run or is_too_much or not self._is_known(area):
             return
         if known is None or readings.header.order >= known.header.order:
             self._readings[area] = readings
@@ -100,11 +106,23 @@ class Watcher:
 
     def look(self, now: float) -> View:
         """What is known at ``now``."""
-        spoken_to = {name for _, state in self._received.values() for name in state.sent}
-        names = sorted(self.names_of("area") | self._received.keys() | spoken_to, key=_by_number)[:MAX_NAMES]
-        others = sorted(f"{role} {name}" for role, name in self._presence.names if role != "area")
-        views = tuple(self._view_of(name, now) for name in names)
-        return View(self.run, views, tuple(others), tuple(self._find_duplicates()), self.find_other_versions())
+        spoken_to = {name for _, state in self._received.values() for name in state.sent if self._is_known(name)}
+        present = self.names_of("area")
+        names = sorted(present | self._received.keys() | spoken_to, key=_by_number)[:MAX_NAMES]
+        all_names = self._presence.names | self._strangers.names
+        others = sorted(f"{role} {name}" for role, name in all_names if role != "area")
+        strangers = sum(role == "area" for role, _ in self._strangers.names)
+        views = tuple(self._view_of(name, name in present, now) for name in names)
+        duplicates = tuple(self._find_duplicates())
+        return View(self.run, views, tuple(others), duplicates, self.find_other_versions(), strangers)
+
+    def _is_known(self, area: str) -> bool:
+        return self.areas is None or area in self.areas
+
+    def _presence_of(self, key: str) -> Presence:
+        """The one that keeps the token on ``key``."""
+        role, name = name_of_live(key)
+        return self._presence if self.areas is None or (role == "area" and name in self.areas) else self._strangers
 
     def find_other_versions(self) -> tuple[str, ...]:
         """In words, who speaks which other wire version."""
@@ -119,17 +137,17 @@ class Watcher:
         )
 
     def _find_duplicates(self) -> Iterator[str]:
-        for role, name in sorted(self._presence.names):
-            incarnations = self._presence.incarnations_of(role, name)
-            if role in NOUNS and len(incarnations) > 1:
-                yield describe_duplicate(role, name, tuple(map(str, incarnations)))
+        for presence in (self._presence, self._strangers):
+            for role, name in sorted(presence.names):
+                incarnations = presence.incarnations_of(role, name)
+                if role in NOUNS and len(incarnations) > 1:
+                    yield describe_duplicate(role, name, tuple(map(str, incarnations)))
 
     def names_of(self, role: str) -> set[str]:
         """Who of ``role`` is there."""
         return {name for its_role, name in self._presence.names if its_role == role}
 
-    def _view_of(self, name: str, now: float) -> AreaView:
-        present = name in self.names_of("area")
+    def _view_of(self, name: str, present: bool, now: float) -> AreaView:
         leave_reason = "" if present else self._leave_reasons.get(name, "")
         if name not in self._received:
             silence = f"has left: {leave_reason}" if leave_reason else "" if present else "is gone"

@@ -203,11 +203,12 @@ class Updates(queue.SimpleQueue[Any]):
             self.put(item)
 
     def take(self, timeout_s: float) -> list[Any]:
-        """Wait up to ``timeout_s`` for something; everything that has arrived."""
-        items: list[Any] = []
+        """Wait up to ``timeout_s`` for something; everything that has arrived by then.
+
+        What comes meanwhile waits for the next time: else a flood would have no end.
+        """
         try:
-            items.append(self.get(timeout=max(0.0, timeout_s)))
-            while True:
-                items.append(self.get_nowait())
+            first = self.get(timeout=max(0.0, timeout_s))
         except queue.Empty:
-            return items
+            return []
+        return [first, *(self.get_nowait() for _ in range(self.qsize()))]

@@ -81,7 +81,7 @@ def read_ticks(folder: Path, notes: list[str]) -> Iterator[Tick]:
     scans: dict[int, _Scan] = {}
     for segment in list_segments(folder):
         try:
-            for table, row in _rows_of_segment(folder, segment):
+            for table, row in rows_of_segment(folder, segment):
                 _take(scans, table, dict(zip(COLUMNS[table], row, strict=True)), notes)
         except InvalidInputError as error:  # a foreign file, or one that is damaged; the others are read all the same
             notes.append(str(error))
@@ -92,8 +92,13 @@ def read_ticks(folder: Path, notes: list[str]) -> Iterator[Tick]:
         yield _build(scan, scans[scan])
 
 
-def _rows_of_segment(folder: Path, segment: str) -> Iterator[Row]:
-    """From its log if that is there: closing was broken off, or has not begun."""
+def rows_of_segment(folder: Path, segment: str) -> Iterator[Row]:
+    """The rows of ``NEEDED`` tables, table by table or in order; from the log if that is there: closing was broken off,
+    or has not begun.
+
+    Raises:
+        InvalidInputError: a file cannot be read, or is none of a recording.
+    """
     if log_of(folder, segment).exists():
         yield from rows_of_log(folder, segment)
         return

@@ -34,7 +34,7 @@ def make_app(source: Source, hosts: Sequence[str], token: str | None = None) -> 
         return FileResponse(STATIC / "index.html")
 
     async def grid(request: Request) -> Response:
-        return _json(source.grid() | {"mode": source.mode})
+        return Response(source.drawing.payload, media_type="application/json")
 
     async def now(request: Request) -> Response:
         return Response(source.newest.payload, media_type="application/json")
@@ -48,7 +48,7 @@ def make_app(source: Source, hosts: Sequence[str], token: str | None = None) -> 
         return _json(await asyncio.to_thread(source.read_history, kind, name))
 
     async def frames(request: Request) -> Response:
-        return _json({"times": source.times()})
+        return _json({"times": source.times(), "since": source.since})
 
     async def frame(request: Request) -> Response:
         number = int(request.path_params["number"])

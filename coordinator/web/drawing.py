@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from agents.messages.packing import StateMessage
@@ -15,6 +18,20 @@ from scenarios.scenario import Scenario
 
 BUSES_IN_A_ROW = 8  # of an area of which only the bus tells
 DECIMALS = 6  # of distances
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A drawn grid as it is sent; ``version`` differs where anything in it does, and stands in every moment of it."""
+
+    version: str
+    payload: bytes
+
+
+def encode_drawing(content: Mapping[str, Any], mode: str) -> Drawing:
+    """``content`` as a page of ``mode`` gets it."""
+    version = hashlib.sha256(msgspec.json.encode(content)).hexdigest()[:16]
+    return Drawing(version, msgspec.json.encode({"version": version, "mode": mode, **content}))
 
 
 def draw_scenario(scenario: Scenario) -> dict[str, Any]:

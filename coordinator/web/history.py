@@ -4,48 +4,66 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-MOST_BYTES = 64 * 1024 * 1024  # of all series together
+MOST_BYTES = 128 * 1024 * 1024  # of all series together
 MOST_MOMENTS = 20_000
+BYTES_OF_ID = 150  # an id and its place, roughly
 KINDS = ("bus", "branch", "meter", "area")
 
 
+@dataclass(frozen=True, slots=True)
+class _Moment:
+    """``place``: id -> column of ``values``, the same object for moments whose ids are the same."""
+
+    time: float
+    place: Mapping[Any, int]
+    values: np.ndarray
+    bytes: int
+
+
 class Series:
-    """One kind of thing: at each moment an array for each of ``columns``, a place for each of ``ids``."""
+    """One kind of thing: at each moment an array for each of ``columns``, a place for each of ids that come and go."""
 
     def __init__(self, columns: Sequence[str], most_bytes: int) -> None:
         self.columns = tuple(columns)
+        self.bytes = 0
         self._most_bytes = most_bytes
         self._ids: tuple[Any, ...] = ()
-        self._place: dict[Any, int] = {}
-        self._moments: deque[tuple[float, np.ndarray]] = deque(maxlen=MOST_MOMENTS)
-
-    @property
-    def bytes(self) -> int:
-        """How much memory the numbers take."""
-        return sum(values.nbytes for _, values in self._moments)
+        self._place: Mapping[Any, int] = {}
+        self._moments: deque[_Moment] = deque()
 
     def take(self, time: float, ids: Sequence[Any], columns: Mapping[str, np.ndarray]) -> None:
-        """Keep a moment, and forget the oldest ones where that is too much; other ``ids`` begin anew."""
+        """Keep a moment, and forget the oldest ones where that is too much; the newest is always kept."""
+        cost = 0
         if self._ids != (ids := tuple(ids)):
             self._ids, self._place = ids, {name: k for k, name in enumerate(ids)}
-            self._moments.clear()
+            cost = BYTES_OF_ID * len(ids)
         values = np.array([columns[name] for name in self.columns], dtype=np.float32)
-        most = max(2, self._most_bytes // max(1, values.nbytes))
-        while len(self._moments) >= min(most, MOST_MOMENTS):
-            self._moments.popleft()
-        self._moments.append((time, values))
+        moment = _Moment(time, self._place, values, cost + values.nbytes)
+        self._moments.append(moment)
+        self.bytes += moment.bytes
+        while len(self._moments) > 1 and (self.bytes > self._most_bytes or len(self._moments) > MOST_MOMENTS):
+            self._forget_oldest()
+
+    def _forget_oldest(self) -> None:
+        """Its places go with it only if no later moment has them, too."""
+        oldest, following = self._moments.popleft(), self._moments[0]
+        self.bytes -= oldest.bytes
+        if following.place is oldest.place:
+            cost = oldest.bytes - oldest.values.nbytes
+            self._moments[0] = _Moment(following.time, following.place, following.values, following.bytes + cost)
+            self.bytes += cost
 
     def read(self, name: Any) -> dict[str, Any]:
-        """Times, and each column, of one of the ids; empty if it is not known."""
-        place = self._place.get(name)
-        moments = list(self._moments) if place is not None else []
-        found = np.array([values[:, place] for _, values in moments]).reshape(len(moments), len(self.columns))
+        """Times, and each column, of the moments at which the id was there; empty if it never was."""
+        there = [(moment, place) for moment in self._moments if (place := moment.place.get(name)) is not None]
+        found = np.array([moment.values[:, place] for moment, place in there]).reshape(len(there), len(self.columns))
         columns = {name: found[:, k].astype(float).tolist() for k, name in enumerate(self.columns)}
-        return {"time": [time for time, _ in moments], "columns": columns}
+        return {"time": [moment.time for moment, _ in there], "columns": columns}
 
 
 class History:

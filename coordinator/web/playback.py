@@ -14,7 +14,7 @@ from coordinator.observe.grid_tables import GridTables
 from coordinator.observe.watch import Watcher
 from coordinator.simulator.audience import Audience
 from coordinator.simulator.simulate import Simulation
-from coordinator.web.drawing import draw_scenario
+from coordinator.web.drawing import Drawing, draw_scenario, draw_states, encode_drawing
 from coordinator.web.moment import Moments, encode_json
 from coordinator.web.sources import Frame
 from scenarios.scenario import Scenario
@@ -47,9 +47,13 @@ Happening = StateMessage | ReadingsMessage | Presence
 
 @dataclass
 class Play(Audience):
-    """What has happened in ``run``, in its order: ``happenings`` with their times, and ``messages`` between areas."""
+    """What has happened in ``run``, in its order: ``happenings`` with their times, and ``messages`` between areas.
+
+    Times are s from the begin of the play, which is ``since``, s since 1970; 0 where there was no such time.
+    """
 
     run: str = ""
+    since: float = 0.0
     happenings: list[tuple[float, Happening]] = field(default_factory=list)
     messages: list[Sent] = field(default_factory=list)
     _on_the_way: dict[tuple[object, ...], Sent] = field(default_factory=dict)
@@ -82,13 +86,19 @@ def _identify(header: Header, receiver: str, kind: str) -> tuple[object, ...]:
 
 
 class PlaybackSource:
-    """``play`` of a grid that is known; a frame is a time at which something has happened."""
+    """``play``, drawn from ``scenario`` if there is one; a frame is a time at which something has happened.
+
+    Raises:
+        ValueError: nothing has happened.
+    """
 
     mode = "playback"
 
-    def __init__(self, play: Play, scenario: Scenario) -> None:
-        self._play, self._known = play, GridTables(scenario)
-        self._grid = draw_scenario(scenario)
+    def __init__(self, play: Play, scenario: Scenario | None) -> None:
+        if not play.happenings:
+            raise ValueError("nothing has happened")
+        self._play, self._known = play, GridTables(scenario) if scenario else None
+        self._areas = frozenset(area.name for area in scenario.partition.areas) if scenario else None
         times = {at for at, _ in play.happenings}
         times |= {at for sent in play.messages for at in (sent.at, sent.arrived) if at is not None}
         self._times = sorted(times)[:MOST_FRAMES]
@@ -96,10 +106,13 @@ class PlaybackSource:
         self._moments = Moments(self._known)
         for at, watcher in self._walk():
             self._moments.note(watcher, at, at)
+        estimates = {item.header.sender: item for _, item in play.happenings if isinstance(item, StateMessage)}
+        drawn = draw_scenario(scenario) if scenario else draw_states(play.run, estimates)
+        self._drawing = encode_drawing(drawn, self.mode)
 
     def _walk(self) -> Iterator[tuple[float, Watcher]]:
         """The watcher after each moment at which a state was published, or an area came or went."""
-        watcher = Watcher(self._play.run)
+        watcher = Watcher(self._play.run, self._areas)
         happenings = self._play.happenings
         for k, (at, item) in enumerate(happenings):
             _show(watcher, at, item)
@@ -110,12 +123,17 @@ class PlaybackSource:
     def newest(self) -> Frame:
         return Frame(len(self._times), self.frame(len(self._times) - 1))
 
-    def grid(self) -> dict[str, Any]:
-        return self._grid
+    @property
+    def drawing(self) -> Drawing:
+        return self._drawing
 
     def read_history(self, kind: str, name: str) -> dict[str, Any]:
         key: Any = int(name) if kind == "bus" else name
         return self._moments.history.of[kind].read(key)
+
+    @property
+    def since(self) -> float:
+        return self._play.since
 
     def times(self) -> Sequence[float]:
         return self._times
@@ -123,7 +141,7 @@ class PlaybackSource:
     def frame(self, number: int) -> bytes:
         """Made when it is asked for, from the beginning: of all frames together there may be gigabytes."""
         at = self._times[number]
-        watcher = Watcher(self._play.run)
+        watcher = Watcher(self._play.run, self._areas)
         for then, item in self._play.happenings:
             if then > at:
                 break
@@ -135,8 +153,10 @@ class PlaybackSource:
             at,
             at,
             number=number,
+            grid_version=self._drawing.version,
             mode=self.mode,
-            time=at,
+            time=self._play.since + at,
+            has_messages=bool(self._play.messages),
             messages=[_describe(sent, at) for sent in self._messages_at(before, at)],
         )
         return encode_json(moment | {"events": events})

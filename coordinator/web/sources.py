@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 from coordinator.observe.grid_tables import GridTables
 from coordinator.observe.watch import Watcher
-from coordinator.web.drawing import draw_scenario, draw_states
+from coordinator.web.drawing import Drawing, draw_scenario, draw_states, encode_drawing
 from coordinator.web.moment import Moments, encode_json
 
 UPDATE_S = 0.25  # between two moments, at least
@@ -37,12 +37,18 @@ class Source(Protocol):
     @property
     def newest(self) -> Frame: ...
 
-    def grid(self) -> dict[str, Any]:
-        """What does not change; see ``/api/grid``."""
+    @property
+    def drawing(self) -> Drawing:
+        """What hardly changes; see ``/api/grid``."""
         ...
 
     def read_history(self, kind: str, name: str) -> dict[str, Any]:
         """Times and columns of one bus, branch, meter or area; empty if it is not known."""
+        ...
+
+    @property
+    def since(self) -> float:
+        """What times count from, s since 1970; 0 where there was no such time."""
         ...
 
     def times(self) -> Sequence[float]:
@@ -61,13 +67,15 @@ class LiveSource:
     """
 
     mode = "live"
+    since = 0.0
 
     def __init__(self, look: Look, known: GridTables | None, run: str) -> None:
         self._look, self._known, self._run = look, known, run
         self._moments = Moments(known)
         self._lock = threading.Lock()  # of the history
         self._newest = Frame(0, encode_json({"number": 0, "mode": self.mode, "time": time.time()}))
-        self._grid = draw_scenario(known.scenario) if known else draw_states(run, {})
+        self._drawn: object = None  # what the drawing shows
+        self._drawing = encode_drawing(draw_scenario(known.scenario) if known else draw_states(run, {}), self.mode)
         self._is_over = False
         self._thread = threading.Thread(target=self._go_on, name="watcher")
 
@@ -84,8 +92,9 @@ class LiveSource:
     def newest(self) -> Frame:
         return self._newest
 
-    def grid(self) -> dict[str, Any]:
-        return self._grid
+    @property
+    def drawing(self) -> Drawing:
+        return self._drawing
 
     def read_history(self, kind: str, name: str) -> dict[str, Any]:
         key: Any = int(name) if kind == "bus" else name
@@ -99,44 +108,27 @@ class LiveSource:
         raise LookupError(f"a live page has no frame {number}")
 
     def _go_on(self) -> None:
-        wait_s = UPDATE_S
+        due = time.monotonic()
         while not self._is_over:
-            watcher = self._look(wait_s)
-            began = time.monotonic()
+            watcher = self._look(max(0.0, min(UPDATE_S, due - time.monotonic())))
+            if (began := time.monotonic()) < due:  # something has arrived before it is time for the next moment
+                continue
             with self._lock:
                 self._take(watcher, began)
-            took_s = time.monotonic() - began
-            wait_s = max(UPDATE_S, BUSY_SHARE * took_s, len(self._newest.payload) / MOST_RATE)
+            ended = time.monotonic()
+            due = ended + max(UPDATE_S, BUSY_SHARE * (ended - began), len(self._newest.payload) / MOST_RATE)
 
     def _take(self, watcher: Watcher, now: float) -> None:
-        if self._known is None:
-            self._grid = draw_states(self._run, watcher.states)
-        number, at = self._newest.number + 1, time.time()
-        moment = self._moments.make(watcher, now, at, number=number, mode=self.mode, time=at)
+        self._draw_anew(watcher)
+        number, at, version = self._newest.number + 1, time.time(), self._drawing.version
+        moment = self._moments.make(watcher, now, at, number=number, grid_version=version, mode=self.mode, time=at)
         self._newest = Frame(number, encode_json(moment))
 
-
-class PlaybackSource:
-    """Moments that were made before, to be looked at in any order."""
-
-    mode = "playback"
-
-    def __init__(self, grid: dict[str, Any], moments: Moments, frames: Sequence[tuple[float, bytes]]) -> None:
-        self._grid, self._moments, self._frames = grid, moments, frames
-
-    @property
-    def newest(self) -> Frame:
-        return Frame(len(self._frames), self._frames[-1][1])
-
-    def grid(self) -> dict[str, Any]:
-        return self._grid
-
-    def read_history(self, kind: str, name: str) -> dict[str, Any]:
-        key: Any = int(name) if kind == "bus" else name
-        return self._moments.history.of[kind].read(key)
-
-    def times(self) -> Sequence[float]:
-        return [at for at, _ in self._frames]
-
-    def frame(self, number: int) -> bytes:
-        return self._frames[number][1]
+    def _draw_anew(self, watcher: Watcher) -> None:
+        """Without a scenario the grid is what areas say of their buses; it is drawn anew once that changes."""
+        if self._known is not None:
+            return
+        said = {name: (state.buses, tuple(state.sent)) for name, state in watcher.states.items()}
+        if said != self._drawn:
+            self._drawn = said
+            self._drawing = encode_drawing(draw_states(self._run, watcher.states), self.mode)

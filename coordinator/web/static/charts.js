@@ -1,12 +1,16 @@
 /** The voltage profile, and the past of what is selected. */
 
 import { byId } from "./format.js";
+import { spanOf } from "./layout.js";
 
 /** @typedef {import("./types.js").Grid} Grid @typedef {import("./types.js").Moment} Moment */
 
 const uPlot = /** @type {any} */ (window).uPlot;
 const SIGMAS = 3; // of the band around an estimate
 const HEIGHT = 260;
+const PAST_HEIGHT = 200;
+const DOT = 5; // pixels of a bus of the profile; a third of it where there are very many
+const MOST_DOTS = 1500;
 
 /** @param {string} name @returns {string} */
 function colour(name) {
@@ -19,6 +23,11 @@ function axis(label) {
   return { label, stroke: () => colour("--ink"), grid: line, ticks: line };
 }
 
+/** An axis fits what it shows, where uPlot would begin at 0. @returns {{range: (chart: any, low: number, high: number) => [number, number]}} */
+function fitted() {
+  return { range: (_, low, high) => spanOf(low, high) };
+}
+
 export class Profile {
   /** @param {Grid} grid */
   constructor(grid) {
@@ -27,24 +36,26 @@ export class Profile {
     this.grid = grid;
     const known = grid.buses.id.map((_, k) => k).filter((k) => grid.buses.distance[k] !== null);
     this.order = known.sort((a, b) => /** @type {number} */ (grid.buses.distance[a]) - /** @type {number} */ (grid.buses.distance[b]));
-    this.x = this.order.map((k) => grid.buses.distance[k]);
-    const [low, high] = grid.limits, limit = { stroke: () => colour("--bad"), dash: [6, 4], width: 1.5, points: { show: false } };
+    this.x = this.order.map((k) => /** @type {number} */ (grid.buses.distance[k]));
+    /** @type {(number | null)[]} */ this.sigma = [];
+    const limit = { stroke: () => colour("--bad"), dash: [6, 4], width: 1.5, points: { show: false } };
     this.chart = new uPlot({
       width: this.holder.clientWidth || 600,
       height: HEIGHT,
-      scales: { x: { time: false } },
+      scales: { x: { time: false }, y: fitted() },
       axes: [axis(grid.axis), axis("voltage (p.u.)")],
       cursor: { show: false },
-      series: [
-        {},
-        { paths: () => null, points: { show: true, size: 5, fill: () => colour("--mark"), stroke: () => colour("--mark") } },
-        limit,
-        limit,
-      ],
-      hooks: { draw: [(/** @type {any} */ chart) => this.drawBands(chart)] },
-    }, [this.x, this.x.map(() => null), this.x.map(() => low), this.x.map(() => high)], this.holder);
-    /** @type {(number | null)[]} */ this.sigma = [];
-    new ResizeObserver(() => this.chart.setSize({ width: this.holder.clientWidth, height: HEIGHT })).observe(this.holder);
+      series: [{}, { paths: () => null, points: { show: false } }, limit, limit],
+      hooks: { draw: [(/** @type {any} */ chart) => this.drawBuses(chart)] },
+    }, this.columns(this.x.map(() => null)), this.holder);
+    this.observer = new ResizeObserver(() => this.chart.setSize({ width: this.holder.clientWidth, height: HEIGHT }));
+    this.observer.observe(this.holder);
+  }
+
+  /** @param {(number | null)[]} vm */
+  columns(vm) {
+    const [low, high] = this.grid.limits;
+    return [this.x, vm, this.x.map(() => low), this.x.map(() => high)];
   }
 
   /** @param {Moment} moment */
@@ -56,49 +67,72 @@ export class Profile {
         return found === undefined ? null : /** @type {number | null} */ (moment.buses[name][found]);
       }));
     this.sigma = sigma;
-    const [low, high] = this.grid.limits;
-    this.chart.setData([this.x, vm, this.x.map(() => low), this.x.map(() => high)]);
+    this.chart.setData(this.columns(vm));
   }
 
-  /** A bar of three standard deviations to either side. @param {any} chart */
-  drawBands(chart) {
-    const context = chart.ctx, vm = chart.data[1];
+  /** A dot for each bus, and a bar of three standard deviations to either side. @param {any} chart */
+  drawBuses(chart) {
+    const context = chart.ctx, vm = chart.data[1], size = (this.x.length > MOST_DOTS ? DOT / 3 : DOT) * uPlot.pxRatio;
     context.save();
-    context.strokeStyle = colour("--mark");
-    context.lineWidth = 1;
+    context.strokeStyle = context.fillStyle = colour("--mark");
+    context.lineWidth = uPlot.pxRatio;
     context.beginPath();
     this.x.forEach((x, k) => {
-      const sigma = this.sigma[k];
-      if (vm[k] === null || sigma === null || sigma === undefined) return;
-      const at = chart.valToPos(x, "x", true);
+      if (vm[k] === null) return;
+      const sigma = this.sigma[k] ?? 0, at = chart.valToPos(x, "x", true);
       context.moveTo(at, chart.valToPos(vm[k] - SIGMAS * sigma, "y", true));
       context.lineTo(at, chart.valToPos(vm[k] + SIGMAS * sigma, "y", true));
+      context.fillRect(at - size / 2, chart.valToPos(vm[k], "y", true) - size / 2, size, size);
     });
     context.stroke();
     context.restore();
+  }
+
+  /** Give back what the browser keeps for it. */
+  destroy() {
+    this.observer.disconnect();
+    this.chart.destroy();
   }
 }
 
 const SHOWN = {
   bus: ["vm_pu", "voltage (p.u.)"],
   branch: ["p_from_kw", "active power (kW)"],
-  meter: ["reading", "reading"],
+  meter: ["reading", "reading, dashed: estimate"],
   area: ["quality", "quality (0 is good)"],
 };
 
-/** @param {"bus"|"branch"|"meter"|"area"} kind @param {{time: number[], columns: Record<string, number[]>}} past @param {boolean} ofDay */
-export function drawPast(kind, past, ofDay) {
-  const holder = byId("past"), [name, label] = SHOWN[kind];
-  holder.replaceChildren();
-  if (!past.time.length) return;
-  const series = kind === "meter" ? [past.columns.reading, past.columns.estimate] : [past.columns[name]];
-  const styles = [{ stroke: () => colour("--mark"), width: 1.5 }, { stroke: () => colour("--good"), width: 1.5, dash: [4, 3] }];
-  new uPlot({
-    width: holder.clientWidth || 300,
-    height: 200,
-    scales: { x: { time: ofDay } },
-    axes: [axis(""), axis(label)],
-    cursor: { show: false },
-    series: [{}, ...styles.slice(0, series.length)],
-  }, [past.time, ...series], holder);
+/** The past of what is chosen: one chart that lives as long as the choice. */
+export class Past {
+  constructor() {
+    this.holder = byId("past");
+    this.of = "";
+    /** @type {any} */ this.chart = null;
+    new ResizeObserver(() => this.chart?.setSize({ width: this.holder.clientWidth, height: PAST_HEIGHT })).observe(this.holder);
+  }
+
+  /** Show nothing. */
+  clear() {
+    this.chart?.destroy(); // else the browser keeps it, and its listeners, for ever
+    this.chart = null;
+    this.of = "";
+  }
+
+  /** @param {"bus"|"branch"|"meter"|"area"} kind @param {string} id @param {{time: number[], columns: Record<string, (number | null)[]>}} past @param {boolean} ofDay */
+  show(kind, id, past, ofDay) {
+    if (!past.time.length) return this.clear();
+    const series = kind === "meter" ? [past.columns.reading, past.columns.estimate] : [past.columns[SHOWN[kind][0]]];
+    if (this.of === `${kind} ${id}`) return this.chart.setData([past.time, ...series]);
+    this.clear();
+    this.of = `${kind} ${id}`;
+    const styles = [{ stroke: () => colour("--mark"), width: 1.5 }, { stroke: () => colour("--good"), width: 1.5, dash: [4, 3] }];
+    this.chart = new uPlot({
+      width: this.holder.clientWidth || 300,
+      height: PAST_HEIGHT,
+      scales: { x: { time: ofDay }, y: fitted() },
+      axes: [axis(""), { ...axis(SHOWN[kind][1]), size: 64 }],
+      cursor: { show: false },
+      series: [{}, ...styles.slice(0, series.length)],
+    }, [past.time, ...series], this.holder);
+  }
 }

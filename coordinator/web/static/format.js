@@ -19,6 +19,18 @@ export function clock(seconds) {
 }
 
 /**
+ * A time of a run in words: of a simulated one in seconds, else as the time of day.
+ * @param {{mode: string, time: number, at: number}} moment `time` is 1970 or more where `at` counts from elsewhere
+ * @param {number} at as in `moment.at`
+ * @returns {string}
+ */
+export function when(moment, at) {
+  if (moment.mode === "live") return clock(at);
+  const since = moment.time - moment.at;
+  return since > 0 ? clock(since + at) : `${number(at, 6)} s`;
+}
+
+/**
  * @param {string} tag @param {string} [text] @param {string} [className]
  * @returns {HTMLElement}
  */

@@ -1,8 +1,8 @@
 /** The page: takes what the server sends, and shows it. */
 
-import { drawPast, Profile } from "./charts.js";
+import { Past, Profile } from "./charts.js";
 import { Feeder } from "./feeder.js";
-import { byId, clock, element, number } from "./format.js";
+import { byId, clock, element, number, when } from "./format.js";
 import { Playback } from "./playback.js";
 import { Tables } from "./tables.js";
 
@@ -11,16 +11,20 @@ import { Tables } from "./tables.js";
 
 const SILENT_MS = 6000; // after which the server counts as gone
 const PAST_MS = 2000; // between two times that the past is asked for
+const AGAIN_MS = 1000; // until the server is asked once more when it has refused
 const MOST_OFFERED = 50; // buses and branches whose names begin as typed
 
 /** @type {Choice | null} */ let choice = null;
-/** @type {Moment | null} */ let moment = null;
+/** @type {Moment | null} */ let moment = null; // the one that is shown
+/** @type {Moment | null} */ let next = null; // the one to show after it
 /** @type {Grid} */ let grid;
 /** @type {Profile | null} */ let profile = null;
+let isShowing = false;
 let heardAt = 0;
 let pastAt = -Infinity;
 const feeder = new Feeder(/** @type {HTMLCanvasElement} */ (byId("drawing")), choose);
 const tables = new Tables(choose);
+const past = new Past();
 
 /** @param {string} path @returns {Promise<any>} */
 async function ask(path) {
@@ -33,8 +37,10 @@ async function ask(path) {
 function choose(wanted) {
   choice = tables.choice = wanted;
   pastAt = -Infinity;
+  past.clear();
   feeder.mark(wanted);
-  if (moment) show(moment);
+  const shown = next ?? moment;
+  if (shown) take(shown);
 }
 
 /** @param {Grid} found */
@@ -42,6 +48,7 @@ async function takeGrid(found) {
   grid = found;
   feeder.setGrid(grid);
   await pause();
+  profile?.destroy();
   profile = grid.known ? new Profile(grid) : null;
   byId("profile-section").hidden = !grid.known;
   const [low, high] = grid.limits;
@@ -50,13 +57,32 @@ async function takeGrid(found) {
     "Dark rings are boundary buses, a red cross a link over which nothing is received. Thick branches are loaded; dashed ones are out of service.";
 }
 
+/**
+ * Show `found`, or what is newer when its turn comes: one moment is shown after the other, each of them whole, and a
+ * grid that has changed is asked for first.
+ * @param {Moment} found
+ */
+async function take(found) {
+  next = found;
+  if (isShowing) return;
+  isShowing = true;
+  try {
+    while (next) {
+      const now = next;
+      next = null;
+      if (!now.view) continue;
+      if (now.grid_version !== grid.version) await takeGrid(await ask("/api/grid").catch(() => grid));
+      if (now.grid_version === grid.version) await show(now); // else the next one is on its way
+    }
+  } finally {
+    isShowing = false;
+  }
+}
+
 /** Part after part, so that nobody who types or clicks waits for all of them. @param {Moment} found */
 async function show(found) {
   moment = found;
-  if (!moment.view) return;
-  const parts = [showStatus, () => feeder.show(found), () => profile?.show(found), () => tables.show(found), showChoice];
-  for (const part of parts) {
-    if (moment !== found) return;
+  for (const part of [showStatus, () => feeder.show(found), () => profile?.show(found), () => tables.show(found), showChoice]) {
     part();
     await pause();
   }
@@ -72,8 +98,9 @@ function showStatus() {
   const areas = Object.values(moment.view.areas), counts = new Map();
   for (const area of areas) counts.set(area.quality, (counts.get(area.quality) ?? 0) + 1);
   const words = [...counts].map(([quality, n]) => `${n} ${quality}`).join(", ");
-  const remarks = [...moment.view.duplicates, ...moment.view.other_versions].join("; ");
-  const at = moment.mode === "playback" ? `playback at ${number(moment.at, 6)} s` : `live, ${clock(moment.time)}`;
+  const strangers = moment.view.strangers ? [`${moment.view.strangers} more that are announced as areas are not shown`] : [];
+  const remarks = [...strangers, ...moment.view.duplicates, ...moment.view.other_versions].join("; ");
+  const at = moment.mode === "playback" ? `playback at ${when(moment, moment.at)}` : `live, ${clock(moment.time)}`;
   const lost = moment.mode === "live" && performance.now() - heardAt > SILENT_MS;
   const text = lost ? `The server has sent nothing since ${clock(moment.time)}.` : `${at}: ${areas.length} areas: ${words || "nobody is there"}. ${remarks}`;
   byId("title").textContent = `${grid.title === moment.view.run ? "" : `${grid.title}: `}run ${moment.view.run}`;
@@ -111,21 +138,23 @@ function showChoice() {
   byId("facts").replaceChildren(...describeChoice().flatMap(([name, value]) => [element("dt", name), element("dd", value)]));
   if (!choice || performance.now() - pastAt < PAST_MS) return;
   pastAt = performance.now();
-  const { kind, id } = choice;
-  ask(`/api/history?kind=${kind}&id=${encodeURIComponent(id)}`).then((past) => {
-    if (choice?.kind === kind && choice.id === id) drawPast(kind, past, moment?.mode === "live");
-  }).catch(() => byId("past").replaceChildren());
+  const { kind, id } = choice, ofDay = moment?.mode === "live";
+  ask(`/api/history?kind=${kind}&id=${encodeURIComponent(id)}`).then((found) => {
+    if (choice?.kind === kind && choice.id === id) past.show(kind, id, found, ofDay);
+  }).catch(() => past.clear());
 }
 
 function listen() {
   const stream = new EventSource("/api/stream");
-  stream.onmessage = async (event) => {
+  stream.onmessage = (event) => {
     heardAt = performance.now();
-    const found = JSON.parse(event.data);
-    if (found.view && !grid.known && Object.keys(found.view.areas).length !== grid.areas.length) await await takeGrid(await ask("/api/grid"));
-    show(found);
+    take(JSON.parse(event.data));
   };
-  setInterval(showStatus, 1000);
+  stream.onerror = () => {
+    if (stream.readyState !== EventSource.CLOSED) return; // the browser tries again by itself
+    stream.close();
+    setTimeout(listen, AGAIN_MS);
+  };
 }
 
 byId("find").addEventListener("submit", (event) => {
@@ -145,6 +174,11 @@ byId("what").addEventListener("input", () => {
 });
 byId("whole").addEventListener("click", () => feeder.reset());
 
-takeGrid(await ask("/api/grid"));
-if (grid.mode === "playback") await new Playback(ask, show).start();
-else listen();
+grid = await ask("/api/grid");
+await takeGrid(grid);
+if (grid.mode === "playback") {
+  await new Playback(ask, take).start();
+} else {
+  listen();
+  setInterval(showStatus, 1000);
+}

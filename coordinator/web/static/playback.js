@@ -1,6 +1,6 @@
 /** A slider through the moments of a run that is over. */
 
-import { byId, number } from "./format.js";
+import { byId, when } from "./format.js";
 
 const STEP_MS = 400; // between two moments while it plays
 
@@ -13,10 +13,14 @@ export class Playback {
     this.slider = /** @type {HTMLInputElement} */ (byId("moment"));
     this.timer = 0;
     this.wanted = 0;
+    this.since = 0;
+    this.isAsking = false;
   }
 
   async start() {
-    this.times = (await this.ask("/api/frames")).times;
+    const frames = await this.ask("/api/frames");
+    this.times = frames.times;
+    this.since = frames.since;
     byId("playback").hidden = false;
     this.slider.max = String(this.times.length - 1);
     this.slider.addEventListener("input", () => this.go(Number(this.slider.value)));
@@ -31,12 +35,22 @@ export class Playback {
   /** @param {number} frame */
   async go(frame) {
     this.wanted = Math.max(0, Math.min(this.times.length - 1, frame));
-    const text = `${number(this.times[this.wanted], 6)} s`;
+    const at = this.times[this.wanted], text = when({ mode: "playback", time: this.since + at, at }, at);
     this.slider.value = String(this.wanted);
     this.slider.setAttribute("aria-valuetext", text);
     byId("clock").textContent = text;
-    const wanted = this.wanted, moment = await this.ask(`/api/frame/${wanted}`);
-    if (wanted === this.wanted) this.show(moment);
+    if (this.isAsking) return; // the one that is wanted then is asked for after it
+    this.isAsking = true;
+    try {
+      for (let asked = -1; asked !== this.wanted;) {
+        asked = this.wanted;
+        this.show(await this.ask(`/api/frame/${asked}`));
+      }
+    } catch {
+      byId("clock").textContent = "the server does not answer";
+    } finally {
+      this.isAsking = false;
+    }
   }
 
   play() {

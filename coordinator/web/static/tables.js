@@ -1,11 +1,19 @@
 /** Areas, meters, messages and events as tables; rows are reused, so that nothing flickers and focus stays. */
 
-import { byId, clock, element, number, qualityClass } from "./format.js";
+import { byId, element, number, qualityClass, when } from "./format.js";
 
-/** @typedef {import("./types.js").Moment} Moment @typedef {import("./types.js").Choice} Choice */
+/** @typedef {import("./types.js").AreaView} AreaView @typedef {import("./types.js").Moment} Moment @typedef {import("./types.js").Choice} Choice */
 
 const MOST_METERS = 100;
 const MOST_EVENTS = 60;
+const MOST_AREAS = 200;
+
+/** Those that are not good where there are very many. @param {[string, AreaView][]} areas @returns {[string, AreaView][]} */
+function chooseAreas(areas) {
+  if (areas.length <= MOST_AREAS) return areas;
+  const isGood = (/** @type {[string, AreaView]} */ [, area]) => area.quality === "good";
+  return [...areas.filter((area) => !isGood(area)), ...areas.filter(isGood)].slice(0, MOST_AREAS);
+}
 
 export class Rows {
   /**
@@ -66,6 +74,7 @@ export class Tables {
   constructor(choose) {
     this.choose = choose;
     /** @type {Choice | null} */ this.choice = null;
+    this.events = "";
     this.areas = new Rows("areas", "What each area says of its estimate, and why.", [
       { title: "Area" }, { title: "Quality" }, { title: "Scan", number: true }, { title: "Age s", number: true },
       { title: "Voltage p.u." }, { title: "Worst normalised residual" }, { title: "Exchanges", number: true },
@@ -84,7 +93,8 @@ export class Tables {
   /** @param {Moment} moment */
   show(moment) {
     const is = (/** @type {string} */ kind, /** @type {string} */ id) => this.choice?.kind === kind && this.choice.id === id;
-    this.areas.show(Object.entries(moment.view.areas).map(([name, area]) => ({
+    const areas = Object.entries(moment.view.areas);
+    this.areas.show(chooseAreas(areas).map(([name, area]) => ({
       cells: [
         name, area.quality, String(area.scan), number(area.age_s, 3),
         area.lowest_vm && area.highest_vm ? `${number(area.lowest_vm.value, 4)} to ${number(area.highest_vm.value, 4)}` : "-",
@@ -99,14 +109,18 @@ export class Tables {
     this.messages.show(moment.messages.map((m) => ({
       cells: [m.from, m.to, m.kind, number(m.sent, 6), m.lost ? "lost" : m.arrived === null ? "on its way" : `arrived at ${number(m.arrived, 6)} s`],
     })));
-    byId("messages-section").hidden = moment.mode !== "playback";
+    byId("messages-section").hidden = !moment.has_messages;
+    this.showEvents(moment);
+  }
+
+  /** The list is left alone while nothing new is in it, so that who reads or scrolls it can. @param {Moment} moment */
+  showEvents(moment) {
     const newest = moment.events.slice(-MOST_EVENTS).reverse();
-    const list = byId("events");
-    list.setAttribute("start", String(moment.events.length));
-    list.replaceChildren(...newest.map((event) => {
-      const at = moment.mode === "playback" ? `${number(event.time, 6)} s` : clock(event.time);
-      return element("li", `${at} ${event.area} ${event.text}`);
-    }));
+    const lines = newest.map((event) => `${when(moment, event.time)} ${event.area} ${event.text}`);
+    const all = lines.join("\n");
+    if (all === this.events) return;
+    this.events = all;
+    byId("events").replaceChildren(...lines.map((line) => element("li", line)));
   }
 
   /** @param {import("./types.js").Columns} meters @param {(kind: string, id: string) => boolean} is */

@@ -5,7 +5,7 @@
  *   distance: (number|null)[], area: string[], areas: string[][]}} Buses
  * @typedef {{id: string[], from_bus: number[], to_bus: number[], in_service: boolean[], area: string[]}} Branches
  * @typedef {{name: string, buses: number[], neighbours: {area: string, bus: number}[]}} Area
- * @typedef {{known: boolean, title: string, axis: string, limits: [number, number], mode: string, buses: Buses,
+ * @typedef {{version: string, known: boolean, title: string, axis: string, limits: [number, number], mode: string, buses: Buses,
  *   branches: Branches, areas: Area[]}} Grid
  * @typedef {{value: number, at: string}} Extreme
  * @typedef {{state: string, quality: string, said_quality: string, scan: number, age_s: number|null, notes: string[],
@@ -14,11 +14,11 @@
  *   degrees_of_freedom: number, oldest_reading_s: number, rejected: Record<string, number>, present: boolean}} AreaView
  * @typedef {Record<string, (number|string|null)[]>} Columns
  * @typedef {{from: string, to: string, kind: string, sent: number, arrived: number|null, lost: boolean}} Message
- * @typedef {{number: number, mode: string, time: number, at: number,
- *   view: {run: string, others: string[], duplicates: string[], other_versions: string[],
+ * @typedef {{number: number, grid_version: string, mode: string, time: number, at: number,
+ *   view: {run: string, others: string[], duplicates: string[], other_versions: string[], strangers: number,
  *   areas: Record<string, AreaView>}, buses: Columns, branches: Columns, meters: Columns,
  *   links: {from: string, to: string, age_s: number|null, alive: boolean}[],
- *   events: {time: number, area: string, kind: string, text: string}[], messages: Message[]}} Moment
+ *   events: {time: number, area: string, kind: string, text: string}[], messages: Message[], has_messages: boolean}} Moment
  * @typedef {{kind: "bus"|"branch"|"meter"|"area", id: string}} Choice
  */
 export {};

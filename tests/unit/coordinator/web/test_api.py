@@ -108,7 +108,7 @@ def test_without_a_scenario_the_page_shows_what_the_bus_tells():
         now = asked.get("/api/now").json()
         assert now["mode"] == "live"
         assert sorted({*now["buses"]["id"]}) == [1, 2, 3]
-        assert asked.get("/api/frames").json() == {"times": []}
+        assert asked.get("/api/frames").json() == {"times": [], "since": 0.0}
 
 
 def test_markup_of_strangers_is_sent_as_text():

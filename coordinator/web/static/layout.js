@@ -1,0 +1,92 @@
+/** Where things lie on the canvas. No canvas, no document: numbers in, numbers out. */
+
+/** @typedef {import("./types.js").Grid} Grid */
+/** @typedef {[number, number]} Point */
+/** @typedef {{kx: number, ox: number, ky: number, oy: number}} Fit pixels = k * coordinate + o */
+/**
+ * @typedef {{name: string, rows: number[], segments: [number, number][]}} Shape
+ * rows of the buses of an area, and of both ends of its branches
+ */
+
+/**
+ * The scales that bring all of a feeder onto a canvas.
+ * @param {number[]} x @param {number[]} y @param {number} width @param {number} height @param {number} margin pixels
+ * @returns {Fit}
+ */
+export function fitInto(x, y, width, height, margin) {
+  const [left, right] = extent(x), [top, bottom] = extent(y);
+  const kx = Math.max(1, width - 2 * margin) / Math.max(right - left, 1), ky = Math.max(1, height - 2 * margin) / Math.max(bottom - top, 1);
+  return { kx, ox: margin - kx * left, ky, oy: margin - ky * top };
+}
+
+/** @param {number[]} values @returns {Point} */
+function extent(values) {
+  let low = Infinity, high = -Infinity;
+  for (const value of values) {
+    if (value < low) low = value;
+    if (value > high) high = value;
+  }
+  return values.length ? [low, high] : [0, 1];
+}
+
+/** @param {Grid} grid @returns {Shape[]} what each area consists of, as far as it is on the drawing */
+export function findShapes(grid) {
+  const row = new Map(grid.buses.id.map((bus, k) => [bus, k]));
+  /** @type {Map<string, [number, number][]>} */ const segments = new Map(grid.areas.map((area) => [area.name, []]));
+  grid.branches.area.forEach((area, k) => {
+    const from = row.get(grid.branches.from_bus[k]), to = row.get(grid.branches.to_bus[k]);
+    if (from !== undefined && to !== undefined) segments.get(area)?.push([from, to]);
+  });
+  return grid.areas.map((area) => ({
+    name: area.name,
+    rows: area.buses.flatMap((bus) => row.get(bus) ?? []),
+    segments: segments.get(area.name) ?? [],
+  }));
+}
+
+/** @param {Point[]} at @param {[number, number][]} segments @returns {number} the usual length of one, in pixels */
+export function usualLength(at, segments) {
+  const lengths = segments.map(([a, b]) => Math.hypot(at[a][0] - at[b][0], at[a][1] - at[b][1])).sort((a, b) => a - b);
+  return lengths.length ? lengths[lengths.length >> 1] : Infinity;
+}
+
+/** @param {Point[]} at @param {number[]} rows @returns {Point} the middle of some buses */
+export function middle(at, rows) {
+  let x = 0, y = 0;
+  for (const row of rows) {
+    x += at[row][0];
+    y += at[row][1];
+  }
+  return [x / rows.length, y / rows.length];
+}
+
+/**
+ * The labels that do not lie on one another: earlier ones first.
+ * @template T @param {T[]} labels @param {(label: T) => {x: number, y: number, width: number, height: number}} boxOf
+ * @returns {T[]}
+ */
+export function keepApart(labels, boxOf) {
+  /** @type {{x: number, y: number, width: number, height: number}[]} */ const taken = [];
+  return labels.filter((label) => {
+    const box = boxOf(label);
+    const free = taken.every((other) =>
+      box.x + box.width < other.x || other.x + other.width < box.x || box.y + box.height < other.y || other.y + other.height < box.y);
+    if (free) taken.push(box);
+    return free;
+  });
+}
+
+/** @param {number} value @param {Point} limits @returns {number} 0 at the lower limit or below, 1 at the upper or above */
+export function shareOf(value, [low, high]) {
+  return high > low ? Math.min(1, Math.max(0, (value - low) / (high - low))) : 0.5;
+}
+
+/**
+ * What an axis spans: all values and a tenth to either side, and never so little that rounding shows as change.
+ * @param {number | null | undefined} low @param {number | null | undefined} high @returns {Point}
+ */
+export function spanOf(low, high) {
+  if (low === null || low === undefined || high === null || high === undefined || !Number.isFinite(low + high)) return [0, 1];
+  const least = Math.max(Math.abs(low), Math.abs(high)) * 1e-3 || 1e-3, pad = Math.max((high - low) * 0.1, (least - (high - low)) / 2);
+  return [low - pad, high + pad];
+}
