@@ -76,10 +76,12 @@ class ReadingStore:
         """What holds for the readings of ``meter``."""
         return self._rules.rule_of(meter.kind)
 
-    def is_of_scan(self, meter: Meter, gateway: str) -> bool:
-        """Whether a reading belongs to the scan of its message: it counts in no other, and does not age."""
+    def is_of_scan(self, meter: Meter | None, gateway: str) -> bool:
+        """Whether a reading, of a meter that is not known (None) too, belongs to the scan of its message: it counts in
+        no other, and does not age.
+        """
         is_leader = self._rules.ticks == "gateway" and gateway == self._rules.leader
-        return is_leader and self.rule_of(meter).period_s is None
+        return is_leader and (meter is None or self.rule_of(meter).period_s is None)
 
     def find_refusal(self, meter_id: str, gateway: str, value: float, sigma: float, *, is_valid: bool) -> str:
         """Why a reading cannot be used, whenever it was measured; empty if it can."""
@@ -106,7 +108,7 @@ class ReadingStore:
         columns = message.meters, message.values, message.sigmas, message.times, message.valid
         for meter_id, value, sigma, time, is_valid in zip(*columns, strict=True):
             meter = self._meters.get(meter_id)
-            if meter is not None and self.is_of_scan(meter, gateway):
+            if self.is_of_scan(meter, gateway):
                 continue
             reading = Reading(value, sigma, (time, gateway, order))
             known = self.newest.get(meter_id)

@@ -51,14 +51,14 @@ SUBSCRIPTIONS = {
     "plant": ("command/plant",),
     "coordinator": WATCHED,
     "gateway-north": ("area/*/state", "live/area/*/*"),
-    "operator": ("area/*/state", "live/*/*/*"),
+    "operator": WATCHED,
     "watcher": WATCHED,
 }
 # (who says it, key, to whom) of messages, on links without a router
 MESSAGES = {
     *((i, f"area/{i}/information/{j}", j) for i in "abc" for j in CHAIN.neighbours[i]),
     *((i, f"area/{i}/state", who) for i in "abc" for who in ("coordinator", "watcher", "operator")),
-    *((i, f"area/{i}/readings", who) for i in "abc" for who in ("coordinator", "watcher")),
+    *((i, f"area/{i}/readings", who) for i in "abc" for who in ("coordinator", "watcher", "operator")),
     *((i, f"area/{i}/state", "gateway-north") for i in "ab"),
     *(("gateway-north", f"telemetry/{i}/north", i) for i in "ab"),
     *(("operator", f"command/{i}", i) for i in "abc"),

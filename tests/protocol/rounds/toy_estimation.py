@@ -90,6 +90,9 @@ class ToyEstimation:
     def find_sigmas(self) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
         return np.ones(1), np.ones(1), ()
 
+    def describe_readings(self) -> dict[str, tuple[float, float]]:
+        return {}
+
     @property
     def no_load_va(self) -> np.ndarray:
         return np.zeros(1)

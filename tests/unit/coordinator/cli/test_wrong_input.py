@@ -39,7 +39,7 @@ INJECTION = 'injection = { buses = "all", sigma_percent = 10.0 }'
 CASES = {
     "unknown key": (
         [("noise = true", "noise = true\ncolour = 3")],
-        ["telemetry.colour: unknown key", "allowed here: source, file, noise"],
+        ["telemetry.colour: unknown key", "allowed here: source, ticks, leader, file, noise"],
     ),
     "missing network": ([('network = "ieee33"\n', "")], ["network: missing", "name of a shipped network"]),
     "network that does not exist": ([('network = "ieee33"', 'network = "ieee34"')], ["network", "ieee34", "ieee33"]),

@@ -13,6 +13,7 @@ from click.testing import CliRunner
 from agents.area_files.reader import load_area_file
 from agents.messages.keys import live_key
 from agents.messages.packing import Incarnation, TelemetryMessage, decode
+from agents.orders.order_book import OrderBook
 from agents.runtime.duplicate_guard import DuplicateGuard
 from agents.runtime.inbox import Inbox
 from agents.transport.renewable_bus import RenewableBus
@@ -121,7 +122,9 @@ def test_a_plant_whose_scans_follow_at_once_publishes_each_and_can_be_stopped():
     published: list[bytes] = []
     inbox = Inbox()
     guard = DuplicateGuard("plant", Incarnation(1, 1), 0.0, beat_s=0.2)
-    voice = _Voice({"area1": published.append}, inbox, beat_s=0.2, guard=guard, bus=no_bus())
+    voice = _Voice(
+        {"area1": published.append}, inbox, beat_s=0.2, guard=guard, bus=no_bus(), orders=OrderBook("plant", "run")
+    )
     assert not voice.serve({"area1": b"scan 1"}, {}, duration_s=1e-9)
     inbox.put("stop", None)
     assert voice.serve({"area1": b"scan 2"}, {}, duration_s=1e-9)
@@ -133,7 +136,7 @@ def test_a_plant_says_much_in_pieces_and_who_waits_when_a_scan_ends_is_first_in_
     areas = [f"area{k}" for k in range(1, 4)]
     publishers = {area: lambda payload, area=area: said.append(f"{area} {payload[:1].decode()}") for area in areas}
     guard = DuplicateGuard("plant", Incarnation(1, 1), 0.0, beat_s=LONGEST_S)
-    voice = _Voice(publishers, Inbox(), beat_s=LONGEST_S, guard=guard, bus=no_bus())
+    voice = _Voice(publishers, Inbox(), beat_s=LONGEST_S, guard=guard, bus=no_bus(), orders=OrderBook("plant", "run"))
     for scan in (b"1", b"2", b"3"):
         assert not voice.serve({area: scan * BURST for area in areas}, {}, duration_s=1e-9)
     assert said == ["area1 1", "area2 2", "area3 3"]
@@ -168,7 +171,9 @@ def scenario_of_neighbours(folder: Path, more: str = "") -> Path:
 def test_a_plant_that_no_area_receives_says_so_once(caplog, is_received: bool):
     inbox = Inbox()
     guard = DuplicateGuard("plant", Incarnation(1, 1), 0.0, beat_s=0.2)
-    voice = _Voice({"area1": lambda _: None}, inbox, beat_s=0.2, guard=guard, bus=no_bus())
+    voice = _Voice(
+        {"area1": lambda _: None}, inbox, beat_s=0.2, guard=guard, bus=no_bus(), orders=OrderBook("plant", "run")
+    )
     voice.alone = _Alone(0.0, "of run near within 1 s", ["tcp/127.0.0.1:7501"])
     if is_received:
         key = live_key("near", "area", "area1", Incarnation(1, 1))
