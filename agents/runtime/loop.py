@@ -40,6 +40,7 @@ from agents.runtime.watchdog import Watchdog
 from agents.transport.zenoh_bus import Session
 
 log = logging.getLogger(__name__)
+SAID_LATELY_S = 10.0  # a line of the log that was true within so many seconds says nothing new
 TIDY_S = 1.0  # between two times that free memory is given back; hundreds of areas may share one machine's
 
 
@@ -106,7 +107,7 @@ def run_agent(
     orders = orders or OrderBook.of(content)
     events = orders.begin()
     take_command = functools.partial(_take_command, orders, clock)
-    logged: object = None
+    changes = _ChangeLog()
     next_tidying = now
     watchdog = watchdog or Watchdog({})
     watchdog.ready(now)
@@ -118,7 +119,7 @@ def run_agent(
                 case Publish(message, to):
                     links.send(message, to, now)
                     if isinstance(message, StateMessage):
-                        logged = _log_change(message, logged)
+                        changes.take(message, now)
                 case Finish(reason):
                     send_leave(reason.encode())
                     if (at_the_end := protocol.describe_backend()) != backend:
@@ -163,14 +164,20 @@ def _listen(content: AreaFile, session: Session, kinds: Sequence[str], inbox: In
         session.watch_presence(all_incarnations(run, "area", area), lambda key, alive: _put_token(inbox, key, alive))
 
 
-def _log_change(state: StateMessage, logged: object) -> object:
-    """Log what the area works with when that has changed; return what was logged."""
-    what = "no estimate" if not state.buses else "estimates" if state.referenced else "estimates, angles relative"
-    removed = [f"removed as bad data: {', '.join(state.removed)}"] if state.removed else []
-    line = "; ".join([f"scan {state.header.scan}: {what}", *removed, *state.notes])
-    if line != logged:
-        log.info("%s", line)
-    return line
+class _ChangeLog:
+    """Logs what an area works with when that is new: what is true again and again, scan by scan, fills no disk."""
+
+    def __init__(self) -> None:
+        self._said: dict[str, float] = {}  # line -> when it was true last
+
+    def take(self, state: StateMessage, now: float) -> None:
+        what = "no estimate" if not state.buses else "estimates" if state.referenced else "estimates, angles relative"
+        removed = [f"removed as bad data: {', '.join(state.removed)}"] if state.removed else []
+        line = "; ".join([what, *removed, *state.notes])
+        self._said = {said: at for said, at in self._said.items() if now - at < SAID_LATELY_S}
+        if line not in self._said:
+            log.info("scan %d: %s", state.header.scan, line)
+        self._said[line] = now
 
 
 def _publishers(content: AreaFile, session: Session, kinds: Sequence[str]) -> Callable[[str | None, str, bytes], None]:
