@@ -1,7 +1,9 @@
 # What takes minutes and is therefore not among the tests. Everything else: CONTRIBUTING.md.
 PYTHON ?= .venv/bin/python
 
-.PHONY: docs docs-commands linkcheck soak soak-short recovery exchange freeze-oracle
+PAGE := build/page
+
+.PHONY: docs docs-commands linkcheck page-check vendor soak soak-short recovery exchange freeze-oracle
 docs:  ## the site, below build/docs; a warning, or a link that leads nowhere, is an error
 	rm -rf docs/reference/api  # pages of modules that are gone
 	$(PYTHON) -m sphinx -q -W --keep-going -n docs build/docs
@@ -12,6 +14,13 @@ docs-commands:  ## runs the commands of all pages in order, as printed; what is 
 linkcheck:  ## follows the links to other sites; needs a network, so CI does not run it
 	rm -rf docs/reference/api
 	$(PYTHON) -m sphinx -q -b linkcheck docs build/linkcheck
+
+page-check:  ## types and units of the page's own code; needs node and npm
+	mkdir -p $(PAGE) && cp -r coordinator/web/static tests/page/. $(PAGE)
+	cd $(PAGE) && npm install --silent --no-audit --no-fund --no-package-lock && npx --no-install tsc -p . && node --test
+
+vendor:  ## fetches the libraries of the page anew, in the versions that coordinator/web/vendor.py names; needs npm
+	$(PYTHON) -m coordinator.web.vendor
 
 soak:  ## ten minutes of faults, then whole again
 	$(PYTHON) -m benchmarks.soak --minutes 10

@@ -1,0 +1,23 @@
+/** How numbers and times are shown. Run by `make page-check`. */
+
+import assert from "node:assert/strict";
+import { test } from "node:test";
+
+import { clock, number, qualityClass, when } from "./static/format.js";
+
+test("what is no number is a dash, and no number has more digits than asked for", () => {
+  assert.deepEqual([null, undefined, NaN, Infinity].map((value) => number(value)), ["-", "-", "-", "-"]);
+  assert.deepEqual([1, 0.123456789, -12345.678].map((value) => number(value, 4)), ["1", "0.1235", "-12350"]);
+  assert.equal(number(1.5e12), "1.50e+12");
+});
+
+test("a word of a stranger never looks good", () => {
+  assert.deepEqual(["good", "degraded", "stale", "<b>", ""].map(qualityClass), ["good", "degraded", "bad", "bad", "bad"]);
+});
+
+test("simulated time is seconds, recorded and live time the time of day", () => {
+  const start = 1_700_000_000;
+  assert.equal(when({ mode: "playback", time: 2.5, at: 2.5 }, 1.25), "1.25 s");
+  assert.equal(when({ mode: "playback", time: start + 2, at: 2 }, 1), clock(start + 1));
+  assert.equal(when({ mode: "live", time: start, at: start }, start - 7), clock(start - 7));
+});
