@@ -48,6 +48,8 @@ from agents.protocol.tick_readings import TickReadings
 from dsse_core.exchange.boundary_load import NetLoad, load_message_for
 from dsse_core.grid.measurement import Source
 
+REPEAT_READINGS_S = 10.0  # of readings in use that stay the same, for recorders and watchers that come later
+
 
 class AreaProtocol(ABC):
     """One area's part.
@@ -74,6 +76,7 @@ class AreaProtocol(ABC):
         by_clock = content.readings.ticks == "clock"
         self._scan = (TickReadings if by_clock else ScanReadings)(content, now, started_at - now)
         self._shown_ages = self._scan.readings.ages  # of the readings that were last published
+        self._shown_readings: tuple[ReadingsMessage, float] | None = None  # those, and when
         self._n_shown = 0
         self._rejections = Rejections()
         self._published = PublishedState(content.area, self._peers, self._scan, self._rejections, self._header)
@@ -323,9 +326,14 @@ class AreaProtocol(ABC):
         return {}
 
     def _show_readings(self) -> Iterator[Publish]:
-        """The readings of the scan, for recorders, once."""
+        """The readings of the scan, for recorders: once, and again after a while for those who were not there."""
         readings = self._scan.readings
-        if readings.ages is self._shown_ages or not self._may_show_readings:
+        if not self._may_show_readings:
+            return
+        if readings.ages is self._shown_ages:
+            if self._shown_readings and self._now >= self._shown_readings[1] + REPEAT_READINGS_S:
+                self._shown_readings = self._shown_readings[0], self._now
+                yield Publish(self._shown_readings[0], None)
             return
         self._shown_ages = readings.ages
         self._n_shown += 1
@@ -333,19 +341,18 @@ class AreaProtocol(ABC):
         read = {m.meter.id: m for m in readings.measurements if m.meter.source is not Source.VIRTUAL}
         estimated = [meter for meter in read if meter in described]
         ids = (*estimated, *(meter for meter in read if meter not in described))
-        yield Publish(
-            ReadingsMessage(
-                header=self._header(self._n_shown),
-                taken_at=readings.ages.taken_at,
-                meters=ids,
-                values=tuple(float(read[meter].value) for meter in ids),
-                sigmas=tuple(float(read[meter].sigma) for meter in ids),
-                times=tuple(map(readings.ages.times.__getitem__, ids)),
-                estimates=tuple(described[meter][0] for meter in estimated),
-                normalised=tuple(described[meter][1] for meter in estimated),
-            ),
-            None,
+        message = ReadingsMessage(
+            header=self._header(self._n_shown),
+            taken_at=readings.ages.taken_at,
+            meters=ids,
+            values=tuple(float(read[meter].value) for meter in ids),
+            sigmas=tuple(float(read[meter].sigma) for meter in ids),
+            times=tuple(map(readings.ages.times.__getitem__, ids)),
+            estimates=tuple(described[meter][0] for meter in estimated),
+            normalised=tuple(described[meter][1] for meter in estimated),
         )
+        self._shown_readings = message, self._now
+        yield Publish(message, None)
 
     # Load messages
 

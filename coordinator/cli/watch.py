@@ -76,7 +76,7 @@ def watch(
     try:
         with attach(choose_endpoints(endpoints, keys is not None), run_id, timeout, keys, direct) as look:
             if once:
-                watcher = wait_until_whole(look, timeout)
+                watcher = wait_until_whole(look, timeout, with_readings=meters)
                 show(_format(watcher, find_tables, as_json))
                 return 0 if watcher.is_whole() else 1
             live = sys.stdout.isatty() and not as_json

@@ -19,6 +19,7 @@ from agents.messages.keys import (
     version_of,
 )
 from agents.messages.packing import WIRE_VERSION, ReadingsMessage, StateMessage, decode, describe_other_version
+from agents.protocol.area_protocol import REPEAT_READINGS_S
 from agents.runtime.presence import read_leave
 from agents.security.access import COORDINATOR, WATCHER
 from agents.security.credential_files import credentials_in
@@ -32,6 +33,7 @@ from dsse_core.printable import listed
 ANY = "*"
 SETTLE_S = 0.3  # from the first run seen to the belief that there is no other
 STEP_S = 0.05
+LONGEST_WAIT_S = REPEAT_READINGS_S + 2.0
 MOST_RUNS = 12  # that an error names
 
 
@@ -122,11 +124,16 @@ def _find_own_name(keys: Path) -> str:
     return COORDINATOR if has[COORDINATOR] and not has[WATCHER] else WATCHER
 
 
-def wait_until_whole(look: Look, timeout_s: float) -> Watcher:
-    """Wait until every area that is there has been received, or until time is up."""
-    deadline = time.monotonic() + timeout_s
-    while not (watcher := look(STEP_S)).is_whole() and time.monotonic() < deadline:
-        pass
+def wait_until_whole(look: Look, timeout_s: float, *, with_readings: bool = False) -> Watcher:
+    """Wait until every area that is there has been received, and its readings if they are wanted; or until time is up.
+
+    Areas repeat their readings in longer intervals than their states.
+    """
+    deadline = time.monotonic() + (max(timeout_s, LONGEST_WAIT_S) if with_readings else timeout_s)
+    while time.monotonic() < deadline:
+        watcher = look(STEP_S)
+        if watcher.is_whole() and (not with_readings or watcher.readings.keys() >= watcher.states.keys()):
+            break
     return watcher
 
 
