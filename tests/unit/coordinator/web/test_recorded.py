@@ -1,0 +1,89 @@
+"""A recording is played back on the page: from its log and from its tables alike, with a scenario and without."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from recordings import AT, ME, RUN, appeared, entry_of, load_areas_of, make_readings, make_state
+from served import client
+
+from agents.messages.keys import live_key
+from coordinator.recording.closing import close_ended
+from coordinator.recording.entries import VANISHED, Entry
+from coordinator.recording.folder import begin_writing
+from coordinator.recording.recorder import Recorder
+from coordinator.recording.segment_log import SegmentLog
+from coordinator.web import recorded
+from coordinator.web.recorded import play_recording
+from dsse_core.errors import InvalidInputError
+from scenarios.scenario import load_scenario
+
+AREAS = load_areas_of()
+SCANS = 4
+
+
+def write(folder: Path, *, closed: bool) -> Path:
+    """Three areas, of which the first dies after the last scan."""
+    with begin_writing(folder, RUN, AREAS):
+        log = SegmentLog(folder)
+        recorder = Recorder(log, RUN)
+        recorder.take([appeared(content.area.name) for content in AREAS[:2]])
+        for scan in range(1, SCANS + 1):
+            for content in AREAS:
+                when = AT + scan
+                recorder.take([entry_of(make_readings(content, scan, scan, when), when)])
+                n = len(content.area.network.buses)
+                state = make_state(content, scan, scan, when, vm=(1.0 - scan / 100,) * n, ages={"area3": 0.5})
+                recorder.take([entry_of(state, when)])
+        recorder.take([Entry(VANISHED, AT + 9, live_key(RUN, "area", "area1", ME))])
+        log.close()
+    if closed:
+        assert close_ended(folder) == []
+    return folder
+
+
+@pytest.mark.parametrize("closed", [False, True], ids=["log", "tables"])
+@pytest.mark.parametrize("known", [False, True], ids=["without scenario", "with scenario"])
+def test_every_moment_of_a_recording_is_as_it_was(tmp_path: Path, closed: bool, known: bool):
+    notes: list[str] = []
+    source = play_recording(write(tmp_path / "r", closed=closed), load_scenario("ieee33") if known else None, notes)
+    asked = client(source)
+    frames = asked.get("/api/frames").json()
+    assert (notes, frames["since"]) == ([], AT)
+    assert frames["times"] == [0.0, 1.0, 2.0, 3.0, 4.0, 9.0]
+    grid = asked.get("/api/grid").json()
+    assert (grid["known"], len(grid["buses"]["id"])) == (known, 33)
+    for k, at in enumerate(frames["times"]):
+        moment = asked.get(f"/api/frame/{k}").json()
+        assert (moment["at"], moment["time"], moment["grid_version"]) == (at, AT + at, grid["version"])
+        if 1 <= at <= SCANS:
+            assert {round(vm, 9) for vm in moment["buses"]["vm_pu"]} == {1.0 - at / 100}
+            assert {area["quality"] for area in moment["view"]["areas"].values()} <= {"good", "stale", "none"}
+            assert moment["view"]["areas"]["area1"]["scan"] == at
+            assert len(moment["meters"]["meter"]) >= len(AREAS[0].meters)
+    last = asked.get("/api/now").json()
+    assert last["view"]["areas"]["area1"]["state"] == "gone"
+    assert last["view"]["areas"]["area3"]["present"]  # it was there before the recording began
+    assert {"area1"} == {event["area"] for event in last["events"] if event["kind"] == "vanished"}
+
+
+def test_of_a_long_recording_the_newest_part_is_played(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(recorded, "MOST_HAPPENINGS", 8)
+    notes: list[str] = []
+    source = play_recording(write(tmp_path / "r", closed=False), None, notes)
+    assert notes == ["the recording is long: its newest part is played"]
+    assert source.times()[-1] - source.times()[0] < 9.0
+    assert client(source).get("/api/now").json()["view"]["areas"]["area2"]["scan"] == SCANS
+
+
+def test_an_empty_recording_says_so(tmp_path: Path):
+    with begin_writing(tmp_path / "r", RUN, AREAS):
+        pass
+    with pytest.raises(InvalidInputError, match="nothing is recorded here yet"):
+        play_recording(tmp_path / "r", None, [])
+
+
+def test_a_folder_that_is_no_recording_is_named(tmp_path: Path):
+    with pytest.raises(InvalidInputError, match=str(tmp_path)):
+        play_recording(tmp_path, None, [])
