@@ -8,11 +8,14 @@ const MOST_METERS = 100;
 const MOST_EVENTS = 60;
 const MOST_AREAS = 200;
 
-/** Those that are not good where there are very many. @param {[string, AreaView][]} areas @returns {[string, AreaView][]} */
+/**
+ * Where there are very many: those that are not good, then good ones, then those that have never said anything.
+ * @param {[string, AreaView][]} areas @returns {[string, AreaView][]}
+ */
 function chooseAreas(areas) {
   if (areas.length <= MOST_AREAS) return areas;
-  const isGood = (/** @type {[string, AreaView]} */ [, area]) => area.quality === "good";
-  return [...areas.filter((area) => !isGood(area)), ...areas.filter(isGood)].slice(0, MOST_AREAS);
+  const rank = (/** @type {AreaView} */ area) => (area.age_s === null ? 2 : area.quality === "good" ? 1 : 0);
+  return [...areas].sort(([, one], [, other]) => rank(one) - rank(other)).slice(0, MOST_AREAS);
 }
 
 export class Rows {

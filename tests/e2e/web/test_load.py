@@ -1,0 +1,138 @@
+"""The page under load: very many buses, hours of updates, strangers without number."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+from browser import browsing, find_chromium
+from served import serving
+from shown_states import said_by
+from waiting import DEADLINE_S, wait_until
+
+from agents.messages.keys import live_key
+from agents.messages.packing import Incarnation
+from coordinator.observe.watch import Watcher
+from coordinator.web import sources
+from coordinator.web.sources import LiveSource
+
+pytestmark = pytest.mark.long
+ME = Incarnation(1, 1)
+LONG_TASKS = (
+    "window.longest = 0; new PerformanceObserver(list => list.getEntries().forEach("
+    "entry => { window.longest = Math.max(window.longest, entry.duration); }))"
+    ".observe({ type: 'longtask', buffered: true });"
+)
+MOST_GROWTH = (
+    4_000_000  # bytes: what a browser compiles and caches meanwhile; a kept moment is 40 kB, 1000 of them 40 MB
+)
+
+
+@pytest.fixture(autouse=True)
+def _needs_a_browser() -> None:
+    find_chromium()
+
+
+class Feeder:
+    """``areas`` in a row, each with ``buses``; every look is a new scan."""
+
+    def __init__(self, areas: int, buses: int) -> None:
+        self.watcher = Watcher("run")
+        self._names = [f"area{k + 1}" for k in range(areas)]
+        self._buses, self.scan = buses, 0
+        for name in self._names:
+            self.watcher.take_presence(live_key("run", "area", name, ME), True)
+
+    def __call__(self, duration_s: float) -> Watcher:
+        time.sleep(duration_s)
+        self.scan += 1
+        n = self._buses
+        for k, name in enumerate(self._names):
+            state = said_by(
+                name,
+                Incarnation(1, self.scan),
+                buses=tuple(range(k * (n - 1), k * (n - 1) + n)),
+                vm=tuple(0.9 + 0.2 * ((b + self.scan) % n) / n for b in range(n)),
+                va=(0.0,) * n,
+                sigma_vm=(0.001,) * n,
+                sigma_va=(0.001,) * n,
+                sent={other: (1, 1) for other in self._names[max(0, k - 1) : k + 2] if other != name},
+                quality="degraded" if (self.scan + k) % 7 == 0 else "good",
+                notes=(f"scan {self.scan}",),
+            )
+            self.watcher.take_state(state, time.monotonic())
+        return self.watcher
+
+
+@contextmanager
+def shown(feeder: Feeder) -> Iterator[tuple[LiveSource, Any, str]]:
+    source = LiveSource(feeder, None, "run")
+    source.start()
+    try:
+        with serving(source) as url, browsing() as page:
+            yield source, page, url
+    finally:
+        source.close()
+
+
+def test_ten_thousand_buses_are_shown_and_one_of_them_is_found():
+    with shown(Feeder(100, 101)) as (source, page, url):
+        page.add_init_script(LONG_TASKS)
+        page.goto(url)
+        wait_until(lambda: page.locator("#areas tbody tr").count() == 100)
+        page.fill("#what", "7777")
+        page.keyboard.press("Enter")
+        page.wait_for_selector("#facts >> text=vm pu", timeout=DEADLINE_S * 1000)
+        page.wait_for_selector("#past canvas", timeout=DEADLINE_S * 1000)
+        size, longest = len(source.newest.payload), page.evaluate("window.longest")
+        print(f"10,001 buses: {size / 1e6:.2f} MB a moment, longest task of the main thread {longest:.0f} ms")
+        assert size < 2_000_000
+
+
+def test_hours_of_updates_leave_the_memory_of_the_page_as_it_was(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(sources, "UPDATE_S", 0.02)
+    monkeypatch.setattr(sources, "BUSY_SHARE", 0.0)
+    with shown(Feeder(5, 20)) as (source, page, url):
+        page.goto(url)
+        page.fill("#what", "7")
+        page.keyboard.press("Enter")
+        page.wait_for_selector("#past canvas", timeout=DEADLINE_S * 1000)
+        session = page.context.new_cdp_session(page)
+
+        def heap_after(moments: int) -> int:
+            wanted = source.newest.number + moments
+            wait_until(lambda: source.newest.number >= wanted, 180.0)
+            session.send("HeapProfiler.collectGarbage")
+            return int(session.send("Runtime.getHeapUsage")["usedSize"])
+
+        first, last = heap_after(400), heap_after(1200)
+        print(f"heap of the page after 400 and 1600 moments: {first / 1e6:.1f} and {last / 1e6:.1f} MB")
+        assert last - first < MOST_GROWTH
+        assert page.locator("#events li").count() <= 60
+
+
+def test_a_hundred_thousand_strangers_leave_the_page_usable_and_its_areas_in_sight():
+    feeder = Feeder(2, 5)
+    with shown(feeder) as (_, page, url):
+        page.goto(url)
+        page.wait_for_selector("#areas .good", timeout=DEADLINE_S * 1000)
+        for k in range(100_000):
+            feeder.watcher.take_presence(live_key("run", "area", f"x{k}", ME), True)
+        page.wait_for_selector("#status >> text=announced as areas are not shown", timeout=DEADLINE_S * 1000)
+        page.locator("#areas button", has_text="area2").focus()
+        page.keyboard.press("Enter")
+        page.wait_for_selector("#facts >> text=degrees of freedom", timeout=DEADLINE_S * 1000)
+
+
+def test_who_reads_the_events_keeps_the_focus_while_new_ones_come():
+    with shown(Feeder(2, 5)) as (source, page, url):
+        page.goto(url)
+        page.wait_for_selector("#events li", timeout=DEADLINE_S * 1000)
+        page.evaluate("document.querySelector('#events').parentElement.focus()")
+        before = source.newest.number
+        wait_until(lambda: source.newest.number > before + 10)
+        assert page.evaluate("document.activeElement.contains(document.querySelector('#events'))")
+        assert page.evaluate("document.activeElement.getAttribute('role')") == "group"
