@@ -95,6 +95,8 @@ class Admm(Strategy):
     def _take_measurements(self, known: Knowledge) -> None:
         """A new scan: state and iterations so far are its start, unless they are farther from it than none at all."""
         reference = self._area.reference[0] if self._area.reference else None
+        if self._model is not None:
+            self._model.end()
         model = self._model = build_area_model(self._area, known.measurements, reference)
         self._measurements = known.measurements
         if all(b.z is None for b in self._boundaries.values()):

@@ -151,10 +151,13 @@ class AreaEstimation:
         in_use = with_currents if self._uses_currents else without
         prior = self._start if self._silent or self._is_blank else None
         meters = tuple(m.meter for m in in_use)
-        if self._model is not None and self._model.meters == meters and self._model.prior is prior is None:
-            self._model = self._model.with_readings(in_use)
+        former = self._model
+        if former is not None and former.meters == meters and former.prior is prior is None:
+            self._model = former.with_readings(in_use)
         else:
             self._model = replace(build_area_model(self.area, in_use, self._reference), prior=prior)
+        if former is not None:
+            former.end()
         if self.is_first:
             self._build_no_load(without)
 

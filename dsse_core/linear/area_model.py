@@ -42,6 +42,13 @@ class AreaModel(AreaMeasurements):
             other.__dict__.update(linear=linear.with_readings(other))
         return other
 
+    def end(self) -> None:
+        """Let go of what computes, and knows this model in turn: else both would wait for the collector of cycles,
+        which looks rarely, and every scan leaves a model.
+        """
+        for known in ("linear", "rows"):
+            self.__dict__.pop(known, None)
+
     def predict(self, x: np.ndarray) -> np.ndarray:
         """h(x), shape (n_meas,)."""
         return self.rows.predict(x)
