@@ -24,6 +24,7 @@ export class Feeder {
     this.width = 0;
     this.height = 0;
     this.planned = 0;
+    this.scales = fitInto([], [], 0, 0, MARGIN);
     this.transform = d3.zoomIdentity;
     this.zoom = d3.zoom().scaleExtent([0.5, 60]).on("zoom", (/** @type {any} */ event) => {
       this.transform = event.transform;
@@ -69,6 +70,8 @@ export class Feeder {
     this.height = this.canvas.clientHeight;
     this.canvas.width = this.width * ratio;
     this.canvas.height = this.height * ratio;
+    const { x, y } = this.grid?.buses ?? { x: [], y: [] };
+    this.scales = fitInto(x, y, this.width, this.height, MARGIN);
     this.plan();
   }
 
@@ -83,7 +86,7 @@ export class Feeder {
 
   /** @returns {Point[]} of all buses, in pixels */
   place() {
-    const { x, y } = /** @type {Grid} */ (this.grid).buses, { kx, ox, ky, oy } = fitInto(x, y, this.width, this.height, MARGIN);
+    const { x, y } = /** @type {Grid} */ (this.grid).buses, { kx, ox, ky, oy } = this.scales;
     const { k, x: left, y: top } = this.transform;
     return x.map((value, row) => [k * (kx * value + ox) + left, k * (ky * y[row] + oy) + top]);
   }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -15,6 +16,8 @@ from waiting import DEADLINE_S, wait_until
 
 from agents.messages.keys import live_key
 from agents.messages.packing import Incarnation
+from coordinator.evaluation.evaluation import choose_scenario
+from coordinator.observe.grid_tables import GridTables
 from coordinator.observe.watch import Watcher
 from coordinator.web import sources
 from coordinator.web.sources import LiveSource
@@ -42,19 +45,22 @@ class Feeder:
     def __init__(self, areas: int, buses: int) -> None:
         self.watcher = Watcher("run")
         self._names = [f"area{k + 1}" for k in range(areas)]
-        self._buses, self.scan = buses, 0
+        self.scan = 0
+        self._buses = {
+            name: tuple(range(k * (buses - 1), k * (buses - 1) + buses)) for k, name in enumerate(self._names)
+        }
         for name in self._names:
             self.watcher.take_presence(live_key("run", "area", name, ME), True)
 
     def __call__(self, duration_s: float) -> Watcher:
         time.sleep(duration_s)
         self.scan += 1
-        n = self._buses
-        for k, name in enumerate(self._names):
+        for k, (name, own) in enumerate(self._buses.items()):
+            n = len(own)
             state = said_by(
                 name,
                 Incarnation(1, self.scan),
-                buses=tuple(range(k * (n - 1), k * (n - 1) + n)),
+                buses=own,
                 vm=tuple(0.9 + 0.2 * ((b + self.scan) % n) / n for b in range(n)),
                 va=(0.0,) * n,
                 sigma_vm=(0.001,) * n,
@@ -68,14 +74,33 @@ class Feeder:
 
 
 @contextmanager
-def shown(feeder: Feeder) -> Iterator[tuple[LiveSource, Any, str]]:
-    source = LiveSource(feeder, None, "run")
+def shown(feeder: Feeder, known: GridTables | None = None) -> Iterator[tuple[LiveSource, Any, str]]:
+    source = LiveSource(feeder, known, "run")
     source.start()
     try:
         with serving(source) as url, browsing() as page:
             yield source, page, url
     finally:
         source.close()
+
+
+def test_a_thousand_buses_of_a_scenario_are_drawn_and_one_of_them_is_found(dsse: Any, tmp_path: Path):
+    assert dsse("generate", "--buses", "1000", "--areas", "50", "--out", "feeder").returncode == 0
+    known = GridTables(choose_scenario(str(tmp_path / "feeder" / "scenario.toml")))
+    feeder = Feeder(50, 1)
+    feeder._buses = {area.name: tuple(area.network.row) for area in known.partition.areas}
+    with shown(feeder, known) as (source, page, url):
+        page.add_init_script(LONG_TASKS)
+        page.goto(url)
+        wait_until(lambda: page.locator("#areas tbody tr").count() == 50)
+        page.fill("#what", "777")
+        page.keyboard.press("Enter")
+        page.wait_for_selector("#facts >> text=p kw", timeout=DEADLINE_S * 1000)
+        page.wait_for_selector("#past canvas", timeout=DEADLINE_S * 1000)
+        before = source.newest.number
+        wait_until(lambda: source.newest.number > before + 5)
+        size, longest = len(source.newest.payload), page.evaluate("window.longest")
+        print(f"1,000 buses: {size / 1e6:.2f} MB a moment, longest task of the main thread {longest:.0f} ms")
 
 
 def test_ten_thousand_buses_are_shown_and_one_of_them_is_found():

@@ -124,22 +124,6 @@ def test_assistive_technology_finds_its_way(tmp_path: Path, scheme: str):
     assert [(v["id"], [node["target"] for node in v["nodes"]]) for v in found] == []
 
 
-def test_a_thousand_buses_never_hold_up_the_page(dsse: Any, tmp_path: Path):
-    assert dsse("generate", "--buses", "1000", "--areas", "50", "--out", "feeder").returncode == 0
-    with SystemByHand(tmp_path) as system, browsing() as page:
-        url = serve(system, "feeder/scenario.toml", "--simulate")
-        page.add_init_script(
-            "window.longest = 0; new PerformanceObserver(list => list.getEntries().forEach("
-            "entry => { window.longest = Math.max(window.longest, entry.duration); }))"
-            ".observe({ type: 'longtask', buffered: true });"
-        )
-        page.goto(url)
-        page.wait_for_selector("#areas .good", timeout=LONG_MS)
-        assert page.locator("#areas tbody tr").count() == 50
-        page.locator("#back").click()
-        print(f"longest task of the main thread: {page.evaluate('window.longest'):.0f} ms")
-
-
 def hostile(run: str, area: str) -> StateMessage:
     markup = "<img src=x onerror=\"document.title='owned'\"><script>document.title='owned'</script>"
     return StateMessage(
