@@ -9,12 +9,16 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.state_limits import StateLimits
 from dsse_core.files.strict_table import load_strict
 from dsse_core.files.wording import Suggestions, describe_unknown
+from dsse_core.grid.columns import Records, read_column
 from dsse_core.grid.division import build_partition
 from dsse_core.grid.measurement import Measurement, Meter, Source
+from dsse_core.grid.meter_table import KINDS, join_meters, number_kinds, take_meters
 from dsse_core.grid.network import Network
 from dsse_core.grid.partition import Area, Partition
 from dsse_core.printable import printable
@@ -54,14 +58,14 @@ RESERVED = {ALL_AREAS, "coordinator", "operator", "plant", "recorder", "router",
 class TelemetrySettings:
     """How readings are made: ``gross_errors`` is meter id -> error in standard deviations.
 
-    ``readings``: meter id -> what a real meter read, of source ``file`` only, else empty. With source ``live`` none are
-    made: they come from gateways.
+    ``readings``: what real meters read, of source ``file`` only, else empty; of those of the scenario that are not
+    virtual, in their order. With source ``live`` none are made: they come from gateways.
     """
 
     source: Literal["network", "area-power-flow", "file", "live"]
     noise: bool
     gross_errors: dict[str, float]
-    readings: dict[str, Measurement] = field(default_factory=dict)
+    readings: Sequence[Measurement] = ()
 
 
 @dataclass(frozen=True, repr=False)
@@ -225,9 +229,7 @@ def _build_whole(network: Network) -> tuple[Partition | None, list[str]]:
     return Partition(network, (Area("grid", network, (), slack.bus, slack.vm, (slack.bus, slack.va)),)), []
 
 
-def _load_readings_of(
-    file: ScenarioFile, path: Path, network: Network
-) -> tuple[tuple[Measurement, ...], Sequence[str]]:
+def _load_readings_of(file: ScenarioFile, path: Path, network: Network) -> tuple[Sequence[Measurement], Sequence[str]]:
     """The readings of source ``file``, else none; and what is wrong with them or with the meters given instead."""
     tables = file.measurements.kinds
     if file.telemetry.file is None:
@@ -244,26 +246,27 @@ def _load_readings_of(
     except InvalidInputError as error:
         return (), [*problems, *(f"telemetry.file: {error.what}: {problem}" for problem in error.problems)]
     virtual = find_virtual_buses(file.measurements, network)
-    problems += find_virtual_problems("telemetry.file", (m.meter for m in readings), virtual)
+    problems += find_virtual_problems("telemetry.file", readings.columns["meter"], virtual)
     return readings, problems
 
 
-def find_virtual_problems(key: str, meters: Iterable[Meter], virtual: Collection[int]) -> Iterator[str]:
+def find_virtual_problems(key: str, meters: Sequence[Meter], virtual: Collection[int]) -> Iterator[str]:
     """Every injection meter with a reading, of the file that ``key`` gives, at a bus that injects exactly nothing."""
-    for meter in meters:
-        if meter.kind.of_injection and meter.bus in virtual:
-            yield (
-                f"{key}: {meter.id} has a reading, but measurements.zero_injection says that bus {meter.bus} injects "
-                "exactly nothing; remove the reading, or set zero_injection to 'measured' or to a list without this bus"
-            )
+    injections = [k for k, kind in enumerate(KINDS) if kind.of_injection]
+    wrong = np.isin(number_kinds(meters), injections) & np.isin(read_column(meters, "bus", np.int64), list(virtual))
+    for meter in take_meters(meters, np.flatnonzero(wrong)):
+        yield (
+            f"{key}: {meter.id} has a reading, but measurements.zero_injection says that bus {meter.bus} injects "
+            "exactly nothing; remove the reading, or set zero_injection to 'measured' or to a list without this bus"
+        )
 
 
 def _build_meters_of(
     file: ScenarioFile, network: Network, area_buses: AreaBuses, readings: Sequence[Measurement]
 ) -> Sequence[Meter]:
     meters: Sequence[Meter] = build_meters(file.measurements, network)
-    if readings:
-        meters = (*(m.meter for m in readings), *meters)
+    if isinstance(readings, Records):
+        meters = join_meters(network, [readings.columns["meter"], meters])
     if file.telemetry.source != "area-power-flow":
         return meters
     areas_at = Counter(bus for buses in area_buses.values() for bus in buses)
@@ -294,7 +297,7 @@ def _build_scenario(
     file: ScenarioFile,
     partition: Partition,
     meters: Sequence[Meter],
-    readings: tuple[Measurement, ...],
+    readings: Sequence[Measurement],
 ) -> Scenario:
     base_mva = partition.network.base_mva
     errors = {name: complex(e.p_mw, e.q_mvar) / base_mva for name, e in file.faults.load_error.items()}
@@ -313,7 +316,7 @@ def _build_scenario(
             source=file.telemetry.source,
             noise=file.telemetry.noise,
             gross_errors={error.meter: error.sigmas for error in file.telemetry.gross_error},
-            readings={m.meter.id: m for m in readings},
+            readings=readings,
         ),
         generation=file.load_messages.generation,
         admm_penalty=file.admm.penalty,

@@ -10,7 +10,7 @@ import numpy as np
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.exchange.boundary_load import boundary_loads, scheduled_load_messages
-from dsse_core.grid.columns import Records
+from dsse_core.grid.columns import Records, read_column
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.grid.meter_table import KINDS, NO_BRANCH, find_virtual, number_kinds
 from dsse_core.grid.network import Network
@@ -161,13 +161,11 @@ def _read_by_area(
 
 def _real_readings(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
     """Values and standard deviations from the file, with gross errors; 0 of virtual meters."""
-    gross, readings = scenario.telemetry.gross_errors, scenario.telemetry.readings
+    gross, readings, real = scenario.telemetry.gross_errors, scenario.telemetry.readings, ~find_virtual(scenario.meters)
     values, sigmas = np.zeros(len(scenario.meters)), np.zeros(len(scenario.meters))
-    for k, meter in enumerate(scenario.meters):
-        if meter.source is not Source.VIRTUAL:
-            meter_id = meter.id
-            real = readings[meter_id]
-            values[k], sigmas[k] = real.value + gross.get(meter_id, 0.0) * real.sigma, real.sigma
+    values[real], sigmas[real] = (read_column(readings, name, float) for name in ("value", "sigma"))
+    if gross:
+        values += np.array([gross.get(meter.id, 0.0) for meter in scenario.meters]) * sigmas
     return values, sigmas
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -14,7 +14,9 @@ from dsse_core.estimation.bad_data import process_bad_data_with_plan
 from dsse_core.estimation.batch import BatchResult, RowFailure, describe_failure, estimate_batch
 from dsse_core.estimation.plan import EstimationPlan, build_estimation_plan
 from dsse_core.estimation.residuals import CONFIDENCE, chi_square_limit, find_dead
-from dsse_core.grid.measurement import Measurement, Meter, Source
+from dsse_core.grid.columns import Records, read_column
+from dsse_core.grid.measurement import Measurement, Meter
+from dsse_core.grid.meter_table import find_virtual, join_meters, take_meters
 from dsse_core.results.scans import ScanTables, make_scan_tables
 from scenarios.files.readings_file import Scans, load_scans
 from scenarios.scenario import Scenario, TelemetrySettings, find_virtual_problems
@@ -59,7 +61,7 @@ def load_scans_of(scenario: Scenario, path: Path) -> Scans:
         problem = "a scenario with telemetry.source 'area-power-flow' has no readings of one grid; choose another one"
         raise InvalidInputError("--readings", [problem])
     scans = load_scans(path, scenario.network)
-    virtual = {meter.bus for meter in _virtual_of(scenario)}
+    virtual = set(read_column(_virtual_of(scenario), "bus", np.int64).tolist())
     if problems := list(find_virtual_problems(str(path), scans.meters, virtual)):
         raise InvalidInputError("--readings", problems)
     return scans
@@ -67,13 +69,18 @@ def load_scans_of(scenario: Scenario, path: Path) -> Scans:
 
 def with_one_scan(scenario: Scenario, scans: Scans) -> Scenario:
     """``scenario`` with the only scan of ``scans`` as its readings."""
-    readings = map(Measurement, scans.meters, scans.values[0].tolist(), scans.sigmas[0].tolist())
-    telemetry = TelemetrySettings("file", noise=False, gross_errors={}, readings={m.meter.id: m for m in readings})
-    return replace(scenario, meters=(*scans.meters, *_virtual_of(scenario)), telemetry=telemetry)
+    columns = {"meter": scans.meters, "value": scans.values[0], "sigma": scans.sigmas[0]}
+    telemetry = TelemetrySettings("file", noise=False, gross_errors={}, readings=Records(Measurement, columns))
+    return replace(scenario, meters=_meters_of(scenario, scans), telemetry=telemetry)
 
 
-def _virtual_of(scenario: Scenario) -> list[Meter]:
-    return [meter for meter in scenario.meters if meter.source is Source.VIRTUAL]
+def _meters_of(scenario: Scenario, scans: Scans) -> Sequence[Meter]:
+    """Those that read something in any scan, then the virtual ones."""
+    return join_meters(scenario.network, [scans.meters, _virtual_of(scenario)])
+
+
+def _virtual_of(scenario: Scenario) -> Sequence[Meter]:
+    return take_meters(scenario.meters, np.flatnonzero(find_virtual(scenario.meters)))
 
 
 def estimate_scans(scenario: Scenario, scans: Scans) -> ScanEstimates:
@@ -82,9 +89,8 @@ def estimate_scans(scenario: Scenario, scans: Scans) -> ScanEstimates:
     Raises:
         NotObservableError: not even all meters together determine the state.
     """
-    virtual = _virtual_of(scenario)
-    plan = build_estimation_plan(scenario.network, [*scans.meters, *virtual])
-    of_virtual = np.zeros((len(scans.names), len(virtual)))
+    plan = build_estimation_plan(scenario.network, _meters_of(scenario, scans))
+    of_virtual = np.zeros((len(scans.names), len(plan.meters) - len(scans.meters)))
     values = np.concatenate([scans.values, of_virtual], axis=1)
     sigmas = np.concatenate([np.where(np.isnan(scans.sigmas), 1.0, scans.sigmas), of_virtual], axis=1)
     batch = estimate_batch(plan, values, sigmas, tolerance=scenario.tolerances.estimator)

@@ -31,6 +31,13 @@ class Records(Sequence[Item], Generic[Item]):
             return tuple(map(self._make, *plain))
         return tuple(self._make(**dict(zip(self.columns, values, strict=True))) for values in zip(*plain, strict=True))
 
+    def take(self, rows: np.ndarray) -> Records[Item]:
+        """Those at the positions ``rows``, (k,), as columns."""
+        columns = self.columns.items()
+        listed = rows.tolist()
+        taken = {k: c[rows] if isinstance(c, np.ndarray) else [c[row] for row in listed] for k, c in columns}
+        return Records(self._make, taken)
+
     def __reduce__(self) -> tuple[object, ...]:
         return type(self), (self._make, self.columns)  # without the objects, of which the other side makes its own
 

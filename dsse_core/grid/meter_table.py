@@ -13,6 +13,7 @@ from dsse_core.grid.network import Network
 
 KINDS, SOURCES = tuple(MeasurementKind), tuple(Source)
 NO_BRANCH, UNKNOWN = -2, -1
+_IS_OF_BRANCH = np.array([kind.of_branch for kind in KINDS])
 _CODE_OF_KIND = {id(kind): k for k, kind in enumerate(KINDS)}  # members are singletons, and hashing them takes long
 
 
@@ -41,6 +42,40 @@ def make_meters(
         source = np.zeros(len(kind), dtype=np.int64)
     columns = {"kind": kind, "bus": bus, "branch": branch, "source": source}
     return Records(_MakeMeter(network.branch_ids), columns)
+
+
+def take_meters(meters: Sequence[Meter], rows: np.ndarray) -> Sequence[Meter]:
+    """The meters at the positions ``rows``, (k,); columns of columns."""
+    if isinstance(meters, Records):
+        return meters.take(rows)
+    return tuple(meters[k] for k in rows.tolist())
+
+
+def join_meters(network: Network, parts: Sequence[Sequence[Meter]]) -> Sequence[Meter]:
+    """The meters of all ``parts``, of ``network``, one after the other; columns where all parts are."""
+    columns = [part.columns for part in parts if isinstance(part, Records)]
+    if len(columns) < len(parts):
+        return tuple(meter for part in parts for meter in part)
+    keys = ("kind", "bus", "branch", "source")
+    return make_meters(network, *(np.concatenate([part[key] for part in columns]) for key in keys))
+
+
+def all_fit(network: Network, kind: np.ndarray, bus: np.ndarray, branch: np.ndarray) -> bool:
+    """Whether ``find_meter_problems`` would find none of meters from the columns of ``make_meters``, (n_meas,)."""
+    table = network.table
+    row = table.rows.find(bus)
+    if len(kind) == 0:
+        return True
+    if (row < 0).any() or ((branch >= 0) != _IS_OF_BRANCH[kind]).any() or (branch == UNKNOWN).any():
+        return False
+    metered, at = branch[branch >= 0], bus[branch >= 0]
+    ends = (at == table.from_bus[metered]) | (at == table.to_bus[metered])
+    place = (branch + 2) * len(table.bus_id) + row
+    return bool(ends.all() and table.in_service[metered].all()) and _are_unique(place * len(KINDS) + kind)
+
+
+def _are_unique(numbers: np.ndarray) -> bool:
+    return bool(np.diff(np.sort(numbers)).all())
 
 
 @dataclass(frozen=True)

@@ -11,22 +11,41 @@ from itertools import compress
 
 import numpy as np
 
-from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, find_meter_problems
-from dsse_core.grid.meter_table import number_kinds
+from dsse_core.grid.columns import Records, rows_of_texts
+from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter
+from dsse_core.grid.meter_table import all_fit, make_meters
 from dsse_core.grid.network import Network
 from dsse_core.limits import LARGEST_SIGMA, SMALLEST_SIGMA
-from scenarios.files.reading_rows import ReadingRows, parse_meter
+from scenarios.files.reading_rows import LONGEST_BUS, ReadingRows
 from scenarios.files.reading_units import RANGES, UNITS
 
 KIND = MeasurementKind
+_CODE_OF_NAME = {str(kind): k for k, kind in enumerate(KIND)}
 
 
 @dataclass(frozen=True)
 class SoundReadings:
-    """``readings`` in p.u. and rad, of each the scan; "" where the file has no such column."""
+    """``meters``: all that have a reading, in the file's order. Of each reading, (n,): the position ``column`` of its
+    meter, ``values`` and ``sigmas`` in p.u. and rad, and the scan; "" where the file has no such column.
+    """
 
-    readings: tuple[Measurement, ...]
+    meters: Sequence[Meter]
+    column: np.ndarray
+    values: np.ndarray
+    sigmas: np.ndarray
     scans: Sequence[str]
+
+    @classmethod
+    def of(cls, readings: Sequence[Measurement], scans: Sequence[str]) -> SoundReadings:
+        place = {meter: k for k, meter in enumerate(dict.fromkeys(m.meter for m in readings))}
+        column = np.array([place[m.meter] for m in readings], dtype=np.intp)
+        values, sigmas = (np.array([getattr(m, name) for m in readings]) for name in ("value", "sigma"))
+        return cls(tuple(place), column, values, sigmas, scans)
+
+    @property
+    def readings(self) -> Records[Measurement]:
+        """All, of one scan."""
+        return Records(Measurement, {"meter": self.meters, "value": self.values, "sigma": self.sigmas})
 
 
 def read_sound_columns(text: str, network: Network, *, takes_scans: bool = False) -> SoundReadings | None:
@@ -43,40 +62,53 @@ def read_sound_columns(text: str, network: Network, *, takes_scans: bool = False
     scans: Sequence[str] = cells.pop(0) if checked.takes_many else [""] * len(names)
     if checked.takes_many and not all(scan and scan == scan.strip() for scan in set(scans)):
         return None
-    meter_of = {name: parse_meter(name) for name in dict.fromkeys(names)}
-    known = [meter for meter in meter_of.values() if isinstance(meter, Meter)]
-    if len(known) < len(meter_of) or any(True for _ in find_meter_problems(network, known)):
+    place = {name: k for k, name in enumerate(dict.fromkeys(names))}
+    meters = _read_meters(list(place), network)
+    if meters is None:
         return None
-    if len(set(zip(scans, names, strict=True))) < len(names):
+    if len(place) < len(names) and len(set(zip(scans, names, strict=True))) < len(names):
         return None
-    meters = [meter for name in names if isinstance(meter := meter_of[name], Meter)]
+    column = np.array([place[name] for name in names], dtype=np.intp)
     try:
-        read = _read_cells(cells, checked.units, meters, network)
+        read = _read_cells(cells, checked.units, meters.take(column), network)
     except ValueError:
         return None
-    if read is None:
+    return None if read is None else SoundReadings(meters, column, *read, scans)
+
+
+def _read_meters(names: Sequence[str], network: Network) -> Records[Meter] | None:
+    """The meters with these ids; None where one is no id, does not fit the network, or is another spelling of one."""
+    kinds, _, places = zip(*(name.partition("@") for name in names), strict=True)
+    buses, _, branches = zip(*(place.partition(":") for place in places), strict=True)
+    if not (
+        all(map(str.isdecimal, buses)) and max(map(len, buses)) <= LONGEST_BUS and _CODE_OF_NAME.keys() >= {*kinds}
+    ):
         return None
-    return SoundReadings(tuple(map(Measurement, meters, *(part.tolist() for part in read))), scans)
+    kind = np.array([_CODE_OF_NAME[name] for name in kinds], dtype=np.int64)
+    bus = np.array(list(map(int, buses)), dtype=np.int64)
+    branch = rows_of_texts(network.branch_ids, [branch or None for branch in branches])
+    return make_meters(network, kind, bus, branch) if all_fit(network, kind, bus, branch) else None
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a number that is too large is no sound one
 def _read_cells(
-    cells: Sequence[Sequence[str]], units: Sequence[str], meters: Sequence[Meter], network: Network
+    cells: Sequence[Sequence[str]], units: Sequence[str], meters: Records[Meter], network: Network
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Values and sigmas of all rows, (n,) each; None where some cannot be.
+    """Values and sigmas of all rows, (n,) each; None where some cannot be. ``meters``: of all rows.
 
     Raises:
         ValueError: a cell is no number.
     """
-    kind = number_kinds(meters)
+    kind, base_kv = meters.columns["kind"], network.table.base_kv[network.table.rows.find(meters.columns["bus"])]
     values, sigmas, times = np.zeros(len(meters)), np.zeros(len(meters)), np.zeros(len(meters), dtype=int)
     for k, unit in enumerate(units):
-        filled = np.array([cell != "" for cell in cells[2 * k]])
-        size = _sizes_of(unit, list(compress(meters, filled.tolist())), network)
-        values[filled] = np.array([float(cell) for cell in cells[2 * k] if cell]) * size
-        sigmas[filled] = np.array([float(cell) for cell in cells[2 * k + 1] if cell]) * size  # or ValueError: shapes
-        if not (filled == np.array([cell != "" for cell in cells[2 * k + 1]])).all():
+        given = list(map(bool, cells[2 * k]))
+        if given != list(map(bool, cells[2 * k + 1])):
             return None
+        filled = np.array(given)
+        size = _sizes_of(unit, base_kv[filled], network.base_mva)
+        values[filled] = np.array(list(map(float, compress(cells[2 * k], given)))) * size
+        sigmas[filled] = np.array(list(map(float, compress(cells[2 * k + 1], given)))) * size
         if not np.array([one in UNITS[unit] for one in KIND])[kind[filled]].all():
             return None
         times += filled
@@ -88,15 +120,16 @@ def _read_cells(
     return (values, sigmas) if possible.all() else None
 
 
-def _sizes_of(unit: str, meters: Sequence[Meter], network: Network) -> np.ndarray | float:
-    """``unit_size`` of all ``meters``."""
+def _sizes_of(unit: str, base_kv: np.ndarray, base_mva: float) -> np.ndarray | float:
+    """``unit_size`` of meters at buses of these base voltages."""
     match unit:
         case "mw" | "mvar":
-            return 1 / network.base_mva
+            return 1 / base_mva
         case "deg":
             return math.radians(1)
-        case "kv" | "a":
-            base_kv = np.array([network.bus(meter.bus).base_kv for meter in meters])
-            return 1 / base_kv if unit == "kv" else math.sqrt(3) * base_kv / network.base_mva / 1000
+        case "kv":
+            return 1 / base_kv
+        case "a":
+            return math.sqrt(3) * base_kv / base_mva / 1000
         case _:
             return 1.0

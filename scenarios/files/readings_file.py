@@ -17,6 +17,7 @@ import numpy as np
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.files.bounded_file import read_text
+from dsse_core.grid.columns import Records
 from dsse_core.grid.measurement import Measurement, Meter
 from dsse_core.grid.network import Network
 from scenarios.files.reading_columns import SoundReadings, read_sound_columns
@@ -35,7 +36,7 @@ class Scans:
     """
 
     names: tuple[str, ...]
-    meters: tuple[Meter, ...]
+    meters: Sequence[Meter]
     values: np.ndarray
     sigmas: np.ndarray
 
@@ -45,7 +46,7 @@ class Scans:
         return self.names != ("",)
 
 
-def load_readings(path: Path, network: Network) -> tuple[Measurement, ...]:
+def load_readings(path: Path, network: Network) -> Records[Measurement]:
     """Read a readings file; values and standard deviations in p.u. and rad, in the file's order.
 
     Raises:
@@ -63,15 +64,13 @@ def load_scans(path: Path, network: Network) -> Scans:
     """
     read = _load(path, network, takes_scans=True)
     scan_row = {scan: k for k, scan in enumerate(dict.fromkeys(read.scans))}
-    meters = tuple(dict.fromkeys(m.meter for m in read.readings))
-    if (places := len(scan_row) * len(meters)) > MOST_PLACES:
-        problem = f"{len(scan_row):,} scans of {len(meters):,} meters are {places:,} places for readings"
+    if (places := len(scan_row) * len(read.meters)) > MOST_PLACES:
+        problem = f"{len(scan_row):,} scans of {len(read.meters):,} meters are {places:,} places for readings"
         raise InvalidInputError(str(path), [f"{problem}, the limit is {MOST_PLACES:,}; divide it into several files"])
-    column = {meter: k for k, meter in enumerate(meters)}
-    at = [scan_row[scan] for scan in read.scans], [column[m.meter] for m in read.readings]
-    values, sigmas = np.full((2, len(scan_row), len(meters)), np.nan)
-    values[at], sigmas[at] = [m.value for m in read.readings], [m.sigma for m in read.readings]
-    return Scans(tuple(scan_row), meters, values, sigmas)
+    at = np.array([scan_row[scan] for scan in read.scans]), read.column
+    values, sigmas = np.full((2, len(scan_row), len(read.meters)), np.nan)
+    values[at], sigmas[at] = read.values, read.sigmas
+    return Scans(tuple(scan_row), read.meters, values, sigmas)
 
 
 def _load(path: Path, network: Network, *, takes_scans: bool) -> SoundReadings:
@@ -91,7 +90,7 @@ def _load(path: Path, network: Network, *, takes_scans: bool) -> SoundReadings:
         table.problems.append("there is no reading; give one row for each meter")
     if table.problems:
         raise InvalidInputError(str(path), table.problems)
-    return SoundReadings(tuple(table.readings), table.scans)
+    return SoundReadings.of(table.readings, table.scans)
 
 
 def save_readings(path: Path, network: Network, readings: Sequence[Measurement]) -> None:

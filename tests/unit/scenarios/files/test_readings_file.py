@@ -5,19 +5,24 @@ from __future__ import annotations
 import csv
 import io
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
+from coordinator.evaluation.scan_estimates import load_scans_of, with_one_scan
 from dsse_core.errors import InvalidInputError
+from dsse_core.grid.admittance import build_admittance
+from dsse_core.grid.columns import Records
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
+from dsse_core.grid.measurement_model import build_measurement_model
 from scenarios.check import check_scenario
 from scenarios.files.network_file import load_case
 from scenarios.files.reading_columns import read_sound_columns
 from scenarios.files.reading_rows import ReadingRows
 from scenarios.files.readings_file import load_readings, save_readings
 from scenarios.scenario import Scenario, load_scenario
-from scenarios.telemetry import make_telemetry
+from scenarios.telemetry import make_telemetry, read_meters
 
 KIND = MeasurementKind
 NETWORK = load_case("ieee33")
@@ -36,7 +41,7 @@ file = "readings.csv"
 """
 
 
-def load(tmp_path: Path, text: str) -> tuple[Measurement, ...]:
+def load(tmp_path: Path, text: str) -> Sequence[Measurement]:
     path = tmp_path / "readings.csv"
     path.write_text(text, encoding="utf-8")
     return load_readings(path, NETWORK)
@@ -82,6 +87,38 @@ def test_columns_are_read_as_rows_are(text: str) -> None:
     sound = read_sound_columns(text, NETWORK)
     assert sound is not None
     assert sound.readings == tuple(table.readings)
+
+
+def test_no_object_is_made_of_a_sound_reading_before_the_estimate(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    save_readings(tmp_path / "readings.csv", NETWORK, all_readings())
+    scenario = load_scenario("ieee33", whole=True)
+
+    def refuse(records: Records[object]) -> tuple[object, ...]:
+        assert not len(records), "objects are made of columns"
+        return ()
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Records, "objects", property(refuse))
+        scans = load_scans_of(scenario, tmp_path / "readings.csv")
+        with_readings = with_one_scan(scenario, scans)
+        meters = with_readings.meters
+        build_measurement_model(with_readings.network, build_admittance(with_readings.network), meters)
+        values, sigmas = (getattr(read_meters(with_readings), name) for name in ("values", "sigmas"))
+    read = {m.meter: (m.value, m.sigma) for m in all_readings()}
+    virtual = {m for m in meters if m.source is Source.VIRTUAL}
+    found = {m: pair for m, *pair in zip(meters, values.tolist(), sigmas.tolist(), strict=True)}
+    assert found.keys() == read.keys() | virtual
+    for meter, pair in found.items():
+        assert tuple(pair) == pytest.approx(read.get(meter, (0.0, 0.0)), rel=1e-12), meter.id
+
+
+@pytest.mark.parametrize("name", ["vm@01", "vm@1:", "vm@\u0661"])
+def test_another_spelling_of_a_meter_is_no_second_meter(tmp_path: Path, name: str) -> None:
+    text = "meter,value_pu,sigma_pu\nvm@1,1,0.01\n"
+    problems = problems_of(tmp_path, f"{text}{name},1,0.01\n")
+    assert problems == ("line 3: meter vm@1 has a reading in line 2 already; keep one",)
 
 
 @pytest.mark.parametrize(
