@@ -1,8 +1,8 @@
 """What crosses the bus: one typed definition of each message, from which packing, checks and documentation follow.
 
 Every message is absolute and idempotent. The fields of a class stand in a message in their order (``packing.py``),
-each as its type says (``checks.py``); ``find_misfit`` says what several of them cannot be together. Messages of
-asynchronous strategies stand with their strategies (``BoundaryUpdate``).
+each as its type says (``checks.py``); ``find_misfit`` says, once for each message that is read, what several of them
+cannot be together. Messages of asynchronous strategies stand with their strategies (``BoundaryUpdate``).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from agents.messages.boundary_variables import (
     find_wrong_length,
     find_wrong_variable,
 )
-from agents.messages.checks import Count, Integer, Name, Names, Notes, Number, Numbers
+from agents.messages.checks import Count, Integer, MessageError, Name, Names, Notes, Number, Numbers
 from dsse_core.estimation.decision import Totals
 from dsse_core.exchange.boundary_load import NetLoad
 
@@ -230,6 +230,8 @@ class TelemetryMessage:
     valid: tuple[bool, ...]
 
     def find_misfit(self) -> str:
+        if len(set(self.meters)) < len(self.meters):
+            raise MessageError("meter given twice", "keep one reading of each")  # its own reason of rejection
         return _find_unequal(self, "meters", "values", "sigmas", "times", "valid")
 
 

@@ -136,7 +136,7 @@ def _find_telemetry_rejection(message: TelemetryMessage, content: AreaFile) -> s
         return "telemetry of another area"
     if message.header.scan > MOST_COUNTED // 2:
         return "numbers beyond reason"
-    return "meter given twice" if len(set(message.meters)) < len(message.meters) else ""
+    return ""
 
 
 def find_reading_rejection(value: float, sigma: float) -> str:

@@ -308,7 +308,6 @@ def test_a_flood_of_rejected_payloads_is_no_update(area1):
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        (lambda m: replace(m, meters=(m.meters[0],) * len(m.meters)), "meter given twice"),
         (lambda m: replace(m, area="area2"), "telemetry of another area"),
         (lambda m: replace(m, values=(1e300, *m.values[1:])), "reading beyond reason"),
         (lambda m: replace(m, sigmas=(1e-300, *m.sigmas[1:])), "reading beyond reason"),

@@ -2,10 +2,13 @@
 
 import logging
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 
+from agents.area_files.area_file import AreaFile
 from agents.messages.packing import MAX_NEIGHBOUR_BYTES, Header, Incarnation, LoadMessage, TelemetryMessage, encode
+from agents.peers.rejections import find_rejection
 from agents.protocol.events import Received, Rejected
 from agents.runtime.inbox import Inbox
 from agents.runtime.ingress_filter import MOST_GATEWAYS, IngressFilter
@@ -36,6 +39,28 @@ def test_repeats_are_let_in_and_what_is_new_or_damaged_is_not_taken_for_one(door
     assert inbox.take(0.0) == [Rejected("damaged", 1)]
     ingress_filter.take(KEY, encode(LOAD))
     assert inbox.take(0.0) == [Received(LOAD, "area2")]
+
+
+def test_telemetry_with_two_readings_of_a_meter_is_rejected(door):
+    ingress_filter, inbox = door
+    pair = (1.0, 1.0)
+    doubled = TelemetryMessage(replace(LOAD.header, sender="plant"), "area1", ("vm@1",) * 2, *[pair] * 3, (True, True))
+    ingress_filter.take(TELEMETRY, encode(doubled))
+    assert inbox.take(0.0) == [Rejected("meter given twice", 1)]
+
+
+class Unread(tuple):
+    """Names that nobody may look through."""
+
+    def __iter__(self):
+        raise AssertionError("the meters of a repeated message are looked through")
+
+
+def test_the_meters_of_telemetry_are_not_compared_with_one_another_at_each_repeat():
+    content = AreaFile("r", SimpleNamespace(name="area1"), (), "information", ())
+    header = replace(LOAD.header, sender="plant")
+    message = TelemetryMessage(header, "area1", Unread(["vm@1"]), (1.0,), (0.1,), (0.0,), (True,))
+    assert find_rejection(message, "", content, 0.0) == ""
 
 
 def test_strangers_take_one_slot_however_many_keys_they_have(door, caplog):
