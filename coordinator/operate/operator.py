@@ -94,13 +94,16 @@ class Operator:
         """Have ``meters`` left out by the areas that they belong to, as those say: meter -> area.
 
         Raises:
-            InvalidInputError: no area has a meter of this id.
+            InvalidInputError: no area has a meter of this id; then none of ``meters`` is newly off.
             NotFollowedError: an area does not answer in time.
         """
+        before = {area: _Order(self._off_in(area)) for area in self.areas}
         orders = {area: _Order({*self._off_in(area), *meters}) for area in self.areas}
         self._give(orders, until=lambda: set(meters) <= self._owners().keys())
         owners = self._owners()
         if unknown := [meter for meter in meters if meter not in owners]:
+            # Only the areas know their meters, so that the mistake shows when the others are off already.
+            self._give({area: before[area] for area in self.areas if self._off_in(area) != before[area].meters_off})
             where = f"ids are in the area files of areas {listed(self.areas, MOST_NAMED)}"
             where += f"; not on the bus: {listed(self.absent, MOST_NAMED)}" if self.absent else ""
             problems = [f"no area has a meter {meter!r}; {where}" for meter in unknown]

@@ -120,6 +120,10 @@ def test_mistakes_of_the_operator_are_one_clear_error_each(system: System):
     done = system.order("meter", "on", "vm@1")
     assert done.returncode == 2
     assert "meter 'vm@1' is not off; none is" in done.stderr
+    done = system.order("meter", "off", "vm@1", "no such meter")
+    assert done.returncode == 2, "one of two meters is unknown"
+    done = system.order("meter", "on", "vm@1")
+    assert "meter 'vm@1' is not off; none is" in done.stderr, "a refused command has switched a meter off"
     assert "Traceback" not in done.stderr
     done = system.order("stop", "folder")
     assert done.returncode == 2
