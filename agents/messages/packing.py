@@ -70,6 +70,7 @@ UNNUMBERED = {
     "old_sides",
     "rejected",
     "clock_skews",
+    "oldest_reading",
 }
 
 ExchangeMessage = UpMessage | DownMessage | BoundaryUpdate  # of a strategy

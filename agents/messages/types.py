@@ -305,8 +305,8 @@ class StateMessage:
     its clock is ahead of this area's, s. All these hold at ``header.time`` and may differ between two states of one
     sequence number.
     ``taken_at``: to which moment the ages of the readings count, s since 1970; ``oldest_reading``: age of the oldest
-    one used, s; without any that of the newest received. ``meters_off``: those that the operator has switched off; ``command``: (start_ms, random,
-    sequence) of the last command that was followed, zeros before any.
+    one used, s; without any that of the newest received. ``meters_off``: those that the operator has switched off;
+    ``command``: (start_ms, random, sequence) of the last command that was followed, zeros before any.
     """
 
     kind: ClassVar[str] = "state"

@@ -228,7 +228,8 @@ class RoundsState:
             yield Finding(STALE, "telemetry is not received")
         yield from find_overdue_readings(self._ages, self._most_overdue, now)
         if self._scan.stale:
-            yield Finding(STALE, "no readings of this scan; the last ones stand in")
+            stands_in = "the last ones stand in" if self._ages.times else "the last ones are too old to stand in"
+            yield Finding(STALE, f"no readings of this scan; {stands_in}")
         if self._scan.are_outdated:
             yield Finding(DEGRADED, "other readings of this scan wait for the next term")
         if self._outcome is not self._round.outcome:

@@ -122,6 +122,8 @@ def _find_hole(tick: Tick, names: Sequence[str]) -> str:
         return f"area {listed(sorted(strange), MOST_NAMED)} is not among the area files"
     if lost := tick.estimates.keys() - tick.readings.keys():
         return f"no readings of {listed(sorted(lost), MOST_NAMED)} are recorded"
+    if tick.twice:
+        return f"{listed(tick.twice, MOST_NAMED)} took readings twice, as after a restart"
     return "" if tick.readings else "no readings are recorded"
 
 

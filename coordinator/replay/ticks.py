@@ -49,11 +49,16 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Tick:
-    """One scan. ``readings``, ``estimates``: area -> its last of the scan, the last good estimate if there is one."""
+    """One scan. ``readings``, ``estimates``: area -> its last of the scan, the last good estimate if there is one.
+
+    ``twice``: areas that took other readings in the course of it, as after a restart: which of them an estimate of
+    another area rests on is not recorded.
+    """
 
     scan: int
     readings: Mapping[str, Snapshot]
     estimates: Mapping[str, Estimate]
+    twice: tuple[str, ...] = ()
 
     @property
     def at(self) -> float:
@@ -65,8 +70,9 @@ class Tick:
 class _Scan:
     """What has been read of one scan."""
 
-    # area -> its last message and the rows of it
-    readings: dict[str, tuple[tuple[Any, ...], list[tuple[Any, ...]]]] = field(default_factory=dict)
+    # area -> its last message, and its rows by meter: an area repeats it
+    readings: dict[str, tuple[tuple[Any, ...], dict[str, tuple[Any, ...]]]] = field(default_factory=dict)
+    twice: set[str] = field(default_factory=set)  # areas of which there was another before
     shown: dict[str, tuple[tuple[Any, ...], str]] = field(default_factory=dict)  # area -> key of an estimate, quality
     buses: dict[tuple[Any, ...], list[tuple[Any, ...]]] = field(default_factory=dict)  # key of an estimate -> rows
 
@@ -119,9 +125,10 @@ def _take(scans: dict[int, _Scan], table: str, row: dict[str, Any], notes: list[
     if table == "readings":
         message = row["incarnation"], row["sequence"], row["taken_at"]
         if found.readings.get(area, (None,))[0] != message:
-            found.readings[area] = message, []
+            found.twice |= {area} & found.readings.keys()
+            found.readings[area] = message, {}
         if row["meter"] is not None:
-            found.readings[area][1].append((row["meter"], row["value"], row["sigma"]))
+            found.readings[area][1][row["meter"]] = row["meter"], row["value"], row["sigma"]
         return
     key = area, row["incarnation"], row["estimate"]
     if table == "buses":
@@ -132,7 +139,7 @@ def _take(scans: dict[int, _Scan], table: str, row: dict[str, Any], notes: list[
 
 def _build(scan: int, found: _Scan) -> Tick:
     readings = {
-        area: Snapshot(message[2], *(map(tuple, zip(*rows, strict=True)) if rows else ((), (), ())))
+        area: Snapshot(message[2], *(map(tuple, zip(*rows.values(), strict=True)) if rows else ((), (), ())))
         for area, (message, rows) in found.readings.items()
     }
     estimates = {
@@ -140,7 +147,7 @@ def _build(scan: int, found: _Scan) -> Tick:
         for area, (key, quality) in found.shown.items()
         if key in found.buses
     }
-    return Tick(scan, readings, estimates)
+    return Tick(scan, readings, estimates, tuple(sorted(found.twice)))
 
 
 def _build_estimate(quality: str, rows: list[tuple[Any, ...]]) -> Estimate:
