@@ -10,7 +10,10 @@ from agents.runtime.inbox import MAX_WAITING, Inbox
 from agents.runtime.link import FaultyLinks
 from agents.runtime.link_faults import draw_fate
 from agents.strategies.angle_offset import BoundaryMessage
+from agents.strategies.installed import load_strategy
 from dsse_core.link_faults import LinkFaults
+
+load_strategy("angle-offset")  # which makes its messages known
 
 
 def test_the_newest_of_each_slot_is_taken_once():
