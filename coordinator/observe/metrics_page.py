@@ -23,7 +23,7 @@ Answer = tuple[int, str, bytes]  # HTTP status, type and body
 
 
 class MetricsPage:
-    """Answers at ``host``:``port`` on threads of its own, from the newest ``show``n sight, until its block ends."""
+    """Answers at ``host``:``port`` on threads of its own, from the newest sight shown, until its block ends."""
 
     def __init__(self, host: str, port: int) -> None:
         self._collector = RunCollector()
