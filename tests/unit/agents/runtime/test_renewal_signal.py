@@ -21,8 +21,7 @@ said = Path(sys.argv[1])
 def say(what):
     with said.open("a") as file:
         file.write(what + " ")
-if sys.argv[2] == "nohup":
-    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+signal.signal(signal.SIGHUP, signal.SIG_IGN if sys.argv[2] == "nohup" else signal.SIG_DFL)
 on_hangup(lambda: say("asked"), lambda: (say("ended"), sys.exit()))
 say("ready")
 while True:
