@@ -15,10 +15,10 @@ import click  # noqa: E402
 from benchmarks.batch import BatchRow, format_batches  # noqa: E402
 from benchmarks.cases import SETS, SHARP  # noqa: E402
 from benchmarks.comparison import DrawRow, Limits, Row, compare, compare_batches, compare_draws  # noqa: E402
-from benchmarks.figures import figures_option, write_section  # noqa: E402
-from benchmarks.machine import describe_machine  # noqa: E402
+from benchmarks.measuring.figures import figures_option, write_section  # noqa: E402
+from benchmarks.measuring.machine import describe_machine  # noqa: E402
+from benchmarks.measuring.report import format_draws, format_estimates, format_ratios, write_report  # noqa: E402
 from benchmarks.methods.compared import OURS, OURS_WITH_RESIDUALS, PEERS  # noqa: E402
-from benchmarks.report import format_draws, format_estimates, format_ratios, write_report  # noqa: E402
 from dsse_core.errors import InvalidInputError  # noqa: E402
 
 ALL_SETS = (*SETS, *(name + SHARP for name in SETS))

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.cases import SEED, Case
-from benchmarks.machine import find_version
+from benchmarks.measuring.machine import find_version
 from benchmarks.methods.method import MAX_ITERATIONS, TOLERANCE
 from benchmarks.methods.ours import Ours, Scan
 from benchmarks.methods.power_grid_model import PowerGridModelMethod

@@ -33,8 +33,8 @@ from agents.messages.keys import all_readings, all_states, telemetry_key
 from agents.messages.packing import ReadingsMessage, StateMessage, TelemetryMessage, decode
 from agents.protocol.quality import GOOD
 from agents.transport.zenoh_bus import Session
-from benchmarks.figures import figures_option, list_facts, write_section
-from benchmarks.machine import describe_machine
+from benchmarks.measuring.figures import figures_option, list_facts, write_section
+from benchmarks.measuring.machine import describe_machine
 from coordinator.deployment.split import write_area_files
 from dsse_core.grid.measurement import Source
 from dsse_core.power_flow.exact_readings import read_exactly

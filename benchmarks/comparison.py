@@ -8,10 +8,10 @@ from typing import TypeVar
 
 from benchmarks.batch import BatchRow, measure_batches
 from benchmarks.cases import SHARP, build_case, build_network
-from benchmarks.limits import LimitedCallError, call_limited
-from benchmarks.machine import find_version
+from benchmarks.measuring.limits import LimitedCallError, call_limited
+from benchmarks.measuring.machine import find_version
+from benchmarks.measuring.timing import Draws, Outcome, measure, try_draws
 from benchmarks.methods.method import Method
-from benchmarks.timing import Draws, Outcome, measure, try_draws
 
 Answer = TypeVar("Answer")
 SAME_MINIMUM = 1e-6  # relative, of J; the tools' tolerances of 1e-6 on the step leave some 1e-10

@@ -13,8 +13,8 @@ from typing import Any
 
 import click
 
-from benchmarks.figures import figures_option, list_facts, write_section
-from benchmarks.machine import describe_machine
+from benchmarks.measuring.figures import figures_option, list_facts, write_section
+from benchmarks.measuring.machine import describe_machine
 
 PACKAGES = ("numpy", "scipy", "numba", "eclipse-zenoh", "consensus-dsse")
 LOOK_S = 2.0  # at the memory

@@ -18,8 +18,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before anything loads nump
 import click
 import psutil
 
-from benchmarks.figures import figures_option, list_facts, write_section
-from benchmarks.machine import describe_machine
+from benchmarks.measuring.figures import figures_option, list_facts, write_section
+from benchmarks.measuring.machine import describe_machine
 from coordinator.deployment.split import area_files
 from coordinator.recording.folder import list_segments
 from coordinator.recording.simulated import SimulatedRecording

@@ -22,9 +22,9 @@ import click
 from agents.messages.keys import all_readings, all_states
 from agents.messages.packing import ReadingsMessage, StateMessage, decode
 from agents.security.access import COORDINATOR
-from benchmarks.figures import figures_option, list_facts, write_section
-from benchmarks.live_system import START_S, LiveSystem
-from benchmarks.machine import describe_machine
+from benchmarks.measuring.figures import figures_option, list_facts, write_section
+from benchmarks.measuring.live_system import START_S, LiveSystem
+from benchmarks.measuring.machine import describe_machine
 from coordinator.recording.closing import close_ended
 from coordinator.recording.folder import LOG, LOGS
 from coordinator.recording.frames import is_being_written

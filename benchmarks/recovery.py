@@ -21,9 +21,9 @@ import click
 
 from agents.protocol.quality import GOOD
 from agents.security.access import ROUTER, SECOND_ROUTER
-from benchmarks.figures import figures_option, write_section
-from benchmarks.live_system import GAP, LiveSystem, States
-from benchmarks.machine import describe_machine
+from benchmarks.measuring.figures import figures_option, write_section
+from benchmarks.measuring.live_system import GAP, LiveSystem, States
+from benchmarks.measuring.machine import describe_machine
 from coordinator.strategy_check import check_with_strategy
 from scenarios.scenario import Scenario, load_scenario
 

@@ -15,7 +15,7 @@ import click
 from agents.protocol.rounds import RoundsProtocol
 from benchmarks.exchange.worlds import SCANS, draw_row, read_ieee33
 from benchmarks.fault_histories.history import World
-from benchmarks.machine import describe_machine
+from benchmarks.measuring.machine import describe_machine
 from coordinator.simulator.simulator import SimulatedBus
 from dsse_core.link_faults import LinkFaults
 

@@ -16,8 +16,8 @@ from typing import Any
 
 import click
 
-from benchmarks.figures import figures_option, write_section
-from benchmarks.machine import describe_machine
+from benchmarks.measuring.figures import figures_option, write_section
+from benchmarks.measuring.machine import describe_machine
 
 SEED = 1
 PACKAGES = ("numpy", "scipy", "numba", "consensus-dsse")

@@ -27,9 +27,9 @@ import psutil
 
 from agents.protocol.quality import GOOD
 from agents.security.access import PLANT, ROUTER
-from benchmarks.figures import figures_option, list_facts, write_section
-from benchmarks.live_system import GAP, LiveSystem
-from benchmarks.machine import describe_machine
+from benchmarks.measuring.figures import figures_option, list_facts, write_section
+from benchmarks.measuring.live_system import GAP, LiveSystem
+from benchmarks.measuring.machine import describe_machine
 from coordinator.strategy_check import check_with_strategy
 from scenarios.scenario import Scenario, load_scenario
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import click
 
-from benchmarks.machine import describe_machine
+from benchmarks.measuring.machine import describe_machine
 
 IMPORTS = "import numpy, scipy.sparse.linalg, zenoh"
 MOMENTS = ("scenario_loaded", "router_listens", "agents_started", "areas_joined", "last_change", "verdict")

@@ -18,8 +18,8 @@ from pathlib import Path
 import click
 
 from agents.strategies.installed import list_strategies
-from benchmarks.figures import figures_option, write_section
-from benchmarks.machine import describe_machine
+from benchmarks.measuring.figures import figures_option, write_section
+from benchmarks.measuring.machine import describe_machine
 from coordinator.evaluation.evaluation import choose_scenario
 from coordinator.studies.study_row import StudyRow
 from coordinator.studies.sweep import run_on_simulator, run_tasks

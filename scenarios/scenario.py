@@ -28,7 +28,7 @@ from scenarios.faults.order import find_order_problems, find_time_problems
 from scenarios.files.fault_tables import FaultsTable
 from scenarios.files.importable import reject_importable
 from scenarios.files.network_file import load_case, load_network
-from scenarios.files.readings_file import load_readings
+from scenarios.files.readings.file import load_readings
 from scenarios.files.scenario_file import (
     CountTable,
     RecordTable,

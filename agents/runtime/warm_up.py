@@ -19,7 +19,7 @@ from dsse_core.linear.area_model import build_area_model
 from dsse_core.matrices.augmented import FEWEST_COMPILED
 from dsse_core.power_flow.batch import solve_power_flow_batch
 from dsse_core.power_flow.newton_raphson import solve_power_flow
-from dsse_core.results.deviations import find_deviations
+from dsse_core.results.deviations.choose import find_deviations
 
 SIGMA = 0.01
 INJECTIONS = (MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION)

@@ -16,8 +16,8 @@ import click
 from benchmarks.commands.cost import Cost, measure
 from benchmarks.commands.growth import find_exponent, find_n_log_n
 from benchmarks.commands.sizes import BUSES_OF_AN_AREA, SEED, count_areas
-from benchmarks.figures import figures_option, write_section
-from benchmarks.machine import describe_machine
+from benchmarks.measuring.figures import figures_option, write_section
+from benchmarks.measuring.machine import describe_machine
 
 PACKAGES = ("numpy", "scipy", "pydantic", "numba", "consensus-dsse")
 LEEWAY = 0.15  # of an exponent: what chance on a machine with other work makes of it

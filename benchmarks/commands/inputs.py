@@ -7,7 +7,7 @@ from pathlib import Path
 
 from benchmarks.commands.sizes import SEED, count_areas
 from dsse_core.grid.network import Control, Network
-from scenarios.files.readings_file import save_readings
+from scenarios.files.readings.file import save_readings
 from scenarios.generate.generated_files import write_generated
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry

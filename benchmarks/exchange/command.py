@@ -17,8 +17,8 @@ import click
 from benchmarks.exchange.watch import ScanFigures, WatchedBus
 from benchmarks.exchange.worlds import SCANS, draw_feeder, draw_row, read_ieee33
 from benchmarks.fault_histories.history import World
-from benchmarks.figures import figures_option, write_section
-from benchmarks.machine import describe_machine
+from benchmarks.measuring.figures import figures_option, write_section
+from benchmarks.measuring.machine import describe_machine
 
 EXACT = "information"
 ASYNCHRONOUS = "admm", "angle-offset"

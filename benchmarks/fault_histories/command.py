@@ -19,8 +19,8 @@ from rich.console import Console  # noqa: E402
 from rich.progress import track  # noqa: E402
 
 from benchmarks.fault_histories.history import GAP, HistoryOutcome, run_history  # noqa: E402
-from benchmarks.figures import figures_option, list_facts, write_section  # noqa: E402
-from benchmarks.machine import describe_machine  # noqa: E402
+from benchmarks.measuring.figures import figures_option, list_facts, write_section  # noqa: E402
+from benchmarks.measuring.machine import describe_machine  # noqa: E402
 from dsse_core.linear import choose  # noqa: E402
 
 PACKAGES = ("numpy", "scipy", "numba")

@@ -24,10 +24,10 @@ from typing import Any
 
 import click
 
-from benchmarks.figures import figures_option, write_section
 from benchmarks.fuzz.targets import TARGETS
-from benchmarks.limits import GIB
-from benchmarks.machine import describe_machine
+from benchmarks.measuring.figures import figures_option, write_section
+from benchmarks.measuring.limits import GIB
+from benchmarks.measuring.machine import describe_machine
 
 GROUPS = {
     "messages": ("messages",),

@@ -33,7 +33,7 @@ from coordinator.observe.watch import Watcher
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.decision import Totals
 from scenarios.files.network_file import load_case, load_network
-from scenarios.files.readings_file import load_readings, save_readings
+from scenarios.files.readings.file import load_readings, save_readings
 from scenarios.files.shipped_files import find_shipped
 from scenarios.importers import import_grid
 from scenarios.scenario import load_scenario

@@ -24,7 +24,7 @@ from agents.runtime.presence import begin_incarnation
 from agents.transport.zenoh_bus import Session
 from benchmarks.latency.helics_round_trip import time_helics_round_trips
 from benchmarks.latency.timed_agent import PING, PONG
-from benchmarks.machine import describe_machine
+from benchmarks.measuring.machine import describe_machine
 from coordinator.deployment.split import write_area_files
 from coordinator.evaluation.evaluation import choose_scenario, estimate_centralised
 from coordinator.plant.telemetry_messages import make_payloads

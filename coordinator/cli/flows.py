@@ -37,7 +37,7 @@ def flows(
         raise click.UsageError("--json and --csv both print on standard output; give one of them")
     from agents.area_files.reader import load_area_file
     from agents.strategies.installed import list_strategies
-    from coordinator.cli.watch_session import attach, wait_for_state
+    from coordinator.cli.live.session import attach, wait_for_state
     from coordinator.evaluation.table_files import format_csv, rows_as_json
     from coordinator.observe.area_flows import make_area_flows
     from coordinator.report.grid_text import format_state

@@ -12,13 +12,14 @@ import click
 
 from coordinator.cli.figure_options import figure_options
 from coordinator.cli.flows import flows
-from coordinator.cli.gateway import gateway
 from coordinator.cli.keys import keys_commands
+from coordinator.cli.live.gateway import gateway
+from coordinator.cli.live.record import record_commands
+from coordinator.cli.live.serve import serve
+from coordinator.cli.live.watch import watch_commands
 from coordinator.cli.networks import network_commands
 from coordinator.cli.outputs import Output, check_parquet_option, hand_over, output_options, parquet_option
 from coordinator.cli.processes import process_commands
-from coordinator.cli.record import record_commands
-from coordinator.cli.serve import serve
 from coordinator.cli.shipped import scenarios_commands
 from coordinator.cli.studies import study_commands
 from coordinator.cli.terminal import (
@@ -37,13 +38,12 @@ from coordinator.cli.terminal import (
     timeout_option,
 )
 from coordinator.cli.thesis import thesis
-from coordinator.cli.watch import watch_commands
 from coordinator.interrupts import INTERRUPTED_CODE, end_orderly_on_signals
 from coordinator.operate.command import operator_commands
 from dsse_core.errors import DsseError
 
 if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts fast
-    from scenarios.files.readings_file import Scans
+    from scenarios.files.readings.file import Scans
     from scenarios.scenario import Scenario
 
 DISTRIBUTION = "consensus-dsse"

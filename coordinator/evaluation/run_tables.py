@@ -12,7 +12,7 @@ import numpy as np
 from coordinator.evaluation.comparison import Comparison
 from dsse_core.estimation.bad_data import BadDataReport
 from dsse_core.grid.measurement import Measurement, Meter
-from dsse_core.results.deviations import Deviations, find_deviations
+from dsse_core.results.deviations.choose import Deviations, find_deviations
 from dsse_core.results.results import MeterReadings, Results, assemble_results, no_deviations, readings_of_estimate
 from dsse_core.results.state import GridState, join_states
 from dsse_core.results.totals import Division, division_of, find_totals

@@ -18,7 +18,7 @@ from dsse_core.grid.columns import Records, read_column
 from dsse_core.grid.measurement import Measurement, Meter
 from dsse_core.grid.meter_table import find_virtual, join_meters, take_meters
 from dsse_core.results.scans import ScanTables, make_scan_tables
-from scenarios.files.readings_file import Scans, load_scans
+from scenarios.files.readings.file import Scans, load_scans
 from scenarios.scenario import Scenario, TelemetrySettings, find_virtual_problems
 
 

@@ -14,7 +14,7 @@ from agents.orders.order_book import REPLAYED, TOO_EARLY, TOO_OLD, UNRECORDED
 from agents.runtime.presence import begin_incarnation
 from agents.security.access import OPERATOR, PLANT
 from agents.transport.zenoh_bus import Session
-from coordinator.cli.watch_session import STEP_S, Look, attach, wait_until_whole
+from coordinator.cli.live.session import STEP_S, Look, attach, wait_until_whole
 from coordinator.observe.watch import Watcher
 from dsse_core.errors import DsseError, InvalidInputError
 from dsse_core.printable import listed

@@ -19,7 +19,7 @@ from dsse_core.power_flow.newton_raphson import PowerFlowResult
 from dsse_core.results.areas import make_area_table
 from dsse_core.results.branches import make_branch_table
 from dsse_core.results.buses import make_bus_table
-from dsse_core.results.deviations import Deviations, find_deviations
+from dsse_core.results.deviations.choose import Deviations, find_deviations
 from dsse_core.results.meters import make_meter_table
 from dsse_core.results.state import GridState, find_state
 from dsse_core.results.table import Table

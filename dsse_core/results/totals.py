@@ -10,7 +10,7 @@ import scipy.sparse as sp
 
 from dsse_core.grid.network import Network
 from dsse_core.grid.partition import Partition
-from dsse_core.results.branch_variances import BranchGradients
+from dsse_core.results.deviations.branch_variances import BranchGradients
 from dsse_core.results.flows import find_shunt_powers
 from dsse_core.results.state import GridState
 

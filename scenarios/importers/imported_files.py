@@ -8,7 +8,7 @@ from pathlib import Path
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.limits import LONGEST_NAME
-from scenarios.files.readings_file import save_readings
+from scenarios.files.readings.file import save_readings
 from scenarios.files.saved_network import format_toml, name_network_file, save_network
 from scenarios.generate.cutting import cut_into
 from scenarios.importers.imported import Imported

@@ -22,7 +22,7 @@ from coordinator.process_run.processes import Launcher
 IMPORTED_ONCE = (
     "agents.__main__",
     "coordinator.cli.main",
-    "coordinator.cli.watch_session",
+    "coordinator.cli.live.session",
     "coordinator.deployment.certificates",
     "coordinator.deployment.split",
     "coordinator.plant.plant",

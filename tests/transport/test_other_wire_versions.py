@@ -6,7 +6,7 @@ import pytest
 
 from agents.messages.packing import WIRE_VERSION
 from agents.transport.zenoh_bus import Session, TransportError
-from coordinator.cli.watch_session import attach
+from coordinator.cli.live.session import attach
 
 FORMER, LATER = WIRE_VERSION - 1, WIRE_VERSION + 1
 

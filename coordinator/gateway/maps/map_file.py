@@ -16,7 +16,7 @@ from dsse_core.files.strict_table import Table, load_strict
 from dsse_core.files.wording import Suggestions
 from dsse_core.grid.measurement import Meter
 from dsse_core.grid.measurement import Source as Origin
-from scenarios.files.reading_rows import parse_meter
+from scenarios.files.readings.rows import parse_meter
 from scenarios.scenario import RESERVED, Scenario, load_scenario
 
 

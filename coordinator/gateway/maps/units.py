@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from dsse_core.grid.measurement import MeasurementKind, Meter
 from dsse_core.grid.network import Network
-from scenarios.files.reading_units import RANGES, UNITS, unit_size
+from scenarios.files.readings.units import RANGES, UNITS, unit_size
 
 RADIAN = "rad"
 WRITTEN_AS: Mapping[str, tuple[str, float]] = {

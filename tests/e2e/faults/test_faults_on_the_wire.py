@@ -16,7 +16,7 @@ from system_by_hand import SystemByHand, Watcher
 from tcp_fault_proxy import TcpFaultProxy
 from waiting import DEADLINE_S, wait_until
 
-from coordinator.cli.watch_session import attach
+from coordinator.cli.live.session import attach
 from coordinator.deployment.split import write_area_files
 from coordinator.evaluation.comparison import Gap
 from scenarios.scenario import load_scenario

@@ -18,7 +18,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from waiting import DEADLINE_S
 
 from agents.messages.packing import StateMessage
-from coordinator.cli.watch_session import Look, attach
+from coordinator.cli.live.session import Look, attach
 from coordinator.observe.watch import AreaView
 from coordinator.recording.parquet import read_rows
 

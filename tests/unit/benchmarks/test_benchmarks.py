@@ -14,7 +14,7 @@ import pytest
 from benchmarks import comparison
 from benchmarks.batch import format_batches, measure_batches
 from benchmarks.cases import build_case, build_network
-from benchmarks.limits import GIB, LimitedCallError, call_limited
+from benchmarks.measuring.limits import GIB, LimitedCallError, call_limited
 from benchmarks.methods.compared import OURS, OURS_WITH_RESIDUALS, PEERS
 from benchmarks.methods.physical import describe_lines
 from dsse_core.errors import InvalidInputError

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from pages import ROOT, name_of
 
-from benchmarks.figures import FIGURES, list_facts, read_sections, write_section
+from benchmarks.measuring.figures import FIGURES, list_facts, read_sections, write_section
 from benchmarks.recovery import make_table, summarise
 
 MACHINE = {"date": "2030-01-02 03:04 UTC", "processor": "CPU, 2 cores", "memory": "8 GiB", "Python": "3.11.0"}

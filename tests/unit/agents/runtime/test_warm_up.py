@@ -78,7 +78,7 @@ from dsse_core import compiling
 from dsse_core.estimation.bad_data import process_bad_data
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter
 from dsse_core.matrices import augmented
-from dsse_core.results.deviations import find_deviations
+from dsse_core.results.deviations.choose import find_deviations
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 

@@ -11,7 +11,7 @@ import pytest
 
 from dsse_core.estimation.bad_data import process_bad_data
 from dsse_core.grid.measurement import Measurement, Source
-from scenarios.files.readings_file import save_readings
+from scenarios.files.readings.file import save_readings
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 

@@ -12,7 +12,7 @@ import pytest
 from coordinator.deployment.split import default_run_id
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from scenarios.files.network_file import load_case
-from scenarios.files.readings_file import save_readings
+from scenarios.files.readings.file import save_readings
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 

@@ -14,7 +14,7 @@ from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Sour
 from dsse_core.grid.measurement_model import build_measurement_model
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from dsse_core.power_flow.newton_raphson import solve_power_flow
-from dsse_core.results.deviations import Deviations, find_deviations
+from dsse_core.results.deviations.choose import Deviations, find_deviations
 from dsse_core.results.flows import build_branch_model, find_flows, find_injections
 from dsse_core.results.state import GridState, find_state
 from dsse_core.results.totals import Division, find_totals

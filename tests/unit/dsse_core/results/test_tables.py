@@ -14,7 +14,7 @@ from dsse_core.estimation.estimator import estimate_state
 from dsse_core.grid.division import build_partition
 from dsse_core.grid.measurement import MeasurementKind, Meter
 from dsse_core.power_flow.newton_raphson import solve_power_flow
-from dsse_core.results import deviations
+from dsse_core.results.deviations import choose as deviations
 from dsse_core.results.meters import make_meter_table
 from dsse_core.results.results import Results, results_of_estimate, results_of_power_flow
 from dsse_core.results.state import find_state, read_state

@@ -16,7 +16,7 @@ from dsse_core.files.bounded_file import LARGEST_TOML, read_text
 from dsse_core.files.wording import MOST_COMPARISONS
 from dsse_core.grid.measurement import MeasurementKind
 from scenarios.files.network_file import load_case, load_network
-from scenarios.files.readings_file import load_readings
+from scenarios.files.readings.file import load_readings
 from scenarios.importers import import_grid
 from scenarios.scenario import load_scenario
 

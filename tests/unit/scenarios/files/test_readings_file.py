@@ -18,9 +18,9 @@ from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Sour
 from dsse_core.grid.measurement_model import build_measurement_model
 from scenarios.check import check_scenario
 from scenarios.files.network_file import load_case
-from scenarios.files.reading_columns import read_sound_columns
-from scenarios.files.reading_rows import ReadingRows
-from scenarios.files.readings_file import load_readings, save_readings
+from scenarios.files.readings.columns import read_sound_columns
+from scenarios.files.readings.file import load_readings, save_readings
+from scenarios.files.readings.rows import ReadingRows
 from scenarios.scenario import Scenario, load_scenario
 from scenarios.telemetry import make_telemetry, read_meters
 

@@ -140,7 +140,7 @@ def _live(
     keys: Path | None,
     direct: bool,
 ) -> Iterator[Source]:
-    from coordinator.cli.watch_session import attach
+    from coordinator.cli.live.session import attach
     from coordinator.evaluation.evaluation import choose_scenario
     from coordinator.observe.grid_tables import GridTables
     from coordinator.web.sources import LiveSource

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dsse_core.estimation.estimator import EstimationResult
-from dsse_core.results.branch_variances import BranchGradients, find_branch_variances, find_gradients
+from dsse_core.results.deviations.branch_variances import BranchGradients, find_branch_variances, find_gradients
 from dsse_core.results.flows import BranchModel
 from dsse_core.results.state import GridState, find_state
 from dsse_core.results.totals import TOTALS, Division, find_total_gradients, whole_network
 
 if TYPE_CHECKING:
-    from dsse_core.results.radial_deviations import RadialDeviations
-    from dsse_core.results.sparse_deviations import SparseDeviations
+    from dsse_core.results.deviations.radial import RadialDeviations
+    from dsse_core.results.deviations.sparse import SparseDeviations
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ def find_deviations(
     state = find_state(result.network, result.vm, result.va, branches)
     division, branches, flows = division or whole_network(result.network), state.branches, state.flows
     if isinstance(result.plan.radial, str):
-        from dsse_core.results.sparse_deviations import SparseDeviations
+        from dsse_core.results.deviations.sparse import SparseDeviations
 
         at_from = np.ones(len(branches.f), dtype=bool)
         by_backend: SparseDeviations | RadialDeviations
@@ -60,7 +60,7 @@ def find_deviations(
         covariance[branches.in_service], injections = sparse.of_branches_and_injections()
         gradients = find_gradients(branches, at_from, flows.s_from, result.vm[branches.f])
     else:
-        from dsse_core.results.radial_deviations import RadialDeviations
+        from dsse_core.results.deviations.radial import RadialDeviations
 
         by_backend = tree = RadialDeviations(result.plan.radial, branches, result.radial_inverse, result.vm)
         at_from, covariance = tree.at_from, tree.of_branches(len(branches.f))

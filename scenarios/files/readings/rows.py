@@ -10,7 +10,7 @@ from dsse_core.files.wording import Suggestions, suggest
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, find_meter_problems
 from dsse_core.grid.network import Network
 from dsse_core.limits import LARGEST_SIGMA, SMALLEST_SIGMA
-from scenarios.files.reading_units import RANGES, UNITS, unit_size
+from scenarios.files.readings.units import RANGES, UNITS, unit_size
 
 KIND = MeasurementKind
 KIND_OF = {str(kind): kind for kind in KIND}

@@ -58,7 +58,7 @@ def record(
                dsse record --connect tcp/192.0.2.7:7447 --out /var/lib/dsse --limit-gb 20
     """
     from agents.runtime.log_format import start_log
-    from coordinator.cli.watch_session import join_run
+    from coordinator.cli.live.session import join_run
     from coordinator.deployment.split import area_files
     from coordinator.evaluation.evaluation import choose_scenario
     from coordinator.recording.bus_recorder import record_from

@@ -16,8 +16,8 @@ from shown_states import a_state
 
 from agents.messages.keys import live_key
 from agents.messages.packing import Incarnation
-from coordinator.observe.metrics import LOOKED_LATELY_S
-from coordinator.observe.metrics_page import MetricsPage, parse_listen
+from coordinator.metrics.collect import LOOKED_LATELY_S
+from coordinator.metrics.page import MetricsPage, parse_listen
 from coordinator.observe.watch import Watcher
 from dsse_core.errors import InvalidInputError
 

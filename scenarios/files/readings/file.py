@@ -20,9 +20,9 @@ from dsse_core.files.bounded_file import read_text
 from dsse_core.grid.columns import Records
 from dsse_core.grid.measurement import Measurement, Meter
 from dsse_core.grid.network import Network
-from scenarios.files.reading_columns import SoundReadings, read_sound_columns
-from scenarios.files.reading_rows import ReadingRows
-from scenarios.files.reading_units import UNITS, WRITTEN_IN, unit_size
+from scenarios.files.readings.columns import SoundReadings, read_sound_columns
+from scenarios.files.readings.rows import ReadingRows
+from scenarios.files.readings.units import UNITS, WRITTEN_IN, unit_size
 
 MOST_PLACES = 50_000_000  # 400 MB each of values and standard deviations
 

@@ -18,7 +18,7 @@ from coordinator.observe.watch import Watcher
 from dsse_core.errors import InvalidInputError
 
 if TYPE_CHECKING:
-    from coordinator.observe.metrics_page import MetricsPage
+    from coordinator.metrics.page import MetricsPage
 
 log = logging.getLogger(__name__)
 LOOK_S = 0.25
@@ -27,7 +27,7 @@ NO_LINK = "has no link to the bus"
 
 
 class Attached(Protocol):
-    """A watcher on the bus, of ``coordinator/cli/watch_session.py``."""
+    """A watcher on the bus, of ``coordinator/cli/live/session.py``."""
 
     def is_linked(self) -> bool:
         """Whether the bus is there."""

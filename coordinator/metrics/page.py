@@ -13,7 +13,7 @@ from typing import Self
 from prometheus_client import CollectorRegistry, ProcessCollector
 from prometheus_client.exposition import CONTENT_TYPE_LATEST, generate_latest
 
-from coordinator.observe.metrics import RunCollector, Sight, format_health
+from coordinator.metrics.collect import RunCollector, Sight, format_health
 from coordinator.observe.watch import Watcher
 from dsse_core.errors import InvalidInputError
 

@@ -13,7 +13,7 @@ import scipy.sparse as sp
 from dsse_core.estimation.radial import RadialInverse
 from dsse_core.estimation.residuals import LEAST_REDUCTION
 from dsse_core.radial.plan import RadialPlan
-from dsse_core.results.branch_variances import BranchGradients
+from dsse_core.results.deviations.branch_variances import BranchGradients
 from dsse_core.results.flows import BranchModel
 
 

@@ -16,8 +16,8 @@ from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter
 from dsse_core.grid.meter_table import all_fit, make_meters
 from dsse_core.grid.network import Network
 from dsse_core.limits import LARGEST_SIGMA, SMALLEST_SIGMA
-from scenarios.files.reading_rows import LONGEST_BUS, ReadingRows
-from scenarios.files.reading_units import RANGES, UNITS
+from scenarios.files.readings.rows import LONGEST_BUS, ReadingRows
+from scenarios.files.readings.units import RANGES, UNITS
 
 KIND = MeasurementKind
 _CODE_OF_NAME = {str(kind): k for k, kind in enumerate(KIND)}

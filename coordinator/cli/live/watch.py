@@ -69,7 +69,7 @@ def watch(
                dsse watch --grid ieee33 --buses --meters
                dsse watch --connect tcp/192.0.2.7:7447 --once --json
     """
-    from coordinator.cli.watch_session import attach, wait_until_whole
+    from coordinator.cli.live.session import attach, wait_until_whole
 
     end_orderly_on_signals()
     find_tables = _tables_of(grid, buses or as_json, meters or as_json)
@@ -156,12 +156,12 @@ def metrics(listen: str, endpoints: tuple[str, ...], direct: bool, keys: Path | 
     Examples:  dsse metrics
                dsse metrics --listen 0.0.0.0:9464 --connect tls/192.0.2.7:7447 --keys keys
     """
-    from coordinator.observe.serve_metrics import check_prometheus, serve_metrics
+    from coordinator.metrics.serve import check_prometheus, serve_metrics
 
     check_prometheus()
     from agents.runtime.log_format import start_log
-    from coordinator.cli.watch_session import attach
-    from coordinator.observe.metrics_page import MetricsPage, parse_listen
+    from coordinator.cli.live.session import attach
+    from coordinator.metrics.page import MetricsPage, parse_listen
 
     start_log()
     chosen = choose_endpoints(endpoints, keys is not None)

@@ -1,0 +1,1 @@
+"""What a watcher sees, for Prometheus and for whoever restarts a system."""

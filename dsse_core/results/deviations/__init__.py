@@ -1,0 +1,1 @@
+"""Standard deviations of what follows from an estimate."""
