@@ -11,7 +11,7 @@ from typing import Any
 
 import click
 
-FIGURES = Path(__file__).parents[1] / "docs" / "reference" / "figures.md"
+FIGURES = Path(__file__).parents[2] / "docs" / "reference" / "figures.md"
 _LEFT_OUT = {"load before", "system", "consensus-dsse", "memory"}  # of the machine: not what figures depend on
 _SECTION = re.compile(r"<!-- figures (?P<name>\S+) -->\n(?P<body>.*?)<!-- end -->", re.DOTALL)
 
