@@ -15,25 +15,23 @@ import numpy as np
 
 from dsse_core.errors import DsseError
 from dsse_core.estimation.decision import MOST_NAMED, Decision, Memory, Totals, Verdict
-from dsse_core.estimation.residuals import CRITICAL_REDUNDANCY, find_dead, normalize_residuals
-from dsse_core.exchange.boundary_load import NetLoad
+from dsse_core.estimation.residuals import find_dead
+from dsse_core.exchange.boundary_load import NetLoad, stand_in_for
 from dsse_core.exchange.feeder_bad_data import (
     NoLoadModel,
     build_no_load_model,
     count_freedom,
     find_objective,
-    find_suspects,
 )
+from dsse_core.exchange.meter_checks import estimate_readings, find_critical, find_suspects
 from dsse_core.grid.admittance import walk_unloaded
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
-from dsse_core.grid.partition import Area, Neighbour
+from dsse_core.grid.partition import Area
 from dsse_core.linear import choose_backend
 from dsse_core.linear.area_model import AreaModel, build_area_model
 from dsse_core.linear.boundary_information import BoundaryInformation, are_within_reason
 
 AGED = 0.1  # of the weight of what a neighbour that is no longer received has last said; its sigmas grow tenfold
-UNSURE_OF_LOAD = 0.1  # of a load message, which neglects losses, and
-LEAST_LOAD = 0.01  # p.u., is left as its standard deviation
 FAILURES = (ArithmeticError, np.linalg.LinAlgError, RuntimeError, ValueError, DsseError)  # of absurd numbers
 
 T = TypeVar("T")
@@ -75,7 +73,7 @@ class AreaEstimation:
         self._boundary_values: dict[str, tuple[np.ndarray, tuple[float, ...]]] = {}  # of which x
         self._aged: dict[str, BoundaryInformation] = {}
         self._stand_ins: dict[str, BoundaryInformation] = {}
-        self._omega: np.ndarray | None = None  # variances of residuals, where they were found last
+        self._omega: np.ndarray | None = None  # of the residuals, of the model and state of ``find_sigmas``
         self._model: AreaModel | None = None
         self._no_load: NoLoadModel | None = None  # while something of it is asked for
         self._measured_at_no_load: Sequence[Measurement] = ()
@@ -114,7 +112,7 @@ class AreaEstimation:
         if (meters := tuple(m.meter for m in self._readings)) != self._meters_read:
             self._meters_read, self.own_meters = meters, frozenset(meter.id for meter in meters)
         self.reported = set()
-        self._stand_ins = {name: _stand_in_of(self._by_name[name], load) for name, load in (loads or {}).items()}
+        self._stand_ins = {name: stand_in_for(self._by_name[name], load) for name, load in (loads or {}).items()}
         self._start = self._start_of_term = self._flat if self.failure else self.x
         self._start_anew(())
 
@@ -145,6 +143,7 @@ class AreaEstimation:
 
     def _build(self) -> None:
         """The models of the meters in use; other readings of the same ones change neither rows nor no-load model."""
+        self._omega = None
         with_currents = self._in_use()
         without = [m for m in with_currents if m.meter.kind is not MeasurementKind.CURRENT]
         self._n_current = len(with_currents) - len(without)
@@ -323,10 +322,9 @@ class AreaEstimation:
 
     def _evaluate(self) -> None:
         """Which meters are critical, and the largest normalised residual of the others."""
-        model = self.model
         _, variance = self._variances()
-        self.critical = self._find_critical(variance)
-        worst = find_suspects(model, self.x, variance, self.critical)
+        self.critical = find_critical(self.model, variance, self.critical)
+        worst = find_suspects(self.model, self.x, variance, self.critical)
         self._worst = tuple(sorted(worst.items()))[:MOST_NAMED]
         self.reported |= worst.keys()
 
@@ -339,30 +337,17 @@ class AreaEstimation:
         of_state, variance = self._variances()
         self._omega = variance
         sigma = np.sqrt(np.maximum(of_state, 0.0))
-        return sigma[self._n : 2 * self._n], sigma[: self._n], self._find_critical(variance)
+        return sigma[self._n : 2 * self._n], sigma[: self._n], find_critical(self.model, variance, self.critical)
 
     def describe_readings(self) -> dict[str, tuple[float, float]]:
         """Id of each real meter in use -> what it would read in this state, p.u. or rad, and its normalised residual, 0
         where it is the only one that tells; empty before ``find_sigmas``.
         """
-        model = self.model
-        if self._omega is None or len(self._omega) != len(model.z):
-            return {}
-        residual = model.residual(self.x)
-        normalised = normalize_residuals(residual, self._omega, model.sigma, ~model.virtual)
-        rows = zip(model.ids, (model.z - residual).tolist(), normalised.tolist(), model.virtual.tolist(), strict=True)
-        return {meter: (estimate, off) for meter, estimate, off, is_virtual in rows if not is_virtual}
+        return {} if self._omega is None else estimate_readings(self.model, self.x, self._omega)
 
     def _variances(self) -> tuple[np.ndarray, np.ndarray]:
         """Of all state variables, shape (size,), and of the residuals, shape (n_meas,)."""
         return self.model.linear.variances(self.linearized_at, self._received)
-
-    def _find_critical(self, variance: np.ndarray) -> tuple[str, ...]:
-        """Ids of the meters that cannot be spared at no load, or whose residual says nothing; ``variance``: Omega."""
-        model = self.model
-        without_check = (variance <= CRITICAL_REDUNDANCY * model.sigma**2) & ~model.virtual
-        critical = {*self.critical, *(model.ids[k] for k in np.flatnonzero(without_check))}
-        return tuple(meter_id for meter_id in model.ids if meter_id in critical)
 
     @property
     def no_load_va(self) -> np.ndarray:
@@ -384,14 +369,6 @@ def _checked(information: BoundaryInformation) -> BoundaryInformation:
     if not are_within_reason((*information.R.flat, *information.z)):
         raise ArithmeticError("the information of this side is beyond reason")
     return information
-
-
-def _stand_in_of(neighbour: Neighbour, load: NetLoad) -> BoundaryInformation:
-    """What the net load on the side of ``neighbour`` says of (p, q) at the boundary."""
-    power = -load.s if neighbour.is_parent else load.s
-    weight = 1 / (load.variance**0.5 + UNSURE_OF_LOAD * abs(load.s) + LEAST_LOAD)
-    R = np.diag([weight, weight, 0.0, 0.0])
-    return BoundaryInformation(R, R @ np.array([power.real, power.imag, 0.0, 0.0]))
 
 
 def _as_ranges(buses: Sequence[int]) -> tuple[str, ...]:

@@ -11,8 +11,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Source
-from dsse_core.grid.partition import Area, Partition
+from dsse_core.grid.partition import Area, Neighbour, Partition
+from dsse_core.linear.boundary_information import BoundaryInformation
+
+UNSURE_OF_LOAD = 0.1  # share of a net load, which neglects losses, and
+LEAST_LOAD = 0.01  # p.u.: what they add to its standard deviation
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +74,14 @@ def boundary_loads(area: Area, received: Mapping[str, NetLoad], error: complex =
         if all(name in received for name in beyond):
             loads[bus] = add_loads([NetLoad(complex(error)), *(received[name] for name in beyond)])
     return loads
+
+
+def stand_in_for(neighbour: Neighbour, load: NetLoad) -> BoundaryInformation:
+    """What the net load on the side of ``neighbour`` says of y = (p, q, vm, va) at the boundary, p.u. and rad."""
+    power = -load.s if neighbour.is_parent else load.s
+    weight = 1 / (load.variance**0.5 + UNSURE_OF_LOAD * abs(load.s) + LEAST_LOAD)
+    R = np.diag([weight, weight, 0.0, 0.0])
+    return BoundaryInformation(R, R @ np.array([power.real, power.imag, 0.0, 0.0]))
 
 
 def scheduled_load_messages(partition: Partition) -> dict[str, dict[str, NetLoad]]:

@@ -6,12 +6,11 @@ centralised estimate, so that a sum and a maximum along the tree make the same d
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dsse_core.estimation.residuals import THRESHOLD, keep_tied, normalize_residuals
 from dsse_core.grid.admittance import flat_start
 from dsse_core.grid.measurement import Measurement, MeasurementKind
 from dsse_core.grid.partition import Area, Neighbour
@@ -28,21 +27,6 @@ NOTHING_AT_NO_LOAD = 1e-8
 # Above it the variance of a voltage at no load, where all sigmas are 1, says that nothing determines it: what is known
 # through the smallest impedances in a row has less, NO_LOAD_NOT_YET alone 1e18.
 NOTHING_KNOWN = 1e12
-
-
-def find_suspects(model: AreaModel, x: np.ndarray, variance: np.ndarray, spared: Collection[str]) -> dict[str, float]:
-    """Meter -> its normalised residual, the largest of the area above the threshold and those that equal it.
-
-    ``variance``: diag(Omega) at ``x``; ``spared``: critical meters.
-    """
-    normalized = normalize_residuals(model.residual(x), variance, model.sigma, ~model.virtual)
-    return keep_tied(
-        {
-            model.meters[k].id: float(normalized[k])
-            for k in np.flatnonzero(normalized > THRESHOLD)
-            if model.meters[k].id not in spared
-        }
-    )
 
 
 def find_objective(model: AreaModel, x: np.ndarray) -> float:
