@@ -1,14 +1,12 @@
 """``python -m benchmarks.live_recording``: a feeder in real time with a scan a second, recorded for an hour and a half.
 
 Meters read at intervals of their own, ticks come from the clocks of the areas. What a listener beside the recorder
-hears must be in the recording, and no process may grow.
+receives must be in the recording, and no process may grow.
 """
 
 from __future__ import annotations
 
-import json
 import os
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -19,15 +17,13 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before anything loads nump
 import click
 import psutil
 
-from agents.messages.keys import all_readings, all_states
-from agents.messages.packing import ReadingsMessage, StateMessage, decode
 from agents.protocol.quality import GOOD
 from agents.security.access import COORDINATOR
-from benchmarks.measuring.figures import figures_option, list_facts, write_section
+from benchmarks.measuring.figures import conclude, figures_option
 from benchmarks.measuring.live_system import LiveSystem
 from benchmarks.measuring.machine import describe_machine
+from benchmarks.measuring.recorded import TABLES, Published, read_recorded, subscribe
 from coordinator.recording.closing import close_recording
-from coordinator.recording.parquet import read_rows
 from coordinator.strategy_check import check_with_strategy
 from scenarios.scenario import load_scenario
 
@@ -35,13 +31,9 @@ PACKAGES = ("eclipse-zenoh", "numpy", "pyarrow")
 SCENARIO = "ieee33"
 SCAN_S = 1.0
 PERIODS_S = {"voltage": 1.0, "flow": 5.0, "injection": 60.0}
-TABLES = ("readings", "states")
 WARM_S = 60.0  # until memory counts
 LOOK_S = 10.0
 MOST_GROWTH_MIB = 1.0
-
-Said = tuple[str, str, int]
-"""Table, area and scan."""
 
 
 def record_live(folder: Path, duration_s: float) -> dict[str, object]:
@@ -49,12 +41,11 @@ def record_live(folder: Path, duration_s: float) -> dict[str, object]:
     measurements = {f"measurements.{kind}.period_s": period_s for kind, period_s in PERIODS_S.items()}
     changes = {"telemetry.ticks": "clock", "run.scan_s": SCAN_S} | measurements
     scenario = check_with_strategy(load_scenario(SCENARIO, changes=changes))
-    recording, heard, good = folder / "recording", set[Said](), list[bool]()
+    recording, received, good = folder / "recording", set[Published](), list[bool]()
     uss_mib: dict[str, list[float]] = {}
     with LiveSystem(scenario, folder / "run", SCAN_S) as live, live.system.join(COORDINATOR) as session:
         live.system.start_recorder(recording, None, lambda: live.take() or None)
-        for expression in (all_states("live"), all_readings("live")):
-            session.subscribe(expression, lambda _, payload: _note(heard, payload))
+        subscribe(session, "live", received.add)
         live.wait_until(lambda states: len(states) == len(live.areas))
         live.pass_time(min(WARM_S, duration_s / 4))
         first, until = int(time.time()) + 1, time.monotonic() + duration_s
@@ -67,13 +58,13 @@ def record_live(folder: Path, duration_s: float) -> dict[str, object]:
         live.pass_time(LOOK_S)
         areas = live.areas
     close_recording(recording)
-    recorded = _read(recording)
+    recorded = read_recorded(recording)
     wanted = {(table, area, scan) for table in TABLES for area in areas for scan in range(first, last)}
     return {
         "seconds": last - first,
         "scans of areas": len(wanted) // len(TABLES),
-        "messages heard and not recorded": len((heard & wanted) - recorded),
-        **{f"scans of areas without {table}": sum(said[0] == table for said in wanted - recorded) for table in TABLES},
+        "messages heard and not recorded": len((received & wanted) - recorded),
+        **{f"scans of areas without {table}": sum(one[0] == table for one in wanted - recorded) for table in TABLES},
         "share of looks at which an area was good": round(sum(good) / len(good), 4),
         "memory of its own at the end, MiB": {name: round(values[-1], 1) for name, values in uss_mib.items()},
         "growth in the second half, MiB": {name: find_growth(values) for name, values in uss_mib.items()},
@@ -86,22 +77,6 @@ def find_growth(values: list[float]) -> float:
     """From the mean of the third quarter of ``values`` to that of the last, doubled."""
     quarter = max(1, len(values) // 4)
     return round(2 * (sum(values[-quarter:]) - sum(values[-2 * quarter : -quarter] or values[:1])) / quarter, 2)
-
-
-def _note(heard: set[Said], payload: bytes) -> None:
-    message = decode(payload)
-    if isinstance(message, StateMessage | ReadingsMessage):
-        table = "states" if isinstance(message, StateMessage) else "readings"
-        heard.add((table, message.header.sender, message.header.scan))
-
-
-def _read(recording: Path) -> set[Said]:
-    return {
-        (table, area, scan)
-        for table in TABLES
-        for path in (recording / table).glob("*.parquet")
-        for area, scan in read_rows(path, ["area", "scan"])
-    }
 
 
 def find_failures(seen: dict[str, Any]) -> list[str]:
@@ -121,16 +96,10 @@ def find_failures(seen: dict[str, Any]) -> list[str]:
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Folder.  [default: temporary]")
 @figures_option
 def main(minutes: float, out: Path | None, figures: str | None) -> None:
-    """Exit code 0: all that was heard is recorded, and no process has grown; 1: not."""
+    """Exit code 0: all that was received is recorded, and no process has grown; 1: not."""
     with tempfile.TemporaryDirectory() as scratch:
         machine, seen = describe_machine(PACKAGES), record_live(out or Path(scratch), 60.0 * minutes)
-    print(json.dumps(machine | seen, indent=2))
-    failures = find_failures(seen)
-    if figures:
-        write_section(figures, machine, list_facts(seen | {"failures": "; ".join(failures) or "none"}))
-    for failure in failures:
-        print(f"error: {failure}", file=sys.stderr)
-    sys.exit(1 if failures else 0)
+    conclude(machine, seen, find_failures(seen), figures)
 
 
 if __name__ == "__main__":

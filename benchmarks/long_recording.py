@@ -6,9 +6,7 @@ state of every scan, the replay must have the same states to the bit, and memory
 
 from __future__ import annotations
 
-import json
 import os
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -18,7 +16,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before anything loads nump
 import click
 import psutil
 
-from benchmarks.measuring.figures import figures_option, list_facts, write_section
+from benchmarks.measuring.figures import conclude, figures_option
 from benchmarks.measuring.machine import describe_machine
 from coordinator.deployment.split import area_files
 from coordinator.recording.folder import list_segments
@@ -95,13 +93,7 @@ def main(scans: int, figures: str | None) -> None:
     """Exit code 0: nothing is missing, and the replay has the same states; 1: not."""
     with tempfile.TemporaryDirectory() as scratch:
         machine, seen = describe_machine(PACKAGES), record_long(Path(scratch) / "recording", scans)
-    print(json.dumps(machine | seen, indent=2))
-    failures = find_failures(seen)
-    if figures:
-        write_section(figures, machine, list_facts(seen | {"failures": "; ".join(failures) or "none"}))
-    for failure in failures:
-        print(f"error: {failure}", file=sys.stderr)
-    sys.exit(1 if failures else 0)
+    conclude(machine, seen, find_failures(seen), figures)
 
 
 if __name__ == "__main__":

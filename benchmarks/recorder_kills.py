@@ -6,10 +6,8 @@ passed between the start of a recorder and the second before its end must be in 
 
 from __future__ import annotations
 
-import json
 import os
 import random
-import sys
 import tempfile
 import time
 from dataclasses import dataclass
@@ -19,12 +17,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before anything loads nump
 
 import click
 
-from agents.messages.keys import all_readings, all_states
-from agents.messages.packing import ReadingsMessage, StateMessage, decode
 from agents.security.access import COORDINATOR
-from benchmarks.measuring.figures import figures_option, list_facts, write_section
+from benchmarks.measuring.figures import conclude, figures_option
 from benchmarks.measuring.live_system import START_S, LiveSystem
 from benchmarks.measuring.machine import describe_machine
+from benchmarks.measuring.recorded import Published, read_recorded, subscribe
 from coordinator.recording.closing import close_ended
 from coordinator.recording.folder import LOG, LOGS
 from coordinator.recording.frames import is_being_written
@@ -36,15 +33,12 @@ from scenarios.scenario import load_scenario
 PACKAGES = ("eclipse-zenoh", "pyarrow")
 SCENARIO = "ieee33"
 SCAN_S = 0.25
-LIFE_S = (1.5, 3.0)
+RUN_S = (1.5, 3.0)
 MOST_LOST_S = 1.0
-
-Said = tuple[str, str, int]
-"""Table, area and scan."""
 
 
 @dataclass(frozen=True)
-class Life:
+class RecorderRun:
     """When a recorder began to listen, and when it was killed, s since 1970."""
 
     began: float
@@ -53,29 +47,28 @@ class Life:
 
 def kill_recorders(folder: Path, kills: int, seed: int) -> dict[str, object]:
     """What was seen, and what of it the recording lacks."""
-    draws, passed = random.Random(seed), list[tuple[float, Said]]()
+    draws, passed = random.Random(seed), list[tuple[float, Published]]()
     scenario = check_with_strategy(load_scenario(SCENARIO))
     recording = folder / "recording"
-    lives = []
+    runs = []
     with LiveSystem(scenario, folder / "run", SCAN_S) as live, live.system.join(COORDINATOR) as session:
-        for expression in (all_states("live"), all_readings("live")):
-            session.subscribe(expression, lambda _, payload: _note(passed, payload))
+        subscribe(session, "live", lambda published: passed.append((time.time(), published)))
         live.wait_until(lambda states: len(states) == len(scenario.partition.areas))
         live.system.start_recorder(recording, None, lambda: live.take() or None)
         for _ in range(kills):
             began = time.time()
-            live.pass_time(draws.uniform(*LIFE_S))
-            lives.append(Life(began, time.time()))
+            live.pass_time(draws.uniform(*RUN_S))
+            runs.append(RecorderRun(began, time.time()))
             live.system.kill(RECORDER)
             _wait(live, lambda: not _is_writing(recording))
             live.system.restart(RECORDER)
             _wait(live, lambda: _is_writing(recording))
     notes = close_ended(recording)
-    recorded = _read(recording)
-    heard = [find_heard(passed, life, recorded) for life in lives]
-    missing = [[at for at, said in messages if said not in recorded] for messages in heard]
-    lost_s = [life.killed - min(times) for life, times in zip(lives, missing, strict=True) if times]
-    seen = [said for messages in heard for _, said in messages]
+    recorded = read_recorded(recording)
+    due = [find_due(passed, run, recorded) for run in runs]
+    missing = [[at for at, said in messages if said not in recorded] for messages in due]
+    lost_s = [run.killed - min(times) for run, times in zip(runs, missing, strict=True) if times]
+    seen = [said for messages in due for _, said in messages]
     return {
         "kills": kills,
         "messages while a recorder ran": len(seen),
@@ -88,26 +81,21 @@ def kill_recorders(folder: Path, kills: int, seed: int) -> dict[str, object]:
     }
 
 
-def _note(passed: list[tuple[float, Said]], payload: bytes) -> None:
-    message = decode(payload)
-    if isinstance(message, StateMessage | ReadingsMessage) and message.header.scan:
-        table = "states" if isinstance(message, StateMessage) else "readings"
-        passed.append((time.time(), (table, message.header.sender, message.header.scan)))
-
-
-def find_heard(passed: list[tuple[float, Said]], life: Life, recorded: set[Said]) -> list[tuple[float, Said]]:
-    """What passed from the first message on that the recorder of ``life`` wrote, of each area and kind: before, the
+def find_due(
+    passed: list[tuple[float, Published]], run: RecorderRun, recorded: set[Published]
+) -> list[tuple[float, Published]]:
+    """What passed from the first message on that the recorder of ``run`` wrote, of each area and kind: before, the
     area did not know yet that it listens.
     """
     begun: set[tuple[str, str]] = set()
-    heard = []
+    due = []
     for at, said in passed:
-        if life.began <= at <= life.killed:
+        if run.began <= at <= run.killed:
             if said in recorded:
                 begun.add(said[:2])
             if said[:2] in begun:
-                heard.append((at, said))
-    return heard
+                due.append((at, said))
+    return due
 
 
 def _is_writing(recording: Path) -> bool:
@@ -120,15 +108,6 @@ def _wait(live: LiveSystem, holds: object) -> None:
         raise RuntimeError(
             f"the recorder has not done so within {START_S:g} s; its log: {live.system.log_of(RECORDER)}"
         )
-
-
-def _read(recording: Path) -> set[Said]:
-    return {
-        (table, area, scan)
-        for table in ("states", "readings")
-        for path in (recording / table).glob("*.parquet")
-        for area, scan in read_rows(path, ["area", "scan"])
-    }
 
 
 def _events(recording: Path) -> list[tuple[str, str]]:
@@ -159,13 +138,7 @@ def main(kills: int, seed: int, out: Path | None, figures: str | None) -> None:
     """Exit code 0: no more than the last second before each kill is gone; 1: more."""
     with tempfile.TemporaryDirectory() as scratch:
         machine, seen = describe_machine(PACKAGES), kill_recorders(out or Path(scratch), kills, seed)
-    print(json.dumps(machine | seen, indent=2))
-    failures = find_failures(seen)
-    if figures:
-        write_section(figures, machine, list_facts(seen | {"failures": "; ".join(failures) or "none"}))
-    for failure in failures:
-        print(f"error: {failure}", file=sys.stderr)
-    sys.exit(1 if failures else 0)
+    conclude(machine, seen, find_failures(seen), figures)
 
 
 if __name__ == "__main__":

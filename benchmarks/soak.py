@@ -7,10 +7,8 @@ second), doubled, held back and damaged. Then the faults stop.
 
 from __future__ import annotations
 
-import json
 import os
 import random
-import sys
 import tempfile
 import time
 from collections import Counter
@@ -27,7 +25,7 @@ import psutil
 
 from agents.protocol.quality import GOOD
 from agents.security.access import PLANT, ROUTER
-from benchmarks.measuring.figures import figures_option, list_facts, write_section
+from benchmarks.measuring.figures import conclude, figures_option
 from benchmarks.measuring.live_system import GAP, LiveSystem
 from benchmarks.measuring.machine import describe_machine
 from coordinator.strategy_check import check_with_strategy
@@ -198,14 +196,7 @@ def main(minutes: float, seed: int, out: Path | None, figures: str | None) -> No
     """Exit code 0: whole again after the faults; 1: not, and standard error says what is wrong."""
     with tempfile.TemporaryDirectory() as scratch:
         machine, seen = describe_machine(PACKAGES), soak(out or Path(scratch) / "soak", seed, 60.0 * minutes)
-    print(json.dumps(machine | seen, indent=2))
-    failures = find_failures(seen)
-    if figures:
-        facts = {what: figure for what, figure in seen.items() if what != "trouble in logs"}
-        write_section(figures, machine, list_facts(facts | {"failures": "; ".join(failures) or "none"}))
-    for failure in failures:
-        print(f"error: {failure}", file=sys.stderr)
-    sys.exit(1 if failures else 0)
+    conclude(machine, seen, find_failures(seen), figures, left_out={"trouble in logs"})
 
 
 if __name__ == "__main__":

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import click
 
@@ -52,6 +53,26 @@ def list_facts(facts: Mapping[str, object]) -> str:
     """A Markdown table of two columns; mappings and lists become words."""
     rows = [f"| {what} | {_say(figure)} |" for what, figure in facts.items()]
     return "\n".join(["| what | figure |", "|---|---|", *rows])
+
+
+def conclude(
+    machine: Mapping[str, str],
+    seen: Mapping[str, object],
+    failures: Sequence[str],
+    figures: str | None,
+    left_out: Collection[str] = (),
+) -> NoReturn:
+    """Print what was ``seen``, write section ``figures`` if one is named, and exit: 1 with ``failures``, else 0.
+
+    ``left_out``: keys of ``seen`` that the section does without.
+    """
+    print(json.dumps({**machine, **seen}, indent=2))
+    if figures:
+        facts = {what: figure for what, figure in seen.items() if what not in left_out}
+        write_section(figures, machine, list_facts(facts | {"failures": "; ".join(failures) or "none"}))
+    for failure in failures:
+        print(f"error: {failure}", file=sys.stderr)
+    sys.exit(1 if failures else 0)
 
 
 def _say(figure: object) -> str:

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.long_recording import find_failures, record_long
-from benchmarks.recorder_kills import Life, find_heard
+from benchmarks.recorder_kills import RecorderRun, find_due
 
 pytestmark = [pytest.mark.long, pytest.mark.xdist_group("benchmarks")]
 
@@ -27,5 +27,5 @@ def test_what_a_recording_lacks_is_a_failure(tmp_path: Path) -> None:
 def test_what_passed_before_an_area_knew_of_the_recorder_is_not_lost_by_it() -> None:
     said = [("states", "area1", scan) for scan in range(5)]
     passed = [(float(k), one) for k, one in enumerate(said)]
-    heard = find_heard(passed, Life(1.0, 3.0), {said[2]})
-    assert heard == [(2.0, said[2]), (3.0, said[3])]
+    due = find_due(passed, RecorderRun(1.0, 3.0), {said[2]})
+    assert due == [(2.0, said[2]), (3.0, said[3])]
