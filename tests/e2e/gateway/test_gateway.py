@@ -8,13 +8,13 @@ import json
 import signal
 import threading
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import Callable
 from pathlib import Path
 
 import aiomqtt
 import pytest
-from amqtt.broker import Broker
 from dsse_command import free_port
+from mqtt_broker import broker
 from waiting import wait_until
 
 PERIOD_S = 0.1
@@ -103,20 +103,6 @@ def test_of_two_gateways_under_one_name_the_older_ends(live) -> None:
     assert "two processes run as gateway north of run live at once" in live.processes.said("older")
     assert live.processes.end("newer") == 0
     assert "r.csv" in live.processes.said("newer")
-
-
-@contextlib.asynccontextmanager
-async def broker(port: int) -> AsyncIterator[None]:
-    config = {
-        "listeners": {"default": {"type": "tcp", "bind": f"127.0.0.1:{port}"}},
-        "plugins": {"amqtt.plugins.authentication.AnonymousAuthPlugin": {"allow_anonymous": True}},
-    }
-    found = Broker(config)
-    await found.start()
-    try:
-        yield
-    finally:
-        await found.shutdown()
 
 
 async def publish(port: int, values: dict[str, float], ended: asyncio.Event) -> None:

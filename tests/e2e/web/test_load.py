@@ -29,9 +29,8 @@ LONG_TASKS = (
     "entry => { window.longest = Math.max(window.longest, entry.duration); }))"
     ".observe({ type: 'longtask', buffered: true });"
 )
-MOST_GROWTH = (
-    4_000_000  # bytes: what a browser compiles and caches meanwhile; a kept moment is 40 kB, 1000 of them 40 MB
-)
+# Bytes: what a browser compiles and caches meanwhile; a kept moment is 40 kB, 1000 of them 40 MB.
+MOST_GROWTH = 4_000_000
 
 
 @pytest.fixture(autouse=True)
@@ -84,19 +83,24 @@ def shown(feeder: Feeder, known: GridTables | None = None) -> Iterator[tuple[Liv
         source.close()
 
 
+def find_bus(page: Any, url: str, areas: int, bus: int, fact: str) -> None:
+    """Open the page, wait for its ``areas``, ask for ``bus``, and wait until ``fact`` and its past are shown."""
+    page.add_init_script(LONG_TASKS)
+    page.goto(url)
+    wait_until(lambda: page.locator("#areas tbody tr").count() == areas)
+    page.fill("#what", str(bus))
+    page.keyboard.press("Enter")
+    page.wait_for_selector(f"#facts >> text={fact}", timeout=DEADLINE_S * 1000)
+    page.wait_for_selector("#past canvas", timeout=DEADLINE_S * 1000)
+
+
 def test_a_thousand_buses_of_a_scenario_are_drawn_and_one_of_them_is_found(dsse: Any, tmp_path: Path):
     assert dsse("generate", "--buses", "1000", "--areas", "50", "--out", "feeder").returncode == 0
     known = GridTables(choose_scenario(str(tmp_path / "feeder" / "scenario.toml")))
     feeder = Feeder(50, 1)
     feeder._buses = {area.name: tuple(area.network.row) for area in known.partition.areas}
     with shown(feeder, known) as (source, page, url):
-        page.add_init_script(LONG_TASKS)
-        page.goto(url)
-        wait_until(lambda: page.locator("#areas tbody tr").count() == 50)
-        page.fill("#what", "777")
-        page.keyboard.press("Enter")
-        page.wait_for_selector("#facts >> text=p kw", timeout=DEADLINE_S * 1000)
-        page.wait_for_selector("#past canvas", timeout=DEADLINE_S * 1000)
+        find_bus(page, url, 50, 777, "p kw")
         before = source.newest.number
         wait_until(lambda: source.newest.number > before + 5)
         size, longest = len(source.newest.payload), page.evaluate("window.longest")
@@ -105,13 +109,7 @@ def test_a_thousand_buses_of_a_scenario_are_drawn_and_one_of_them_is_found(dsse:
 
 def test_ten_thousand_buses_are_shown_and_one_of_them_is_found():
     with shown(Feeder(100, 101)) as (source, page, url):
-        page.add_init_script(LONG_TASKS)
-        page.goto(url)
-        wait_until(lambda: page.locator("#areas tbody tr").count() == 100)
-        page.fill("#what", "7777")
-        page.keyboard.press("Enter")
-        page.wait_for_selector("#facts >> text=vm pu", timeout=DEADLINE_S * 1000)
-        page.wait_for_selector("#past canvas", timeout=DEADLINE_S * 1000)
+        find_bus(page, url, 100, 7777, "vm pu")
         size, longest = len(source.newest.payload), page.evaluate("window.longest")
         print(f"10,001 buses: {size / 1e6:.2f} MB a moment, longest task of the main thread {longest:.0f} ms")
         assert size < 2_000_000

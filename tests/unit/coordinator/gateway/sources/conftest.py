@@ -63,6 +63,22 @@ def reading() -> Callable[[Source, Recorder], Any]:
 
 
 @pytest.fixture
+def error_of_losing(recorder: Recorder) -> Callable[..., Awaitable[BaseException | None]]:
+    """The error with which a source ends when its server does: ``await error_of_losing(server, source)``."""
+
+    async def lose(server: contextlib.AbstractAsyncContextManager[object], source: Source) -> BaseException | None:
+        async with contextlib.AsyncExitStack() as stack:
+            await stack.enter_async_context(server)
+            async with _reading(source, recorder) as task:
+                await recorder.wait_until(lambda: bool(recorder.readings))
+                await stack.aclose()
+                await recorder.wait_until(task.done)
+                return task.exception()
+
+    return lose
+
+
+@pytest.fixture
 def free_port() -> int:
     with socket.socket() as found:
         found.bind(("127.0.0.1", 0))

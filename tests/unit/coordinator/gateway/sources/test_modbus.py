@@ -53,15 +53,9 @@ def test_registers_are_read_again_and_again(free_port: int, recorder, reading, r
     assert all(wrong in detail for _, detail in recorder.refused)
 
 
-def test_a_device_that_goes_is_an_error(free_port: int, recorder, reading, run) -> None:
+def test_a_device_that_goes_is_an_error(free_port: int, error_of_losing, run) -> None:
     async def test() -> None:
-        async with contextlib.AsyncExitStack() as stack:
-            await stack.enter_async_context(device(free_port))
-            async with reading(make_source(free_port, "holding:0:int16"), recorder) as task:
-                await recorder.wait_until(lambda: bool(recorder.readings))
-                await stack.aclose()
-                await recorder.wait_until(task.done)
-                assert task.exception() is not None
+        assert await error_of_losing(device(free_port), make_source(free_port, "holding:0:int16")) is not None
 
     run(test())
 

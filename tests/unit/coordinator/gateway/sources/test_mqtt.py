@@ -4,30 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator
 
 import aiomqtt
 import pytest
-from amqtt.broker import Broker
+from mqtt_broker import broker
 
 from coordinator.gateway.sources import mqtt
 from coordinator.gateway.sources.mqtt import MqttSettings, MqttSource, _FairQueue
 
 pytestmark = pytest.mark.long
-
-
-@contextlib.asynccontextmanager
-async def broker(port: int) -> AsyncIterator[None]:
-    config = {
-        "listeners": {"default": {"type": "tcp", "bind": f"127.0.0.1:{port}"}},
-        "plugins": {"amqtt.plugins.authentication.AnonymousAuthPlugin": {"allow_anonymous": True}},
-    }
-    found = Broker(config)
-    await found.start()
-    try:
-        yield
-    finally:
-        await found.shutdown()
 
 
 def make_source(port: int, *addresses: str, **options: object) -> MqttSource:

@@ -58,15 +58,9 @@ def test_values_come_with_their_time_and_status(free_port: int, recorder, readin
     assert "ns=2;s=none" in recorder.refused[0][1]
 
 
-def test_a_server_that_goes_is_an_error(free_port: int, recorder, reading, run) -> None:
+def test_a_server_that_goes_is_an_error(free_port: int, error_of_losing, run) -> None:
     async def test() -> None:
-        async with contextlib.AsyncExitStack() as stack:
-            await stack.enter_async_context(server(free_port))
-            async with reading(make_source(free_port, "u"), recorder) as task:
-                await recorder.wait_until(lambda: bool(recorder.readings))
-                await stack.aclose()
-                await recorder.wait_until(task.done)
-                assert task.exception() is not None
+        assert await error_of_losing(server(free_port), make_source(free_port, "u")) is not None
 
     run(test())
 
