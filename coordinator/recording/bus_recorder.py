@@ -6,7 +6,7 @@ import logging
 import signal
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from threading import Event
@@ -48,8 +48,10 @@ def run_recorder(
     return 0
 
 
-def record_from(session: Session, order: Order) -> None:
+def record_from(session: Session, order: Order, on_begun: Callable[[], None] = lambda: None) -> None:
     """Record until SIGTERM, SIGINT or, without keys, SIGHUP, which with keys renews them.
+
+    ``on_begun``: called once all that arrives from then on is written.
 
     Raises:
         InvalidInputError: the folder holds something else.
@@ -69,6 +71,7 @@ def record_from(session: Session, order: Order) -> None:
         _listen(session, order.run, arrivals)
         recorder.take([note(time.time(), "recorder started", run=order.run)])
         closer.ask()  # what a killed recorder has left
+        on_begun()
         _serve(session, order, arrivals, recorder, closer, over, renew)
         written.write([note(time.time(), "recorder stopped", lost=written.lost)])
         written.close()

@@ -70,10 +70,13 @@ def record(
     with join_run(choose_endpoints(endpoints, keys is not None), run_id, timeout, keys, direct) as (session, run):
         folder = out or Path("recordings") / run
         files = [] if prepared is None else area_files(prepared, run, [DEFAULT_ENDPOINT])
-        say(f"recording run {run} into {folder}; Ctrl-C ends it")
-        if not has_parquet():
-            say("note: pyarrow is not installed, so the logs stay logs; pip install 'consensus-dsse[parquet]'")
-        record_from(session, Order(folder, run, files, limit_gb))
+
+        def on_begun() -> None:
+            say(f"recording run {run} into {folder}; Ctrl-C ends it")
+            if not has_parquet():
+                say("note: pyarrow is not installed, so the logs stay logs; pip install 'consensus-dsse[parquet]'")
+
+        record_from(session, Order(folder, run, files, limit_gb), on_begun)
     return 0
 
 
