@@ -17,7 +17,7 @@ from coordinator.gateway.sources.lines import PIECE, TOO_LONG, LineCutter
 from coordinator.gateway.sources.texts import as_number, as_time, as_validity
 from dsse_core.files.strict_table import Table
 
-MALFORMED = "malformed"
+MALFORMED, NO_VALUE = "malformed", "no value"
 ADDRESS, VALUE, VALID, UNIT = "address", "value", "valid", "unit"
 
 
@@ -36,7 +36,8 @@ class HeaderError(ValueError):
 
 class CsvSource(Source):
     """Reads a file with a header: columns ``time``, ``address`` and ``value``, with or without ``valid`` and ``unit``;
-    or ``time`` and a column for each address. An empty cell is no reading. A line counts when it is whole.
+    or ``time`` and a column for each address. An empty cell is no reading, and a line without any is refused. A line
+    counts when it is whole.
     """
 
     Settings = CsvSettings
@@ -90,7 +91,7 @@ class _Columns:
                 f"{settings.path}: the first line has no column {settings.time!r}, found {header[:200]!r}; a reading "
                 "without a time may be of any age; add the column, or name it by source.time"
             )
-        self.time = self.names.index(settings.time)
+        self.time = settings.time
         self.is_long = ADDRESS in self.names and VALUE in self.names
 
     def take(self, line: str, emit: Emit) -> None:
@@ -102,16 +103,15 @@ class _Columns:
         if len(cells) != len(self.names):
             emit.refuse(MALFORMED, f"line {line!r:.120}: {len(cells)} columns, but the header has {len(self.names)}")
             return
-        time = as_time(cells[self.time])
-        if not self.is_long:
-            for k, (name, cell) in enumerate(zip(self.names, cells, strict=True)):
-                if k != self.time and cell:
-                    emit(name, as_number(cell), time)
-            return
         row = dict(zip(self.names, cells, strict=True))
-        if row[VALUE]:
-            valid = as_validity(row.get(VALID))
-            emit(row[ADDRESS], as_number(row[VALUE]), time, valid=valid, unit=row.get(UNIT) or None)
+        time = as_time(row.pop(self.time))
+        read = {row[ADDRESS]: row[VALUE]} if self.is_long else row
+        valid, unit = (as_validity(row.get(VALID)), row.get(UNIT) or None) if self.is_long else (True, None)
+        if not any(read.values()):
+            emit.refuse(NO_VALUE, f"line {line!r:.120}: there is nothing where a value belongs")
+        for address, value in read.items():
+            if value:
+                emit(address, as_number(value), time, valid=valid, unit=unit)
 
 
 def _cells(line: str, delimiter: str) -> Sequence[str]:

@@ -71,7 +71,7 @@ def take_object(line: str, emit: Emit) -> None:
         return
     time, valid = as_time(found.get("time")), as_validity(found.get("valid"))
     values, address, unit = found.get("values"), found.get("address"), found.get("unit")
-    if isinstance(values, dict):
+    if isinstance(values, dict) and values:
         for name, value in values.items():
             emit(name, value, time, valid=valid)
     elif isinstance(address, str) and "value" in found:

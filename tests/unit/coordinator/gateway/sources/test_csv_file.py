@@ -52,9 +52,26 @@ def test_a_wrong_line_is_refused_and_the_others_are_read(tmp_path: Path, recorde
             await recorder.wait_until(lambda: 13.0 in recorder.values_of("U1"))
 
     run(test())
-    assert [reason for reason, _ in recorder.refused] == ["malformed"] * 3
+    assert [reason for reason, _ in recorder.refused] == ["malformed", "malformed", "no value", "malformed"]
     assert recorder.values_of("U1")[0] == "abc"
     assert recorder.values_of("U1")[2:] == [12.0, 13.0]
+
+
+@pytest.mark.parametrize("header", [HEADER, "time,U1,U2,U3,U4\n"])
+def test_no_line_without_a_reading_is_passed_over(tmp_path: Path, recorder, reading, run, header: str) -> None:
+    path = tmp_path / "r.csv"
+    path.write_text(header + ",,,,\n\n1800000000,,,,\n1800000001,U1,13,,\n")
+
+    async def test() -> None:
+        async with reading(make_source(path), recorder):
+            await recorder.wait_until(lambda: len(recorder.readings) > 0)
+
+    run(test())
+    there = "there is nothing where a value belongs"
+    assert recorder.refused == [
+        ("no value", f"line ',,,,': {there}"),
+        ("no value", f"line '1800000000,,,,': {there}"),
+    ]
 
 
 def test_a_file_in_its_place_is_read_from_its_beginning(tmp_path: Path, recorder, reading, run) -> None:

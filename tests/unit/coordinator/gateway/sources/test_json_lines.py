@@ -32,6 +32,7 @@ def test_it_reads_both_forms_and_refuses_what_is_none(stdin, recorder, run) -> N
         b'{"address": "U1", "value": 12.6, "time": "2027-01-15T08:00:00Z", "valid": false, "unit": "kV"}\n'
         b'{"time": 1800000000, "values": {"U1": 1, "U2": null}}\n'
         b"[1, 2]\n"
+        b'{"time": 1800000000, "values": {}}\n'
         b'{"address": "U1"}\n'
         b'{"address": "U1", "address": "U2", "value": 1}\n'
         b"not json\n"
@@ -49,8 +50,8 @@ def test_it_reads_both_forms_and_refuses_what_is_none(stdin, recorder, run) -> N
     ]
     assert recorder.readings[3][1] != recorder.readings[3][1]
     assert recorder.readings[4] == ("U1", 13, None, True, None)
-    assert [reason for reason, _ in recorder.refused] == ["malformed"] * 6
-    assert "'address' stands twice" in recorder.refused[2][1]
+    assert [reason for reason, _ in recorder.refused] == ["malformed"] * 7
+    assert "'address' stands twice" in recorder.refused[3][1]
 
 
 def test_while_a_flood_comes_in_others_can_work_and_nothing_is_lost(stdin, recorder, run) -> None:
