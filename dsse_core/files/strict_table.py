@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Self, TypeVar
+from typing import Any, ClassVar, Generic, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
@@ -50,6 +51,7 @@ class FileTable(Table):
 
 
 Model = TypeVar("Model", bound=FileTable)
+AnyTable = TypeVar("AnyTable", bound=Table)
 
 
 class OtherKindError(InvalidInputError):
@@ -70,23 +72,66 @@ def load_strict(path: Path, model: type[Model], changes: Mapping[str, object] | 
             model: every problem with its key path (items of lists count from 1) and, for unknown keys, what is allowed.
         OtherKindError: it does not fit and has the keys of another kind of file.
     """
-    what = model.called(path)
-    is_json = path.suffix == ".json"
-    text = read_text(path, largest=LARGEST_JSON if is_json else LARGEST_TOML, what=what)
-    try:
-        content = parse_json(text) if is_json else parse_toml(text)
-    except ValueError as error:
-        raise InvalidInputError(what, [f"not valid {'JSON' if is_json else 'TOML'}: {error}"]) from None
+    what, content = model.called(path), _parse(path, model)
     if problems := [problem for key, value in (changes or {}).items() if (problem := _change(content, key, value))]:
         raise InvalidInputError(what, problems)
     try:
         return model.model_validate(content)
     except ValidationError as error:
-        found = kind_reported_by(content) if isinstance(content, dict) else None
-        if found not in (None, model.kind):
-            raise OtherKindError(path, found, model.kind) from None
+        _check_kind(path, content, model)
         with_changes = f", with {', '.join(changes)} set" if changes else ""
         raise InvalidInputError(what + with_changes, describe_errors(model, error)) from None
+
+
+@dataclass(frozen=True)
+class Fitted(Generic[AnyTable]):
+    """What was read of a table. ``wrong``: its keys that do not fit; in ``table`` they have their defaults, or are
+    missing. ``problems``: of each of them.
+    """
+
+    table: AnyTable
+    wrong: frozenset[str]
+    problems: tuple[str, ...]
+
+
+def load_partly(path: Path, model: type[Model]) -> Fitted[Model]:
+    """Read a file as far as it fits ``model``, so that all else that is wrong with it can be said at once.
+
+    Raises:
+        InvalidInputError: the file cannot be read, or is not TOML (with line and column).
+        OtherKindError: it does not fit and has the keys of another kind of file.
+    """
+    content = _parse(path, model)
+    fitted = fit_partly(model, content)
+    if fitted.problems:
+        _check_kind(path, content, model)
+    return fitted
+
+
+def fit_partly(model: type[AnyTable], content: Mapping[str, Any]) -> Fitted[AnyTable]:
+    """``content`` as far as it fits ``model``."""
+    try:
+        return Fitted(model.model_validate(content), frozenset(), ())
+    except ValidationError as error:
+        wrong = frozenset(str(problem["loc"][0]) for problem in error.errors() if problem["loc"])
+        fitting = {key: content[key] for key in model.model_fields if key in content and key not in wrong}
+        return Fitted(model.model_construct(**fitting), wrong, tuple(describe_errors(model, error)))
+
+
+def _parse(path: Path, model: type[FileTable]) -> Any:
+    what, is_json = model.called(path), path.suffix == ".json"
+    text = read_text(path, largest=LARGEST_JSON if is_json else LARGEST_TOML, what=what)
+    try:
+        return parse_json(text) if is_json else parse_toml(text)
+    except ValueError as error:
+        raise InvalidInputError(what, [f"not valid {'JSON' if is_json else 'TOML'}: {error}"]) from None
+
+
+def _check_kind(path: Path, content: Any, model: type[FileTable]) -> None:
+    """That ``content``, which does not fit ``model``, is not of another kind by its keys."""
+    found = kind_reported_by(content) if isinstance(content, dict) else None
+    if found is not None and found != model.kind:
+        raise OtherKindError(path, found, model.kind)
 
 
 def _change(content: Any, key: str, value: object) -> str | None:

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from coordinator.deployment.split import choose_run_id
+from coordinator.deployment.split import check_run_id, default_run_id
 from coordinator.gateway.interface import Sink, Source
 from coordinator.gateway.maps.installed import load_sink, load_source
 from coordinator.gateway.maps.map_tables import MapFile, ReadingTable
 from coordinator.gateway.maps.points import Point, find_point_problems, make_point
 from dsse_core.errors import InvalidInputError
-from dsse_core.files.strict_table import Table, load_strict
+from dsse_core.files.strict_table import Table, fit_partly, load_partly
 from dsse_core.files.wording import Suggestions
 from dsse_core.grid.measurement import Meter
 from dsse_core.grid.measurement import Source as Origin
@@ -76,39 +78,44 @@ def load_map(path: Path) -> GatewayMap:
     """Read and check a map file.
 
     Raises:
-        InvalidInputError: every problem of the file: first of its keys and types and of the scenario, then of what it
-            says about addresses, meters, units, the source and the results.
+        InvalidInputError: every problem of the file: of its keys and types, of the scenario, and of what it says about
+            addresses, meters, units, the source and the results. Only what rests on a part that is wrong itself, as
+            the meters on the scenario, must wait.
     """
-    file = load_strict(path, MapFile)
-    scenario = _load_scenario_of(file, path)
-    problems, source, sinks = [], None, []
-    if file.name in RESERVED - {"plant"}:
-        problems.append(f"name: {file.name!r} belongs to a process of every run; choose another")
-    try:
-        run = choose_run_id(scenario, file.run)
-    except InvalidInputError as error:
-        run, problems = "", [*problems, *(f"run: {problem}" for problem in error.problems)]
-    try:
+    head = load_partly(path, MapFile)
+    file, problems = head.table, [*head.problems, *head.table.find_problems(head.wrong)]
+    name = "" if "name" in head.wrong else file.name
+    if name in RESERVED - {"plant"}:
+        problems.append(f"name: {name!r} belongs to a process of every run; choose another")
+    run, source, scenario = "", None, None
+    with _noted(problems):
+        scenario = None if "scenario" in head.wrong else _load_scenario_of(file, path)
+    with _noted(problems, "run: "):
+        run = default_run_id(scenario) if file.run is None and scenario else check_run_id(file.run or "none")
+    with _noted(problems):
         source = SourceOf(*load_source(file.source, path.parent)) if file.source is not None else None
-    except InvalidInputError as error:
-        problems += error.problems
+    sinks = []
     for number, table in enumerate(file.results, start=1):
         place = f"results[{number}]"
-        try:
+        with _noted(problems):
             sinks.append(SinkOf(f"{place} ({table.get('kind')})", *load_sink(table, place, path.parent)))
-        except InvalidInputError as error:
-            problems += error.problems
-    points, reading_problems = _make_points(file.reading, scenario, source.cls if source else None)
-    problems += _find_foreign(file.name, points, scenario)
-    if _leads(file.name, scenario) and scenario.run.scan_s is None:
-        problems.append(
-            f"name: {file.name!r} is the scenario's telemetry.leader and numbers scans; give run.scan_s there"
-        )
-    if problems := [*problems, *reading_problems]:
+    points = _make_points(file.reading, name, scenario, source.cls if source else None, problems)
+    if scenario and _leads(name, scenario) and scenario.run.scan_s is None:
+        problems.append(f"name: {name!r} is the scenario's telemetry.leader and numbers scans; give run.scan_s there")
+    if problems or scenario is None:
         raise InvalidInputError(file.called(path), problems)
     return GatewayMap(
-        path, file.name, run, scenario, tuple(file.connect), file.least_interval_s, source, points, tuple(sinks)
+        path, name, run, scenario, tuple(file.connect), file.least_interval_s, source, points, tuple(sinks)
     )
+
+
+@contextmanager
+def _noted(problems: list[str], place: str = "") -> Iterator[None]:
+    """Add those of an error to ``problems``, and go on."""
+    try:
+        yield
+    except InvalidInputError as error:
+        problems += [f"{place}{problem}" for problem in error.problems]
 
 
 def _leads(name: str, scenario: Scenario) -> bool:
@@ -127,45 +134,52 @@ def _load_scenario_of(file: MapFile, path: Path) -> Scenario:
 
 
 def _make_points(
-    tables: Sequence[ReadingTable], scenario: Scenario, source: type[Source] | None
-) -> tuple[dict[str, Point], list[str]]:
-    """Address -> its point; and every problem."""
-    meters = {meter.id: meter for meter in scenario.meters}
+    tables: Sequence[Mapping[str, Any]],
+    name: str,
+    scenario: Scenario | None,
+    source: type[Source] | None,
+    problems: list[str],
+) -> dict[str, Point]:
+    """Address -> its point; every problem is added to ``problems``. Without ``scenario`` there are no points, and
+    without the gateway's ``name`` nobody knows whose the meters are.
+    """
+    meters = {meter.id: meter for meter in scenario.meters} if scenario else {}
     close = Suggestions(list(meters))
     points: dict[str, Point] = {}
-    problems: list[str] = []
-    number_of_meter: dict[str, int] = {}
-    number_of_address: dict[str, int] = {}
-    for number, table in enumerate(tables, start=1):
-        place = f"reading[{number}]"
-        if (first := number_of_address.setdefault(table.address, number)) != number:
-            problems.append(f"{place}: address {table.address!r} stands in reading[{first}] already; keep one")
-        if (first := number_of_meter.setdefault(table.meter, number)) != number:
-            problems.append(f"{place}: meter {table.meter} stands in reading[{first}] already; keep one")
-        if source and (problem := source.find_address_problem(table.address)):
-            problems.append(f"{place}: address {table.address!r:.80}: {problem}")
-        found = list(_find_meter_problems(table, meters, close))
+    first_of: dict[tuple[str, str], int] = {}  # key and what it says -> the first table that says it
+    for number, content in enumerate(tables, start=1):
+        place, fitted = f"reading[{number}]", fit_partly(ReadingTable, content)
+        table, wrong = fitted.table, fitted.wrong
+        problems += [f"{place}.{problem}" for problem in fitted.problems]
+        found = list(table.find_problems(wrong))
+        for key in sorted({"address", "meter"} - wrong):
+            said = getattr(table, key)
+            if (first := first_of.setdefault((key, said), number)) != number:
+                found.append(f"{key} {said!r:.80} stands in reading[{first}] already; keep one")
+        if source and "address" not in wrong and (problem := source.find_address_problem(table.address)):
+            found.append(f"address {table.address!r:.80}: {problem}")
+        if scenario and "meter" not in wrong:
+            if unknown := list(_find_meter_problems(table, meters, close)):
+                found += unknown
+            else:
+                meter = meters[table.meter]
+                area = scenario.partition.area_of_meter(meter)
+                found += _find_foreign(name, meter, area, scenario)
+                found += find_point_problems(table, wrong, meter, scenario.network, scenario.sigma_rule)
+                if not (found or wrong):
+                    points[table.address] = make_point(table, meter, area, scenario)
         problems += [f"{place}: {problem}" for problem in found]
-        if found:
-            continue
-        meter = meters[table.meter]
-        found = list(find_point_problems(table, meter, scenario.network, scenario.sigma_rule))
-        problems += [f"{place}: {problem}" for problem in found]
-        if not found:
-            area = scenario.partition.area_of_meter(meter)
-            points[table.address] = make_point(table, meter, area, scenario)
-    return points, problems
+    return points
 
 
-def _find_foreign(name: str, points: Mapping[str, Point], scenario: Scenario) -> Iterator[str]:
-    """The meters that the scenario gives to other gateways."""
-    for point in points.values():
-        own = scenario.reading_rules[point.area].meters_of(name)
-        if own != "all" and point.meter.id not in own:
-            yield (
-                f"address {point.address!r}: meter {point.meter.id} of {point.area} is not that of gateway {name!r}; "
-                f"in the scenario, add it to gateways.{name}, or remove this reading"
-            )
+def _find_foreign(name: str, meter: Meter, area: str, scenario: Scenario) -> Iterator[str]:
+    """That the scenario gives a meter to other gateways."""
+    own = scenario.reading_rules[area].meters_of(name) if name else "all"
+    if own != "all" and meter.id not in own:
+        yield (
+            f"meter {meter.id} of {area} is not that of gateway {name!r}; in the scenario, add it to "
+            f"gateways.{name}, or remove this reading"
+        )
 
 
 def _find_meter_problems(table: ReadingTable, meters: Mapping[str, Meter], close: Suggestions) -> Iterator[str]:

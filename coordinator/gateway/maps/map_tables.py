@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Literal, Self
+from collections.abc import Iterator
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from agents.messages.keys import NAME
 from dsse_core.files.kinds import GATEWAY_MAP, FileKind
@@ -30,19 +31,20 @@ class ReadingTable(Table):
     lowest: float | None = Field(default=None, description="in the unit; below, a reading is out of range")
     highest: float | None = Field(default=None, description="in the unit; above, a reading is out of range")
 
-    @model_validator(mode="after")
-    def _can_be_used(self) -> Self:
+    def find_problems(self, wrong: frozenset[str]) -> Iterator[str]:
+        """What keys say that does not go together; of ``wrong`` ones nothing is known."""
         if self.factor == 0.0:
-            raise ValueError("factor is 0; every reading would be the offset")
-        if self.sigma_percent is not None and self.sigma is None:
-            raise ValueError("sigma_percent needs sigma as well, the least standard deviation: a reading may be 0")
+            yield "factor is 0; every reading would be the offset"
+        if self.sigma_percent is not None and self.sigma is None and "sigma" not in wrong:
+            yield "sigma_percent needs sigma as well, the least standard deviation: a reading may be 0"
         if self.lowest is not None and self.highest is not None and self.lowest >= self.highest:
-            raise ValueError(f"lowest is {self.lowest:g} and highest {self.highest:g}; lowest must be smaller")
-        return self
+            yield f"lowest is {self.lowest:g} and highest {self.highest:g}; lowest must be smaller"
 
 
 class MapFile(FileTable):
-    """All of a map file; ``source`` and ``results`` are checked by their classes."""
+    """All of a map file; ``source`` and ``results`` are checked by their classes, ``reading`` one by one: what is wrong
+    with one part does not hide what is wrong with another.
+    """
 
     kind: ClassVar[FileKind] = GATEWAY_MAP
 
@@ -52,15 +54,14 @@ class MapFile(FileTable):
     connect: list[str] = Field(default_factory=list)
     least_interval_s: Interval = 0.05
     source: dict[str, Any] | None = None
-    reading: list[ReadingTable] = Field(default_factory=list)
+    reading: list[dict[str, Any]] = Field(default_factory=list)
     results: list[dict[str, Any]] = Field(default_factory=list)
 
-    @model_validator(mode="after")
-    def _does_something(self) -> Self:
-        if not NAME.fullmatch(self.name):
-            raise ValueError(f"name {self.name!r:.80}: a name is of a-z, 0-9, _ and -, 64 at most; choose another")
-        if (self.source is None) != (not self.reading):
-            raise ValueError("[source] and [[reading]] belong together; give both, or neither")
-        if self.source is None and not self.results:
-            raise ValueError("there is neither a [source] nor [[results]]; give one of them")
-        return self
+    def find_problems(self, wrong: frozenset[str]) -> Iterator[str]:
+        """What keys say that does not go together; of ``wrong`` ones nothing is known."""
+        if "name" not in wrong and not NAME.fullmatch(self.name):
+            yield f"name {self.name!r:.80}: a name is of a-z, 0-9, _ and -, 64 at most; choose another"
+        if not wrong & {"source", "reading"} and (self.source is None) != (not self.reading):
+            yield "[source] and [[reading]] belong together; give both, or neither"
+        elif not wrong & {"source", "reading", "results"} and self.source is None and not self.results:
+            yield "there is neither a [source] nor [[results]]; give one of them"

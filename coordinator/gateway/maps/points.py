@@ -77,8 +77,12 @@ def make_point(table: ReadingTable, meter: Meter, area: str, scenario: Scenario)
     )
 
 
-def find_point_problems(table: ReadingTable, meter: Meter, network: Network, rule: SigmaRule) -> Iterator[str]:
-    """Every way in which a ``[[reading]]`` does not fit its meter, as text."""
+def find_point_problems(
+    table: ReadingTable, wrong: frozenset[str], meter: Meter, network: Network, rule: SigmaRule
+) -> Iterator[str]:
+    """Every way in which a ``[[reading]]`` does not fit its meter, as text; of its ``wrong`` keys nothing is known."""
+    if "unit" in wrong:
+        return
     allowed = units_of(meter.kind)
     if table.unit not in allowed:
         yield f"unit is {table.unit}; meter {meter.id} reads {' or '.join(allowed)}"
@@ -89,6 +93,8 @@ def find_point_problems(table: ReadingTable, meter: Meter, network: Network, rul
         limit = getattr(table, key)
         if limit is not None and not lowest <= limit <= highest:
             yield f"{key} is {limit:g} {table.unit}; meter {meter.id} reads {lowest:g} to {highest:g} {table.unit}"
+    if "sigma" in wrong:
+        return
     if table.sigma is None and not rule.relative.keys() | rule.absolute.keys() >= {meter.kind}:
         yield f"sigma is missing, and the scenario states none for {meter.kind}; give it in {table.unit}"
     elif not SMALLEST_SIGMA <= (least := _deviation_of(table, meter, size, rule).least) <= LARGEST_SIGMA:

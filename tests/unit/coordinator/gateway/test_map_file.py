@@ -38,13 +38,58 @@ def test_all_problems_of_a_map_are_named_at_once(write_map: Callable[..., Path])
     for expected in (
         "reading[1]: unit is kW; meter vm@1 reads pu or kV or V",
         "reading[2]: address 'a' stands in reading[1] already",
-        "reading[3]: meter vm@16 stands in reading[2] already",
+        "reading[3]: meter 'vm@16' stands in reading[2] already",
         "reading[4]: meter vm@17 is none of the scenario's [measurements]",
         "reading[5]: meter: 'voltage@1' is no meter id",
         "reading[6]: highest is 1e+09 kV",
         "reading[7]: the least sigma is 1e-12 kV",
     ):
         assert expected in text
+
+
+def test_a_wrong_key_hides_nothing_else_that_is_wrong(write_map: Callable[..., Path]) -> None:
+    text = find_problems(
+        write_map(
+            READING.format("a", "vm@1", "kW", "sign = 2"),
+            READING.format("b", "vm@1", "kV", "sigma = nan\nsigma_percent = 1.0\nfactor = 0.0"),
+            '[[reading]]\nmeter = "voltage@1"\nunit = "kV"\ncolour = 3\n',
+            '[[results]]\nkind = "nobody"\n',
+            source='[source]\nkind = "csv"\n',
+            head='name = "North"\nscenario = "edited.toml"\nrun = "A B"\nleast_interval_s = 100.0\nconect = []\n',
+        )
+    )
+    for expected in (
+        "least_interval_s: must be less",
+        "conect: unknown key",
+        "name 'North': a name is of a-z",
+        "run: 'A B' may only contain",
+        "source.path: missing",
+        "results[1].kind: unknown kind 'nobody'",
+        "reading[1].sign: must be 1 or -1",
+        "reading[1]: unit is kW",
+        "reading[2].sigma: must be a finite number",
+        "reading[2]: factor is 0",
+        "reading[2]: meter 'vm@1' stands in reading[1] already",
+        "reading[3].address: missing",
+        "reading[3].colour: unknown key",
+        "reading[3]: meter: 'voltage@1' is no meter id",
+    ):
+        assert expected in text
+    assert "14 problems" in text, text
+    assert "sigma_percent needs sigma" not in text
+
+
+def test_without_a_scenario_everything_else_is_still_checked(write_map: Callable[..., Path]) -> None:
+    twice = READING.format("a", "vm@1", "kV", ""), READING.format("a", "vm@16", "kV", "sigma = -1.0")
+    text = find_problems(write_map(*twice, head='name = "router"\nscenario = "ieee34"\n'))
+    for expected in (
+        "'router' belongs to a process",
+        "scenario: ",
+        "reading[2].sigma",
+        "address 'a' stands in reading[1] already",
+    ):
+        assert expected in text
+    assert "4 problems" in text, text
 
 
 @pytest.mark.parametrize(
@@ -162,7 +207,7 @@ def test_meters_of_another_gateway_are_refused(edited_scenario: Callable[..., Pa
     )
     readings = READING.format("a", "vm@1", "kV", ""), READING.format("b", "p_flow@1:1-2", "kW", "")
     text = find_problems(write_map(*readings, is_edited=True))
-    assert "address 'b': meter p_flow@1:1-2 of area1 is not that of gateway 'north'" in text
+    assert "reading[2]: meter p_flow@1:1-2 of area1 is not that of gateway 'north'" in text
     assert "1 problem" in text
     head = 'name = "south"\nscenario = "edited.toml"\n'
     assert "give run.scan_s there" in find_problems(write_map(*readings, head=head, is_edited=True))
