@@ -67,6 +67,11 @@ class Comparison:
         return [f"left out, {reason}: scan {listed(scans, MOST_NAMED)}" for reason, scans in why.items()]
 
     @property
+    def is_whole(self) -> bool:
+        """Whether all that was recorded has been played, as far as the recording can tell."""
+        return not self.left_out and not self.notes
+
+    @property
     def agrees(self) -> bool:
         """Whether all good states of the scans that were played came out again."""
         largest = np.append(self.largest[[0, 2]], np.radians(self.largest[[1, 3]]))

@@ -24,6 +24,7 @@ from coordinator.interrupts import end_orderly_on_signals
 if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts fast
     from coordinator.replay.ticks import Tick
 
+NOT_WHOLE_CODE = 3  # of a replay that agrees, of a recording with gaps: 2 is that of wrong input
 LINE_S = 1.0  # between two lines of progress
 SPEED = Number(min=0, min_open=True)
 GIGABYTES = Number(min=0, min_open=True)
@@ -92,7 +93,10 @@ def replay(folder: Path, processes: bool, speed: float | None, scenario: str | N
     """Play the readings in FOLDER, as they were used, to the same areas again, and compare what they make of them.
 
     On the simulator the states are those that were recorded, to the bit; of processes, within 1e-9. Scans of which
-    readings are missing are named and left out. Exit code 1: good states did not come out again.
+    readings are missing are named and left out.
+
+    Exit code: 0: the whole recording was played, and all good states came out again; 1: some did not; 3: those of the
+    scans that were played did, but scans were left out, or parts of the recording are lost.
 
     \b
     Examples:  dsse replay recordings/ieee33
@@ -108,7 +112,9 @@ def replay(folder: Path, processes: bool, speed: float | None, scenario: str | N
     began = time.monotonic()
     found = play(folder, other, speed, None if quiet else _Progress().show)
     show(format_replay(found, "processes" if processes else "the simulator", time.monotonic() - began))
-    return 0 if found.agrees else 1
+    if not found.agrees:
+        return 1
+    return 0 if found.is_whole else NOT_WHOLE_CODE
 
 
 class _Progress:
