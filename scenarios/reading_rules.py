@@ -67,6 +67,19 @@ def _ids_by_area(partition: Partition, meters: Sequence[Meter]) -> dict[str, lis
     }
 
 
+def find_gateway_remark(rules: Mapping[str, ReadingRules]) -> str:
+    """Who may not send readings as soon as there are keys, and what to do; empty if nobody is left out.
+
+    Keys are those of names, and ``ANYBODY`` has none. ``rules``: area -> those of its readings.
+    """
+    if not any(ANYBODY in of_area.gateways for of_area in rules.values()):
+        return ""
+    return (
+        'telemetry.source is "live" and there is no [gateways.NAME]: without keys any gateway may send readings, with '
+        f"keys nobody but {LEADER} may; for keys, add a table [gateways.NAME] for each gateway first"
+    )
+
+
 def find_gateway_problems(
     gateways: Mapping[str, GatewayTable], file: ScenarioFile, partition: Partition, meters: Sequence[Meter]
 ) -> Iterator[str]:

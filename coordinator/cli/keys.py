@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from coordinator.cli.terminal import Number, run_id_option, scenario_argument, show
+from coordinator.cli.terminal import Number, run_id_option, say, scenario_argument, show
 from dsse_core.printable import printable
 
 YEAR_DAYS = 365.0
@@ -50,6 +50,7 @@ def create(scenario: str, out: Path, days: float, hosts: tuple[str, ...], run_id
     """
     from coordinator.deployment.certificates import access_of, create_keys
     from coordinator.deployment.split import choose_run_id
+    from scenarios.reading_rules import find_gateway_remark
     from scenarios.scenario import load_scenario
 
     loaded = load_scenario(scenario)
@@ -58,3 +59,5 @@ def create(scenario: str, out: Path, days: float, hosts: tuple[str, ...], run_id
     show(printable(f"{out}: keys of {', '.join(access.names)}, valid for {days:g} days"))
     authority = printable(out / "authority.key")
     show(f"keep {authority} off the hosts; each needs authority.crt and its own processes' .crt and .key")
+    if remark := find_gateway_remark(loaded.reading_rules):
+        say(f"warning: {remark}, then make the keys anew")

@@ -8,6 +8,7 @@ from coordinator.evaluation.verdict import Verdict
 from coordinator.report.grid_text import format_table
 from dsse_core.grid.partition import Area
 from dsse_core.printable import printable, printable_lines
+from scenarios.reading_rules import find_gateway_remark
 from scenarios.scenario import Scenario
 
 TextTable = tuple[tuple[str, ...], list[tuple[str, ...]]]
@@ -105,6 +106,8 @@ def format_check(scenario: Scenario) -> str:
     ]
     meters = partition.meters_by_area(scenario.meters)
     lines += [f"  {_describe_area(area, len(meters[area.name]))}" for area in partition.areas]
+    if remark := find_gateway_remark(scenario.reading_rules):
+        lines.append(f"note: {remark}")
     return "\n".join(map(printable, lines))
 
 
