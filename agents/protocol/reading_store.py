@@ -112,8 +112,9 @@ class ReadingStore:
                 continue
             reading = Reading(value, sigma, (time, gateway, order))
             known = self.newest.get(meter_id)
-            if known is not None and reading.order <= known.order:
-                continue
+            is_behind = known is not None and reading.order <= known.order
+            if known is not None and is_behind and known.time <= wall + self.lead_s:
+                continue  # else the area's clock has been set back: what it took for now is the future
             reason = self.find_refusal(meter_id, gateway, value, sigma, is_valid=is_valid)
             if not reason and time > wall + self.lead_s:
                 reason = AHEAD

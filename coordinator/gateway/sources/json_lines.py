@@ -70,11 +70,12 @@ def take_object(line: str, emit: Emit) -> None:
         emit.refuse(MALFORMED, f"line {line!r:.120}: {error}")
         return
     time, valid = as_time(found.get("time")), as_validity(found.get("valid"))
-    values, address, unit = found.get("values"), found.get("address"), found.get("unit")
+    values, address = found.get("values"), found.get("address")
+    unit = None if found.get("unit") is None else str(found["unit"])
     if isinstance(values, dict) and values:
         for name, value in values.items():
-            emit(name, value, time, valid=valid)
+            emit(name, value, time, valid=valid, unit=unit)
     elif isinstance(address, str) and "value" in found:
-        emit(address, found["value"], time, valid=valid, unit=None if unit is None else str(unit))
+        emit(address, found["value"], time, valid=valid, unit=unit)
     else:
         emit.refuse(MALFORMED, f"line {line!r:.120}: it has neither address and value nor values")

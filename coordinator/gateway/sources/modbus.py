@@ -6,17 +6,21 @@ import asyncio
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
 from pymodbus.client import AsyncModbusTcpClient
+from pymodbus.exceptions import ModbusException
 
 from coordinator.gateway.interface import Emit, Source
 from dsse_core.files.strict_table import Table
 
-REJECTED = "rejected by the device"
+REJECTED, SILENT = "rejected by the device", "no answer"
 ADDRESS = re.compile(r"(?:(?P<device>\d{1,3})/)?(?P<table>holding|input):(?P<register>\d{1,5})(?::(?P<type>\w+))?")
 MOST_REGISTERS = 120  # of one question; the protocol allows 125
+LARGEST_DEVICE, REGISTERS = 255, 2**16
+LONGEST_SILENCE_S = 10.0  # between two questions to a device that does not answer: each keeps the others waiting
 TYPES = {
     "int16": AsyncModbusTcpClient.DATATYPE.INT16,
     "uint16": AsyncModbusTcpClient.DATATYPE.UINT16,
@@ -58,6 +62,19 @@ class _Register:
         return self.device, self.table
 
 
+@dataclass(frozen=True, slots=True)
+class _Silence:
+    """Of a device that has not answered: ``until`` when it is not asked, a pause of ``pause_s`` that grows."""
+
+    until: float
+    pause_s: float
+
+    @classmethod
+    def after(cls, last: _Silence | None, now: float, settings: ModbusSettings) -> _Silence:
+        pause_s = min(2 * last.pause_s, LONGEST_SILENCE_S) if last else settings.period_s
+        return cls(now + pause_s, pause_s)
+
+
 class ModbusSource(Source):
     """An address is ``TABLE:REGISTER:TYPE`` or ``DEVICE/TABLE:REGISTER:TYPE``, the register counted from 0: such as
     ``holding:100:float32``. The time of a reading is that of the answer.
@@ -73,8 +90,10 @@ class ModbusSource(Source):
     @classmethod
     def find_address_problem(cls, address: str) -> str:
         found = ADDRESS.fullmatch(address)
-        if found and (found["type"] or "uint16") in TYPES and int(found["register"]) <= 0xFFFF:
-            return ""
+        if found and (found["type"] or "uint16") in TYPES:
+            register = _parse(address, 0)
+            if register.device <= LARGEST_DEVICE and register.first + register.count <= REGISTERS:
+                return ""
         return f"TABLE:REGISTER:TYPE, such as holding:100:float32 or 3/input:0:int16; types: {', '.join(TYPES)}"
 
     async def read(self, emit: Emit) -> None:
@@ -82,14 +101,26 @@ class ModbusSource(Source):
         client = AsyncModbusTcpClient(
             settings.host, port=settings.port, timeout=settings.timeout_s, retries=0, reconnect_delay=0
         )
+        devices = {device: list(blocks) for device, blocks in groupby(self.blocks, lambda block: block[0].device)}
+        silent: dict[int, _Silence] = {}
         try:
-            if not await client.connect():
-                raise ConnectionError(f"no Modbus device at {settings.host}:{settings.port}")
             loop = asyncio.get_running_loop()
             due = loop.time()
             while True:
-                for block in self.blocks:
-                    await self._read_block(client, block, emit)
+                for device, blocks in devices.items():
+                    if device in silent and loop.time() < silent[device].until:
+                        continue
+                    if not client.connected and not await client.connect():
+                        raise ConnectionError(f"no Modbus device at {settings.host}:{settings.port}")
+                    try:
+                        for block in blocks:
+                            await self._read_block(client, block, emit)
+                        silent.pop(device, None)
+                    except ModbusException as error:
+                        silent[device] = _Silence.after(silent.get(device), loop.time(), settings)
+                        if silent.keys() == devices.keys():
+                            raise
+                        emit.refuse(SILENT, f"device {device}: {error}")
                 due = max(due + settings.period_s, loop.time())
                 await asyncio.sleep(due - loop.time())
         finally:
@@ -99,13 +130,15 @@ class ModbusSource(Source):
         """Read registers that follow one another; where the device rejects them together, each by itself."""
         first, last = block[0], block[-1]
         read = client.read_holding_registers if first.table == "holding" else client.read_input_registers
-        answer = await read(first.first, count=last.first + last.count - first.first, device_id=first.device)
-        if answer.isError():
+        count = last.first + last.count - first.first
+        answer = await read(first.first, count=count, device_id=first.device)
+        if answer.isError() or len(answer.registers) != count:
             if len(block) > 1:
                 for register in block:
                     await self._read_block(client, [register], emit)
             else:
-                emit.refuse(REJECTED, f"address {first.address}: {answer}")
+                found = answer if answer.isError() else f"{len(answer.registers)} registers in place of {count}"
+                emit.refuse(REJECTED, f"address {first.address}: {found}")
             return
         for register in block:
             start = register.first - first.first

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Annotated, Any, Self
 
 from asyncua import ua
 from asyncua.client.client import Client
+from asyncua.ua.attribute_ids import AttributeIds
+from asyncua.ua.status_codes import StatusCodes
 from asyncua.ua.uaerrors import UaError
 from pydantic import Field, model_validator
 
@@ -15,9 +18,12 @@ from coordinator.gateway.interface import Emit, MapPath, Source
 from dsse_core.files.bounded_file import read_text
 from dsse_core.files.strict_table import Table
 
-NOT_THERE = "unknown to the server"
+NOT_THERE, DROPPED = "unknown to the server", "dropped"
 CHECK_S = 1.0  # between two looks whether the server is still there
 WAITING = 100  # values of a node that the server keeps for one message
+SAMPLING_MS = 50.0  # between two looks of the server at a node
+OVERFLOW = 0x480  # of a status: the server had no room for values before this one
+NO_FILTERS = {StatusCodes.BadMonitoredItemFilterUnsupported, StatusCodes.BadFilterNotAllowed}
 
 
 class OpcUaSettings(Table):
@@ -40,8 +46,8 @@ class OpcUaSettings(Table):
 
 
 class OpcUaSource(Source):
-    """An address is the id of a node, ``ns=2;s=Feeder1.P``. The server sends what has changed, with the time of its
-    source and a status; only ``Good`` is vouched for.
+    """An address is the id of a node, ``ns=2;s=Feeder1.P``. The server sends what has changed, a value, its status or
+    the time of its source; only ``Good`` is vouched for.
     """
 
     Settings = OpcUaSettings
@@ -67,14 +73,43 @@ class OpcUaSource(Source):
             nodes: dict[Any, str] = {client.get_node(address): address for address in self.addresses}
             handler = _Handler(nodes, emit)
             subscription = await client.create_subscription(1000 * settings.interval_s, handler)
-            asked: list[Any] = list(nodes)
-            results = await subscription.subscribe_data_change(asked, queuesize=WAITING)
-            for address, result in zip(nodes.values(), results, strict=True):
-                if isinstance(result, ua.StatusCode):
-                    emit.refuse(NOT_THERE, f"address {address}: {result.name}")
+            for node, status in (await _subscribe(subscription, list(nodes))).items():
+                emit.refuse(NOT_THERE, f"address {nodes[node]}: {status.name}")
             while True:
                 await asyncio.sleep(CHECK_S)
                 await client.check_connection()
+
+
+async def _subscribe(subscription: Any, nodes: Sequence[Any]) -> dict[Any, Any]:
+    """Have the server send what is new of ``nodes``; why it does not, of those of which it does not.
+
+    By default a server sends a value that is other than the last. That a meter has read the same again, only the time
+    tells; where a server cannot look at that, what it sends by default is better than nothing.
+    """
+    by_time = ua.DataChangeFilter(Trigger=ua.DataChangeTrigger.StatusValueTimestamp)
+    refused = await _monitor(subscription, nodes, by_time, first=0)
+    without_filters = [node for node, status in refused.items() if status.value in NO_FILTERS]
+    for node in without_filters:
+        del refused[node]
+    if without_filters:
+        refused |= await _monitor(subscription, without_filters, None, first=len(nodes))
+    return refused
+
+
+async def _monitor(subscription: Any, nodes: Sequence[Any], only: Any, first: int) -> dict[Any, Any]:
+    """The statuses of those of ``nodes`` that cannot be monitored; ``first``: number of the first of them."""
+    requests = [
+        ua.MonitoredItemCreateRequest(
+            ItemToMonitor=ua.ReadValueId(NodeId=node.nodeid, AttributeId=AttributeIds.Value),
+            MonitoringMode=ua.MonitoringMode.Reporting,
+            RequestedParameters=ua.MonitoringParameters(
+                ClientHandle=number, SamplingInterval=SAMPLING_MS, Filter=only, QueueSize=WAITING
+            ),
+        )
+        for number, node in enumerate(nodes, start=first + 1)
+    ]
+    results = await subscription.create_monitored_items(requests) if requests else []
+    return {node: found for node, found in zip(nodes, results, strict=True) if isinstance(found, ua.StatusCode)}
 
 
 class _Handler:
@@ -91,4 +126,6 @@ class _Handler:
         valid = found.StatusCode is None or found.StatusCode.is_good()
         if not valid and value is None:
             value = 0.0  # a bad value need not be there
+        if found.StatusCode is not None and found.StatusCode.value & OVERFLOW == OVERFLOW:
+            self.emit.refuse(DROPPED, f"address {self.nodes[node]}: the server had no room for values before this one")
         self.emit(self.nodes[node], value, time, valid=valid)

@@ -155,6 +155,16 @@ def test_a_reading_left_in_the_future_by_a_clock_that_was_set_back_is_not_used()
     assert VM not in readings.ages.times
 
 
+def test_readings_taken_before_all_clocks_were_set_back_do_not_keep_out_those_that_come_after():
+    store = ReadingStore(AREA)
+    store.take(message([(VM, 1.0, 3600.0)]), NOW + 3600.0)
+    assert store.take(message([(VM, 1.1, 0.0)], sequence=2), NOW)
+    readings = taken(store)
+    assert store.newest[VM].value == 1.1
+    assert readings.refused == {}
+    assert VM in readings.ages.times
+
+
 def test_a_gateway_cannot_speak_for_the_meter_of_another():
     store = ReadingStore(content({"substation": (VM,), "feeder": (FLOW,)}))
     store.take(message([(VM, 9.0, 0.0), (FLOW, 0.2, 0.0), ("vm@999", 1.0, 0.0)], "feeder"), NOW)

@@ -54,6 +54,13 @@ def test_it_reads_both_forms_and_refuses_what_is_none(stdin, recorder, run) -> N
     assert "'address' stands twice" in recorder.refused[3][1]
 
 
+def test_a_unit_stated_for_many_values_is_that_of_each(stdin, recorder, run) -> None:
+    stdin.write(b'{"unit": "MW", "values": {"U1": 1, "U2": 2}}\n')
+    stdin.close()
+    run(make_source().read(recorder))
+    assert [(address, unit) for address, *_, unit in recorder.readings] == [("U1", "MW"), ("U2", "MW")]
+
+
 def test_while_a_flood_comes_in_others_can_work_and_nothing_is_lost(stdin, recorder, run) -> None:
     count, turns = 50_000, 0
 

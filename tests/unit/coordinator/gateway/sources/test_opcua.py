@@ -5,12 +5,14 @@ from __future__ import annotations
 import contextlib
 from collections.abc import AsyncIterator
 from datetime import UTC, datetime
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from asyncua import Server, ua
+from asyncua.server.monitored_item_service import MonitoredItemService
 
-from coordinator.gateway.sources.opcua import OpcUaSettings, OpcUaSource
+from coordinator.gateway.sources.opcua import OpcUaSettings, OpcUaSource, _Handler
 
 pytestmark = pytest.mark.long
 
@@ -56,6 +58,54 @@ def test_values_come_with_their_time_and_status(free_port: int, recorder, readin
     assert len(recorder.refused) == 1
     assert recorder.refused[0][0] == "unknown to the server"
     assert "ns=2;s=none" in recorder.refused[0][1]
+
+
+def test_a_value_that_is_read_again_and_has_not_changed_is_a_reading(free_port: int, recorder, reading, run) -> None:
+    times = [datetime(2027, 1, 15, 8, 0, second, tzinfo=UTC) for second in range(3)]
+
+    async def test() -> None:
+        async with server(free_port) as nodes, reading(make_source(free_port, "u"), recorder):
+            await recorder.wait_until(lambda: len(recorder.readings) == 1)
+            for k, at in enumerate(times, start=2):
+                value = ua.DataValue(ua.Variant(12.6), SourceTimestamp=at.replace(tzinfo=None))
+                await nodes["u"].write_value(value)
+                await recorder.wait_until(lambda k=k: len(recorder.readings) == k)
+
+    run(test())
+    assert [reading[2] for reading in recorder.readings[1:]] == [at.timestamp() for at in times]
+
+
+def test_a_server_that_cannot_tell_new_times_tells_new_values(
+    free_port: int, recorder, reading, run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    create = MonitoredItemService._create_data_change_monitored_item
+
+    async def reject_filters(self: Any, params: Any) -> Any:
+        if not isinstance(params.RequestedParameters.Filter, ua.DataChangeFilter):
+            return await create(self, params)
+        unsupported = ua.StatusCode(ua.StatusCodes.BadMonitoredItemFilterUnsupported)
+        return ua.MonitoredItemCreateResult(StatusCode=unsupported)
+
+    monkeypatch.setattr(MonitoredItemService, "_create_data_change_monitored_item", reject_filters)
+
+    async def test() -> None:
+        async with server(free_port) as nodes, reading(make_source(free_port, "u", "none"), recorder):
+            await recorder.wait_until(lambda: len(recorder.readings) == 1)
+            await nodes["u"].write_value(12.7)
+            await recorder.wait_until(lambda: 12.7 in recorder.values_of("ns=2;s=u"))
+
+    run(test())
+    assert [reason for reason, _ in recorder.refused] == ["unknown to the server"]
+
+
+def test_values_that_a_server_had_no_room_for_are_counted(recorder) -> None:
+    item = ua.MonitoredItemNotification(Value=ua.DataValue(ua.Variant(1.0), ua.StatusCode(0x480)))
+    node = object()
+    handler = _Handler({node: "ns=2;s=u"}, recorder)
+    handler.datachange_notification(node, 1.0, SimpleNamespace(monitored_item=item))
+    assert recorder.values_of("ns=2;s=u") == [1.0]
+    assert recorder.readings[0][3]
+    assert [reason for reason, _ in recorder.refused] == ["dropped"]
 
 
 def test_a_server_that_goes_is_an_error(free_port: int, error_of_losing, run) -> None:
