@@ -37,6 +37,7 @@ def flows(
         raise click.UsageError("--json and --csv both print on standard output; give one of them")
     from agents.area_files.reader import load_area_file
     from agents.strategies.installed import list_strategies
+    from coordinator.cli.live.address import RunAddress
     from coordinator.cli.live.session import attach, wait_for_state
     from coordinator.evaluation.table_files import format_csv, rows_as_json
     from coordinator.observe.area_flows import make_area_flows
@@ -46,7 +47,7 @@ def flows(
     content = load_area_file(area_file, list_strategies())
     name, direct = content.area.name, bool(content.listen)
     chosen = endpoints or (content.listen if direct else content.endpoints)
-    with attach(chosen, content.run, timeout, keys, direct) as look:
+    with attach(RunAddress(chosen, content.run, timeout, keys, direct)) as look:
         watcher = wait_for_state(look, name, timeout)
     view = next((area for area in watcher.look(time.monotonic()).areas if area.name == name), None)
     state = watcher.state_of(name)

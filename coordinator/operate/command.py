@@ -10,11 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from coordinator.cli.live.address import RunAddress
 from coordinator.cli.terminal import (
     bus_timeout_option,
     choose_endpoints,
     connect_option,
+    direct_option,
     keys_option,
+    run_option,
     say,
     show,
 )
@@ -32,11 +35,9 @@ def operator_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Where the system is; the command gets ``join``, which joins it as its operator."""
 
     @connect_option()
-    @click.option("--direct", is_flag=True, help="There is no router: link with the endpoint of every area.")
+    @direct_option
     @keys_option
-    @click.option(
-        "--run", "run_id", help="Name of the run.  [default: the only one on the bus; with --keys the one named there]"
-    )
+    @run_option
     @bus_timeout_option
     @functools.wraps(command)
     def with_operator(
@@ -55,7 +56,8 @@ def operator_options(command: Callable[..., Any]) -> Callable[..., Any]:
             end_orderly_on_signals()
             if keys is None:
                 say(UNSECURED)
-            with operate(choose_endpoints(endpoints, keys is not None), run_id, timeout, keys, direct) as operator:
+            chosen = choose_endpoints(endpoints, keys is not None)
+            with operate(RunAddress(chosen, run_id, timeout, keys, direct)) as operator:
                 if operator.absent:
                     say(f"not on the bus, and not reached: {', '.join(operator.absent)}")
                 yield operator

@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from agents.messages.keys import command_key
 from agents.messages.packing import CommandMessage, Header, Incarnation, StateMessage, encode
@@ -14,6 +13,7 @@ from agents.orders.order_book import REPLAYED, TOO_EARLY, TOO_OLD, UNRECORDED
 from agents.runtime.presence import begin_incarnation
 from agents.security.access import OPERATOR, PLANT
 from agents.transport.zenoh_bus import Session
+from coordinator.cli.live.address import RunAddress
 from coordinator.cli.live.session import STEP_S, Look, attach, wait_until_whole
 from coordinator.observe.watch import Watcher
 from dsse_core.errors import DsseError, InvalidInputError
@@ -44,19 +44,16 @@ class _Order:
 
 
 @contextmanager
-def operate(
-    endpoints: Sequence[str], run: str | None, timeout_s: float, keys: Path | None = None, direct: bool = False
-) -> Iterator[Operator]:
-    """Join the bus as the operator of ``run``, and wait until all areas that are there have shown their states.
-
-    For the arguments see ``attach``; ``keys``: folder of the operator's credentials.
+def operate(address: RunAddress) -> Iterator[Operator]:
+    """Join the bus as the operator of a run, and wait until all areas that are there have shown their states.
 
     Raises:
-        InvalidInputError: ``keys`` cannot be used, or ``run`` is no name of a run.
+        InvalidInputError: the operator's keys cannot be used, or ``address.run`` is no name of a run.
         TransportError: no endpoint answers in time, no run or several are there.
         NotFollowedError: no area is there, or one says nothing.
     """
-    with attach(endpoints, run, timeout_s, keys, direct, OPERATOR) as look:
+    timeout_s = address.timeout_s
+    with attach(address, OPERATOR) as look:
         watcher = wait_until_whole(look, timeout_s)
         if watcher.names_of("area"):
             _wait_for_neighbours(look, min(timeout_s, LINK_S))

@@ -6,6 +6,7 @@ import pytest
 
 from agents.messages.packing import WIRE_VERSION
 from agents.transport.zenoh_bus import Session, TransportError
+from coordinator.cli.live.address import RunAddress
 from coordinator.cli.live.session import attach
 
 FORMER, LATER = WIRE_VERSION - 1, WIRE_VERSION + 1
@@ -24,14 +25,14 @@ def test_a_watcher_does_not_say_that_nobody_is_there_where_another_wire_version_
     show(version)
     with (
         pytest.raises(TransportError, match=f"run old speaks wire version {version}, this is version .*{upgrade}"),
-        attach(router.endpoints, None, 20.0),
+        attach(RunAddress(router.endpoints, None, 20.0)),
     ):
         pass
 
 
 def test_a_watcher_of_a_named_run_names_its_areas_of_another_wire_version(router, show):
     show(FORMER)
-    with attach(router.endpoints, "old", 20.0) as look:
+    with attach(RunAddress(router.endpoints, "old", 20.0)) as look:
         looks = (look(0.05) for _ in range(400))
         seen = next(found for watcher in looks if (found := watcher.look(0.0).other_versions))
     assert seen == (f"area area1 speaks wire version {FORMER}, this is version {WIRE_VERSION}: upgrade the other side",)

@@ -8,17 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from coordinator.cli.terminal import (
-    DEFAULT_ENDPOINT,
-    Number,
-    bus_timeout_option,
-    choose_endpoints,
-    connect_option,
-    keys_option,
-    quiet_option,
-    say,
-    show,
-)
+from coordinator.cli.live.address import RunAddress, address_options
+from coordinator.cli.terminal import DEFAULT_ENDPOINT, Number, quiet_option, say, show
 from coordinator.interrupts import end_orderly_on_signals
 
 if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts fast
@@ -26,29 +17,15 @@ if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts
 
 NOT_WHOLE_CODE = 3  # of a replay that agrees, of a recording with gaps: 2 is that of wrong input
 LINE_S = 1.0  # between two lines of progress
-SPEED = Number(min=0, min_open=True)
-GIGABYTES = Number(min=0, min_open=True)
+ABOVE_ZERO = Number(min=0, min_open=True)
 
 
 @click.command(short_help="Record what a running system uses and shows.")
-@connect_option()
-@click.option("--direct", is_flag=True, help="There is no router: link with the endpoint of every area.")
-@keys_option
-@click.option("--run", "run_id", help="Name of the run.  [default: the only one; with --keys the one named there]")
+@address_options
 @click.option("--out", type=click.Path(path_type=Path), help="Folder, new or of this run.  [default: recordings/RUN]")
-@click.option("--limit-gb", type=GIGABYTES, metavar="GB", help="Remove the oldest hours beyond so many GiB.")
+@click.option("--limit-gb", type=ABOVE_ZERO, metavar="GB", help="Remove the oldest hours beyond so many GiB.")
 @click.option("--scenario", metavar="NAME|FILE", help="What the areas were split from: adds kV, kW, A, and replay.")
-@bus_timeout_option
-def record(
-    endpoints: tuple[str, ...],
-    direct: bool,
-    keys: Path | None,
-    run_id: str | None,
-    out: Path | None,
-    limit_gb: float | None,
-    scenario: str | None,
-    timeout: float,
-) -> int:
+def record(address: RunAddress, out: Path | None, limit_gb: float | None, scenario: str | None) -> int:
     """Record readings, states, commands and presence of a running system until Ctrl-C: a log that survives kill -9.
 
     What has ended, each hour, becomes Parquet: readings, states, buses, branches, events. Start it again in the same
@@ -68,7 +45,7 @@ def record(
 
     start_log()
     prepared = None if scenario is None else choose_scenario(scenario)
-    with join_run(choose_endpoints(endpoints, keys is not None), run_id, timeout, keys, direct) as (session, run):
+    with join_run(address) as (session, run):
         folder = out or Path("recordings") / run
         files = [] if prepared is None else area_files(prepared, run, [DEFAULT_ENDPOINT])
 
@@ -85,7 +62,7 @@ def record(
 @click.argument("folder", metavar="FOLDER", type=click.Path(path_type=Path))
 @click.option("--processes", is_flag=True, help="On a router and agents of its own instead of the simulator.")
 @click.option(
-    "--speed", type=SPEED, metavar="X", help="So many times as fast as recorded.  [default: as fast as it goes]"
+    "--speed", type=ABOVE_ZERO, metavar="X", help="So many times as fast as recorded.  [default: as fast as it goes]"
 )
 @click.option("--scenario", metavar="NAME|FILE", help="Areas of this scenario instead of the recorded ones.")
 @quiet_option

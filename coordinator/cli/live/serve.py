@@ -10,17 +10,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from coordinator.cli.terminal import (
-    bus_timeout_option,
-    choose_endpoints,
-    connect_option,
-    direct_option,
-    keys_option,
-    run_option,
-    say,
-    set_option,
-    show,
-)
+from coordinator.cli.live.address import RunAddress, address_options
+from coordinator.cli.terminal import say, set_option, show
 from coordinator.interrupts import end_orderly_on_signals
 from dsse_core.errors import InvalidInputError
 
@@ -40,11 +31,7 @@ if TYPE_CHECKING:  # the real imports stand in the command, so that every other 
 @click.option("--tls-key", type=click.Path(path_type=Path), help="Its private key (PEM).")
 @click.option("--token-file", type=click.Path(path_type=Path), help="Who opens the page shows the token in this file.")
 @click.option("--name", "names", multiple=True, help="Name under which browsers ask for this host; repeatable.")
-@connect_option()
-@direct_option
-@keys_option
-@run_option
-@bus_timeout_option
+@address_options
 def serve(
     scenario: str | None,
     is_simulated: bool,
@@ -55,11 +42,7 @@ def serve(
     tls_key: Path | None,
     token_file: Path | None,
     names: tuple[str, ...],
-    endpoints: tuple[str, ...],
-    direct: bool,
-    keys: Path | None,
-    run_id: str | None,
-    timeout: float,
+    address: RunAddress,
 ) -> int:
     """Serve a page: the feeder coloured by voltage, profile, meters, areas and their reasons, events, history.
 
@@ -89,8 +72,7 @@ def serve(
         elif recording is not None:
             sources = _recorded(recording, scenario, changes)
         else:
-            chosen = choose_endpoints(endpoints, keys is not None)
-            sources = _live(scenario, changes, chosen, run_id, timeout, keys, direct)
+            sources = _live(scenario, changes, address)
         with sources as source:
             serve_source(source, place, names, lambda url: show(f"open {url}"))
     except KeyboardInterrupt:
@@ -131,15 +113,7 @@ def _recorded(folder: Path, scenario: str | None, changes: Mapping[str, object])
 
 
 @contextmanager
-def _live(
-    scenario: str | None,
-    changes: Mapping[str, object],
-    endpoints: tuple[str, ...],
-    run_id: str | None,
-    timeout: float,
-    keys: Path | None,
-    direct: bool,
-) -> Iterator[Source]:
+def _live(scenario: str | None, changes: Mapping[str, object], address: RunAddress) -> Iterator[Source]:
     from coordinator.cli.live.session import attach
     from coordinator.evaluation.evaluation import choose_scenario
     from coordinator.observe.grid_tables import GridTables
@@ -147,7 +121,7 @@ def _live(
 
     known = GridTables(choose_scenario(scenario, changes=changes)) if scenario else None
     areas = frozenset(area.name for area in known.partition.areas) if known else None
-    with attach(endpoints, run_id, timeout, keys, direct, areas=areas) as look:
+    with attach(address, areas=areas) as look:
         source = LiveSource(look, known, look(0.0).run)
         source.start()
         try:

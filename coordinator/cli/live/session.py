@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -25,6 +25,7 @@ from agents.security.access import COORDINATOR, WATCHER
 from agents.security.credential_files import credentials_in
 from agents.security.credentials import load_keys
 from agents.transport.zenoh_bus import Session, TransportError
+from coordinator.cli.live.address import RunAddress
 from coordinator.deployment.split import check_run_id
 from coordinator.observe.watch import Watcher
 from coordinator.process_run.processes import Updates
@@ -68,53 +69,34 @@ class Look:
 
 
 @contextmanager
-def join_run(
-    endpoints: Sequence[str],
-    run: str | None,
-    timeout_s: float,
-    keys: Path | None = None,
-    direct: bool = False,
-    name: str = "",
-) -> Iterator[tuple[Session, str]]:
-    """Join the bus at ``endpoints`` as a mere listener of ``run``, or of the only run that is there; which that is.
+def join_run(address: RunAddress, name: str = "") -> Iterator[tuple[Session, str]]:
+    """Join the bus as a mere listener of a run; the session, and the name of the run.
 
-    ``keys``: folder of the watcher's or the coordinator's credentials; it names the run, too, unless ``run`` is given.
-    ``direct``: ``endpoints`` are those of all areas, and there is no router. ``name``: whose credentials instead.
+    ``name``: whose credentials to use; without it those of the watcher or of the coordinator.
 
     Raises:
-        InvalidInputError: ``keys`` cannot be used, or ``run`` is no name of a run.
+        InvalidInputError: the keys cannot be used, or ``address.run`` is no name of a run.
         TransportError: no endpoint answers in time, no run or several are there.
     """
-    run = check_run_id(run) if run is not None else None
-    loaded = load_keys(keys, name or _find_own_name(keys), run) if keys else None
-    run = loaded.access.run if loaded else run
-    with Session.join(endpoints, timeout_s, loaded, direct=direct) as session:
-        yield session, run or _find_run(session, timeout_s)
+    run = check_run_id(address.run) if address.run is not None else None
+    keys = load_keys(address.keys, name or _find_own_name(address.keys), run) if address.keys else None
+    run = keys.access.run if keys else run
+    with Session.join(address.endpoints, address.timeout_s, keys, direct=address.direct) as session:
+        yield session, run or _find_run(session, address.timeout_s)
 
 
 @contextmanager
-def attach(
-    endpoints: Sequence[str],
-    run: str | None,
-    timeout_s: float,
-    keys: Path | None = None,
-    direct: bool = False,
-    name: str = "",
-    areas: frozenset[str] | None = None,
-) -> Iterator[Look]:
+def attach(address: RunAddress, name: str = "", areas: frozenset[str] | None = None) -> Iterator[Look]:
     """Watch a run, of which nothing but ``areas`` are areas if they are given; the other arguments and what is raised
     are those of ``join_run``.
     """
-    with join_run(endpoints, run, timeout_s, keys, direct, name) as (session, run):
+    with join_run(address, name) as (session, run):
         watcher, updates = Watcher(run, areas), Updates()
         session.subscribe(all_states(run), lambda key, payload: updates.offer(_decoded(key, payload)))
         session.subscribe(all_readings(run), lambda key, payload: updates.offer(_decoded(key, payload)))
         session.subscribe(all_live(run), lambda key, payload: updates.offer((key, read_leave(payload)), said_once=True))
-        all_tokens = (
-            all_live(run) if session.keys else all_live_of_any_version(run)
-        )  # keys let nobody see other versions
-        session.watch_presence(all_tokens, lambda key, alive: updates.offer((key, alive), said_once=True))
-
+        all_tokens = all_live_of_any_version if session.keys is None else all_live  # keys show nobody other versions
+        session.watch_presence(all_tokens(run), lambda key, alive: updates.offer((key, alive), said_once=True))
         yield Look(watcher, updates, session)
 
 
@@ -130,11 +112,13 @@ def wait_until_whole(look: Look, timeout_s: float, *, with_readings: bool = Fals
     Areas repeat their readings in longer intervals than their states.
     """
     deadline = time.monotonic() + (max(timeout_s, LONGEST_WAIT_S) if with_readings else timeout_s)
-    while time.monotonic() < deadline:
-        watcher = look(STEP_S)
-        if watcher.is_whole() and (not with_readings or watcher.readings.keys() >= watcher.states.keys()):
-            break
+    while not _is_whole(watcher := look(STEP_S), with_readings) and time.monotonic() < deadline:
+        pass
     return watcher
+
+
+def _is_whole(watcher: Watcher, with_readings: bool) -> bool:
+    return watcher.is_whole() and (not with_readings or watcher.readings.keys() >= watcher.states.keys())
 
 
 def wait_for_state(look: Look, area: str, timeout_s: float) -> Watcher:

@@ -11,15 +11,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from coordinator.cli.terminal import (
-    bus_timeout_option,
-    choose_endpoints,
-    connect_option,
-    direct_option,
-    keys_option,
-    run_option,
-    show,
-)
+from coordinator.cli.live.address import RunAddress, address_options
+from coordinator.cli.terminal import choose_endpoints, connect_option, direct_option, keys_option, run_option, show
 from coordinator.interrupts import end_orderly_on_signals
 
 if TYPE_CHECKING:  # the real imports stand in the command, so that every other starts fast
@@ -35,28 +28,13 @@ ATTEMPT_S = 2.0  # to reach the bus; `dsse metrics` answers questions meanwhile,
 
 
 @click.command(short_help="Watch a running system from outside.")
-@connect_option()
-@direct_option
-@keys_option
-@run_option
+@address_options
 @click.option("--grid", metavar="SCENARIO", help="Its network and meters: kV and kW, and meters that are silent.")
 @click.option("--buses", is_flag=True, help="Show the voltage of every bus, too.")
 @click.option("--meters", is_flag=True, help="Show every reading and its normalised residual, too.")
 @click.option("--once", is_flag=True, help="Show it once, when all areas that are there have been received, and end.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line.")
-@bus_timeout_option
-def watch(
-    endpoints: tuple[str, ...],
-    direct: bool,
-    keys: Path | None,
-    run_id: str | None,
-    grid: str | None,
-    buses: bool,
-    meters: bool,
-    once: bool,
-    as_json: bool,
-    timeout: float,
-) -> int:
+def watch(address: RunAddress, grid: str | None, buses: bool, meters: bool, once: bool, as_json: bool) -> int:
     """Watch the areas of a running system, started by any command: how good their estimates are, and why not better.
 
     A line for each area: quality, scan, age, range of voltages, and the meter of the largest normalised
@@ -74,9 +52,9 @@ def watch(
     end_orderly_on_signals()
     find_tables = _tables_of(grid, buses or as_json, meters or as_json)
     try:
-        with attach(choose_endpoints(endpoints, keys is not None), run_id, timeout, keys, direct) as look:
+        with attach(address) as look:
             if once:
-                watcher = wait_until_whole(look, timeout, with_readings=meters)
+                watcher = wait_until_whole(look, address.timeout_s, with_readings=meters)
                 show(_format(watcher, find_tables, as_json))
                 return 0 if watcher.is_whole() else 1
             live = sys.stdout.isatty() and not as_json
@@ -164,9 +142,9 @@ def metrics(listen: str, endpoints: tuple[str, ...], direct: bool, keys: Path | 
     from coordinator.metrics.page import MetricsPage, parse_listen
 
     start_log()
-    chosen = choose_endpoints(endpoints, keys is not None)
+    address = RunAddress(choose_endpoints(endpoints, keys is not None), run_id, ATTEMPT_S, keys, direct)
     with MetricsPage(*parse_listen(listen)) as page:
-        serve_metrics(page, lambda: attach(chosen, run_id, ATTEMPT_S, keys, direct), keys is not None)
+        serve_metrics(page, lambda: attach(address), renews=keys is not None)
     return 0
 
 

@@ -16,6 +16,7 @@ from system_by_hand import SystemByHand, Watcher
 from tcp_fault_proxy import TcpFaultProxy
 from waiting import DEADLINE_S, wait_until
 
+from coordinator.cli.live.address import RunAddress
 from coordinator.cli.live.session import attach
 from coordinator.deployment.split import write_area_files
 from coordinator.evaluation.comparison import Gap
@@ -155,7 +156,7 @@ def test_a_black_hole_between_routers_is_noticed_and_everybody_is_on_the_new_sca
     system.between.black_hole()
     watcher.wait_until(lambda: all(GONE in watcher.states[area].notes for area in THERE))
     system.replace_plant(after=old)
-    with attach([system.here], RUN, DEADLINE_S) as here:
+    with attach(RunAddress([system.here], RUN, DEADLINE_S)) as here:
         wait_until(lambda: (state := here(0.05).state_of("area1")) is not None and state.header.scan > old)
     assert all(watcher.states[area].header.scan == old for area in THERE)
     system.between.heal()

@@ -18,6 +18,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from waiting import DEADLINE_S
 
 from agents.messages.packing import StateMessage
+from coordinator.cli.live.address import RunAddress
 from coordinator.cli.live.session import Look, attach
 from coordinator.observe.watch import AreaView
 from coordinator.recording.parquet import read_rows
@@ -80,7 +81,7 @@ class Monitors:
 def monitored_feeder(folder: Path) -> Iterator[Monitors]:
     with running_feeder(folder) as feeder:
         feeder.start()
-        with attach([feeder.endpoint], feeder.scenario.name, DEADLINE_S) as look:
+        with attach(RunAddress([feeder.endpoint], feeder.scenario.name, DEADLINE_S)) as look:
             monitors = Monitors(feeder, look)
             monitors.wait_until("all areas are good", monitors.all_good)
             monitors.wait_until("the metrics are ready", lambda: monitors.page("ready")[0] == 200)
