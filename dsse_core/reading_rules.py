@@ -17,6 +17,8 @@ LEADER = "plant"
 ANYBODY = "*"  # in place of a gateway's name, which none has
 OLDEST_INTERVALS = 5  # after which a reading is left out, unless the rule of its kind says otherwise
 OVERDUE_INTERVALS = 2  # after which it is overdue
+LEAST_LEAD_S = 1.0  # by which a reading may be ahead of the clock of who receives it, or
+LEAD_SHARE = 1 / 4  # of the time between two scans, if that is more
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +66,11 @@ class KindRule:
 
 
 NO_RULE = KindRule()
+
+
+def allowed_lead_s(scan_s: float | None) -> float:
+    """By how much the time of a reading may be ahead of the clock of who receives it, s; ``scan_s``: between scans."""
+    return max(LEAST_LEAD_S, LEAD_SHARE * (scan_s or 0.0))
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,10 +13,8 @@ from agents.area_files.area_file import AreaFile
 from agents.messages.packing import Incarnation, TelemetryMessage
 from agents.peers.rejections import find_reading_rejection
 from dsse_core.grid.measurement import Meter, Source
-from dsse_core.reading_rules import ANYBODY, KindRule
+from dsse_core.reading_rules import ANYBODY, KindRule, allowed_lead_s
 
-LEAST_LEAD_S = 1.0  # by which a reading may be ahead of the area's clock, or
-LEAD_SHARE = 1 / 4  # of the time between two scans, if that is more
 INVALID = "marked invalid"  # a reason of refusal
 AHEAD = "time in the future"  # another
 UNKNOWN, NOT_ITS_METER = OF_THE_SENDER = "unknown meter", "meter of another gateway"  # of whom no meter is to blame
@@ -49,7 +47,7 @@ class ReadingStore:
         self.refused: dict[str, str] = {}
         self.rejected: Counter[str] = Counter()
         self.off: frozenset[str] = frozenset()
-        self.lead_s = max(LEAST_LEAD_S, LEAD_SHARE * (content.scan_s or 0.0))
+        self.lead_s = allowed_lead_s(content.scan_s)
         self._rules = content.readings
         self._meters = {meter.id: meter for meter in content.meters if meter.source is not Source.VIRTUAL}
         self._taken: dict[str, tuple[Incarnation, int]] = {}  # gateway -> its last message

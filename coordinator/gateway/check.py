@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from coordinator.gateway import counts as reasons
 from coordinator.gateway.counts import Counts
-from coordinator.gateway.gateway import ahead_of, read_source
+from coordinator.gateway.gateway import read_source
 from coordinator.gateway.intake import Intake, Reading
 from coordinator.gateway.maps.map_file import GatewayMap
 from coordinator.gateway.maps.points import Point
@@ -20,6 +20,7 @@ from coordinator.report.grid_text import format_table
 from dsse_core.errors import PowerFlowDivergedError
 from dsse_core.grid.measurement import Source
 from dsse_core.printable import listed, printable
+from dsse_core.reading_rules import allowed_lead_s
 
 MOST_ROWS = 200
 MOST_NAMED = 12
@@ -38,7 +39,8 @@ def check_map(content: GatewayMap, duration_s: float) -> CheckReport:
     """Read the source of a map for ``duration_s``, or until it ends, publishing nothing."""
     if content.source is None:
         return CheckReport("the map has no [source]; nothing to read", True)
-    intake = Intake(content.points, time.time, ahead_of(content), Counts(say=_say_nothing))
+    lead_s = allowed_lead_s(content.scenario.run.scan_s)
+    intake = Intake(content.points, time.time, lead_s, Counts(say=_say_nothing))
     link = Link("source", say=_say_nothing)
     asyncio.run(_read_for(duration_s, content, intake, link))
     newest = {meter: reading for part in intake.newest.values() for meter, reading in part.items()}

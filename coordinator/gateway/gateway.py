@@ -26,6 +26,7 @@ from coordinator.gateway.reconnection import Link, keep_on
 from coordinator.gateway.results import ResultQueue
 from dsse_core.errors import DsseError
 from dsse_core.files.drafts import whole_file
+from dsse_core.reading_rules import allowed_lead_s
 
 log = logging.getLogger(__name__)
 STATUS_S = 1.0  # between two status files, and
@@ -71,7 +72,7 @@ class _Gateway:
     async def serve(self, renews: bool) -> None:
         """Until a signal, the end of the source, or another process of our name, with which it raises ReplacedError."""
         content = self.content
-        self.intake = Intake(content.points, time.time, ahead_of(content))
+        self.intake = Intake(content.points, time.time, allowed_lead_s(content.scenario.run.scan_s))
         publisher = self._make_publisher()
         ended = asyncio.Event()
         self._on_signals(ended, renews)
@@ -190,11 +191,6 @@ class _Gateway:
             if (problem := error.strerror or str(error)) != self._status_problem:
                 log.warning("status file %s: %s", self.status_file, problem)
             self._status_problem = problem
-
-
-def ahead_of(content: GatewayMap) -> float:
-    """By how much a reading may be ahead of the clock of this host, s: what areas allow, too."""
-    return max(1.0, (content.scenario.run.scan_s or 0.0) / 4)
 
 
 async def read_source(source: SourceOf, intake: Intake, link: Link) -> None:

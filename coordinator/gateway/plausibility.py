@@ -156,13 +156,13 @@ def _explain(
             break
         best = max(gain for gain, _, _ in found)
         first = next((meter, factor) for gain, meter, factor in found if gain == best)
-        mended = [b for b in of_meter[first[0]] if b.find_excess(now) > 0 >= b.find_excess(now, *first)]
+        explained = [b for b in of_meter[first[0]] if b.find_excess(now) > 0 >= b.find_excess(now, *first)]
         equal = [
             (meter, factor)
             for gain, meter, factor in found
-            if gain == best and any(meter in dict(balance.terms) for balance in mended)
+            if gain == best and any(meter in dict(balance.terms) for balance in explained)
         ]
-        places = " and ".join(balance.place for balance in mended)
+        places = " and ".join(balance.place for balance in explained)
         for meter, factor in equal:
             others = [other for other, _ in equal if other != meter]
             instead = f", or that of {' or '.join(others)}" if others else ""
@@ -170,8 +170,7 @@ def _explain(
         meter, factor = first
         read = now[meter]
         now[meter] = replace(read, value=read.value * factor)
-    suspected = {meter for meter in suspects}
-    unexplained = [b.place for b in missed if not suspected & dict(b.terms).keys()]
+    unexplained = [b.place for b in missed if not suspects.keys() & dict(b.terms).keys()]
     return suspects, unexplained, now
 
 

@@ -54,8 +54,6 @@ class Publisher:
             timer.cancel()
         for area in list(self._timers):
             self._publish(area, None)
-        for timer in self._repeats.values():
-            timer.cancel()
 
     def _publish(self, area: str, repeats: int | None) -> None:
         """``repeats``: of ``repeats_s`` the one that follows; None: none."""

@@ -28,7 +28,3 @@ class LineCutter:
                 yield line.rstrip(b"\r").decode("utf-8", "replace")
         if len(self._rest) > LONGEST_LINE:
             self._rest, self._is_skipping = b"", True
-
-    def forget(self) -> None:
-        """Begin anew, with another file."""
-        self._rest, self._is_skipping = b"", False
