@@ -2,8 +2,8 @@
 
 ``run``, ``simulate``, ``compare`` and ``sweep`` do what the commands of ``dsse`` do; ``estimate`` and ``power_flow``
 give what a control centre would know and what is true, ``estimate_batch`` estimates many scans at once. Results have
-the tables ``buses``, ``branches``, ``meters`` and
-``areas``: columns by name, ``to_pandas()``. Everything is imported when it is first used.
+the tables ``buses``, ``branches``, ``meters`` and ``areas``: columns by name, ``to_pandas()``. Everything is imported
+when it is first used.
 """
 
 from __future__ import annotations

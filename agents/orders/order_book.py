@@ -1,7 +1,7 @@
-"""The operator's commands to one process: each is followed once, in their order, and refused with a reason otherwise.
+"""The operator's commands to one process: each is followed once, in their order, and rejected with a reason otherwise.
 
 Without keys on the bus anybody may write the operator's name; with keys nobody but the operator reaches the key on
-which commands come, and what is left to refuse is a command that is repeated by somebody who has heard it.
+which commands come, and what is left to reject is a command that somebody has received and repeats.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ log = logging.getLogger(__name__)
 LONGEST_AGE_S = 60.0  # of a command, by the operator's clock; who gives one repeats it with the time of each
 LARGEST_COMMAND = MAX_NEIGHBOUR_BYTES
 MOST_NAMED = 12  # meters in a line of the log
-BY_OPERATOR = "stopped by the operator"  # leave message, and
-STOPPED_CODE = 4  # exit code of a process that was: started again at once, it would not be
+BY_OPERATOR = "stopped by the operator"  # leave message
+STOPPED_CODE = 4  # exit code of a process that the operator has stopped: systemd does not restart it
 REPLAYED = "command of the past"
 TOO_OLD, TOO_EARLY = f"command older than {LONGEST_AGE_S:.0f} s", "command from the future"
 UNRECORDED = "command that cannot be recorded"
@@ -36,8 +36,8 @@ class OrderBook:
 
     Args:
         meters: ids of its own meters; others in a command are somebody else's.
-        file: where that outlives the process; None: a process without meters, which
-        began_at: at that time, s since 1970, and follows no command from before.
+        file: where that outlives the process; None: of a process that keeps nothing, as one without meters.
+        began_at: s since 1970; commands that are older are not followed.
 
     Raises:
         InvalidInputError: ``file`` cannot be read.
@@ -57,7 +57,7 @@ class OrderBook:
         self._file = file
         self._began_at = began_at
         self._followed = file.load() if file else Followed()
-        self._refused: Counter[str] = Counter()
+        self._rejected: Counter[str] = Counter()
 
     @classmethod
     def of(cls, content: AreaFile, file: OrderFile | None = None) -> OrderBook:
@@ -76,15 +76,15 @@ class OrderBook:
         try:
             message = decode(payload, LARGEST_COMMAND)
         except MessageError as error:
-            yield self._refuse(f"command {error.reason}", str(error))
+            yield self._reject(f"command {error.reason}", str(error))
             return
-        reason = self._find_refusal(message, wall) if isinstance(message, CommandMessage) else "no command"
+        reason = self._find_rejection(message, wall) if isinstance(message, CommandMessage) else "no command"
         if reason:
-            yield self._refuse(reason, f"from {printable(message.header.sender)}")
+            yield self._reject(reason, f"from {printable(message.header.sender)}")
         elif isinstance(message, CommandMessage) and message.header.order > self._followed.order:
             yield from self._follow(message)
 
-    def _find_refusal(self, message: CommandMessage, wall: float) -> str:
+    def _find_rejection(self, message: CommandMessage, wall: float) -> str:
         header = message.header
         if header.run != self._run:
             return "other run"
@@ -108,7 +108,7 @@ class OrderBook:
             if self._file:
                 self._file.save(followed)
         except OSError as error:
-            yield self._refuse(UNRECORDED, f"{error.filename}: {error.strerror}")
+            yield self._reject(UNRECORDED, f"{error.filename}: {error.strerror}")
             return
         if off != self._followed.meters_off:
             log.info("the operator has switched off: %s", printable(listed(off, MOST_NAMED)) or "no meter")
@@ -123,9 +123,9 @@ class OrderBook:
         start, sequence = self._followed.order
         return Ordered((start.start_ms, start.random, sequence), self._followed.meters_off, scan)
 
-    def _refuse(self, reason: str, why: str) -> Rejected:
-        self._refused[reason] += 1
-        count = self._refused[reason]
+    def _reject(self, reason: str, why: str) -> Rejected:
+        self._rejected[reason] += 1
+        count = self._rejected[reason]
         if is_worth_writing(count):
-            log.warning("refused command number %s for this reason, %s: %s", count, reason, why)
+            log.warning("rejected command number %s for this reason, %s: %s", count, reason, why)
         return Rejected(reason, count)

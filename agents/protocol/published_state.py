@@ -20,7 +20,7 @@ from dsse_core.grid.partition import Area
 
 
 class PublishedState:
-    """``message``: the state as last published, None before the first. ``ordered``: what the operator has, last.
+    """``message``: the state as last published, None before the first. ``ordered``: the last command of the operator.
 
     Args:
         header_for: the header of the message with that sequence number.

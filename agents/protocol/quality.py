@@ -171,7 +171,7 @@ def find_left_out_readings(readings: Readings) -> Iterator[Finding]:
     if readings.too_old:
         yield Finding(GOOD, f"too old: the reading of {_first_of(readings.too_old)}")
     by_reason: dict[str, list[str]] = {}
-    for meter_id, reason in readings.refused.items():
+    for meter_id, reason in readings.why_rejected.items():
         if meter_id not in readings.invalid:  # which is said of all of these
             by_reason.setdefault(reason, []).append(meter_id)
     for reason, meters in sorted(by_reason.items()):

@@ -1,7 +1,7 @@
-"""The newest reading of each meter of an area, whoever has sent it, and which readings are refused.
+"""The newest reading of each meter of an area, from any gateway, and which readings are rejected.
 
 Of two readings of a meter the one that was measured later counts, so that neither the order in which messages come nor
-how often they do matters. What is refused does not take the place of what there is.
+how often they do matters. What is rejected does not take the place of what there is.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from agents.peers.rejections import find_reading_rejection
 from dsse_core.grid.measurement import Meter, Source
 from dsse_core.reading_rules import ANYBODY, KindRule, allowed_lead_s
 
-INVALID = "marked invalid"  # a reason of refusal
+INVALID = "marked invalid"  # a reason of rejection
 AHEAD = "time in the future"  # another
 UNKNOWN, NOT_ITS_METER = OF_THE_SENDER = "unknown meter", "meter of another gateway"  # of whom no meter is to blame
 Order = tuple[float, str, tuple[Incarnation, int]]
@@ -36,15 +36,15 @@ class Reading:
 
 
 class ReadingStore:
-    """``newest``: meter id -> its newest reading. ``refused``: meter id -> why its newer one is not there.
+    """``newest``: meter id -> its newest reading. ``why_rejected``: meter id -> why its newer one is not there.
 
-    ``rejected``: how many readings were refused, by reason. ``off``: ids of the meters that the operator has switched
+    ``rejected``: how many readings were rejected, by reason. ``off``: ids of the meters that the operator has switched
     off, which the next snapshot leaves out.
     """
 
     def __init__(self, content: AreaFile) -> None:
         self.newest: dict[str, Reading] = {}
-        self.refused: dict[str, str] = {}
+        self.why_rejected: dict[str, str] = {}
         self.rejected: Counter[str] = Counter()
         self.off: frozenset[str] = frozenset()
         self.lead_s = allowed_lead_s(content.scan_s)
@@ -81,7 +81,7 @@ class ReadingStore:
         is_leader = self._rules.ticks == "gateway" and gateway == self._rules.leader
         return is_leader and (meter is None or self.rule_of(meter).period_s is None)
 
-    def find_refusal(self, meter_id: str, gateway: str, value: float, sigma: float, *, is_valid: bool) -> str:
+    def find_rejection(self, meter_id: str, gateway: str, value: float, sigma: float, *, is_valid: bool) -> str:
         """Why a reading cannot be used, whenever it was measured; empty if it can."""
         meter = self._meters.get(meter_id)
         if meter is None:
@@ -113,15 +113,15 @@ class ReadingStore:
             is_behind = known is not None and reading.order <= known.order
             if known is not None and is_behind and known.time <= wall + self.lead_s:
                 continue  # else the area's clock has been set back: what it took for now is the future
-            reason = self.find_refusal(meter_id, gateway, value, sigma, is_valid=is_valid)
+            reason = self.find_rejection(meter_id, gateway, value, sigma, is_valid=is_valid)
             if not reason and time > wall + self.lead_s:
                 reason = AHEAD
             if not reason:
                 self.newest[meter_id] = reading
-                self.refused.pop(meter_id, None)
+                self.why_rejected.pop(meter_id, None)
                 is_changed = True
                 continue
             if reason not in OF_THE_SENDER:
-                self.refused[meter_id] = reason
+                self.why_rejected[meter_id] = reason
             self.rejected[reason] += not is_repeated
         return is_changed

@@ -1,7 +1,7 @@
 """The readings that an area works with in its current scan, and the net load that follows from them.
 
-A reading of a scan comes with the message of that scan. All others are the newest of their meters, whoever has sent
-them, and their standard deviations grow with their age. What is taken once is worked with until it is taken anew.
+A reading of a scan comes with the message of that scan. All others are the newest of their meters, from any gateway,
+and their standard deviations grow with their age. What is taken once is worked with until it is taken anew.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class Readings:
     """``measurements``: those that are worked with, virtual ones included; ``ages``: how old they are.
 
     ``silent``: ids of the meters without a reading. ``invalid``: of those whose reading its source has marked as not
-    valid. ``too_old``: of those whose reading is left out for its age. ``refused``: id -> why its newest reading is.
+    valid. ``too_old``: of those whose reading is left out for its age. ``why_rejected``: id -> why its newest one is.
     """
 
     def __init__(self, content: AreaFile, store: ReadingStore) -> None:
@@ -82,7 +82,7 @@ class Readings:
         self.silent = [meter_id for meter_id in self._meters if meter_id not in self._virtual]
         self.invalid: list[str] = []
         self.too_old: list[str] = []
-        self.refused: dict[str, str] = {}
+        self.why_rejected: dict[str, str] = {}
         self.ages = Ages()
         by_clock = content.readings.ticks == "clock"
         self._overdue_s = {
@@ -98,13 +98,14 @@ class Readings:
         ``message``: of the scan, None where clocks number scans. ``now``: monotonic time, ``wall``: s since 1970.
         """
         self.invalid, self.too_old = [], []
-        self.refused = {k: reason for k, reason in self._store.refused.items() if k not in self._store.off}
+        self.why_rejected = {k: reason for k, reason in self._store.why_rejected.items() if k not in self._store.off}
         read: Read = {}
         if message is not None:
             yield from self._take_scan(message, read)
         self._take_newest(read, wall)
-        self.invalid += [meter_id for meter_id, why in self.refused.items() if why == INVALID and meter_id not in read]
-        known = read.keys() | self._virtual.keys() | self._store.off | {*self.invalid, *self.too_old, *self.refused}
+        self.invalid += [k for k, why in self.why_rejected.items() if why == INVALID and k not in read]
+        left_out = {*self.invalid, *self.too_old, *self.why_rejected}
+        known = read.keys() | self._virtual.keys() | self._store.off | left_out
         self.measurements = (*(measurement for measurement, _ in read.values()), *self._virtual.values())
         self.silent = [meter_id for meter_id in self._meters if meter_id not in known]
         self.ages = self._find_ages({meter_id: time for meter_id, (_, time) in read.items()}, now, wall)
@@ -118,7 +119,7 @@ class Readings:
             meter = self._meters.get(meter_id)
             if meter_id in store.off or (meter is not None and not store.is_of_scan(meter, gateway)):
                 continue
-            if reason := store.find_refusal(meter_id, gateway, value, sigma, is_valid=is_valid):
+            if reason := store.find_rejection(meter_id, gateway, value, sigma, is_valid=is_valid):
                 if reason == INVALID:
                     self.invalid.append(meter_id)
                 yield reason
@@ -135,7 +136,7 @@ class Readings:
             rule, age = store.rule_of(meter), wall - reading.time
             sigma = rule.grown(reading.sigma, age)
             if age < -store.lead_s:
-                self.refused[meter_id] = AHEAD  # the clock of the area has been set back
+                self.why_rejected[meter_id] = AHEAD  # the clock of the area has been set back
             elif age > rule.leaves_out_s(scan_s) or find_reading_rejection(reading.value, sigma):
                 self.too_old.append(meter_id)
             else:

@@ -1,7 +1,7 @@
 """The readings of scans that clocks number: a scan is a tick, a multiple of the time between two of them in UTC.
 
 An area enters a tick at its time by its own clock, or as soon as it learns of it from a neighbour, and takes the newest
-readings that it has then. Whoever comes first, nobody is waited for: readings are as old as they are.
+readings that it has then. No reading is waited for: readings are as old as they are.
 """
 
 from __future__ import annotations

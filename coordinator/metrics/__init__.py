@@ -1,1 +1,1 @@
-"""What a watcher sees, for Prometheus and for whoever restarts a system."""
+"""What a watcher sees, for Prometheus, and for programs that restart a system."""

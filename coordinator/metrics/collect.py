@@ -82,7 +82,7 @@ GAUGES_BY_NEIGHBOUR = {
 
 
 class RunCollector:
-    """Collector of ``prometheus_client`` that shows ``sight``, which whoever watches replaces."""
+    """Collector of ``prometheus_client`` that shows ``sight``, which the watcher replaces."""
 
     def __init__(self) -> None:
         self.sight = Sight(float("-inf"))

@@ -1,4 +1,4 @@
-"""The pages /metrics, /health and /ready over HTTP, for Prometheus and for whoever restarts or alarms."""
+"""The pages /metrics, /health and /ready over HTTP, for Prometheus, and for programs that restart or alarm."""
 
 from __future__ import annotations
 

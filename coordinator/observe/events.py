@@ -16,7 +16,7 @@ from typing import Any, Self
 
 from dsse_core.files.whole_lines import WholeLines
 
-PART_BYTES = 32 * 2**20  # of a part; whoever stops a run reads the first one whole
+PART_BYTES = 32 * 2**20  # of a part; `dsse stop` reads the first one whole
 MOST_PARTS = 16  # beside the first
 
 

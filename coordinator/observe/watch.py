@@ -109,8 +109,8 @@ class Watcher:
         spoken_to = {name for _, state in self._received.values() for name in state.sent if self._is_known(name)}
         present = self.names_of("area")
         others_named = sorted((present | spoken_to) - self._received.keys(), key=_by_number)
-        heard = list(self._received)  # who has said something is not crowded out by who is only named
-        names = sorted([*heard, *others_named[: MAX_NAMES - len(heard)]], key=_by_number)
+        received = list(self._received)  # these are not crowded out by areas that are only named
+        names = sorted([*received, *others_named[: MAX_NAMES - len(received)]], key=_by_number)
         all_names = self._presence.names | self._strangers.names
         others = sorted(f"{role} {name}" for role, name in all_names if role != "area")
         strangers = sum(role == "area" for role, _ in self._strangers.names)

@@ -167,14 +167,14 @@ class Operator:
         Raises:
             NotFollowedError: that is not so in time.
         """
-        refused = {area: dict(self._state_of(area).rejected) for area in self.areas}
+        before = {area: dict(self._state_of(area).rejected) for area in self.areas}
         numbers = {name: self._next_order(name) for name in orders}
         find_left = find_left or (lambda: [n for n, order in numbers.items() if self._followed_by(n) < order])
         deadline, next_time = time.monotonic() + self.timeout_s, 0.0
         while (left := find_left()) and not until():
             now = time.monotonic()
             if now > deadline:
-                raise NotFollowedError("; ".join(self._explain(name, refused.get(name, {})) for name in left))
+                raise NotFollowedError("; ".join(self._explain(name, before.get(name, {})) for name in left))
             if now >= next_time:
                 next_time = now + REPEAT_S
                 for name in orders:
@@ -201,11 +201,11 @@ class Operator:
         return Incarnation(start_ms, random), sequence
 
     def _explain(self, name: str, before: Mapping[str, int]) -> str:
-        """Why ``name`` does not follow; ``before``: what it had refused by then."""
+        """Why ``name`` does not follow; ``before``: what it had rejected by then."""
         state = self.watcher.state_of(name)
         more = {r for r, count in (state.rejected if state else {}).items() if count > before.get(r, 0)}
         reasons = [f"{reason} ({cure})" for reason, cure in CURES.items() if reason in more]
-        why = f"it refuses: {', '.join(reasons)}" if reasons else "it says nothing about it"
+        why = f"it rejects: {', '.join(reasons)}" if reasons else "it says nothing about it"
         return f"{name} has not followed the command within {self.timeout_s:g} s: {why}"
 
     def _state_of(self, area: str) -> StateMessage:

@@ -102,7 +102,7 @@ class Compiling:
     folder: str | None
 
 
-@dataclass(repr=False)  # ``signal.getsignal`` of a method words one in every child, and all children would be in it
+@dataclass(repr=False)  # ``signal.getsignal`` makes one of a bound method, in every child: it would list all children
 class ForkServer:
     """Serves the commands that arrive on ``orders``."""
 

@@ -1,6 +1,6 @@
 """Closing: the logs of ended segments become Parquet. ``python -m coordinator.recording.closing FOLDER``.
 
-A log is closed by whoever finds it unlocked: at the end of a segment a process beside the recorder, or the next
+The process that finds a log unlocked closes it: at the end of a segment a process beside the recorder, or the next
 recorder, if one was killed. It is removed only when all its tables are on the disk, so that closing can be broken off
 anywhere.
 """

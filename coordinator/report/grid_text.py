@@ -129,9 +129,9 @@ def format_bad_data(report: BadDataReport) -> list[str]:
         lines.append(f"bad data is still detected{_format_suspect(report.suspect)}")
     elif not report.removed:
         lines.append("no bad data detected")
-    if report.n_untold:
+    if report.n_without_variance:
         lines.append(
-            f"no bad data identification by residuals for {report.n_untold} of {report.n_meters} meters: "
+            f"no bad data identification by residuals for {report.n_without_variance} of {report.n_meters} meters: "
             "the variances of all residuals would take too long in a network with so many long loops; "
             "known are those of the largest weighted residuals"
         )

@@ -180,8 +180,8 @@ class SimulatedBus:
             else:
                 self._take_over(name, message)
 
-    def hear(self, message: TelemetryMessage) -> None:
-        """A gateway beside the plant says ``message`` to its area."""
+    def publish_readings(self, message: TelemetryMessage) -> None:
+        """A gateway beside the plant publishes ``message`` for its area."""
         if self.router_runs:
             self.post(message.area, Received(message, ""))
 

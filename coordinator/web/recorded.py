@@ -63,12 +63,12 @@ def _find_begin(happenings: list[Timed]) -> int:
 
 def _find_there_before(happenings: list[Timed], run: str) -> Iterator[Presence]:
     """The tokens of areas that were there before the first that is played."""
-    heard = set[str]()
+    known = set[str]()
     for _, item in happenings:
         if isinstance(item, Presence):
-            heard.add(name_of_live(item.key)[1])
-        elif item.header.sender not in heard:
-            heard.add(item.header.sender)
+            known.add(name_of_live(item.key)[1])
+        elif item.header.sender not in known:
+            known.add(item.header.sender)
             yield Presence(live_key(run, "area", item.header.sender, item.header.incarnation), True)
 
 

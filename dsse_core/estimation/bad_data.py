@@ -69,7 +69,7 @@ class BadDataReport:
         return len(self.result.plan.meters)
 
     @property
-    def n_untold(self) -> int:
+    def n_without_variance(self) -> int:
         """How many meters have a residual of unknown variance, as all would take too long: bad data among them is
         detected, not identified, and whether they are critical is not known.
         """

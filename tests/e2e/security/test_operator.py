@@ -85,17 +85,17 @@ def test_a_meter_that_is_off_is_left_out_until_it_is_on_again_also_by_a_restarte
     assert watcher.states["area2"].meters_off == ()
 
 
-def test_a_command_that_somebody_has_heard_and_says_again_is_refused_also_after_a_restart(system: System):
+def test_a_command_that_somebody_has_received_and_repeats_is_rejected_also_after_a_restart(system: System):
     watcher, meter = system.watcher, system.spared("area2")
-    heard: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+    received: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     operators = system.processes.folder / "keys" if system.keys else None
     with (
         Session.connect([system.endpoint], 20.0, load_keys(operators, "watcher")) as ear,
         Session.connect([system.endpoint], 20.0, load_keys(operators, "operator")) as mouth,  # a stolen key
     ):
-        ear.subscribe(all_commands(RUN), lambda key, payload: heard.put(payload) if key.endswith("area2") else None)
+        ear.subscribe(all_commands(RUN), lambda key, payload: received.put(payload) if key.endswith("area2") else None)
         assert system.order("meter", "off", meter).returncode == 0
-        payload = heard.get(timeout=20.0)
+        payload = received.get(timeout=20.0)
         assert system.order("meter", "on", meter).returncode == 0
         watcher.wait_until(lambda: watcher.states["area2"].meters_off == ())
         system.processes.end("area2")
@@ -104,13 +104,13 @@ def test_a_command_that_somebody_has_heard_and_says_again_is_refused_also_after_
         watcher.wait_until(lambda: watcher.states["area2"].header.incarnation > before)
         put = mouth.publisher(command_key(RUN, "area2"))
 
-        def is_refused() -> bool:
+        def is_rejected() -> bool:
             put(payload)
             return "command of the past" in watcher.states["area2"].rejected
 
-        watcher.wait_until(is_refused)
+        watcher.wait_until(is_rejected)
         assert watcher.states["area2"].meters_off == ()
-        assert "refused command number 1 for this reason, command of the past" in system.processes.said("area2")
+        assert "rejected command number 1 for this reason, command of the past" in system.processes.said("area2")
 
 
 def test_mistakes_of_the_operator_are_one_clear_error_each(system: System):
@@ -123,7 +123,7 @@ def test_mistakes_of_the_operator_are_one_clear_error_each(system: System):
     done = system.order("meter", "off", "vm@1", "no such meter")
     assert done.returncode == 2, "one of two meters is unknown"
     done = system.order("meter", "on", "vm@1")
-    assert "meter 'vm@1' is not off; none is" in done.stderr, "a refused command has switched a meter off"
+    assert "meter 'vm@1' is not off; none is" in done.stderr, "a rejected command has switched a meter off"
     assert "Traceback" not in done.stderr
     done = system.order("stop", "folder")
     assert done.returncode == 2
@@ -139,12 +139,12 @@ def test_an_area_that_is_away_is_named_and_the_others_follow(system: System):
     assert "not on the bus, and not reached: area1" in done.stderr
 
 
-def test_an_area_that_cannot_record_a_command_refuses_it_and_the_operator_learns_why(system: System):
+def test_an_area_that_cannot_record_a_command_rejects_it_and_the_operator_learns_why(system: System):
     meter = system.spared("area2")
     (system.processes.folder / "areas" / f"{RUN}.area2.operator.json").mkdir()  # no file can take its place
     done = system.order("meter", "off", meter, "--timeout", "3")
     assert (done.returncode, done.stdout) == (2, "")
-    assert "area2 has not followed the command within 3 s: it refuses: command that cannot be recorded" in done.stderr
+    assert "area2 has not followed the command within 3 s: it rejects: command that cannot be recorded" in done.stderr
     assert "area2.operator.json: Is a directory" in system.processes.said("area2")
     assert system.watcher.states["area2"].meters_off == ()
 

@@ -103,7 +103,7 @@ def test_an_area_whose_readings_are_overdue_leaves_nobody_good():
 SPOILT = ("vm@1", "vm@22", "p_flow@1:1-2")
 
 
-def test_refused_readings_are_counted_and_named_and_the_ones_before_stand_in():
+def test_rejected_readings_are_counted_and_named_and_the_ones_before_stand_in():
     def spoil(message: TelemetryMessage, now: float) -> TelemetryMessage:
         if message.area != "area1" or not 1.5 < now < 2.5:
             return message

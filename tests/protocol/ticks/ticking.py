@@ -70,7 +70,7 @@ class Ticking:
             message = make_message(header, area, part)
             message = replace(message, times=tuple(read_at[k] for k in message.meters))
             if (spoilt := self._spoil(message, now)) is not None:
-                self.bus.hear(spoilt)
+                self.bus.publish_readings(spoilt)
         self.bus.at(now + SCAN_S, self._read)
 
     def run(self, duration_s: float) -> None:

@@ -68,7 +68,7 @@ def test_a_process_is_stopped_once_what_was_ordered_is_recorded(tmp_path: Path):
         (command("M1", time=NOW - 61), "command older than 60 s"),
     ],
 )
-def test_a_command_that_is_not_the_operators_to_this_area_now_is_refused(message: CommandMessage, reason: str):
+def test_a_command_that_is_not_the_operators_to_this_area_now_is_rejected(message: CommandMessage, reason: str):
     orders = book()
     assert take(orders, message) == [Rejected(reason, 1)]
     assert take(orders, message) == [Rejected(reason, 2)]
@@ -76,7 +76,7 @@ def test_a_command_that_is_not_the_operators_to_this_area_now_is_refused(message
 
 
 @pytest.mark.parametrize("restarts", [False, True])
-def test_a_command_of_the_past_is_refused_also_after_a_restart(tmp_path: Path, restarts: bool):
+def test_a_command_of_the_past_is_rejected_also_after_a_restart(tmp_path: Path, restarts: bool):
     orders = book(tmp_path)
     off, on = command("M2", sequence=1), command(sequence=2)
     assert take(orders, off) == [followed(1, "M2")]

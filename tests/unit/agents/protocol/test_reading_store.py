@@ -1,4 +1,4 @@
-"""Of each meter the reading that was measured last counts; what cannot be used is refused, and ages grow."""
+"""Of each meter the reading that was measured last counts; what cannot be used is rejected, and ages grow."""
 
 from __future__ import annotations
 
@@ -127,17 +127,17 @@ def test_a_reading_that_is_too_old_is_left_out_and_named():
         (1.0, 0.0, 1e-300, True, "reading beyond reason"),
     ],
 )
-def test_a_refused_reading_does_not_replace_a_good_one(value, time, sigma, valid, reason):
+def test_a_rejected_reading_does_not_replace_a_good_one(value, time, sigma, valid, reason):
     store = ReadingStore(AREA)
     store.take(message([(VM, 1.01, -1.0)]), NOW)
-    refused = message([(VM, value, time)], sequence=2, sigma=sigma, valid=valid)
+    rejected = message([(VM, value, time)], sequence=2, sigma=sigma, valid=valid)
     for _ in range(3):  # a repeat counts once
-        assert not store.take(refused, NOW)
+        assert not store.take(rejected, NOW)
     assert store.newest[VM].value == 1.01
     assert store.rejected == {reason: 1}
-    assert taken(store).refused == {VM: reason}
+    assert taken(store).why_rejected == {VM: reason}
     store.take(message([(VM, 1.02, 0.5)], sequence=3), NOW)
-    assert taken(store).refused == {}
+    assert taken(store).why_rejected == {}
 
 
 def test_a_reading_from_the_future_is_taken_once_its_time_has_come():
@@ -151,7 +151,7 @@ def test_a_reading_left_in_the_future_by_a_clock_that_was_set_back_is_not_used()
     store = ReadingStore(AREA)
     store.take(message([(VM, 1.0, 0.0)]), NOW)
     readings = taken(store, -3600.0)
-    assert readings.refused == {VM: "time in the future"}
+    assert readings.why_rejected == {VM: "time in the future"}
     assert VM not in readings.ages.times
 
 
@@ -161,7 +161,7 @@ def test_readings_taken_before_all_clocks_were_set_back_do_not_keep_out_those_th
     assert store.take(message([(VM, 1.1, 0.0)], sequence=2), NOW)
     readings = taken(store)
     assert store.newest[VM].value == 1.1
-    assert readings.refused == {}
+    assert readings.why_rejected == {}
     assert VM in readings.ages.times
 
 
@@ -171,7 +171,7 @@ def test_a_gateway_cannot_speak_for_the_meter_of_another():
     store.take(message([(FLOW, 0.2, 0.0)], "stranger"), NOW)
     assert store.newest.keys() == {FLOW}
     assert store.rejected == {"meter of another gateway": 2, "unknown meter": 1}
-    assert store.refused == {}
+    assert store.why_rejected == {}
 
 
 def test_a_gateway_whose_clock_was_set_back_does_not_hide_what_is_younger():
