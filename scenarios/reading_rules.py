@@ -80,16 +80,14 @@ def find_gateway_remark(rules: Mapping[str, ReadingRules]) -> str:
     )
 
 
-def find_gateway_problems(
-    gateways: Mapping[str, GatewayTable], file: ScenarioFile, partition: Partition, meters: Sequence[Meter]
-) -> Iterator[str]:
+def find_gateway_problems(file: ScenarioFile, partition: Partition, meters: Sequence[Meter]) -> Iterator[str]:
     """Gateways of unknown areas, patterns that no meter has, areas and meters that no gateway reads, and a leader that
     is none.
     """
-    names = [area.name for area in partition.areas]
+    gateways = file.gateways
     if not gateways:
         return
-    ids = _ids_by_area(partition, meters)
+    names, ids = [area.name for area in partition.areas], _ids_by_area(partition, meters)
     read: dict[str, set[str]] = {name: set() for name in names}
     for gateway, table in gateways.items():
         for name in (unknown := [name for name in table.areas or () if name not in names]):

@@ -100,9 +100,14 @@ class Scenario:
     changes: Mapping[str, object] = field(default_factory=dict)
 
     @property
+    def common_rules(self) -> ReadingRules:
+        """Those of any area: who numbers scans, and what holds for a kind of meter, is the same in all."""
+        return next(iter(self.reading_rules.values()))
+
+    @property
     def renew_s(self) -> float | None:
         """How often readings must be made anew, s, as they age or clocks number scans; None if neither."""
-        rules = next(iter(self.reading_rules.values()))
+        rules = self.common_rules
         if not rules.follow_clocks:
             return None
         return self.run.scan_s or min(rule.period_s for rule in rules.kinds.values() if rule.period_s)
@@ -169,7 +174,7 @@ def load_scenario(
         problems += _find_gross_error_problems(file, meters)
     if partition is not None:
         problems += find_link_problems(file.faults, partition)
-        problems += find_gateway_problems(file.gateways, file, partition, meters)
+        problems += find_gateway_problems(file, partition, meters)
     if partition is None or problems:
         raise InvalidInputError(file.called(path), problems)
     return replace(_build_scenario(path, file, partition, meters, readings), changes=dict(changes or {}))

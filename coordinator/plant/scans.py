@@ -5,7 +5,8 @@ from __future__ import annotations
 import pickle
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 from agents.messages.packing import Incarnation
@@ -39,7 +40,6 @@ class OwnScans:
 
     scenario: Scenario
     many: bool
-    _held: list[HeldReadings] = field(default_factory=list)  # one, from the first scan on
 
     @property
     def seed(self) -> int:
@@ -53,14 +53,16 @@ class OwnScans:
         draw = scan if self.many else DRAW
         if self.scenario.renew_s is None:
             return make_payloads(self.scenario, run, incarnation, scan, draw=draw)
-        if not self._held:
-            self._held.append(HeldReadings(next(iter(self.scenario.reading_rules.values())).kinds))
-        by_area, read_at = self._held[0].take(make_telemetry(self.scenario, draw).by_area, time.time())
+        by_area, read_at = self._held.take(make_telemetry(self.scenario, draw).by_area, time.time())
         readings = ((area, read(part, read_at)) for area, part in by_area.items())
         return encode_readings(readings, run, incarnation, scan)
 
     def late_s(self, scan: int) -> Mapping[str, float]:
         return find_lateness(self.scenario, scan)
+
+    @cached_property
+    def _held(self) -> HeldReadings:
+        return HeldReadings(self.scenario.common_rules.kinds)
 
 
 @dataclass(frozen=True)

@@ -116,7 +116,7 @@ class Simulation:
             on_message=self._audience.take_message,
             on_readings=self._take_readings,
         )
-        self._held = HeldReadings(scenario.reading_rules[files[0].area.name].kinds)
+        self._held = HeldReadings(scenario.common_rules.kinds)
         self._held.take(self._telemetry.by_area, STARTED_AT)
         self._renew_later()
         self._faults = SimulatorFaults(self._bus, scenario.transport.routers)

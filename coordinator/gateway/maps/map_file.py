@@ -119,7 +119,7 @@ def _noted(problems: list[str], place: str = "") -> Iterator[None]:
 
 
 def _leads(name: str, scenario: Scenario) -> bool:
-    rules = next(iter(scenario.reading_rules.values()))
+    rules = scenario.common_rules
     return rules.ticks == "gateway" and rules.leader == name
 
 
