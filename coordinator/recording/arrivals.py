@@ -32,16 +32,18 @@ class Arrivals:
             self._queue.put(entry)  # within the lock: in the order of their times
 
     def take(self, timeout_s: float) -> list[Entry]:
-        """Wait up to ``timeout_s`` for something; everything that has arrived."""
-        entries: list[Entry] = []
+        """Wait up to ``timeout_s`` for something; everything that has arrived by then.
+
+        What comes meanwhile waits for the next time: else a flood would have no end.
+        """
         try:
-            entries.append(self._queue.get(timeout=timeout_s))
-            while True:
-                entries.append(self._queue.get_nowait())
+            first = self._queue.get(timeout=timeout_s)
         except queue.Empty:
-            with self._lock:
-                self._waiting -= sum(len(entry.payload) + SIZE_OF_ENTRY for entry in entries)
-            return entries
+            return []
+        entries = [first, *(self._queue.get_nowait() for _ in range(self._queue.qsize()))]
+        with self._lock:
+            self._waiting -= sum(len(entry.payload) + SIZE_OF_ENTRY for entry in entries)
+        return entries
 
     def take_dropped(self) -> int:
         """How many had no room since the last call."""

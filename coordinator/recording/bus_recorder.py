@@ -23,7 +23,7 @@ from coordinator.recording.arrivals import Arrivals
 from coordinator.recording.closing import Closer, close_ended, remove_oldest
 from coordinator.recording.entries import APPEARED, MESSAGE, VANISHED, Entry, note
 from coordinator.recording.folder import begin_writing
-from coordinator.recording.order import GIB, Order
+from coordinator.recording.order import Order
 from coordinator.recording.recorder import Recorder, left
 from coordinator.recording.segment_log import SegmentLog
 from dsse_core.errors import DsseError
@@ -65,8 +65,7 @@ def record_from(session: Session, order: Order, on_begun: Callable[[], None] = l
         if session.keys:
             on_hangup(renew.set, over.set)
         arrivals, closer = Arrivals(), Closer(order.folder)
-        limit = order.limit_gb * GIB if order.limit_gb else None
-        written = SegmentLog(order.folder, limit, closer.ask)
+        written = SegmentLog(order.folder, order.limit, closer.ask)
         recorder = Recorder(written, order.run)
         _listen(session, order.run, arrivals)
         recorder.take([note(time.time(), "recorder started", run=order.run)])
@@ -121,13 +120,13 @@ def _serve(
             session.resume()
         renew.clear()
         closer.check()
-        if order.limit_gb and time.monotonic() >= next_tidying:
+        if order.limit and time.monotonic() >= next_tidying:
             next_tidying = time.monotonic() + TIDY_S
-            _keep_limit(order, recorder)
+            _keep_limit(order, order.limit, recorder)
     recorder.take(arrivals.take(0.0))
 
 
-def _keep_limit(order: Order, recorder: Recorder) -> None:
+def _keep_limit(order: Order, limit: float, recorder: Recorder) -> None:
     with suppress(OSError):
-        if removed := remove_oldest(order.folder, (order.limit_gb or 0.0) * GIB):
+        if removed := remove_oldest(order.folder, limit):
             recorder.take([note(time.time(), "removed", segments=removed, limit_gb=order.limit_gb)])

@@ -24,3 +24,8 @@ class Order:
     files: Sequence[AreaFile] = ()
     limit_gb: float | None = None
     closes: bool = True
+
+    @property
+    def limit(self) -> float | None:
+        """Of the folder, bytes."""
+        return self.limit_gb * GIB if self.limit_gb else None
