@@ -19,7 +19,7 @@ from dsse_core.results.table import Table
 from scenarios.scenario import Scenario
 
 States = Mapping[str, StateMessage]
-UsedReadings = Mapping[str, ReadingsMessage]
+ReadingsByArea = Mapping[str, ReadingsMessage]
 RELATIVE = "age_s", "residual_in_sigmas", "normalised_residual"  # columns without a unit of the meter
 USED, REMOVED, CRITICAL, SILENT, OFF = "used", "removed", "critical", "silent", "off"
 
@@ -37,7 +37,7 @@ def list_buses(states: States) -> Table:
     return Table("buses", {"bus": np.array(buses, dtype=np.int64), "area": areas, **columns})
 
 
-def list_meters(states: States, readings: UsedReadings) -> Table:
+def list_meters(states: States, readings: ReadingsByArea) -> Table:
     """A row for each meter that an area has used, or left out, in its last scan; p.u. and rad.
 
     ``residual_in_sigmas``: reading - estimate in standard deviations of the reading, ``normalised_residual``: its
@@ -112,7 +112,7 @@ class GridTables:
         buses = make_bus_table(state, areas, {}, sigma[0], sigma[1], np.full((2, n), np.nan))
         return buses, make_branch_table(state.network, state.branches, state.flows)
 
-    def meters(self, states: States, readings: UsedReadings) -> Table:
+    def meters(self, states: States, readings: ReadingsByArea) -> Table:
         """As ``list_meters``, readings in their ``unit``, and a row for each meter that is silent."""
         plain = list_meters(states, readings)
         known = [k for k, meter in enumerate(plain.meter) if meter in self._meters]

@@ -169,9 +169,8 @@ def _find_differences(recorded: Estimate, state: StateMessage) -> np.ndarray:
     """The largest of each of the four quantities; where an angle counts from nowhere in one of them, infinity."""
     place = {bus: k for k, bus in enumerate(state.buses)}
     order = [place[bus] for bus in recorded.buses]
-    va, sigma_va = (np.degrees(angles) if state.referenced else np.full(len(order), np.nan)
-                    for angles in (state.va, state.sigma_va))  # fmt: skip
-    played = np.array([state.vm, va, state.sigma_vm, sigma_va], dtype=float)[:, order]
+    played = np.array([state.vm, state.va, state.sigma_vm, state.sigma_va], dtype=float)[:, order]
+    played[[1, 3]] = np.degrees(played[[1, 3]]) if state.referenced else np.nan
     both_unknown = np.isnan(played) & np.isnan(recorded.values)
     return np.asarray(np.nan_to_num(abs(np.where(both_unknown, 0.0, played - recorded.values)), nan=np.inf).max(axis=1))
 

@@ -54,7 +54,7 @@ def _find_changes(before: AreaView | None, area: AreaView) -> Iterable[tuple[str
         yield ("appeared", "is there") if area.present else ("vanished", f"is gone{left}")
     if before is None or before.quality != area.quality:
         yield "quality", f"{area.quality}{f': {area.notes[0]}' if area.notes and area.quality != GOOD else ''}"
-    removed = (*(before.removed if before else ()),)
+    removed = before.removed if before else ()
     for meter in area.removed:
         if meter not in removed:
             yield "removed", f"{meter} is taken out as bad data"
