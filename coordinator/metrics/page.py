@@ -13,6 +13,7 @@ from typing import Self
 from prometheus_client import CollectorRegistry, ProcessCollector
 from prometheus_client.exposition import CONTENT_TYPE_LATEST, generate_latest
 
+from coordinator.listen import name_address
 from coordinator.metrics.collect import RunCollector, Sight, format_health
 from coordinator.observe.watch import Watcher
 from dsse_core.errors import InvalidInputError
@@ -41,7 +42,7 @@ class MetricsPage:
             what = f"cannot listen there: {error.strerror or error}; choose another, such as 127.0.0.1:9464"
             raise InvalidInputError(f"--listen {host}:{port}", [what]) from None
         self.port = int(self._server.server_address[1])
-        self.where = f"http://{f'[{host}]' if ':' in host else host}:{self.port}/metrics"
+        self.where = f"http://{name_address(host, self.port)}/metrics"
 
     def show(self, watcher: Watcher, now: float, trouble: str) -> None:
         """Answer with what ``watcher`` knows at ``now``; ``trouble``: why it sees nothing, empty if it does."""
@@ -63,19 +64,6 @@ class MetricsPage:
     ) -> None:
         self._server.shutdown()
         self._server.server_close()
-
-
-def parse_listen(text: str) -> tuple[str, int]:
-    """Host and port of ``HOST:PORT`` or ``[HOST]:PORT``.
-
-    Raises:
-        InvalidInputError: it is neither.
-    """
-    host, _, port = text.rpartition(":")
-    host = host.removeprefix("[").removesuffix("]")
-    if not host or not (port.isascii() and port.isdigit()) or int(port) > 65535:
-        raise InvalidInputError(f"--listen {text}", ["is no HOST:PORT; write it as in 127.0.0.1:9464 or [::1]:9464"])
-    return host, int(port)
 
 
 def _as_answer(status: int, body: str) -> Answer:

@@ -13,6 +13,7 @@ from typing import Any
 import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
+from coordinator.listen import name_address, parse_listen
 from coordinator.web.app import make_app
 from coordinator.web.sources import Source
 from dsse_core.errors import InvalidInputError
@@ -45,8 +46,7 @@ class Place:
 
     def url(self, port: int) -> str:
         """What to open."""
-        host = f"[{self.host}]" if ":" in self.host else self.host
-        return f"{'https' if self.certificate else 'http'}://{host}:{port}/"
+        return f"{'https' if self.certificate else 'http'}://{name_address(self.host, port)}/"
 
 
 def choose_place(
@@ -57,10 +57,8 @@ def choose_place(
     Raises:
         InvalidInputError: all that is wrong or missing; beyond loopback certificate, key and token are needed.
     """
-    host, _, port = listen.rpartition(":")
+    host, port = parse_listen(listen, "127.0.0.1:8080")
     problems = []
-    if not host or not port.isascii() or not port.isdigit() or int(port) > 65535:
-        raise InvalidInputError("--listen", [f"{listen!r} is no address and port; write 127.0.0.1:8080"])
     if (certificate is None) != (key is None):
         problems.append("--tls-cert and --tls-key go together")
     token = None
@@ -71,7 +69,7 @@ def choose_place(
             problems.append(f"--token-file {token_file}: a token is of ASCII letters and digits")
         if token is not None and len(token) < LEAST_TOKEN:
             problems.append(f"--token-file {token_file}: {len(token)} characters; {LEAST_TOKEN} at least")
-    place = Place(host.strip("[]"), int(port), certificate, key, token)
+    place = Place(host, port, certificate, key, token)
     if not place.is_loopback:
         needed = {"--tls-cert and --tls-key": certificate, "--token-file": token_file, "--name": names or None}
         problems += [f"beyond loopback {name} is needed" for name, given in needed.items() if given is None]

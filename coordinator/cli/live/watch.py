@@ -24,6 +24,7 @@ if TYPE_CHECKING:  # the real imports stand in the command, so that every other 
 UPDATE_S = 0.2
 BRANCHES = "branches"  # a table of --json alone
 LINE_S = 1.0  # between two lines where there is no terminal
+DEFAULT_LISTEN = "127.0.0.1:9464"  # of `dsse metrics`
 ATTEMPT_S = 2.0  # to reach the bus; `dsse metrics` answers questions meanwhile, and tries again
 
 
@@ -119,7 +120,7 @@ def _format(watcher: Watcher, find_tables: Tables, as_json: bool) -> str:
 
 
 @click.command(short_help="Serve /metrics, /health and /ready of a running system over HTTP.")
-@click.option("--listen", default="127.0.0.1:9464", show_default=True, metavar="HOST:PORT", help="Where to answer.")
+@click.option("--listen", default=DEFAULT_LISTEN, show_default=True, metavar="HOST:PORT", help="Where to answer.")
 @connect_option()
 @direct_option
 @keys_option
@@ -139,11 +140,12 @@ def metrics(listen: str, endpoints: tuple[str, ...], direct: bool, keys: Path | 
     check_prometheus()
     from agents.runtime.log_format import start_log
     from coordinator.cli.live.session import attach
-    from coordinator.metrics.page import MetricsPage, parse_listen
+    from coordinator.listen import parse_listen
+    from coordinator.metrics.page import MetricsPage
 
     start_log()
     address = RunAddress(choose_endpoints(endpoints, keys is not None), run_id, ATTEMPT_S, keys, direct)
-    with MetricsPage(*parse_listen(listen)) as page:
+    with MetricsPage(*parse_listen(listen, DEFAULT_LISTEN)) as page:
         serve_metrics(page, lambda: attach(address), renews=keys is not None)
     return 0
 

@@ -16,8 +16,9 @@ from shown_states import a_state
 
 from agents.messages.keys import live_key
 from agents.messages.packing import Incarnation
+from coordinator.listen import parse_listen
 from coordinator.metrics.collect import LOOKED_LATELY_S
-from coordinator.metrics.page import MetricsPage, parse_listen
+from coordinator.metrics.page import MetricsPage
 from coordinator.observe.watch import Watcher
 from dsse_core.errors import InvalidInputError
 
@@ -169,9 +170,9 @@ def test_a_port_that_is_taken_is_one_clear_error(page: MetricsPage):
 @pytest.mark.parametrize("text", ["9464", "127.0.0.1", "127.0.0.1:http", ":9464", "127.0.0.1:70000"])
 def test_where_to_listen_must_be_a_host_and_a_port(text: str):
     with pytest.raises(InvalidInputError, match="HOST:PORT"):
-        parse_listen(text)
+        parse_listen(text, "127.0.0.1:9464")
 
 
 def test_hosts_of_both_families_are_read():
-    assert parse_listen("[::1]:9464") == ("::1", 9464)
-    assert parse_listen("127.0.0.1:0") == ("127.0.0.1", 0)
+    assert parse_listen("[::1]:9464", "") == ("::1", 9464)
+    assert parse_listen("127.0.0.1:0", "") == ("127.0.0.1", 0)
