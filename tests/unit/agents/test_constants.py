@@ -18,6 +18,7 @@ SOURCES = (
     "dsse_core/linear/*.py",
     "dsse_core/exchange/*.py",
     "dsse_core/gauss_newton.py",
+    "dsse_core/reading_rules.py",
     *(f"dsse_core/estimation/{name}.py" for name in ("decision", "residuals", "bad_data")),
 )
 PLACES = {"boundary_information.VM", "boundary_information.VA"}
