@@ -16,8 +16,6 @@ import numpy as np
 from dsse_core.grid.measurement_model import CURRENT_FLOOR
 from dsse_core.results.flows import BranchModel
 
-N_QUANTITIES = 8
-
 
 @dataclass(frozen=True)
 class BranchGradients:

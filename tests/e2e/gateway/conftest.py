@@ -54,15 +54,6 @@ class LiveSystem:
         """Until all areas say this of their states."""
         wait_until(lambda: [state.quality for state in self.states.values()] == [quality] * len(AREAS))
 
-    def wait_for_voltage(self, bus: int, holds: Callable[[float], bool]) -> None:
-        """Until an area that sees ``bus`` has an estimate of its voltage, p.u., for which ``holds``."""
-
-        def is_there() -> bool:
-            states = [state for state in self.states.values() if bus in state.buses]
-            return any(holds(state.vm[state.buses.index(bus)]) for state in states)
-
-        wait_until(is_there)
-
 
 @pytest.fixture
 def live(request: pytest.FixtureRequest, dsse, edited_scenario, tmp_path: Path) -> Iterator[LiveSystem]:

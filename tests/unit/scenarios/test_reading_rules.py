@@ -27,12 +27,6 @@ def live(tmp_path: Path, more: str = "", **changes: object) -> Scenario:
     return load_scenario(path, changes=WITH_SCAN | changes)
 
 
-def problem_of(tmp_path: Path, more: str) -> str:
-    with pytest.raises(InvalidInputError) as caught:
-        live(tmp_path, more)
-    return the_only(caught.value.problems)
-
-
 def test_a_scenario_without_any_of_this_has_the_rules_of_before():
     scenario = load_scenario("ieee33")
     assert scenario.renew_s is None

@@ -70,10 +70,6 @@ UP = UpMessage(
 )
 
 
-def fields_of(message):
-    return {field.name: getattr(message, field.name) for field in fields(message)}
-
-
 MESSAGES = [
     LoadMessage(HEADER, 6, 0.25, -0.1, 0.01),
     BoundaryMessage(HEADER, 6, 0.95, -0.02, True),

@@ -38,11 +38,6 @@ def test_a_reading_is_in_per_unit_with_its_sigma(intake: Intake) -> None:
     assert of_area["p_flow@1:1-2"].time == NOW - 3
 
 
-def intake_base(intake: Intake) -> float:
-    """MVA, from what a kW is in p.u."""
-    return 1e-3 / intake.points["P1"].size
-
-
 @pytest.mark.parametrize(
     ("address", "value", "time", "unit", "reason"),
     [
