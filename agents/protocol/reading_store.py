@@ -49,6 +49,7 @@ class ReadingStore:
         self.off: frozenset[str] = frozenset()
         self.lead_s = allowed_lead_s(content.scan_s)
         self._rules = content.readings
+        self._all_at_every_scan = not any(rule.period_s for rule in content.readings.kinds.values())
         self._meters = {meter.id: meter for meter in content.meters if meter.source is not Source.VIRTUAL}
         self._taken: dict[str, tuple[Incarnation, int]] = {}  # gateway -> its last message
         self._allowed = {
@@ -78,8 +79,10 @@ class ReadingStore:
         """Whether a reading, of a meter that is not known (None) too, belongs to the scan of its message: it counts in
         no other, and does not age.
         """
-        is_leader = self._rules.ticks == "gateway" and gateway == self._rules.leader
-        return is_leader and (meter is None or self.rule_of(meter).period_s is None)
+        return self._numbers_scans(gateway) and (meter is None or self.rule_of(meter).period_s is None)
+
+    def _numbers_scans(self, gateway: str) -> bool:
+        return self._rules.ticks == "gateway" and gateway == self._rules.leader
 
     def find_rejection(self, meter_id: str, gateway: str, value: float, sigma: float, *, is_valid: bool) -> str:
         """Why a reading cannot be used, whenever it was measured; empty if it can."""
@@ -102,6 +105,8 @@ class ReadingStore:
         """
         gateway, order = message.header.sender, message.header.order
         is_repeated, self._taken[gateway] = self._taken.get(gateway) == order, order
+        if self._all_at_every_scan and self._numbers_scans(gateway):
+            return False  # without a look at each of them: at rest this is said at every heartbeat
         is_changed = False
         columns = message.meters, message.values, message.sigmas, message.times, message.valid
         for meter_id, value, sigma, time, is_valid in zip(*columns, strict=True):

@@ -52,17 +52,21 @@ def _load(name: str, path: tuple[str, ...]) -> type[AnyStrategy]:
         owners = " and ".join(sorted(map(_owner_of, found)))
         raise InvalidInputError(f"strategy {name!r}", [f"is one of {owners}; uninstall one of them"])
     entry = found[0]
-    what = f"strategy {name!r} of {_owner_of(entry)}"
     cure = "correct or uninstall that distribution"
     try:
         cls = entry.load()
     except Exception as error:  # whatever a foreign module does
         problem = f"{entry.value} cannot be imported: {type(error).__name__}: {error}; {cure}"
-        raise InvalidInputError(what, [problem]) from error
+        raise InvalidInputError(_describe(entry), [problem]) from error
     if problems := list(_find_problems(cls)):
-        raise InvalidInputError(what, [f"{entry.value}: {problem}; {cure}" for problem in problems])
+        raise InvalidInputError(_describe(entry), [f"{entry.value}: {problem}; {cure}" for problem in problems])
     strategy: type[AnyStrategy] = cls
     return strategy
+
+
+def _describe(entry: EntryPoint) -> str:
+    """For an error: to find the owner takes reading all that its distribution says of itself."""
+    return f"strategy {entry.name!r} of {_owner_of(entry)}"
 
 
 def _owner_of(entry: EntryPoint) -> str:

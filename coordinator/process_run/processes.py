@@ -38,8 +38,10 @@ ONE_THREAD = {
     name: "1" for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 }
 FILES_OF_A_PROCESS = 32  # beside one for the link of each area; measured: a router with three areas runs with 24
-# glibc's allocator: one heap for all threads, and what is free goes back to the system
-ONE_HEAP = {"MALLOC_ARENA_MAX": "1", "MALLOC_TRIM_THRESHOLD_": "131072", "MALLOC_MMAP_THRESHOLD_": "131072"}
+# glibc's allocator: one heap for all threads, and what is free goes back to the system; the matrices of an area of 500
+# buses stay below the limit, or each of them would be made of cleared pages
+LARGE = str(2**20)  # bytes
+ONE_HEAP = {"MALLOC_ARENA_MAX": "1", "MALLOC_TRIM_THRESHOLD_": LARGE, "MALLOC_MMAP_THRESHOLD_": LARGE}
 MAX_WAITING = 100_000  # updates
 ROOT = Path(__file__).resolve().parents[2]  # where this package was imported from
 

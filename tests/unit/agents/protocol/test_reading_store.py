@@ -226,3 +226,13 @@ def test_where_a_gateway_numbers_scans_its_readings_without_period_belong_to_the
         assert list(readings.take(each, 0.0, NOW)) == []
         assert readings.ages.times.keys() == found
     assert meter_id in readings.silent
+
+
+def test_a_scan_that_is_said_again_at_every_heartbeat_is_not_looked_through_meter_by_meter(
+    monkeypatch: pytest.MonkeyPatch,
+):
+    area = replace(AREA, readings=ReadingRules())
+    store, looks = ReadingStore(area), []
+    monkeypatch.setattr(ReadingStore, "is_of_scan", lambda *of: looks.append(of) or True)
+    assert not store.take(message([(VM, 1.0, 0.0), (FLOW, 0.1, 0.0)], "plant"), NOW)
+    assert (looks, store.newest) == ([], {})

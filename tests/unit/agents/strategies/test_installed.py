@@ -121,3 +121,11 @@ def test_a_checkout_that_is_older_than_its_strategies_says_what_to_do(monkeypatc
     monkeypatch.setattr(installed, "_find_entries", lambda path: ())
     with pytest.raises(InvalidInputError, match=r"pip install --editable \."):
         list_strategies()
+
+
+def test_no_agent_reads_what_the_distribution_of_a_sound_strategy_says_of_itself(monkeypatch: pytest.MonkeyPatch):
+    asked: list[object] = []
+    monkeypatch.setattr(installed, "_owner_of", lambda entry: asked.append(entry) or "")
+    installed._load.cache_clear()
+    load_strategy("information")
+    assert asked == []
