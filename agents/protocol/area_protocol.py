@@ -26,9 +26,9 @@ from agents.messages.packing import (
 )
 from agents.peers.agreement import Agreement, describe_boundary
 from agents.peers.clock_skew import SKEW_SHARE
-from agents.peers.freshness import FRESH_HEARTBEATS, PASSED_ON_HEARTBEATS
+from agents.peers.freshness import FRESH_HEARTBEATS, PASSED_ON_HEARTBEATS, PATIENCE_HEARTBEATS
 from agents.peers.peer_table import PeerTable
-from agents.peers.peers import M, Outgoing
+from agents.peers.peers import M, Outgoing, Term
 from agents.peers.rejections import CONTRADICTION, FAR_SCAN, FUTURE, OTHER_STRATEGY, Rejections, find_rejection
 from agents.protocol.events import (
     Action,
@@ -43,6 +43,7 @@ from agents.protocol.events import (
     StopRequested,
 )
 from agents.protocol.published_state import PublishedState
+from agents.protocol.scan_end import ScanEnd
 from agents.protocol.scan_readings import ScanReadings
 from agents.protocol.tick_readings import TickReadings
 from dsse_core.exchange.boundary_load import NetLoad, load_message_for
@@ -79,6 +80,7 @@ class AreaProtocol(ABC):
         self._shown_readings: tuple[ReadingsMessage, float] | None = None  # those, and when
         self._n_shown = 0
         self._rejections = Rejections()
+        self._end = ScanEnd(PATIENCE_HEARTBEATS * content.beat_s)
         self._published = PublishedState(content.area, self._peers, self._scan, self._rejections, self._header)
 
     # The interface
@@ -119,6 +121,7 @@ class AreaProtocol(ABC):
         for event in events:
             match event:
                 case StopRequested(reason):
+                    yield from self._end.take(self._term, is_over=True)
                     yield Finish(reason)
                     return
                 case ClockSet(offset):
@@ -143,8 +146,14 @@ class AreaProtocol(ABC):
         yield from self._answer()
         yield from self._show(is_heartbeat=is_heartbeat)
         yield from self._show_readings()
+        yield from self._end.take(self._term)
 
     # What a strategy says
+
+    @property
+    @abstractmethod
+    def _term(self) -> Term:
+        """(scan, revision)."""
 
     @property
     @abstractmethod

@@ -236,7 +236,9 @@ class AsynchronousProtocol(AreaProtocol):
 
     def _show(self, *, is_heartbeat: bool) -> Iterator[Publish]:
         """The state where it has changed, and at every heartbeat."""
-        worth, last = weigh(self._findings()), self._published.message
+        findings = list(self._findings())
+        self._end.note(self._term, self._estimate, findings, self._now, is_end=self.scan > 0, is_heartbeat=is_heartbeat)
+        worth, last = weigh(findings), self._published.message
         old_sides = tuple(sorted(name for name, p in self._peers.items() if p.boundary and not p.complete))
         is_as_shown = self._published.is_as_shown(worth.quality, old_sides)
         if is_as_shown and not (is_heartbeat or self._has_solved):
@@ -252,7 +254,7 @@ class AsynchronousProtocol(AreaProtocol):
     def _findings(self) -> Iterator[Finding]:
         """What is to be said of the estimate now; new readings leave it behind until they have been worked in."""
         estimate = self._estimate
-        yield from (Finding(DEGRADED if estimate else NONE, note) for note in self._notes)
+        yield from (Finding(DEGRADED if estimate else NONE, note, note.partition(":")[0]) for note in self._notes)
         yield from find_rejected_clocks(self._rejections.ahead)
         yield from find_contradictions(self._rejections.contradictions)
         yield from find_skewed_clocks(self._peers.skewed)

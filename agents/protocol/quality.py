@@ -28,10 +28,15 @@ EARLY_S = 1.0  # ahead of the own clock, from which on a scan is worth a remark
 
 
 class Finding(NamedTuple):
-    """``note``: a sentence about an estimate. ``quality``: the best that it can be; good for a mere remark."""
+    """``note``: a sentence about an estimate. ``quality``: the best that it can be; good for a mere remark.
+
+    ``about``, where the note has figures or names many: what it says without them; ``whom``: the names.
+    """
 
     quality: str
     note: str
+    about: str = ""
+    whom: Sequence[str] = ()
 
 
 class Worth(NamedTuple):
@@ -86,12 +91,14 @@ class EstimateLimits:
                 DEGRADED,
                 f"voltages of {outside.size} buses are outside {band}, the farthest is {vm[worst]:.3g} p.u. at bus "
                 f"{self._buses[worst]}",
+                "voltages are outside",
             )
         if len(estimate.removed) > limits.most_removed * self._n_meters:
             yield Finding(
                 DEGRADED,
                 f"{len(estimate.removed)} of {self._n_meters} meters are removed, more than "
                 f"{100 * limits.most_removed:g} %: which of them are wrong is not clear",
+                "many meters are removed",
             )
 
 
@@ -114,6 +121,8 @@ def find_rejected_clocks(ahead: Mapping[str, float]) -> Iterator[Finding]:
             GOOD,
             f"{name or 'telemetry'} is rejected, from {lead:.0f} s in the future: the clock of this area is behind, "
             "or that of the sender ahead; set it, then start its process again",
+            "rejected, from the future",
+            [name],
         )
 
 
@@ -130,6 +139,8 @@ def find_far_scans(far_scans: Mapping[str, int]) -> Iterator[Finding]:
             GOOD,
             f"messages of {name} are rejected: one announced scan {scan}, far ahead of the telemetry; if its own state "
             f"shows none like it, somebody else sends in the name of {name}: use keys",
+            "rejected, a scan far ahead",
+            [name],
         )
 
 
@@ -138,14 +149,17 @@ def find_skewed_clocks(skewed: Mapping[str, Skew]) -> Iterator[Finding]:
     for name, skew in sorted(skewed.items()):
         where = "ahead of" if skew.ahead_s > 0 else "behind"
         yield Finding(
-            DEGRADED, f"the clock of {name} is {abs(skew.ahead_s):.2g} s {where} that of this area; set the wrong one"
+            DEGRADED,
+            f"the clock of {name} is {abs(skew.ahead_s):.2g} s {where} that of this area; set the wrong one",
+            f"clock {where}",
+            [name],
         )
 
 
 def find_overdue_readings(ages: Ages, most_overdue: float, now: float) -> Iterator[Finding]:
     """Readings that are older than two of their intervals, and what that leaves of an estimate which rests on them."""
     if overdue := ages.find_overdue(now):
-        yield Finding(GOOD, f"overdue: the reading of {_first_of(overdue)}")
+        yield Finding(GOOD, f"overdue: the reading of {_first_of(overdue)}", "overdue", overdue)
     share = ages.overdue_share(now)
     if share >= 1:
         yield Finding(STALE, "all readings of this area are overdue or missing")
@@ -154,6 +168,7 @@ def find_overdue_readings(ages: Ages, most_overdue: float, now: float) -> Iterat
             DEGRADED,
             f"{100 * share:.0f} % of the readings of this area are overdue or missing, more than "
             f"{100 * most_overdue:g} %",
+            "many readings are overdue or missing",
         )
 
 
@@ -169,27 +184,27 @@ def find_early_scan(lead_s: float) -> Iterator[Finding]:
 def find_left_out_readings(readings: Readings) -> Iterator[Finding]:
     """Meters whose newest reading is not used, and why."""
     if readings.too_old:
-        yield Finding(GOOD, f"too old: the reading of {_first_of(readings.too_old)}")
+        yield Finding(GOOD, f"too old: the reading of {_first_of(readings.too_old)}", "too old", readings.too_old)
     by_reason: dict[str, list[str]] = {}
     for meter_id, reason in readings.why_rejected.items():
         if meter_id not in readings.invalid:  # which is said of all of these
             by_reason.setdefault(reason, []).append(meter_id)
     for reason, meters in sorted(by_reason.items()):
-        yield Finding(GOOD, f"{reason}: the newest reading of {_first_of(meters)}")
+        yield Finding(GOOD, f"{reason}: the newest reading of {_first_of(meters)}", reason, meters)
 
 
 def find_missing_readings(silent: Sequence[str], invalid: Sequence[str]) -> Iterator[Finding]:
     """Meters without a reading that can be used; the standard deviations of the estimate say what that means."""
     if invalid:
-        yield Finding(GOOD, f"marked invalid: the reading of {_first_of(invalid)}")
+        yield Finding(GOOD, f"marked invalid: the reading of {_first_of(invalid)}", "marked invalid", invalid)
     if silent:
-        yield Finding(GOOD, f"no reading from {_first_of(silent)}")
+        yield Finding(GOOD, f"no reading from {_first_of(silent)}", "no reading", silent)
 
 
 def find_meters_off(meters: Sequence[str]) -> Iterator[Finding]:
     """Meters that the operator has switched off."""
     if meters:
-        yield Finding(GOOD, f"switched off by the operator: {_first_of(meters)}")
+        yield Finding(GOOD, f"switched off by the operator: {_first_of(meters)}", "switched off", meters)
 
 
 def _first_of(meters: Sequence[str]) -> str:

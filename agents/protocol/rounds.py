@@ -54,7 +54,8 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
         self._is_change_due = False
         self._has_loads_to_tell = False  # which only stand in for what is missing
         self._raised_at = -math.inf  # when this area itself last raised the revision
-        self._state = RoundsState(content, self._peers, self._round, self._scan, self._rejections, self._published)
+        known = self._peers, self._round, self._scan, self._rejections
+        self._state = RoundsState(content, *known, self._published, self._end)
 
     def describe_backend(self) -> str:
         """For the log: what computes, and how often something else had to."""
@@ -74,6 +75,10 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
     def removed(self) -> tuple[str, ...]:
         """The meters of all areas that this term has taken out as bad data, in order."""
         return self._round.removed
+
+    @property
+    def _term(self) -> Term:
+        return self.term
 
     @property
     def _is_at_rest(self) -> bool:

@@ -22,7 +22,6 @@ from agents.protocol.quality import (
     UNOBSERVABLE,
     EstimateLimits,
     Finding,
-    Worth,
     find_contradictions,
     find_early_scan,
     find_far_scans,
@@ -37,6 +36,7 @@ from agents.protocol.quality import (
     weigh,
 )
 from agents.protocol.readings import Ages
+from agents.protocol.scan_end import ScanEnd
 from agents.protocol.scan_readings import ScanReadings
 from agents.strategies.interface import Estimate
 from dsse_core.estimation.decision import UNOBSERVABLE as NOT_OBSERVABLE
@@ -59,6 +59,7 @@ class RoundsState:
         scan: ScanReadings,
         rejections: Rejections,
         published: PublishedState,
+        end: ScanEnd,
     ) -> None:
         self._area = content.area
         self._peers = peers
@@ -66,6 +67,7 @@ class RoundsState:
         self._scan = scan
         self._rejections = rejections
         self._published = published
+        self._end = end
         buses = [bus.id for bus in content.area.network.buses]
         self._limits = EstimateLimits(content.limits, buses, content.meters)
         self._estimate: Estimate | None = None
@@ -81,12 +83,18 @@ class RoundsState:
     def show(self, term: Term, now: float, *, is_heartbeat: bool) -> StateMessage | None:
         """The state to be published at time ``now``, if any is; passing notes alone wait for the heartbeat."""
         outcome = self._round.outcome
-        if outcome is not None and outcome is not self._outcome:
+        is_new = outcome is not None and outcome is not self._outcome
+        if outcome is not None and is_new:
             self._outcome, self._of_scan, self._ages = outcome, term[0], self._scan.readings.ages
             self._estimate, self._findings = self._read(outcome)
-        elif not is_heartbeat and (self._is_first_way_through(term) or self._is_as_shown(term, now)):
+        elif not is_heartbeat and self._is_first_way_through(term):
             return None
-        worth, old_sides, scan = self._weigh(term, now), self._old_sides(term, now), self._of_scan or term[0]
+        is_end = self._outcome is not None and self._outcome is self._round.outcome
+        findings, old_sides = [*self._findings, *self._passing_findings(term, now)], self._old_sides(term, now)
+        self._end.note(term, self._estimate, findings, now, is_end=is_end, is_heartbeat=is_heartbeat)
+        worth, scan = weigh(findings), self._of_scan or term[0]
+        if not (is_new or is_heartbeat) and self._published.is_as_shown(worth.quality, old_sides):
+            return None
         return self._published.compose(self._estimate_now(term), worth, old_sides, scan, now, self._ages)
 
     def show_end(self, term: Term, now: float) -> StateMessage | None:
@@ -102,9 +110,6 @@ class RoundsState:
             return False
         return 0 < term[0] != self._of_scan and (not term[1] or self._published.message is None)
 
-    def _is_as_shown(self, term: Term, now: float) -> bool:
-        return self._published.is_as_shown(self._weigh(term, now).quality, self._old_sides(term, now))
-
     def _read(self, outcome: Outcome) -> tuple[Estimate | None, tuple[Finding, ...]]:
         """What the term has ended with, and what that leaves to be said until the next one."""
         estimation, estimate = self._round.estimation, None
@@ -115,7 +120,7 @@ class RoundsState:
                 estimation.fail(error)
         findings = [*self._findings_of(outcome)]
         if estimation.failure:
-            findings.insert(0, Finding(NONE, f"no estimate: {estimation.failure}"))
+            findings.insert(0, Finding(NONE, f"no estimate: {estimation.failure}", "no estimate"))
         if estimate is not None:
             findings += self._limits.find_breaches(estimate)
         return estimate, tuple(findings)
@@ -157,21 +162,24 @@ class RoundsState:
             yield Finding(RELATIVE_ANGLE, "no area that is counted sees the substation or has an angle meter")
         for n in self._area.neighbours:
             if n.area in self._peers.distrusted:
-                yield Finding(DEGRADED, f"{n.area} is not believed: {self._peers.distrusted[n.area]}")
+                why = self._peers.distrusted[n.area]
+                yield Finding(DEGRADED, f"{n.area} is not believed: {why}", "is not believed", [n.area])
             elif n.area not in self._round.links:
                 yield Finding(DEGRADED, f"no information from {n.area}")
         if others := [name for name in totals.stale if name != self._area.name]:
-            yield Finding(DEGRADED, f"no readings of this scan in {', '.join(others)}")
+            yield Finding(DEGRADED, f"no readings of this scan in {', '.join(others)}", "no readings in", others)
         elif totals.stale:
             yield Finding(DEGRADED, "this area counts as one without readings of this scan")
         if totals.areas > self._area.n_areas:
             senders = " or ".join([self._round.towards_hub] if self._round.towards_hub else self._round.lower)
             what = f"{totals.areas} of {self._area.n_areas} areas are counted"
-            yield Finding(DEGRADED, f"{what}: {senders} says false things, or passes them on")
+            yield Finding(DEGRADED, f"{what}: {senders} says false things, or passes them on", "too many areas")
         elif totals.areas != self._area.n_areas:
-            yield Finding(DEGRADED, f"{totals.areas} of {self._area.n_areas} areas are counted")
+            what = f"{totals.areas} of {self._area.n_areas} areas are counted"
+            yield Finding(DEGRADED, what, "areas are not counted")
         elif totals.silent:
-            yield Finding(DEGRADED, f"not received by a neighbour: {', '.join(totals.silent)}")
+            silent = totals.silent
+            yield Finding(DEGRADED, f"not received by a neighbour: {', '.join(silent)}", "not received", silent)
 
     def _findings_of_end(self, outcome: Outcome) -> Iterator[Finding]:
         """How the iteration has ended, where that leaves something to be said."""
@@ -180,34 +188,36 @@ class RoundsState:
             dead = self._round.estimation.dead_voltmeters
             left_out = f"; left out as dead: {', '.join(dead)}" if dead else ""
             buses = ", ".join(totals.unobservable)
-            yield Finding(UNOBSERVABLE, f"not observable: no reading of this scan determines buses {buses}{left_out}")
+            what = f"not observable: no reading of this scan determines buses {buses}{left_out}"
+            yield Finding(UNOBSERVABLE, what, "not observable", totals.unobservable)
         elif totals.failed:
-            yield Finding(DEGRADED, f"no estimate in {', '.join(totals.failed)}")
+            yield Finding(DEGRADED, f"no estimate in {', '.join(totals.failed)}", "no estimate in", totals.failed)
         elif reason:
-            yield Finding(DEGRADED, f"the iteration has not converged: last step {totals.step:.3g} p.u. or rad")
+            what = "the iteration has not converged"
+            yield Finding(DEGRADED, f"{what}: last step {totals.step:.3g} p.u. or rad", what)
         elif kept := self._round.kept:
             yield Finding(
                 DEGRADED,
                 f"readings contradict each other (J {totals.objective:.4g} with {totals.degrees_of_freedom} degrees of "
                 f"freedom); {kept} stands out, and stays because without it the iteration does not converge",
+                "readings contradict each other",
+                [kept],
             )
         elif _exceeds_limit(totals):
             yield Finding(
                 DEGRADED,
                 f"readings contradict each other (J {totals.objective:.4g} with {totals.degrees_of_freedom} degrees of "
                 "freedom), and no meter stands out that can be spared",
+                "readings contradict each other",
             )
-
-    def _weigh(self, term: Term, now: float) -> Worth:
-        """What the estimate is worth now, and why."""
-        return weigh([*self._findings, *self._passing_findings(term, now)])
 
     def _passing_findings(self, term: Term, now: float) -> Iterator[Finding]:
         """What holds now, and may not at the next moment."""
         if self._outcome is None:
             is_waiting = not self._scan.has_been_read and not term[0]
             yield Finding(NONE, "no telemetry yet" if is_waiting else "the first estimate is under way")
-        yield from (Finding(DEGRADED, note) for note in self._mismatches(term))
+        for name, note in self._mismatches(term):
+            yield Finding(DEGRADED, note, "boundary mismatch", [name])
         if self._outcome is not None:
             yield from self._aging(term, now)
         for name, leave_reason in sorted(self._peers.gone.items()):
@@ -233,7 +243,8 @@ class RoundsState:
         if self._scan.are_outdated:
             yield Finding(DEGRADED, "other readings of this scan wait for the next term")
         if self._outcome is not self._round.outcome:
-            yield Finding(DEGRADED, f"a newer estimate, of scan {term[0]}, is under way")
+            what = "a newer estimate is under way"
+            yield Finding(DEGRADED, f"a newer estimate, of scan {term[0]}, is under way", what)
             return
         for name in sorted(self._peers.find_old(term, self._round.links, now) - self._peers.gone.keys()):
             peer = self._peers[name]
@@ -246,8 +257,9 @@ class RoundsState:
             else:
                 yield Finding(DEGRADED, f"{name} is not received, or does not receive this area")
 
-    def _mismatches(self, term: Term) -> Iterator[str]:
+    def _mismatches(self, term: Term) -> Iterator[tuple[str, str]]:
         """Neighbours whose final voltage at the boundary is another than ours: somebody on that side says false things.
+        Each with that in words.
 
         Rounding leaves less, and without a lie both sides take the same steps.
         """
@@ -260,8 +272,9 @@ class RoundsState:
             dvm, dva = self._find_mismatch(name, outcome, peer.y)
             if max(dvm, dva) > MISMATCH:
                 yield (
+                    name,
                     f"boundary mismatch with {name} at bus {peer.bus}: its final voltage differs by {dvm:.3g} p.u. and "
-                    f"{math.degrees(dva):.3g} deg; one of the two sides says false things"
+                    f"{math.degrees(dva):.3g} deg; one of the two sides says false things",
                 )
 
     def _find_mismatch(self, name: str, outcome: Outcome, theirs: tuple[float, ...]) -> tuple[float, float]:

@@ -27,7 +27,8 @@ from agents.messages.keys import (
 from agents.messages.packing import ClockMessage, ReadingsMessage, StateMessage, decode
 from agents.orders.order_book import OrderBook
 from agents.protocol.choose import kinds_of, make_protocol
-from agents.protocol.events import ClockSet, Event, Finish, PresenceChanged, Publish
+from agents.protocol.events import ClockSet, Conclude, Event, Finish, PresenceChanged, Publish
+from agents.runtime.change_log import ChangeLog
 from agents.runtime.duplicate_guard import GIVES_WAY, DuplicateGuard, ReplacedError
 from agents.runtime.heap import give_back
 from agents.runtime.host_clock import HostClock
@@ -40,7 +41,6 @@ from agents.runtime.watchdog import Watchdog
 from agents.transport.zenoh_bus import Session
 
 log = logging.getLogger(__name__)
-SAID_LATELY_S = 10.0  # a line of the log that was true within so many seconds says nothing new
 TIDY_S = 1.0  # between two times that free memory is given back; hundreds of areas may share one machine's
 
 
@@ -107,7 +107,7 @@ def run_agent(
     orders = orders or OrderBook.of(content)
     events = orders.begin()
     take_command = functools.partial(_take_command, orders, clock)
-    changes = _ChangeLog()
+    changes = ChangeLog()
     next_tidying = now
     watchdog = watchdog or Watchdog({})
     watchdog.ready(now)
@@ -118,8 +118,8 @@ def run_agent(
             match action:
                 case Publish(message, to):
                     links.send(message, to, now)
-                    if isinstance(message, StateMessage):
-                        changes.take(message, now)
+                case Conclude():
+                    changes.take(action, now)
                 case Finish(reason):
                     send_leave(reason.encode())
                     if (at_the_end := protocol.describe_backend()) != backend:
@@ -162,22 +162,6 @@ def _listen(content: AreaFile, session: Session, kinds: Sequence[str], inbox: In
         )
     for area in (*neighbours, name):
         session.watch_presence(all_incarnations(run, "area", area), lambda key, alive: _put_token(inbox, key, alive))
-
-
-class _ChangeLog:
-    """Logs what an area works with when that is new: what is true again and again, scan by scan, fills no disk."""
-
-    def __init__(self) -> None:
-        self._said: dict[str, float] = {}  # line -> when it was true last
-
-    def take(self, state: StateMessage, now: float) -> None:
-        what = "no estimate" if not state.buses else "estimates" if state.referenced else "estimates, angles relative"
-        removed = [f"removed as bad data: {', '.join(state.removed)}"] if state.removed else []
-        line = "; ".join([what, *removed, *state.notes])
-        self._said = {said: at for said, at in self._said.items() if now - at < SAID_LATELY_S}
-        if line not in self._said:
-            log.info("scan %d: %s", state.header.scan, line)
-        self._said[line] = now
 
 
 def _publishers(content: AreaFile, session: Session, kinds: Sequence[str]) -> Callable[[str | None, str, bytes], None]:
