@@ -13,6 +13,7 @@ from dsse_core.files.bounded_file import read_text
 from dsse_core.files.strict_table import Table
 
 TIMEOUT_S = 10.0
+KEEPALIVE_S = 10  # after which a broker that is silent is asked whether it is there
 
 
 class BrokerSettings(Table):
@@ -64,5 +65,6 @@ def connect(settings: BrokerSettings, **options: Any) -> aiomqtt.Client:
         identifier=settings.client_id,
         tls_context=context,
         timeout=TIMEOUT_S,
+        keepalive=KEEPALIVE_S,
         **options,
     )

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from typing import Any, Literal
 
 import aiomqtt
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from coordinator.gateway.broker import BrokerSettings, connect
 from coordinator.gateway.interface import Emit, Source
@@ -24,6 +24,7 @@ from coordinator.gateway.sources.texts import (
 MALFORMED, DROPPED, NO_TIME = "malformed", "dropped", "retained without a time"
 MOST_OF_A_TOPIC = 100  # messages of one topic that wait; a flood of one topic takes nothing from the others
 LARGEST_PAYLOAD = 2**16  # bytes
+OTHERS = "# without an address"  # in place of all topics that the map does not have
 
 
 class MqttSettings(BrokerSettings):
@@ -37,6 +38,16 @@ class MqttSettings(BrokerSettings):
     time: str = "time"
     valid: str = "valid"
     unit: str = "unit"
+
+    @field_validator("topics")
+    @classmethod
+    def _can_be_subscribed_to(cls, topics: list[str]) -> list[str]:
+        for topic in topics:
+            *levels, last = topic.split("/")
+            fits = all(level == "+" or not {"+", "#"} & set(level) for level in (*levels, "" if last == "#" else last))
+            if not topic or "\0" in topic or not fits:
+                raise ValueError(f"{topic!r:.80} cannot be subscribed to; + stands for a level, # for all that follow")
+        return topics
 
 
 class MqttSource(Source):
@@ -64,7 +75,7 @@ class MqttSource(Source):
         return ""
 
     async def read(self, emit: Emit) -> None:
-        queue = _FairQueue()
+        queue = _FairQueue(self.paths.keys())
         async with connect(self.settings, queue_type=lambda maxsize: queue) as client:
             subscribed: list[tuple[str, int]] = [
                 (topic, self.settings.qos) for topic in self.settings.topics or self.paths
@@ -117,9 +128,12 @@ class MqttSource(Source):
 
 
 class _FairQueue(asyncio.Queue[aiomqtt.Message]):
-    """Messages that wait, some of each topic: of more, the oldest of that topic are dropped and counted."""
+    """Messages that wait, some of each topic: of more, the oldest of that topic are dropped and counted. Topics that
+    are not ``known`` count as one: there may be any number of them.
+    """
 
-    def __init__(self) -> None:
+    def __init__(self, known: Container[str]) -> None:
+        self.known = known
         self.dropped: dict[str, int] = {}
         super().__init__()
 
@@ -134,8 +148,10 @@ class _FairQueue(asyncio.Queue[aiomqtt.Message]):
         return self._count == 0
 
     def _put(self, item: aiomqtt.Message) -> None:
-        topic = str(item.topic)
+        topic = str(item.topic) if str(item.topic) in self.known else OTHERS
         waiting = self._by_topic.setdefault(topic, deque())
+        if isinstance(item.payload, bytes) and len(item.payload) > LARGEST_PAYLOAD:
+            item.payload = item.payload[: LARGEST_PAYLOAD + 1]  # too large all the same
         waiting.append(item)
         self._count += 1
         if len(waiting) > MOST_OF_A_TOPIC:

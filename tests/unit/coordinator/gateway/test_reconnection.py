@@ -24,13 +24,15 @@ def pauses(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 
 def test_pauses_grow_until_something_works(pauses: list[float]) -> None:
     said: list[str] = []
-    link, attempts = Link("source", say=said.append), 0
+    now = [0.0]
+    link, attempts = Link("source", say=said.append, clock=lambda: now[0]), 0
 
     async def attempt() -> None:
         nonlocal attempts
         attempts += 1
         if attempts == 10:
             link.note_success()
+            now[0] += 60.0
             raise OSError("gone")
         if attempts < 12:
             raise ConnectionRefusedError("nobody there")
@@ -42,6 +44,24 @@ def test_pauses_grow_until_something_works(pauses: list[float]) -> None:
     assert ["nobody there" in said[0], "works again" in said[1], "gone" in said[2], "nobody there" in said[3]] == [
         True
     ] * 4
+
+
+def test_a_link_that_comes_and_goes_is_tried_less_often_and_fills_no_log(pauses: list[float]) -> None:
+    said: list[str] = []
+    link, attempts = Link("source", say=said.append, clock=lambda: 0.0), 0
+
+    async def attempt() -> None:
+        nonlocal attempts
+        attempts += 1
+        if attempts <= 2000:
+            link.note_success()
+            raise OSError("gone")
+
+    asyncio.run(keep_on(link, attempt))
+    assert pauses[-1] == 10.0
+    assert link.failures == 2000
+    assert len(said) < 10
+    assert sum("gone" in each for each in said) == 4
 
 
 def test_of_several_errors_the_first_is_named_in_one_printable_line() -> None:

@@ -8,7 +8,9 @@ import contextlib
 import aiomqtt
 import pytest
 from mqtt_broker import broker
+from pydantic import ValidationError
 
+import coordinator.gateway.broker
 from coordinator.gateway.sources import mqtt
 from coordinator.gateway.sources.mqtt import MqttSettings, MqttSource, _FairQueue
 
@@ -82,7 +84,7 @@ def test_a_flood_of_one_topic_takes_no_message_of_another_and_is_counted(recorde
         return aiomqtt.Message(topic, str(k).encode(), 0, False, k, None)
 
     async def test() -> None:
-        queue = _FairQueue()
+        queue = _FairQueue({"quiet", "loud"})
         queue.put_nowait(message("quiet", 1))
         for k in range(10_000):
             queue.put_nowait(message("loud", k))
@@ -96,6 +98,61 @@ def test_a_flood_of_one_topic_takes_no_message_of_another_and_is_counted(recorde
     run(test())
     assert len(recorder.refused) == 10_000 - mqtt.MOST_OF_A_TOPIC
     assert recorder.refused[0][0] == "dropped"
+
+
+def test_a_flood_of_ever_new_topics_and_of_large_payloads_takes_no_memory(recorder, run) -> None:
+    large = bytes(10 * mqtt.LARGEST_PAYLOAD)
+
+    async def test() -> None:
+        queue = _FairQueue({"quiet"})
+        queue.put_nowait(aiomqtt.Message("quiet", large, 0, False, 0, None))
+        for k in range(10_000):
+            queue.put_nowait(aiomqtt.Message(f"new/{k}", b"1", 0, False, k, None))
+        assert queue.qsize() == 1 + mqtt.MOST_OF_A_TOPIC
+        source = make_source(1, "quiet")
+        waiting = [await queue.get() for _ in range(queue.qsize())]
+        assert sum(len(m.payload) for m in waiting) < 2 * mqtt.LARGEST_PAYLOAD
+        for each in waiting:
+            source._take(each, recorder)
+        mqtt._tell_dropped(queue, recorder)
+
+    run(test())
+    assert [address for address, *_ in recorder.readings] == [f"new/{k}" for k in range(9_900, 10_000)]
+    reasons = [reason for reason, _ in recorder.refused]
+    assert reasons == ["malformed", *["dropped"] * 9_900]
+
+
+@pytest.mark.parametrize("topics", [["f/#/x"], ["f+/a"], [""], ["a#"], ["f/\0"]])
+def test_a_topic_to_which_nobody_can_subscribe_is_named_with_the_map(topics: list[str]) -> None:
+    with pytest.raises(ValidationError, match="topics"):
+        make_source(1, "f/u", topics=topics)
+    assert make_source(1, "f/u", topics=["#", "+", "a/+/b", "/", "a/#"]).settings.topics[0] == "#"
+
+
+async def fall_silent(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    """A broker that takes a client and its subscription, and says nothing after that."""
+    with contextlib.suppress(ConnectionError):
+        await reader.read(1000)
+        writer.write(b"\x20\x02\x00\x00")
+        asked = await reader.read(1000)
+        writer.write(b"\x90\x03" + asked[2:4] + b"\x00")
+        while await reader.read(1000):
+            pass
+    writer.close()
+
+
+def test_a_broker_that_falls_silent_is_an_error(
+    free_port: int, recorder, reading, run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(coordinator.gateway.broker, "KEEPALIVE_S", 1)
+
+    async def test() -> None:
+        server = await asyncio.start_server(fall_silent, "127.0.0.1", free_port)
+        async with server, reading(make_source(free_port, "u"), recorder) as task:
+            await recorder.wait_until(task.done)
+            assert isinstance(task.exception(), aiomqtt.MqttError)
+
+    run(test())
 
 
 async def blast(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, count: int) -> None:
