@@ -15,10 +15,10 @@ from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.state_limits import StateLimits
 from dsse_core.files.strict_table import load_strict
 from dsse_core.files.wording import Suggestions, describe_unknown
-from dsse_core.grid.columns import Records, read_column
+from dsse_core.grid.columns import Records, read_column, take_items
 from dsse_core.grid.division import build_partition
 from dsse_core.grid.measurement import Measurement, Meter, Source
-from dsse_core.grid.meter_table import KINDS, join_meters, number_kinds, take_meters
+from dsse_core.grid.meter_table import KINDS, join_meters, number_kinds
 from dsse_core.grid.network import Network
 from dsse_core.grid.partition import Area, Partition
 from dsse_core.printable import printable
@@ -259,7 +259,7 @@ def find_virtual_problems(key: str, meters: Sequence[Meter], virtual: Collection
     """Every injection meter with a reading, of the file that ``key`` gives, at a bus that injects exactly nothing."""
     injections = [k for k, kind in enumerate(KINDS) if kind.of_injection]
     wrong = np.isin(number_kinds(meters), injections) & np.isin(read_column(meters, "bus", np.int64), list(virtual))
-    for meter in take_meters(meters, np.flatnonzero(wrong)):
+    for meter in take_items(meters, np.flatnonzero(wrong)):
         yield (
             f"{key}: {meter.id} has a reading, but measurements.zero_injection says that bus {meter.bus} injects "
             "exactly nothing; remove the reading, or set zero_injection to 'measured' or to a list without this bus"

@@ -30,8 +30,8 @@ class Telemetry:
     """
 
     truth: PowerFlowResult | None
-    by_area: dict[str, tuple[Measurement, ...]]
-    union: tuple[Measurement, ...]
+    by_area: Mapping[str, Sequence[Measurement]]
+    union: Sequence[Measurement]
     area_power_flows: dict[str, PowerFlowResult]
 
     def __repr__(self) -> str:
@@ -55,15 +55,13 @@ class Scan:
 def make_telemetry(scenario: Scenario, scan: int = 1) -> Telemetry:
     """Readings of all meters in scan number ``scan``, each a measurement. Raises as ``read_meters``."""
     read = read_meters(scenario, scan)
-    union = tuple(map(Measurement, scenario.meters, read.values.tolist(), read.sigmas.tolist()))
+    union = Records(Measurement, {"meter": scenario.meters, "value": read.values, "sigma": read.sigmas})
     if read.missing:
-        missing = set(read.missing)
-        union = tuple(m for k, m in enumerate(union) if k not in missing)
-    by_area: dict[str, list[Measurement]] = {area.name: [] for area in scenario.partition.areas}
-    for measurement in union:
-        by_area[scenario.partition.area_of_meter(measurement.meter)].append(measurement)
-    parts = {name: tuple(part) for name, part in by_area.items()}
-    return Telemetry(read.truth, parts, union, read.area_power_flows)
+        union = union.take(np.delete(np.arange(len(union)), read.missing))
+    positions = scenario.partition.split_meters(union.columns["meter"])
+    return Telemetry(
+        read.truth, {area: union.take(own) for area, own in positions.items()}, union, read.area_power_flows
+    )
 
 
 def expect_telemetry(scenario: Scenario) -> Telemetry:

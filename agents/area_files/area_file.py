@@ -11,12 +11,15 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import tomli_w
 from pydantic_core import to_json
 
 from dsse_core.estimation.state_limits import DEFAULT_LIMITS, StateLimits
 from dsse_core.files.drafts import whole_file
+from dsse_core.grid.columns import Records
 from dsse_core.grid.measurement import Meter
+from dsse_core.grid.meter_table import list_columns
 from dsse_core.grid.network import Branch, Bus, Generator
 from dsse_core.grid.partition import Area, Neighbour
 from dsse_core.link_faults import LinkFaults
@@ -52,7 +55,7 @@ class AreaFile:
 
     run: str
     area: Area
-    meters: tuple[Meter, ...]
+    meters: Sequence[Meter]
     strategy: str
     endpoints: tuple[str, ...]
     listen: tuple[str, ...] = ()
@@ -128,15 +131,19 @@ def _readings_table(rules: ReadingRules) -> dict[str, Any]:
 
 def _columns_of(cls: Any, items: Sequence[Any]) -> dict[str, Any]:
     """Dataclasses as one table with a list for each key; a key of defaults only is left out."""
-    columns = ((key, _column_of(key, items), default) for key, default in keys_of(cls))
+    of_meters = list_columns(items) if cls is Meter else {}
+    columns = ((key, of_meters.get(key) or _column_of(key, items), default) for key, default in keys_of(cls))
     return {
         key: column
         for key, column, default in columns
-        if default is dataclasses.MISSING or any(value != default for value in column)
+        if default is dataclasses.MISSING or column.count(default) < len(column)
     }
 
 
-def _column_of(key: str, items: Sequence[Any]) -> list[Any]:
+def _column_of(key: str, items: Sequence[Any]) -> Sequence[Any]:
+    if isinstance(items, Records):
+        given: Sequence[Any] | np.ndarray = items.columns.get(key, ())
+        return given.tolist() if isinstance(given, np.ndarray) else given
     column = list(map(attrgetter(key), items))
     is_enumeration = bool(column) and isinstance(column[0], StrEnum)
     return list(map(str, column)) if is_enumeration else column  # plain text is written in a fraction of the time

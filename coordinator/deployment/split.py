@@ -34,7 +34,7 @@ def area_files(
         AreaFile(
             run=run,
             area=area,
-            meters=tuple(meters[area.name]),
+            meters=meters[area.name],
             strategy=scenario.strategy,
             endpoints=tuple(area_endpoints[n.area] for n in area.neighbours if n.is_parent)
             if area_endpoints

@@ -96,11 +96,11 @@ def compare(
     n = len(partition.network.buses)
     whole, sigma, unknown = (Voltages(np.full(n, np.nan), np.full(n, np.nan)) for _ in range(3))
     by_area = {}
-    for area in partition.areas:
+    for k, area in enumerate(partition.areas):
         state = states.get(area.name)
         rows = rows_of(partition, area.name)
         by_area[area.name] = _published(state, len(rows))
-        owned = np.array([partition.owner_of_bus[bus.id] == area.name for bus in area.network.buses])
+        owned = partition.owner[rows] == k
         whole.vm[rows[owned]] = by_area[area.name].vm[owned]
         whole.va[rows[owned]] = by_area[area.name].va[owned]
         if state is not None and state.buses:
@@ -130,7 +130,7 @@ def _published(state: StateMessage | None, n: int) -> Voltages:
 
 def rows_of(partition: Partition, area: str) -> np.ndarray:
     """Rows in the whole network of the buses that ``area`` sees, in the area's order."""
-    return np.array([partition.network.row[bus.id] for bus in partition.area(area).network.buses], dtype=int)
+    return partition.rows_of_buses[area]
 
 
 def wrapped_deg(va: np.ndarray) -> np.ndarray:

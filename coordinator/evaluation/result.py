@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -75,7 +75,7 @@ class RunOutcome(WithTables):
     timing_s: Mapping[str, float]
     faults: Mapping[str, int]
     duplicates: tuple[Duplicate, ...]
-    readings: tuple[Measurement, ...] = ()
+    readings: Sequence[Measurement] = ()
 
     def in_folder(self, folder: Path) -> RunResult:
         return RunResult(**{each.name: getattr(self, each.name) for each in fields(self)}, folder=folder)

@@ -14,9 +14,9 @@ from dsse_core.estimation.bad_data import process_bad_data_with_plan
 from dsse_core.estimation.batch import BatchResult, RowFailure, describe_failure, estimate_batch
 from dsse_core.estimation.plan import EstimationPlan, build_estimation_plan
 from dsse_core.estimation.residuals import CONFIDENCE, chi_square_limit, find_dead
-from dsse_core.grid.columns import Records, read_column
+from dsse_core.grid.columns import Records, read_column, take_items
 from dsse_core.grid.measurement import Measurement, Meter
-from dsse_core.grid.meter_table import find_virtual, join_meters, take_meters
+from dsse_core.grid.meter_table import find_virtual, join_meters
 from dsse_core.results.scans import ScanTables, make_scan_tables
 from scenarios.files.readings.file import Scans, load_scans
 from scenarios.scenario import Scenario, TelemetrySettings, find_virtual_problems
@@ -80,7 +80,7 @@ def _meters_of(scenario: Scenario, scans: Scans) -> Sequence[Meter]:
 
 
 def _virtual_of(scenario: Scenario) -> Sequence[Meter]:
-    return take_meters(scenario.meters, np.flatnonzero(find_virtual(scenario.meters)))
+    return take_items(scenario.meters, np.flatnonzero(find_virtual(scenario.meters)))
 
 
 def estimate_scans(scenario: Scenario, scans: Scans) -> ScanEstimates:

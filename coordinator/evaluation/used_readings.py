@@ -5,11 +5,15 @@ Where readings age, or clocks number scans, nobody else knows which those are: n
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from agents.messages.packing import ReadingsMessage, StateMessage
+from dsse_core.grid.columns import take_items
 from dsse_core.grid.measurement import Measurement, Source
+from dsse_core.grid.meter_table import list_ids, read_meters_of
 from scenarios.scenario import Scenario
 from scenarios.telemetry import Telemetry
 
@@ -62,5 +66,10 @@ def _without(telemetry: Telemetry, off: Collection[str]) -> Telemetry:
     """``telemetry`` without the readings of meters that are ``off``."""
     if not off:
         return telemetry
-    by_area = {name: tuple(m for m in part if m.meter.id not in off) for name, part in telemetry.by_area.items()}
-    return replace(telemetry, by_area=by_area, union=tuple(m for m in telemetry.union if m.meter.id not in off))
+    by_area = {name: _take_on(part, off) for name, part in telemetry.by_area.items()}
+    return replace(telemetry, by_area=by_area, union=_take_on(telemetry.union, off))
+
+
+def _take_on(readings: Sequence[Measurement], off: Collection[str]) -> Sequence[Measurement]:
+    ids = list_ids(read_meters_of(readings))
+    return take_items(readings, np.flatnonzero([meter_id not in off for meter_id in ids]))

@@ -6,9 +6,13 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from agents.messages.packing import Header, Incarnation, TelemetryMessage, encode
 from agents.security.access import PLANT
-from dsse_core.grid.measurement import Measurement, Source
+from dsse_core.grid.columns import read_column, take_items
+from dsse_core.grid.measurement import Measurement
+from dsse_core.grid.meter_table import find_virtual, list_ids, read_meters_of
 from scenarios.scenario import Scenario
 from scenarios.telemetry import make_telemetry
 
@@ -27,12 +31,13 @@ class Readings:
 
 def read(measurements: Sequence[Measurement], measured_at: float | Mapping[str, float]) -> Readings:
     """Virtual measurements are no readings: agents know them. ``measured_at``: when, of all or by id of the meter."""
-    readings = [m for m in measurements if m.meter.source is not Source.VIRTUAL]
-    ids = tuple(m.meter.id for m in readings)
+    real = np.flatnonzero(~find_virtual(read_meters_of(measurements)))
+    readings = take_items(measurements, real)
+    ids = tuple(list_ids(read_meters_of(readings)))
     return Readings(
         ids,
-        tuple(float(m.value) for m in readings),
-        tuple(float(m.sigma) for m in readings),
+        tuple(read_column(readings, "value", float).tolist()),
+        tuple(read_column(readings, "sigma", float).tolist()),
         (measured_at,) * len(ids) if isinstance(measured_at, float) else tuple(measured_at[k] for k in ids),
     )
 

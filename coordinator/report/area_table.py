@@ -17,7 +17,7 @@ def format_areas(scenario: Scenario) -> str:
     """A row for each area (its buses, neighbours, meters) and what matters about all of them."""
     partition = scenario.partition
     owned = _count_owned(partition)
-    meters = partition.meters_by_area(scenario.meters)
+    meters = partition.split_meters(scenario.meters)
     header = ("area", "buses", "owned", "boundary buses", "parent", "children", "meters")
     rows = [
         (

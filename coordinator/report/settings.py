@@ -61,7 +61,7 @@ def list_settings(scenario: Scenario) -> dict[str, object]:
     return {
         "scenario": f"{scenario.name}: {scenario.description}" if scenario.description else scenario.name,
         "scenario file": scenario.path,
-        "network": f"{network.name}: {len(network.buses)} buses, {len(network.active_branches)} branches in service, "
+        "network": f"{network.name}: {len(network.buses)} buses, {len(network.table.active)} branches in service, "
         f"base {network.base_mva:g} MVA",
         "areas": listed([f"{area.name} ({len(area.network.buses)} buses)" for area in scenario.partition.areas]),
         "meters": len(scenario.meters),

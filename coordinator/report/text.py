@@ -101,10 +101,10 @@ def format_check(scenario: Scenario) -> str:
     lines = [
         f"{scenario.name} is sound: {scenario.description}",
         f"network {scenario.network.name}: {len(scenario.network.buses)} buses, "
-        f"{len(scenario.network.active_branches)} branches in service; {len(scenario.meters)} meters, "
+        f"{len(scenario.network.table.active)} branches in service; {len(scenario.meters)} meters, "
         f"strategy {scenario.strategy}, seed {scenario.seed}",
     ]
-    meters = partition.meters_by_area(scenario.meters)
+    meters = partition.split_meters(scenario.meters)
     lines += [f"  {_describe_area(area, len(meters[area.name]))}" for area in partition.areas]
     if remark := find_gateway_remark(scenario.reading_rules):
         lines.append(f"note: {remark}")

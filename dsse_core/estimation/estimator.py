@@ -15,7 +15,9 @@ from dsse_core.estimation.plan import Backend, BackendChoice, EstimationPlan, bu
 from dsse_core.estimation.radial import RadialInverse, estimate_radial, find_radial_variances, invert_radial
 from dsse_core.estimation.sparse import estimate_sparse
 from dsse_core.gauss_newton import LAST_STEP
-from dsse_core.grid.measurement import Measurement, Source, check_measurements, check_readings
+from dsse_core.grid.columns import read_column
+from dsse_core.grid.measurement import Measurement, check_measurements, check_readings
+from dsse_core.grid.meter_table import find_virtual, read_meters_of
 from dsse_core.grid.network import Network
 from dsse_core.matrices.augmented import AugmentedFactor
 from dsse_core.row_threads import find_threads
@@ -159,10 +161,9 @@ def plan_scan(
     network: Network, measurements: Sequence[Measurement], *, reference: int | None, backend: BackendChoice
 ) -> tuple[EstimationPlan, np.ndarray, np.ndarray]:
     """The plan for the meters of one scan, and its values and sigmas; raises as ``estimate_state``."""
-    meters = [m.meter for m in measurements]
-    values = np.array([m.value for m in measurements], dtype=float)
-    sigmas = np.array([m.sigma for m in measurements], dtype=float)
-    if not _are_usable(values, sigmas, np.array([meter.source is Source.VIRTUAL for meter in meters], dtype=bool)):
+    meters = read_meters_of(measurements)
+    values, sigmas = (read_column(measurements, name, float) for name in ("value", "sigma"))
+    if not _are_usable(values, sigmas, find_virtual(meters)):
         check_measurements(network, measurements)
     return build_estimation_plan(network, meters, reference=reference, backend=backend), values, sigmas
 

@@ -5,21 +5,24 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cached_property
 from inspect import signature
+from itertools import pairwise
 from typing import Any, Generic, TypeVar, overload
 
 import numpy as np
 
 Item = TypeVar("Item")
+DEAR = 8  # how many times as long as one of all an object takes that is made by itself
 
 
 class Records(Sequence[Item], Generic[Item]):
-    """A sequence of objects that are kept as columns; equal to the tuple of them. All are made at the first request.
+    """A sequence of objects that are kept as columns; equal to the tuple of them. All are made at the first request for
+    all, or when single ones have been asked for so often that this repays it.
 
-    ``columns``: name of an attribute -> its values, (n,), an array or, of text, a sequence.
+    ``columns``: name of an attribute -> its values, (n,), an array or, of text and objects, a sequence.
     """
 
     def __init__(self, make: Callable[..., Item], columns: dict[str, Any]) -> None:
-        self._make, self.columns = make, columns
+        self.make, self.columns, self._asked = make, columns, 0
         lengths = {name: len(column) for name, column in columns.items()}
         if len(set(lengths.values())) > 1:
             raise ValueError(f"columns of {getattr(make, '__name__', make)} differ in length: {lengths}")
@@ -27,19 +30,16 @@ class Records(Sequence[Item], Generic[Item]):
     @cached_property
     def objects(self) -> tuple[Item, ...]:
         plain = [column.tolist() if isinstance(column, np.ndarray) else column for column in self.columns.values()]
-        if list(signature(self._make).parameters)[: len(plain)] == list(self.columns):
-            return tuple(map(self._make, *plain))
-        return tuple(self._make(**dict(zip(self.columns, values, strict=True))) for values in zip(*plain, strict=True))
+        if list(signature(self.make).parameters)[: len(plain)] == list(self.columns):
+            return tuple(map(self.make, *plain))
+        return tuple(self.make(**dict(zip(self.columns, values, strict=True))) for values in zip(*plain, strict=True))
 
     def take(self, rows: np.ndarray) -> Records[Item]:
         """Those at the positions ``rows``, (k,), as columns."""
-        columns = self.columns.items()
-        listed = rows.tolist()
-        taken = {k: c[rows] if isinstance(c, np.ndarray) else [c[row] for row in listed] for k, c in columns}
-        return Records(self._make, taken)
+        return Records(self.make, {name: _take_of_column(column, rows) for name, column in self.columns.items()})
 
     def __reduce__(self) -> tuple[object, ...]:
-        return type(self), (self._make, self.columns)  # without the objects, of which the other side makes its own
+        return type(self), (self.make, self.columns)  # without the objects, of which the other side makes its own
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values()), ()))
@@ -54,7 +54,11 @@ class Records(Sequence[Item], Generic[Item]):
     def __getitem__(self, key: slice) -> tuple[Item, ...]: ...
 
     def __getitem__(self, key: int | slice) -> Item | tuple[Item, ...]:
-        return self.objects[key]
+        if isinstance(key, slice) or "objects" in vars(self) or self._asked * DEAR >= len(self):
+            return self.objects[key]
+        self._asked += 1
+        values = ((name, column[key]) for name, column in self.columns.items())
+        return self.make(**{name: v.item() if isinstance(v, np.generic) else v for name, v in values})
 
     def __iter__(self) -> Iterator[Item]:
         return iter(self.objects)
@@ -64,6 +68,24 @@ class Records(Sequence[Item], Generic[Item]):
 
     def __hash__(self) -> int:
         return hash(self.objects)
+
+
+def _take_of_column(column: Any, rows: np.ndarray) -> Any:
+    if isinstance(column, np.ndarray):
+        return column[rows]
+    return column.take(rows) if isinstance(column, Records) else [column[row] for row in rows.tolist()]
+
+
+def take_items(items: Sequence[Item], rows: np.ndarray) -> Sequence[Item]:
+    """Those at the positions ``rows``, (k,); columns of columns."""
+    return items.take(rows) if isinstance(items, Records) else tuple(items[row] for row in rows.tolist())
+
+
+def split_by(number: np.ndarray, count: int) -> list[np.ndarray]:
+    """Of each of ``count`` numbers, from 0 on, the positions where it stands in ``number`` (n,), in rising order."""
+    order = np.argsort(number, kind="stable")
+    ends = np.searchsorted(number[order], np.arange(count + 1)).tolist()
+    return [order[first:last] for first, last in pairwise(ends)]
 
 
 def read_column(items: Sequence[Any], name: str, dtype: type) -> np.ndarray:

@@ -5,11 +5,14 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.admittance import walk_unloaded
-from dsse_core.grid.network import Branch, Control, Network
+from dsse_core.grid.columns import Records, split_by, take_items
+from dsse_core.grid.network import Bus, Control, Generator, Network
 from dsse_core.grid.partition import Area, Neighbour, Partition
 
 
@@ -28,29 +31,59 @@ def build_partition(
             cycle if areas form a loop.
     """
     local_slack = local_slack or {}
-    problems = _find_bus_problems(network, area_buses)
-    members = {name: {bus for bus in buses if bus in network.row} for name, buses in area_buses.items()}
-    meeting: dict[int, list[str]] = {}
-    for name, buses in members.items():
-        for bus in buses:
-            meeting.setdefault(bus, []).append(name)
-    branches, branch_problems = _assign_branches(network, members, meeting)
+    members = _find_members(network, area_buses)
+    problems = _find_bus_problems(network, area_buses, members)
+    branches, branch_problems = _assign_branches(network, members)
     problems += branch_problems
-    problems += _find_slack_problems(members, local_slack)
+    problems += _find_slack_problems(network, members, local_slack)
     if problems:
         raise InvalidInputError(f"areas of network {network.name!r}", problems)
 
-    boundaries = {bus: names for bus, names in meeting.items() if len(names) > 1}
-    neighbours = _grow_tree(network, members, boundaries)
+    assert network.slack is not None  # checked by _find_bus_problems
+    neighbours = _grow_tree(network, members)
+    at_slack = {members.names[k] for k in members.find_areas(network.row[network.slack.bus])}
+    generators = _find_generators(network, members, neighbours)
     areas = []
-    for name in area_buses:
+    for name, rows, held in zip(members.names, members.rows, branches, strict=True):
         parent = next((n for n in neighbours[name] if n.is_parent), None)
-        part = _cut_out(network, name, members[name], branches[name], parent.bus if parent else None)
+        part = _cut_out(network, name, rows, held, generators[name], parent.bus if parent else None)
         bus, vm = local_slack.get(name) or _default_slack(part, parent)
-        assert network.slack is not None  # checked by _find_bus_problems
-        reference = (network.slack.bus, network.slack.va) if network.slack.bus in members[name] else None
+        reference = (network.slack.bus, network.slack.va) if name in at_slack else None
         areas.append(Area(name, part, tuple(neighbours[name]), bus, vm, reference))
     return _with_schedule(Partition(network, tuple(areas)))
+
+
+@dataclass(frozen=True)
+class _Members:
+    """Which buses of the network the areas list. ``rows``: of each area, in rising order. ``areas_at``: row of a bus
+    that several areas list -> their places in ``names``. ``only`` (n_bus,): of any other bus the place of its only
+    area, -1 where it has none.
+    """
+
+    names: tuple[str, ...]
+    rows: list[np.ndarray]
+    areas_at: dict[int, list[int]]
+    only: np.ndarray
+
+    def find_areas(self, row: int) -> Sequence[int]:
+        """The places of the areas that list a bus."""
+        only = int(self.only[row])
+        return self.areas_at.get(row) or ([only] if only >= 0 else [])
+
+
+def _find_members(network: Network, area_buses: Mapping[str, Sequence[int]]) -> _Members:
+    row, n = network.row, len(network.row)
+    listed = ([row[bus] for bus in buses if bus in row] for buses in area_buses.values())
+    rows = [np.unique(np.array(found, dtype=np.int64)) for found in listed]
+    count = np.bincount(np.concatenate([*rows, np.zeros(0, dtype=np.int64)]), minlength=n)
+    only = np.full(n, -1)
+    areas_at: dict[int, list[int]] = {shared: [] for shared in np.flatnonzero(count > 1).tolist()}
+    for k, own in enumerate(rows):
+        only[own] = k
+        for shared in own[count[own] > 1].tolist():
+            areas_at[shared].append(k)
+    only[count != 1] = -1
+    return _Members(tuple(area_buses), rows, areas_at, only)
 
 
 def _with_schedule(partition: Partition) -> Partition:
@@ -79,100 +112,107 @@ def _find_ways(partition: Partition, hub: str) -> dict[str, str | None]:
 
 
 def _find_slack_problems(
-    members: Mapping[str, set[int]], local_slack: Mapping[str, tuple[int, float]]
+    network: Network, members: _Members, local_slack: Mapping[str, tuple[int, float]]
 ) -> Iterator[str]:
     for name, (bus, vm) in local_slack.items():
-        if name not in members:
-            yield f"local slack of area {name}, which is not one of the areas {', '.join(members)}"
-        elif bus not in members[name]:
+        if name not in members.names:
+            yield f"local slack of area {name}, which is not one of the areas {', '.join(members.names)}"
+        elif network.row.get(bus, -1) not in members.rows[members.names.index(name)]:
             yield f"area {name}: slack_bus {bus} is not one of its buses"
         if not (math.isfinite(vm) and vm > 0):
             yield f"area {name}: slack_vm is {vm}; it must be a positive voltage in p.u."
 
 
-def _find_bus_problems(network: Network, area_buses: Mapping[str, Sequence[int]]) -> list[str]:
+def _find_bus_problems(network: Network, area_buses: Mapping[str, Sequence[int]], members: _Members) -> list[str]:
     problems = []
     if not area_buses:
         problems.append("there is no area; name at least one")
-    covered: set[int] = set()
-    for name, buses in area_buses.items():
-        covered.update(buses)
-        for bus_id, count in Counter(buses).items():
+    for (name, buses), rows in zip(area_buses.items(), members.rows, strict=True):
+        for bus_id, count in Counter(buses).items() if len(rows) < len(buses) else ():
             if bus_id not in network.row:
                 problems.append(f"area {name}: bus {bus_id} is not in the network")
             if count > 1:
                 problems.append(f"area {name}: bus {bus_id} is listed {count} times; list it once")
         if not buses:
             problems.append(f"area {name} lists no bus; give it some or leave it out")
-    for bus in network.buses:
-        if bus.id not in covered:
-            problems.append(f"bus {bus.id} is in no area; add it to the buses of one")
+    for row in np.flatnonzero(members.only < 0).tolist():
+        if row not in members.areas_at:
+            problems.append(f"bus {network.table.bus_id[row]} is in no area; add it to the buses of one")
     return problems + network.find_supply_problems()
 
 
-def _assign_branches(
-    network: Network, members: Mapping[str, set[int]], meeting: Mapping[int, Sequence[str]]
-) -> tuple[dict[str, list[Branch]], list[str]]:
-    """Give each branch in service to the one area that holds both its ends; find areas in pieces.
-
-    ``meeting``: bus -> the areas that list it.
-    """
-    inside: dict[str, list[Branch]] = {name: [] for name in members}
-    problems = []
-    for branch in network.active_branches:
-        homes = [name for name in meeting.get(branch.from_bus, ()) if branch.to_bus in members[name]]
-        for name in homes:
-            inside[name].append(branch)
+def _assign_branches(network: Network, members: _Members) -> tuple[list[np.ndarray], list[str]]:
+    """Give each branch in service to the one area that holds both its ends, by rows; find areas in pieces."""
+    table, names, problems = network.table, members.names, []
+    near, far = members.only[table.f], members.only[table.t]
+    inside = (near >= 0) & (near == far)
+    pairs = [(near[inside], np.flatnonzero(inside))]
+    for k in np.flatnonzero(~inside).tolist():  # at boundary buses, or in no area
+        there = members.find_areas(int(table.t[k]))
+        homes = [area for area in members.find_areas(int(table.f[k])) if area in there]
+        pairs.append((np.array(homes, dtype=np.int64), np.full(len(homes), k)))
+        branch = table.active[k]
+        called, ends = network.branch_ids[branch], f"{table.from_bus[branch]} and {table.to_bus[branch]}"
         if not homes:
             problems.append(
-                f"branch {branch.id} is in no area: no area lists both of its buses "
-                f"{branch.from_bus} and {branch.to_bus}; add one of them to the other's area"
+                f"branch {called} is in no area: no area lists both of its buses {ends}; "
+                "add one of them to the other's area"
             )
         elif len(homes) > 1:
             problems.append(
-                f"areas {', '.join(homes)} form a loop: all of them list both ends of branch {branch.id}; "
-                "two areas may share one bus only"
+                f"areas {', '.join(names[area] for area in homes)} form a loop: all of them list both ends of branch "
+                f"{called}; two areas may share one bus only"
             )
-    for name, buses in members.items():
-        if not buses:
-            continue
-        pieces = _connected_pieces(buses, inside[name])
-        if len(pieces) > 1:
-            text = " | ".join(", ".join(map(str, sorted(piece))) for piece in pieces)
-            problems.append(f"area {name} is not connected by its own branches: it falls into buses {text}")
-        elif len(buses) == 1:
-            problems.append(f"area {name} has a single bus and no branch; add the bus to a neighbouring area instead")
-    return inside, problems
+    area, place = (np.concatenate(part) for part in zip(*pairs, strict=True))
+    order = np.argsort(place, kind="stable")
+    area, place = area[order], place[order]
+    problems += _find_pieces(network, members, area, place)
+    return [table.active[place[at]] for at in split_by(area, len(names))], problems
 
 
-def _connected_pieces(buses: set[int], branches: Sequence[Branch]) -> list[set[int]]:
-    """The sets of ``buses`` that ``branches``, which end among them, join."""
-    piece_of = {bus: {bus} for bus in sorted(buses)}
-    for branch in branches:
-        b, a = sorted((piece_of[branch.from_bus], piece_of[branch.to_bus]), key=len)
-        if a is not b:
-            a |= b
-            for bus in b:
-                piece_of[bus] = a
-    return list({id(piece): piece for piece in piece_of.values()}.values())
+def _find_pieces(network: Network, members: _Members, area: np.ndarray, place: np.ndarray) -> Iterator[str]:
+    """Which areas the branches do not join that they hold: the places of ``area`` and ``place`` belong together."""
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import connected_components
+
+    table, n = network.table, len(network.table.bus_id)
+    if not members.rows:
+        return
+    key = np.concatenate([k * n + rows for k, rows in enumerate(members.rows)])  # of each bus of each area, rising
+    ends = [np.searchsorted(key, area * n + end[place]) for end in (table.f, table.t)]
+    graph = csr_array((np.ones(len(place), dtype=bool), tuple(ends)), shape=(len(key), len(key)))
+    pieces = np.split(connected_components(graph, directed=False)[1], np.cumsum([len(rows) for rows in members.rows]))
+    for name, rows, piece in zip(members.names, members.rows, pieces, strict=False):
+        if len(rows) == 1:
+            yield f"area {name} has a single bus and no branch; add the bus to a neighbouring area instead"
+        elif len(rows) and (piece != piece[0]).any():
+            found: dict[int, list[int]] = {}
+            for bus, number in sorted(zip(table.bus_id[rows].tolist(), piece.tolist(), strict=True)):
+                found.setdefault(number, []).append(bus)
+            text = " | ".join(", ".join(map(str, buses)) for buses in found.values())
+            yield f"area {name} is not connected by its own branches: it falls into buses {text}"
 
 
-def _grow_tree(
-    network: Network, members: Mapping[str, set[int]], boundaries: Mapping[int, list[str]]
-) -> dict[str, list[Neighbour]]:
+def _grow_tree(network: Network, members: _Members) -> dict[str, list[Neighbour]]:
     """Walk from the substation over areas and boundary buses; a second way to the same place is a loop."""
     assert network.slack is not None  # checked by _find_bus_problems
-    neighbours: dict[str, list[Neighbour]] = {name: [] for name in members}
-    root = next(name for name, buses in members.items() if network.slack.bus in buses)
+    ids, names = network.table.bus_id, members.names
+    meeting = {int(ids[row]): [names[area] for area in areas] for row, areas in members.areas_at.items()}
+    shared: dict[str, list[int]] = {name: [] for name in names}
+    for bus in sorted(meeting):
+        for name in meeting[bus]:
+            shared[name].append(bus)
+    neighbours: dict[str, list[Neighbour]] = {name: [] for name in names}
+    root = names[members.find_areas(network.row[network.slack.bus])[0]]
     entered_by: dict[str, tuple[int, str] | None] = {root: None}  # area -> (boundary bus, its owner)
     queue = deque([root])
     while queue:
         name = queue.popleft()
         here = entered_by[name]
-        for bus in sorted(members[name] & boundaries.keys()):
+        for bus in shared[name]:
             if here is not None and bus == here[0]:
                 continue  # all areas there have been entered together with this one
-            for other in boundaries[bus]:
+            for other in meeting[bus]:
                 if other == name:
                     continue
                 if other in entered_by:
@@ -209,21 +249,42 @@ def _loop_error(
     )
 
 
+def _find_generators(
+    network: Network, members: _Members, neighbours: Mapping[str, Sequence[Neighbour]]
+) -> dict[str, list[Generator]]:
+    """Area -> the generators at the buses that it owns."""
+    found: dict[str, list[Generator]] = {name: [] for name in members.names}
+    not_owned = {name: {n.bus for n in of if n.is_parent} for name, of in neighbours.items()}
+    for generator in network.generators:
+        for area in members.find_areas(network.row[generator.bus]):
+            if generator.bus not in not_owned[name := members.names[area]]:
+                found[name].append(generator)
+    return found
+
+
 def _cut_out(
-    network: Network, name: str, buses: set[int], branches: Sequence[Branch], not_owned: int | None
+    network: Network,
+    name: str,
+    rows: np.ndarray,
+    branches: np.ndarray,
+    generators: Sequence[Generator],
+    not_owned: int | None,
 ) -> Network:
-    """The part of the network that area ``name`` knows; the bus it does not own is left bare."""
-    own = [network.bus(bus) for bus in sorted(buses, key=network.row.__getitem__)]
-    return Network(
-        name=name,
-        base_mva=network.base_mva,
-        buses=tuple(
-            replace(bus, p_load=0.0, q_load=0.0, g_shunt=0.0, b_shunt=0.0) if bus.id == not_owned else bus
-            for bus in own
-        ),
-        branches=tuple(branches),
-        generators=tuple(g for g in network.generators if g.bus in buses and g.bus != not_owned),
-    )
+    """The part of the network that area ``name`` knows, its buses and branches by rows; a bus not owned is bare."""
+    buses = take_items(network.buses, rows)
+    if not_owned is not None:
+        buses = _bare(buses, int(np.searchsorted(rows, network.row[not_owned])))
+    return Network(name, network.base_mva, buses, take_items(network.branches, branches), tuple(generators))
+
+
+def _bare(buses: Sequence[Bus], place: int) -> Sequence[Bus]:
+    """``buses``, the one at ``place`` without load and shunt."""
+    if isinstance(buses, Records):
+        for key in buses.columns.keys() & {"p_load", "q_load", "g_shunt", "b_shunt"}:
+            buses.columns[key][place] = 0.0
+        return buses
+    bare = replace(buses[place], p_load=0.0, q_load=0.0, g_shunt=0.0, b_shunt=0.0)
+    return (*buses[:place], bare, *buses[place + 1 :])
 
 
 def _default_slack(part: Network, parent: Neighbour | None) -> tuple[int, float | None]:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from dsse_core.grid.columns import Records, rows_of_texts
-from dsse_core.grid.measurement import MeasurementKind, Meter, Source
+from dsse_core.grid.columns import Records, Rows, rows_of_texts
+from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.grid.network import Network
 
 KINDS, SOURCES = tuple(MeasurementKind), tuple(Source)
@@ -42,13 +43,6 @@ def make_meters(
         source = np.zeros(len(kind), dtype=np.int64)
     columns = {"kind": kind, "bus": bus, "branch": branch, "source": source}
     return Records(_MakeMeter(network.branch_ids), columns)
-
-
-def take_meters(meters: Sequence[Meter], rows: np.ndarray) -> Sequence[Meter]:
-    """The meters at the positions ``rows``, (k,); columns of columns."""
-    if isinstance(meters, Records):
-        return meters.take(rows)
-    return tuple(meters[k] for k in rows.tolist())
 
 
 def join_meters(network: Network, parts: Sequence[Sequence[Meter]]) -> Sequence[Meter]:
@@ -88,6 +82,48 @@ class _MakeMeter:
         return Meter(KINDS[kind], bus, None if branch < 0 else self.branch_ids[branch], SOURCES[source])
 
 
+def list_ids(meters: Sequence[Meter]) -> list[str]:
+    """The id of each of ``meters``."""
+    if not isinstance(meters, Records):
+        return [meter.id for meter in meters]
+    columns = meters.columns
+    kinds = [f"{kind}@" for kind in KINDS]
+    rows = zip(columns["kind"].tolist(), columns["bus"].tolist(), _list_branches(meters), strict=True)
+    return [f"{kinds[kind]}{bus}:{branch}" if branch else f"{kinds[kind]}{bus}" for kind, bus, branch in rows]
+
+
+def list_columns(meters: Sequence[Meter]) -> dict[str, list[Any]]:
+    """Attributes of ``Meter`` -> those of each of ``meters``, kinds and sources as plain text."""
+    if not isinstance(meters, Records):
+        columns = {name: [getattr(meter, name) for meter in meters] for name in ("kind", "bus", "branch", "source")}
+        return columns | {name: [str(value) for value in columns[name]] for name in ("kind", "source")}
+    kinds, sources = [str(kind) for kind in KINDS], [str(source) for source in SOURCES]
+    return {
+        "kind": [kinds[k] for k in meters.columns["kind"].tolist()],
+        "bus": meters.columns["bus"].tolist(),
+        "branch": _list_branches(meters),
+        "source": [sources[k] for k in meters.columns["source"].tolist()],
+    }
+
+
+def _list_branches(meters: Records[Meter]) -> list[str | None]:
+    make = meters.make
+    assert isinstance(make, _MakeMeter)
+    return [None if branch < 0 else make.branch_ids[branch] for branch in meters.columns["branch"].tolist()]
+
+
+def find_places(network: Network, meters: Sequence[Meter], wanted: Sequence[Meter]) -> np.ndarray:
+    """The position in ``meters`` of each one ``wanted``, (k,), -1 where it is not there; all fit the network."""
+    return Rows(_number_meters(network, meters)).find(_number_meters(network, wanted))
+
+
+def _number_meters(network: Network, meters: Sequence[Meter]) -> np.ndarray:
+    """A number for each place and kind of a meter, (n_meas,)."""
+    table = tabulate_meters(network, meters)
+    number: np.ndarray = ((table.branch - NO_BRANCH) * len(network.table.bus_id) + table.bus) * len(KINDS) + table.kind
+    return number
+
+
 def tabulate_meters(network: Network, meters: Sequence[Meter]) -> MeterTable:
     """The columns of ``meters`` in ``network``."""
     table = network.table
@@ -98,6 +134,14 @@ def tabulate_meters(network: Network, meters: Sequence[Meter]) -> MeterTable:
     bus = np.array([meter.bus for meter in meters], dtype=np.int64)
     branch = rows_of_texts(network.active_branch_ids, [meter.branch for meter in meters])
     return MeterTable(number_kinds(meters), table.rows.find(bus), branch)
+
+
+def read_meters_of(readings: Sequence[Measurement]) -> Sequence[Meter]:
+    """The meter of each of ``readings``; columns of columns."""
+    if isinstance(readings, Records):
+        meters: Sequence[Meter] = readings.columns["meter"]
+        return meters
+    return tuple(reading.meter for reading in readings)
 
 
 def number_kinds(meters: Sequence[Meter]) -> np.ndarray:

@@ -7,10 +7,13 @@ others are children of the owner there. Neighbours are owner and child: the edge
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
+
+from dsse_core.grid.columns import Records, split_by, take_items
 from dsse_core.grid.measurement import Meter
 from dsse_core.grid.network import Network
 from dsse_core.printable import listed
@@ -102,40 +105,85 @@ class Partition:
         return {area.name: area for area in self.areas}
 
     @cached_property
-    def _area_of_branch(self) -> dict[str, str]:
-        return {branch.id: area.name for area in self.areas for branch in area.network.branches}
+    def rows_of_buses(self) -> dict[str, np.ndarray]:
+        """Area -> the rows in the whole network of the buses that it sees, in its order."""
+        find = self.network.table.rows.find
+        return {area.name: find(area.network.table.bus_id) for area in self.areas}
+
+    @cached_property
+    def rows_of_branches(self) -> dict[str, np.ndarray]:
+        """Area -> the places among all branches of the network of those that it holds, in its order."""
+        row = {branch: k for k, branch in enumerate(self.network.branch_ids)}
+        return {
+            area.name: np.array([row[branch] for branch in area.network.branch_ids], dtype=np.int64)
+            for area in self.areas
+        }
+
+    @cached_property
+    def owner(self) -> np.ndarray:
+        """Of each bus the place in ``areas`` of the one that owns it, shape (n_bus,)."""
+        owner = np.full(len(self.network.table.bus_id), -1)
+        for k, area in enumerate(self.areas):
+            owned = self.rows_of_buses[area.name]
+            owner[owned[area.network.table.bus_id != area.parent.bus] if area.parent else owned] = k
+        return owner
+
+    @cached_property
+    def holder(self) -> np.ndarray:
+        """Of each branch the place in ``areas`` of the one that holds it, shape (n_all_branches,); -1 of open ones."""
+        holder = np.full(len(self.network.table.in_service), -1)
+        for k, area in enumerate(self.areas):
+            holder[self.rows_of_branches[area.name]] = k
+        return holder
 
     @cached_property
     def owner_of_bus(self) -> dict[int, str]:
         """Bus id -> the area that owns it: its only area, or the one towards the substation."""
-        not_owned = {area.name: area.parent.bus for area in self.areas if area.parent}
+        names = [area.name for area in self.areas]
         return {
-            bus.id: area.name for area in self.areas for bus in area.network.buses if bus.id != not_owned.get(area.name)
+            bus: names[k]
+            for bus, k in zip(self.network.table.bus_id.tolist(), self.owner.tolist(), strict=True)
+            if k >= 0
         }
 
     def area_of_meter(self, meter: Meter) -> str:
         """The one area that a meter belongs to: that of its branch, or the owner of its bus."""
         return self._area_of_branch[meter.branch] if meter.branch else self.owner_of_bus[meter.bus]
 
-    def meters_by_area(self, meters: Iterable[Meter]) -> dict[str, list[Meter]]:
+    @cached_property
+    def _area_of_branch(self) -> dict[str, str]:
+        return {branch: area.name for area in self.areas for branch in area.network.branch_ids}
+
+    def split_meters(self, meters: Sequence[Meter]) -> dict[str, np.ndarray]:
+        """Area -> the positions of its meters in ``meters``, which fit the network; every area is there."""
+        names = [area.name for area in self.areas]
+        if isinstance(meters, Records):
+            branch = meters.columns["branch"]
+            at_bus = self.owner[self.network.table.rows.find(meters.columns["bus"])]
+            number = np.where(branch >= 0, np.append(self.holder, -1)[np.maximum(branch, -1)], at_bus)
+        else:
+            place = {name: k for k, name in enumerate(names)}
+            number = np.array([place[self.area_of_meter(meter)] for meter in meters], dtype=np.int64)
+        return dict(zip(names, split_by(number, len(names)), strict=True))
+
+    def meters_by_area(self, meters: Sequence[Meter]) -> dict[str, Sequence[Meter]]:
         """Area -> its meters among ``meters``, in their order; every area is there."""
-        found: dict[str, list[Meter]] = {area.name: [] for area in self.areas}
-        of_branch, of_bus = self._area_of_branch, self.owner_of_bus
-        for meter in meters:
-            found[of_branch[meter.branch] if meter.branch else of_bus[meter.bus]].append(meter)
-        return found
+        return {name: take_items(meters, rows) for name, rows in self.split_meters(meters).items()}
 
     @cached_property
     def boundaries(self) -> dict[int, tuple[str, ...]]:
         """Boundary bus -> the areas that see it, its owner first."""
-        seen: dict[int, list[str]] = {}
-        for area in self.areas:
-            for bus in area.network.buses:
-                seen.setdefault(bus.id, []).append(area.name)
+        seen = np.concatenate([*self.rows_of_buses.values(), np.zeros(0, dtype=np.int64)])
+        is_shared = np.bincount(seen, minlength=len(self.owner)) > 1
+        found: dict[int, list[str]] = {}
+        for name, rows in self.rows_of_buses.items():
+            for row in rows[is_shared[rows]].tolist():
+                found.setdefault(row, []).append(name)
+        ids, names = self.network.table.bus_id, [area.name for area in self.areas]
+        owners = {row: names[self.owner[row]] for row in found}
         return {
-            bus: tuple(sorted(names, key=lambda name: name != self.owner_of_bus[bus]))
-            for bus, names in seen.items()
-            if len(names) > 1
+            int(ids[row]): (owners[row], *(name for name in seeing if name != owners[row]))
+            for row, seeing in found.items()
         }
 
     @property

@@ -48,7 +48,7 @@ LEAST_SPREAD = 1e-5
 
 def find_why_not_radial(network: Network) -> str:
     """Why radial cannot serve ``network``; empty if it can."""
-    layout = lay_out_radial(network, network.buses[0].id)
+    layout = lay_out_radial(network, int(network.table.bus_id[0]))
     return layout if isinstance(layout, str) else ""
 
 

@@ -64,28 +64,21 @@ def join_states(partition: Partition, by_area: Mapping[str, AreaVoltages]) -> Gr
     What a boundary bus injects is the sum of what goes into the branches of all areas there.
     """
     network = partition.network
-    branches, n, place = build_branch_model(network), len(network.buses), branch_rows(network)
+    branches, n = build_branch_model(network), len(network.buses)
     vm, va = np.full(n, np.nan), np.full(n, np.nan)
     ends = np.full((2, len(network.branches)), complex(np.nan, np.nan))
-    for area in partition.areas:
+    for k, area in enumerate(partition.areas):
         if (found := by_area.get(area.name)) is None:
             continue
-        rows = np.array([network.row[bus.id] for bus in area.network.buses], dtype=np.int64)
-        owned = np.array([partition.owner_of_bus[bus.id] == area.name for bus in area.network.buses], dtype=bool)
+        rows, at = partition.rows_of_buses[area.name], partition.rows_of_branches[area.name]
+        owned = partition.owner[rows] == k
         vm[rows[owned]] = found.vm[owned]
         if found.referenced:
             va[rows[owned]] = found.va[owned]
-        v, row = found.vm * np.exp(1j * found.va), area.network.row
-        at = np.array([place[b.id] for b in area.network.branches], dtype=np.int64)
-        ends[0, at] = v[[row[b.from_bus] for b in area.network.branches]]
-        ends[1, at] = v[[row[b.to_bus] for b in area.network.branches]]
+        v, table = found.vm * np.exp(1j * found.va), area.network.table
+        ends[0, at], ends[1, at] = (v[table.rows.find(end)] for end in (table.from_bus, table.to_bus))
     flows = find_flows(branches, ends[0], ends[1])
     return GridState(network, branches, vm, va, flows, find_injections(network, branches, flows, vm))
-
-
-def branch_rows(network: Network) -> dict[str, int]:
-    """Branch id -> place among all branches."""
-    return {branch.id: k for k, branch in enumerate(network.branches)}
 
 
 def read_state(state: GridState, meters: Sequence[Meter]) -> np.ndarray:

@@ -41,14 +41,8 @@ def division_of(partition: Partition) -> Division:
     names = tuple(area.name for area in partition.areas)
     if len(names) == 1:
         return whole_network(partition.network, names[0])
-    number = {name: k for k, name in enumerate(names)}
-    owner, network = partition.owner_of_bus, partition.network
-    of_branch = {branch.id: number[area.name] for area in partition.areas for branch in area.network.branches}
-    return Division(
-        names,
-        np.array([number[owner[bus.id]] for bus in network.buses], dtype=np.int64),
-        np.array([of_branch.get(b.id, number[owner[b.from_bus]]) for b in network.branches], dtype=np.int64),
-    )
+    table, owner, holder = partition.network.table, partition.owner, partition.holder
+    return Division(names, owner, np.where(holder >= 0, holder, owner[table.rows.find(table.from_bus)]))
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,6 @@ from system_by_hand import SystemByHand, agreeing_system, prepare_by_hand
 
 from coordinator.evaluation.evaluation import estimate_centralised
 from dsse_core.results.results import results_of_estimate
-from dsse_core.results.state import branch_rows
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 
@@ -27,7 +26,8 @@ def test_what_flows_in_an_area_is_what_the_centre_would_say(dsse, tmp_path: Path
     assert shown.returncode == 0, shown.stderr
     rows = list(csv.DictReader(io.StringIO(shown.stdout)))
     scenario = load_scenario("industrial13")
-    place, own = branch_rows(scenario.network), scenario.partition.area("area2").network.branches
+    network, own = scenario.network, scenario.partition.area("area2").network.branches
+    place = {branch: row for row, branch in enumerate(network.branch_ids)}
     assert {row["branch"] for row in rows} == {branch.id for branch in own}
     assert "area area2: good, scan" in table
     assert (said["area"], said["quality"], len(said["branches"])) == ("area2", "good", len(rows))

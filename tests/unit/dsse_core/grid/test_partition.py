@@ -111,7 +111,7 @@ def test_every_meter_belongs_to_one_area():
 def test_meters_are_grouped_by_area_in_their_order_and_no_area_is_missing():
     partition = build_partition(row(5), {"a": [1, 2], "b": [2, 3], "c": [3, 4, 5]})
     meters = [Meter(Kind.VM, 3), Meter(Kind.VM, 1), Meter(Kind.P_FLOW, 3, "2-3")]
-    assert partition.meters_by_area(meters) == {"a": [meters[1]], "b": [meters[0], meters[2]], "c": []}
+    assert partition.meters_by_area(meters) == {"a": (meters[1],), "b": (meters[0], meters[2]), "c": ()}
 
 
 def test_the_longest_path_runs_between_the_two_areas_farthest_apart():
