@@ -266,14 +266,16 @@ class ReadingsMessage:
 class CommandMessage:
     """What the operator asks of area ``to``, or of the plant: of two messages the one of higher order counts.
 
-    ``meters_off``: all meters of the area that are to be left out, until another command says otherwise. ``scan``: it
-    is to take the newest readings at once. ``stop``: its process is to end.
+    ``meters_off``: those that are to be left out from now on, ``meters_on``: those that are to be used again; of others
+    it says nothing, so that the commands of two operators add up. ``scan``: the area is to take the newest readings at
+    once. ``stop``: its process is to end.
     """
 
     kind: ClassVar[str] = "command"
     header: Header
     to: Name
     meters_off: Names
+    meters_on: Names
     scan: bool
     stop: bool
 

@@ -102,7 +102,8 @@ class OrderBook:
 
     def _follow(self, message: CommandMessage) -> Iterator[Event]:
         """Record ``message`` first: what a restart would forget is not followed."""
-        off = tuple(sorted(self._meters.intersection(message.meters_off)))
+        off_now = {*self._followed.meters_off, *message.meters_off} - {*message.meters_on}
+        off = tuple(sorted(self._meters & off_now))
         followed = Followed(message.header.incarnation, message.header.sequence, off)
         try:
             if self._file:

@@ -23,7 +23,7 @@ MeterId = Annotated[str, Field(max_length=LONGEST_NAME)]
 
 @dataclass(frozen=True, slots=True)
 class Followed:
-    """``incarnation``, ``sequence``: of the last command that was followed; ``meters_off``: as it says."""
+    """``incarnation``, ``sequence``: of the last command that was followed; ``meters_off``: what all have left off."""
 
     incarnation: Incarnation = NO_INCARNATION
     sequence: int = 0

@@ -39,6 +39,7 @@ class _Order:
     """What a command asks for."""
 
     meters_off: Collection[str] = ()
+    meters_on: Collection[str] = ()
     scan: bool = False
     stop: bool = False
 
@@ -94,13 +95,15 @@ class Operator:
             InvalidInputError: no area has a meter of this id; then none of ``meters`` is newly off.
             NotFollowedError: an area does not answer in time.
         """
-        before = {area: _Order(self._off_in(area)) for area in self.areas}
-        orders = {area: _Order({*self._off_in(area), *meters}) for area in self.areas}
-        self._give(orders, until=lambda: set(meters) <= self._owners().keys())
+        before = {area: self._off_in(area) for area in self.areas}
+        self._give(
+            {area: _Order(meters_off=meters) for area in self.areas}, until=lambda: set(meters) <= self._owners().keys()
+        )
         owners = self._owners()
         if unknown := [meter for meter in meters if meter not in owners]:
             # Only the areas know their meters, so that the mistake shows when the others are off already.
-            self._give({area: before[area] for area in self.areas if self._off_in(area) != before[area].meters_off})
+            new = {area: self._off_in(area).intersection(meters) - before[area] for area in self.areas}
+            self._give({area: _Order(meters_on=of_area) for area, of_area in new.items() if of_area})
             where = f"ids are in the area files of areas {listed(self.areas, MOST_NAMED)}"
             where += f"; not on the bus: {listed(self.absent, MOST_NAMED)}" if self.absent else ""
             problems = [f"no area has a meter {meter!r}; {where}" for meter in unknown]
@@ -119,7 +122,7 @@ class Operator:
             there = f"off are {listed(sorted(owners), MOST_NAMED)}" if owners else "none is"
             raise InvalidInputError(f"run {self.run}", [f"meter {meter!r} is not off; {there}" for meter in not_off])
         concerned = {owners[meter] for meter in meters}
-        self._give({area: _Order(self._off_in(area) - set(meters)) for area in concerned})
+        self._give({area: _Order(meters_on=meters) for area in concerned})
         return {meter: owners[meter] for meter in meters}
 
     def scan(self) -> str:
@@ -129,7 +132,7 @@ class Operator:
             NotFollowedError: an area does not show it in time.
         """
         if PLANT not in self.watcher.names_of("plant"):
-            self._give({area: _Order(self._off_in(area), scan=True) for area in self.areas})
+            self._give({area: _Order(scan=True) for area in self.areas})
             return f"{', '.join(self.areas)}: the newest readings are taken"
         before = {area: self._state_of(area).header.scan for area in self.areas}
 
@@ -146,7 +149,7 @@ class Operator:
             NotFollowedError: one is still there.
         """
         plants = sorted(self.watcher.names_of("plant") & {PLANT})
-        orders = {area: _Order(self._off_in(area), stop=True) for area in self.areas}
+        orders = {area: _Order(stop=True) for area in self.areas}
         orders |= {plant: _Order(stop=True) for plant in plants}
 
         def find_left() -> list[str]:
@@ -164,12 +167,15 @@ class Operator:
     ) -> None:
         """Give ``orders`` (name -> what it is asked) until nobody is left who has not followed, or ``until`` holds.
 
+        An area follows only what is above the last that it has followed. Where another operator was faster, the order
+        is given again above his: so none is lost, whoever speaks at once.
+
         Raises:
             NotFollowedError: that is not so in time.
         """
         before = {area: dict(self._state_of(area).rejected) for area in self.areas}
         numbers = {name: self._next_order(name) for name in orders}
-        find_left = find_left or (lambda: [n for n, order in numbers.items() if self._followed_by(n) < order])
+        find_left = find_left or (lambda: [n for n, number in numbers.items() if self._followed_by(n) != number])
         deadline, next_time = time.monotonic() + self.timeout_s, 0.0
         while (left := find_left()) and not until():
             now = time.monotonic()
@@ -178,22 +184,29 @@ class Operator:
             if now >= next_time:
                 next_time = now + REPEAT_S
                 for name in orders:
+                    if self._followed_by(name) > numbers[name]:
+                        numbers[name] = self._next_order(name)
                     self._publish(name, orders[name], numbers[name])
             self.look(STEP_S)
 
     def _publish(self, name: str, order: _Order, number: tuple[Incarnation, int]) -> None:
         incarnation, sequence = number
         header = Header(self.run, OPERATOR, incarnation, 0, sequence, time.time())
-        message = CommandMessage(header, name, tuple(sorted(order.meters_off)), order.scan, order.stop)
+        off, on = tuple(sorted(order.meters_off)), tuple(sorted(order.meters_on))
+        message = CommandMessage(header, name, off, on, order.scan, order.stop)
         if name not in self._publishers:
             self._publishers[name] = self.session.publisher(command_key(self.run, name))
         self._publishers[name](encode(message))
 
     def _next_order(self, name: str) -> tuple[Incarnation, int]:
-        """Above the last that ``name`` has followed, whatever the clock of that operator has said."""
+        """Above the last that ``name`` has followed, whatever the clock of that operator has said; no other operator
+        gives it.
+        """
         self._sequence += 1
-        followed, own = self._followed_by(name), (self._incarnation, self._sequence)
-        return own if own > followed else (followed[0], followed[1] + 1)
+        followed, own = self._followed_by(name), self._incarnation
+        if (own, self._sequence) < followed:
+            own = Incarnation(followed[0].start_ms + 1, own.random)
+        return own, self._sequence
 
     def _followed_by(self, name: str) -> tuple[Incarnation, int]:
         state = self.watcher.state_of(name)

@@ -134,7 +134,12 @@ class RowMaker:
             case ReadingsMessage():
                 yield from _rows_of_readings(at, message)
             case CommandMessage():
-                wanted = {"meters_off": message.meters_off, "scan": message.scan, "stop": message.stop}
+                wanted = {
+                    "meters_off": message.meters_off,
+                    "meters_on": message.meters_on,
+                    "scan": message.scan,
+                    "stop": message.stop,
+                }
                 h = message.header
                 details = wanted | {"sender": h.sender, "incarnation": str(h.incarnation), "sequence": h.sequence}
                 yield _event(at, "command", "area", message.to, json.dumps(details))

@@ -84,7 +84,7 @@ MESSAGES = [
     ),
     TelemetryMessage(HEADER, "area1", ("vm@1",), (1.0,), (0.002,), (1.7952e9,), (False,)),
     ReadingsMessage(HEADER, 1.7952e9, ("vm@1",), (1.0,), (0.002,), (1.7952e9 - 60,), (1.001,), (0.5,)),
-    CommandMessage(HEADER, "area1", ("vm@1",), True, False),
+    CommandMessage(HEADER, "area1", ("vm@1",), ("vm@2",), True, False),
     ClockMessage(HEADER, 12.5),
     STATE,
 ]

@@ -23,7 +23,11 @@ METERS = ("M1", "M2", "M3")
 def command(*meters_off: str, sequence: int = 1, to: str = "area1", **changes: Any) -> CommandMessage:
     """Of the operator; ``changes``: of its header."""
     header = replace(Header("run", "operator", START, 0, sequence, NOW), **changes)
-    return CommandMessage(header, to, meters_off, scan=False, stop=False)
+    return CommandMessage(header, to, meters_off, (), scan=False, stop=False)
+
+
+def on_again(*meters: str, sequence: int) -> CommandMessage:
+    return replace(command(sequence=sequence), meters_on=meters)
 
 
 def book(place: Path | None = None) -> OrderBook:
@@ -42,8 +46,20 @@ def test_a_command_is_followed_once_however_often_it_comes():
     orders = book()
     assert take(orders, command("M2")) == [followed(1, "M2")]
     assert take(orders, command("M2")) == []
-    assert take(orders, replace(command(sequence=2), scan=True)) == [followed(2, scan=True)]
+    assert take(orders, replace(command(sequence=2), scan=True)) == [followed(2, "M2", scan=True)]
     assert take(orders, replace(command(sequence=2), scan=True)) == []
+
+
+@pytest.mark.parametrize("restarts", [False, True])
+def test_a_command_says_nothing_of_meters_that_it_does_not_name(tmp_path: Path, restarts: bool):
+    orders = book(tmp_path)
+    assert take(orders, command("M1", sequence=1)) == [followed(1, "M1")]
+    orders = book(tmp_path) if restarts else orders
+    other = Incarnation(START.start_ms, START.random + 1)  # of an operator who has not seen the first one
+    assert take(orders, command("M2", incarnation=other)) == [Ordered((other.start_ms, 8, 1), ("M1", "M2"), False)]
+    orders = book(tmp_path) if restarts else orders
+    assert take(orders, replace(on_again("M1", sequence=2), header=replace(command().header, incarnation=other,
+                sequence=2))) == [Ordered((other.start_ms, 8, 2), ("M2",), False)]  # fmt: skip
 
 
 def test_meters_of_other_areas_are_no_business_of_this_one():
@@ -78,7 +94,7 @@ def test_a_command_that_is_not_the_operators_to_this_area_now_is_rejected(messag
 @pytest.mark.parametrize("restarts", [False, True])
 def test_a_command_of_the_past_is_rejected_also_after_a_restart(tmp_path: Path, restarts: bool):
     orders = book(tmp_path)
-    off, on = command("M2", sequence=1), command(sequence=2)
+    off, on = command("M2", sequence=1), on_again("M2", sequence=2)
     assert take(orders, off) == [followed(1, "M2")]
     assert take(orders, on) == [followed(2)]
     orders = book(tmp_path) if restarts else orders
