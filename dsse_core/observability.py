@@ -75,7 +75,7 @@ def find_reference(network: Network, reference: int | None) -> int:
     """
     if reference is None:
         return network.slack.bus if network.slack else int(network.table.bus_id[0])
-    if network.table.rows.find(np.array([reference]))[0] < 0:
+    if network.table.rows.row_of(reference) < 0:
         raise InvalidInputError(f"network {network.name!r}", [f"the reference, bus {reference}, is not in it"])
     return reference
 

@@ -121,7 +121,7 @@ class Rows:
     def __init__(self, ids: np.ndarray) -> None:
         self._ids = ids
         n = len(ids)
-        self._counts_up = n > 0 and ids[-1] - ids[0] == n - 1 and bool((np.diff(ids) == 1).all())
+        self._counts_up = n > 0 and ids[-1] - ids[0] == n - 1 and bool((ids[1:] - ids[:-1] == 1).all())
 
     @cached_property
     def _order(self) -> np.ndarray:
@@ -131,14 +131,23 @@ class Rows:
     def are_unique(self) -> bool:
         return self._counts_up or not bool((np.diff(self._ids[self._order]) == 0).any())
 
+    def row_of(self, wanted: int) -> int:
+        """The row of one id; -1 where there is none."""
+        if not self._counts_up:
+            return int(self.find(np.array([wanted]))[0])
+        row = wanted - int(self._ids[0])
+        return row if 0 <= row < len(self._ids) else -1
+
     def find(self, wanted: np.ndarray) -> np.ndarray:
         """The rows of the ids ``wanted``, shape (k,); -1 where there is none."""
         n = len(self._ids)
         if n == 0:
             return np.full(len(wanted), -1)
         if self._counts_up:
-            rows = wanted - self._ids[0]
-            return np.where((rows >= 0) & (rows < n), rows, -1)
+            rows: np.ndarray = wanted - self._ids[0]
+            if rows.dtype == np.int64 and (rows.view(np.uint64) < n).all():
+                return rows
+            return np.where((rows >= 0) & (rows < n), rows, -1).astype(np.int64)
         at = np.searchsorted(self._ids, wanted, sorter=self._order)
         rows = self._order[np.minimum(at, n - 1)]
         return np.where(self._ids[rows] == wanted, rows, -1)

@@ -129,8 +129,12 @@ def tabulate_meters(network: Network, meters: Sequence[Meter]) -> MeterTable:
     table = network.table
     if isinstance(meters, Records):
         columns = meters.columns
-        row = np.append(table.active_row, NO_BRANCH)  # which row -1 is
-        return MeterTable(columns["kind"], table.rows.find(columns["bus"]), row[np.maximum(columns["branch"], -1)])
+        branch = columns["branch"]
+        if table.in_service.all():
+            branch = np.where(branch < 0, NO_BRANCH, branch)
+        else:
+            branch = np.append(table.active_row, NO_BRANCH)[np.maximum(branch, -1)]  # which row -1 is
+        return MeterTable(columns["kind"], table.rows.find(columns["bus"]), branch)
     bus = np.array([meter.bus for meter in meters], dtype=np.int64)
     branch = rows_of_texts(network.active_branch_ids, [meter.branch for meter in meters])
     return MeterTable(number_kinds(meters), table.rows.find(bus), branch)

@@ -231,7 +231,7 @@ def _is_possible(network: Network) -> bool:
 
 def _have_possible_ratings(network: Network) -> bool:
     """Whether all ratings that are given can be."""
-    ratings = {rating for name in ("i_max", "s_max") for rating in read_given(network.branches, name)}
+    ratings = set(read_given(network.branches, "i_max")).union(read_given(network.branches, "s_max"))
     return all(0 < rating < math.inf for rating in ratings - {None})
 
 
@@ -269,7 +269,7 @@ def _find_problems_of_buses_and_branches(network: Network) -> Iterable[str]:
 
 def _find_problems_of_generators(network: Network) -> Iterable[str]:
     for generator in network.generators:
-        if generator.bus not in network.row:
+        if network.table.rows.row_of(generator.bus) < 0:
             yield f"a generator stands at bus {generator.bus}, which is not defined"
         if not all(map(math.isfinite, (generator.p, generator.q, generator.vm, generator.va))):
             yield f"generator at bus {generator.bus}: p, q, vm or va is not a finite number"

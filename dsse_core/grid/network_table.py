@@ -45,12 +45,19 @@ class NetworkTable:
         return np.flatnonzero(self.in_service)
 
     @cached_property
+    def end_rows(self) -> np.ndarray:
+        """Rows of the from and the to buses of all branches, (2, n_all_branches); -1 where there is no such bus."""
+        return self.rows.find(np.concatenate([self.from_bus, self.to_bus])).reshape(2, -1)
+
+    @cached_property
     def f(self) -> np.ndarray:
-        return self.rows.find(self.from_bus[self.active])
+        f: np.ndarray = self.end_rows[0, self.active]
+        return f
 
     @cached_property
     def t(self) -> np.ndarray:
-        return self.rows.find(self.to_bus[self.active])
+        t: np.ndarray = self.end_rows[1, self.active]
+        return t
 
     @cached_property
     def ys(self) -> np.ndarray:
@@ -91,17 +98,17 @@ class NetworkTable:
 
     def is_possible(self) -> bool:
         """Whether values, ids and ends of all buses and branches can be; ids of branches apart."""
-        finite = (self.base_kv, self.load, self.shunt, self.series, self.charging, self.tap, self.shift)
+        complex_ones = (column.view(float) for column in (self.load, self.shunt, self.series, self.charging))
+        numbers = np.concatenate([self.base_kv, self.tap, self.shift, *complex_ones])
         return bool(
             len(self.bus_id) > 0
             and self.rows.are_unique
-            and all(np.isfinite(column).all() for column in finite)
-            and (self.base_kv > 0).all()
-            and (self.tap > 0).all()
-            and (self.series != 0).all()
-            and (self.from_bus != self.to_bus).all()
-            and (self.rows.find(self.from_bus) >= 0).all()
-            and (self.rows.find(self.to_bus) >= 0).all()
+            and np.isfinite(numbers).all()
+            and self.base_kv.min() > 0
+            and self.tap.min(initial=1.0) > 0
+            and self.series.all()
+            and self.end_rows.min(initial=0) >= 0
+            and (self.end_rows[0] != self.end_rows[1]).all()
         )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +13,6 @@ from dsse_core.grid.measurement import MeasurementKind
 from dsse_core.grid.measurement_model import MeasurementModel
 from dsse_core.grid.network import Network
 
-Walk = Callable[[np.ndarray, np.ndarray, int, int], tuple[np.ndarray, np.ndarray]]
 _INJECTIONS = (MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION)
 
 
@@ -41,16 +39,21 @@ def walk_graph(f: np.ndarray, t: np.ndarray, top: int, n: int) -> tuple[np.ndarr
     return order.astype(np.int64), upstream
 
 
-def find_tree(network: Network, root: int, walk: Walk = walk_graph) -> Tree | str:
-    """The tree of the network below bus ``root``, or, as text, why it is none; ``walk``: or one as ``walk_graph``."""
+def find_tree(network: Network, root: int) -> Tree | str:
+    """The tree of the network below bus ``root``, or, as text, why it is none."""
     table = network.table
     f, t, n = table.f, table.t, len(table.bus_id)
-    if len(f) != n - 1:
-        return f"the network is not radial: {n} buses, {len(f)} branches in service"
-    order, upstream = walk(f, t, int(table.rows.find(np.array([root]))[0]), n)
-    if len(order) != n:
-        return f"the network is not radial: {n - len(order)} buses are out of reach of bus {root}"
-    return Tree(order, upstream, f, t)
+    order, upstream = walk_graph(f, t, table.rows.row_of(root), n)
+    return say_why_no_tree(n, len(f), len(order), root) or Tree(order, upstream, f, t)
+
+
+def say_why_no_tree(n_bus: int, n_branch: int, reached: int, root: int) -> str:
+    """Why ``n_branch`` branches that join ``reached`` buses to bus ``root`` make no tree of ``n_bus``; empty if one."""
+    if n_branch != n_bus - 1:
+        return f"the network is not radial: {n_bus} buses, {n_branch} branches in service"
+    if reached != n_bus:
+        return f"the network is not radial: {n_bus - reached} buses are out of reach of bus {root}"
+    return ""
 
 
 @dataclass(frozen=True)

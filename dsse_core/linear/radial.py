@@ -31,8 +31,6 @@ from dsse_core.radial.plan import (
     RadialLayout,
     find_slots,
     lay_out_radial,
-    read_branches,
-    read_shunts,
     stack_admittances,
 )
 
@@ -230,7 +228,7 @@ class RadialSolver(LinearArea):
         n, k = len(network.buses), len(neighbours)
         rooted = _Rooted(
             layout=layout,
-            admittance=stack_admittances(*read_branches(network), read_shunts(network, layout), layout),
+            admittance=stack_admittances(network, layout),
             slot=find_slots(network, self._model.meters, layout),
             z=np.zeros((n, N_SLOT)),
             w=radial_kernel.absent(n),

@@ -12,6 +12,7 @@ from dsse_core.errors import InvalidInputError, PowerFlowDivergedError
 from dsse_core.grid.network import Network
 from dsse_core.power_flow.newton_raphson import solve_by_newton
 from dsse_core.power_flow.plan import MethodChoice, PowerFlowPlan, build_power_flow_plan
+from dsse_core.radial.plan import stack_admittances
 from dsse_core.row_threads import find_threads, share_out
 
 
@@ -94,12 +95,12 @@ class _Rows:
 
     def by_sweeps(self) -> Callable[[int, int], None]:
         """What does rows in compiled code, and by Newton's method what does not end there."""
-        from dsse_core.power_flow.sweeps import build_admittances, build_factors, sweep_rows  # numba
+        from dsse_core.power_flow.sweeps import build_factors, sweep_rows  # numba
 
         plan, layout = self.plan, self.plan.layout
         assert not isinstance(layout, str)
         n, order = len(layout.order), layout.order
-        tables = build_factors(plan.network, layout), build_admittances(plan.network, layout)
+        tables = build_factors(plan.network, layout), stack_admittances(plan.network, layout)
         start = plan.start_voltage[order], plan.start[order]
         memory = np.empty((3, n), dtype=complex)
 

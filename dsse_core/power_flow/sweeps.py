@@ -10,7 +10,7 @@ from dsse_core.code_cache import compiled
 from dsse_core.grid.network import Network
 from dsse_core.radial.block import modulus, scaled
 from dsse_core.radial.iteration import branch_powers
-from dsse_core.radial.plan import RadialLayout, orient_branches, read_branches, read_shunts, stack_admittances
+from dsse_core.radial.plan import RadialLayout, stack_admittances
 
 SMALLEST_CHANGE = 1e-13  # p.u., of any voltage; sweeps gain a digit or more each
 MOST_SWEEPS = 50  # where more are needed Newton's method does better
@@ -39,18 +39,13 @@ def sweep_power_flow(
 
 def build_factors(network: Network, layout: RadialLayout) -> np.ndarray:
     """``ypp / ycp, -det / ycp, 1 / ycc, ycp / ycc`` of the branch above each bus, and its shunt, shape (n_bus, 5)."""
-    ys, ends, ratio = read_branches(network)
-    ycc, ycp, ypp, _ = orient_branches(ys, ends, ratio, layout)
+    Y, table = stack_admittances(network, layout).conj(), network.table
+    ycc, ycp, ypp = Y[layout.child, :3].T
     factors = np.zeros((len(layout.order), 5), dtype=complex)
-    det = ends * (2 * ys + ends) / abs(ratio) ** 2
+    det = table.ends * (2 * table.ys + table.ends) / abs(table.ratio) ** 2
     factors[layout.child, :4] = np.stack([ypp / ycp, -det / ycp, 1 / ycc, ycp / ycc], axis=1)
-    factors[:, 4] = read_shunts(network, layout)
+    factors[:, 4] = Y[:, 7]
     return factors
-
-
-def build_admittances(network: Network, layout: RadialLayout) -> np.ndarray:
-    """See ``stack_admittances``: what ``sweep_rows`` finds mismatches with."""
-    return stack_admittances(*read_branches(network), read_shunts(network, layout), layout)
 
 
 @compiled

@@ -10,7 +10,7 @@ from dsse_core.code_cache import compiled
 from dsse_core.radial.block import modulus, scaled
 from dsse_core.radial.iteration import LOST, carve, find_objective, forget_meters, iterate, place_of
 from dsse_core.radial.kernel import CHECK, eliminate
-from dsse_core.radial.plan import LEAST_PIVOT_RATIO
+from dsse_core.radial.layout import LEAST_PIVOT_RATIO
 
 UNREADABLE = -1  # in place of how many readings are missing
 
@@ -92,7 +92,7 @@ def _store_row(slot, exact, values, z, w):
 
 @compiled
 def _are_determined(parent, place, no_load_Y, z, w, start, start_va, above, factor, more, block, step):
-    """Whether the meters in ``w`` determine the state, as ``find_stuck_bus`` finds for those of a plan."""
+    """Whether the meters in ``w`` determine the state, as ``find_stuck`` finds for those of a plan."""
     all_alike = np.empty_like(w)
     for i in range(len(w)):
         for k in range(10):

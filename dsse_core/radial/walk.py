@@ -7,10 +7,12 @@ import numpy as np
 from dsse_core.code_cache import compiled
 
 
-def walk_tree(f: np.ndarray, t: np.ndarray, top: int, n: int) -> tuple[np.ndarray, np.ndarray]:
+@compiled
+def find_order(f, t, top, n):
     """What ``radial_order.walk_graph`` finds."""
     order, upstream = np.empty(n, dtype=np.int64), np.full(n, -1)
-    return order[: _walk(f, t, top, order, upstream)], upstream
+    count = _walk(f, t, top, order, upstream)
+    return order[:count], upstream
 
 
 @compiled

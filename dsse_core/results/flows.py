@@ -30,7 +30,7 @@ class BranchModel:
 def build_branch_model(network: Network) -> BranchModel:
     """The branches of ``network``, those out of service included."""
     table = network.table
-    f, t, in_service, tap = table.rows.find(table.from_bus), table.rows.find(table.to_bus), table.in_service, table.tap
+    (f, t), in_service, tap = table.end_rows, table.in_service, table.tap
     ys = in_service / table.series
     end = in_service * 0.5 * table.charging
     ytt, ratio = ys + end, tap * np.exp(1j * table.shift)

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
-from dsse_core.grid.radial_order import Walk, walk_graph
+from dsse_core.grid.radial_order import walk_graph
 
 pytest.importorskip("numba")
-from dsse_core.radial.walk import walk_tree
+from dsse_core.radial.walk import find_order
 
-WALKS = pytest.mark.parametrize("walk", [walk_tree, walk_graph])
+Walk = Callable[[np.ndarray, np.ndarray, int, int], tuple[np.ndarray, np.ndarray]]
+
+WALKS = pytest.mark.parametrize("walk", [find_order, walk_graph])
 
 
 def draw_tree(n: int, seed: int) -> tuple[np.ndarray, np.ndarray, int]:
