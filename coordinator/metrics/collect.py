@@ -108,6 +108,8 @@ def _list_others(view: View) -> Iterator[Metric]:
         others.add_metric(other.split(" ", 1), 1.0)
     gateways = sum(other.split(" ", 1)[0] in ("gateway", "plant") for other in view.others)
     yield from (info, others, GaugeMetricFamily("dsse_gateways_alive", "Gateways and plants on the bus", gateways))
+    text = "Areas that are announced beside those that are shown"
+    yield GaugeMetricFamily("dsse_areas_not_shown", text, view.strangers)
     yield GaugeMetricFamily("dsse_duplicates", "Areas or plants that run more than once", len(view.duplicates))
 
 

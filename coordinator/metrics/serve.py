@@ -37,8 +37,8 @@ class Attached(Protocol):
         """Take up the keys that are in the files now."""
         ...
 
-    def __call__(self, duration_s: float) -> Watcher:
-        """Take in what arrives within ``duration_s``."""
+    def for_whole(self, duration_s: float) -> Watcher:
+        """Take in what arrives within ``duration_s``, and return after that."""
         ...
 
 
@@ -89,7 +89,7 @@ def _look_on(page: MetricsPage, look: Attached, inbox: Inbox, watchdog: Watchdog
         if Renewal.ASKED in updates:
             look.renew()
         watchdog.beat(time.monotonic())
-        watcher = look(LOOK_S)
+        watcher = look.for_whole(LOOK_S)
         if look.is_linked() != linked:
             linked = not linked
             (log.info if linked else log.warning)("%s", "on the bus again" if linked else NO_LINK)

@@ -84,7 +84,8 @@ class View:
 
     ``duplicates``: in words, which area or plant runs more than once; one that has just been started again may, for 2
     s. ``other_versions``: in words, who speaks another wire version, of whom nothing else can be shown.
-    ``strangers``: how many are there as areas that are none of the scenario's, where that is known.
+    ``strangers``: how many more are announced as areas: none of the scenario's where that is known, else those for
+    whom there is no place. ``more_others``: how many there are beside ``others``.
     """
 
     run: str
@@ -93,3 +94,4 @@ class View:
     duplicates: tuple[str, ...] = ()
     other_versions: tuple[str, ...] = ()
     strangers: int = 0
+    more_others: int = 0

@@ -13,7 +13,8 @@ from dsse_core.results.table import Table
 
 def describe_view(view: View) -> dict[str, Any]:
     """A view as ``dsse watch --json`` prints it: areas by name."""
-    about = {name: getattr(view, name) for name in ("others", "duplicates", "other_versions", "strangers")}
+    names = "others", "more_others", "duplicates", "other_versions", "strangers"
+    about = {name: getattr(view, name) for name in names}
     return {"run": view.run, **about, "areas": {area.name: _describe_area(area) for area in view.areas}}
 
 

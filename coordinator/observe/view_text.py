@@ -18,6 +18,7 @@ from dsse_core.results.table import Table
 
 WIDTH = 80
 MOST_LISTED = 12  # processes that are no areas
+MOST_AREAS = 200
 MOST_NOTES = 3  # of an area
 LONGEST_SENTENCE = 300  # `dsse watch --json` has all sentences whole
 COLUMNS = (("area", 16), ("quality", 14), ("age s", 6), ("voltage p.u.", 12))
@@ -54,11 +55,11 @@ def _write_view(view: View) -> Iterator[tuple[str, str]]:
     scan = max((area.scan for area in view.areas), default=0)
     title = f"run {view.run}, scan {scan}: {_count(len(qualities), 'area')}, {listed(counts) or 'nobody is there'}"
     yield from ((line, "bold") for line in _wrap(title))
-    others = listed(view.others, MOST_LISTED) or "nobody"
-    for remark in (f"also there: {others}", *view.duplicates[:MOST_LISTED], *view.other_versions):
+    strangers = [f"{view.strangers} more are announced as areas and not shown"] if view.strangers else []
+    for remark in (_write_others(view), *strangers, *view.duplicates[:MOST_LISTED], *view.other_versions):
         yield from ((line, "") for line in _wrap(remark))
     yield _columns([name for name, _ in COLUMNS], "worst normalised residual"), "bold"
-    for area in view.areas:
+    for area in _choose_areas(view.areas):
         cells = [
             shortened(printable(area.name), COLUMNS[0][1]),
             shortened(printable(area.quality), COLUMNS[1][1]),
@@ -69,6 +70,21 @@ def _write_view(view: View) -> Iterator[tuple[str, str]]:
         yield _columns(cells, worst), STYLES.get(area.quality, "red")
         for remark in _remarks(area, scan):
             yield from ((line, "") for line in _wrap(remark, "    "))
+    if len(view.areas) > MOST_AREAS:
+        yield f"... and {len(view.areas) - MOST_AREAS} areas more: --json has all", ""
+
+
+def _choose_areas(areas: Sequence[AreaView]) -> Sequence[AreaView]:
+    """Where there are very many: those that are not good, then good ones, then those that have never said anything."""
+    if len(areas) <= MOST_AREAS:
+        return areas
+    return sorted(areas, key=lambda area: 2 if area.age_s is None else int(area.quality == GOOD))[:MOST_AREAS]
+
+
+def _write_others(view: View) -> str:
+    shown = view.others[:MOST_LISTED]
+    more = len(view.others) - len(shown) + view.more_others
+    return f"also there: {', '.join(shown) or 'nobody'}{f' and {more} more' if more else ''}"
 
 
 def _remarks(area: AreaView, scan: int) -> Iterator[str]:

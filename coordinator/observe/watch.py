@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import islice
 
 from agents.messages.keys import name_of_live, version_of
 from agents.messages.packing import WIRE_VERSION, ReadingsMessage, StateMessage, describe_other_version
@@ -18,6 +19,10 @@ from dsse_core.printable import listed
 
 MOST_VERSIONS = 10  # other wire versions that are distinguished, and
 MOST_NAMED = 12  # names of each
+MOST_AREAS = 1000  # that are shown where any name may be one
+MOST_OTHERS, MOST_DUPLICATES = 100, 100  # that are named
+MOST_BYTES = 32 * 2**20  # of the messages that are kept, where any name may be an area
+ROLES = ("plant", "coordinator", "gateway")  # of those that are no areas, named first
 SILENT_PAUSES = 3  # an area that was not received for so many of its longest pauses, and for OVER_S, is silent
 
 
@@ -26,7 +31,7 @@ class Watcher:
     """Takes in presence and states of run ``run`` with the time of their arrival, s on any one clock.
 
     ``areas``: their names, if they are known: nothing else is an area then, and strangers, however many, take nobody's
-    place. Otherwise no more than ``MAX_NAMES`` are.
+    place. Otherwise ``MAX_NAMES`` are kept with ``MOST_BYTES`` of messages, who came first, and ``MOST_AREAS`` shown.
     """
 
     run: str
@@ -38,6 +43,8 @@ class Watcher:
     _received: dict[str, tuple[float, StateMessage]] = field(default_factory=dict)
     _longest_pause: dict[str, float] = field(default_factory=dict)  # between two states of an area's incarnation, s
     _readings: dict[str, ReadingsMessage] = field(default_factory=dict)
+    _sizes: dict[tuple[str, str], int] = field(default_factory=dict)  # area and kind of message -> bytes, and
+    _bytes: int = 0  # their sum
 
     def take_presence(self, key: str, alive: bool) -> None:
         """Note that a token of any wire version appeared or vanished."""
@@ -60,25 +67,43 @@ class Watcher:
         if is_gone and len(self._leave_reasons) < MAX_NAMES:
             self._leave_reasons[name_of_live(key)[1]] = leave_reason
 
-    def take_state(self, state: StateMessage, now: float) -> None:
-        """Keep ``state`` if it is of this run and as new as the area's last, or the incarnation of that is over."""
+    def has_place_for(self, area: str) -> bool:
+        """Whether what ``area`` says is kept: the areas that are known, or those that were received first."""
+        if self.areas is not None:
+            return area in self.areas
+        return area in self._received or len(self._received) < MAX_NAMES
+
+    def take_state(self, state: StateMessage, now: float, size: int = 0) -> None:
+        """Keep ``state`` if it is of this run and as new as the area's last, or the incarnation of that is over.
+
+        ``size``: bytes of the message.
+        """
         area = state.header.sender
         at, last = self._received.get(area, (now, state))
-        if not self._is_known(area) or (area not in self._received and len(self._received) >= MAX_NAMES):
+        if not self.has_place_for(area) or state.header.run != self.run:
             return
-        if state.header.run == self.run and not is_old(state.header, last.header, now - at, OVER_S):
+        if not is_old(state.header, last.header, now - at, OVER_S) and self._has_room(area, state.kind, size):
             same_incarnation = state.header.incarnation == last.header.incarnation
             self._longest_pause[area] = max(now - at, self._longest_pause.get(area, 0.0)) if same_incarnation else 0.0
             self._received[area] = (now, state)
 
-    def take_readings(self, readings: ReadingsMessage) -> None:
-        """Keep what an area has used last."""
+    def take_readings(self, readings: ReadingsMessage, size: int = 0) -> None:
+        """Keep what an area has used last; ``size``: bytes of the message."""
         area, known = readings.header.sender, self._readings.get(readings.header.sender)
         is_too_much = known is None and len(self._readings) >= MAX_NAMES
         if readings.header.run != self.run or is_too_much or not self._is_known(area):
             return
-        if known is None or readings.header.order >= known.header.order:
+        is_newer = known is None or readings.header.order >= known.header.order
+        if is_newer and self._has_room(area, readings.kind, size):
             self._readings[area] = readings
+
+    def _has_room(self, area: str, kind: str, size: int) -> bool:
+        """Whether a message of ``size`` bytes finds room in place of the last of its kind; it takes it then."""
+        more = size - self._sizes.get((area, kind), 0)
+        if self.areas is None and self._bytes + more > MOST_BYTES:
+            return False
+        self._sizes[area, kind], self._bytes = size, self._bytes + more
+        return True
 
     def is_whole(self) -> bool:
         """Whether there are areas, and every one that is there has been received."""
@@ -96,27 +121,46 @@ class Watcher:
 
     @property
     def states(self) -> Mapping[str, StateMessage]:
-        """Area -> what it published last."""
-        return {area: state for area, (_, state) in self._received.items()}
+        """Area -> what it published last, of those that are shown."""
+        return {area: self._received[area][1] for area in self._choose_received()}
 
     @property
     def readings(self) -> Mapping[str, ReadingsMessage]:
-        """Area -> the readings that it has used last."""
-        return self._readings
+        """Area -> the readings that it has used last, of those that are shown."""
+        if len(self._readings) <= self._most_areas:
+            return self._readings
+        return {area: self._readings[area] for area in self._choose_received() if area in self._readings}
 
     def look(self, now: float) -> View:
         """What is known at ``now``."""
-        spoken_to = {name for _, state in self._received.values() for name in state.sent if self._is_known(name)}
-        present = self.names_of("area")
-        others_named = sorted((present | spoken_to) - self._received.keys(), key=_by_number)
-        received = list(self._received)  # these are not crowded out by areas that are only named
-        names = sorted([*received, *others_named[: MAX_NAMES - len(received)]], key=_by_number)
-        all_names = self._presence.names | self._strangers.names
-        others = sorted(f"{role} {name}" for role, name in all_names if role != "area")
-        strangers = sum(role == "area" for role, _ in self._strangers.names)
+        present, received = self.names_of("area"), self._choose_received()
+        spoken_to = {name for area in received for name in self._received[area][1].sent if self._is_known(name)}
+        named = (present | spoken_to) - self._received.keys()
+        room = self._most_areas - len(received)  # who has said something is not crowded out by who is only named
+        names = sorted([*received, *sorted(named, key=_by_number)[:room]], key=_by_number)
+        left_out = len(self._received) + len(named) - len(names)
+        strangers = sum(role == "area" for role, _ in self._strangers.names) + left_out
         views = tuple(self._view_of(name, name in present, now) for name in names)
-        duplicates = tuple(self._find_duplicates())
-        return View(self.run, views, tuple(others), duplicates, self.find_other_versions(), strangers)
+        duplicates = tuple(islice(self._find_duplicates(), MOST_DUPLICATES))
+        others, more_others = self._find_others()
+        return View(self.run, views, others, duplicates, self.find_other_versions(), strangers, more_others)
+
+    @property
+    def _most_areas(self) -> int:
+        return MOST_AREAS if self.areas is None else len(self.areas)
+
+    def _choose_received(self) -> list[str]:
+        """The areas that are shown of those that were received: those that estimate, then who came first."""
+        if len(self._received) <= self._most_areas:
+            return list(self._received)
+        rank = {area: (not state.buses, not state.sent) for area, (_, state) in self._received.items()}
+        return sorted(rank, key=rank.__getitem__)[: self._most_areas]
+
+    def _find_others(self) -> tuple[tuple[str, ...], int]:
+        """Who is there and no area, as ``role name``, and how many more."""
+        found = [(role, name) for role, name in self._presence.names | self._strangers.names if role != "area"]
+        ranked = sorted(found, key=lambda other: (other[0] not in ROLES, other))[:MOST_OTHERS]
+        return tuple(sorted(f"{role} {name}" for role, name in ranked)), len(found) - len(ranked)
 
     def _is_known(self, area: str) -> bool:
         return self.areas is None or area in self.areas

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable
+from dataclasses import dataclass
 from multiprocessing.connection import Pipe
 from pathlib import Path
 from types import TracebackType
@@ -42,7 +43,8 @@ FILES_OF_A_PROCESS = 32  # beside one for the link of each area; measured: a rou
 # buses stay below the limit, or each of them would be made of cleared pages
 LARGE = str(2**20)  # bytes
 ONE_HEAP = {"MALLOC_ARENA_MAX": "1", "MALLOC_TRIM_THRESHOLD_": LARGE, "MALLOC_MMAP_THRESHOLD_": LARGE}
-MAX_WAITING = 100_000  # updates
+MAX_WAITING = 100_000  # updates, and
+MOST_BYTES = 64 * 2**20  # of messages in them
 ROOT = Path(__file__).resolve().parents[2]  # where this package was imported from
 
 
@@ -196,13 +198,32 @@ def read_end(log: Path, lines: int = 24, width: int = 160) -> str:
     return "\n".join(line if len(line) <= width else line[: width - 3] + "..." for line in last)
 
 
+@dataclass(frozen=True, slots=True)
+class _Sized:
+    """A message of ``size`` bytes that waits."""
+
+    size: int
+    item: Any
+
+
 class Updates(queue.SimpleQueue[Any]):
     """What arrives from bus and processes, in order, for the one loop of the coordinator."""
 
-    def offer(self, item: Any, *, said_once: bool = False) -> None:
-        """Leave it, or drop it where too much waits: what every heartbeat repeats goes first."""
-        if self.qsize() < MAX_WAITING * (2 if said_once else 1):
-            self.put(item)
+    def __init__(self) -> None:
+        super().__init__()
+        self._lock = threading.Lock()
+        self._bytes = 0  # of messages that wait
+
+    def offer(self, item: Any, *, said_once: bool = False, size: int = 0) -> None:
+        """Leave it, or drop it where too much waits: what every heartbeat repeats goes first.
+
+        ``size``: bytes of the message that it is, and of its key.
+        """
+        with self._lock:
+            share = 2 if said_once else 1
+            if self.qsize() < MAX_WAITING * share and self._bytes + size <= MOST_BYTES * share:
+                self._bytes += size
+                self.put(_Sized(size, item) if size else item)
 
     def take(self, timeout_s: float) -> list[Any]:
         """Wait up to ``timeout_s`` for something; everything that has arrived by then.
@@ -213,4 +234,10 @@ class Updates(queue.SimpleQueue[Any]):
             first = self.get(timeout=max(0.0, timeout_s))
         except queue.Empty:
             return []
-        return [first, *(self.get_nowait() for _ in range(self.qsize()))]
+        items = [first, *(self.get_nowait() for _ in range(self.qsize()))]
+        sized = [item for item in items if isinstance(item, _Sized)]
+        if not sized:
+            return items
+        with self._lock:
+            self._bytes -= sum(item.size for item in sized)
+        return [item.item if isinstance(item, _Sized) else item for item in items]

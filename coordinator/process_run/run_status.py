@@ -84,22 +84,26 @@ def listen_to_processes(run: RunUnderWay) -> None:
 def listen(run: RunUnderWay, session: Session) -> None:
     """Have states and presence put into the run's updates, each with the time of its arrival."""
 
+    areas = {area.name for area in run.scenario.partition.areas}
+
     def on_shown(key: str, payload: bytes) -> None:
+        if sender_of(key) not in areas:  # a stranger's, who may say as much as it likes
+            return
         try:
             message = decode(payload)
         except MessageError as error:
             run.updates.offer(error)
             return
         if isinstance(message, StateMessage) and message.header.sender == sender_of(key):
-            run.updates.offer(_StateReceived(time.monotonic(), message))
+            run.updates.offer(_StateReceived(time.monotonic(), message), size=len(payload))
         elif isinstance(message, ReadingsMessage) and message.header.sender == sender_of(key):
-            run.updates.offer(message)
+            run.updates.offer(message, size=len(payload))
 
     session.subscribe(all_states(run.id), on_shown)
     if run.scenario.renew_s is not None:
         session.subscribe(all_readings(run.id), on_shown)
     known = {("plant", PLANT), ("coordinator", COORDINATOR)}
-    known |= {("area", area.name) for area in run.scenario.partition.areas}
+    known |= {("area", name) for name in areas}
 
     def on_presence(key: str, alive: bool, leave_reason: str = "") -> None:
         if name_of_live(key) in known:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import msgspec
@@ -19,8 +19,6 @@ from coordinator.web.history import History
 from dsse_core.results.table import Table
 
 MOST_EVENTS = 200
-MOST_AREAS = 1000  # that are shown; strangers may announce more
-MOST_WORDS = 100  # names of others, duplicates
 # column -> decimals: what a page can show, in a third of the bytes
 BUS = {"vm_pu": 6, "va_deg": 5, "sigma_vm_pu": 7, "sigma_va_deg": 6, "p_kw": 3, "q_kvar": 3}
 BRANCH = {"p_from_kw": 3, "q_from_kvar": 3, "i_from_a": 3, "loss_kw": 4, "loading_percent": 2}
@@ -77,7 +75,7 @@ class Moments:
 
     def note(self, watcher: Watcher, now: float, at: float) -> View:
         """What is seen ``now`` on the watcher's clock, called ``at`` (s); events and past take in what is new of it."""
-        view = _shorten(watcher.look(now))
+        view = watcher.look(now)
         self.events.take(at, view)
         scans = tuple((area.name, area.scan, area.quality) for area in view.areas)
         if scans != self._scans_kept:
@@ -124,16 +122,6 @@ class Moments:
         }
         columns = {name: np.array(column, dtype=float) for name, column in areas.items()}
         of["area"].take(at, [area.name for area in view.areas], columns)
-
-
-def _shorten(view: View) -> View:
-    """As much as a page can show, those that estimate first; what is left out is counted."""
-    known = sorted(view.areas, key=lambda area: (not area.estimated, not area.neighbours))[:MOST_AREAS]
-    names = {area.name for area in known}
-    shown = tuple(area for area in view.areas if area.name in names)
-    more = len(view.areas) - len(shown)
-    others, duplicates = view.others[:MOST_WORDS], view.duplicates[:MOST_WORDS]
-    return replace(view, areas=shown, others=others, duplicates=duplicates, strangers=view.strangers + more)
 
 
 def encode_json(content: object) -> bytes:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 from agents.messages.checks import MessageError
@@ -38,6 +39,14 @@ LONGEST_WAIT_S = REPEAT_READINGS_S + 2.0
 MOST_RUNS = 12  # that an error names
 
 
+@dataclass(frozen=True, slots=True)
+class _Shown:
+    """What arrived on the key of an area's states or readings."""
+
+    key: str
+    payload: bytes
+
+
 class Look:
     """What arrives on ``session`` of ``run``; called with a number of seconds it takes in what arrives within them."""
 
@@ -57,15 +66,30 @@ class Look:
         """The watcher, which knows of all up to now."""
         for item in self._updates.take(duration_s):
             match item:
-                case StateMessage():
-                    self._watcher.take_state(item, time.monotonic())
-                case ReadingsMessage():
-                    self._watcher.take_readings(item)
+                case _Shown(key, payload):
+                    self._take_shown(key, payload)
                 case (key, bool() as alive):
                     self._watcher.take_presence(key, alive)
-                case (key, leave_reason) if leave_reason:
+                case (key, leave_reason):
                     self._watcher.take_leave(key, leave_reason)
         return self._watcher
+
+    def for_whole(self, duration_s: float) -> Watcher:
+        """The same after ``duration_s``, however much arrives meanwhile: what is made of it costs the same then."""
+        deadline = time.monotonic() + duration_s
+        while (left_s := deadline - time.monotonic()) > 0:
+            self(left_s)
+        return self._watcher
+
+    def _take_shown(self, key: str, payload: bytes) -> None:
+        """What areas that can be kept show; what others do is not even read."""
+        if not self._watcher.has_place_for(sender_of(key)):
+            return
+        match _decoded(key, payload):
+            case StateMessage() as state:
+                self._watcher.take_state(state, time.monotonic(), len(payload))
+            case ReadingsMessage() as readings:
+                self._watcher.take_readings(readings, len(payload))
 
 
 @contextmanager
@@ -92,12 +116,26 @@ def attach(address: RunAddress, name: str = "", areas: frozenset[str] | None = N
     """
     with join_run(address, name) as (session, run):
         watcher, updates = Watcher(run, areas), Updates()
-        session.subscribe(all_states(run), lambda key, payload: updates.offer(_decoded(key, payload)))
-        session.subscribe(all_readings(run), lambda key, payload: updates.offer(_decoded(key, payload)))
-        session.subscribe(all_live(run), lambda key, payload: updates.offer((key, read_leave(payload)), said_once=True))
+
+        def on_shown(key: str, payload: bytes) -> None:
+            """On the thread that receives: a slow one would hold up the router, and with it the areas."""
+            if areas is None or sender_of(key) in areas:
+                updates.offer(_Shown(key, payload), size=len(key) + len(payload))
+
+        def on_leave(key: str, payload: bytes) -> None:
+            if leave_reason := read_leave(payload):
+                updates.offer((key, leave_reason), said_once=True, size=len(key))
+
+        for expression in (all_states(run), all_readings(run)):
+            session.subscribe(expression, on_shown)
+        session.subscribe(all_live(run), on_leave)
         all_tokens = all_live_of_any_version if session.keys is None else all_live  # keys show nobody other versions
-        session.watch_presence(all_tokens(run), lambda key, alive: updates.offer((key, alive), said_once=True))
+        _watch_tokens(session, all_tokens(run), updates)
         yield Look(watcher, updates, session)
+
+
+def _watch_tokens(session: Session, expression: str, updates: Updates) -> None:
+    session.watch_presence(expression, lambda key, alive: updates.offer((key, alive), said_once=True, size=len(key)))
 
 
 def _find_own_name(keys: Path) -> str:
@@ -133,7 +171,7 @@ def _find_run(session: Session, timeout_s: float) -> str:
     """The only run of which an area or a plant is there."""
     updates = Updates()
     others: dict[str, int] = {}  # runs of another wire version
-    session.watch_presence(all_live_of_any_version(ANY), lambda key, alive: updates.offer((key, alive), said_once=True))
+    _watch_tokens(session, all_live_of_any_version(ANY), updates)
     runs: set[str] = set()
     deadline, settled = time.monotonic() + timeout_s, float("inf")
     while (now := time.monotonic()) < min(deadline, settled):

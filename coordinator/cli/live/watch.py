@@ -16,6 +16,7 @@ from coordinator.cli.terminal import choose_endpoints, connect_option, direct_op
 from coordinator.interrupts import end_orderly_on_signals
 
 if TYPE_CHECKING:  # the real imports stand in the command, so that every other starts fast
+    from coordinator.observe.grid_tables import GridTables
     from coordinator.observe.watch import Watcher
     from dsse_core.results.table import Table
 
@@ -51,28 +52,37 @@ def watch(address: RunAddress, grid: str | None, buses: bool, meters: bool, once
     from coordinator.cli.live.session import attach, wait_until_whole
 
     end_orderly_on_signals()
-    find_tables = _tables_of(grid, buses or as_json, meters or as_json)
+    known = _load_grid(grid)
+    find_tables = _tables_of(known, buses or as_json, meters or as_json)
+    areas = frozenset(area.name for area in known.partition.areas) if known else None
     try:
-        with attach(address) as look:
+        with attach(address, areas=areas) as look:
             if once:
                 watcher = wait_until_whole(look, address.timeout_s, with_readings=meters)
                 show(_format(watcher, find_tables, as_json))
                 return 0 if watcher.is_whole() else 1
             live = sys.stdout.isatty() and not as_json
-            _show_on(lambda: look(UPDATE_S), find_tables, live, as_json)
+            _show_on(lambda: look.for_whole(UPDATE_S), find_tables, live, as_json)
             return 0
     except KeyboardInterrupt:
         return 0
 
 
-def _tables_of(grid: str | None, buses: bool, meters: bool) -> Tables:
-    """What makes the tables that are wanted of what a watcher has received."""
-    if not (buses or meters or grid):
-        return lambda watcher: {}
-    from coordinator.observe.grid_tables import GridTables, list_buses, list_meters, worst_first
+def _load_grid(grid: str | None) -> GridTables | None:
+    """The network and the meters of scenario ``grid``."""
+    if grid is None:
+        return None
+    from coordinator.observe.grid_tables import GridTables
     from scenarios.scenario import load_scenario
 
-    known = GridTables(load_scenario(grid)) if grid else None
+    return GridTables(load_scenario(grid))
+
+
+def _tables_of(known: GridTables | None, buses: bool, meters: bool) -> Tables:
+    """What makes the tables that are wanted of what a watcher has received."""
+    if not (buses or meters):
+        return lambda watcher: {}
+    from coordinator.observe.grid_tables import list_buses, list_meters, worst_first
 
     def find(watcher: Watcher) -> dict[str, Table]:
         states, readings = watcher.states, watcher.readings

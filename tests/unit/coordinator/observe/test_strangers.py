@@ -81,6 +81,7 @@ def test_of_one_name_no_more_incarnations_are_kept_than_anybody_needs_and_no_mor
 
 def test_a_watcher_keeps_so_many_areas_and_no_more(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(watch, "MAX_NAMES", 5)
+    monkeypatch.setattr(watch, "MOST_AREAS", 5)
     watcher = Watcher("run")
     for k in range(20):
         watcher.take_state(said_by(f"area{k}", INCARNATION, sent={f"made-up{j}": (1, 1) for j in range(20)}), 0.0)

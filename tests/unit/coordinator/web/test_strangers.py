@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
 from served import wait_for
 from shown_states import a_state, said_by
 
-from agents.messages.keys import live_key
-from agents.messages.packing import Incarnation
-from coordinator.observe.watch import Watcher
+from agents.messages.keys import all_states, live_key, state_key
+from agents.messages.packing import Header, Incarnation, ReadingsMessage
+from coordinator.cli.live import session
+from coordinator.observe import watch
+from coordinator.observe.view_text import format_view
+from coordinator.observe.watch import MOST_AREAS, Watcher
+from coordinator.process_run import processes
 from coordinator.process_run.processes import Updates
 from coordinator.web import sources
-from coordinator.web.moment import MOST_AREAS, Events, Moments, encode_json
+from coordinator.web.moment import Events, Moments, encode_json
 from coordinator.web.sources import LiveSource
 
 ME = Incarnation(1, 1)
@@ -93,3 +104,110 @@ def test_what_arrives_while_one_takes_waits_for_the_next_time():
     for _ in range(3):
         updates.put("first")
     assert updates.take(0.0) == ["first"] * 3
+
+
+def test_states_of_strangers_make_no_moment_line_or_table_longer_than_the_areas_that_are_shown():
+    watcher = Watcher("run")
+    watcher.take_state(a_state(buses=(7,)), 0.0)
+    for k in range(3 * MOST_AREAS):
+        watcher.take_state(said_by(f"0stranger{k}", ME, buses=(100 + k,)), 0.0)
+        watcher.take_readings(ReadingsMessage(Header("run", f"0stranger{k}", ME, 1, 1, 0.0), 0.0, *[()] * 4))
+    view = watcher.look(0.1)
+    assert len(view.areas) == len(watcher.states) == MOST_AREAS
+    assert len(watcher.readings) < MOST_AREAS
+    assert "area1" in watcher.states, "who came first stays"
+    assert view.strangers == 1 + 3 * MOST_AREAS - MOST_AREAS
+    assert len(Moments(None).make(watcher, 0.1, 0.1)["buses"]["id"]) == MOST_AREAS
+    text = format_view(view)
+    assert f"{view.strangers} more are announced as areas and not shown" in text
+    assert "800 areas more: --json has all" in text
+    assert len(text.splitlines()) < 1000
+
+
+def test_processes_that_strangers_announce_hide_no_plant_and_are_counted():
+    watcher = Watcher("run")
+    for k in range(500):
+        watcher.take_presence(live_key("run", "<b>", f"0x{k}", ME), True)
+    watcher.take_presence(live_key("run", "plant", "plant", ME), True)
+    view = watcher.look(0.0)
+    assert "plant plant" in view.others
+    assert len(view.others) + view.more_others == 501
+    assert len(view.others) <= 100
+    assert "and 489 more" in " ".join(format_view(view).split())
+
+
+def test_large_states_of_strangers_are_kept_up_to_a_number_of_bytes(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(watch, "MOST_BYTES", 1000)
+    unknown, known = Watcher("run"), Watcher("run", frozenset({"area1"}))
+    for watcher in (unknown, known):
+        for k in range(10):
+            watcher.take_state(said_by(f"stranger{k}", ME), 0.0, 400)
+        watcher.take_state(a_state(), 0.0, 400)
+    assert list(unknown.states) == ["stranger0", "stranger1"]
+    assert list(known.states) == ["area1"]
+    unknown.take_state(said_by("stranger0", ME), 0.0, 100)
+    unknown.take_state(said_by("stranger3", ME), 0.0, 400)
+    assert list(unknown.states) == ["stranger0", "stranger1", "stranger3"], "a smaller state makes room"
+
+
+def test_large_messages_that_nobody_takes_in_do_not_pile_up(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(processes, "MOST_BYTES", 1000)
+    updates = Updates()
+    for _ in range(2):
+        for k in range(100):
+            updates.offer(k, size=300)
+        updates.offer("said once", said_once=True, size=300)
+        assert updates.take(0.0) == [0, 1, 2, "said once"]
+
+
+class Bus:
+    """Keeps what a watcher asks of its session."""
+
+    keys, is_linked = None, staticmethod(lambda: True)
+
+    def __init__(self) -> None:
+        self.on = dict[str, Any]()
+
+    def subscribe(self, keys: str, callback: Any) -> None:
+        self.on[keys] = callback
+
+    def watch_presence(self, keys: str, callback: Any) -> None:
+        self.on["tokens"] = callback
+
+
+def test_what_strangers_send_is_not_read_on_the_thread_that_holds_up_the_router(monkeypatch: pytest.MonkeyPatch):
+    bus, read = Bus(), list[bytes]()
+
+    @contextmanager
+    def joined(*_: object) -> Iterator[tuple[Any, str]]:
+        yield bus, "run"
+
+    def decoded(key: str, payload: bytes) -> None:
+        read.append(payload)
+
+    monkeypatch.setattr(session, "join_run", joined)
+    monkeypatch.setattr(session, "_decoded", decoded)
+    with session.attach((), "run", 1.0, areas=frozenset({"area1"})) as look:
+        for area in ("stranger", "area1"):
+            bus.on[all_states("run")](state_key("run", area), area.encode())
+        assert read == [], "the thread of the bus only puts it down"
+        look(0.0)
+    assert read == [b"area1"]
+
+
+def test_a_flood_does_not_make_a_watcher_look_more_often():
+    bus, updates = Bus(), Updates()
+    look, looks = session.Look(Watcher("run"), updates, bus), list[float]()  # type: ignore[arg-type]
+    ends = time.monotonic() + 0.2
+
+    def flood() -> None:
+        while time.monotonic() < ends:
+            updates.offer((live_key("run", "area", "a1", ME), True))
+
+    thread = threading.Thread(target=flood)
+    thread.start()
+    while time.monotonic() < ends:
+        look.for_whole(0.1)
+        looks.append(time.monotonic())
+    thread.join()
+    assert 1 <= len(looks) <= 3
