@@ -1,6 +1,6 @@
 /** The voltage profile, and the past of what is selected. */
 
-import { byId } from "./format.js";
+import { byId, colour } from "./format.js";
 import { spanOf } from "./layout.js";
 
 /** @typedef {import("./types.js").Grid} Grid @typedef {import("./types.js").Moment} Moment */
@@ -12,20 +12,19 @@ const PAST_HEIGHT = 200;
 const DOT = 5; // pixels of a bus of the profile; a third of it where there are very many
 const MOST_DOTS = 1500;
 
-/** @param {string} name @returns {string} */
-function colour(name) {
-  return getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-}
-
 /** @param {string} label */
 function axis(label) {
   const line = { stroke: () => colour("--line"), width: 1 };
   return { label, stroke: () => colour("--ink"), grid: line, ticks: line };
 }
 
-/** An axis fits what it shows, where uPlot would begin at 0. @returns {{range: (chart: any, low: number, high: number) => [number, number]}} */
-function fitted() {
-  return { range: (_, low, high) => spanOf(low, high) };
+/**
+ * An axis fits what it shows, where uPlot would begin at 0.
+ * @param {number[]} also values that are on it in any case
+ * @returns {{range: (chart: any, low: number | null, high: number | null) => [number, number]}}
+ */
+function fitted(...also) {
+  return { range: (_, low, high) => (also.length ? spanOf(Math.min(low ?? Infinity, ...also), Math.max(high ?? -Infinity, ...also)) : spanOf(low, high)) };
 }
 
 export class Profile {
@@ -38,24 +37,17 @@ export class Profile {
     this.order = known.sort((a, b) => /** @type {number} */ (grid.buses.distance[a]) - /** @type {number} */ (grid.buses.distance[b]));
     this.x = this.order.map((k) => /** @type {number} */ (grid.buses.distance[k]));
     /** @type {(number | null)[]} */ this.sigma = [];
-    const limit = { stroke: () => colour("--bad"), dash: [6, 4], width: 1.5, points: { show: false } };
     this.chart = new uPlot({
       width: this.holder.clientWidth || 600,
       height: HEIGHT,
-      scales: { x: { time: false }, y: fitted() },
+      scales: { x: { time: false }, y: fitted(...grid.limits) },
       axes: [axis(grid.axis), axis("voltage (p.u.)")],
       cursor: { show: false },
-      series: [{}, { paths: () => null, points: { show: false } }, limit, limit],
-      hooks: { draw: [(/** @type {any} */ chart) => this.drawBuses(chart)] },
-    }, this.columns(this.x.map(() => null)), this.holder);
+      series: [{}, { paths: () => null, points: { show: false } }],
+      hooks: { draw: [(/** @type {any} */ chart) => this.drawLimits(chart), (/** @type {any} */ chart) => this.drawBuses(chart)] },
+    }, [this.x, this.x.map(() => null)], this.holder);
     this.observer = new ResizeObserver(() => this.chart.setSize({ width: this.holder.clientWidth, height: HEIGHT }));
     this.observer.observe(this.holder);
-  }
-
-  /** @param {(number | null)[]} vm */
-  columns(vm) {
-    const [low, high] = this.grid.limits;
-    return [this.x, vm, this.x.map(() => low), this.x.map(() => high)];
   }
 
   /** @param {Moment} moment */
@@ -67,7 +59,24 @@ export class Profile {
         return found === undefined ? null : /** @type {number | null} */ (moment.buses[name][found]);
       }));
     this.sigma = sigma;
-    this.chart.setData(this.columns(vm));
+    this.chart.setData([this.x, vm]);
+  }
+
+  /** @param {any} chart */
+  drawLimits(chart) {
+    const { ctx: context, bbox } = chart;
+    context.save();
+    context.strokeStyle = colour("--bad");
+    context.lineWidth = 1.5 * uPlot.pxRatio;
+    context.setLineDash([6 * uPlot.pxRatio, 4 * uPlot.pxRatio]);
+    context.beginPath();
+    for (const limit of this.grid.limits) {
+      const at = chart.valToPos(limit, "y", true);
+      context.moveTo(bbox.left, at);
+      context.lineTo(bbox.left + bbox.width, at);
+    }
+    context.stroke();
+    context.restore();
   }
 
   /** A dot for each bus, and a bar of three standard deviations to either side. @param {any} chart */
@@ -86,6 +95,11 @@ export class Profile {
     });
     context.stroke();
     context.restore();
+  }
+
+  /** In the colours that hold now. */
+  repaint() {
+    this.chart.redraw(false);
   }
 
   /** Give back what the browser keeps for it. */
@@ -109,6 +123,11 @@ export class Past {
     this.of = "";
     /** @type {any} */ this.chart = null;
     new ResizeObserver(() => this.chart?.setSize({ width: this.holder.clientWidth, height: PAST_HEIGHT })).observe(this.holder);
+  }
+
+  /** In the colours that hold now. */
+  repaint() {
+    this.chart?.redraw(false);
   }
 
   /** Show nothing. */

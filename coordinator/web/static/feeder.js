@@ -1,62 +1,77 @@
-/** The feeder on a canvas: what is shown, zoomed and chosen there. `paint.js` paints it. */
+/** The feeder: what is shown of it, zoomed and chosen there. `painter.js` paints it, on a thread of its own. */
 
-import { findShapes, fitInto, usualLength } from "./layout.js";
-import { paintAreas, paintBranches, paintBuses, paintLinks, paintMessages } from "./paint.js";
+import { colour } from "./format.js";
+import { placeBuses } from "./layout.js";
+import { findStructure, paintFeeder } from "./paint.js";
 
 /** @typedef {import("./types.js").Grid} Grid @typedef {import("./types.js").Moment} Moment */
-/** @typedef {import("./types.js").Choice} Choice @typedef {import("./layout.js").Shape} Shape @typedef {import("./layout.js").Point} Point */
+/** @typedef {import("./types.js").Choice} Choice @typedef {import("./types.js").Painting} Painting */
+/** @typedef {import("./types.js").Palette} Palette @typedef {import("./types.js").PaintedMoment} PaintedMoment */
 
 const d3 = /** @type {any} */ (window).d3;
-const MARGIN = 34; // pixels around the whole feeder
 const NEAR = 14; // pixels within which a click finds a bus
+const STEPS = 32; // of voltage
+const INKS = ["--ink", "--faint", "--line", "--good", "--degraded", "--bad", "--mark"];
+
+/** Of voltages from low to high: even steps of lightness, as in pictures. @returns {Palette} */
+function readPalette() {
+  return {
+    colours: Object.fromEntries(INKS.map((name) => [name, colour(name)])),
+    areas: [...d3.schemeTableau10],
+    voltages: Array.from({ length: STEPS }, (_, k) => d3.interpolateViridis(0.1 + (0.82 * k) / (STEPS - 1))),
+  };
+}
+
+/** @param {Moment} moment @returns {PaintedMoment} as much of it as is painted */
+function pickPainted(moment) {
+  return {
+    qualities: Object.fromEntries(Object.entries(moment.view.areas).map(([name, area]) => [name, area.quality])),
+    bus: /** @type {number[]} */ (moment.buses.id ?? []),
+    vm: /** @type {(number | null)[]} */ (moment.buses.vm_pu ?? []),
+    loading: /** @type {(number | null)[]} */ (moment.branches.loading_percent ?? []),
+    links: moment.links,
+    messages: moment.messages,
+  };
+}
 
 export class Feeder {
-  /** @param {HTMLCanvasElement} canvas @param {(choice: Choice) => void} onChoose */
-  constructor(canvas, onChoose) {
+  /** @param {HTMLCanvasElement} canvas @param {HTMLCanvasElement} print @param {(choice: Choice) => void} onChoose */
+  constructor(canvas, print, onChoose) {
     this.canvas = canvas;
+    this.print = print;
     this.onChoose = onChoose;
-    /** @type {Grid | null} */ this.grid = null;
-    /** @type {Moment | null} */ this.moment = null;
-    /** @type {Choice | null} */ this.choice = null;
-    /** @type {Map<number, number>} */ this.row = new Map();
-    /** @type {Shape[]} */ this.shapes = [];
-    /** @type {Point[]} */ this.points = [];
-    this.width = 0;
-    this.height = 0;
+    this.painter = new Worker("/static/painter.js", { type: "module" });
+    const surface = canvas.transferControlToOffscreen();
+    this.painter.postMessage({ canvas: surface, changed: {} }, [surface]);
+    /** @type {Partial<Painting>} */ this.painting = {};
+    /** @type {Partial<Painting>} */ this.changed = {};
     this.planned = 0;
-    this.scales = fitInto([], [], 0, 0, MARGIN);
     this.transform = d3.zoomIdentity;
     this.zoom = d3.zoom().scaleExtent([0.5, 60]).on("zoom", (/** @type {any} */ event) => {
       this.transform = event.transform;
-      this.plan();
+      this.fit();
     });
     d3.select(canvas).call(this.zoom).on("dblclick.zoom", null);
     canvas.addEventListener("click", (event) => this.choose(event));
     new ResizeObserver(() => this.fit()).observe(canvas);
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.plan());
-    window.addEventListener("beforeprint", () => this.draw());
-    window.addEventListener("afterprint", () => this.plan());
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.change({ palette: readPalette() }));
+    this.change({ palette: readPalette(), moment: null, choice: null });
   }
 
   /** @param {Grid} grid */
   setGrid(grid) {
-    this.grid = grid;
-    this.moment = null; // it may be about another grid
-    this.row = new Map(grid.buses.id.map((bus, k) => [bus, k]));
-    this.shapes = findShapes(grid);
+    this.change({ grid, moment: null }); // the moment may be about another grid
     this.fit();
   }
 
   /** @param {Moment} moment */
   show(moment) {
-    this.moment = moment;
-    this.plan();
+    this.change({ moment: pickPainted(moment) });
   }
 
   /** @param {Choice | null} choice */
   mark(choice) {
-    this.choice = choice;
-    this.plan();
+    this.change({ choice });
   }
 
   /** The whole feeder again. */
@@ -65,55 +80,39 @@ export class Feeder {
   }
 
   fit() {
-    const ratio = window.devicePixelRatio || 1;
-    this.width = this.canvas.clientWidth;
-    this.height = this.canvas.clientHeight;
-    this.canvas.width = this.width * ratio;
-    this.canvas.height = this.height * ratio;
-    const { x, y } = this.grid?.buses ?? { x: [], y: [] };
-    this.scales = fitInto(x, y, this.width, this.height, MARGIN);
-    this.plan();
-  }
-
-  /** Draw once, with the next picture, however often it is asked for. */
-  plan() {
-    if (this.planned) return;
-    this.planned = requestAnimationFrame(() => {
-      this.planned = 0;
-      this.draw();
+    const { k, x, y } = this.transform;
+    this.change({
+      view: {
+        width: this.canvas.clientWidth, height: this.canvas.clientHeight, ratio: window.devicePixelRatio || 1, transform: { k, x, y },
+      },
     });
   }
 
-  /** @returns {Point[]} of all buses, in pixels */
-  place() {
-    const { x, y } = /** @type {Grid} */ (this.grid).buses, { kx, ox, ky, oy } = this.scales;
-    const { k, x: left, y: top } = this.transform;
-    return x.map((value, row) => [k * (kx * value + ox) + left, k * (ky * y[row] + oy) + top]);
+  /** Send what has changed once, with the next picture, however often it does. @param {Partial<Painting>} changed */
+  change(changed) {
+    Object.assign(this.painting, changed);
+    Object.assign(this.changed, changed);
+    this.planned ||= requestAnimationFrame(() => {
+      this.planned = 0;
+      this.painter.postMessage({ changed: this.changed });
+      this.changed = {};
+    });
   }
 
-  draw() {
-    const context = this.canvas.getContext("2d"), { grid, moment, choice } = this;
-    if (!grid || !context || !this.width) return;
-    const ratio = window.devicePixelRatio || 1, style = getComputedStyle(document.documentElement);
-    context.setTransform(ratio, 0, 0, ratio, 0, 0);
-    context.clearRect(0, 0, this.width, this.height);
-    const at = (this.points = this.place());
-    const canvas = {
-      context, grid, moment, choice, at, row: this.row, shapes: this.shapes, width: this.width, height: this.height,
-      colour: (/** @type {string} */ name) => style.getPropertyValue(name).trim(),
-      spacing: usualLength(at, this.shapes.flatMap((shape) => shape.segments)),
-    };
-    paintAreas(canvas);
-    paintBranches(canvas);
-    paintBuses(canvas);
-    paintLinks(canvas);
-    paintMessages(canvas);
+  /** Paint for a printer, which does not wait for another thread. */
+  paintPrint() {
+    const { grid, view } = this.painting;
+    if (!grid || !view) return;
+    const painting = { .../** @type {Painting} */ (this.painting), view: { ...view, ratio: 2 }, palette: readPalette() };
+    paintFeeder(this.print, painting, findStructure(grid));
   }
 
   /** @param {MouseEvent} event */
   choose(event) {
-    const box = this.canvas.getBoundingClientRect(), x = event.clientX - box.left, y = event.clientY - box.top;
-    const found = d3.quadtree(this.points.map((p, k) => [...p, k])).find(x, y, NEAR);
-    if (this.grid && found) this.onChoose({ kind: "bus", id: String(this.grid.buses.id[found[2]]) });
+    const { grid, view } = this.painting, box = this.canvas.getBoundingClientRect();
+    if (!grid || !view) return;
+    const points = placeBuses(grid, view).map((point, k) => [...point, k]);
+    const found = d3.quadtree(points).find(event.clientX - box.left, event.clientY - box.top, NEAR);
+    if (found) this.onChoose({ kind: "bus", id: String(grid.buses.id[found[2]]) });
   }
 }

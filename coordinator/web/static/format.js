@@ -47,3 +47,17 @@ export function byId(id) {
   if (!found) throw new Error(`the page has no element ${id}`);
   return found;
 }
+
+/** @param {string} name of a custom property of the style sheet @returns {string} */
+export function colour(name) {
+  return getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+}
+
+/**
+ * When the next picture is on the screen: what is done before and after it are laid out apart from each other, and who
+ * types or clicks meanwhile is served between the two. Nothing goes on while nobody sees the page.
+ * @returns {Promise<void>}
+ */
+export function nextPicture() {
+  return new Promise((resolve) => requestAnimationFrame(() => setTimeout(resolve)));
+}

@@ -1,12 +1,14 @@
 /** Where things lie on the canvas. No canvas, no document: numbers in, numbers out. */
 
-/** @typedef {import("./types.js").Grid} Grid */
+/** @typedef {import("./types.js").Grid} Grid @typedef {import("./types.js").View} View */
 /** @typedef {[number, number]} Point */
 /** @typedef {{kx: number, ox: number, ky: number, oy: number}} Fit pixels = k * coordinate + o */
 /**
  * @typedef {{name: string, rows: number[], segments: [number, number][]}} Shape
  * rows of the buses of an area, and of both ends of its branches
  */
+
+const MARGIN = 34; // pixels around the whole feeder
 
 /**
  * The scales that bring all of a feeder onto a canvas.
@@ -17,6 +19,16 @@ export function fitInto(x, y, width, height, margin) {
   const [left, right] = extent(x), [top, bottom] = extent(y);
   const kx = Math.max(1, width - 2 * margin) / Math.max(right - left, 1), ky = Math.max(1, height - 2 * margin) / Math.max(bottom - top, 1);
   return { kx, ox: margin - kx * left, ky, oy: margin - ky * top };
+}
+
+/**
+ * All buses of a grid, as they are zoomed.
+ * @param {Grid} grid @param {View} view @returns {Point[]} pixels
+ */
+export function placeBuses(grid, { width, height, transform }) {
+  const { x, y } = grid.buses, { kx, ox, ky, oy } = fitInto(x, y, width, height, MARGIN);
+  const { k, x: left, y: top } = transform;
+  return x.map((value, row) => [k * (kx * value + ox) + left, k * (ky * y[row] + oy) + top]);
 }
 
 /** @param {number[]} values @returns {Point} */

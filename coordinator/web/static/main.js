@@ -2,7 +2,7 @@
 
 import { Past, Profile } from "./charts.js";
 import { Feeder } from "./feeder.js";
-import { byId, clock, element, number, when } from "./format.js";
+import { byId, clock, element, nextPicture, number, when } from "./format.js";
 import { Playback } from "./playback.js";
 import { Tables } from "./tables.js";
 
@@ -22,7 +22,7 @@ const MOST_OFFERED = 50; // buses and branches whose names begin as typed
 let isShowing = false;
 let heardAt = 0;
 let pastAt = -Infinity;
-const feeder = new Feeder(/** @type {HTMLCanvasElement} */ (byId("drawing")), choose);
+const feeder = new Feeder(/** @type {HTMLCanvasElement} */ (byId("drawing")), /** @type {HTMLCanvasElement} */ (byId("print")), choose);
 const tables = new Tables(choose);
 const past = new Past();
 
@@ -39,6 +39,7 @@ function choose(wanted) {
   pastAt = -Infinity;
   past.clear();
   feeder.mark(wanted);
+  showChoice();
   const shown = next ?? moment;
   if (shown) take(shown);
 }
@@ -47,7 +48,7 @@ function choose(wanted) {
 async function takeGrid(found) {
   grid = found;
   feeder.setGrid(grid);
-  await pause();
+  await nextPicture();
   profile?.destroy();
   profile = grid.known ? new Profile(grid) : null;
   byId("profile-section").hidden = !grid.known;
@@ -82,15 +83,11 @@ async function take(found) {
 /** Part after part, so that nobody who types or clicks waits for all of them. @param {Moment} found */
 async function show(found) {
   moment = found;
-  for (const part of [showStatus, () => feeder.show(found), () => profile?.show(found), () => tables.show(found), showChoice]) {
-    part();
-    await pause();
+  for (const part of [showStatus, () => feeder.show(found), showChoice, () => profile?.show(found), () => tables.show(found)]) {
+    await part();
+    await nextPicture();
   }
-}
-
-/** Lets the browser do something else. @returns {Promise<void>} */
-function pause() {
-  return new Promise((resolve) => setTimeout(resolve));
+  document.body.dataset.moment = String(found.number); // all of it is shown
 }
 
 function showStatus() {
@@ -144,6 +141,14 @@ function showChoice() {
   }).catch(() => past.clear());
 }
 
+/** Paper is light, whatever the screen is. @param {boolean} isPrinting */
+function showPrint(isPrinting) {
+  document.documentElement.classList.toggle("printing", isPrinting);
+  if (isPrinting) feeder.paintPrint();
+  profile?.repaint();
+  past.repaint();
+}
+
 function listen() {
   const stream = new EventSource("/api/stream");
   stream.onmessage = (event) => {
@@ -173,6 +178,8 @@ byId("what").addEventListener("input", () => {
   }));
 });
 byId("whole").addEventListener("click", () => feeder.reset());
+window.addEventListener("beforeprint", () => showPrint(true));
+window.addEventListener("afterprint", () => showPrint(false));
 
 grid = await ask("/api/grid");
 await takeGrid(grid);

@@ -1,12 +1,13 @@
 /** Areas, meters, messages and events as tables; rows are reused, so that nothing flickers and focus stays. */
 
-import { byId, element, number, qualityClass, when } from "./format.js";
+import { byId, element, nextPicture, number, qualityClass, when } from "./format.js";
 
 /** @typedef {import("./types.js").AreaView} AreaView @typedef {import("./types.js").Moment} Moment @typedef {import("./types.js").Choice} Choice */
 
 const MOST_METERS = 100;
 const MOST_EVENTS = 60;
 const MOST_AREAS = 200;
+const SLICE = 25; // rows that are laid out at once
 
 /**
  * Where there are very many: those that are not good, then good ones, then those that have never said anything.
@@ -40,9 +41,10 @@ export class Rows {
    * @param {{cells: string[], className?: string, choose?: () => void, chosen?: boolean}[]} rows
    * whose first cell is a button where a row can be chosen
    */
-  show(rows) {
+  async show(rows) {
     while (this.body.children.length > rows.length) this.body.lastElementChild?.remove();
-    rows.forEach((row, k) => {
+    for (const [k, row] of rows.entries()) {
+      if (k && k % SLICE === 0) await nextPicture();
       const line = /** @type {HTMLTableRowElement} */ (this.body.children[k] ?? this.add());
       line.className = row.chosen ? "chosen" : "";
       row.cells.forEach((text, c) => {
@@ -59,9 +61,9 @@ export class Rows {
         } else if (cell.textContent !== text) {
           cell.textContent = text;
         }
-        if (c === 1 && row.className !== undefined) cell.className = row.className;
+        if (c === 1 && row.className !== undefined && cell.className !== row.className) cell.className = row.className;
       });
-    });
+    }
   }
 
   add() {
@@ -94,10 +96,10 @@ export class Tables {
   }
 
   /** @param {Moment} moment */
-  show(moment) {
+  async show(moment) {
     const is = (/** @type {string} */ kind, /** @type {string} */ id) => this.choice?.kind === kind && this.choice.id === id;
     const areas = Object.entries(moment.view.areas);
-    this.areas.show(chooseAreas(areas).map(([name, area]) => ({
+    await this.areas.show(chooseAreas(areas).map(([name, area]) => ({
       cells: [
         name, area.quality, String(area.scan), number(area.age_s, 3),
         area.lowest_vm && area.highest_vm ? `${number(area.lowest_vm.value, 4)} to ${number(area.highest_vm.value, 4)}` : "-",
@@ -108,8 +110,9 @@ export class Tables {
       choose: () => this.choose({ kind: "area", id: name }),
       chosen: is("area", name),
     })));
-    this.showMeters(moment.meters, is);
-    this.messages.show(moment.messages.map((m) => ({
+    await nextPicture();
+    await this.showMeters(moment.meters, is);
+    await this.messages.show(moment.messages.map((m) => ({
       cells: [m.from, m.to, m.kind, number(m.sent, 6), m.lost ? "lost" : m.arrived === null ? "on its way" : `arrived at ${number(m.arrived, 6)} s`],
     })));
     byId("messages-section").hidden = !moment.has_messages;
@@ -127,13 +130,13 @@ export class Tables {
   }
 
   /** @param {import("./types.js").Columns} meters @param {(kind: string, id: string) => boolean} is */
-  showMeters(meters, is) {
+  async showMeters(meters, is) {
     const count = meters.meter?.length ?? 0, off = /** @type {(number|null)[]} */ (meters.normalised_residual ?? []);
     const order = [...Array(count).keys()].sort((a, b) => Math.abs(off[b] ?? -1) - Math.abs(off[a] ?? -1) || a - b);
     const silent = (meters.status ?? []).filter((status) => status === "silent").length;
     byId("meters-note").textContent = count
       ? `${count} meters, ${silent} silent${count > MOST_METERS ? `; the first ${MOST_METERS} are shown` : ""}` : "No readings are known.";
-    this.meters.show(order.slice(0, MOST_METERS).map((k) => ({
+    await this.meters.show(order.slice(0, MOST_METERS).map((k) => ({
       cells: [
         String(meters.meter[k]), String(meters.status[k]), String(meters.area[k]), number(/** @type {number} */ (meters.reading[k])),
         number(/** @type {number} */ (meters.estimate[k])), String(meters.unit?.[k] ?? "p.u., rad"), number(off[k], 3), number(/** @type {number} */ (meters.age_s[k]), 3),

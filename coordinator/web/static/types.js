@@ -20,5 +20,15 @@
  *   links: {from: string, to: string, age_s: number|null, alive: boolean}[],
  *   events: {time: number, area: string, kind: string, text: string}[], messages: Message[], has_messages: boolean}} Moment
  * @typedef {{kind: "bus"|"branch"|"meter"|"area", id: string}} Choice
+ *
+ * What the thread that paints the feeder gets.
+ *
+ * @typedef {{k: number, x: number, y: number}} Transform pixels = k * pixels + x
+ * @typedef {{width: number, height: number, ratio: number, transform: Transform}} View pixels of a picture, and how many of the screen are one
+ * @typedef {{colours: Record<string, string>, areas: string[], voltages: string[]}} Palette
+ * @typedef {Pick<Moment, "links"|"messages"> & {qualities: Record<string, string>, bus: number[], vm: (number|null)[],
+ *   loading: (number|null)[]}} PaintedMoment
+ * @typedef {{grid: Grid, moment: PaintedMoment|null, choice: Choice|null, view: View, palette: Palette}} Painting
+ * @typedef {{canvas?: OffscreenCanvas, changed: Partial<Painting>}} PaintOrder
  */
 export {};

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import signal
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -122,6 +123,36 @@ def test_assistive_technology_finds_its_way(tmp_path: Path, scheme: str):
         keep_picture(page, f"page-{scheme}")
         found = axe.Axe().run(page).response["violations"]
     assert [(v["id"], [node["target"] for node in v["nodes"]]) for v in found] == []
+
+
+def count_colours(page: Any, selector: str) -> int:
+    """How many colours a picture of an element has; one if nothing is painted there."""
+    image = pytest.importorskip("PIL.Image")
+    with image.open(io.BytesIO(page.locator(selector).screenshot())) as picture:
+        return len(picture.convert("RGB").getcolors(maxcolors=picture.width * picture.height))
+
+
+def test_the_feeder_is_painted_on_a_thread_of_its_own_and_on_paper_in_light_colours(tmp_path: Path):
+    darkness = (
+        "(() => { const c = document.querySelector('#print'), d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;"
+        " let n = 0; for (let k = 0; k < d.length; k += 4) n += d[k + 3] > 200 && d[k] + d[k + 1] + d[k + 2] < 240; return n; })()"
+    )
+    with SystemByHand(tmp_path) as system, browsing(color_scheme="dark") as page:
+        page.goto(serve(system, "ieee33-lossy", "--simulate"))
+        page.wait_for_selector("#areas .good", timeout=LONG_MS)
+        wait_until(lambda: count_colours(page, "#drawing") > 50)
+        assert len(page.workers) == 1
+        with pytest.raises(Exception, match="transferred|offscreen"):
+            page.evaluate("document.querySelector('#drawing').getContext('2d').fillRect(0, 0, 1, 1)")
+        dark = page.evaluate("getComputedStyle(document.body).backgroundColor")
+        page.evaluate("window.dispatchEvent(new Event('beforeprint'))")
+        assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
+        assert page.evaluate(darkness) > 100  # names of buses and rings, dark on white
+        page.evaluate("window.dispatchEvent(new Event('afterprint'))")
+        assert page.evaluate("getComputedStyle(document.body).backgroundColor") == dark
+        page.emulate_media(media="print")
+        assert page.locator("#print").is_visible()
+        assert not page.locator("#drawing").is_visible()
 
 
 def hostile(run: str, area: str) -> StateMessage:

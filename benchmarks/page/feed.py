@@ -1,0 +1,125 @@
+"""Areas of a scenario that say something new whenever they are looked at, without being computed."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from agents.messages.keys import live_key
+from agents.messages.packing import Header, Incarnation, ReadingsMessage, StateMessage
+from coordinator.observe.watch import Watcher
+from scenarios.scenario import Scenario
+from scenarios.telemetry import read_meters
+
+RUN = "run"
+ME = Incarnation(1, 1)
+SPREAD = 0.002  # p.u., of voltages from scan to scan
+NOT_GOOD = 7  # one area in so many is degraded
+
+
+@dataclass
+class _Said:
+    """What hardly changes of an area's messages."""
+
+    buses: tuple[int, ...]
+    vm: np.ndarray
+    va: np.ndarray
+    neighbours: tuple[str, ...]
+    meters: tuple[str, ...]
+    values: np.ndarray
+    sigmas: np.ndarray
+
+
+@dataclass
+class Feed:
+    """Each look is a scan of all areas of ``scenario``: voltages and readings scatter around the power flow."""
+
+    scenario: Scenario
+    scan: int = 0
+    watcher: Watcher = field(init=False)
+    _said: dict[str, _Said] = field(init=False)
+
+    def __post_init__(self) -> None:
+        scenario = self.scenario
+        names = [area.name for area in scenario.partition.areas]
+        self.watcher = Watcher(RUN, frozenset(names))
+        for name in names:
+            self.watcher.take_presence(live_key(RUN, "area", name, ME), True)
+        read = read_meters(scenario)
+        assert read.truth is not None, "the scenario has a power flow"
+        place = {meter.id: k for k, meter in enumerate(scenario.meters)}
+        meters = scenario.partition.meters_by_area(scenario.meters)
+        self._said = {}
+        for area in scenario.partition.areas:
+            rows = [scenario.network.row[bus.id] for bus in area.network.buses]
+            own = [meter.id for meter in meters[area.name]]
+            at = [place[name] for name in own]
+            self._said[area.name] = _Said(
+                tuple(bus.id for bus in area.network.buses),
+                read.truth.vm[rows],
+                read.truth.va[rows],
+                tuple(neighbour.area for neighbour in area.neighbours),
+                tuple(own),
+                read.values[at],
+                read.sigmas[at],
+            )
+
+    def __call__(self, duration_s: float) -> Watcher:
+        time.sleep(duration_s)
+        self.scan += 1
+        chance = np.random.default_rng(self.scan)
+        for number, (name, said) in enumerate(self._said.items()):
+            header = Header(RUN, name, ME, self.scan, self.scan, time.time())
+            self.watcher.take_state(
+                _state_of(header, said, chance, (self.scan + number) % NOT_GOOD == 0), time.monotonic()
+            )
+            self.watcher.take_readings(_readings_of(header, said, chance))
+        return self.watcher
+
+
+def _state_of(header: Header, said: _Said, chance: np.random.Generator, is_degraded: bool) -> StateMessage:
+    n = len(said.buses)
+    small = (0.001,) * n
+    return StateMessage(
+        header=header,
+        buses=said.buses,
+        vm=tuple((said.vm + chance.normal(0, SPREAD, n)).tolist()),
+        va=tuple(said.va.tolist()),
+        sigma_vm=small,
+        sigma_va=small,
+        referenced=True,
+        objective=float(len(said.meters)),
+        degrees_of_freedom=len(said.meters),
+        removed=(),
+        critical=(),
+        checked=True,
+        sent=dict.fromkeys(said.neighbours, (1, header.scan)),
+        received=dict.fromkeys(said.neighbours, (1, header.scan)),
+        messages=5 * header.scan,
+        bytes=500 * header.scan,
+        lost=header.scan // 20,
+        rejected={},
+        notes=("neighbour area1 is silent",) if is_degraded else (),
+        faults={},
+        quality="degraded" if is_degraded else "good",
+        telemetry_age=0.1,
+        ages=dict.fromkeys(said.neighbours, 0.2),
+        scans=dict.fromkeys(said.neighbours, header.scan),
+        old_sides=(),
+    )
+
+
+def _readings_of(header: Header, said: _Said, chance: np.random.Generator) -> ReadingsMessage:
+    n, off = len(said.meters), chance.normal(0, 1, len(said.meters))
+    return ReadingsMessage(
+        header=header,
+        taken_at=header.time,
+        meters=said.meters,
+        values=tuple((said.values + said.sigmas * off).tolist()),
+        sigmas=tuple(said.sigmas.tolist()),
+        times=(header.time,) * n,
+        estimates=tuple(said.values.tolist()),
+        normalised=tuple(np.abs(off).tolist()),
+    )

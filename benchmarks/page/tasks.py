@@ -1,0 +1,57 @@
+"""Tasks of a browser's main thread by processor time, which waiting for a processor does not lengthen."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+CATEGORIES = ("toplevel", "devtools.timeline", "disabled-by-default-devtools.timeline", "v8")
+TASK = "RunTask"  # nobody who clicks or types is served before it ends
+MAIN_THREAD = "CrRendererMain"
+
+
+@dataclass(frozen=True)
+class Task:
+    """``cpu_ms``: processor time of the thread, ms; ``wall_ms``: from its begin to its end; ``at_ms``: since the first
+    task; ``inside``: what took most of it, with its processor time.
+    """
+
+    at_ms: float
+    cpu_ms: float
+    wall_ms: float
+    inside: tuple[tuple[str, float], ...]
+
+
+def find_tasks(trace: bytes) -> list[Task]:
+    """The tasks of the main thread that has computed most, that of the page, the longest first."""
+    events = json.loads(trace)["traceEvents"]
+    mains = {
+        (event["pid"], event["tid"])
+        for event in events
+        if event["name"] == "thread_name" and event["args"]["name"] == MAIN_THREAD
+    }
+    timed: dict[tuple[int, int], list[Mapping[str, Any]]] = {main: [] for main in mains}
+    for event in events:
+        if event["ph"] == "X" and "tdur" in event and (event["pid"], event["tid"]) in timed:
+            timed[event["pid"], event["tid"]].append(event)
+    page = max(timed.values(), key=lambda own: sum(e["tdur"] for e in own if e["name"] == TASK), default=[])
+    page.sort(key=lambda event: event["ts"])
+    tasks = [event for event in page if event["name"] == TASK]
+    first = tasks[0]["ts"] if tasks else 0
+    found = [
+        Task((task["ts"] - first) / 1e3, task["tdur"] / 1e3, task["dur"] / 1e3, tuple(_look_inside(task, page)))
+        for task in sorted(tasks, key=lambda event: -event["tdur"])
+    ]
+    return found
+
+
+def _look_inside(task: Mapping[str, Any], events: Sequence[Mapping[str, Any]]) -> Iterable[tuple[str, float]]:
+    end = task["ts"] + task["dur"]
+    within = [e for e in events if task["ts"] <= e["ts"] < end and e["name"] != TASK and e["tdur"] > 1000]
+    for event in sorted(within, key=lambda e: -e["tdur"])[:8]:
+        data = event.get("args", {}).get("data", {})
+        what = data.get("functionName") or data.get("type") or ""
+        where = f"{data['url'].rsplit('/', 1)[-1]}:{data.get('lineNumber', '')}" if data.get("url") else ""
+        yield " ".join(filter(None, (event["name"], what, where))), event["tdur"] / 1e3
