@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 CHROMIUM = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
-SIZE = {"width": 1280, "height": 900}
+WIDTH, HEIGHT = 1280, 900
 PATIENCE_MS = 300_000
 
 
@@ -31,7 +31,7 @@ def looking(*arguments: str) -> Iterator[Any]:
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox", *arguments])
         try:
-            page = browser.new_page(viewport=SIZE)
+            page = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT})
             page.set_default_timeout(PATIENCE_MS)
             yield page
         finally:

@@ -132,22 +132,27 @@ def count_colours(page: Any, selector: str) -> int:
         return len(picture.convert("RGB").getcolors(maxcolors=picture.width * picture.height))
 
 
+COUNT_DARK = """(() => {
+  const print = document.querySelector("#print");
+  const { data } = print.getContext("2d").getImageData(0, 0, print.width, print.height);
+  let dark = 0;
+  for (let k = 0; k < data.length; k += 4) dark += data[k + 3] > 200 && data[k] + data[k + 1] + data[k + 2] < 240;
+  return dark;
+})()"""
+
+
 def test_the_feeder_is_painted_on_a_thread_of_its_own_and_on_paper_in_light_colours(tmp_path: Path):
-    darkness = (
-        "(() => { const c = document.querySelector('#print'), d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;"
-        " let n = 0; for (let k = 0; k < d.length; k += 4) n += d[k + 3] > 200 && d[k] + d[k + 1] + d[k + 2] < 240; return n; })()"
-    )
     with SystemByHand(tmp_path) as system, browsing(color_scheme="dark") as page:
         page.goto(serve(system, "ieee33-lossy", "--simulate"))
         page.wait_for_selector("#areas .good", timeout=LONG_MS)
         wait_until(lambda: count_colours(page, "#drawing") > 50)
         assert len(page.workers) == 1
-        with pytest.raises(Exception, match="transferred|offscreen"):
+        with pytest.raises(Exception, match=r"transferred|offscreen"):
             page.evaluate("document.querySelector('#drawing').getContext('2d').fillRect(0, 0, 1, 1)")
         dark = page.evaluate("getComputedStyle(document.body).backgroundColor")
         page.evaluate("window.dispatchEvent(new Event('beforeprint'))")
         assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
-        assert page.evaluate(darkness) > 100  # names of buses and rings, dark on white
+        assert page.evaluate(COUNT_DARK) > 100  # names of buses and rings, dark on white
         page.evaluate("window.dispatchEvent(new Event('afterprint'))")
         assert page.evaluate("getComputedStyle(document.body).backgroundColor") == dark
         page.emulate_media(media="print")
