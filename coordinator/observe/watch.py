@@ -136,7 +136,7 @@ class Watcher:
         present, received = self.names_of("area"), self._choose_received()
         spoken_to = {name for area in received for name in self._received[area][1].sent if self._is_known(name)}
         named = (present | spoken_to) - self._received.keys()
-        room = self._most_areas - len(received)  # who has said something is not crowded out by who is only named
+        room = self._most_areas - len(received)  # an area that was received is not crowded out by who is only named
         names = sorted([*received, *sorted(named, key=_by_number)[:room]], key=_by_number)
         left_out = len(self._received) + len(named) - len(names)
         strangers = sum(role == "area" for role, _ in self._strangers.names) + left_out
