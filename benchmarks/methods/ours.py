@@ -63,9 +63,7 @@ class Ours:
         return Scan(_in_columns(case.network), _meters_in_columns(case), values, sigmas)
 
     def build(self, scan: Scan) -> tuple[EstimationPlan, Scan]:
-        given = scan.network
-        network = Network(given.name, given.base_mva, given.buses, given.branches, given.generators)
-        return build_estimation_plan(network, scan.meters, backend=self.backend), scan
+        return build_estimation_plan(replace(scan.network), scan.meters, backend=self.backend), scan
 
     def solve(self, model: tuple[EstimationPlan, Scan]) -> EstimationResult:
         plan, scan = model
