@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -25,6 +25,9 @@ BRANCH = {"p_from_kw": 3, "q_from_kvar": 3, "i_from_a": 3, "loss_kw": 4, "loadin
 METER = {"reading": 6, "sigma": 7, "estimate": 6, "residual_in_sigmas": 3, "normalised_residual": 3, "age_s": 1}
 WORDS = ("meter", "area", "status", "unit")
 
+Tables = tuple[Table, Table | None, Table]
+"""Buses, branches where the grid is known, meters."""
+
 
 @dataclass
 class Events:
@@ -32,6 +35,7 @@ class Events:
 
     kept: deque[dict[str, Any]] = field(default_factory=lambda: deque(maxlen=MOST_EVENTS))
     _before: dict[str, AreaView] = field(default_factory=dict)
+    _worked: dict[tuple[str, str], bool] = field(default_factory=dict)  # links, sender first, that have ever worked
 
     def take(self, at: float, view: View) -> None:
         """Note what differs from the last view."""
@@ -44,6 +48,20 @@ class Events:
             if name not in seen and before.present:
                 self.kept.append({"time": at, "area": name, "kind": "vanished", "text": "is gone"})
         self._before = seen
+        self._take_links(at, view)
+
+    def _take_links(self, at: float, view: View) -> None:
+        """Links that stop working, and those that work again; where an area is gone, its own events say so."""
+        there = {area.name for area in view.areas if area.present and not area.silent}
+        worked, self._worked = self._worked, {}
+        for link in _find_links(view):
+            ends, works = (link["from"], link["to"]), link["alive"]
+            before = worked.get(ends)
+            if before is not None and works != before and there.issuperset(ends):
+                text = f"receives {'from' if works else 'nothing from'} {link['from']}{' again' if works else ''}"
+                self.kept.append({"time": at, "area": link["to"], "kind": "link", "text": text})
+            if works or before is not None:
+                self._worked[ends] = works
 
 
 def _find_changes(before: AreaView | None, area: AreaView) -> Iterable[tuple[str, str]]:
@@ -76,17 +94,21 @@ class Moments:
     def note(self, watcher: Watcher, now: float, at: float) -> View:
         """What is seen ``now`` on the watcher's clock, called ``at`` (s); events and past take in what is new of it."""
         view = watcher.look(now)
+        self._note(at, view, lambda: self._find_tables(watcher))
+        return view
+
+    def _note(self, at: float, view: View, find_tables: Callable[[], Tables]) -> None:
         self.events.take(at, view)
         scans = tuple((area.name, area.scan, area.quality) for area in view.areas)
         if scans != self._scans_kept:
             self._scans_kept = scans
-            self._keep(at, view, *self._find_tables(watcher))
-        return view
+            self._keep(at, view, *find_tables())
 
     def make(self, watcher: Watcher, now: float, at: float, **more: Any) -> dict[str, Any]:
         """The moment ``now``, see ``note``."""
-        view = self.note(watcher, now, at)
-        buses, branches, meters = self._find_tables(watcher)
+        view, tables = watcher.look(now), self._find_tables(watcher)
+        self._note(at, view, lambda: tables)
+        buses, branches, meters = tables
         return {
             "at": at,
             "view": describe_view(view),
@@ -100,7 +122,7 @@ class Moments:
             **more,
         }
 
-    def _find_tables(self, watcher: Watcher) -> tuple[Table, Table | None, Table]:
+    def _find_tables(self, watcher: Watcher) -> Tables:
         states, readings = watcher.states, watcher.readings
         if self.known is None:
             return list_buses(states), None, list_meters(states, readings)

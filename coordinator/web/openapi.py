@@ -25,6 +25,15 @@ PARAMETERS: dict[str, list[dict[str, Any]]] = {
     ],
     "/api/frame/{number}": [{"name": "number", "in": "path", "required": True, "schema": WHOLE}],
 }
+WRONG = {
+    "/api/history": {"400": {"description": "the question is wrong, and why"}},
+    "/api/frame/{number}": {"404": {"description": "there is no such moment, and how many there are"}},
+}
+GUARDED = {
+    "401": {"description": "the page has a token, which is missing or wrong"},
+    "403": {"description": "asked for by the page of another site"},
+    "421": {"description": "asked for under a name that is not the page's"},
+}
 
 
 def describe_api() -> dict[str, Any]:
@@ -42,6 +51,5 @@ def describe_api() -> dict[str, Any]:
 
 def _describe(path: str, text: str) -> dict[str, Any]:
     media = "text/event-stream" if path == "/api/stream" else "application/json"
-    wrong = {"400": {"description": "the question is wrong, and why"}} if path in PARAMETERS else {}
-    answers = {"200": {"description": text, "content": {media: {}}}, **wrong}
+    answers = {"200": {"description": text, "content": {media: {}}}} | WRONG.get(path, {}) | GUARDED
     return {"summary": text, "parameters": PARAMETERS.get(path, []), "responses": answers}

@@ -89,6 +89,7 @@ def test_the_description_of_the_api_has_every_path():
     described = client(played()).get("/api/openapi.json").json()["paths"]
     served = {route.path.replace(":int", "") for route in make_app(played(), ()).routes}
     assert set(described) == served - {"/", "/static"}
+    assert set(described["/api/frame/{number}"]["get"]["responses"]) == {"200", "401", "403", "404", "421"}
 
 
 def test_without_a_scenario_the_page_shows_what_the_bus_tells():

@@ -15,6 +15,7 @@ from shown_states import a_state, said_by
 from agents.messages.keys import all_states, live_key, state_key
 from agents.messages.packing import Header, Incarnation, ReadingsMessage
 from coordinator.cli.live import session
+from coordinator.cli.live.address import RunAddress
 from coordinator.observe import watch
 from coordinator.observe.view_text import format_view
 from coordinator.observe.watch import MOST_AREAS, Watcher
@@ -187,7 +188,7 @@ def test_what_strangers_send_is_not_read_on_the_thread_that_holds_up_the_router(
 
     monkeypatch.setattr(session, "join_run", joined)
     monkeypatch.setattr(session, "_decoded", decoded)
-    with session.attach((), "run", 1.0, areas=frozenset({"area1"})) as look:
+    with session.attach(RunAddress((), "run", 1.0), areas=frozenset({"area1"})) as look:
         for area in ("stranger", "area1"):
             bus.on[all_states("run")](state_key("run", area), area.encode())
         assert read == [], "the thread of the bus only puts it down"
