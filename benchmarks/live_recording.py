@@ -63,7 +63,7 @@ def record_live(folder: Path, duration_s: float) -> dict[str, object]:
     return {
         "seconds": last - first,
         "scans of areas": len(wanted) // len(TABLES),
-        "messages heard and not recorded": len((received & wanted) - recorded),
+        "messages received and not recorded": len((received & wanted) - recorded),
         **{f"scans of areas without {table}": sum(one[0] == table for one in wanted - recorded) for table in TABLES},
         "share of looks at which an area was good": round(sum(good) / len(good), 4),
         "memory of its own at the end, MiB": {name: round(values[-1], 1) for name, values in uss_mib.items()},
@@ -84,7 +84,7 @@ def find_failures(seen: dict[str, Any]) -> list[str]:
     growth = seen["growth in the second half, MiB"]
     grown = [name for name, mebibytes in growth.items() if mebibytes > MOST_GROWTH_MIB]
     checks = {
-        "the recording lacks what was heard": seen["messages heard and not recorded"] == 0,
+        "the recording lacks what was received": seen["messages received and not recorded"] == 0,
         f"grew by more than {MOST_GROWTH_MIB:g} MiB: {', '.join(grown)}": not grown,
         "a process ended unasked": not seen["ended unasked"],
     }

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks import live_recording
 from benchmarks.long_recording import find_failures, record_long
 from benchmarks.recorder_kills import RecorderRun, find_due
 
@@ -29,3 +30,13 @@ def test_what_passed_before_an_area_knew_of_the_recorder_is_not_lost_by_it() -> 
     passed = [(float(k), one) for k, one in enumerate(said)]
     due = find_due(passed, RecorderRun(1.0, 3.0), {said[2]})
     assert due == [(2.0, said[2]), (3.0, said[3])]
+
+
+def test_a_process_that_grows_and_a_message_that_is_not_recorded_are_failures() -> None:
+    assert live_recording.find_growth([9.0] * 40) == 0.0
+    assert live_recording.find_growth([0.1 * k for k in range(40)]) == pytest.approx(2.0)
+    grown = {"growth in the second half, MiB": {"area1": 0.1, "plant": 2.0}}
+    seen = {"messages received and not recorded": 0, "ended unasked": [], **grown}
+    assert live_recording.find_failures(seen) == ["grew by more than 1 MiB: plant"]
+    lacking = {**seen, "messages received and not recorded": 1, "growth in the second half, MiB": {}}
+    assert live_recording.find_failures(lacking) == ["the recording lacks what was received"]
