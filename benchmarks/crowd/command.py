@@ -1,0 +1,175 @@
+"""The feeder, who looks on, and the strangers: what is measured before, while and after they are announced."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before anything loads numpy
+
+import click
+import psutil
+
+from agents.protocol.quality import GOOD
+from benchmarks.measuring.figures import conclude, figures_option
+from benchmarks.measuring.live_system import GAP, LiveSystem
+from benchmarks.measuring.machine import describe_machine
+from coordinator.strategy_check import check_with_strategy
+from scenarios.scenario import load_scenario
+
+PACKAGES = ("eclipse-zenoh", "starlette", "uvicorn")
+SCENARIO = "ieee33"
+SCAN_S = 1.0
+LOOK_S = 0.5
+PHASE_S = 10.0  # before the strangers come, with all of them there, and without them
+ANNOUNCED_S = 600.0  # by then all must be announced
+MOST_MEMORY_MIB = 400.0  # of one that looks on
+LISTENS, RECORDS = ["--listen", "127.0.0.1:0"], ["--out", "recording"]
+ONLOOKERS = {
+    "serve": ["serve", *LISTENS],
+    "serve with the scenario": ["serve", SCENARIO, *LISTENS],
+    "watch": ["watch"],
+    "watch with the scenario": ["watch", "--grid", SCENARIO, "--buses", "--meters"],
+    "watch --json": ["watch", "--json"],
+    "metrics": ["metrics", *LISTENS],
+    "record": ["record", *RECORDS],
+}
+
+
+@dataclass
+class Phases:
+    """What is seen in each phase of all ``processes`` (name -> id) and of the areas."""
+
+    live: LiveSystem
+    processes: Mapping[str, int]
+    took_s: dict[str, float] = field(default_factory=dict)
+    scans: dict[str, int] = field(default_factory=dict)
+    gap: dict[str, float] = field(default_factory=dict)
+    good: dict[str, float] = field(default_factory=dict)  # share of looks at which an area was good
+    memory_mib: dict[str, dict[str, float]] = field(default_factory=dict)
+    cores: dict[str, dict[str, float]] = field(default_factory=dict)
+
+    def watch(self, phase: str, duration_s: float, is_over: Callable[[], bool] = lambda: False) -> None:
+        """Look on for ``duration_s``, or until it ``is_over``."""
+        began, first = time.monotonic(), self._scan()
+        spent = {name: _spent_s(pid) for name, pid in self.processes.items()}
+        gaps, good = [0.0], list[bool]()
+        memory = self.memory_mib[phase] = dict.fromkeys(self.processes, 0.0)
+        while time.monotonic() < began + duration_s and not is_over():
+            self.live.pass_time(LOOK_S)
+            gap = self.live.gap(self.live.states)
+            gaps += [gap] if gap < float("inf") else []  # areas show different scans when one has just begun
+            good += [state.quality == GOOD for state in self.live.states.values()]
+            for name, pid in self.processes.items():
+                memory[name] = max(memory[name], round(psutil.Process(pid).memory_info().rss / 2**20, 1))
+        took_s = time.monotonic() - began
+        self.took_s[phase], self.scans[phase] = round(took_s, 1), self._scan() - first
+        self.gap[phase], self.good[phase] = max(gaps), round(sum(good) / max(1, len(good)), 3)
+        self.cores[phase] = {
+            name: round((_spent_s(pid) - spent[name]) / took_s, 2) for name, pid in self.processes.items()
+        }
+
+    def _scan(self) -> int:
+        return max(state.header.scan for state in self.live.states.values())
+
+
+def _spent_s(pid: int) -> float:
+    times = psutil.Process(pid).cpu_times()
+    return float(times.user + times.system)
+
+
+@contextmanager
+def onlookers(endpoint: str, folder: Path, chosen: Sequence[str]) -> Iterator[dict[str, subprocess.Popen[bytes]]]:
+    """The commands named in ``chosen``, running in ``folder``, which gets their logs."""
+    with ExitStack() as stack:
+        started = {}
+        for name in chosen:
+            log = stack.enter_context((folder / f"{name}.log").open("wb"))
+            words = ["-m", "coordinator", *ONLOOKERS[name], "--connect", endpoint, "--run", "live"]
+            nothing: Any = subprocess.DEVNULL
+            process = subprocess.Popen([sys.executable, *words], cwd=folder, stdin=nothing, stdout=nothing, stderr=log)
+            stack.callback(process.wait)
+            stack.callback(process.terminate)
+            started[name] = process
+        yield started
+
+
+@contextmanager
+def crowd(endpoint: str, count: int, large: int) -> Iterator[Callable[[], bool]]:
+    """The strangers, until the end of the block; whether all are announced."""
+    words = [sys.executable, "-m", "benchmarks.crowd.stranger", endpoint, "live", str(count), str(large)]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        said = process.stdout
+        os.set_blocking(said.fileno(), False)
+        try:
+            yield lambda: bool(said.read())
+        finally:
+            process.kill()
+
+
+def measure(folder: Path, count: int, large: int, chosen: Sequence[str]) -> dict[str, Any]:
+    """What ``count`` strangers, ``large`` of them with states of 90,000 buses, cost the areas and ``chosen``."""
+    scenario = check_with_strategy(load_scenario(SCENARIO))
+    with LiveSystem(scenario, folder / "run", SCAN_S) as live:
+        live.wait_until(lambda states: len(states) == len(live.areas))
+        endpoint = live.system.endpoints[0]
+        with onlookers(endpoint, folder, chosen) as started:
+            live.pass_time(PHASE_S)
+            phases = Phases(live, live.system.pids | {name: process.pid for name, process in started.items()})
+            phases.watch("before", PHASE_S)
+            with crowd(endpoint, count, large) as are_announced:
+                phases.watch("announcing", ANNOUNCED_S, are_announced)
+                phases.watch("there", PHASE_S)
+            phases.watch("after", 2 * PHASE_S)
+            ended = [name for name, process in started.items() if process.poll() is not None]
+        return {
+            "strangers": count,
+            "s": phases.took_s,
+            "scans": phases.scans,
+            "largest gap to the centralised estimate": phases.gap,
+            "share of looks at which an area was good": phases.good,
+            "most memory, MiB": {
+                name: max(phases.memory_mib[phase][name] for phase in phases.took_s) for name in phases.processes
+            },
+            "cores while announcing": phases.cores["announcing"],
+            "cores while there": phases.cores["there"],
+            "ended unasked": [*ended, *live.strays],
+        }
+
+
+def find_failures(seen: Mapping[str, Any]) -> list[str]:
+    """What must not be."""
+    most = {name: seen["most memory, MiB"][name] for name in ONLOOKERS if name in seen["most memory, MiB"]}
+    large = [name for name, mebibytes in most.items() if mebibytes > MOST_MEMORY_MIB]
+    checks = {
+        f"an estimate is off by more than {GAP:g}": max(seen["largest gap to the centralised estimate"].values())
+        <= GAP,
+        f"more than {MOST_MEMORY_MIB:g} MiB: {', '.join(large)}": not large,
+        "a process ended unasked": not seen["ended unasked"],
+    }
+    return [failure for failure, holds in checks.items() if not holds]
+
+
+@click.command(context_settings={"show_default": True})
+@click.option("--areas", type=click.IntRange(1), default=100_000, help="Strangers that call themselves areas.")
+@click.option("--large", type=click.IntRange(0), default=0, help="Those of them with states of 90,000 buses.")
+@click.option("--only", type=click.Choice(list(ONLOOKERS)), multiple=True, help="Who looks on; repeatable.")
+@click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Folder for logs.  [default: temporary]")
+@figures_option
+def main(areas: int, large: int, only: tuple[str, ...], out: Path | None, figures: str | None) -> None:
+    """Exit code 0: no estimate is disturbed, and nobody who looks on ends or takes too much memory; 1: not."""
+    if out:
+        out.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as scratch:
+        machine = describe_machine(PACKAGES)
+        seen = measure((out or Path(scratch)).absolute(), areas, large, only or tuple(ONLOOKERS))
+    conclude(machine, seen, find_failures(seen), figures)
