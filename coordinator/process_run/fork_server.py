@@ -162,6 +162,7 @@ class ForkServer:
                         self._compile_in_child(target)
                         if not self.stopped:
                             getattr(imported, function)()
+                gc.collect()  # what no child needs is freed once, not as copied pages in each of them
                 gc.freeze()  # the children share these pages as long as no collector touches them
             case Start():
                 self._fork(order)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import secrets
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
@@ -151,7 +151,7 @@ def _run_with_router(run: RunUnderWay, on_update: Callable[[Progress], None] | N
         listen(run, session)
         reason = None
         if len(scenario.partition.areas) >= MANY_AREAS:
-            reason = _watch(run, observer, on_update, until=lambda _: _is_time_to_begin(run))
+            reason = _watch(run, observer, on_update, is_over=lambda: _is_time_to_begin(run))
         telemetry = expect_telemetry(scenario)  # of fewer areas made while they join
         if reason is None and scenario.telemetry.source != "live":
             run.note_time("plant_started")
@@ -159,7 +159,7 @@ def _run_with_router(run: RunUnderWay, on_update: Callable[[Progress], None] | N
         reference_estimate = start_reference_estimate(
             scenario, telemetry, lambda: run.note_time("centralised_estimated")
         )
-        reason = reason or _watch(run, observer, on_update, until=lambda obstacles: not obstacles)
+        reason = reason or _watch(run, observer, on_update)
         used = run.used.put_into(telemetry, observer.states)
         wall_s = time.monotonic() - run.started
     run.timing_s["last_change"] = max(0.0, observer.changed_at - run.started)
@@ -196,9 +196,11 @@ def _watch(
     run: RunUnderWay,
     observer: Observer,
     on_update: Callable[[Progress], None] | None,
-    until: Callable[[Sequence[str]], bool],
+    is_over: Callable[[], bool] = lambda: False,
 ) -> str | None:
-    """Take in updates ``until`` the obstacles to consensus allow it (None); or the reason why that is not awaited."""
+    """Take in updates until there is consensus, or ``is_over``, which costs little (None); or the reason why that is
+    not awaited.
+    """
     check_s = min(run.scenario.run.beat_s / 10, UPDATE_S)
     next_check = next_update = 0.0
     try:
@@ -210,17 +212,18 @@ def _watch(
             now = time.monotonic()
             note_duplicates(run, run.duplicates.find_lasting(now), now)
             _carry_out_faults(run, observer, now)
+            if is_over():
+                return None
             if now < next_check:
                 continue
             standing = observer.standing(now)
             obstacles = (*run.schedule.describe_next(), *standing.obstacles)
             obstacles = obstacles or tuple(run.used.find_missing(observer.states))
-            is_over = until(obstacles)
-            if on_update and (now >= next_update or is_over):
+            if on_update and (now >= next_update or not obstacles):
                 next_update = now + UPDATE_S
                 on_update(describe_progress(observer, now - run.started, standing.obstacles))
             next_check = now + max(check_s, (time.monotonic() - now) / LOOK_SHARE)
-            if is_over:
+            if not obstacles:
                 return None
             if not run.schedule.steps and standing.dead_end:
                 return standing.dead_end

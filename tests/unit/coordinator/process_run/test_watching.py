@@ -47,5 +47,5 @@ def test_looks_that_take_long_do_not_follow_each_other_at_once(monkeypatch: pyte
         started=0.0,
     )
     observer: Any = SimpleNamespace(standing=look)
-    assert run_scenario._watch(run, observer, None, until=lambda obstacles: not obstacles)
+    assert run_scenario._watch(run, observer, None)
     assert len(looks) * LOOK_S <= 2 * run_scenario.LOOK_SHARE * LIMIT_S
