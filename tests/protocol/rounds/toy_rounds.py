@@ -19,7 +19,7 @@ from agents.messages.packing import (
     TelemetryMessage,
     UpMessage,
 )
-from agents.protocol.events import Event, PresenceChanged, Publish, Received
+from agents.protocol.events import Conclude, Event, PresenceChanged, Publish, Received
 from agents.protocol.quality import GOOD
 from agents.protocol.rounds import RoundsProtocol
 from dsse_core.grid.division import build_partition
@@ -243,6 +243,8 @@ class ToyBus:
     def _act(self, name: str, events: Sequence[Event]) -> None:
         protocol = self.protocols[name]
         for action in protocol.handle(events, self.now):
+            if isinstance(action, Conclude):  # for the log
+                continue
             assert isinstance(action, Publish)
             message = action.message
             if isinstance(message, StateMessage):
