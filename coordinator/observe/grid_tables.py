@@ -22,6 +22,7 @@ States = Mapping[str, StateMessage]
 ReadingsByArea = Mapping[str, ReadingsMessage]
 RELATIVE = "age_s", "residual_in_sigmas", "normalised_residual"  # columns without a unit of the meter
 USED, REMOVED, CRITICAL, SILENT, OFF = "used", "removed", "critical", "silent", "off"
+UNKNOWN = "not received"  # what its area has used: for up to 10 s after a watcher begins to listen
 
 
 def list_buses(states: States) -> Table:
@@ -113,12 +114,15 @@ class GridTables:
         return buses, make_branch_table(state.network, state.branches, state.flows)
 
     def meters(self, states: States, readings: ReadingsByArea) -> Table:
-        """As ``list_meters``, readings in their ``unit``, and a row for each meter that is silent."""
+        """As ``list_meters``, readings in their ``unit``, and a row for each meter of which no reading is
+        known: ``silent`` where its area has said what it used.
+        """
         plain = list_meters(states, readings)
         known = [k for k, meter in enumerate(plain.meter) if meter in self._meters]
         listed = [self._meters[plain.meter[k]] for k in known]
         present = set(plain.meter)
         silent = [name for name in self._telemetered if name not in present]
+        silent_in = [self._area_of_meter.get(name, "") for name in silent]
         all_meters = [*listed, *(self._meters[name] for name in silent)]
         size, gap = find_unit_sizes(self.scenario.network, listed), np.full(len(silent), np.nan)
 
@@ -129,11 +133,14 @@ class GridTables:
             "meters",
             {
                 "meter": [*(plain.meter[k] for k in known), *silent],
-                "area": [*(plain.area[k] for k in known), *(self._area_of_meter.get(name, "") for name in silent)],
+                "area": [*(plain.area[k] for k in known), *silent_in],
                 "bus": np.array([m.bus for m in all_meters], dtype=np.int64),
                 "branch": [m.branch or "" for m in all_meters],
                 "unit": [UNIT[m.kind] for m in all_meters],
-                "status": [*(plain.status[k] for k in known), *[SILENT] * len(silent)],
+                "status": [
+                    *(plain.status[k] for k in known),
+                    *(SILENT if area in readings else UNKNOWN for area in silent_in),
+                ],
                 **{name: scaled(name) for name in ("reading", "sigma", "estimate")},
                 **{name: np.concatenate([plain[name][known], gap]) for name in RELATIVE},
             },

@@ -4,6 +4,7 @@ import { byId, element, nextPicture, number, qualityClass, when } from "./format
 
 /** @typedef {import("./types.js").AreaView} AreaView @typedef {import("./types.js").Moment} Moment @typedef {import("./types.js").Choice} Choice */
 
+const FINE = ["used", "critical", "not received"];
 const MOST_METERS = 100;
 const MOST_EVENTS = 60;
 const MOST_AREAS = 200;
@@ -133,15 +134,16 @@ export class Tables {
   async showMeters(meters, is) {
     const count = meters.meter?.length ?? 0, off = /** @type {(number|null)[]} */ (meters.normalised_residual ?? []);
     const order = [...Array(count).keys()].sort((a, b) => Math.abs(off[b] ?? -1) - Math.abs(off[a] ?? -1) || a - b);
-    const silent = (meters.status ?? []).filter((status) => status === "silent").length;
+    const of = (/** @type {string} */ word) => (meters.status ?? []).filter((status) => status === word).length;
+    const awaited = of("not received");
     byId("meters-note").textContent = count
-      ? `${count} meters, ${silent} silent${count > MOST_METERS ? `; the first ${MOST_METERS} are shown` : ""}` : "No readings are known.";
+      ? `${count} meters, ${of("silent")} silent${awaited ? `, ${awaited} not received yet` : ""}${count > MOST_METERS ? `; the first ${MOST_METERS} are shown` : ""}` : "No readings are known.";
     await this.meters.show(order.slice(0, MOST_METERS).map((k) => ({
       cells: [
         String(meters.meter[k]), String(meters.status[k]), String(meters.area[k]), number(/** @type {number} */ (meters.reading[k])),
         number(/** @type {number} */ (meters.estimate[k])), String(meters.unit?.[k] ?? "p.u., rad"), number(off[k], 3), number(/** @type {number} */ (meters.age_s[k]), 3),
       ],
-      className: meters.status[k] === "used" || meters.status[k] === "critical" ? "" : "bad",
+      className: FINE.includes(String(meters.status[k])) ? "" : "bad",
       choose: () => this.choose({ kind: "meter", id: String(meters.meter[k]) }),
       chosen: is("meter", String(meters.meter[k])),
     })));

@@ -113,7 +113,7 @@ def test_of_a_known_grid_every_bus_and_every_silent_meter_has_its_row():
     meters = known.meters({"area2": state}, {"area2": used})
     assert len(meters) == sum(m.source != "virtual" for m in scenario.meters)
     assert (meters.meter[0], meters.status[0], meters.unit[0]) == ("vm@1", "used", "pu")
-    assert set(meters.status[1:]) == {"silent"}
+    assert set(zip(meters.area[1:], meters.status[1:], strict=True)) == {("area1", "not received"), ("area2", "silent")}
 
 
 def test_json_has_all_that_the_text_has_and_unknown_numbers_are_null():
