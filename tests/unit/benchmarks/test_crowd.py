@@ -20,11 +20,15 @@ def test_what_strangers_say_is_a_message_of_this_version(k: int) -> None:
 
 def test_a_disturbed_estimate_and_an_onlooker_that_grows_are_failures() -> None:
     fine = {
-        "largest gap to the centralised estimate": {"before": 1e-13, "there": 1e-12},
+        "largest gap of good areas to the centralised estimate": {"before": 1e-13, "there": 1e-12},
+        "share of looks at which an area was good": {"before": 1.0, "there": 0.99},
         "most memory, MiB": {"serve": 100.0, "area1": 2 * MOST_MEMORY_MIB},
         "ended unasked": [],
     }
     assert find_failures(fine) == []
-    assert find_failures(fine | {"largest gap to the centralised estimate": {"there": 1e-4}}) != []
+    wrong = {"largest gap of good areas to the centralised estimate": {"there": 1e-4}}
+    assert find_failures(fine | wrong) == ["a good estimate is off by more than 1e-08"]
+    silent = {"share of looks at which an area was good": {"before": 1.0, "there": 0.1}}
+    assert find_failures(fine | silent) == ["areas were good at less than 95% of the looks"]
     assert find_failures(fine | {"most memory, MiB": {"serve": 2 * MOST_MEMORY_MIB}}) == ["more than 400 MiB: serve"]
     assert find_failures(fine | {"ended unasked": ["serve"]}) == ["a process ended unasked"]
