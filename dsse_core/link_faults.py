@@ -19,13 +19,13 @@ class LinkFaults:
         delay_s, jitter_s: a message is held back ``delay_s`` plus a uniform part of ``jitter_s``; jitter reorders.
         duplicate: probability that a message is sent twice, each time with a delay of its own.
         corrupt: probability that the bytes of a message are damaged, flipped or cut short.
-        load_p, load_q: added to what a load message says. load_scale: multiplies it. load_frozen: every load message
-            says what the first said.
-        lie_p, lie_q, lie_vm, lie_va, lie_scale: all that messages say of y = (p, q, vm, va) at the boundary is said of
-            ``lie_scale`` y plus these.
+        load_p, load_q: added to the load in a load message. load_scale: multiplies it. load_frozen: every load message
+            repeats the first.
+        lie_p, lie_q, lie_vm, lie_va, lie_scale: all that messages state of y = (p, q, vm, va) at the boundary is stated
+            of ``lie_scale`` y plus these.
         lie_objective: multiplies J in totals. lie_areas: how many areas totals count, none of them silent or stale, and
             the side is complete; 0 leaves that as it is. lie_worst: the meter that totals name as the worst; empty for
-            none. Verdicts follow from the totals that are sent. lie_verdict: what a verdict says instead.
+            none. Verdicts follow from the totals that are sent. lie_verdict: what a verdict states instead.
         until_s: all of these end then, s since the start of the run; None is never.
         cuts: windows in which nothing passes.
     """
@@ -66,15 +66,15 @@ class LinkFaults:
 
     @property
     def lies_of_boundary(self) -> bool:
-        """Whether messages tell of another y than the sender knows."""
+        """Whether messages state another y than the sender knows."""
         return any(self.lie_offset) or self.lie_scale != 1.0
 
     @property
     def lies_of_totals(self) -> bool:
-        """Whether messages tell of other totals than the sender knows."""
+        """Whether messages state other totals than the sender knows."""
         return self.lie_objective != 1.0 or bool(self.lie_areas or self.lie_worst)
 
     @property
     def changes_loads(self) -> bool:
-        """Whether a load message may say something else."""
+        """Whether a load message may be changed."""
         return self.load_frozen or (self.load_p, self.load_q, self.load_scale) != (0.0, 0.0, 1.0)

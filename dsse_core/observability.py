@@ -3,7 +3,7 @@
 Decided by numerical rank, never by counting: null vectors of the Jacobian at the no-load state (weights,
 loading, charging and shunts play no part) are found by block inverse iteration on one sparse
 factorisation. Current magnitudes do not count: their derivative does not exist without load. The same
-factorisation tells which meters cannot be spared.
+factorisation shows which meters cannot be spared.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from dsse_core.matrices.augmented import AugmentedFactor, AugmentedPattern, reci
 NULL_SINGULAR_VALUE = 1e-11
 TABLEAU_SCALE = 1e-8  # singular values are distinguished down to sqrt(TABLEAU_SCALE * 1e-16)
 # Keeps the factorisation from being exactly singular, the next one where rounding swallows the last; the largest
-# still tells apart singular values of sqrt(TABLEAU_SCALE * 1e-14) = 1e-11.
+# still distinguishes singular values of sqrt(TABLEAU_SCALE * 1e-14) = 1e-11.
 SHIFTS = (1e-20, 1e-18, 1e-16, 1e-14)
 WIDTH = 4  # null vectors sought: one meter cures at most 2, and 4 random ones touch every undetermined variable
 TOUCHED = 1e-6  # entry of a null vector from which on a variable counts as undetermined

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from numbers import Integral
 from queue import Empty, SimpleQueue
 
 from dsse_core.errors import InvalidInputError
@@ -17,22 +18,25 @@ def find_threads(threads: int | None) -> int:
     """``threads``, or as many as there are processors that this process may use.
 
     Raises:
-        InvalidInputError: it is no positive number.
+        InvalidInputError: it is no positive integer.
     """
-    if threads is not None and threads < 1:
-        raise InvalidInputError("threads", [f"found {threads}; give a number from 1 on, or None for all processors"])
+    if threads is not None and not (isinstance(threads, Integral) and threads >= 1):
+        raise InvalidInputError(
+            "threads", [f"found {threads!r}; give an integer from 1 on, or None for all processors"]
+        )
     if threads is not None:
         return threads
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def share_out(n_row: int, threads: int, begin: Callable[[], Callable[[int, int], None]]) -> None:
+def share_out(n_row: int, threads: int, begin: Callable[[], Callable[[int, int], None]], *, together: int = 1) -> None:
     """Have rows 0 to ``n_row`` - 1 done by ``threads`` threads, this one if that is one.
 
-    ``begin`` is called once in each thread and returns what does the rows from the first up to before the second. An
-    exception in one thread ends the others after the rows at hand.
+    ``begin`` is called once in each thread and returns what does the rows from the first, a multiple of ``together``,
+    up to before the second. An exception in one thread ends the others after the rows at hand.
     """
     size = max(1, min(MOST_ROWS, -(-n_row // (CHUNKS * threads))))
+    size += -size % together
     chunks: SimpleQueue[tuple[int, int]] = SimpleQueue()
     for first in range(0, n_row, size):
         chunks.put((first, min(first + size, n_row)))

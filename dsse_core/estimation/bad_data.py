@@ -30,7 +30,7 @@ from dsse_core.grid.network import Network
 
 @dataclass(frozen=True)
 class RemovedMeasurement:
-    """A measurement taken out, and the meters that the data cannot tell from it."""
+    """A measurement taken out, and the meters that the data cannot distinguish from it."""
 
     measurement: Measurement
     normalized_residual: float

@@ -14,7 +14,7 @@ from dsse_core.estimation.estimator import estimate_with_plan
 from dsse_core.estimation.plan import EstimationPlan
 from dsse_core.estimation.residuals import CONFIDENCE, chi_square_limit
 from dsse_core.gauss_newton import LAST_STEP, MOST_STEPS
-from dsse_core.grid.measurement import check_readings
+from dsse_core.grid.measurement import are_usable, check_readings, read_numbers
 from dsse_core.radial.plan import RadialPlan
 from dsse_core.row_threads import find_threads, share_out
 
@@ -84,7 +84,7 @@ def estimate_batch(
     With the radial back end the rows are done in compiled code that no lock of the interpreter holds up.
 
     Args:
-        values: (n_row, n_meas), p.u. and rad. A reading that is NaN is missing: its row is estimated as with
+        values: (n_row, n_meas), p.u. and rad. A reading that is NaN or masked is missing: its row is estimated as with
             ``plan.without`` that meter, and fails where the others do not determine the state.
         sigmas: (n_row, n_meas), or (n_meas,) for all rows.
         start: (vm, va), each (n_row, n_bus), or (n_bus,) for all rows; by default the flat start.
@@ -104,23 +104,27 @@ def estimate_batch(
     rows = _Rows.of(plan, values, sigmas, start, tolerance)
     threads = find_threads(threads)
     is_compiled = not isinstance(plan.radial, str) and find_obstacle("batch") is None
-    share_out(len(rows.values), threads, rows.compiled if is_compiled else rows.alone)
+    if is_compiled:
+        from dsse_core.radial.lanes import LANES
+
+        share_out(len(rows.values), threads, rows.compiled, together=LANES)
+    else:
+        share_out(len(rows.values), threads, rows.alone)
     failures = {k: rows.failures[k] for k in sorted(rows.failures)}
-    missing = np.isnan(rows.values).sum(axis=1)
-    return BatchResult(
-        plan, rows.vm, rows.va, rows.objective, rows.iterations, plan.degrees_of_freedom - missing, failures
-    )
+    return BatchResult(plan, rows.vm, rows.va, rows.objective, rows.iterations, rows.degrees_of_freedom, failures)
 
 
 @dataclass(frozen=True)
 class _Rows:
-    """What is given, and the arrays that are filled; ``starts`` (n_row, 1 or 0, 2, n_bus)."""
+    """What is given, and the arrays that are filled; ``starts`` (n_row, 1 or 0, 2, n_bus), ``limits`` of J (n_row,)."""
 
     plan: EstimationPlan
     values: np.ndarray
     sigmas: np.ndarray
     starts: np.ndarray
     tolerance: float
+    degrees_of_freedom: np.ndarray
+    limits: np.ndarray
     vm: np.ndarray
     va: np.ndarray
     objective: np.ndarray
@@ -133,7 +137,8 @@ class _Rows:
         cls, plan: EstimationPlan, values: np.ndarray, sigmas: np.ndarray, start: Start | None, tolerance: float
     ) -> _Rows:
         n, n_meas = len(plan.network.buses), len(plan.meters)
-        values, sigmas = np.ascontiguousarray(values, dtype=float), np.array(sigmas, dtype=float, order="C")
+        values = np.ascontiguousarray(read_numbers("values", values))
+        sigmas = np.array(read_numbers("sigmas", sigmas), order="C")
         n_row = len(values) if values.ndim else 0
         problems = []
         if values.shape != (n_row, n_meas):
@@ -142,7 +147,7 @@ class _Rows:
             problems.append(f"sigmas have shape {sigmas.shape}; give ({n_meas},) or {(n_row, n_meas)}")
         starts = np.empty((0, 2, n))
         if start is not None:
-            vm, va = (np.asarray(part, dtype=float) for part in start)
+            vm, va = (read_numbers("the start", part) for part in start)
             if vm.shape != va.shape or vm.shape not in ((n,), (n_row, n)):
                 problems.append(f"the start has shapes {vm.shape} and {va.shape}; give ({n},) or {(n_row, n)} twice")
             else:
@@ -152,11 +157,15 @@ class _Rows:
         of_all = sigmas.ndim == 1
         sigmas = np.atleast_2d(sigmas)
         sigmas[:, plan.virtual] = 0.0
-        if of_all and not (plan.virtual | ((sigmas[0] > 0) & np.isfinite(sigmas[0]))).all():
+        if of_all and not (plan.virtual | are_usable(sigmas[0])).all():
             check_readings(plan.network, plan.meters, np.zeros(n_meas), sigmas[0])
         vm, va = np.full((2, n_row, n), np.nan)
         objective, iterations = np.full(n_row, np.nan), np.zeros(n_row, dtype=np.int64)
-        return cls(plan, values, sigmas, starts, tolerance, vm, va, objective, iterations, {}, {})
+        left = plan.degrees_of_freedom - np.isnan(values).sum(axis=1)
+        numbers, place = np.unique(left, return_inverse=True)
+        limits = np.array([chi_square_limit(number, CONFIDENCE) for number in numbers.tolist()])[place]
+        found = vm, va, objective, iterations
+        return cls(plan, values, sigmas, starts, tolerance, left, limits, *found, {}, {})
 
     def compiled(self) -> Callable[[int, int], None]:
         """What does rows in compiled code; those that fail there, alone."""
@@ -164,7 +173,7 @@ class _Rows:
 
         plan = self.plan.radial
         assert isinstance(plan, RadialPlan)
-        space = plan.take_space()
+        space, lanes = plan.take_space(), self._lanes(plan)
         of_plan = plan.parent, plan.level, plan.admittance, plan.no_load_admittance, plan.order, plan.slot
         options = plan.has_currents, float(self.tolerance), MOST_STEPS
 
@@ -173,7 +182,7 @@ class _Rows:
             succeeded = np.empty(end - first, dtype=bool)
             radial_rows.estimate_rows(
                 *of_plan, self.plan.virtual, plan.start, plan.start_va, _rows_of(self.starts, here), *options,
-                self._limits(here), self.values[here], _rows_of(self.sigmas, here), space,
+                self.limits[here], self.values[here], _rows_of(self.sigmas, here), space, lanes,
                 self.vm[here], self.va[here], self.objective[here], self.iterations[here], succeeded,
             )  # fmt: skip
             for k in np.flatnonzero(~succeeded).tolist():
@@ -181,12 +190,13 @@ class _Rows:
 
         return do
 
-    def _limits(self, here: slice) -> np.ndarray:
-        """Of J in each row, (n_row here,)."""
-        left, place = np.unique(
-            self.plan.degrees_of_freedom - np.isnan(self.values[here]).sum(axis=1), return_inverse=True
-        )
-        return np.array([chi_square_limit(n, CONFIDENCE) for n in left.tolist()])[place]
+    def _lanes(self, plan: RadialPlan) -> np.ndarray:
+        """Memory of rows side by side; none where each is done by itself."""
+        from dsse_core.radial.lanes import LANES
+        from dsse_core.radial.together import make_space
+
+        alike = len(self.sigmas) == 1 and not plan.has_currents
+        return make_space(len(plan.order) if alike and len(self.values) >= LANES else 0)
 
     def alone(self) -> Callable[[int, int], None]:
         """What does row after row as ``estimate_with_plan`` does one."""

@@ -49,7 +49,7 @@ UNOBSERVABLE, DIVERGED, NO_ESTIMATE = "unobservable", "diverged", "no estimate" 
 
 @dataclass(frozen=True)
 class Totals:
-    """What some areas say together of the state x_k; p.u. and rad.
+    """What some areas sum up of the state x_k; p.u. and rad.
 
     ``objective``: J of their real meters in use, with ``degrees_of_freedom``. ``dvm``, ``dva``: the largest of the
     last step. ``held_back``: current magnitudes not yet in use. ``worst``: (meter, normalised residual), the largest

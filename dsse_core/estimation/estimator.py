@@ -16,7 +16,7 @@ from dsse_core.estimation.radial import RadialInverse, estimate_radial, find_rad
 from dsse_core.estimation.sparse import estimate_sparse
 from dsse_core.gauss_newton import LAST_STEP
 from dsse_core.grid.columns import read_column
-from dsse_core.grid.measurement import Measurement, check_measurements, check_readings
+from dsse_core.grid.measurement import Measurement, are_usable, check_measurements, check_readings, read_numbers
 from dsse_core.grid.meter_table import find_virtual, read_meters_of
 from dsse_core.grid.network import Network
 from dsse_core.matrices.augmented import AugmentedFactor
@@ -32,7 +32,7 @@ class EstimationResult:
     ``values``, ``sigmas`` (n_meas,): the readings of the plan's meters, sigma 0 where a reading holds exactly.
     ``objective`` is J(x) (eq. 3.9), which under the model's assumptions is chi-square distributed with
     ``degrees_of_freedom`` = measurements + constraints - state variables. What is not stored is computed when it is
-    asked for, by the radial back end where that is chosen, and else, or where it does not tell, by sparse
+    asked for, by the radial back end where that is chosen, and else, or where it does not give it, by sparse
     factorisation. ``iterations``: steps since the start that it ended from. ``memory``: what later verdicts rest on;
     ``evaluating`` where J has exceeded the chi-square limit.
     """
@@ -194,14 +194,14 @@ def estimate_with_plan(
             from some 10,000 buses on.
 
     Raises:
-        InvalidInputError: readings that cannot be, or no thread.
+        InvalidInputError: readings that cannot be, a start that does not fit, or no thread.
         EstimationDivergedError: names the measurement with the largest weighted residual.
     """
-    values, sigmas = np.array(values, dtype=float), np.array(sigmas, dtype=float)
+    values, sigmas = np.array(read_numbers("values", values)), np.array(read_numbers("sigmas", sigmas))
     if not values.shape == sigmas.shape == (len(plan.meters),):
         problem = f"the plan has {len(plan.meters)} meters; given are values {values.shape} and sigmas {sigmas.shape}"
         raise InvalidInputError(f"readings of network {plan.network.name!r}", [problem])
-    options = start, tolerance, memory
+    options = None if start is None else _read_start(plan, *start), tolerance, memory
     if isinstance(plan.radial, str):
         sigmas[plan.virtual] = 0.0
         if not _are_usable(values, sigmas, plan.virtual):
@@ -212,6 +212,14 @@ def estimate_with_plan(
     return EstimationResult(plan, values, sigmas, memory, *found)
 
 
+def _read_start(plan: EstimationPlan, vm: np.ndarray, va: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    vm, va = read_numbers("vm of the start", vm), read_numbers("va of the start", va)
+    n = len(plan.network.buses)
+    if not vm.shape == va.shape == (n,):
+        problem = f"the start has shapes {vm.shape} and {va.shape}; give ({n},) twice"
+        raise InvalidInputError(f"estimate of network {plan.network.name!r}", [problem])
+    return vm, va
+
+
 def _are_usable(values: np.ndarray, sigmas: np.ndarray, virtual: np.ndarray) -> bool:
-    of_meter = np.isfinite(sigmas) & (sigmas > 0)
-    return bool(np.isfinite(values).all() and np.where(virtual, values == 0.0, of_meter).all())
+    return bool(np.isfinite(values).all() and np.where(virtual, values == 0.0, are_usable(sigmas)).all())

@@ -12,7 +12,7 @@ import numpy as np
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.sparse import SparsePlan, build_sparse_plan
-from dsse_core.grid.columns import Records
+from dsse_core.grid.columns import Records, take_items
 from dsse_core.grid.measurement import Meter
 from dsse_core.grid.meter_table import find_virtual
 from dsse_core.grid.network import Network
@@ -47,7 +47,7 @@ class EstimationPlan:
 
     @cached_property
     def sparse(self) -> SparsePlan:
-        """Also where the back end is radial: for what it does not tell."""
+        """Also where the back end is radial: for what it does not compute."""
         return build_sparse_plan(self.network, self.meters, self.reference)
 
     @cached_property
@@ -72,7 +72,7 @@ class EstimationPlan:
             NotObservableError: names the buses that the others do not determine.
         """
         radial = self.radial if isinstance(self.radial, str) else drop_meters(self.radial, rows)
-        meters = tuple(self.meters[k] for k in np.delete(np.arange(len(self.meters)), rows).tolist())
+        meters = take_items(self.meters, np.delete(np.arange(len(self.meters)), rows))
         if isinstance(self.radial, str):
             check_observable(self.network, meters, reference=self.reference)
         return EstimationPlan(self.network, meters, self.reference, radial)

@@ -31,7 +31,7 @@ def estimate_radial(
     """What ``estimate_sparse`` finds. ``sigmas`` (n_meas,) become 0 where a reading is ``exact``.
 
     For small networks calls made in Python take longer than solving, so that what ``decide`` says between two steps is
-    compiled with them; that both come to the same is tested. On more than one thread it is said in Python again.
+    compiled with them; that both come to the same is tested. On more than one thread it is done in Python again.
 
     Raises:
         InvalidInputError: readings that cannot be.
@@ -50,8 +50,8 @@ def estimate_radial(
             )
         else:
             end, steps, step, objective = compiled.estimate(
-                plan.parent, plan.level, plan.admittance, plan.order, plan.slot, exact, v, va, plan.has_currents,
-                *options, values, sigmas, space, state, residual,
+                plan.parent, plan.level, plan.admittance, plan.order, plan.meter, exact, v, va,
+                plan.has_currents, *options, values, sigmas, space, state, residual,
             )  # fmt: skip
         if end == compiled.UNUSABLE:
             check_readings(plan.network, plan.meters, values, sigmas)
@@ -110,9 +110,9 @@ def invert_radial(plan: RadialPlan, sigmas: np.ndarray, vm: np.ndarray, va: np.n
     from dsse_core.radial import kernel as radial_kernel
 
     n = len(vm)
-    z, w, v, va_in_order = np.zeros((n, N_SLOT)), radial_kernel.absent(n), np.empty(n, dtype=complex), np.empty(n)
+    z, w, v, va_in_order = np.zeros((n, N_SLOT)), np.empty((n, N_SLOT)), np.empty(n, dtype=complex), np.empty(n)
     radial_inverse.turn_to_radial_order(plan.order, vm, va, v, va_in_order)
-    radial_iteration.store(plan.slot, sigmas, sigmas, z, w)  # whatever was read
+    radial_iteration.store(plan.meter, np.zeros(len(sigmas), dtype=bool), sigmas, sigmas, z, w)  # whatever was read
     work = radial_kernel.Work.of(n)
     radial_kernel.eliminate(plan.parent, plan.admittance, z, w, v, va_in_order, True, radial_kernel.INVERT, *work)
     state, omega, S = radial_inverse.find_variances(plan.parent, plan.admittance, w, v, *work[2:5], True)

@@ -41,12 +41,12 @@ class FeederIteration:
     space: np.ndarray
     share: float = 0.0  # of the last step, of which the feeders' part is not taken yet
     dva: float = 0.0
-    told: np.ndarray = field(init=False)
+    to_fork: np.ndarray = field(init=False)
     above: list[np.ndarray] = field(init=False)
 
     def __post_init__(self) -> None:
         deepest = int(self.plan.level.max())
-        self.told = np.zeros((len(self.spans), 16))
+        self.to_fork = np.zeros((len(self.spans), 16))
         self.above = [np.zeros((deepest + 1, 16)) for _ in self.spans]
 
     @cached_property
@@ -70,23 +70,17 @@ class FeederIteration:
 
         v, va, z, w, *_ = self._views
 
-        def clear(_: int, span: Span) -> None:
-            here = slice(*span)
-            z[here] = 0.0
-            iteration.forget_meters(w[here])
-            v[here], va[here] = start[here], start_va[here]
-
         def store(_: int, span: Span) -> bool:
             here = slice(*span)
-            usable: bool = iteration.are_usable(self.exact[here], self.values[here], self.sigmas[here])
-            if usable:
-                iteration.store(self.plan.slot[here], self.values[here], self.sigmas[here], z, w)
+            v[here], va[here] = start[here], start_va[here]
+            usable: bool = iteration.store(
+                self.plan.meter[here], self.exact, self.values, self.sigmas, z[here], w[here]
+            )
             return usable
 
         self.share = 0.0
-        clear(0, (0, self.fork + 1))
-        self._spread(clear, self.spans)
-        return all(self._spread(store, self._meters))
+        of_trunk = store(0, (0, self.fork + 1))
+        return all(self._spread(store, self.spans)) and of_trunk
 
     def iterate(self, tolerance: float, most_steps: int, limit: float) -> tuple[int, int, float]:
         """As ``iteration.iterate``, which has the same lines."""
@@ -127,7 +121,7 @@ class FeederIteration:
 
         def up(k: int, span: Span) -> float:
             J: float = feeders.go_up(
-                *span, fork, *tree, self.share, self.dva, self.above[k], factor, more, step, self.told[k]
+                *span, fork, *tree, self.share, self.dva, self.above[k], factor, more, step, self.to_fork[k]
             )
             return J
 
@@ -137,7 +131,7 @@ class FeederIteration:
 
         J = sum(self._spread(up, self.spans))
         self.share = 0.0
-        of_trunk, *largest = feeders.pass_trunk(fork, *tree, above, factor, more, block, step, self.told)
+        of_trunk, *largest = feeders.pass_trunk(fork, *tree, above, factor, more, block, step, self.to_fork)
         dva, dvm, finite = zip(largest, *self._spread(down, self.spans), strict=True)
         return J + of_trunk, max(dva), max(dvm), all(finite)
 

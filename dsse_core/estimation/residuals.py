@@ -1,4 +1,4 @@
-"""What residuals tell of the readings: the chi-square test, normalised residuals, ties, and voltmeters that are dead.
+"""What residuals show of the readings: the chi-square test, normalised residuals, ties, and dead voltmeters.
 
 Rules of areas and centre alike; who applies them is in ``decision``, ``bad_data`` and ``feeder_bad_data``.
 """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -11,7 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from dsse_core.errors import EstimationDivergedError
-from dsse_core.estimation.decision import Decision, Memory, Totals, Verdict, decide
+from dsse_core.estimation.decision import Decision, Memory, Totals, Verdict, begin_at_flat_start, decide
 from dsse_core.gauss_newton import LARGEST_STEP, Solution
 from dsse_core.grid.admittance import build_admittance, flat_start
 from dsse_core.grid.measurement import MeasurementKind, Meter
@@ -43,15 +44,31 @@ class SparsePlan:
         return f"<SparsePlan: {len(self.meters)} meters, {len(self.free)} state variables>"
 
     def linearize(self, x: np.ndarray) -> tuple[np.ndarray, sp.csr_array]:
-        """h(x), (n_meas,), and the columns ``free`` of H(x)."""
-        if self.pattern.is_compiled:
-            h, data = self.model.linearize_compiled(x, self.entries)
-        else:
-            h, whole = self.model.linearize(x)
-            data = whole.data[self.entries]
+        """h(x), (n_meas,), and the columns ``free`` of H(x); what ``start`` itself gives is kept."""
+        h, data = self._at_flat_start if x is self.start else self._find_h_and_entries(x)
         H = copy.copy(self.empty)  # a new one would have its indices checked each time
-        H.data = data
+        H.data = data.copy() if x is self.start else data
         return h, H
+
+    @cached_property
+    def _at_flat_start(self) -> tuple[np.ndarray, np.ndarray]:
+        return self._find_h_and_entries(self.start)
+
+    def _find_h_and_entries(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        if self.pattern.is_compiled:
+            return self.model.linearize_compiled(x, self._places)
+        h, whole = self.model.linearize(x)
+        return h, whole.data[self.entries]
+
+    @cached_property
+    def _places(self) -> np.ndarray:
+        return self.model.places_of(self.entries)
+
+    def predict(self, x: np.ndarray) -> np.ndarray:
+        """h(x), (n_meas,)."""
+        if self.pattern.is_compiled:
+            return self.model.linearize_compiled(x, self._places[:0])[0]
+        return self.model.predict(x)
 
     @cached_property
     def currents(self) -> np.ndarray:
@@ -115,8 +132,14 @@ def estimate_sparse(
         if verdict.reason or memory.removed != removed:  # of the plan's meters there is no estimate
             raise grid.diverged()
         grid.carry_out(verdict)
-        if verdict.decision in (Decision.EVALUATE, Decision.FINAL):
+        if verdict.decision not in (Decision.EVALUATE, Decision.FINAL):
+            continue
+        if not grid.is_lost:
             return memory, grid.solution()
+        if memory.from_flat_start:
+            raise grid.diverged()
+        memory = begin_at_flat_start(memory)
+        grid.carry_out(Verdict(Decision.ANEW))
 
 
 class SparseIteration:
@@ -152,11 +175,15 @@ class SparseIteration:
         self._multipliers = np.zeros(len(self._sigmas))
         self._linearized: tuple[np.ndarray, sp.csr_array] | None = None  # r and H at x
 
+    @property
+    def is_lost(self) -> bool:
+        """Whether the last step has led to no state, or there is none."""
+        return not max(self._size) <= LARGEST_STEP
+
     def totals(self) -> Totals:
-        is_lost = not max(self._size) <= LARGEST_STEP
         dva, dvm = self._size
         return Totals(
-            objective=np.inf if is_lost else self._find_objective(self._linearize()[0]),
+            objective=np.inf if self.is_lost else self._find_objective(self._linearize()[0]),
             degrees_of_freedom=len(self._values) - self._held_back - len(self._plan.free),
             dvm=dvm,
             dva=dva,
@@ -199,10 +226,12 @@ class SparseIteration:
         try:
             self._step = self._solve()
         except RuntimeError:  # SuperLU: singular away from the no-load state, where the rank was full
-            self._size = np.inf, np.inf
-            raise self.diverged() from None
-        size, n_angles = np.nan_to_num(abs(self._step), nan=np.inf), len(self.x) // 2 - 1
+            self._steps, self._before, self._size = self._steps + 1, self.x, (np.inf, np.inf)
+            return
+        size, n_angles = abs(self._step), len(self.x) // 2 - 1
         self._size = float(size[:n_angles].max(initial=0.0)), float(size[n_angles:].max(initial=0.0))
+        if not math.isfinite(sum(self._size)):
+            self._size = np.inf, np.inf
         self._steps, self._before = self._steps + 1, self.x
         self._move(share)
 
@@ -229,7 +258,7 @@ class SparseIteration:
 
     def solution(self) -> Solution:
         va, vm = np.split(self.x, 2)
-        r = self._plan.model.subtract(self._values, self._plan.model.predict(self.x))
+        r = self._plan.model.subtract(self._values, self._plan.predict(self.x))
         return vm, va, r, self._find_objective(r), self._steps
 
     def diverged(self) -> EstimationDivergedError:

@@ -31,7 +31,7 @@ from dsse_core.linear import choose_backend
 from dsse_core.linear.area_model import AreaModel, build_area_model
 from dsse_core.linear.boundary_information import BoundaryInformation, are_within_reason
 
-AGED = 0.1  # of the weight of what a neighbour that is no longer received has last said; its sigmas grow tenfold
+AGED = 0.1  # of the weight of what a neighbour that is no longer received has last sent; its sigmas grow tenfold
 FAILURES = (ArithmeticError, np.linalg.LinAlgError, RuntimeError, ValueError, DsseError)  # of absurd numbers
 
 T = TypeVar("T")
@@ -41,7 +41,7 @@ Received = Mapping[str, BoundaryInformation]
 class AreaEstimation:
     """``x``: the state x_k, shape (size,), see ``AreaModel``; p.u. and rad. ``failure``: why there are no numbers.
 
-    ``linearized_at``: x before the last step. What the neighbours have told is of that state, so there alone the area
+    ``linearized_at``: x before the last step. What the neighbours have sent is of that state, so there alone the area
     has a part of the whole grid's inverse, the diagonal of which variances are: beside it rows at x are those of no
     grid, and two areas would state two standard deviations of the bus that they share.
     """
@@ -167,7 +167,7 @@ class AreaEstimation:
         self._measured_at_no_load = in_use
 
     def _at_no_load(self) -> NoLoadModel:
-        """Built when it is first asked for, and kept until all of this start have been told what follows from it:
+        """Built when it is first asked for, and kept until all of this start have been sent what follows from it:
         later scans of the same meters ask for the same, which is kept in its place.
         """
         if self._no_load is None:
@@ -224,7 +224,7 @@ class AreaEstimation:
         return cast("T | None", self._kept_no_load[key])
 
     def _with_aged(self, received: Received) -> Received:
-        """With what silent neighbours have last said."""
+        """With what silent neighbours have last sent."""
         stand_ins = self._stand_ins | self._aged
         return {name: stand_ins[name] for name in self._silent if name in stand_ins} | dict(received)
 
@@ -286,7 +286,7 @@ class AreaEstimation:
             self.fail(error)
 
     def prepare(self) -> None:
-        """Do what the next round needs and no message tells."""
+        """Do what the next round needs and no message states."""
         if not self.failure:
             self.model.linear.prepare(self.x)
 
@@ -297,7 +297,7 @@ class AreaEstimation:
         self._step = np.zeros_like(self.x)
 
     def _check_information(self, received: Received) -> None:
-        """A step without the information of one side would be that of another grid: who has no numbers says none."""
+        """A step without the information of one side would be that of another grid: who has no numbers sends none."""
         if missing := self._by_name.keys() - self._silent - received.keys():
             raise ArithmeticError(f"no numbers from {', '.join(sorted(missing))}")
 
@@ -341,7 +341,7 @@ class AreaEstimation:
 
     def describe_readings(self) -> dict[str, tuple[float, float]]:
         """Id of each real meter in use -> what it would read in this state, p.u. or rad, and its normalised residual, 0
-        where it is the only one that tells; empty before ``find_sigmas``.
+        where it is the only one that determines it; empty before ``find_sigmas``.
         """
         return {} if self._omega is None else estimate_readings(self.model, self.x, self._omega)
 

@@ -1,7 +1,7 @@
 """Net loads at boundary buses: what an area's network leaves out, as one load per boundary bus.
 
 The load at a boundary bus is loads minus generation of everything beyond it (thesis eqs. 5.1, 5.2, 5.6,
-5.7); losses beyond are neglected. It is summed hop by hop along the tree of areas: area i tells neighbour j
+5.7); losses beyond are neglected. It is summed hop by hop along the tree of areas: area i sends neighbour j
 the net load of all buses on its side. A boundary bus itself counts on the side of its owner. Shunts and line
 charging count as loads at 1 p.u. voltage; what they take more or less at another voltage is neglected.
 """
@@ -59,12 +59,12 @@ def own_net_load(area: Area, measured: Mapping[int, NetLoad] | None = None) -> N
 
 
 def load_message_for(neighbour: str, own: NetLoad, received: Mapping[str, NetLoad]) -> NetLoad:
-    """What an area tells ``neighbour``: its own net load and that of all its other neighbours."""
+    """What an area sends ``neighbour``: its own net load and that of all its other neighbours."""
     return add_loads([own, *(load for name, load in received.items() if name != neighbour)])
 
 
 def boundary_loads(area: Area, received: Mapping[str, NetLoad], error: complex = 0j) -> dict[int, NetLoad]:
-    """Boundary bus -> load beyond it: what the neighbours there say, plus ``error`` (eqs. 5.4, 5.5).
+    """Boundary bus -> load beyond it: what the neighbours there send, plus ``error`` (eqs. 5.4, 5.5).
 
     The error is added once per boundary bus. A bus whose neighbours have not all been received is left out.
     """
@@ -77,7 +77,7 @@ def boundary_loads(area: Area, received: Mapping[str, NetLoad], error: complex =
 
 
 def stand_in_for(neighbour: Neighbour, load: NetLoad) -> BoundaryInformation:
-    """What the net load on the side of ``neighbour`` says of y = (p, q, vm, va) at the boundary, p.u. and rad."""
+    """What the net load on the side of ``neighbour`` states of y = (p, q, vm, va) at the boundary, p.u. and rad."""
     power = -load.s if neighbour.is_parent else load.s
     weight = 1 / (load.variance**0.5 + UNSURE_OF_LOAD * abs(load.s) + LEAST_LOAD)
     R = np.diag([weight, weight, 0.0, 0.0])
@@ -89,13 +89,13 @@ def scheduled_load_messages(partition: Partition) -> dict[str, dict[str, NetLoad
     own = {area.name: own_net_load(area) for area in partition.areas}
     received: dict[str, dict[str, NetLoad]] = {area.name: {} for area in partition.areas}
 
-    def tell(sender: str, receiver: str) -> NetLoad:
+    def collect(sender: str, receiver: str) -> NetLoad:
         if sender not in received[receiver]:
-            beyond = {n.area: tell(n.area, sender) for n in partition.area(sender).neighbours if n.area != receiver}
+            beyond = {n.area: collect(n.area, sender) for n in partition.area(sender).neighbours if n.area != receiver}
             received[receiver][sender] = load_message_for(receiver, own[sender], beyond)
         return received[receiver][sender]
 
     for area in partition.areas:
         for n in area.neighbours:
-            tell(n.area, area.name)
+            collect(n.area, area.name)
     return received

@@ -2,7 +2,7 @@
 
 Kekatos and Giannakis, Distributed Robust Power System State Estimation, IEEE Trans. Power Systems 28 (2013),
 on the four quantities y of a boundary (``area_model``) and with their multipliers eliminated: each side
-minimises its own J plus ``1/2 |M^(1/2) (y - z)|^2`` at each of its boundaries, tells ``r = 2 y - z`` and takes the
+minimises its own J plus ``1/2 |M^(1/2) (y - z)|^2`` at each of its boundaries, sends ``r = 2 y - z`` and takes the
 other side's r into ``z <- z + relaxation (r - z)`` (Douglas-Rachford splitting; relaxation 1/2 is plain ADMM). At the
 fixed point both y are equal and the gradients ``M (z - y)`` of the two sides cancel: the centralised estimate, whatever
 z was before.
@@ -47,7 +47,7 @@ def compute_weight(model: AreaModel, x: np.ndarray, neighbour: Neighbour) -> np.
 def solve_damped_step(model: AreaModel, x: np.ndarray, received: Mapping[str, BoundaryInformation]) -> np.ndarray:
     """The step dx, shape (size,), ``(G + 1 / tau^2) dx = b``, of which no voltage moves by more than LARGEST_STEP.
 
-    Messages do not tell what neighbours know, and undamped steps diverge: transit power is seen through losses only.
+    Messages do not state what neighbours know, and undamped steps diverge: transit power is seen through losses only.
     """
     dx = model.linear.step(x, received, DAMPING**-2.0)
     largest = float(abs(dx[: 2 * len(model.area.network.buses)]).max())

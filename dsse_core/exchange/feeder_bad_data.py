@@ -45,7 +45,7 @@ def count_freedom(model: AreaModel) -> int:
 class NoLoadModel:
     """The area's meters but currents, at no load, powers against its median admittance: which cannot be spared.
 
-    ``find_indispensable`` of ``observability`` decides by the same rows for the whole grid. Areas tell each other
+    ``find_indispensable`` of ``observability`` decides by the same rows for the whole grid. Areas send each other
     its cost-to-go, one way up and one way down the tree, of (p, q) / vm_b^2, dvm / vm_b and dva: behind a transformer
     each area has another no-load voltage, and of such relative numbers the rows are the same at all of them.
     """
@@ -67,11 +67,12 @@ class NoLoadModel:
         return BoundaryInformation(np.triu(turn @ information.R) * self._voltage_of(neighbour), turn @ information.z)
 
     def examine(self, received: Mapping[str, BoundaryInformation]) -> tuple[tuple[int, ...], frozenset[str]]:
-        """Ids of the buses whose voltage neither the area's meters nor what neighbours tell determine, and of the
+        """Ids of the buses whose voltage neither the area's meters nor what neighbours send determine, and of the
         meters, virtual ones included, without any one of which the state is not observable.
         """
         rng = np.random.default_rng(0)
-        variance, redundancy = self.linear.sample(self.x, self._at_own_voltage(received), rng)
+        beyond = self._at_own_voltage(received)
+        variance, redundancy = self.linear.sample(self.x, beyond, rng, NO_LOAD_REDUNDANCY)
         buses = self.model.area.network.buses
         is_known = np.maximum(variance[: len(buses)], variance[len(buses) : 2 * len(buses)]) < NOTHING_KNOWN
         unobservable = tuple(buses[k].id for k in np.flatnonzero(~is_known).tolist())

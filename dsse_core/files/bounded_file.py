@@ -60,4 +60,6 @@ def read_text(
     except OSError as error:
         raise InvalidInputError(what or str(path), [f"cannot be read: {error.strerror}"]) from None
     except UnicodeDecodeError as error:
-        raise InvalidInputError(what or str(path), [f"not UTF-8 text ({error.reason} at byte {error.start})"]) from None
+        line = error.object.count(b"\n", 0, error.start) + 1
+        problem = f"line {line}: not UTF-8 text ({error.reason} at byte {error.start}); save the file as UTF-8"
+        raise InvalidInputError(what or str(path), [problem]) from None

@@ -1,7 +1,7 @@
 """Files and folders under way, called drafts: a file stands under its name when it is whole, or not at all.
 
 A draft is locked as long as the process that writes it lives, and the system opens the lock however that process ends:
-by this, what a killed process has left is told from what is being written.
+by this, what a killed process has left is distinguished from what is being written.
 """
 
 from __future__ import annotations

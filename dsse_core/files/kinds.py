@@ -48,5 +48,5 @@ KINDS = (SCENARIO_FILE, NETWORK_FILE, AREA_FILE, ACCESS_FILE, GATEWAY_MAP, OPERA
 
 
 def kind_reported_by(keys: Collection[str]) -> FileKind | None:
-    """The kind of file that has all of ``keys``, if they tell."""
+    """The kind of file that has all of ``keys``, if they show it."""
     return next((kind for kind in KINDS if kind.reported_by <= set(keys)), None)

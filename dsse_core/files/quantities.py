@@ -10,9 +10,9 @@ from dsse_core.limits import (
     LARGEST_GROSS_ERROR,
     LARGEST_SEED,
     LARGEST_SIGMA,
+    LEAST_HEARTBEAT_S,
     LONGEST_NAME,
     LONGEST_S,
-    SHORTEST_BEAT_S,
     SHORTEST_SCAN_S,
     SMALLEST_SIGMA,
 )
@@ -31,7 +31,7 @@ Probability = Annotated[float, Field(ge=0, le=1)]
 Seconds = Annotated[float, Field(gt=0, le=LONGEST_S)]
 ClockError = Annotated[float, Field(ge=-LONGEST_S, le=LONGEST_S)]
 Moment = Annotated[float, Field(ge=0, le=LONGEST_S)]
-BeatSeconds = Annotated[float, Field(ge=SHORTEST_BEAT_S, le=LONGEST_S)]
+HeartbeatSeconds = Annotated[float, Field(ge=LEAST_HEARTBEAT_S, le=LONGEST_S)]
 ScanSeconds = Annotated[float, Field(ge=SHORTEST_SCAN_S, le=LONGEST_S)]
 Milliseconds = Annotated[float, Field(ge=0, le=1000 * LONGEST_S)]
 Sigma = Annotated[float, Field(ge=SMALLEST_SIGMA, le=LARGEST_SIGMA)]

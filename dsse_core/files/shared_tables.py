@@ -17,7 +17,7 @@ class AdmmTable(Table):
 
 
 class GenerationTable(Table):
-    """``[load_messages]``: what load messages say of generators."""
+    """``[load_messages]``: what load messages state of generators."""
 
     generation: Literal["telemetered", "scheduled"] = "telemetered"
 

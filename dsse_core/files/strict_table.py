@@ -95,7 +95,7 @@ class Fitted(Generic[AnyTable]):
 
 
 def load_partly(path: Path, model: type[Model]) -> Fitted[Model]:
-    """Read a file as far as it fits ``model``, so that all else that is wrong with it can be said at once.
+    """Read a file as far as it fits ``model``, so that all else that is wrong with it can be reported at once.
 
     Raises:
         InvalidInputError: the file cannot be read, or is not TOML (with line and column).

@@ -7,20 +7,46 @@ blocks therefore always form a tree.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
 
 from dsse_core.errors import InvalidInputError
-from dsse_core.grid.network import Branch, Network
+from dsse_core.grid.network import Network
 
 
-@dataclass(frozen=True, slots=True)
-class Block:
-    """``top``: its bus nearest to the substation; ``buses``: its other buses; each bus is below one block only."""
+class Block(NamedTuple):
+    """``top``: its bus nearest to the substation; ``buses``: its other buses; each bus is below one block only.
+
+    ``branches``: their ids.
+    """
 
     top: int
     buses: tuple[int, ...]
-    branches: tuple[Branch, ...]
+    branches: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Incidence:
+    """The branches in service at every bus, in their order; buses and branches are rows of the network.
+
+    Those at bus ``b`` stand at the positions ``first[b]`` to ``first[b + 1]`` of ``branch``; their other ends in
+    ``there``. Lists, as walks read them number by number.
+    """
+
+    first: list[int]
+    branch: list[int]
+    there: list[int]
+
+
+def list_incidence(network: Network) -> Incidence:
+    """Of all buses of ``network``."""
+    table = network.table
+    here, there = (np.stack(ends, axis=1).ravel() for ends in ((table.f, table.t), (table.t, table.f)))
+    order = np.argsort(here, kind="stable")
+    first = np.searchsorted(here[order], np.arange(len(table.bus_id) + 1))
+    return Incidence(first.tolist(), np.repeat(table.active, 2)[order].tolist(), there[order].tolist())
 
 
 def find_blocks(network: Network) -> list[Block]:
@@ -35,40 +61,53 @@ def find_blocks(network: Network) -> list[Block]:
     if problems := network.find_supply_problems():
         raise InvalidInputError(f"network {network.name!r}", problems)
     assert network.slack is not None  # find_supply_problems
-    root = network.slack.bus
-    found, low = {root: 0}, {root: 0}  # bus -> its number; the smallest number seen from it or below
-    trail: list[Branch] = []  # branches of blocks that are not complete yet
-    blocks: list[Block] = []
-    stack: list[tuple[int, Branch | None, Iterator[Branch]]] = [(root, None, iter(network.branches_at[root]))]
-    while stack:
-        bus, entry, ahead = stack[-1]
-        for branch in ahead:
-            there = branch.other_end(bus)
-            if there not in found:
-                found[there] = low[there] = len(found)
+    at, bus = list_incidence(network), network.table.rows.row_of(network.slack.bus)
+    # by row of a bus: its number, the smallest number seen from it or below, the branch and the bus before it
+    found, low, entry, above = ([-1] * len(network.buses) for _ in range(4))
+    ahead, last = at.first[:-1], at.first[1:]
+    found[bus] = low[bus] = count = 0
+    trail: list[int] = []  # branches of blocks that are not complete yet
+    blocks = _Blocks(network)
+    while bus >= 0:
+        if (k := ahead[bus]) < last[bus]:
+            ahead[bus], branch, there = k + 1, at.branch[k], at.there[k]
+            if found[there] < 0:
+                count += 1
+                found[there] = low[there] = count
+                entry[there], above[there] = branch, bus
                 trail.append(branch)
-                stack.append((there, branch, iter(network.branches_at[there])))
-                break
-            if branch is not entry and found[there] < found[bus]:
+                bus = there
+            elif branch != entry[bus] and found[there] < found[bus]:
                 trail.append(branch)
                 low[bus] = min(low[bus], found[there])
-        else:
-            stack.pop()
-            if entry is not None:
-                top = entry.other_end(bus)
-                low[top] = min(low[top], low[bus])
-                if low[bus] >= found[top]:
-                    blocks.append(_pop_block(trail, entry, top))
-    return blocks
+            continue
+        if (top := above[bus]) >= 0:
+            if low[bus] < low[top]:
+                low[top] = low[bus]
+            if low[bus] >= found[top]:
+                blocks.add(trail, entry[bus], bus, top)
+        bus = top
+    return blocks.found
 
 
-def _pop_block(trail: list[Branch], entry: Branch, top: int) -> Block:
-    """Everything on ``trail`` from ``entry`` on."""
-    branches = [trail.pop()]
-    if branches[0] is entry:  # in no loop, as nearly everywhere in a feeder
-        return Block(top, (entry.other_end(top),), (entry,))
-    while branches[-1] is not entry:
-        branches.append(trail.pop())
-    branches.reverse()
-    buses = dict.fromkeys(bus for branch in branches for bus in (branch.from_bus, branch.to_bus) if bus != top)
-    return Block(top, tuple(buses), tuple(branches))
+class _Blocks:
+    """Blocks as they are found; buses and branches by rows of ``network``."""
+
+    def __init__(self, network: Network) -> None:
+        self._table, self._branch_ids = network.table, network.branch_ids
+        self._bus_ids: list[int] = network.table.bus_id.tolist()
+        self.found: list[Block] = []
+
+    def add(self, trail: list[int], entry: int, bus: int, top: int) -> None:
+        """Everything on ``trail`` from ``entry`` on, which leads from ``top`` to ``bus``, and is taken off."""
+        branches = [trail.pop()]
+        if branches[0] == entry:  # in no loop, as nearly everywhere in a feeder
+            self.found.append(Block(self._bus_ids[top], (self._bus_ids[bus],), (self._branch_ids[entry],)))
+            return
+        while branches[-1] != entry:
+            branches.append(trail.pop())
+        branches.reverse()
+        ends = np.stack([self._table.from_bus[branches], self._table.to_bus[branches]], axis=1)
+        buses = dict.fromkeys(ends.ravel().tolist())
+        del buses[self._bus_ids[top]]
+        self.found.append(Block(self._bus_ids[top], tuple(buses), tuple(self._branch_ids[k] for k in branches)))

@@ -153,8 +153,20 @@ class Rows:
         return np.where(self._ids[rows] == wanted, rows, -1)
 
 
-def rows_of_texts(known: Iterable[str], wanted: Iterable[str | None]) -> np.ndarray:
+def find_distinct(numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where each of ``numbers`` (n,) stands first, (k,) rising, and of each number the position there of its own."""
+    n = len(numbers)
+    if np.diff(np.sort(numbers)).all():
+        return np.arange(n), np.arange(n)
+    _, first, number = np.unique(numbers, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    position = np.empty(len(first), dtype=np.intp)
+    position[order] = np.arange(len(first))
+    return first[order], position[number]
+
+
+def rows_of_texts(known: Iterable[str | bytes], wanted: Iterable[str | bytes | None]) -> np.ndarray:
     """The position of each text ``wanted`` in ``known``; -1 where it is not there, -2 of None."""
-    row: dict[str | None, int] = {text: k for k, text in enumerate(known)}
+    row: dict[str | bytes | None, int] = {text: k for k, text in enumerate(known)}
     row[None] = -2
     return np.array([row.get(text, -1) for text in wanted], dtype=np.int64)

@@ -1,26 +1,62 @@
-"""The entries of H(x), compiled: see ``MeasurementModel.linearize``."""
+"""h(x) and the entries of H(x), compiled, meter by meter: see ``MeasurementModel.linearize``."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
 from dsse_core.code_cache import compiled
 
+ACTIVE, REACTIVE, CURRENT, MAGNITUDE, ANGLE = range(5)  # what a meter reads
+
 
 @compiled
-def find_entries(of_u, of_i, meter_row, at_bus, y, column, phase, vm, wanted):
-    """Of the derivatives by va of all stored entries of y, and then by vm, those at the places ``wanted``, (n_wanted,).
+def linearize(x, reads, bus_row, indptr, column, y, at_bus, wanted, floors):
+    """h(x), and of the derivatives by va of all stored entries of y, and then by vm, those at the places ``wanted``.
 
-    In single numbers: numba has no product of a complex and a real one.
+    ``reads`` (n_meas,): what each meter does. ``floors``: of currents and of voltages, below which derivatives are 0.
+    Without ``wanted`` no derivative is found.
     """
-    n, derivatives, found = len(y), np.empty(2 * len(y)), np.empty(len(wanted))
-    for e in range(n):
-        m, c = meter_row[e], column[e]
-        i, u, p = of_i[m], of_u[m], phase[c]
-        real = u.real * at_bus[e] + i.real * y[e].real - i.imag * y[e].imag
-        imag = u.imag * at_bus[e] + i.real * y[e].imag + i.imag * y[e].real
-        derivatives[e] = -(real * p.imag + imag * p.real) * vm[c]
-        derivatives[n + e] = real * p.real - imag * p.imag
+    n, n_entries = len(x) // 2, len(column)
+    phase = np.empty(n, dtype=np.complex128)
+    for k in range(n):
+        phase[k] = complex(math.cos(x[k]), math.sin(x[k]))
+    h, derivatives = np.empty(len(reads)), np.empty(2 * n_entries if len(wanted) > 0 else 0)
+    for m in range(len(reads)):
+        bus = bus_row[m]
+        u, i = complex(x[n + bus] * phase[bus].real, x[n + bus] * phase[bus].imag), 0j
+        for e in range(indptr[m], indptr[m + 1]):
+            c = column[e]
+            i += y[e] * complex(x[n + c] * phase[c].real, x[n + c] * phase[c].imag)
+        h[m], of_u, of_i = read(reads[m], u, i, floors)
+        if len(wanted) > 0:
+            for e in range(indptr[m], indptr[m + 1]):
+                along = of_i * y[e]
+                if at_bus[e] != 0.0:
+                    along += of_u
+                along *= phase[column[e]]
+                derivatives[e] = -along.imag * x[n + column[e]]
+                derivatives[n_entries + e] = along.real
+    found = np.empty(len(wanted))
     for k in range(len(wanted)):
         found[k] = derivatives[wanted[k]]
-    return found
+    return h, found
+
+
+@compiled
+def read(kind, u, i, floors):
+    """What a meter reads of its voltage ``u`` and current ``i``, and ``of_u`` and ``of_i``."""
+    if kind == ACTIVE:
+        return u.real * i.real + u.imag * i.imag, i.conjugate(), u.conjugate()
+    if kind == REACTIVE:
+        return u.imag * i.real - u.real * i.imag, complex(-i.imag, -i.real), complex(u.imag, u.real)
+    if kind == CURRENT:
+        size = math.sqrt(i.real**2 + i.imag**2)
+        return size, 0j, complex(i.real / size, -i.imag / size) if size > floors[0] else 0j
+    size = math.sqrt(u.real**2 + u.imag**2)
+    least = max(size, floors[1])
+    if kind == MAGNITUDE:
+        return size, complex(u.real / least, -u.imag / least), 0j
+    over = 1.0 / (least * least)
+    return math.atan2(u.imag, u.real), complex(-u.imag * over, -u.real * over), 0j

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.network import Network
+from dsse_core.limits import LEAST_USABLE_SIGMA, MOST_USABLE_SIGMA
+
+VIRTUAL_IS = "only an injection of exactly 0 can be virtual"
 
 
 class MeasurementKind(StrEnum):
@@ -53,11 +57,19 @@ class Meter:
     bus: int
     branch: str | None = None
     source: Source = Source.TELEMETERED
+    _id: str | None = field(default=None, init=False, repr=False, compare=False)
 
     @property
     def id(self) -> str:
-        """Unique within a network, e.g. ``vm@1``, ``p_injection@4``, ``q_flow@3:3-6``; the tie-breaker."""
-        return self.kind + (f"@{self.bus}:{self.branch}" if self.branch else f"@{self.bus}")
+        """Unique within a network, e.g. ``vm@1``, ``p_injection@4``, ``q_flow@3:3-6``; the tie-breaker.
+
+        Made once: an area knows its meters by id in a dozen tables.
+        """
+        if self._id is not None:
+            return self._id
+        made = self.kind + (f"@{self.bus}:{self.branch}" if self.branch else f"@{self.bus}")
+        object.__setattr__(self, "_id", made)
+        return made
 
     def __str__(self) -> str:
         place = f"branch {self.branch} at bus {self.bus}" if self.branch else f"bus {self.bus}"
@@ -84,15 +96,38 @@ def check_measurements(network: Network, measurements: Sequence[Measurement]) ->
         if not math.isfinite(m.value):
             problems.append(f"meter {m.meter.id}: the value is {m.value}, not a finite number")
         if m.meter.source is Source.VIRTUAL:
-            if not m.meter.kind.of_injection or m.value != 0.0:
-                problems.append(f"meter {m.meter.id}: only an injection of exactly 0 can be virtual")
-        elif not (math.isfinite(m.sigma) and m.sigma > 0):
+            if m.meter.kind.of_injection and m.value != 0.0:
+                problems.append(f"meter {m.meter.id}: {VIRTUAL_IS}")
+        elif not LEAST_USABLE_SIGMA < m.sigma < MOST_USABLE_SIGMA:
             problems.append(
-                f"meter {m.meter.id}: sigma is {m.sigma}; a standard deviation must be positive "
-                "(declare an exact zero injection as virtual instead)"
+                f"meter {m.meter.id}: sigma is {m.sigma}; a standard deviation must be positive, from "
+                f"{LEAST_USABLE_SIGMA:g} to {MOST_USABLE_SIGMA:g} (declare an exact zero injection as virtual instead)"
             )
     if problems:
         raise InvalidInputError(f"measurements of network {network.name!r}", problems)
+
+
+def read_numbers(name: str, given: ArrayLike) -> np.ndarray:
+    """``given``, which errors call ``name``, as floats; NaN where it is masked: what is behind a mask is no reading.
+
+    Raises:
+        InvalidInputError: it has something else than real numbers.
+    """
+    if isinstance(given, np.ma.MaskedArray):
+        given = np.ma.filled(given.astype(object), np.nan)
+    try:
+        array = np.asarray(given)
+        if array.dtype.kind == "c":
+            raise TypeError("they are complex")
+        return np.asarray(array, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise InvalidInputError(name, [f"give real numbers only: {error}"]) from None
+
+
+def are_usable(sigmas: np.ndarray) -> np.ndarray:
+    """Which ``sigmas`` are standard deviations that an estimate can work with, shape as given."""
+    usable: np.ndarray = (sigmas > LEAST_USABLE_SIGMA) & (sigmas < MOST_USABLE_SIGMA)
+    return usable
 
 
 def check_readings(network: Network, meters: Sequence[Meter], values: np.ndarray, sigmas: np.ndarray) -> None:
@@ -110,6 +145,8 @@ def find_meter_problems(network: Network, meters: Iterable[Meter]) -> Iterable[s
         if place in seen:
             yield f"meter {meter.id} is given twice; keep one reading of each quantity"
         seen.add(place)
+        if meter.source is Source.VIRTUAL and not meter.kind.of_injection:
+            yield f"meter {meter.id}: {VIRTUAL_IS}"
         if meter.bus not in row:
             yield f"meter {meter.id}: bus {meter.bus} is not in network {network.name!r}"
         if meter.kind.of_branch:

@@ -68,16 +68,26 @@ class MeasurementModel:
         data = np.concatenate([-along.imag * vm[column], along.real])[order]
         return self.read(u, i), sp.csr_array((data, indices, indptr), shape=(len(self.kinds), 2 * self.y.shape[1]))
 
-    def linearize_compiled(self, x: np.ndarray, entries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """h(x) and the stored ``entries`` of H(x), by compiled code: needs numba."""
-        from dsse_core.grid.derivatives import find_entries
+    def linearize_compiled(self, x: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """h(x) and the entries of H(x) at ``places``, see ``places_of``, by compiled code: needs numba."""
+        from dsse_core.grid import derivatives
 
-        u, i, vm, phase = self._phasors(x)
-        of_u, of_i = self.weigh(u, i)
-        wanted = self._pattern[0][entries]
-        y = self.y
-        found = find_entries(of_u, of_i, self.meter_row, self.at_bus, y.data, y.indices, phase, vm, wanted)
-        return self.read(u, i), found
+        y, floors = self.y, (CURRENT_FLOOR, VOLTAGE_FLOOR)
+        of_meters = self._reads, self.bus_row, y.indptr, y.indices, y.data, self.at_bus
+        found: tuple[np.ndarray, np.ndarray] = derivatives.linearize(x, *of_meters, places, floors)
+        return found
+
+    def places_of(self, entries: np.ndarray) -> np.ndarray:
+        """Where the stored ``entries`` of H are among the derivatives by va and then by vm of those of y."""
+        return np.asarray(self._pattern[0][entries])
+
+    @cached_property
+    def _reads(self) -> np.ndarray:
+        """What each meter reads, as ``derivatives`` has it."""
+        reads = self._is_reactive.astype(np.int8)
+        for k, rows in enumerate(self._rows):
+            reads[rows] = 2 + k
+        return reads
 
     def read(self, u: np.ndarray, i: np.ndarray) -> np.ndarray:
         """h of ``u`` and ``i``, shape (n_meas,) each."""

@@ -14,6 +14,7 @@ from dsse_core.grid.network import Network
 
 KINDS, SOURCES = tuple(MeasurementKind), tuple(Source)
 NO_BRANCH, UNKNOWN = -2, -1
+_IS_OF_INJECTION = np.array([kind.of_injection for kind in KINDS])
 _IS_OF_BRANCH = np.array([kind.of_branch for kind in KINDS])
 _CODE_OF_KIND = {id(kind): k for k, kind in enumerate(KINDS)}  # members are singletons, and hashing them takes long
 
@@ -54,22 +55,17 @@ def join_meters(network: Network, parts: Sequence[Sequence[Meter]]) -> Sequence[
     return make_meters(network, *(np.concatenate([part[key] for part in columns]) for key in keys))
 
 
-def all_fit(network: Network, kind: np.ndarray, bus: np.ndarray, branch: np.ndarray) -> bool:
-    """Whether ``find_meter_problems`` would find none of meters from the columns of ``make_meters``, (n_meas,)."""
+def each_fits(network: Network, meters: Records[Meter]) -> bool:
+    """Whether ``find_meter_problems`` would find none of any of ``meters``, of ``make_meters``, by itself."""
     table = network.table
-    row = table.rows.find(bus)
-    if len(kind) == 0:
-        return True
-    if (row < 0).any() or ((branch >= 0) != _IS_OF_BRANCH[kind]).any() or (branch == UNKNOWN).any():
+    kind, bus, branch = (meters.columns[key] for key in ("kind", "bus", "branch"))
+    if (table.rows.find(bus) < 0).any() or ((branch >= 0) != _IS_OF_BRANCH[kind]).any() or (branch == UNKNOWN).any():
+        return False
+    if not can_be_virtual(meters):
         return False
     metered, at = branch[branch >= 0], bus[branch >= 0]
     ends = (at == table.from_bus[metered]) | (at == table.to_bus[metered])
-    place = (branch + 2) * len(table.bus_id) + row
-    return bool(ends.all() and table.in_service[metered].all()) and _are_unique(place * len(KINDS) + kind)
-
-
-def _are_unique(numbers: np.ndarray) -> bool:
-    return bool(np.diff(np.sort(numbers)).all())
+    return bool(ends.all() and table.in_service[metered].all())
 
 
 @dataclass(frozen=True)
@@ -97,12 +93,11 @@ def list_columns(meters: Sequence[Meter]) -> dict[str, list[Any]]:
     if not isinstance(meters, Records):
         columns = {name: [getattr(meter, name) for meter in meters] for name in ("kind", "bus", "branch", "source")}
         return columns | {name: [str(value) for value in columns[name]] for name in ("kind", "source")}
-    kinds, sources = [str(kind) for kind in KINDS], [str(source) for source in SOURCES]
     return {
-        "kind": [kinds[k] for k in meters.columns["kind"].tolist()],
+        "kind": list_texts([str(kind) for kind in KINDS], meters.columns["kind"]),
         "bus": meters.columns["bus"].tolist(),
         "branch": _list_branches(meters),
-        "source": [sources[k] for k in meters.columns["source"].tolist()],
+        "source": list_texts([str(source) for source in SOURCES], meters.columns["source"]),
     }
 
 
@@ -112,13 +107,21 @@ def _list_branches(meters: Records[Meter]) -> list[str | None]:
     return [None if branch < 0 else make.branch_ids[branch] for branch in meters.columns["branch"].tolist()]
 
 
+def list_texts(texts: Sequence[str], numbers: np.ndarray) -> list[str]:
+    """Of ``texts`` the ones at the positions ``numbers`` (k,)."""
+    taken: list[str] = np.array(texts, dtype=object)[numbers].tolist()
+    return taken
+
+
 def find_places(network: Network, meters: Sequence[Meter], wanted: Sequence[Meter]) -> np.ndarray:
     """The position in ``meters`` of each one ``wanted``, (k,), -1 where it is not there; all fit the network."""
-    return Rows(_number_meters(network, meters)).find(_number_meters(network, wanted))
+    if meters is wanted:
+        return np.arange(len(wanted))
+    return Rows(number_meters(network, meters)).find(number_meters(network, wanted))
 
 
-def _number_meters(network: Network, meters: Sequence[Meter]) -> np.ndarray:
-    """A number for each place and kind of a meter, (n_meas,)."""
+def number_meters(network: Network, meters: Sequence[Meter]) -> np.ndarray:
+    """A number for each place and kind of a meter, (n_meas,), of ``meters`` each of which fits."""
     table = tabulate_meters(network, meters)
     number: np.ndarray = ((table.branch - NO_BRANCH) * len(network.table.bus_id) + table.bus) * len(KINDS) + table.kind
     return number
@@ -162,3 +165,9 @@ def find_virtual(meters: Sequence[Meter]) -> np.ndarray:
         virtual: np.ndarray = meters.columns["source"] == SOURCES.index(Source.VIRTUAL)
         return virtual
     return np.array([meter.source is Source.VIRTUAL for meter in meters], dtype=bool)
+
+
+def can_be_virtual(meters: Sequence[Meter]) -> bool:
+    """Whether all of ``meters`` that are virtual are of injections."""
+    virtual = find_virtual(meters)
+    return not virtual.any() or bool(_IS_OF_INJECTION[number_kinds(meters)[virtual]].all())

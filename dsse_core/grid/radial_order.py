@@ -44,16 +44,26 @@ def find_tree(network: Network, root: int) -> Tree | str:
     table = network.table
     f, t, n = table.f, table.t, len(table.bus_id)
     order, upstream = walk_graph(f, t, table.rows.row_of(root), n)
-    return say_why_no_tree(n, len(f), len(order), root) or Tree(order, upstream, f, t)
+    return describe_no_tree(n, len(f), len(order), root) or Tree(order, upstream, f, t)
 
 
-def say_why_no_tree(n_bus: int, n_branch: int, reached: int, root: int) -> str:
+def describe_no_tree(n_bus: int, n_branch: int, reached: int, root: int) -> str:
     """Why ``n_branch`` branches that join ``reached`` buses to bus ``root`` make no tree of ``n_bus``; empty if one."""
     if n_branch != n_bus - 1:
         return f"the network is not radial: {n_bus} buses, {n_branch} branches in service"
     if reached != n_bus:
         return f"the network is not radial: {n_bus - reached} buses are out of reach of bus {root}"
     return ""
+
+
+@dataclass(frozen=True)
+class TableauPlaces:
+    """When the rows of a tableau are eliminated, by numbers that ascend: of each meter, (n_meas,), and of the voltages
+    of each bus by rows, (n_bus,).
+    """
+
+    of_meter: np.ndarray
+    of_bus: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -67,23 +77,32 @@ class TableauOrder:
 
 
 def order_tableau(network: Network, reference: int, model: MeasurementModel, free: np.ndarray) -> TableauOrder:
-    """The order of the tableau [meters; state variables ``free``], bus after bus.
+    """The order of the tableau [meters; state variables ``free``]; see ``place_tableau``."""
+    tree = find_tree(network, reference)
+    has_loops = isinstance(tree, str)
+    places = place_tableau(order_buses(network), model) if isinstance(tree, str) else place_in_tree(tree, model)
+    of_free = places.of_bus[free % len(places.of_bus)]
+    return TableauOrder(np.argsort(np.concatenate([places.of_meter, of_free]), kind="stable"), has_loops)
+
+
+def place_in_tree(tree: Tree, model: MeasurementModel) -> TableauPlaces:
+    """``place_tableau`` from the leaves to the root."""
+    place = np.empty(len(tree.order), dtype=np.int64)
+    place[tree.order[::-1]] = np.arange(len(place))
+    return place_tableau(place, model)
+
+
+def place_tableau(place: np.ndarray, model: MeasurementModel) -> TableauPlaces:
+    """Where rows of a tableau come if buses come at ``place`` (n_bus,), one after another.
 
     Inside a bus: its injections, what else is metered there and on branches to buses that follow, then its voltage.
     An injection joins the multipliers of a bus to the voltages of its neighbours and no others, so that the tableau, in
     blocks of a bus, has the pattern of the network: a tree is eliminated from the leaves to the root.
     """
-    tree = find_tree(network, reference)
-    if isinstance(tree, str):
-        place = order_buses(network)
-    else:
-        place = np.empty(len(tree.order), dtype=np.int64)
-        place[tree.order[::-1]] = np.arange(len(place))
     injections = np.isin(model.kinds, _INJECTIONS)
     outermost = np.minimum.reduceat(place[model.y.indices], model.y.indptr[:-1]) if len(injections) else injections
     of_meter = np.where(injections, 3 * place[model.bus_row], 3 * outermost + 1)
-    rows = np.argsort(np.concatenate([of_meter, 3 * place[free % len(place)] + 2]), kind="stable")
-    return TableauOrder(rows, isinstance(tree, str))
+    return TableauPlaces(of_meter, 3 * place + 2)
 
 
 def order_buses(network: Network) -> np.ndarray:

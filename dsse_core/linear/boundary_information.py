@@ -1,4 +1,4 @@
-"""What one side of a boundary tells the other, and how it is put together from what is known of voltage and power."""
+"""What one side of a boundary sends the other, and how it is put together from what is known of voltage and power."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def are_within_reason(numbers: Sequence[float]) -> bool:
 class BoundaryInformation:
     """Cost-to-go ``1/2 |R y - z|^2`` of one side of a boundary: ``R`` (4, 4) upper triangular, ``z`` (4,).
 
-    A row of zeros tells nothing. ``L = R'R`` is its information matrix.
+    A row of zeros holds no information. ``L = R'R`` is its information matrix.
     """
 
     R: np.ndarray
@@ -34,7 +34,7 @@ class BoundaryInformation:
 
     @cached_property
     def rows(self) -> tuple[np.ndarray, np.ndarray]:
-        """The rows of R and z that tell something."""
+        """The rows of R and z that hold information."""
         is_known = self.R.any(axis=1)
         return self.R[is_known], self.z[is_known]
 
@@ -74,7 +74,7 @@ def factor_information(M: np.ndarray, g: np.ndarray, nothing: float) -> tuple[np
 def factor_inverse(S: np.ndarray) -> np.ndarray:
     """P with ``P'P = S^-1`` for the (2, 2) covariance S.
 
-    What is less certain comes first, then the other given it: p may be as good as unknown and still tell q, by the
+    What is less certain comes first, then the other given it: p may be as good as unknown and still determine q, by the
     losses that it causes. A variance below zero is rounding of a number too large to be known: a row of 0.
     """
     least = TIED_SIGMA**2

@@ -68,7 +68,9 @@ class DenseRows(Rows):
     def join(self, parts: list[Matrix]) -> np.ndarray:
         return np.concatenate(parts)
 
-    def factor(self, H: Matrix, sigma: np.ndarray, damping: np.ndarray) -> DenseFactor:
+    def factor(
+        self, H: Matrix, sigma: np.ndarray, damping: np.ndarray, columns: np.ndarray | None = None
+    ) -> DenseFactor:
         return DenseFactor(cast("np.ndarray", H), sigma, damping)
 
     def full(self, C: Matrix) -> np.ndarray:

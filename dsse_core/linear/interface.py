@@ -78,7 +78,7 @@ class Rows(ABC):
 
     @abstractmethod
     def messages(self, x: np.ndarray, received: Received) -> tuple[list[Matrix], list[np.ndarray]]:
-        """Rows R T and residuals z - R y of what neighbours have said, each of variance 1, in the area's order."""
+        """Rows R T and residuals z - R y of what neighbours have sent, each of variance 1, in the area's order."""
 
     @abstractmethod
     def voltages(self) -> Matrix:
@@ -89,8 +89,10 @@ class Rows(ABC):
         """The rows of ``parts`` below each other."""
 
     @abstractmethod
-    def factor(self, H: Matrix, sigma: np.ndarray, damping: np.ndarray) -> Factor:
-        """The tableau of rows H with ``sigma`` and the ``damping`` of each column."""
+    def factor(self, H: Matrix, sigma: np.ndarray, damping: np.ndarray, columns: np.ndarray | None = None) -> Factor:
+        """The tableau of rows H, own ones first, with ``sigma`` and the ``damping`` of each column; which
+        ``columns`` of x these are, where that may give an order of elimination.
+        """
 
     @abstractmethod
     def full(self, C: Matrix) -> np.ndarray:

@@ -8,9 +8,11 @@ from dsse_core.linear.interface import Factor, Matrix, Received
 from dsse_core.linear.rows import RowSolver
 from dsse_core.linear.sparse import SparseRows
 
-NO_LOAD_NOT_YET = 1e-18  # information given to what nothing determines, relative to what rows tell where less than 1
+NO_LOAD_NOT_YET = 1e-18  # information given to what nothing determines, relative to what rows give where less than 1
 DRAWS = 32  # of which the mean square is a fifth of its expectation with a probability of 1e-7
-DRAWS_OF_STATE = 8  # a hundredth, or six times, with 1e-7: between what is known and what is not lie six powers of ten
+# A block of them; of states one is enough: a hundredth, or six times, with 1e-7, and between what is known and what is
+# not lie six powers of ten.
+DRAWS_AT_ONCE = 8
 NOTHING = 1e-30  # for variables that no row speaks of
 
 
@@ -18,7 +20,7 @@ class NoLoadSolver(RowSolver):
     """Undetermined variables are damped next to nothing, so that they stand out.
 
     On sparse matrices, where 0 stays 0: in a dense factor rounding fills in more than the damping at a busbar of
-    1e-6 p.u.
+    1e-6 p.u., and so it does where large pivots are taken from the leaves of a tree to its root.
     """
 
     rows: SparseRows
@@ -32,14 +34,16 @@ class NoLoadSolver(RowSolver):
     def _damp(self, H: Matrix, sigma: np.ndarray, columns: np.ndarray) -> tuple[Matrix, np.ndarray]:
         """Some columns of H, and their damping.
 
-        An angle meter must not seem to tell a magnitude: undetermined variables would be damped by 1e22 times less
+        An angle meter must not seem to measure a magnitude: undetermined variables would be damped by 1e22 times less
         than others, and beside such an uncertainty whatever else is known of (p, q) drowns.
         """
         H = self.rows.without_rounding(H[:, columns])
         weight = np.asarray((H * H).T @ sigma**-2.0)
         return H, np.where(weight > 0, NO_LOAD_NOT_YET * np.minimum(weight, 1.0), NOTHING)
 
-    def sample(self, x: np.ndarray, received: Received, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    def sample(
+        self, x: np.ndarray, received: Received, rng: np.random.Generator, enough: float = np.inf
+    ) -> tuple[np.ndarray, np.ndarray]:
         """diag(G^-1), shape (size,), to a power of ten, and diag(Omega) / sigma^2 of the area's own measurements,
         shape (n_meas,), to a factor of two or so, from what random readings lead to: on one factor, and without its
         inverse.
@@ -47,15 +51,23 @@ class NoLoadSolver(RowSolver):
         With S = Omega / (sigma sigma') a projection, readings of variance 1 leave residuals of variance S_ii, here the
         mean square of DRAWS of them, and 0 to the square of round-off. With random readings of the damping, too, the
         states that follow have the covariance G^-1.
+
+        ``enough``: where some draws leave every measurement at least that, as if all others left nothing, no more are
+        drawn; so the found ones below ``enough`` are the same.
         """
         H, _, sigma = self.stack(x, received)
         free, model = self.model.free, self.model
         H, damping = self._damp(H, sigma, free)
         factor = self.rows.factor(H, sigma, damping)
-        above = sigma[:, None] * rng.standard_normal((len(sigma), DRAWS))
-        s, _ = factor.solve(above, np.zeros((len(free), DRAWS)))
-        below = np.sqrt(damping)[:, None] * rng.standard_normal((len(free), DRAWS_OF_STATE))
-        _, dx = factor.solve(above[:, :DRAWS_OF_STATE], below)
+        nothing, squares = np.zeros((len(free), DRAWS_AT_ONCE)), np.zeros(len(model.z))
         variance = np.zeros(model.size)
-        variance[free] = (dx**2).mean(axis=1)
-        return variance, ((model.sigma[:, None] * s[: len(model.z)]) ** 2).mean(axis=1)
+        for drawn in range(0, DRAWS, DRAWS_AT_ONCE):
+            above = sigma[:, None] * rng.standard_normal((len(sigma), DRAWS_AT_ONCE))
+            s, _ = factor.solve(above, nothing)
+            squares += ((model.sigma[:, None] * s[: len(model.z)]) ** 2).sum(axis=1)
+            if not drawn:
+                _, dx = factor.solve(above, np.sqrt(damping)[:, None] * rng.standard_normal(nothing.shape))
+                variance[free] = (dx**2).mean(axis=1)
+            if (squares >= DRAWS * enough).all():
+                break
+        return variance, squares / DRAWS

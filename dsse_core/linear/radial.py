@@ -257,7 +257,7 @@ class RadialSolver(LinearArea):
 def _with_own_balance(
     S: np.ndarray, slope: np.ndarray, mean: np.ndarray, M: np.ndarray, g: np.ndarray, metered: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Of the power into a child what the balance of its bus tells, where that is metered, and LEAST_OF_POWER.
+    """Of the power into a child what the balance of its bus gives, where that is metered, and LEAST_OF_POWER.
 
     Returns covariance, slope by (vm, va), mean of the change, and the information about the voltage.
     """

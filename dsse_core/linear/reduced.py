@@ -261,7 +261,7 @@ def _eliminate(rows: np.ndarray, n: int) -> _Eliminated:
 
 
 def _turn_alone(rows: np.ndarray, n: int) -> np.ndarray:
-    """Rows that say the same, as few as possible of them with any of the first ``n`` variables.
+    """Rows that hold the same, as few as possible of them with any of the first ``n`` variables.
 
     Exact rows are heavier than others by so much that one more of them than variables to eliminate would spoil these.
     """
@@ -273,7 +273,7 @@ def _turn_alone(rows: np.ndarray, n: int) -> np.ndarray:
 
 
 def _triangulate(rows: np.ndarray) -> np.ndarray:
-    """As many rows as columns, that say the same, upper triangular."""
+    """As many rows as columns, that hold the same, upper triangular."""
     m, n = rows.shape
     if m < n:
         rows = np.pad(rows, ((0, n - m), (0, 0)))

@@ -49,7 +49,7 @@ class RowSolver(LinearArea):
         if damping:
             least = np.maximum(least, damping)
         dx = np.zeros(self.model.size)
-        dx[free] = self.rows.factor(H[:, free], sigma, least).solve(r, np.zeros(len(free)))[1]
+        dx[free] = self.rows.factor(H[:, free], sigma, least, free).solve(r, np.zeros(len(free)))[1]
         return dx
 
     def variances(self, x: np.ndarray, received: Received) -> tuple[np.ndarray, np.ndarray]:
@@ -87,7 +87,7 @@ class RowSolver(LinearArea):
 
     def factor(self, H: Matrix, sigma: np.ndarray, columns: np.ndarray) -> Factor:
         """The factor of some columns of H, damped only where nothing determines a variable yet."""
-        return self.rows.factor(H[:, columns], sigma, self.least_information(columns))
+        return self.rows.factor(H[:, columns], sigma, self.least_information(columns), columns)
 
     def least_information(self, columns: np.ndarray) -> np.ndarray:
         """The damping of variables that nothing determines yet, shape of ``columns``."""

@@ -10,10 +10,11 @@ import numpy as np
 import scipy.sparse as sp
 
 from dsse_core.grid.partition import Neighbour
+from dsse_core.grid.radial_order import TableauPlaces, find_tree, place_in_tree
 from dsse_core.linear.area_measurements import AreaMeasurements
 from dsse_core.linear.boundary_information import ROUNDING
 from dsse_core.linear.interface import Matrix, Received, Rows
-from dsse_core.matrices.augmented import AugmentedFactor
+from dsse_core.matrices.augmented import AugmentedFactor, AugmentedPattern
 
 
 class SparseRows(Rows):
@@ -130,8 +131,42 @@ class SparseRows(Rows):
         np.maximum.at(largest, row, size)
         return sp.csr_array((np.where(size > ROUNDING * largest[row], H.data, 0.0), H.indices, H.indptr), shape=H.shape)
 
-    def factor(self, H: Matrix, sigma: np.ndarray, damping: np.ndarray) -> AugmentedFactor:
-        return AugmentedFactor(sp.csr_array(H), sigma, damping)
+    def factor(
+        self, H: Matrix, sigma: np.ndarray, damping: np.ndarray, columns: np.ndarray | None = None
+    ) -> AugmentedFactor:
+        """On a tree, where ``columns`` are given, eliminated from the buses far from the parent to its own, which takes
+        a third of the time.
+        """
+        H, order = sp.csr_array(H), None
+        if columns is not None and self._places is not None:
+            of_columns = self._place_columns[columns]
+            of_rows = np.concatenate([self._places.of_meter, self._place_others(H, of_columns)])
+            order = np.argsort(np.concatenate([of_rows, of_columns]), kind="stable")
+        return AugmentedFactor(H, sigma, damping, AugmentedPattern(H, order, careful=True))
+
+    @cached_property
+    def _places(self) -> TableauPlaces | None:
+        """When what is eliminated; None where the area has loops."""
+        network, entry = self._area.area.network, self._area.area.entry_bus
+        tree = find_tree(network, entry)
+        return None if isinstance(tree, str) else place_in_tree(tree, self._area.model)
+
+    @cached_property
+    def _place_columns(self) -> np.ndarray:
+        """Of each variable, shape (size,): the power into a child comes with the voltages of its bus."""
+        assert self._places is not None
+        area, of_bus = self._area.area, self._places.of_bus
+        children = [area.network.row[n.bus] for n in area.neighbours if not n.is_parent]
+        return np.concatenate([of_bus, of_bus, np.repeat(of_bus[children], 2)] if children else [of_bus, of_bus])
+
+    def _place_others(self, H: sp.csr_array, of_columns: np.ndarray) -> np.ndarray:
+        """Of the rows after the meters', the prior's and those of messages: before the last of their variables."""
+        first = H.indptr[len(self._area.meters) :]
+        found, is_given = np.zeros(len(first) - 1, dtype=np.int64), np.diff(first) > 0
+        if is_given.any():
+            last = np.maximum.reduceat(of_columns[H.indices[first[0] :]], first[:-1][is_given] - first[0])
+            found[is_given] = last - 1
+        return found
 
     def full(self, C: Matrix) -> np.ndarray:
         return np.asarray(cast("sp.csr_array", C).toarray())

@@ -213,6 +213,18 @@ def substitute(first, rows, diagonal, number, values, b):
 
 
 @compiled
+def find_rest(indptr, indices, data, b, x):
+    """``b - A x`` of a symmetric A, (n,): scipy's products look at their arguments for as long as they multiply."""
+    rest = np.empty(len(b))
+    for k in range(len(b)):
+        total = b[k]
+        for e in range(indptr[k], indptr[k + 1]):
+            total -= data[e] * x[indices[e]]
+        rest[k] = total
+    return rest
+
+
+@compiled
 def invert(first, rows, diagonal, values):
     """Of the inverse Z of L U the entries at the transposed places of F: at that of (r, c) the entry (c, r).
 

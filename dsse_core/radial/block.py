@@ -5,11 +5,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numba.extending import overload
 
 from dsse_core.code_cache import compiled
+from dsse_core.radial.lanes import LANES, as_floats, lanes
 
 LEAST_SCALE = 1e-8  # of the rows of lam, in units of 1 / variance: round-off in place of information sets no scale
 NO_INFORMATION = 1e-20  # with all sigmas 1: a pivot that only round-off can have made
+NOTHING_KNOWN = 1e-10  # with all sigmas 1: what is known below of a voltage is of the order of 1, or round-off
 N_INVERSE = 11  # columns of a block with right-hand sides: D (4), U (4), r (1), and two of the unit matrix
 
 
@@ -28,6 +31,12 @@ def modulus(s):
 def scaled(c, a):
     """``a c`` of a complex ``c`` and a real ``a``: a product of two complex numbers would be twice the work."""
     return complex(a * c.real, a * c.imag)
+
+
+@compiled
+def cut_round_off(known):
+    """What is known of a voltage with all sigmas 1, without round-off."""
+    return known if abs(known) > NOTHING_KNOWN else 0.0
 
 
 @compiled
@@ -69,3 +78,24 @@ def solve_block(A, width, check):
             for c in range(4, width):
                 A[r, c] -= m * A[k, c]
     return ratio
+
+
+def solve_blocks(A, width, check):
+    """``solve_block`` for A (4, N_INVERSE) of floats or of lanes, which have pivots of their own."""
+    return solve_block(A, width, check)
+
+
+@overload(solve_blocks)
+def _solve_blocks(A, width, check):
+    if A.dtype is not lanes:
+        return lambda A, width, check: solve_block(A, width, check)
+
+    def solve_each(A, width, check):
+        floats, one, least = as_floats(A), np.empty((4, N_INVERSE)), 1.0
+        for k in range(LANES):
+            one[:] = floats[:, :, k]
+            least = min(least, solve_block(one, width, check))
+            floats[:, :, k] = one
+        return least
+
+    return solve_each

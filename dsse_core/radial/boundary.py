@@ -1,21 +1,23 @@
 """Boundary messages on the tree of one area's buses, compiled: a neighbour's is the message of one more branch.
 
-What a neighbour tells of ``y = (p, q, vm_b, va_b)``, rows ``[P X; 0 N]``, is information about the voltage of bus b and
-a power that leaves it, as a bus tells its parent in ``radial_kernel``: covariance ``V = (P'P)^-1``, slope ``A = P^-1
-X``, information ``N'N``. A child's power is a variable of the area; the power that the parent speaks of is the sum of
-the powers into the area's own branches, which an exact balance at b says. What this area tells is what is left at the
-root of a tree with b on top.
+What a neighbour sends about ``y = (p, q, vm_b, va_b)``, rows ``[P X; 0 N]``, is information about the voltage of bus b
+and a power that leaves it, as a bus passes to its parent in ``radial_kernel``: covariance ``V = (P'P)^-1``, slope ``A =
+P^-1 X``, information ``N'N``. A child's power is a variable of the area; the power in the message of the parent is the
+sum of the powers into the area's own branches, which an exact balance at b says. What this area sends is what is left
+at the root of a tree with b on top.
 """
 
 from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from dsse_core.code_cache import compiled
 from dsse_core.radial.inverse import find_variances
 from dsse_core.radial.iteration import branch_powers
 from dsse_core.radial.kernel import UPWARD, eliminate, substitute
-from dsse_core.radial.root import solve_root
+from dsse_core.radial.root import N_KNOWN, solve_root
 
 SILENT, RECEIVED, ADDRESSEE = 0, 1, 2  # what a neighbour is in a pass
 N_MESSAGE = 9  # of a neighbour's message: V (3), A (4), mean (2)
@@ -127,7 +129,7 @@ def _add_message(M, T, R, z, p, q, vm, va, sign, d):
 def step_downward(order, parent, Y, z, w, at, column, v, va, message_of, above, factor, block, step, angle_given, dx):
     """Root to leaves: the step ``dx`` of all voltages and of the powers into children; whether it is finite."""
     n = len(order)
-    solve_root(Y[0], z[0], w[0], v[0], va[0], above[0], angle_given, False, block)
+    solve_root(Y[0], z[0], w[0], v[0], va[0], above[0], angle_given, False, block, np.empty(N_KNOWN))
     for k in range(4):
         step[0, k] = block[k, 8]
     substitute(parent, factor, v, step)
@@ -148,7 +150,7 @@ def variances_downward(
 ):  # fmt: skip
     """Root to leaves: ``variance`` of all variables; diag(Omega) of every slot, (n, 10), and whether digits remain."""
     n = len(order)
-    solve_root(Y[0], z[0], w[0], v[0], va[0], above[0], angle_given, False, block)
+    solve_root(Y[0], z[0], w[0], v[0], va[0], above[0], angle_given, False, block, np.empty(N_KNOWN))
     state, omega, S = find_variances(parent, Y, w, v, factor, more, block, angle_given)
     enough = True
     for i in range(n):

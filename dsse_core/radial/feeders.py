@@ -37,11 +37,11 @@ def find_feeders(parent: np.ndarray, threads: int) -> tuple[int, list[tuple[int,
 
 @compiled
 def go_up(
-    first, end, fork, parent, place, Y, z, w, v, va, currents, share, dva, above, factor, more, step, told
+    first, end, fork, parent, place, Y, z, w, v, va, currents, share, dva, above, factor, more, step, to_fork
 ):  # fmt: skip
     """Move the voltages from ``first`` to ``end`` - 1 by ``share`` of the last step, if any, and eliminate their buses.
 
-    ``above`` (deepest level + 1, 16), 0: memory of one thread. ``told`` (16,): what the fork is told. Returns J.
+    ``above`` (deepest level + 1, 16), 0: memory of one thread. ``to_fork`` (16,): what passes to the fork. Returns J.
     """
     if share > 0.0:
         move(v[first:end], va[first:end], step[first:end], share, dva)
@@ -50,17 +50,17 @@ def go_up(
         first, end, parent, Y, z, w, v, va, currents, STEP, place, above, factor, more, block, 0.0
     )[2]  # fmt: skip
     for k in range(N_KNOWN):
-        told[k] = above[place[fork], k]
+        to_fork[k] = above[place[fork], k]
         above[place[fork], k] = 0.0
     return J
 
 
 @compiled
-def pass_trunk(fork, parent, place, Y, z, w, v, va, currents, above, factor, more, block, step, told):
-    """Eliminate the trunk with what all threads ``told`` (:, 16), and substitute it; J, max |dva| and |dvm|, finite?"""
-    for t in range(len(told)):
+def pass_trunk(fork, parent, place, Y, z, w, v, va, currents, above, factor, more, block, step, to_fork):
+    """Eliminate the trunk with all rows of ``to_fork`` (:, 16), and substitute it; J, max |dva| and |dvm|, finite?"""
+    for t in range(len(to_fork)):
         for k in range(N_KNOWN):
-            above[place[fork], k] += told[t, k]
+            above[place[fork], k] += to_fork[t, k]
     J = eliminate_below(
         1, fork + 1, parent, Y, z, w, v, va, currents, STEP, place, above, factor, more, block, 0.0
     )[2]  # fmt: skip

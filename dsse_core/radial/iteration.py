@@ -9,13 +9,14 @@ import numpy as np
 from dsse_core import gauss_newton
 from dsse_core.code_cache import compiled
 from dsse_core.gauss_newton import FLOWS_KNOWN, FULL_STEPS, LARGEST_STEP, MAX_DVA, MAX_DVM, NEAR_LIMIT, SURE_STEP
+from dsse_core.limits import LEAST_USABLE_SIGMA, MOST_USABLE_SIGMA
 from dsse_core.radial.block import N_INVERSE, modulus, scaled, wrap
-from dsse_core.radial.kernel import N_FACTOR, N_MORE, SMALL_ANGLE, STEP, eliminate, substitute
+from dsse_core.radial.kernel import N_FACTOR, N_MORE, SMALL_ANGLE, STEP, descend, eliminate, turned
 from dsse_core.radial.root import N_KNOWN
 
 FINAL, EVALUATE, LOST, UNUSABLE = 0, 1, 2, 3
 N_BLOCK = 4 * N_INVERSE
-N_SPACE = 2 + 1 + 2 * 10 + N_FACTOR + N_MORE + 4 + N_KNOWN  # numbers for a bus: see ``carve``
+N_SPACE = 2 * (2 + 1) + 2 * 10 + N_FACTOR + N_MORE + 4 + N_KNOWN  # numbers for a bus: see ``carve``, ``carve_next``
 is_last = compiled(gauss_newton.is_last)
 
 
@@ -50,8 +51,15 @@ def carve(space, n):
 
 
 @compiled
+def carve_next(space, n):
+    """The rest of ``space``: v and va of the state that a step leads to."""
+    end = N_BLOCK + N_SPACE * n
+    return space[end - 3 * n : end - n].view(np.complex128), space[end - n : end]
+
+
+@compiled
 def estimate(
-    parent, place, Y, order, slot, exact, start, start_va, has_currents,
+    parent, place, Y, order, meter, exact, start, start_va, has_currents,
     tolerance, most_steps, limit, values, sigmas, space, state, residual,
 ):  # fmt: skip
     """The whole iteration in one call, from the first step to the last one, or to the end of patience.
@@ -60,33 +68,35 @@ def estimate(
     reading is ``exact``, and returns how it ended, see ``iterate``, steps, the last one and J; UNUSABLE: readings that
     cannot be. ``space``: see ``make_space``.
     """
-    if not are_usable(exact, values, sigmas):
-        return UNUSABLE, 0, np.inf, np.inf
     n = len(parent)
     v, va, z, w, above, factor, more, step, block = carve(space, n)
-    z[:] = 0.0
-    forget_meters(w)
-    store(slot, values, sigmas, z, w)
+    if not store(meter, exact, values, sigmas, z, w):
+        return UNUSABLE, 0, np.inf, np.inf
     v[:] = start
     va[:] = start_va
     end, steps, largest = iterate(
-        parent, place, Y, z, w, v, va, has_currents, tolerance, most_steps, limit, above, factor, more, block, step
-    )
-    predict(parent, Y, v, va, has_currents, z)
+        parent, place, Y, z, w, v, va, has_currents, tolerance, most_steps, limit,
+        above, factor, more, block, step, carve_next(space, n),
+    )  # fmt: skip
     for i in range(n):
         state[0, order[i]], state[1, order[i]] = modulus(v[i]), va[i]
-    return end, steps, largest, subtract(slot, values, sigmas, z, residual)
+    J = find_residuals(parent, place, Y, z, w, v, va, has_currents, meter, above, block[0], residual)
+    return end, steps, largest, J
 
 
 @compiled
 def iterate(
-    parent, place, Y, z, w, v, va, has_currents, tolerance, most_steps, limit, above, factor, more, block, step
+    parent, place, Y, z, w, v, va, has_currents, tolerance, most_steps, limit, above, factor, more, block, step, ahead
 ):  # fmt: skip
     """Gauss-Newton from ``v`` and ``va``, which are changed. Returns how it ended, how many steps, and the last one.
 
-    FINAL, EVALUATE: the verdict that the last step was taken along with, ``limit`` being that of J. LOST:
-    ``most_steps`` or LARGEST_STEP.
+    Each step leads from one memory of v and va to the other, ``ahead``, see ``carve_next``, and is taken again where it
+    turns out to be shorter or larger than it was taken for. FINAL, EVALUATE: the verdict that the last step was taken
+    along with, ``limit`` being that of J. LOST: ``most_steps`` or LARGEST_STEP.
     """
+    found, found_va = v, va
+    v_to, va_to = ahead
+    moves = 0
     flows_known, stepped, last = not has_currents, False, False
     end, steps, largest, before = LOST, 0, np.inf, 0.0
     while not last:
@@ -98,18 +108,23 @@ def iterate(
             last, end = True, EVALUATE if limit <= J else FINAL
         elif steps >= most_steps:
             break
-        dva, dvm, finite = substitute(parent, factor, v, step)
         at_most = 1.0 if last or steps < FULL_STEPS else 0.5
+        dva, dvm, finite = descend(parent, place, factor, v, va, step, at_most, True, v_to, va_to)
         before = largest if stepped and steps != FULL_STEPS else 0.0
         largest, steps = max(dva, dvm) if finite else np.inf, steps + 1
         if not largest <= LARGEST_STEP:
             end = LOST
             break
         share = at_most if last else 1.0 / max(max(1.0 / at_most, dva / MAX_DVA), dvm / MAX_DVM)
-        move(v, va, step, share, dva)
+        if share != at_most or not share * dva < SMALL_ANGLE:
+            descend(parent, place, factor, v, va, step, share, share * dva < SMALL_ANGLE, v_to, va_to)
+        v, va, v_to, va_to, moves = v_to, va_to, v, va, moves + 1
         stepped = share == at_most
         if stepped and not flows_known and largest < FLOWS_KNOWN:
             flows_known, stepped = True, False
+    if moves % 2 > 0:
+        for i in range(len(v)):
+            found[i], found_va[i] = v[i], va[i]
     return end, steps, largest
 
 
@@ -123,19 +138,6 @@ def forget_meters(w):
 
 
 @compiled
-def are_usable(exact, values, sigmas):
-    """Whether readings can be; makes sigma 0 where they hold exactly."""
-    usable = True
-    for k in range(len(values)):
-        if exact[k]:
-            sigmas[k] = 0.0
-            usable = usable and values[k] == 0.0
-        else:
-            usable = usable and abs(values[k]) < np.inf and 0.0 < sigmas[k] < np.inf
-    return usable
-
-
-@compiled
 def place_of(slot):
     """Bus and column; without a sign, which costs as much as the rest of a loop over the meters."""
     unsigned = np.uint64(slot)
@@ -143,13 +145,29 @@ def place_of(slot):
 
 
 @compiled
-def store(slot, values, sigmas, z, w):
-    """Readings into ``z`` and weights into ``w``, both (n, 10): 1 / sigma^2, of injections sigma^2."""
-    for k in range(len(slot)):
-        i, column = place_of(slot[k])
-        z[i, column] = values[k]
-        variance = sigmas[k] * sigmas[k]
-        w[i, column] = variance if column == 2 or column == 3 else 1.0 / variance
+def store(meter, exact, values, sigmas, z, w):
+    """Readings into ``z`` and weights into ``w``, both (n, 10): 1 / sigma^2, of injections sigma^2; see ``absent``.
+
+    What ``z`` has where there is no meter does not count. ``meter`` (n, 10): of each slot, -1 without one; bus by bus,
+    as what is written in another order leaves the processor's cache several times. Makes sigma 0 where a reading is
+    ``exact``; returns whether all readings can be.
+    """
+    usable = True
+    for i in range(len(meter)):
+        for column in range(10):
+            m, of_injection = meter[i, column], column == 2 or column == 3
+            if m < 0:
+                w[i, column] = -1.0 if of_injection else 0.0
+                continue
+            value, sigma = values[m], sigmas[m]
+            if exact[m]:
+                sigmas[m] = sigma = 0.0
+                usable = usable and value == 0.0
+            else:
+                usable = usable and abs(value) < np.inf and LEAST_USABLE_SIGMA < sigma < MOST_USABLE_SIGMA
+            z[i, column] = value
+            w[i, column] = sigma * sigma if of_injection else 1.0 / (sigma * sigma)
+    return usable
 
 
 @compiled
@@ -162,6 +180,42 @@ def subtract(slot, values, sigmas, h, residual):
         residual[k] = wrap(r) if column == 0 else r
         if sigmas[k] > 0.0:
             J += (residual[k] / sigmas[k]) ** 2
+    return J
+
+
+@compiled
+def find_residuals(parent, place, Y, z, w, v, va, has_currents, meter, above, h, residual):
+    """What ``predict`` and ``subtract`` find, from readings and weights by slot, without h(x) in memory. Returns J.
+
+    ``meter`` (n, 10): the meter of each slot, -1 without one. Powers into branches are added up in ``above``, see
+    ``eliminate``; ``h`` (10,): memory.
+    """
+    J = 0.0
+    for i in range(len(parent) - 1, -1, -1):
+        here, p = place[i], parent[i]
+        square = v[i].real ** 2 + v[i].imag ** 2
+        own, at_parent = branch_powers(i, p, Y, v) if i > 0 else (0j, 0j)
+        h[0], h[1] = va[i], math.sqrt(square)
+        h[2] = Y[i, 7].real * square + own.real + above[here, 14]
+        h[3] = Y[i, 7].imag * square + own.imag + above[here, 15]
+        h[4], h[5], h[7], h[8] = at_parent.real, at_parent.imag, own.real, own.imag
+        if has_currents:
+            h[6], h[9] = modulus(at_parent) / modulus(v[p]), modulus(own) / h[1]
+        above[here, 14] = above[here, 15] = 0.0
+        if i > 0:
+            above[place[p], 14] += at_parent.real
+            above[place[p], 15] += at_parent.imag
+        for k in range(10):
+            m = meter[i, k]
+            if m >= 0:
+                r = z[i, k] - h[k]
+                if k == 0:
+                    r = wrap(r)
+                residual[m] = r
+                if k != 2 and k != 3:
+                    J += w[i, k] * r * r
+                elif w[i, k] > 0.0:
+                    J += r * r / w[i, k]
     return J
 
 
@@ -197,18 +251,12 @@ def find_objective(parent, Y, z, w, v, va, has_currents, power):
 
 @compiled
 def move(v, va, step, length, largest_angle):
-    """Turn and lengthen all voltages. No branch inside the loop: else sines are computed although nobody needs them."""
+    """Turn and lengthen all voltages by ``length`` of their steps, of which no angle is larger."""
     small = length * largest_angle < SMALL_ANGLE
     for i in range(len(v)):
-        d, growth = length * step[i, 2], 1.0 + length * step[i, 3]
+        d = length * step[i, 2]
         va[i] += d
-        if small:
-            d2 = d * d
-            c = 1.0 + d2 * (-1 / 2 + d2 * (1 / 24 - d2 * (1 / 720)))
-            s = d + d * d2 * (-1 / 6 + d2 * (1 / 120 - d2 * (1 / 5040)))
-        else:
-            c, s = math.cos(d), math.sin(d)
-        v[i] = scaled(v[i] * complex(c, s), growth)
+        v[i] = turned(v[i], d, 1.0 + length * step[i, 3], small)
 
 
 @compiled

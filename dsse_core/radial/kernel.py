@@ -25,10 +25,10 @@ import numpy as np
 
 from dsse_core.code_cache import compiled
 from dsse_core.grid.measurement_model import CURRENT_FLOOR
-from dsse_core.radial.block import N_INVERSE, modulus, scaled, solve_block, wrap
+from dsse_core.radial.block import N_INVERSE, cut_round_off, modulus, scaled, solve_blocks, wrap
 from dsse_core.radial.root import N_KNOWN, solve_root
 
-SMALL_ANGLE = 0.01  # rad; below it three terms give sine and cosine to the last digit
+SMALL_ANGLE = 0.1  # rad; below it four terms give sine and cosine to the last digit
 SURELY_DEFINITE = 1e-4  # determinant over product of the diagonal from which on 2 x 2 blocks need no pivoting
 N_FACTOR = 24  # of a bus: X (16), y (4), t (2), q (2)
 N_MORE = 9  # alpha (4) and beta (2) for row_of_branch, where there is such a row; (D^-1)_lamlam (3)
@@ -86,7 +86,7 @@ def eliminate(parent, Y, z, w, v, va, currents, mode, place, above, factor, more
 @compiled
 def eliminate_root(Y, z, w, v, va, check, known, block, step):
     """The root's step from what is ``known`` of it, (16,), then 0. Returns as ``solve_root``."""
-    ratio = solve_root(Y[0], z[0], w[0], v[0], va[0], known, True, check, block)
+    ratio = solve_root(Y[0], z[0], w[0], v[0], va[0], known, True, check, block, known)
     for k in range(4):
         step[0, k] = block[k, 8]
         for c in range(4):
@@ -100,7 +100,11 @@ def root_objective(Y, z, w, v, va, p_below, q_below):
     u2 = v[0].real ** 2 + v[0].imag ** 2
     r0 = z[0, 2] - (Y[0, 7].real * u2 + p_below)
     r1 = z[0, 3] - (Y[0, 7].imag * u2 + q_below)
-    J = w[0, 0] * wrap(z[0, 0] - va[0]) ** 2 + w[0, 1] * (z[0, 1] - math.sqrt(u2)) ** 2
+    J = 0.0
+    if w[0, 0] > 0.0:
+        J += w[0, 0] * wrap(z[0, 0] - va[0]) ** 2
+    if w[0, 1] > 0.0:
+        J += w[0, 1] * (z[0, 1] - math.sqrt(u2)) ** 2
     if w[0, 2] > 0.0:
         J += r0 * r0 / w[0, 2]
     if w[0, 3] > 0.0:
@@ -163,6 +167,8 @@ def eliminate_below(
         # what is known of x
         N00, N01, N11 = above[own_place, 7], above[own_place, 8], above[own_place, 9]
         s0, s1 = above[own_place, 12], above[own_place, 13]
+        if check:
+            N00, N01, N11 = cut_round_off(N00), cut_round_off(N01), cut_round_off(N11)
         vm = math.sqrt(u2)
         if w[i, 0] > 0.0:
             N00 += w[i, 0]
@@ -258,7 +264,7 @@ def eliminate_below(
             if invert:
                 block[0, 9], block[1, 9], block[2, 9], block[3, 9] = 1.0, 0.0, 0.0, 0.0
                 block[0, 10], block[1, 10], block[2, 10], block[3, 10] = 0.0, 1.0, 0.0, 0.0
-            ratio = solve_block(block, width, check)
+            ratio = solve_blocks(block, width, check)
             if check and not ratio >= least:
                 least, at = ratio, i
             if invert:
@@ -340,12 +346,52 @@ def substitute_below(first, end, parent, factor, v, step, dva, dvm):
         l0, l1, x0, x1 = step[p, 0], step[p, 1], step[p, 2], step[p, 3]
         f0 = factor[i, 18] - (factor[i, 8] * l0 + factor[i, 9] * l1 + factor[i, 10] * x0 + factor[i, 11] * x1)
         f1 = factor[i, 19] - (factor[i, 12] * l0 + factor[i, 13] * l1 + factor[i, 14] * x0 + factor[i, 15] * x1)
-        step[i, 0] = factor[i, 16] - (factor[i, 0] * l0 + factor[i, 1] * l1 + factor[i, 2] * x0 + factor[i, 3] * x1)
-        step[i, 1] = factor[i, 17] - (factor[i, 4] * l0 + factor[i, 5] * l1 + factor[i, 6] * x0 + factor[i, 7] * x1)
+        m0 = factor[i, 16] - (factor[i, 0] * l0 + factor[i, 1] * l1 + factor[i, 2] * x0 + factor[i, 3] * x1)
+        m1 = factor[i, 17] - (factor[i, 4] * l0 + factor[i, 5] * l1 + factor[i, 6] * x0 + factor[i, 7] * x1)
         d0 = x0 + factor[i, 20] * x1 - factor[i, 23] * f0 - factor[i, 22] * f1
         d1 = factor[i, 21] * x1 + factor[i, 22] * f0 - factor[i, 23] * f1
-        step[i, 2], step[i, 3] = d0, d1
+        step[i, 0], step[i, 1], step[i, 2], step[i, 3] = m0, m1, d0, d1
         dva = max(dva, abs(d0))
         largest = max(largest, (v[i].real ** 2 + v[i].imag ** 2) * d1 * d1)
         total += d0 + d1
     return dva, math.sqrt(largest), math.isfinite(total)
+
+
+@compiled
+def descend(parent, place, factor, v, va, step, length, small, v_to, va_to):
+    """``substitute``, and where the ``length`` of the step leads from ``v`` and ``va``, in one pass.
+
+    Of ``step`` only the rows ``place`` are used, which are those of the levels: what is written for every bus leaves
+    the processor's cache in a large network, which takes longer than to compute it. ``small``: see ``turned``.
+    """
+    d0, d1 = step[place[0], 2], step[place[0], 3]
+    dva, largest, total = abs(d0), (v[0].real ** 2 + v[0].imag ** 2) * d1 * d1, d0 + d1
+    va_to[0], v_to[0] = va[0] + length * d0, turned(v[0], length * d0, 1.0 + length * d1, small)
+    for i in range(1, len(parent)):
+        here, p = place[i], place[parent[i]]
+        l0, l1, x0, x1 = step[p, 0], step[p, 1], step[p, 2], step[p, 3]
+        f0 = factor[i, 18] - (factor[i, 8] * l0 + factor[i, 9] * l1 + factor[i, 10] * x0 + factor[i, 11] * x1)
+        f1 = factor[i, 19] - (factor[i, 12] * l0 + factor[i, 13] * l1 + factor[i, 14] * x0 + factor[i, 15] * x1)
+        m0 = factor[i, 16] - (factor[i, 0] * l0 + factor[i, 1] * l1 + factor[i, 2] * x0 + factor[i, 3] * x1)
+        m1 = factor[i, 17] - (factor[i, 4] * l0 + factor[i, 5] * l1 + factor[i, 6] * x0 + factor[i, 7] * x1)
+        d0 = x0 + factor[i, 20] * x1 - factor[i, 23] * f0 - factor[i, 22] * f1
+        d1 = factor[i, 21] * x1 + factor[i, 22] * f0 - factor[i, 23] * f1
+        step[here, 0], step[here, 1], step[here, 2], step[here, 3] = m0, m1, d0, d1
+        dva = max(dva, abs(d0))
+        largest = max(largest, (v[i].real ** 2 + v[i].imag ** 2) * d1 * d1)
+        total += d0 + d1
+        va_to[i] = va[i] + length * d0
+        v_to[i] = turned(v[i], length * d0, 1.0 + length * d1, small)
+    return dva, math.sqrt(largest), math.isfinite(total)
+
+
+@compiled
+def turned(v, angle, growth, small):
+    """``v`` turned by ``angle``, which is below SMALL_ANGLE if ``small``, and lengthened."""
+    if small:
+        square = angle * angle
+        c = 1.0 + square * (-1 / 2 + square * (1 / 24 - square * (1 / 720 - square * (1 / 40320))))
+        s = angle + angle * square * (-1 / 6 + square * (1 / 120 - square * (1 / 5040 - square * (1 / 362880))))
+    else:
+        c, s = math.cos(angle), math.sin(angle)
+    return scaled(v * complex(c, s), growth)

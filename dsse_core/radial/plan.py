@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, cached_property
 from types import ModuleType
 
 import numpy as np
@@ -12,9 +12,9 @@ import numpy as np
 from dsse_core import compiling
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.measurement import MeasurementKind, Meter, find_meter_problems
-from dsse_core.grid.meter_table import KINDS, tabulate_meters
+from dsse_core.grid.meter_table import KINDS, can_be_virtual, tabulate_meters
 from dsse_core.grid.network import Network
-from dsse_core.grid.radial_order import say_why_no_tree
+from dsse_core.grid.radial_order import describe_no_tree
 from dsse_core.observability import check_observable, find_reference
 
 # Columns of the readings of a bus: its own, then those of the branch to its parent, at the parent's end and its own.
@@ -59,6 +59,13 @@ class RadialPlan:
         buses, meters = len(self.order), len(self.meters)
         return f"<RadialPlan of {self.network.name!r}: {buses} buses, {meters} meters, root bus {self.reference}>"
 
+    @cached_property
+    def meter(self) -> np.ndarray:
+        """The meter of each slot, -1 without one, shape (n_bus, N_SLOT)."""
+        meter = np.full(N_SLOT * len(self.order), -1, dtype=np.int32)
+        meter[self.slot] = np.arange(len(self.slot))
+        return meter.reshape(-1, N_SLOT)
+
     def take_space(self) -> np.ndarray:
         """Memory of an iteration; put it back into ``spaces``."""
         try:
@@ -94,7 +101,7 @@ def lay_out_radial(network: Network, root: int) -> RadialLayout | str:
     table = network.table
     n = len(table.bus_id)
     n_branch, found = _load_compiled().lay_out(table.end_rows, table.in_service, table.rows.row_of(root), n)
-    return say_why_no_tree(n, n_branch, len(found[0]), root) or RadialLayout(*found)
+    return describe_no_tree(n, n_branch, len(found[0]), root) or RadialLayout(*found)
 
 
 def build_radial_plan(network: Network, meters: Sequence[Meter], *, reference: int | None = None) -> RadialPlan | str:
@@ -116,9 +123,9 @@ def build_radial_plan(network: Network, meters: Sequence[Meter], *, reference: i
     (n_branch, fit, stuck), found = _load_compiled().plan_tree(
         table.end_rows, table.in_service, root, angle, *_columns(network), *_read_meters(network, meters), _COLUMNS
     )
-    if why := say_why_no_tree(len(table.bus_id), n_branch, len(found[0]), reference):
+    if why := describe_no_tree(len(table.bus_id), n_branch, len(found[0]), reference):
         return why
-    if not fit:
+    if not (fit and can_be_virtual(meters)):
         raise _misfits(network, meters)
     return _check_determined(RadialPlan(network, meters, reference, *found), stuck)
 

@@ -1,13 +1,11 @@
-"""The root of a tree, once all that its branches tell is added up: what is known of it, and its step. Compiled."""
+"""The root of a tree, once all its branches are added up: what is known of it, and its step. Compiled."""
 
 from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from dsse_core.code_cache import compiled
-from dsse_core.radial.block import NO_INFORMATION, scaled, solve_block, wrap
+from dsse_core.radial.block import NOTHING_KNOWN, scaled, solve_blocks, wrap
 
 N_KNOWN = 16  # of a root or an addressee: see describe_root
 
@@ -38,11 +36,13 @@ def describe_root(Y, z, w, v, va, M, angle_given, power_too, K):
 
 
 @compiled
-def solve_root(Y, z, w, v, va, M, angle_given, check, block):
-    """Its block of the inverse in columns 4 to 7 of ``block``, its step in 8; returns as ``solve_block``."""
-    K = np.empty(N_KNOWN)
+def solve_root(Y, z, w, v, va, M, angle_given, check, block, K):
+    """Its block of the inverse in columns 4 to 7 of ``block``, its step in 8; returns as ``solve_block``.
+
+    ``K`` (16,), which may be ``M``, is overwritten.
+    """
     describe_root(Y, z, w, v, va, M, angle_given, True, K)
-    if check and angle_given and K[9] < NO_INFORMATION:
+    if check and angle_given and K[9] < NOTHING_KNOWN:
         return 0.0
     if w[2] < 0.0:
         K[0], K[1], K[3], K[4], K[10] = -1.0, 0.0, 0.0, 0.0, 0.0
@@ -57,4 +57,4 @@ def solve_root(Y, z, w, v, va, M, angle_given, check, block):
     block[3, 0], block[3, 1], block[3, 2], block[3, 3], block[3, 8] = K[4], K[6], K[8], K[9], K[13]
     for k in range(4):
         block[k, 4 + k] = 1.0
-    return solve_block(block, 9, check)
+    return solve_blocks(block, 9, check)

@@ -1,4 +1,4 @@
-"""Many scans of the same meters, one after the other in one compiled loop, on memory that is allocated once."""
+"""Many scans of the same meters in one compiled loop, on memory that is allocated once."""
 
 from __future__ import annotations
 
@@ -7,10 +7,13 @@ import math
 import numpy as np
 
 from dsse_core.code_cache import compiled
+from dsse_core.limits import LEAST_USABLE_SIGMA, MOST_USABLE_SIGMA
 from dsse_core.radial.block import modulus, scaled
-from dsse_core.radial.iteration import LOST, carve, find_objective, forget_meters, iterate, place_of
+from dsse_core.radial.iteration import LOST, carve, carve_next, find_objective, forget_meters, iterate, place_of
 from dsse_core.radial.kernel import CHECK, eliminate
+from dsse_core.radial.lanes import LANES
 from dsse_core.radial.layout import LEAST_PIVOT_RATIO
+from dsse_core.radial.together import estimate_together
 
 UNREADABLE = -1  # in place of how many readings are missing
 
@@ -18,23 +21,35 @@ UNREADABLE = -1  # in place of how many readings are missing
 @compiled
 def estimate_rows(
     parent, place, Y, no_load_Y, order, slot, exact, start, start_va, starts, has_currents,
-    tolerance, most_steps, limit, values, sigmas, space, vm, va_found, objective, steps, succeeded,
+    tolerance, most_steps, limit, values, sigmas, space, lanes, vm, va_found, objective, steps, succeeded,
 ):  # fmt: skip
     """The iteration of each row of ``values`` (n_row, n_meas); a reading that is NaN is missing.
 
     ``sigmas`` (n_row or 1, n_meas), 0 where a reading is ``exact``. ``starts`` (n_row, 1 or 0, 2, n_bus): vm and va in
-    network order; without them the start of the plan. ``limit`` (n_row,): of J. Fills ``vm`` and ``va_found`` (n_row,
-    n_bus) in network order, ``objective``, ``steps`` and whether the row ``succeeded`` (n_row,): else its numbers do
-    not count.
+    network order; without them the start of the plan. ``limit`` (n_row,): of J. ``lanes``: memory of rows side by side,
+    without which each is done by itself; so are those that are too few, and LANES of which one is unlike the others.
+    Fills ``vm`` and ``va_found`` (n_row, n_bus) in network order, ``objective``, ``steps`` and whether the row
+    ``succeeded`` (n_row,): else its numbers do not count.
     """
     n = len(parent)
     v, va, z, w, above, factor, more, step, block = carve(space, n)
     z[:] = 0.0
     forget_meters(w)
     weighed = False
+    done = 0  # rows before it
     for k in range(len(values)):
+        if k < done:
+            continue
         if not weighed:
             weighed = _weigh(slot, exact, sigmas[min(k, len(sigmas) - 1)], w)
+        here = slice(k, k + LANES)
+        if weighed and len(lanes) > 0 and k + LANES <= len(values) and k % LANES == 0 and estimate_together(
+            parent, place, Y, order, slot, exact, start, start_va, starts[min(k, len(starts) - 1) : k + LANES],
+            tolerance, limit[here], values[here], w, lanes, vm[here], va_found[here], objective[here], steps[here],
+        ):  # fmt: skip
+            succeeded[here] = True
+            done = k + LANES
+            continue
         missing = _store_row(slot, exact, values[k], z, w) if weighed else UNREADABLE
         weighed = weighed and missing == 0 and len(sigmas) == 1
         succeeded[k] = missing == 0 or (
@@ -48,14 +63,15 @@ def estimate_rows(
             va[:] = start_va
         else:
             _begin(order, starts[min(k, len(starts) - 1)], v, va)
+        currents = has_currents and (missing == 0 or _has_currents(w))
         end, steps[k], _ = iterate(
-            parent, place, Y, z, w, v, va, has_currents, tolerance, most_steps, limit[k],
-            above, factor, more, block, step,
+            parent, place, Y, z, w, v, va, currents, tolerance, most_steps, limit[k],
+            above, factor, more, block, step, carve_next(space, n),
         )  # fmt: skip
         succeeded[k] = end != LOST
         if not succeeded[k]:
             continue
-        objective[k] = find_objective(parent, Y, z, w, v, va, has_currents, step)
+        objective[k] = find_objective(parent, Y, z, w, v, va, currents, step)
         for i in range(n):
             vm[k, order[i]], va_found[k, order[i]] = modulus(v[i]), va[i]
 
@@ -67,7 +83,7 @@ def _weigh(slot, exact, sigmas, w):
     for m in range(len(slot)):
         i, column = place_of(slot[m])
         variance = sigmas[m] * sigmas[m]
-        usable = usable and (exact[m] or 0.0 < sigmas[m] < np.inf)
+        usable = usable and (exact[m] or LEAST_USABLE_SIGMA < sigmas[m] < MOST_USABLE_SIGMA)
         w[i, column] = variance if column == 2 or column == 3 else 1.0 / variance
     return usable
 
@@ -88,6 +104,15 @@ def _store_row(slot, exact, values, z, w):
                 return UNREADABLE
             z[i, column] = value
     return missing
+
+
+@compiled
+def _has_currents(w):
+    """Whether one is left of the meters of current magnitudes."""
+    left = False
+    for i in range(len(w)):
+        left = left or w[i, 6] > 0.0 or w[i, 9] > 0.0
+    return left
 
 
 @compiled

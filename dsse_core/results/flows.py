@@ -76,4 +76,4 @@ def find_injections(network: Network, branches: BranchModel, flows: Flows, vm: n
     s = find_shunt_powers(network, vm)
     for end, power in ((branches.f, flows.s_from), (branches.t, flows.s_to)):
         s = s + np.bincount(end, power.real, n) + 1j * np.bincount(end, power.imag, n)
-    return np.where(np.isnan(vm), np.nan, s)
+    return np.where(np.isnan(vm), complex(np.nan, np.nan), s)

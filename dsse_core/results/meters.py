@@ -1,4 +1,4 @@
-"""The table of meters: what each has read, what the estimate says instead, and what became of it."""
+"""The table of meters: what each has read, what the estimate gives instead, and what became of it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 
 from dsse_core.estimation.residuals import CRITICAL_REDUNDANCY
+from dsse_core.grid.columns import read_column
 from dsse_core.grid.measurement import MeasurementKind, Meter
+from dsse_core.grid.meter_table import KINDS, list_columns, list_ids, list_texts, number_kinds
 from dsse_core.grid.network import Network
 from dsse_core.results.state import GridState, read_state
 from dsse_core.results.table import PHASE, Table
@@ -23,7 +25,7 @@ UNIT = {
     KIND.Q_FLOW: "kvar",
     KIND.CURRENT: "a",
 }
-USED, REMOVED, CRITICAL, SILENT = "used", "removed", "critical", "silent"
+STATUS = USED, REMOVED, CRITICAL, SILENT = "used", "removed", "critical", "silent"
 
 
 def make_meter_table(
@@ -44,45 +46,55 @@ def make_meter_table(
     ``residual``: reading - estimate, ``normalised_residual``: its magnitude by its standard deviation, nan where the
     reading has no redundancy, or is exact.
     """
-    size = find_unit_sizes(state.network, meters)
-    is_angle = np.array([meter.kind is KIND.VA for meter in meters], dtype=bool)
+    size, kinds = find_unit_sizes(state.network, meters), number_kinds(meters)
+    is_angle = kinds == KINDS.index(KIND.VA)
     estimate = read_state(state, meters)
     residual = values - estimate
     residual[is_angle] = np.pi - (np.pi - residual[is_angle]) % (2 * np.pi)
     telling = residual_variance > CRITICAL_REDUNDANCY * sigmas**2
     normalised = np.where(telling, abs(residual) / np.sqrt(np.where(telling, residual_variance, 1.0)), np.nan)
-    ids = [meter.id for meter in meters]
-    for k, meter in enumerate(ids) if removed else ():
-        normalised[k] = removed.get(meter, normalised[k])
+    ids, texts = list_ids(meters), list_columns(meters)
+    row_of = _find_rows(ids, {*removed, *critical})
+    for meter in removed.keys() & row_of.keys():
+        normalised[row_of[meter]] = removed[meter]
     columns: dict[str, np.ndarray | Sequence[str]] = {
         "meter": ids,
-        "kind": [str(meter.kind) for meter in meters],
-        "bus": np.array([meter.bus for meter in meters], dtype=np.int64),
-        "branch": [meter.branch or "" for meter in meters],
+        "kind": texts["kind"],
+        "bus": np.array(texts["bus"], dtype=np.int64),
+        "branch": [branch or "" for branch in texts["branch"]],
         "phase": [PHASE] * len(meters),
-        "source": [str(meter.source) for meter in meters],
-        "unit": [UNIT[meter.kind] for meter in meters],
+        "source": texts["source"],
+        "unit": list_texts([UNIT[kind] for kind in KINDS], kinds),
         "reading": values * size,
         "sigma": sigmas * size,
         "estimate": estimate * size,
         "residual": residual * size,
         "normalised_residual": normalised,
-        "status": _find_status(ids, np.isnan(values), removed, set(critical)),
+        "status": _find_status(row_of, np.isnan(values), removed, critical),
     }
     return Table("meters", columns)
 
 
-def _find_status(ids: Sequence[str], silent: np.ndarray, removed: Collection[str], critical: set[str]) -> list[str]:
-    return [
-        REMOVED if meter in removed else SILENT if no_reading else CRITICAL if meter in critical else USED
-        for meter, no_reading in zip(ids, silent.tolist(), strict=True)
-    ]
+def _find_rows(ids: Sequence[str], wanted: Collection[str]) -> dict[str, int]:
+    """Where each of ``wanted`` stands in ``ids``, if it does."""
+    return {meter: row for row, meter in enumerate(ids) if meter in wanted} if wanted else {}
+
+
+def _find_status(
+    row_of: Mapping[str, int], silent: np.ndarray, removed: Collection[str], critical: Collection[str]
+) -> list[str]:
+    status = np.full(len(silent), STATUS.index(USED))
+    status[[row_of[meter] for meter in critical if meter in row_of]] = STATUS.index(CRITICAL)
+    status[silent] = STATUS.index(SILENT)
+    status[[row_of[meter] for meter in removed if meter in row_of]] = STATUS.index(REMOVED)
+    return list_texts(STATUS, status)
 
 
 def find_unit_sizes(network: Network, meters: Sequence[Meter]) -> np.ndarray:
     """How many of its unit 1 p.u. or 1 rad of each meter is, (n_meas,)."""
-    kw, a = base_kw(network), base_a(network).tolist()
-    of_unit = {"pu": 1.0, "deg": 180 / np.pi, "kw": kw, "kvar": kw}
-    row = network.row
-    sizes = [of_unit.get(UNIT[m.kind]) or a[row[m.bus]] for m in meters]
-    return np.array(sizes, dtype=float)
+    kw = base_kw(network)
+    of_unit = {"pu": 1.0, "deg": 180 / np.pi, "kw": kw, "kvar": kw, "a": np.nan}
+    kinds, row = number_kinds(meters), network.table.rows.find(read_column(meters, "bus", np.int64))
+    of_kind = np.array([of_unit[UNIT[kind]] for kind in KINDS])
+    sizes: np.ndarray = np.where(kinds == KINDS.index(KIND.CURRENT), base_a(network)[row], of_kind[kinds])
+    return sizes

@@ -12,7 +12,8 @@ import numpy as np
 
 from dsse_core.estimation.bad_data import BadDataReport, find_critical
 from dsse_core.estimation.estimator import EstimationResult
-from dsse_core.grid.measurement import Measurement, Meter
+from dsse_core.grid.measurement import Meter
+from dsse_core.grid.meter_table import find_places
 from dsse_core.grid.network import Network
 from dsse_core.grid.partition import Partition
 from dsse_core.power_flow.newton_raphson import PowerFlowResult
@@ -184,16 +185,16 @@ def readings_of_estimate(
     result, removed = (found.result, found.removed) if isinstance(found, BadDataReport) else (found, ())
     critical = found.critical if isinstance(found, BadDataReport) else find_critical(result)
     if meters is None:
-        meters = (*result.plan.meters, *(r.measurement.meter for r in removed))
-    rows = np.stack([result.values, result.sigmas, result.residual_variance], axis=1)
-    known = dict(zip((meter.id for meter in result.plan.meters), rows, strict=True))
-    known |= {r.measurement.meter.id: _row_of(r.measurement) for r in removed}
-    nothing = np.full(3, np.nan)
-    ids = [meter.id for meter in meters]
-    values, sigmas, variance = np.array([known.get(i, nothing) for i in ids]).reshape(-1, 3).T
+        meters = (*result.plan.meters, *(r.measurement.meter for r in removed)) if removed else result.plan.meters
+    values, sigmas, variance = np.full((3, len(meters)), np.nan)
+    at = find_places(result.network, meters, result.plan.meters)
+    shown = at >= 0
+    values[at[shown]], sigmas[at[shown]] = result.values[shown], result.sigmas[shown]
+    variance[at[shown]] = result.residual_variance[shown]
+    if removed:
+        at = find_places(result.network, meters, [r.measurement.meter for r in removed])
+        for row, r in zip(at.tolist(), removed, strict=True):
+            if row >= 0:
+                values[row], sigmas[row] = r.measurement.value, r.measurement.sigma
     taken_out = {r.measurement.meter.id: r.normalized_residual for r in removed}
     return MeterReadings(meters, values, sigmas, variance, taken_out, critical)
-
-
-def _row_of(m: Measurement) -> np.ndarray:
-    return np.array([m.value, m.sigma, np.nan])

@@ -125,7 +125,7 @@ def _keep(name: str, column: np.ndarray | Sequence[str]) -> np.ndarray | tuple[s
     if not COLUMN.fullmatch(name) or hasattr(Table, name):
         raise ValueError(f"a column of a table cannot be called {name!r}")
     if not isinstance(column, np.ndarray):
-        return tuple(map(str, column))
+        return tuple(column if set(map(type, column)) <= {str} else map(str, column))
     kept = column.copy()
     if kept.ndim != 1:
         raise ValueError(f"column {name} has the shape {kept.shape}; a column has one dimension")

@@ -85,8 +85,8 @@ def _metered_injections(result: EstimationResult) -> np.ndarray:
     """Variances of metered injections, ``R - Omega``, (2, n_bus); nan where there is no meter that says much."""
     found = np.full((2, len(result.vm)), np.nan)
     variance = result.sigmas**2 - result.residual_variance
-    says_much = variance >= LEAST_REDUCTION * result.sigmas**2
-    for meter, value, counts in zip(result.plan.meters, variance.tolist(), says_much.tolist(), strict=True):
+    is_informative = variance >= LEAST_REDUCTION * result.sigmas**2
+    for meter, value, counts in zip(result.plan.meters, variance.tolist(), is_informative.tolist(), strict=True):
         if meter.kind.of_injection and counts:
             found[INJECTIONS.index(meter.kind), result.network.row[meter.bus]] = max(value, 0.0)
     return found

@@ -70,7 +70,7 @@ def freeze_all() -> Iterator[Frozen]:
     yield from itertools.islice((case for case in map(freeze, draw_grids()) if case is not None), GRIDS)
 
 
-def tell_about() -> dict[str, object]:
+def describe() -> dict[str, object]:
     """Which estimator, on what."""
     changed = _git("status", "--porcelain", "--", "dsse_core", "scenarios")
     if changed:
@@ -100,7 +100,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--output", type=Path, default=FILE)
     output = parser.parse_args().output
-    about = tell_about()
+    about = describe()
     cases = list(freeze_all())
     save_oracle(output, cases, about)
     print(f"{len(cases)} cases, {output.stat().st_size / 2**20:.1f} MiB: {output}")

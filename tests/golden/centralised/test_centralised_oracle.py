@@ -93,7 +93,7 @@ def test_another_answer_is_refused(tmp_path):
             check_answer(other, case, readings)
 
 
-def test_a_better_fit_than_the_oracle_is_let_pass_and_told(tmp_path, monkeypatch):
+def test_a_better_fit_than_the_oracle_is_let_pass_and_reported(tmp_path, monkeypatch):
     def fail(*_):
         raise NoReferenceError("none for this test")
 

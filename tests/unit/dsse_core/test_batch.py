@@ -1,5 +1,6 @@
 """Many scans at once: each row comes to what ``estimate_with_plan`` finds alone, or fails as it does."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -30,6 +31,16 @@ def scans_of(network, backend, n_row, seed=0, kinds=(Kind.VM, Kind.P_INJECTION, 
     sigmas = np.array([0.002 if meter.kind is Kind.VM else 0.01 for meter in meters])
     values = exact + sigmas * rng.standard_normal((n_row, len(meters)))
     return build_estimation_plan(network, meters, backend=backend), values, sigmas
+
+
+def scans_with_zero_injections(network, backend, zero_injections, n_row):
+    """As ``scans_of``, with the zero injections of ``network`` known to be exact."""
+    taken = {meter.id for meter in zero_injections(network)}
+    plan, values, sigmas = scans_of(network, backend, n_row)
+    meters = [replace(m, source=Source.VIRTUAL) if m.id in taken else m for m in plan.meters]
+    plan = build_estimation_plan(network, meters, backend=backend)
+    values[:, plan.virtual] = 0.0
+    return plan, values, sigmas
 
 
 def estimate_alone(plan, values, sigmas, start):
@@ -79,6 +90,35 @@ def test_rows_may_have_sigmas_and_starts_of_their_own(backend, case):
         assert_rows_are_single_estimates(plan, batch, values, of_rows, start)
 
 
+def test_rows_side_by_side_may_have_starts_of_their_own(backend, case):
+    plan, values, sigmas = scans_of(case("ieee33"), backend, 16)
+    first = estimate_batch(plan, values, sigmas)
+    for start in ((first.vm[0], first.va[0]), (first.vm, first.va)):
+        batch = estimate_batch(plan, values, sigmas, start=start)
+        assert_rows_are_single_estimates(plan, batch, values, sigmas, start)
+
+
+def test_a_row_unlike_the_others_is_estimated_beside_them(backend, case):
+    plan, values, sigmas = scans_of(case("ieee33"), backend, 41)
+    alike = estimate_batch(plan, values, sigmas)
+    values[3, 0] = np.nan
+    values[12, 2] = np.inf
+    values[20, 0] = 0.0  # a dead voltmeter: the first step is shortened
+    values[28] *= 30.0  # no state of any grid
+    batch = estimate_batch(plan, values, sigmas)
+    assert_rows_are_single_estimates(plan, batch, values, sigmas)
+    others = np.delete(np.arange(41), [3, 12, 20, 28])
+    np.testing.assert_allclose(batch.vm[others], alike.vm[others], rtol=0, atol=1e-12)
+
+
+def test_injections_that_hold_exactly_do_so_in_rows_side_by_side(backend, case, zero_injections):
+    plan, values, sigmas = scans_with_zero_injections(case("industrial13"), backend, zero_injections, 24)
+    values[9, np.flatnonzero(plan.virtual)[0]] = 0.5
+    batch = estimate_batch(plan, values, sigmas)
+    assert list(batch.failures) == [9]
+    assert_rows_are_single_estimates(plan, batch, values, sigmas)
+
+
 def test_a_row_that_fails_does_not_disturb_its_neighbours(backend, case):
     network = case("ieee33")
     plan, values, sigmas = scans_of(network, backend, 12)
@@ -112,13 +152,7 @@ def test_a_missing_reading_does_not_fall_back_to_that_of_the_row_before(backend,
 
 
 def test_a_virtual_reading_other_than_zero_fails_its_row(backend, case, zero_injections):
-    network = case("industrial13")
-    virtual = zero_injections(network)
-    plan, values, sigmas = scans_of(network, backend, 3)
-    taken = {meter.id for meter in virtual}
-    meters = [replace(m, source=Source.VIRTUAL) if m.id in taken else m for m in plan.meters]
-    plan = build_estimation_plan(network, meters, backend=backend)
-    values[:, plan.virtual] = 0.0
+    plan, values, sigmas = scans_with_zero_injections(case("industrial13"), backend, zero_injections, 3)
     values[1, np.flatnonzero(plan.virtual)[0]] = 0.5
     batch = estimate_batch(plan, values, sigmas)
     assert list(batch.failures) == [1]
@@ -157,10 +191,48 @@ def test_a_batch_that_does_not_fit_its_plan_is_rejected(case, change, named):
         estimate_batch(plan, values, sigmas, start=start)
 
 
-def test_a_number_of_threads_below_one_is_rejected(case):
+@pytest.mark.parametrize("threads", [0, -1, 1.5, "2"])
+def test_a_number_of_threads_that_cannot_be_is_rejected(case, threads):
     plan, values, sigmas = scans_of(case("ieee33"), "sparse", 1)
     with pytest.raises(InvalidInputError, match="threads"):
-        estimate_batch(plan, values, sigmas, threads=0)
+        estimate_batch(plan, values, sigmas, threads=threads)
+
+
+@pytest.mark.parametrize("sigma", [5e-324, 1e-160, 1e160])
+def test_no_estimate_rests_on_a_sigma_whose_square_is_no_number(backend, case, sigma):
+    plan, values, sigmas = scans_of(case("ieee33"), backend, 9)
+    of_rows = np.tile(sigmas, (9, 1))
+    sigmas[4] = of_rows[2, 4] = sigma
+    with pytest.raises(InvalidInputError, match=re.escape(f"sigma is {sigma}")):
+        estimate_with_plan(plan, values[0], sigmas)
+    with pytest.raises(InvalidInputError, match=re.escape(f"sigma is {sigma}")):
+        estimate_batch(plan, values, sigmas)
+    assert list(estimate_batch(plan, values, of_rows).failures) == [2]
+
+
+def test_what_is_behind_a_mask_is_missing_and_no_reading(backend, case):
+    plan, values, sigmas = scans_of(case("ieee33"), backend, 9)
+    masked = np.ma.masked_array(values.copy(), mask=np.zeros(values.shape, dtype=bool))
+    masked.data[4, 0], masked.mask[4, 0] = 17.0, True
+    values[4, 0] = np.nan
+    found, expected = (estimate_batch(plan, readings, sigmas) for readings in (masked, values))
+    assert not found.failures
+    np.testing.assert_array_equal(found.vm, expected.vm)
+    with pytest.raises(InvalidInputError, match="the value is nan"):
+        estimate_with_plan(plan, masked[4], sigmas)
+
+
+def test_rows_that_lack_all_current_magnitudes_are_estimated_as_without_these_meters(case):
+    network = case("ieee33")
+    plan, values, sigmas = scans_of(network, "radial", 9)
+    currents = [Meter(Kind.CURRENT, b.from_bus, b.id) for b in network.active_branches[:5]]
+    read = solve_power_flow(network).read_all(currents)
+    plan = build_estimation_plan(network, [*plan.meters, *currents], backend="radial")
+    values = np.hstack([values, np.tile(read, (9, 1))])
+    sigmas = np.append(sigmas, np.full(5, 0.01))
+    values[2:4, -5:] = np.nan
+    values[5, -1] = np.nan
+    assert_rows_are_single_estimates(plan, estimate_batch(plan, values, sigmas), values, sigmas)
 
 
 @pytest.mark.random_cases(few=15, many=500)
@@ -177,13 +249,13 @@ def test_batches_of_any_grid_are_the_single_estimates(random_seed):
     meters = [m.meter for m in grid.measurements]
     plan = build_estimation_plan(grid.network, meters, backend=backend)
     z, sigmas = np.array([(m.value, m.sigma) for m in grid.measurements]).T
-    values = z + 0.3 * sigmas * rng.standard_normal((6, len(z)))
+    values = z + 0.3 * sigmas * rng.standard_normal((19, len(z)))  # of which 8 to 15 are done side by side
     values[2, rng.integers(len(z))] = np.nan
     values[4, rng.random(len(z)) < 0.2] = np.nan
     values[5, ~plan.virtual] += rng.choice([0, 1e3]) * rng.standard_normal((~plan.virtual).sum())
     batch = estimate_batch(plan, values, sigmas, threads=2)
     has_currents = any(meter.kind is Kind.CURRENT for meter in meters)
-    for k in (0, 1, 3) if has_currents else range(6):  # without its last current another rule ends the iteration
+    for k in (0, 1, 3) if has_currents else range(19):  # without its last current another rule ends the iteration
         only = replace(
             batch, vm=batch.vm[k : k + 1], va=batch.va[k : k + 1], objective=batch.objective[k : k + 1],
             iterations=batch.iterations[k : k + 1], degrees_of_freedom=batch.degrees_of_freedom[k : k + 1],

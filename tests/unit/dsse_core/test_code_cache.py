@@ -141,7 +141,7 @@ def test_a_user_loads_code_of_his_own_and_of_root_and_of_nobody_else():
     assert f"belongs to user {STRANGER + 1}" in (faults["a link to another's"] or "")
 
 
-def test_code_that_finds_no_room_is_not_said_to_be_kept(place: Path, monkeypatch: pytest.MonkeyPatch):
+def test_code_that_finds_no_room_is_not_reported_as_kept(place: Path, monkeypatch: pytest.MonkeyPatch):
     class Full:
         def save_overload(self, sig: object, data: object) -> None:
             raise OSError(28, "No space left on device")

@@ -26,11 +26,11 @@ def totals(step: float = 0.0, **changes: object) -> Totals:
 
 def decisions(*steps: float, memory: Memory = Memory()) -> list[str]:  # noqa: B008 - frozen
     """The verdicts on states that steps of these sizes have led to."""
-    said = []
+    decided = []
     for step in steps:
         memory, found = decide(memory, totals(step))
-        said.append(str(found))
-    return said
+        decided.append(str(found))
+    return decided
 
 
 def test_a_half_step_is_not_made_longer_by_shortening_it():
@@ -39,22 +39,22 @@ def test_a_half_step_is_not_made_longer_by_shortening_it():
     assert decide(memory, totals(4 * MAX_DVA))[1] == verdict.Verdict(Decision.SHORTEN, 0.25)
 
 
-def test_a_full_step_and_a_half_one_tell_no_rate():
+def test_a_full_step_and_a_half_one_give_no_rate():
     last_full = Memory(steps=FULL_STEPS, stepped=True)
-    memory, said = decide(last_full, totals(1e-3))
-    assert (said.share, memory.before) == (0.5, 0.0)
+    memory, decided = decide(last_full, totals(1e-3))
+    assert (decided.share, memory.before) == (0.5, 0.0)
 
 
 def test_a_step_beyond_all_states_begins_anew_at_the_flat_start_and_then_ends():
-    memory, said = decide(Memory(removed=("a",), steps=3, stepped=True), totals(2 * LARGEST_STEP))
-    assert (said.decision, memory) == (Decision.ANEW, Memory(removed=("a",), from_flat_start=True))
-    _, said = decide(Memory(steps=3, stepped=True, from_flat_start=True), totals(float("inf")))
-    assert said == verdict.Verdict(Decision.FINAL, reason=verdict.DIVERGED)
+    memory, decided = decide(Memory(removed=("a",), steps=3, stepped=True), totals(2 * LARGEST_STEP))
+    assert (decided.decision, memory) == (Decision.ANEW, Memory(removed=("a",), from_flat_start=True))
+    _, decided = decide(Memory(steps=3, stepped=True, from_flat_start=True), totals(float("inf")))
+    assert decided == verdict.Verdict(Decision.FINAL, reason=verdict.DIVERGED)
 
 
 def test_nothing_is_removed_where_the_last_step_has_brought_j_below_the_limit():
-    memory, said = decide(Memory(steps=3, before=1e-3, stepped=True), totals(1e-6, objective=2 * LIMIT))
-    assert said.decision is Decision.EVALUATE
+    memory, decided = decide(Memory(steps=3, before=1e-3, stepped=True), totals(1e-6, objective=2 * LIMIT))
+    assert decided.decision is Decision.EVALUATE
     worst = (("p_flow@1:1-2", 5.0),)
     assert decide(memory, totals(1e-9, objective=LIMIT / 2, worst=worst))[1].decision is Decision.FINAL
     assert decide(memory, totals(1e-9, objective=2 * LIMIT, worst=worst))[1].decision is Decision.ANEW
@@ -64,12 +64,12 @@ def test_without_an_estimate_the_meter_that_was_taken_out_last_comes_back_and_st
     """Once: the estimate before stands, whatever its J is."""
     without = Memory(removed=("a", "b"), steps=3, stepped=True, from_flat_start=True)
     for lost in (totals(2 * LARGEST_STEP), totals(failed=("a1",))):
-        memory, said = decide(without, lost)
-        assert (said.decision, memory) == (Decision.ANEW, Memory(removed=("a",), kept="b"))
+        memory, decided = decide(without, lost)
+        assert (decided.decision, memory) == (Decision.ANEW, Memory(removed=("a",), kept="b"))
     memory = replace(memory, steps=3, before=1e-3, stepped=True)
     assert decide(memory, totals(1e-6, objective=2 * LIMIT))[1] == verdict.Verdict(Decision.FINAL, with_step=True)
-    memory, said = decide(memory, totals(2 * LARGEST_STEP))
-    assert (said.decision, memory) == (Decision.ANEW, Memory(removed=("a",), kept="b", from_flat_start=True))
+    memory, decided = decide(memory, totals(2 * LARGEST_STEP))
+    assert (decided.decision, memory) == (Decision.ANEW, Memory(removed=("a",), kept="b", from_flat_start=True))
     assert decide(memory, totals(2 * LARGEST_STEP))[1] == verdict.Verdict(Decision.FINAL, reason=verdict.DIVERGED)
 
 

@@ -11,7 +11,8 @@ import pytest
 from dsse_core.errors import EstimationDivergedError, InvalidInputError, NotObservableError
 from dsse_core.estimation.estimator import estimate_state, estimate_with_plan
 from dsse_core.estimation.plan import FEWEST_BUSES_OF_RADIAL, build_estimation_plan
-from dsse_core.grid.measurement import MeasurementKind, Meter
+from dsse_core.estimation.sparse import SparseIteration
+from dsse_core.grid.measurement import MeasurementKind, Meter, Source
 from dsse_core.power_flow.newton_raphson import solve_power_flow
 
 Kind = MeasurementKind
@@ -50,6 +51,57 @@ def test_the_last_scan_is_a_start(case, scan, backend):
     np.testing.assert_allclose(again.vm, cold.vm, atol=1e-9)
     following = estimate_with_plan(plan, *arrays(scan(2)), start=(cold.vm, cold.va), tolerance=1e-8)
     np.testing.assert_allclose(following.vm, estimate_with_plan(plan, *arrays(scan(2)), tolerance=1e-8).vm, atol=1e-9)
+
+
+@pytest.mark.parametrize("magnitude", [0.0, math.nan], ids=["of zeros", "of no numbers"])
+def test_a_start_that_leads_nowhere_gives_way_to_the_flat_start(case, scan, backend, magnitude):
+    plan = build_estimation_plan(case("ieee33"), [m.meter for m in scan(0)], backend=backend)
+    expected = estimate_with_plan(plan, *arrays(scan(1)))
+    found = estimate_with_plan(plan, *arrays(scan(1)), start=(np.full(33, magnitude), np.zeros(33)))
+    assert found.memory.from_flat_start
+    np.testing.assert_array_equal(found.vm, expected.vm)
+
+
+@pytest.mark.parametrize("fails", ["it is singular", "no numbers"])
+def test_a_last_step_that_leads_nowhere_is_not_the_end_of_an_estimate(case, scan, monkeypatch, fails):
+    plan = build_estimation_plan(case("ieee33"), [m.meter for m in scan(0)], backend="sparse")
+    expected = estimate_with_plan(plan, *arrays(scan(1)))
+    solve, calls = SparseIteration._solve, []
+
+    def fail_once(iteration):
+        calls.append(iteration)
+        if len(calls) == expected.iterations and fails == "it is singular":
+            raise RuntimeError("singular")
+        return solve(iteration) * (math.nan if len(calls) == expected.iterations else 1.0)
+
+    monkeypatch.setattr(SparseIteration, "_solve", fail_once)
+    found = estimate_with_plan(plan, *arrays(scan(1)))
+    assert found.memory.from_flat_start
+    np.testing.assert_array_equal(found.vm, expected.vm)
+
+
+@pytest.mark.parametrize("n", [3, 50])
+def test_a_start_of_another_network_is_rejected(case, scan, backend, n):
+    plan = build_estimation_plan(case("ieee33"), [m.meter for m in scan(0)], backend=backend)
+    with pytest.raises(InvalidInputError, match=rf"the start has shapes \({n},\)"):
+        estimate_with_plan(plan, *arrays(scan(0)), start=(np.ones(n), np.zeros(n)))
+
+
+@pytest.mark.parametrize("wrong", ["text", "complex"])
+def test_readings_that_are_no_real_numbers_are_rejected(case, scan, wrong):
+    plan = build_estimation_plan(case("ieee33"), [m.meter for m in scan(0)], backend="sparse")
+    values, sigmas = arrays(scan(0))
+    with pytest.raises(InvalidInputError, match="give real numbers only"):
+        estimate_with_plan(plan, ["high"] * len(values) if wrong == "text" else values + 0j, sigmas)
+
+
+@pytest.mark.parametrize("kind", [Kind.VA, Kind.VM, Kind.P_FLOW])
+def test_no_plan_takes_a_virtual_meter_of_anything_but_an_injection(case, scan, backend, kind):
+    meters = [m.meter for m in scan(0)]
+    k = next(k for k, meter in enumerate(meters) if meter.kind is kind)
+    meters[k] = replace(meters[k], source=Source.VIRTUAL)
+    with pytest.raises(InvalidInputError, match="only an injection of exactly 0 can be virtual"):
+        build_estimation_plan(case("ieee33"), meters, backend=backend)
 
 
 def test_what_is_kept_of_earlier_scans_changes_nothing(case, scan, backend):

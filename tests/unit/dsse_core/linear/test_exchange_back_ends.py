@@ -180,3 +180,14 @@ def test_rows_are_found_once_for_a_state_and_never_those_of_another(backend: Bac
     assert abs(model.boundary(x, parent)[0] - before[1]).max() > 1e-6
     np.testing.assert_array_equal(model.predict(x), fresh.predict(x))
     np.testing.assert_array_equal(model.boundary(x, parent)[0], fresh.boundary(x, parent)[0])
+
+
+def test_the_factor_of_an_area_on_a_tree_is_hardly_fuller_than_its_rows():
+    feeder = make_feeder(2, n_bus=400, n_area=1, decades=1.0)
+    (area,) = feeder.partition.areas
+    model = build_area_model(area, feeder.telemetry()[area.name], area.reference[0], backend="sparse")
+    x = np.concatenate([np.zeros(400), np.ones(400)])
+    H, _, sigma = model.linear.stack(x, {})
+    factor = model.linear.factor(H, sigma, model.free)
+    entries = factor._lu.L.nnz + factor._lu.U.nnz
+    assert entries < 1.8 * (2 * H[:, model.free].nnz + 2 * (len(sigma) + len(model.free)))

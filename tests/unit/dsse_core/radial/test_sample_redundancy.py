@@ -2,10 +2,13 @@
 
 import numpy as np
 import pytest
+from feeders import make_feeder
 from grids import MeterShares, make_grid
 
-from dsse_core.exchange.feeder_bad_data import build_no_load_model
+from dsse_core.exchange.feeder_bad_data import NO_LOAD_REDUNDANCY, build_no_load_model
 from dsse_core.linear import make_no_load
+from dsse_core.linear.no_load import DRAWS
+from dsse_core.matrices.augmented import AugmentedFactor
 from dsse_core.observability import find_indispensable
 
 LEAST, MOST = 0.2, 3.0  # of a mean square of 32 normal numbers: outside with a probability of 3e-7
@@ -42,3 +45,26 @@ def test_a_sampled_redundancy_is_the_exact_one_to_a_factor_and_of_what_cannot_be
         assert (sampled[is_needed] < ROUND_OFF**2).all()
         ratio = sampled[~is_needed] / exact[~is_needed]
         assert ((ratio > LEAST) & (ratio < MOST)).all()
+
+
+def test_no_more_is_drawn_than_shows_that_every_meter_can_be_spared(monkeypatch):
+    feeder = make_feeder(1, n_bus=40, n_area=1, decades=1.0, dense=1.0)
+    (area,) = feeder.partition.areas
+    side = build_no_load_model(area, feeder.telemetry()[area.name], area.reference[0])
+    solved: list[int] = []
+    solve = AugmentedFactor.solve
+    monkeypatch.setattr(AugmentedFactor, "solve", lambda *given: solved.append(given[1].shape[1]) or solve(*given))
+    unobservable, indispensable = side.examine({})
+    assert (unobservable, indispensable) == ((), frozenset())
+    assert sum(solved) < DRAWS
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_cannot_be_spared_does_not_depend_on_when_drawing_ends(seed):
+    grid = make_grid(seed, 30, 1, 0.6, 1.0, seed % 3, 0.15, None, True, SCARCE[0])
+    (area,) = grid.partition.areas
+    side = build_no_load_model(area, grid.telemetry()[area.name], area.reference[0])
+    _, indispensable = side.examine({})
+    _, redundancy = side.linear.sample(side.x, {}, np.random.default_rng(0))
+    assert indispensable
+    assert indispensable == {side.ids[k] for k in np.flatnonzero(redundancy < NO_LOAD_REDUNDANCY)}

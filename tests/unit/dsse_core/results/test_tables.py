@@ -40,7 +40,7 @@ def test_what_meters_read_in_a_state_is_what_the_measurement_model_predicts(mesh
     np.testing.assert_allclose(state.injection, truth.injection, rtol=0, atol=1e-12)
 
 
-def test_normalised_residuals_are_those_of_dense_algebra(meshed, meters_of, read, backend, rich):
+def test_normalised_residuals_are_those_of_dense_algebra(meters_of, read, backend, rich):
     meters = meters_of(rich, Kind.VM, Kind.VA, *POWERS, Kind.P_FLOW, Kind.Q_FLOW)
     result = estimate_state(rich, read(solve_power_flow(rich), meters, noise=np.random.default_rng(1)), backend=backend)
     H, R = result.jacobian.toarray(), np.diag(result.sigmas**2)
@@ -53,7 +53,7 @@ def test_normalised_residuals_are_those_of_dense_algebra(meshed, meters_of, read
     assert set(table.status) == {"used"}
 
 
-def test_totals_of_areas_are_not_derived_before_they_are_asked_for(meshed, meters_of, read, backend, rich, monkeypatch):
+def test_totals_of_areas_are_not_derived_before_they_are_asked_for(meters_of, read, backend, rich, monkeypatch):
     readings = read(solve_power_flow(rich), meters_of(rich, Kind.VM, *POWERS, Kind.P_FLOW, Kind.Q_FLOW))
     result, asked = estimate_state(rich, readings, backend=backend), []
     find = deviations.find_total_gradients
