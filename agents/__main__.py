@@ -18,7 +18,7 @@ from agents.orders.order_file import OrderFile
 from agents.protocol.events import StopRequested
 from agents.runtime.duplicate_guard import REPLACED_CODE, ReplacedError
 from agents.runtime.inbox import Inbox
-from agents.runtime.log_format import start_log
+from agents.runtime.log.format import start_log
 from agents.runtime.loop import run_agent
 from agents.runtime.renewal import Renewal, on_hangup
 from agents.runtime.watchdog import Watchdog
@@ -80,13 +80,13 @@ def run_process(
 
 
 class _LogOfCompiling:
-    """Says once what takes so long."""
+    """Logs once what takes so long."""
 
-    said = False
+    logged = False
 
     def __call__(self, begins: bool, folder: str | None) -> None:
-        if begins and not self.said:
-            self.said = True
+        if begins and not self.logged:
+            self.logged = True
             kept = f"this happens once, the code is kept in {folder}" if folder else "no safe folder can keep it"
             logging.getLogger(__name__).info("compiling the solvers of large radial areas; %s", kept)
 
@@ -139,8 +139,8 @@ def _open_session(content: AreaFile, timeout_s: float, keys: Path | None) -> Ses
     """Join the bus at a router, or listen for the neighbours."""
     loaded = load_keys(keys, content.area.name, content.run, listens=bool(content.listen))
     if not content.listen:
-        return Session.connect(content.endpoints, timeout_s, loaded, beat_s=content.beat_s)
-    return Session.meet(content.endpoints, content.listen, loaded, beat_s=content.beat_s)
+        return Session.connect(content.endpoints, timeout_s, loaded, heartbeat_s=content.beat_s)
+    return Session.meet(content.endpoints, content.listen, loaded, heartbeat_s=content.beat_s)
 
 
 if __name__ == "__main__":

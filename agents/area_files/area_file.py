@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from operator import attrgetter
@@ -49,7 +49,7 @@ class AreaFile:
         seed: of what goes wrong.
         penalty: of strategy ``admm``.
         limits: what an estimate must keep to be relied on.
-        readings: who numbers scans, who speaks for the meters, and how old their readings may be.
+        readings: who numbers scans, who sends for the meters, and how old their readings may be.
         clock_error_s: injected fault: by how much the clock of the area is ahead, s.
     """
 
@@ -77,11 +77,18 @@ def save_area_file(path: Path, content: AreaFile) -> None:
 
     Of buses, branches, generators and meters TOML has a table each, JSON the same keys with a list of all values each.
     """
-    area, network = content.area, content.area.network
     is_json = path.suffix == ".json"
-    all_of = _columns_of if is_json else _all_rows_of
+    table = _to_table(content, _columns_of if is_json else _all_rows_of)
+    comment = f"# Area {content.area.name}: all that its agent reads. Per unit on base_mva, and radians.\n"
+    with whole_file(path) as draft:
+        draft.write_bytes(to_json(table) if is_json else (comment + tomli_w.dumps(table)).encode())
+
+
+def _to_table(content: AreaFile, all_of: Callable[[Any, Sequence[Any]], Any]) -> dict[str, Any]:
+    """The keys of the file; ``all_of``: how those of many buses, branches, generators or meters are put."""
+    area, network = content.area, content.area.network
     slack = {"bus": area.slack_bus} | ({} if area.slack_vm is None else {"vm": area.slack_vm})
-    table = {
+    return {
         "format": FORMAT,
         "run": content.run,
         "area": area.name,
@@ -118,9 +125,6 @@ def save_area_file(path: Path, content: AreaFile) -> None:
         },
         "meter": all_of(Meter, content.meters),
     }
-    comment = f"# Area {area.name}: all that its agent reads. Per unit on base_mva, and radians.\n"
-    with whole_file(path) as draft:
-        draft.write_bytes(to_json(table) if is_json else (comment + tomli_w.dumps(table)).encode())
 
 
 def _readings_table(rules: ReadingRules) -> dict[str, Any]:
@@ -160,8 +164,8 @@ def _row_of(item: Any) -> dict[str, Any]:
 
 
 def keys_of(cls: Any) -> list[tuple[str, Any]]:
-    """Name and default of every field of a dataclass."""
-    return [(f.name, f.default) for f in dataclasses.fields(cls)]
+    """Name and default of every field that a dataclass is made of."""
+    return [(f.name, f.default) for f in dataclasses.fields(cls) if f.init]
 
 
 _known_keys_of = functools.cache(keys_of)

@@ -14,8 +14,8 @@ from agents.area_files.area_file import keys_of
 from dsse_core.estimation.state_limits import DEFAULT_LIMITS
 from dsse_core.files.kinds import AREA_FILE, FileKind
 from dsse_core.files.quantities import (
-    BeatSeconds,
     ClockError,
+    HeartbeatSeconds,
     Moment,
     Name,
     NotNegative,
@@ -118,7 +118,7 @@ class AreaTable(FileTable):
     strategy: str = Field(description="how the areas exchange what they know")
     endpoints: list[str] = Field(description="where to find the bus, e.g. tcp/127.0.0.1:7447")
     listen: list[str] = Field(default_factory=list)
-    beat_s: BeatSeconds = 0.2
+    beat_s: HeartbeatSeconds = 0.2
     scan_s: ScanSeconds | None = None
     tolerance: Positive = 1e-6
     seed: Seed = 0

@@ -1,4 +1,4 @@
-"""The variables y of a boundary that messages speak of: how many, of which kinds and phases.
+"""The variables y of a boundary that messages are about: how many, of which kinds and phases.
 
 A variable is called by its kind, then ``@`` and the bus where the boundary has several, then ``.`` and the phase where
 it has several: ``p``, ``vm.a``, ``va@12``. All lengths in a message follow from their number d.
@@ -15,7 +15,7 @@ MOST_VARIABLES = 1000
 NAME = re.compile(r"(?P<kind>[a-z]{1,8})(@[0-9]{1,16})?(\.[a-z]{1,8})?")
 Lengths = Mapping[str, tuple[int, Sequence[int]]]
 """Field of a message -> how many numbers it has, and how many it may have."""
-POWERS = ("p", "q")  # kinds of which the child of a boundary tells the parent the value at x_k
+POWERS = ("p", "q")  # kinds of which the child of a boundary sends the parent the value at x_k
 
 
 def count_triangle(d: int) -> int:

@@ -34,7 +34,7 @@ class MessageError(ValueError):
         super().__init__(f"{reason}: {detail}")
 
 
-def is_worth_writing(count: int) -> bool:
+def should_log(count: int) -> bool:
     """Of rejections the 1st, 10th, 100th, ...: a flood must not fill the disk."""
     return str(count).strip("0") == "1"
 

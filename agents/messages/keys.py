@@ -9,6 +9,7 @@
 ``area/<i>/state``                     what area i knows, for watchers
 ``area/<i>/readings``                  the readings that area i has used in a scan, for recorders
 ``telemetry/<i>/<gateway>``            meter readings for area i, from the plant or a gateway
+``gateway/<name>``                     that the gateway is there, for watchers
 ``command/<i>``                        what the operator asks of area i, or of the plant
 ``clock``                              how long the run has lasted, from the coordinator, for injected faults only
 ``live/<role>/<name>/<incarnation>``   presence tokens of areas, plant, gateways, coordinator: one per incarnation
@@ -67,6 +68,15 @@ def all_telemetry(run: str, area: str) -> str:
     return telemetry_key(run, area, "*")
 
 
+def gateway_key(run: str, gateway: str) -> str:
+    """Where a gateway announces itself: its token is asked for by its name, which a watcher learns here."""
+    return f"{_root(run)}/gateway/{gateway}"
+
+
+def all_gateways(run: str) -> str:
+    return gateway_key(run, "*")
+
+
 def command_key(run: str, name: str) -> str:
     return f"{_root(run)}/command/{name}"
 
@@ -92,9 +102,9 @@ def all_live(run: str) -> str:
     return all_incarnations(run, "*", "*")
 
 
-def all_live_of_any_version(run: str) -> str:
-    """The same of programs that speak another wire version, which can only be named."""
-    return f"dsse/*/{run}/live/*/*/*"
+def of_any_version(expression: str) -> str:
+    """The keys of ``expression``, which are of this wire version, in every version: others can only be named."""
+    return f"dsse/*/{expression.removeprefix(f'dsse/v{WIRE_VERSION}/')}"
 
 
 def version_of(key: str) -> int:
@@ -112,6 +122,13 @@ def sender_of(key: str) -> str:
     """The area that a key of an area's own belongs to; empty for other keys."""
     chunks = key.split("/")
     return chunks[4] if len(chunks) > 4 and chunks[3] == "area" else ""
+
+
+def publisher_of(key: str) -> tuple[str, str]:
+    """(role, name) of who publishes on a key of an area's or a gateway's own; empty for other keys."""
+    chunks = key.split("/")
+    is_gateway = len(chunks) == 5 and chunks[3] == "gateway"
+    return ("gateway", chunks[4]) if is_gateway else ("area", area) if (area := sender_of(key)) else ("", "")
 
 
 def gateway_of(key: str, run: str, area: str) -> str:

@@ -74,7 +74,7 @@ UNNUMBERED = {
 }
 
 ExchangeMessage = UpMessage | DownMessage | BoundaryUpdate  # of a strategy
-LinkMessage = HeartbeatMessage | ExchangeMessage  # tells of the link that it comes on, see HeartbeatMessage
+LinkMessage = HeartbeatMessage | ExchangeMessage  # states how the link is that it comes on, see HeartbeatMessage
 Message = LoadMessage | LinkMessage | TelemetryMessage | ReadingsMessage | CommandMessage | ClockMessage | StateMessage
 MESSAGE_TYPES: dict[str, type[Any]] = {
     cls.kind: cls for cls in typing.get_args(Message) if cls is not BoundaryUpdate
@@ -270,10 +270,10 @@ def decode(payload: bytes, largest: int = MAX_BYTES) -> Message:
         raise MessageError("not MessagePack", shown(str(error))) from None
 
 
-def describe_other_version(version: int, who_speaks: str = "it speaks") -> str:
+def describe_other_version(version: int, who: str = "it speaks") -> str:
     """What to do about somebody who speaks another wire version."""
     older = "the other side" if version < WIRE_VERSION else "this program"
-    return f"{who_speaks} wire version {version:.6g}, this is version {WIRE_VERSION}: upgrade {older}"
+    return f"{who} wire version {version:.6g}, this is version {WIRE_VERSION}: upgrade {older}"
 
 
 def _build(packing: _Packing, places: tuple[Any, ...]) -> Message:

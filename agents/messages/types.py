@@ -80,7 +80,7 @@ class LoadMessage:
 
 @dataclass(frozen=True, slots=True)
 class BoundaryUpdate:
-    """What an area tells a neighbour about their boundary ``bus`` under an asynchronous strategy.
+    """What an area sends a neighbour about their boundary ``bus`` under an asynchronous strategy.
 
     A strategy derives its own message from it: a dataclass with a ``kind`` that no other message has, which is a part
     of keys (a-z, 0-9, _ and -), and with fields of the types of ``agents/messages/checks.py``. ``receives``,
@@ -99,7 +99,7 @@ class BoundaryUpdate:
     def falsified(self, falsify: Callable[[Numbers], Numbers]) -> Self:
         """What an injected lie makes of the message.
 
-        ``falsify``: of numbers that speak of (p, q, vm, va) at the boundary. A message that does not say which of its
+        ``falsify``: of numbers that are about (p, q, vm, va) at the boundary. A message that does not say which of its
         numbers do cannot lie.
         """
         return self
@@ -123,7 +123,7 @@ class VariablesMessage(ABC):
 
 @dataclass(frozen=True, slots=True)
 class PlaceMessage(VariablesMessage):
-    """A message from round ``k`` of the term (scan, ``revision``), which also tells of the link.
+    """A message from round ``k`` of the term (scan, ``revision``), which also states how the link is.
 
     ``receives``: the sender receives messages of the receiver. ``answers``: send time of the receiver's newest message
     plus the time it has lain here, from which the receiver finds the round trip; 0 without one. ``received``: numbers
@@ -241,7 +241,7 @@ class ReadingsMessage:
 
     ``taken_at``: to which moment their ages count; ``times``: when they were measured, s since 1970 UTC. ``estimates``,
     ``normalised``: of as many of the first meters as the state of this scan rests on, what each would read in it, and
-    its normalised residual (0: no other tells what it reads).
+    its normalised residual (0: no other determines what it reads).
     """
 
     kind: ClassVar[str] = "readings"
@@ -300,7 +300,7 @@ class StateMessage:
     of rounds; 0 before any.
     ``messages``, ``bytes``, ``lost``: totals handed to the bus, ``lost`` of them dropped by the links; ``faults``:
     what the links have done to them, by kind. ``rejected``: received payloads by reason of rejection.
-    ``quality``: what the state is worth (docs/explanation/quality.md). ``notes``: why, the worst first, then remarks.
+    ``quality``: of the state (docs/explanation/quality.md). ``notes``: why, the worst first, then remarks.
     ``telemetry_age``: s since telemetry was last received;
     ``ages``, ``scans``: neighbour -> s since its boundary message was last received, and the scan of the newest;
     ``old_sides``: neighbours that say that their side rests on something old. ``clock_skews``: neighbour -> by how much

@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator
 
 from agents.area_files.area_file import AreaFile
-from agents.messages.checks import MessageError, is_worth_writing
+from agents.messages.checks import MessageError, should_log
 from agents.messages.packing import MAX_NEIGHBOUR_BYTES, CommandMessage, decode
 from agents.orders.order_file import Followed, OrderFile
 from agents.peers.rejections import LONGEST_LEAD_S, find_lead
@@ -127,6 +127,6 @@ class OrderBook:
     def _reject(self, reason: str, why: str) -> Rejected:
         self._rejected[reason] += 1
         count = self._rejected[reason]
-        if is_worth_writing(count):
+        if should_log(count):
             log.warning("rejected command number %s for this reason, %s: %s", count, reason, why)
         return Rejected(reason, count)

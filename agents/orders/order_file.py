@@ -64,8 +64,11 @@ class OrderFile:
         Raises:
             InvalidInputError: the file cannot be read, or is not what ``save`` writes.
         """
-        if not self.path.exists():
-            return Followed()
+        try:
+            if not self.path.exists():
+                return Followed()
+        except OSError as error:  # a folder that may not be looked into, or whose name cannot be
+            raise InvalidInputError(OPERATOR_FILE.called(self.path), [f"cannot be read: {error.strerror}"]) from None
         try:
             table = load_strict(self.path, OperatorTable)
         except InvalidInputError as error:

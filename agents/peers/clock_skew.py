@@ -2,7 +2,7 @@
 
 Who sends a message states when, by its own clock; the round trip says between which two moments of the own clock that
 was. So half a round trip is how far the finding can be wrong, whatever the two ways take, and the quickest of the last
-few round trips tells most.
+few round trips is the most exact.
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ class PeerTable:
     def __init__(
         self,
         neighbours: Sequence[Neighbour],
-        beat_s: float,
+        heartbeat_s: float,
         now: float,
         clock_offset: float,
         skew_limit_s: float = math.inf,
@@ -37,7 +37,7 @@ class PeerTable:
         self.gone: dict[str, str] = {}
         self.distrusted: dict[str, str] = {}
         self._peers = {n.area: Peer(n.bus, present_at=now, since=now + clock_offset) for n in neighbours}
-        self._beat_s = beat_s
+        self._heartbeat_s = heartbeat_s
         self.clock_offset = clock_offset
         self.correction = 0.0
         self.skewed: dict[str, Skew] = {}
@@ -56,7 +56,7 @@ class PeerTable:
         """The own clock has been set, ``offset`` from monotonic time: send times go forward with it, never back."""
         if offset > self.clock_offset:
             self.clock_offset = offset
-            for peer in self._peers.values():  # nothing that was sent before tells a round trip
+            for peer in self._peers.values():  # nothing that was sent before measures a round trip
                 peer.since, peer.clock = now + offset, ClockSkew()
         self.correction = offset - self.clock_offset
         for name in self._peers:
@@ -79,13 +79,13 @@ class PeerTable:
         skew = peer.clock.skew
         return skew and skew._replace(ahead_s=skew.ahead_s + peer.correction - self.correction)
 
-    def silent_at(self, name: str) -> float:
-        """When a neighbour counts as gone if it does not say until then that it receives us."""
+    def absent_at(self, name: str) -> float:
+        """When a neighbour counts as gone if it does not report until then that it receives us."""
         return self._peers[name].present_at + self._patience_s(self._peers[name])
 
     def is_present(self, name: str, now: float) -> bool:
         """Whether a neighbour is there, and receives us as we receive it."""
-        return name not in self.gone and self.silent_at(name) > now
+        return name not in self.gone and self.absent_at(name) > now
 
     def present(self, now: float) -> frozenset[str]:
         """The neighbours that may be used."""
@@ -105,7 +105,7 @@ class PeerTable:
         return bool(now <= peer.received_at + self._patience_s(peer))
 
     def _patience_s(self, peer: Peer) -> float:
-        return peer.patience_s(PATIENCE_HEARTBEATS * self._beat_s)
+        return peer.patience_s(PATIENCE_HEARTBEATS * self._heartbeat_s)
 
     def note_gone(self, name: str, leave_reason: str) -> None:
         """The process of a neighbour has ended."""
@@ -113,13 +113,13 @@ class PeerTable:
         self._peers[name].present_at = -math.inf
 
     def stamp(self, name: str, message: M, now: float, *, is_complete: bool) -> M:
-        """``message`` as it is sent to ``name`` now; ``is_complete``: what is to be said of the own side."""
-        peer, tells = self._peers[name], isinstance(message, HeartbeatMessage | BoundaryUpdate)
-        peer.note_said(now)
-        stated = term_of(message), tells and is_complete  # a message of a round takes the latter back
+        """``message`` as it is sent to ``name`` now; ``is_complete``: what is to be stated of the own side."""
+        peer, is_two_way = self._peers[name], isinstance(message, HeartbeatMessage | BoundaryUpdate)
+        peer.note_sent(now)
+        stated = term_of(message), is_two_way and is_complete  # a message of a round takes the latter back
         if (peer.sent_term, peer.sent_complete) != stated:
             (peer.sent_term, peer.sent_complete), peer.changed_at = stated, now
-        link: dict[str, Any] = {"complete": is_complete} if tells else {}
+        link: dict[str, Any] = {"complete": is_complete} if is_two_way else {}
         return replace(
             message,
             header=replace(message.header, time=peer.next_time(now + self.clock_offset)),
@@ -132,7 +132,7 @@ class PeerTable:
     def due_times(self, now: float, is_at_rest: bool) -> Iterator[float]:
         """When heartbeats and repeats are due."""
         for name, peer in self._peers.items():
-            yield peer.said_at + self._quiet_s(name, now, is_at_rest)
+            yield peer.sent_at + self._quiet_s(name, now, is_at_rest)
             for sent in peer.outgoing:
                 if sent.repeat is not None:
                     yield sent.repeat.at
@@ -140,32 +140,37 @@ class PeerTable:
     def take_due_repeats(self, now: float) -> Iterator[tuple[str, Any]]:
         """Which messages are to be sent again now, and to whom.
 
-        A neighbour that is not there needs none: when it is back, its heartbeat says that it lacks the message.
+        A neighbour that is not there needs none: when it is back, its heartbeat reports that it lacks the message.
         """
         for name, peer in self._peers.items():
             for sent in peer.outgoing:
                 if sent.repeat is None or sent.repeat.at > now:
                     continue
                 if self.is_present(name, now):
-                    sent.repeat = peer.wait_longer(sent.repeat, now, self._beat_s)
+                    sent.repeat = peer.wait_longer(sent.repeat, now, self._heartbeat_s)
                     yield name, sent.message
                 else:
                     sent.repeat = None
 
-    def owes_heartbeat(self, name: str, now: float, is_at_rest: bool) -> bool:
-        """Whether nothing has been said for too long."""
-        return now >= self._peers[name].said_at + self._quiet_s(name, now, is_at_rest)
+    def owes_heartbeat(self, name: str, now: float, is_at_rest: bool, is_heartbeat: bool) -> bool:
+        """Whether nothing has been sent for too long. ``is_heartbeat``: those that get one per heartbeat get it now."""
+        sent_at, quiet_s = self._peers[name].sent_at, self._quiet_s(name, now, is_at_rest)
+        if is_heartbeat and is_at_rest and quiet_s == self._heartbeat_s:
+            return sent_at < now
+        return now >= sent_at + quiet_s
 
     def _quiet_s(self, name: str, now: float, is_at_rest: bool) -> float:
-        """How long nothing is said: ever longer since what heartbeats say has changed, as one may be lost, or on this
-        link several; at rest a heartbeat at most, before no longer than patience allows. At rest a message to a
-        neighbour that is there is repeated until that is received.
+        """How long nothing is sent: ever longer since the content of heartbeats has changed, as one may be lost, or on
+        this link several; at rest a heartbeat at most, before no longer than patience allows. At rest a message to a
+        neighbour that is there is repeated until that is received, ever more rarely, too: it may be slow.
         """
         peer = self._peers[name]
-        longest_s = self._beat_s if is_at_rest else min(self._beat_s, self._patience_s(peer) / peer.patience_messages)
-        unchanged_s = (peer.said_at - peer.changed_at) / math.sqrt(peer.mean_count)
-        if is_at_rest and peer.awaits_reply and self.is_present(name, now):
-            unchanged_s = 0.0
+        longest_s = (
+            self._heartbeat_s if is_at_rest else min(self._heartbeat_s, self._patience_s(peer) / peer.patience_messages)
+        )
+        is_awaited = is_at_rest and peer.awaits_reply and self.is_present(name, now)
+        since = peer.unanswered_since if is_awaited else peer.changed_at
+        unchanged_s = (peer.sent_at - since) / math.sqrt(peer.mean_count)
         return min(longest_s, max(peer.round_trip.longest_wait_s, unchanged_s))
 
     def begin_term(self) -> None:
@@ -180,7 +185,7 @@ class PeerTable:
             for name, peer in self._peers.items()
             if name not in links
             or not self.is_present(name, now)
-            or now >= peer.received_at + heartbeats * self._beat_s
+            or now >= peer.received_at + heartbeats * self._heartbeat_s
             or peer.term != term
             or not peer.complete
         }
@@ -189,5 +194,5 @@ class PeerTable:
         """When what is fresh now will not be, if nothing is received until then."""
         for peer in self._peers.values():
             for heartbeats in (FRESH_HEARTBEATS, PASSED_ON_HEARTBEATS):
-                if (at := peer.received_at + heartbeats * self._beat_s) > now:
+                if (at := peer.received_at + heartbeats * self._heartbeat_s) > now:
                     yield at

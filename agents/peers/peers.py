@@ -1,7 +1,7 @@
 """What an area knows of its neighbours as processes: which incarnation, where it stands, how long a message takes.
 
-Presence is two-way: a neighbour is there only if it is received and says that it receives us, so that both sides of a
-link that passes messages one way only come to the same conclusion.
+Presence is two-way: a neighbour is present only if it is received and reports that it receives us, so that both sides
+of a link that passes messages one way only come to the same conclusion.
 """
 
 from __future__ import annotations
@@ -58,9 +58,9 @@ class Outgoing(Generic[M]):
 class Peer:
     """One neighbour. Times are of the own monotonic clock, s; -inf for never.
 
-    ``present_at``: when it last said that it receives us, as far as that is believed; ``received_at``: when it was last
-    received. ``term``, ``k``, ``final``, ``complete``, ``y``: where it stood then. ``load``, ``exchange``: the last
-    load message and the last message of the strategy to it; ``received_load``, ``boundary``: its newest ones, the
+    ``present_at``: when it last reported that it receives us, as far as that is believed; ``received_at``: when it was
+    last received. ``term``, ``k``, ``final``, ``complete``, ``y``: where it stood then. ``load``, ``exchange``: the
+    last load message and the last message of the strategy to it; ``received_load``, ``boundary``: its newest ones, the
     latter of asynchronous strategies; ``received_sequence``: number of its newest message of the strategy in this
     incarnation. ``clock``: how its send times compare to the own ones; ``correction``: by how much its clock is ahead
     of its send times, s.
@@ -68,9 +68,9 @@ class Peer:
 
     bus: int
     present_at: float
-    since: float  # wall-clock time at which the own process began: nothing of before is answered
-    said_at: float = -math.inf
-    asked_at: float = -math.inf  # when it was first spoken to since it was received
+    since: float  # wall-clock time at which the own process began: nothing of before counts as an answer
+    sent_at: float = -math.inf
+    unanswered_since: float = -math.inf  # the first message to it since it was received
     received_at: float = -math.inf
     incarnation: Incarnation | None = None
     term: Term = (0, 0)
@@ -96,16 +96,16 @@ class Peer:
     _timed: Incarnation | None = None  # the one whose send times these are
 
     def take(self, message: LinkMessage, now: float, wall: float, *, is_awake: bool) -> None:
-        """Note what any message says of the process and the link; ``wall``: ``now`` as own messages state it.
+        """Note what any message states of the process and the link; ``wall``: ``now`` as own messages state it.
 
-        ``is_awake``: it was taken in as it came, so that it tells how long messages take.
+        ``is_awake``: it was taken in as it came, so that it measures how long messages take.
         """
         header = message.header
         if header.incarnation != self.incarnation:
             self.term, self.received_sequence = (0, 0), 0
             self.round_trip, self.final, self.complete, self.y = RoundTrip(), False, False, ()
             if self.incarnation is not None:
-                self.load.repeat = self.exchange.repeat = None  # the new process says what it lacks
+                self.load.repeat = self.exchange.repeat = None  # the new process reports what it lacks
         self.incarnation, self.received_at = header.incarnation, now
         if message.receives:
             self.present_at = now
@@ -115,11 +115,11 @@ class Peer:
         if is_awake and trip_s is not None:
             self.round_trip.take(trip_s)
         for sent, number in zip(self.outgoing, message.received, strict=True):
-            if number == sent.sequence:  # a higher one was said to a former incarnation of this area
-                self.take_answer(sent)
+            if number == sent.sequence:  # a higher one was sent to a former incarnation of this area
+                self.take_reply(sent)
 
     def take_times(self, message: LinkMessage, now: float, wall: float) -> tuple[bool, float | None]:
-        """Note when a message was sent: all that counts of one whose content is rejected for what its clock says.
+        """Note when a message was sent: all that counts of one whose content is rejected for the time of its clock.
 
         Whether it is the newest one, and its round trip, s, None where it answers nothing.
         """
@@ -182,15 +182,15 @@ class Peer:
         return PATIENCE_WAITS * math.sqrt(self.mean_count)
 
     def patience_s(self, least_s: float) -> float:
-        """How long it may be silent before it counts as gone: ``least_s``, or as long as so many messages take."""
+        """How long it may send nothing before it counts as gone: ``least_s``, or as long as so many messages take."""
         longest_s = self.round_trip.longest_wait_s * PATIENCE_WAITS * math.sqrt(self.mean_count)  # asked for very often
         return longest_s if longest_s > least_s else least_s
 
-    def note_said(self, now: float) -> None:
-        """It is spoken to now."""
+    def note_sent(self, now: float) -> None:
+        """A message is sent to it now."""
         if not self.awaits_reply:
-            self.asked_at = now
-        self.said_at, self.is_owed_reply = now, False
+            self.unanswered_since = now
+        self.sent_at, self.is_owed_reply = now, False
 
     def next_time(self, wall: float) -> float:
         """The send time of a message that is sent at ``wall``: later than that of the one before, which it replaces."""
@@ -199,14 +199,14 @@ class Peer:
 
     @property
     def awaits_reply(self) -> bool:
-        """Whether it has not been received since it was spoken to."""
-        return self.asked_at > self.received_at
+        """Whether it has not been received since a message was sent to it."""
+        return self.unanswered_since > self.received_at
 
     def has_been_left_alone(self, now: float) -> bool:
-        """Whether it has not been spoken to for so long, two round trips at least, that what it says is no answer."""
-        return now >= self.said_at + self.round_trip.longest_wait_s / 2
+        """Whether it was last sent a message so long ago, two round trips at least, that what it sends is no answer."""
+        return now >= self.sent_at + self.round_trip.longest_wait_s / 2
 
-    def await_answer(self, sent: Outgoing[M], message: M, now: float) -> None:
+    def await_reply(self, sent: Outgoing[M], message: M, now: float) -> None:
         """``message`` is just being sent, for the first time or after it had been acknowledged."""
         wait = self.round_trip.wait_s
         sent.message, sent.sequence, sent.repeat = message, message.header.sequence, Repeat(now + wait, wait)
@@ -216,15 +216,15 @@ class Peer:
         wait = min(2 * repeat.wait_s, self.round_trip.longest_wait_s, max(most_s, self.round_trip.wait_s))
         return Repeat(now + wait, wait, repeat.count + 1)
 
-    def take_answer(self, sent: Outgoing[Any]) -> None:
+    def take_reply(self, sent: Outgoing[Any]) -> None:
         """The last message has been answered or acknowledged."""
         if sent.repeat is not None:
             self.mean_count += MEAN_GAIN * (sent.repeat.count - self.mean_count)
             sent.repeat = None
 
     def has_waited_for_trip(self, now: float) -> bool:
-        """Whether an answer to what was said last could be here by now."""
-        return math.isnan(self.round_trip.mean) or now - self.said_at >= self.round_trip.mean
+        """Whether an answer to the last message could be here by now."""
+        return math.isnan(self.round_trip.mean) or now - self.sent_at >= self.round_trip.mean
 
     def begin_term(self) -> None:
         """Messages of rounds of a former term count no more; it is to learns of the new one."""

@@ -36,7 +36,7 @@ class Rejections:
     """What an area has rejected.
 
     ``ahead``: sender rejected as from the future, "" for the plant -> by how much, s. ``contradictions``: neighbour
-    whose area file, as its newest heartbeat tells, contradicts that of this area -> in what. ``far_scans``: neighbour
+    whose area file, by its newest heartbeat, contradicts that of this area -> in what. ``far_scans``: neighbour
     in whose name a scan far ahead of the telemetry has been announced -> the first such scan that is still ahead.
     """
 
@@ -56,7 +56,7 @@ class Rejections:
             self.far_scans.setdefault(key_sender, message.header.scan)
 
     def note_scan(self, scan: int) -> None:
-        """This area works on ``scan`` now: who announced it told the truth."""
+        """This area works on ``scan`` now: the announcements of it were true."""
         self.far_scans = {name: far for name, far in self.far_scans.items() if far > scan}
 
     def note_contradiction(self, name: str, what: str) -> None:

@@ -1,7 +1,7 @@
 """What the protocol of one area does under every strategy: events and time in, actions out.
 
 It takes in messages and rejects some, knows its neighbours as processes, repeats to each what it has not acknowledged,
-tells them the load of its side and where it stands, and publishes the state. What messages of a strategy mean, rounds
+sends them the load of its side and where it stands, and publishes the state. What messages of a strategy mean, rounds
 (``rounds.py``) or an asynchronous strategy (``asynchronous.py``) say. No bus, no clock, no randomness.
 """
 
@@ -70,7 +70,7 @@ class AreaProtocol(ABC):
         self._incarnation = incarnation
         self._now = now
         self._is_awake = True  # it has missed no heartbeat of its own: else messages have lain unacknowledged
-        self._beat_s = content.beat_s
+        self._heartbeat_s = content.beat_s
         self._next_heartbeat = now + content.beat_s
         skew_limit_s = SKEW_SHARE * content.scan_s if content.scan_s else math.inf
         self._peers = PeerTable(content.area.neighbours, content.beat_s, now, started_at - now, skew_limit_s)
@@ -115,7 +115,7 @@ class AreaProtocol(ABC):
 
         To be carried out one by one as they come: neighbours need not wait for what only watchers see.
         """
-        self._is_awake = now < self._next_heartbeat + self._beat_s
+        self._is_awake = now < self._next_heartbeat + self._heartbeat_s
         self._now = now
         self._scan.note_time(now)
         for event in events:
@@ -140,10 +140,10 @@ class AreaProtocol(ABC):
                     yield from self._follow(event)
         is_heartbeat = now >= self._next_heartbeat
         if is_heartbeat:
-            self._next_heartbeat = now + self._beat_s
+            self._next_heartbeat = now + self._heartbeat_s
         yield from self._act(is_heartbeat=is_heartbeat)
         yield from (self._publish(name, message) for name, message in self._peers.take_due_repeats(now))
-        yield from self._answer()
+        yield from self._reply_due(is_heartbeat=is_heartbeat)
         yield from self._show(is_heartbeat=is_heartbeat)
         yield from self._show_readings()
         yield from self._end.take(self._term)
@@ -285,17 +285,17 @@ class AreaProtocol(ABC):
     def _send(self, name: str, sent: Outgoing[M], message: M) -> Publish:
         """A new message, which is repeated until it is acknowledged."""
         peer = self._peers[name]
-        peer.await_answer(sent, message, self._now)
+        peer.await_reply(sent, message, self._now)
         return self._publish(name, message)
 
     def _send_if_lacking(
         self, name: str, sent: Outgoing[Any], received: int, *, even_if_repeated: bool = False
     ) -> Iterator[Publish]:
-        """The last message once more to a neighbour that has said that it lacks it, as it was away or has restarted."""
+        """The last message once more to a neighbour that reports that it lacks it, as it was away or has restarted."""
         if sent.message is None or received >= sent.sequence or (sent.repeat is not None and not even_if_repeated):
             return
         if sent.repeat is None:
-            self._peers[name].await_answer(sent, sent.message, self._now)
+            self._peers[name].await_reply(sent, sent.message, self._now)
         yield self._publish(name, sent.message)
 
     def _heartbeat(self, name: str) -> Publish:
@@ -316,11 +316,14 @@ class AreaProtocol(ABC):
             ),
         )
 
-    def _answer(self) -> Iterator[Publish]:
-        """A heartbeat to who is owed one, or has not been spoken to for a while."""
+    def _reply_due(self, *, is_heartbeat: bool) -> Iterator[Publish]:
+        """A heartbeat to who is owed one, or was sent nothing for a while; to who gets one a heartbeat, with the
+        state, so that the process wakes once for all of them.
+        """
         for name, peer in self._peers.items():
             is_changed = peer.sent_complete != self._is_side_complete(name)
-            if peer.is_owed_reply or is_changed or self._peers.owes_heartbeat(name, self._now, self._is_at_rest):
+            is_owed = self._peers.owes_heartbeat(name, self._now, self._is_at_rest, is_heartbeat)
+            if peer.is_owed_reply or is_changed or is_owed:
                 yield self._heartbeat(name)
 
     # Readings
@@ -368,7 +371,7 @@ class AreaProtocol(ABC):
     def _received_loads(self) -> dict[str, NetLoad]:
         return {name: peer.received_load.load for name, peer in sorted(self._peers.items()) if peer.received_load}
 
-    def _tell_loads(self) -> Iterator[Publish]:
+    def _send_loads(self) -> Iterator[Publish]:
         """To each neighbour the net load of this side, once all the others have sent theirs."""
         received = self._received_loads()
         missing = set(self._peers) - received.keys()

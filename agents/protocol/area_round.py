@@ -93,7 +93,7 @@ class AreaRound:
         self._go_to(0)
 
     def begin(self, readings: Sequence[Measurement], *, stale: bool, loads: Mapping[str, NetLoad]) -> None:
-        """The readings of the term are there; ``loads``: what neighbours have said of theirs."""
+        """The readings of the term are there; ``loads``: what neighbours have sent of theirs."""
         silent = {n.area for n in self._area.neighbours} - self.links
         stand_ins = {name: load for name, load in loads.items() if name in silent}
         self._has_begun = True

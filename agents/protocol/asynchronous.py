@@ -33,6 +33,7 @@ from agents.protocol.quality import (
     STALE,
     EstimateLimits,
     Finding,
+    assess,
     find_contradictions,
     find_early_scan,
     find_gone,
@@ -43,7 +44,6 @@ from agents.protocol.quality import (
     find_overdue_readings,
     find_rejected_clocks,
     find_skewed_clocks,
-    weigh,
 )
 from agents.strategies.interface import Estimate, Knowledge, Strategy
 from agents.strategies.start import find_no_load
@@ -83,13 +83,13 @@ class AsynchronousProtocol(AreaProtocol):
 
     def _due_times(self) -> Iterator[float]:
         yield from super()._due_times()
-        changes = (self._peers.silent_at(name) for name in self._peers)
+        changes = (self._peers.absent_at(name) for name in self._peers)
         yield from (at for at in (*changes, self._waits_until) if at > self._now)
 
     @property
     def _waits_until(self) -> float:
         """Until when messages of a former scan are used: by then their senders should have our scan."""
-        return self._scan.entered_at + FRESH_HEARTBEATS * self._beat_s
+        return self._scan.entered_at + FRESH_HEARTBEATS * self._heartbeat_s
 
     # What comes in
 
@@ -138,11 +138,11 @@ class AsynchronousProtocol(AreaProtocol):
             yield from self._work()
 
     def _work(self) -> Iterator[Action]:
-        """Tell what is new. Numbers beyond all reason, a neighbour's perhaps, leave no estimate and no crash."""
+        """Publish what is new. Numbers beyond all reason, a neighbour's perhaps, leave no estimate and no crash."""
         problem = ""
         for _ in range(2):  # with all that was received; if that leads nowhere, from the own telemetry alone
             try:
-                yield from self._tell_loads()
+                yield from self._send_loads()
                 yield from self._solve()
                 return
             except (ArithmeticError, np.linalg.LinAlgError, RuntimeError, ValueError) as error:
@@ -161,7 +161,7 @@ class AsynchronousProtocol(AreaProtocol):
         self._rejections.count("led to no estimate")
 
     def _solve(self) -> Iterator[Publish]:
-        """Solve, and tell the neighbours what is new."""
+        """Solve, and send the neighbours what is new."""
         estimate, notes = self._strategy.solve(self._knowledge())
         if estimate is not None and not estimate.is_reasonable(self._no_load_va):
             raise ArithmeticError("it is beyond reason")
@@ -169,7 +169,7 @@ class AsynchronousProtocol(AreaProtocol):
         self._estimated_scan = self.scan
         if estimate is not None and (estimate is not self._sent or any(map(self._is_outdated, self._peers))):
             self._sent = estimate
-            yield from self._tell_boundaries(estimate)
+            yield from self._send_boundaries(estimate)
 
     def _knowledge(self) -> Knowledge:
         return Knowledge(
@@ -195,7 +195,7 @@ class AsynchronousProtocol(AreaProtocol):
             if message is None or message in self._set_aside:
                 continue
             is_ahead = (
-                message.header.scan > self.scan and self._now - peer.received_at < FRESH_HEARTBEATS * self._beat_s
+                message.header.scan > self.scan and self._now - peer.received_at < FRESH_HEARTBEATS * self._heartbeat_s
             )
             if waits or is_ahead or message.header.scan == self.scan:
                 usable[name] = message
@@ -208,12 +208,12 @@ class AsynchronousProtocol(AreaProtocol):
         last = self._peers[name].exchange.message
         return last is None or last.header.scan != self.scan
 
-    def _tell_boundaries(self, estimate: Estimate) -> Iterator[Publish]:
+    def _send_boundaries(self, estimate: Estimate) -> Iterator[Publish]:
         for n in self._area.neighbours:
             sent = self._peers[n.area].exchange
             message = self._strategy.message_for(n, estimate, self._header(sent.sequence + 1))
             if reason := self._strategy.find_rejection(message) or find_unreasonable(message):
-                raise ArithmeticError(f"what it would tell a neighbour: {reason}")
+                raise ArithmeticError(f"what it would send a neighbour: {reason}")
             if self._is_outdated(n.area) or self._strategy.is_update(n, message, cast("BoundaryUpdate", sent.message)):
                 yield self._send(n.area, sent, message)
 
@@ -238,21 +238,21 @@ class AsynchronousProtocol(AreaProtocol):
         """The state where it has changed, and at every heartbeat."""
         findings = list(self._findings())
         self._end.note(self._term, self._estimate, findings, self._now, is_end=self.scan > 0, is_heartbeat=is_heartbeat)
-        worth, last = weigh(findings), self._published.message
+        assessment, last = assess(findings), self._published.message
         old_sides = tuple(sorted(name for name, p in self._peers.items() if p.boundary and not p.complete))
-        is_as_shown = self._published.is_as_shown(worth.quality, old_sides)
+        is_as_shown = self._published.is_as_shown(assessment.quality, old_sides)
         if is_as_shown and not (is_heartbeat or self._has_solved):
             return
         self._has_solved = False
         state = self._published.compose(
-            self._estimate, worth, old_sides, self.scan, self._now, self._scan.readings.ages
+            self._estimate, assessment, old_sides, self.scan, self._now, self._scan.readings.ages
         )
         is_same = last is not None and (state.header.sequence, state.notes) == (last.header.sequence, last.notes)
         if is_heartbeat or not (is_same and is_as_shown):
             yield Publish(state, None)
 
     def _findings(self) -> Iterator[Finding]:
-        """What is to be said of the estimate now; new readings leave it behind until they have been worked in."""
+        """What is to be noted of the estimate now; new readings leave it behind until they have been worked in."""
         estimate = self._estimate
         yield from (Finding(DEGRADED if estimate else NONE, note, note.partition(":")[0]) for note in self._notes)
         yield from find_rejected_clocks(self._rejections.ahead)

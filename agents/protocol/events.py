@@ -75,14 +75,14 @@ class Finish:
 
 @dataclass(frozen=True, slots=True)
 class Conclude:
-    """Tell the log what holds at the end of ``scan``, or has held for long: ``text``, if it is new.
+    """Log what holds at the end of ``scan``, or has held for long: ``text``, if it is new.
 
-    ``told``: the things that it tells of, each with whom it concerns, a meter or an area; without figures.
+    ``facts``: what the text states, each with whom it concerns, a meter or an area; without figures.
     """
 
     scan: int
     text: str
-    told: frozenset[tuple[str, str]]
+    facts: frozenset[tuple[str, str]]
 
 
 Action = Publish | Finish | Conclude

@@ -12,7 +12,7 @@ from agents.messages.packing import Header, StateMessage, content_of
 from agents.peers.peer_table import PeerTable
 from agents.peers.rejections import Rejections
 from agents.protocol.events import Ordered
-from agents.protocol.quality import Worth
+from agents.protocol.quality import Assessment
 from agents.protocol.readings import Ages
 from agents.protocol.scan_readings import ScanReadings
 from agents.strategies.interface import Estimate
@@ -42,7 +42,7 @@ class PublishedState:
         self._rejections = rejections
         self._header_for = header_for
         self._described: tuple[Estimate | None, dict[str, Any]] = None, describe_estimate(None, ())  # the last one
-        self._standing: object = None  # what makes a state that stays the same worth publishing
+        self._standing: object = None  # what makes a state be published that stays the same
 
     def is_as_shown(self, quality: str, old_sides: tuple[str, ...]) -> bool:
         """Whether the last state says what holds now beside the estimate and what the strategy notes.
@@ -60,7 +60,7 @@ class PublishedState:
     def compose(
         self,
         estimate: Estimate | None,
-        worth: Worth,
+        assessment: Assessment,
         old_sides: tuple[str, ...],
         scan: int,
         now: float,
@@ -81,9 +81,9 @@ class PublishedState:
             messages=0,
             bytes=0,
             lost=0,
-            notes=worth.notes,
+            notes=assessment.notes,
             faults={},
-            quality=worth.quality,
+            quality=assessment.quality,
             telemetry_age=self._scan.age(now),
             ages={name: now - peer.received_at for name, peer in peers if peer.received_at > -math.inf},
             scans={name: peer.term[0] for name, peer in peers if peer.incarnation is not None},
@@ -97,7 +97,7 @@ class PublishedState:
         )
         if last is not None and content_of(last) == content_of(state) and last.header.scan == scan:
             state = replace(state, header=replace(state.header, sequence=last.header.sequence))
-        self.message, self._standing = state, self._find_standing(worth.quality)
+        self.message, self._standing = state, self._find_standing(assessment.quality)
         return state
 
     def _describe(self, estimate: Estimate | None) -> dict[str, Any]:

@@ -1,6 +1,6 @@
-"""What a published state is worth, in one quality and why. docs/explanation/quality.md says what each quality promises.
+"""The quality of a published state, and why. docs/explanation/quality.md says what each quality promises.
 
-Everything that is said of an estimate is a ``Finding``: a sentence, and the best quality that it leaves. The
+Everything that is noted of an estimate is a ``Finding``: a sentence, and the best quality that it leaves. The
 quality of a state is the worst of its findings, and its notes are their sentences, the worst first. So neither can be
 without the other: a state that is not good has a note that says why, and one without such a note is good.
 """
@@ -24,7 +24,7 @@ GOOD, DEGRADED, RELATIVE_ANGLE, STALE, NONE = "good", "degraded", "relative-angl
 UNOBSERVABLE = "unobservable"
 QUALITIES = (GOOD, DEGRADED, RELATIVE_ANGLE, STALE, NONE, UNOBSERVABLE)  # from the best to the worst
 
-EARLY_S = 1.0  # ahead of the own clock, from which on a scan is worth a remark
+EARLY_S = 1.0  # ahead of the own clock, from which on a scan is remarked
 
 
 class Finding(NamedTuple):
@@ -39,29 +39,29 @@ class Finding(NamedTuple):
     whom: Sequence[str] = ()
 
 
-class Worth(NamedTuple):
-    """``quality``: what a state is worth. ``notes``: the first of a state that is not good says why."""
+class Assessment(NamedTuple):
+    """The ``quality`` of a state, and ``notes``: the first of a state that is not good says why."""
 
     quality: str
     notes: tuple[str, ...]
 
 
-def weigh(findings: Iterable[Finding]) -> Worth:
-    """The worst quality, and all notes, the worst first; a note that is found twice is said once."""
+def assess(findings: Iterable[Finding]) -> Assessment:
+    """The worst quality, and all notes, the worst first; a note that is found twice is reported once."""
     ordered = sorted(findings, key=lambda finding: -QUALITIES.index(finding.quality))
     quality = ordered[0].quality if ordered else GOOD
-    return Worth(quality, limit_notes(tuple(dict.fromkeys(finding.note for finding in ordered))))
+    return Assessment(quality, limit_notes(tuple(dict.fromkeys(finding.note for finding in ordered))))
 
 
-def weigh_from_outside(said: StateMessage | None, silence: str, disputes: Sequence[str] = ()) -> Worth:
-    """What the last state that was received of an area is worth to who receives it.
+def assess_from_outside(state: StateMessage | None, silence: str, disputes: Sequence[str] = ()) -> Assessment:
+    """The quality of ``state``, the last one received of an area, as its receiver sees it.
 
-    ``silence``: why the area says nothing more, empty if it does: what was right once is stale then. ``disputes``: what
+    ``silence``: why the area publishes no more, empty if it does: what was right once is stale then. ``disputes``: what
     other areas contradict, which it may not know.
     """
-    if said is None:
-        return Worth(NONE, (silence or "never received",))
-    quality, notes = Worth(said.quality, said.notes)
+    if state is None:
+        return Assessment(NONE, (silence or "never received",))
+    quality, notes = Assessment(state.quality, state.notes)
     if disputes:
         quality, notes = (
             DEGRADED if quality == GOOD else quality,
@@ -69,7 +69,7 @@ def weigh_from_outside(said: StateMessage | None, silence: str, disputes: Sequen
         )
     if silence:
         quality, notes = quality if quality == NONE else STALE, (silence, *notes)
-    return Worth(quality, limit_notes(notes))
+    return Assessment(quality, limit_notes(notes))
 
 
 class EstimateLimits:
@@ -115,7 +115,7 @@ def find_gone(name: str, leave_reason: str) -> Finding:
 
 
 def find_rejected_clocks(ahead: Mapping[str, float]) -> Iterator[Finding]:
-    """Senders rejected as from the future, "" for the plant -> by how much, s; who is missed is said elsewhere."""
+    """Senders rejected as from the future, "" for the plant -> by how much, s; who is missed is noted elsewhere."""
     for name, lead in sorted(ahead.items()):
         yield Finding(
             GOOD,
@@ -127,7 +127,7 @@ def find_rejected_clocks(ahead: Mapping[str, float]) -> Iterator[Finding]:
 
 
 def find_contradictions(contradictions: Mapping[str, str]) -> Iterator[Finding]:
-    """Neighbour -> in what its area file contradicts that of this area; that it is missed is said elsewhere."""
+    """Neighbour -> in what its area file contradicts that of this area; that it is missed is noted elsewhere."""
     for name, what in sorted(contradictions.items()):
         yield Finding(DEGRADED, f"{name} is rejected: {what}")
 
@@ -187,7 +187,7 @@ def find_left_out_readings(readings: Readings) -> Iterator[Finding]:
         yield Finding(GOOD, f"too old: the reading of {_first_of(readings.too_old)}", "too old", readings.too_old)
     by_reason: dict[str, list[str]] = {}
     for meter_id, reason in readings.why_rejected.items():
-        if meter_id not in readings.invalid:  # which is said of all of these
+        if meter_id not in readings.invalid:  # which is noted of all of these
             by_reason.setdefault(reason, []).append(meter_id)
     for reason, meters in sorted(by_reason.items()):
         yield Finding(GOOD, f"{reason}: the newest reading of {_first_of(meters)}", reason, meters)

@@ -106,7 +106,7 @@ class ReadingStore:
         gateway, order = message.header.sender, message.header.order
         is_repeated, self._taken[gateway] = self._taken.get(gateway) == order, order
         if self._all_at_every_scan and self._numbers_scans(gateway):
-            return False  # without a look at each of them: at rest this is said at every heartbeat
+            return False  # without a look at each of them: at rest this is sent at every heartbeat
         is_changed = False
         columns = message.meters, message.values, message.sigmas, message.times, message.valid
         for meter_id, value, sigma, time, is_valid in zip(*columns, strict=True):

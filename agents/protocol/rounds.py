@@ -52,7 +52,7 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
         self._round = AreaRound(content.area)
         self._revision = 0
         self._is_change_due = False
-        self._has_loads_to_tell = False  # which only stand in for what is missing
+        self._has_loads_to_send = False  # which only stand in for what is missing
         self._raised_at = -math.inf  # when this area itself last raised the revision
         known = self._peers, self._round, self._scan, self._rejections
         self._state = RoundsState(content, *known, self._published, self._end)
@@ -88,9 +88,9 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
         yield from super()._due_times()
         yield self._scan.deadline
         if self._is_change_due:
-            yield self._raised_at + self._beat_s
+            yield self._raised_at + self._heartbeat_s
         elif not self._is_at_rest:
-            yield from map(self._peers.silent_at, self._round.links)
+            yield from map(self._peers.absent_at, self._round.links)
 
     # What comes in
 
@@ -118,7 +118,7 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
                 yield from self._change()
 
     def _take_load(self) -> Iterator[Action]:
-        self._has_loads_to_tell |= self._scan.are_there
+        self._has_loads_to_send |= self._scan.are_there
         yield from ()
 
     def _receive(self, name: str, message: LinkMessage) -> Iterator[Action]:
@@ -128,7 +128,7 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
         yield from self._send_if_lacking(name, peer.load, message.received[0])
         term = (message.header.scan, message.revision)
         if term[0] > self.scan:
-            peer.take_answer(peer.exchange)  # it has moved on, and lacks nothing
+            peer.take_reply(peer.exchange)  # it has moved on, and lacks nothing
             if self._owes_final():
                 return
         if term > self.term:
@@ -157,7 +157,7 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
     def _take_round(self, name: str, peer: Peer, message: UpMessage | DownMessage) -> Iterator[Action]:
         """A message of a round from a neighbour in use: what is not answered at once is acknowledged at once."""
         if message.k > self._round.k:
-            return  # said to a former incarnation of this area
+            return  # sent to a former incarnation of this area
         peer.is_owed_reply = True
         peer.received_sequence = max(peer.received_sequence, message.header.sequence)
         if message.k < self._round.k:
@@ -167,10 +167,10 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
             if why := self._round.find_false_count(message):
                 yield from self._distrust(name, why)
             elif self._round.take_up(name, message):
-                peer.take_answer(peer.exchange)
+                peer.take_reply(peer.exchange)
                 yield from self._go_on()
         elif self._round.is_waited_for():
-            peer.take_answer(peer.exchange)
+            peer.take_reply(peer.exchange)
             yield from self._take_down(name, message)
 
     # Terms
@@ -190,7 +190,7 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
 
     def _change(self) -> Iterator[Action]:
         """The links in use must change: the next revision; no more than one of an area's own per heartbeat."""
-        if self._now < self._raised_at + self._beat_s:
+        if self._now < self._raised_at + self._heartbeat_s:
             self._is_change_due = True
             return
         self._raised_at = self._now
@@ -214,7 +214,7 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
 
     def _begin(self) -> Iterator[Action]:
         """Round 0 with the readings."""
-        self._has_loads_to_tell = True
+        self._has_loads_to_send = True
         loads = self._received_loads()
         self._round.begin(self._scan.readings.measurements, stale=self._scan.stale, loads=loads)
         yield from self._go_on()
@@ -295,8 +295,8 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
         if self._now >= self._scan.deadline:
             self._scan.go_on_without(self._now)
             yield from self._begin()
-        is_someone_silent = any(not self._peers.is_present(name, self._now) for name in self._round.links)
-        if self._is_change_due or (is_someone_silent and not self._is_at_rest):
+        is_anyone_absent = any(not self._peers.is_present(name, self._now) for name in self._round.links)
+        if self._is_change_due or (is_anyone_absent and not self._is_at_rest):
             yield from self._change()
         yield from self._enter_next_scan()
 
@@ -307,9 +307,9 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
         """
         yield from self._publish_state(self._state.show(self.term, self._now, is_heartbeat=is_heartbeat))
         is_first = any(peer.load.message is None for _, peer in self._peers.items())
-        if self._has_loads_to_tell and (is_heartbeat or is_first):
-            self._has_loads_to_tell = False
-            yield from self._tell_loads()
+        if self._has_loads_to_send and (is_heartbeat or is_first):
+            self._has_loads_to_send = False
+            yield from self._send_loads()
 
     @property
     def _may_show_readings(self) -> bool:

@@ -1,4 +1,4 @@
-"""What an area publishes under rounds: its state once a scan at rest, what that is worth, and what is missing."""
+"""What an area publishes under rounds: its state once a scan at rest, its quality, and what is missing."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ from agents.protocol.quality import (
     UNOBSERVABLE,
     EstimateLimits,
     Finding,
+    assess,
     find_contradictions,
     find_early_scan,
     find_far_scans,
@@ -33,7 +34,6 @@ from agents.protocol.quality import (
     find_overdue_readings,
     find_rejected_clocks,
     find_skewed_clocks,
-    weigh,
 )
 from agents.protocol.readings import Ages
 from agents.protocol.scan_end import ScanEnd
@@ -92,10 +92,10 @@ class RoundsState:
         is_end = self._outcome is not None and self._outcome is self._round.outcome
         findings, old_sides = [*self._findings, *self._passing_findings(term, now)], self._old_sides(term, now)
         self._end.note(term, self._estimate, findings, now, is_end=is_end, is_heartbeat=is_heartbeat)
-        worth, scan = weigh(findings), self._of_scan or term[0]
-        if not (is_new or is_heartbeat) and self._published.is_as_shown(worth.quality, old_sides):
+        assessment, scan = assess(findings), self._of_scan or term[0]
+        if not (is_new or is_heartbeat) and self._published.is_as_shown(assessment.quality, old_sides):
             return None
-        return self._published.compose(self._estimate_now(term), worth, old_sides, scan, now, self._ages)
+        return self._published.compose(self._estimate_now(term), assessment, old_sides, scan, now, self._ages)
 
     def show_end(self, term: Term, now: float) -> StateMessage | None:
         """The state at an end of ``term`` that has not been shown yet, as the next term begins at once."""
@@ -104,14 +104,14 @@ class RoundsState:
 
     def _is_first_way_through(self, term: Term) -> bool:
         """Whether a scan is under way, and nothing has happened to it: its estimate is shown, or at the heartbeat
-        that it is not there; what was said of the last scan still holds of that.
+        that it is not there; what was noted of the last scan still holds of that.
         """
         if self._round.outcome is not None:
             return False
         return 0 < term[0] != self._of_scan and (not term[1] or self._published.message is None)
 
     def _read(self, outcome: Outcome) -> tuple[Estimate | None, tuple[Finding, ...]]:
-        """What the term has ended with, and what that leaves to be said until the next one."""
+        """What the term has ended with, and what that leaves to be noted until the next one."""
         estimation, estimate = self._round.estimation, None
         if not estimation.failure and outcome.verdict.reason != NOT_OBSERVABLE:
             try:
@@ -182,7 +182,7 @@ class RoundsState:
             yield Finding(DEGRADED, f"not received by a neighbour: {', '.join(silent)}", "not received", silent)
 
     def _findings_of_end(self, outcome: Outcome) -> Iterator[Finding]:
-        """How the iteration has ended, where that leaves something to be said."""
+        """How the iteration has ended, where that leaves something to be noted."""
         totals, reason = outcome.totals, outcome.verdict.reason
         if reason == NOT_OBSERVABLE:
             dead = self._round.estimation.dead_voltmeters

@@ -1,7 +1,7 @@
 """What holds at the end of a scan, for the log: an area leaves a term with it, or has been in the term for long.
 
 What passes in between is the exchange at work: a neighbour that is not yet at the end, a newer estimate under way. None
-of it is news, however often it is shown.
+of it is logged, however often it is shown.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from dataclasses import dataclass
 
 from agents.peers.peers import Term
 from agents.protocol.events import Conclude
-from agents.protocol.quality import Finding, weigh
+from agents.protocol.quality import Finding, assess
 from agents.strategies.interface import Estimate
 
 
 @dataclass(frozen=True, slots=True)
 class _Standing:
-    """Where an area is in ``term``, as far as that is said to watchers; ``is_end``: nothing more is to come in it."""
+    """Where an area is in ``term``, as far as watchers see it; ``is_end``: nothing more is to come in it."""
 
     term: Term
     is_end: bool
@@ -26,10 +26,10 @@ class _Standing:
 
 
 class ScanEnd:
-    """Takes what an area finds again and again, and keeps what a log is to be told.
+    """Takes what an area finds again and again, and keeps what is to be logged.
 
     Args:
-        patience_s: after which what holds in a term is no passing thing, whether the term ends or not.
+        patience_s: after which what holds in a term is permanent, whether the term ends or not.
     """
 
     def __init__(self, patience_s: float) -> None:
@@ -57,7 +57,7 @@ class ScanEnd:
             self._ended.append(_conclude(self._last))
 
     def take(self, term: Term, *, is_over: bool = False) -> Iterator[Conclude]:
-        """What is to be told; the area is in ``term`` now. ``is_over``: it ends."""
+        """What is to be logged; the area is in ``term`` now. ``is_over``: it ends."""
         self._leave((-1, -1) if is_over else term)
         ended, self._ended = self._ended, []
         yield from ended
@@ -71,11 +71,11 @@ class ScanEnd:
 
 
 def _conclude(standing: _Standing) -> Conclude:
-    """The line for the log, and what it tells, without figures, which change from scan to scan."""
-    estimate, worth = standing.estimate, weigh(standing.findings)
+    """The line for the log, and the facts in it, without figures, which change from scan to scan."""
+    estimate, assessment = standing.estimate, assess(standing.findings)
     what = "no estimate" if estimate is None else "estimates" if estimate.referenced else "estimates, angles relative"
     removed = estimate.removed if estimate else ()
-    parts = [what, *([f"removed as bad data: {', '.join(removed)}"] if removed else []), *worth.notes]
-    told = {(what, ""), *(("removed as bad data", meter) for meter in removed)}
-    told |= {(finding.about or finding.note, who) for finding in standing.findings for who in finding.whom or ("",)}
-    return Conclude(standing.term[0], "; ".join(parts), frozenset(told))
+    parts = [what, *([f"removed as bad data: {', '.join(removed)}"] if removed else []), *assessment.notes]
+    facts = {(what, ""), *(("removed as bad data", meter) for meter in removed)}
+    facts |= {(finding.about or finding.note, who) for finding in standing.findings for who in finding.whom or ("",)}
+    return Conclude(standing.term[0], "; ".join(parts), frozenset(facts))

@@ -2,7 +2,7 @@
 
 The scan of terms is the number that the plant gives it plus an *offset*, of which each incarnation of the plant has
 one: 0, or what is needed so that no term goes back where a plant numbers lower than the one before, its clock having
-been set back. Areas may find different offsets needed. They tell each other theirs, and the largest counts for all.
+been set back. Areas may find different offsets needed. They send each other theirs, and the largest counts for all.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class ScanReadings:
         self.are_there = self.stale = False
         self.entered_at = now
         self._rejected: Counter[str] = Counter()  # of readings of scans
-        self._beat_s = content.beat_s
+        self._heartbeat_s = content.beat_s
         self._deadline_s = DEADLINE_SHARE * content.scan_s if content.scan_s else DEADLINE_HEARTBEATS * content.beat_s
         self._last: TelemetryMessage | None = None
         self._received_at = now
@@ -93,11 +93,11 @@ class ScanReadings:
 
     def is_late(self, now: float, heartbeats: float = FRESH_HEARTBEATS) -> bool:
         """Whether telemetry has sent nothing for ``heartbeats``."""
-        return now >= self._received_at + heartbeats * self._beat_s
+        return now >= self._received_at + heartbeats * self._heartbeat_s
 
     def fresh_until(self, heartbeats: float) -> float:
         """When it will not have been, if none comes."""
-        return self._received_at + heartbeats * self._beat_s
+        return self._received_at + heartbeats * self._heartbeat_s
 
     def may_enter(self, scan: int, now: float) -> bool:
         """Whether a neighbour can be at ``scan``: numbers come from telemetry, and terms never go back.
@@ -126,7 +126,7 @@ class ScanReadings:
     def _is_newer(self, message: TelemetryMessage, now: float) -> bool:
         """Note that telemetry is received; whether it is newer than what there is."""
         last = self._last
-        patience_s = PATIENCE_HEARTBEATS * self._beat_s
+        patience_s = PATIENCE_HEARTBEATS * self._heartbeat_s
         if last is not None and is_old(message.header, last.header, now - self._received_at, patience_s):
             return False
         self._received_at = now
@@ -204,7 +204,7 @@ class ScanReadings:
             self._read(message, now)
             return TelemetryUpdate.AWAITED
         known = self._later.get(scan, self._used)
-        if self.stale or known is None or self._says(message) != self._says(known):
+        if self.stale or known is None or self._select_scan(message) != self._select_scan(known):
             self._later[scan] = message  # what is under way goes on with what there is until the next term
             return TelemetryUpdate.LATE
         return TelemetryUpdate.NONE
@@ -243,7 +243,7 @@ class ScanReadings:
         self._rejected.update(self.readings.take(message, now, now + self.clock_offset))
         self.are_there, self.stale = True, False
 
-    def _says(self, message: TelemetryMessage) -> list[tuple[object, ...]]:
+    def _select_scan(self, message: TelemetryMessage) -> list[tuple[object, ...]]:
         """The readings that belong to the scan of ``message``."""
         columns = message.meters, message.values, message.sigmas, message.valid
         return [reading for reading in zip(*columns, strict=True) if reading[0] not in self._aging]

@@ -23,7 +23,7 @@ class TickReadings(ScanReadings):
         self._scan_s = content.scan_s
         self._now = now
         self._ticks_ahead = max(1, int(min(MOST_AHEAD, MOST_AHEAD_S / self._scan_s)))
-        self._first_wait_s = min(self._deadline_s, DEADLINE_HEARTBEATS * self._beat_s)
+        self._first_wait_s = min(self._deadline_s, DEADLINE_HEARTBEATS * self._heartbeat_s)
         self._is_received = False
         self._waits_for_term = False
 

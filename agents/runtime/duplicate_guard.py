@@ -26,8 +26,8 @@ class ReplacedError(DsseError):
 class DuplicateGuard:
     """What process ``whom``, incarnation ``own``, has seen of newer ones; ``now``: monotonic time, s."""
 
-    def __init__(self, whom: str, own: Incarnation, now: float, beat_s: float) -> None:
-        self._overlap_s = max(OVERLAP_S, OVERLAP_HEARTBEATS * beat_s)
+    def __init__(self, whom: str, own: Incarnation, now: float, heartbeat_s: float) -> None:
+        self._overlap_s = max(OVERLAP_S, OVERLAP_HEARTBEATS * heartbeat_s)
         self._whom = whom
         self._own = own
         self._began = now

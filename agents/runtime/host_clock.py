@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-LEAST_STEP_S = 1e-3  # by which a clock is set, so that it is worth telling
+LEAST_STEP_S = 1e-3  # by which a clock is set, so that it is reported
 QUICK_S = 1e-4  # within which both clocks are read, or else the process was interrupted between them
 
 

@@ -6,15 +6,16 @@ import logging
 import threading
 from collections import Counter
 from collections.abc import Collection
+from dataclasses import replace
 
-from agents.messages.checks import MessageError, is_worth_writing
+from agents.messages.checks import MessageError, should_log
 from agents.messages.keys import gateway_of, sender_of
 from agents.messages.packing import MAX_BYTES, MAX_NEIGHBOUR_BYTES, Message, TelemetryMessage, decode
 from agents.protocol.events import Received, Rejected
 from agents.runtime.inbox import Inbox
 
 log = logging.getLogger(__name__)
-MOST_GATEWAYS = 64  # that have a slot, where any name may speak
+MOST_GATEWAYS = 64  # that have a slot, where any name may publish
 ANY_GATEWAY = "*"
 
 
@@ -22,19 +23,28 @@ class IngressFilter:
     """Puts what arrives on the bus' threads into ``inbox``, one slot for each key: strangers do not make it grow.
 
     Args:
-        neighbour_keys: those on which neighbours speak to this area.
+        neighbour_keys: those on which neighbours send to this area.
         run, area: whose telemetry it is.
-        gateways: names that may speak for its meters; of ``ANY_GATEWAY`` the first ``MOST_GATEWAYS`` that do.
+        gateways: names that may send for its meters; of ``ANY_GATEWAY`` the first ``MOST_GATEWAYS`` that do.
+        meters: ids of its meters. Telemetry that names just these is let in with them, not with thousands of texts that
+            say the same.
     """
 
     def __init__(
-        self, neighbour_keys: Collection[str], run: str, area: str, gateways: Collection[str], inbox: Inbox
+        self,
+        neighbour_keys: Collection[str],
+        run: str,
+        area: str,
+        gateways: Collection[str],
+        inbox: Inbox,
+        meters: tuple[str, ...] = (),
     ) -> None:
         self._neighbour_keys = frozenset(neighbour_keys)
         self._run, self._area = run, area
         self._gateways = set(gateways) - {ANY_GATEWAY}
         self._room = MOST_GATEWAYS if ANY_GATEWAY in gateways else 0
         self._inbox = inbox
+        self._meters = meters
         self._last: dict[str, tuple[bytes, Received]] = {}  # of each key; most of what comes repeats it
         self._rejected: Counter[str] = Counter()
         self._lock = threading.Lock()
@@ -42,7 +52,7 @@ class IngressFilter:
     def take(self, key: str, payload: bytes) -> None:
         """Let a message in, or count why not."""
         gateway = "" if key in self._neighbour_keys else gateway_of(key, self._run, self._area)
-        if not (key in self._neighbour_keys or self._may_speak(gateway)):
+        if not (key in self._neighbour_keys or self._may_publish(gateway)):
             self._reject("unknown sender", key, "nobody who has a say here speaks on this key")
             return
         last = self._last.get(key)
@@ -55,11 +65,13 @@ class IngressFilter:
         except MessageError as error:
             self._reject(error.reason, key, str(error))
         else:
+            if isinstance(message, TelemetryMessage) and message.meters == self._meters:
+                message = replace(message, meters=self._meters)
             received = Received(message, sender_of(key))
             self._last[key] = payload, received
             self._inbox.put(key, received)
 
-    def _may_speak(self, gateway: str) -> bool:
+    def _may_publish(self, gateway: str) -> bool:
         with self._lock:
             if gateway and gateway not in self._gateways and self._room:
                 self._room -= 1
@@ -71,7 +83,7 @@ class IngressFilter:
             self._rejected[reason] += 1
             count = self._rejected[reason]
         self._inbox.put(("rejected", reason), Rejected(reason, count))
-        if is_worth_writing(count):
+        if should_log(count):
             log.warning("rejected payload number %s for this reason, on %.200s: %s", count, ascii(key), why)
 
 

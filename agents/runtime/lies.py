@@ -1,6 +1,6 @@
 """What a lying area says: the same false boundary, totals or verdict in all its messages.
 
-A story that contradicts itself is found out at once. So every number that speaks of y = (p, q, vm, va) at the boundary
+A story that contradicts itself is found out at once. So every number about y = (p, q, vm, va) at the boundary
 is changed as if y were another one, and a verdict follows from the totals that are sent, unless the lie is about the
 verdict itself.
 """
@@ -23,7 +23,7 @@ from agents.messages.triangle import read_triangle, write_triangle
 from dsse_core.estimation.decision import Memory, Totals, decide
 from dsse_core.link_faults import LinkFaults
 
-WORST = 1e3  # the normalised residual that a lie about the worst meter tells
+WORST = 1e3  # the normalised residual that a lie about the worst meter states
 
 
 class Liar:
@@ -47,7 +47,7 @@ class Liar:
         return message
 
     def _falsify_y(self, y: tuple[float, ...]) -> tuple[float, ...]:
-        """y, or the first of it, or nothing where nothing was said."""
+        """y, or the first of it, or nothing where nothing was sent."""
         if not self._faults.lies_of_boundary:
             return y
         false = self._faults.lie_scale * np.array(y) + self._offset[: len(y)]

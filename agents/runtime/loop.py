@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import functools
 import logging
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from agents.area_files.area_file import AreaFile
@@ -24,24 +23,24 @@ from agents.messages.keys import (
     readings_key,
     state_key,
 )
-from agents.messages.packing import ClockMessage, ReadingsMessage, StateMessage, decode
+from agents.messages.packing import ClockMessage, Incarnation, ReadingsMessage, StateMessage, decode
 from agents.orders.order_book import OrderBook
 from agents.protocol.choose import kinds_of, make_protocol
 from agents.protocol.events import ClockSet, Conclude, Event, Finish, PresenceChanged, Publish
-from agents.runtime.change_log import ChangeLog
 from agents.runtime.duplicate_guard import GIVES_WAY, DuplicateGuard, ReplacedError
-from agents.runtime.heap import give_back
+from agents.runtime.heap import Heap
 from agents.runtime.host_clock import HostClock
 from agents.runtime.inbox import Inbox
 from agents.runtime.ingress_filter import IngressFilter
 from agents.runtime.link import FaultyLinks
+from agents.runtime.log.changes import ChangeLog
 from agents.runtime.presence import Presence, begin_incarnation, read_leave
 from agents.runtime.renewal import Renewal
 from agents.runtime.watchdog import Watchdog
 from agents.transport.zenoh_bus import Session
+from dsse_core.grid.measurement import Source
 
 log = logging.getLogger(__name__)
-TIDY_S = 1.0  # between two times that free memory is given back; hundreds of areas may share one machine's
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,25 +94,20 @@ def run_agent(
     protocol = make_protocol(content, incarnation, now=now, started_at=now + clock.offset)
     kinds = kinds_of(content.strategy)
     links = FaultyLinks(content.area.name, content.links, content.seed, _publishers(content, session, kinds))
-    name, run = content.area.name, content.run
     _listen(content, session, kinds, inbox)
-    own_token = live_key(run, "area", name, incarnation)
-    send_leave = session.publisher(own_token)
-    session.declare_presence(own_token)
+    send_leave = _declare_presence(content, session, incarnation)
     backend = protocol.describe_backend()
     how = f"{content.strategy}, back end {backend}" if backend else content.strategy
-    log.info("area %s of run %s, strategy %s, incarnation %s", name, run, how, incarnation)
-    presence, guard = Presence(), DuplicateGuard(f"area {name} of run {run}", incarnation, now, content.beat_s)
+    log.info("area %s of run %s, strategy %s, incarnation %s", content.area.name, content.run, how, incarnation)
+    guard = DuplicateGuard(f"area {content.area.name} of run {content.run}", incarnation, now, content.beat_s)
     orders = orders or OrderBook.of(content)
-    events = orders.begin()
-    take_command = functools.partial(_take_command, orders, clock)
-    changes = ChangeLog()
-    next_tidying = now
+    intake = _Intake(content.area.name, session, inbox, links, guard, clock, orders)
+    events, changes, heap = orders.begin(), ChangeLog(), Heap()
     watchdog = watchdog or Watchdog({})
     watchdog.ready(now)
     while True:
         now = time.monotonic()
-        next_beat = now + watchdog.beat(now)
+        next_ping = now + watchdog.ping(now)
         for action in protocol.handle(events, now):
             match action:
                 case Publish(message, to):
@@ -125,17 +119,9 @@ def run_agent(
                     if (at_the_end := protocol.describe_backend()) != backend:
                         log.info("back end %s", at_the_end)
                     return reason
-        now = time.monotonic()
-        if now >= next_tidying:
-            next_tidying = now + TIDY_S
-            give_back()
-        updates = inbox.take(min(protocol.wait_s(now), min(links.next_due(), guard.next_due(), next_beat) - now))
-        links.release(time.monotonic())
-        if Renewal.ASKED in updates and session.interrupt():
-            updates += [*inbox.take(0.0), _OutOfSight()]
-            session.resume()
-        events = [ClockSet(clock.offset)] if clock.has_been_set() else []
-        events += _events_of(name, updates, presence, guard, links, take_command)
+        began, now = now, time.monotonic()
+        heap.tidy_after(now - began)
+        events = intake.take(min(protocol.wait_s(now), min(links.next_due(), guard.next_due(), next_ping) - now))
         try:
             guard.check(time.monotonic())
         except ReplacedError:
@@ -143,12 +129,21 @@ def run_agent(
             raise
 
 
+def _declare_presence(content: AreaFile, session: Session, incarnation: Incarnation) -> Callable[[bytes], None]:
+    """Show the token of ``incarnation``; what sends its leave message."""
+    own_token = live_key(content.run, "area", content.area.name, incarnation)
+    send_leave = session.publisher(own_token)
+    session.declare_presence(own_token)
+    return send_leave
+
+
 def _listen(content: AreaFile, session: Session, kinds: Sequence[str], inbox: Inbox) -> None:
     """Have all that is meant for the area put into ``inbox``."""
     run, name = content.run, content.area.name
     neighbours = sorted({n.area for n in content.area.neighbours})
     known = {neighbour_key(run, neighbour, kind, name) for neighbour in neighbours for kind in kinds}
-    ingress_filter = IngressFilter(known, run, name, content.readings.gateways, inbox)
+    meters = tuple(meter.id for meter in content.meters if meter.source is not Source.VIRTUAL)
+    ingress_filter = IngressFilter(known, run, name, content.readings.gateways, inbox, meters)
     session.subscribe(all_from_neighbours(run, name), ingress_filter.take)
     session.subscribe(all_telemetry(run, name), ingress_filter.take)
     session.subscribe(command_key(run, name), lambda key, payload: inbox.put(key, _CommandReceived(payload)))
@@ -188,38 +183,49 @@ def _put_leave(inbox: Inbox, key: str, payload: bytes) -> None:
         inbox.put(("leave", key), _TokenSeen(key, False, leave_reason))
 
 
-def _events_of(
-    area: str,
-    updates: Sequence[Any],
-    presence: Presence,
-    guard: DuplicateGuard,
-    links: FaultyLinks,
-    take_command: Callable[[bytes], Iterator[Event]],
-) -> Iterator[Event]:
-    """What of ``updates`` is for the protocol of ``area``; the rest is taken in here."""
-    for item in updates:
+@dataclass
+class _Intake:
+    """What arrives in ``inbox``, as events for the protocol of ``area``; the rest is taken in here."""
+
+    area: str
+    session: Session
+    inbox: Inbox
+    links: FaultyLinks
+    guard: DuplicateGuard
+    clock: HostClock
+    orders: OrderBook
+    presence: Presence = field(default_factory=Presence)
+
+    def take(self, wait_s: float) -> list[Event]:
+        """What has arrived, after ``wait_s`` at most; the links are opened anew where that is asked for."""
+        updates = self.inbox.take(wait_s)
+        self.links.release(time.monotonic())
+        if Renewal.ASKED in updates and self.session.interrupt():
+            updates += [*self.inbox.take(0.0), _OutOfSight()]
+            self.session.resume()
+        events: list[Event] = [ClockSet(self.clock.offset)] if self.clock.has_been_set() else []
+        events += (event for item in updates for event in self._events_of(item))
+        return events
+
+    def _events_of(self, item: Any) -> Iterator[Event]:
         match item:
             case _ClockReceived(at, payload):
-                _take_clock(links, at, payload)
+                _take_clock(self.links, at, payload)
             case _CommandReceived(payload):
-                yield from take_command(payload)
+                yield from self.orders.take(payload, time.monotonic() + self.clock.offset)
             case _OutOfSight():
-                guard.forget()
-                for _, gone in presence.forget():
+                self.guard.forget()
+                for _, gone in self.presence.forget():
                     yield PresenceChanged(gone, False)
             case Renewal():
                 pass
-            case _TokenSeen(key, alive) if name_of_live(key)[1] == area:  # our own incarnation, or a namesake's
-                guard.take(key, alive, time.monotonic())
+            case _TokenSeen(key, alive) if name_of_live(key)[1] == self.area:  # our own incarnation, or a namesake's
+                self.guard.take(key, alive, time.monotonic())
             case _TokenSeen(key, alive, leave_reason):
-                if presence.take_leave(key) if leave_reason else presence.take(key, alive):
+                if self.presence.take_leave(key) if leave_reason else self.presence.take(key, alive):
                     yield PresenceChanged(name_of_live(key)[1], alive, leave_reason)
             case _:
                 yield item
-
-
-def _take_command(orders: OrderBook, clock: HostClock, payload: bytes) -> Iterator[Event]:
-    return orders.take(payload, time.monotonic() + clock.offset)
 
 
 def _take_clock(links: FaultyLinks, at: float, payload: bytes) -> None:

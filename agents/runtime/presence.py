@@ -40,6 +40,12 @@ class Presence:
             tuple[str, str], set[Incarnation]
         ] = {}  # role and name -> those whose tokens are there
 
+    def copy(self) -> Presence:
+        """One that knows the same, and goes its own way from here."""
+        made = Presence()
+        made._incarnations = {name: set(incarnations) for name, incarnations in self._incarnations.items()}
+        return made
+
     @property
     def names(self) -> set[tuple[str, str]]:
         """(role, name) of all that are there."""

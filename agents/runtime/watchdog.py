@@ -1,4 +1,4 @@
-"""What systemd is told of a process (sd_notify): that it is ready, and from its loop that the loop still goes round.
+"""What a process reports to systemd (sd_notify): that it is ready, and from its loop that the loop goes on.
 
 A loop that is stuck says nothing, and systemd restarts the process after ``WatchdogSec`` of its unit.
 """
@@ -10,12 +10,12 @@ import socket
 from collections.abc import Mapping
 from contextlib import suppress
 
-BEATS = 4  # in the time after which systemd would restart the process
+PINGS = 4  # in the time after which systemd would restart the process
 COMPILING_US = 900 * 10**6  # for which the loop may stand still, or the start last on, while solvers are compiled
 
 
 class Watchdog:
-    """Speaks to the service manager that ``environment`` names; without one all calls do nothing."""
+    """Reports to the service manager that ``environment`` names; without one all calls do nothing."""
 
     def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
         address = environment.get("NOTIFY_SOCKET", "")
@@ -24,30 +24,30 @@ class Watchdog:
         self._address = "\0" + address[1:] if address.startswith("@") else address
         self._limit_us = int(limit) if address and limit.isascii() and limit.isdigit() else 0
         self._is_ready = False
-        self._next_beat = float("inf")
+        self._next_ping = float("inf")
 
     def ready(self, now: float) -> None:
         """Say that the process does its work from now on; ``now``: s, of the monotonic clock."""
         self._is_ready = True
-        self._say("READY=1")
+        self._notify("READY=1")
         if self._limit_us:
-            self._next_beat = now
+            self._next_ping = now
 
-    def beat(self, now: float) -> float:
-        """Called by the loop each time it goes round: say so if it is time to; how long the loop may wait, s."""
-        if now >= self._next_beat:
-            self._say("WATCHDOG=1")
-            self._next_beat = now + self._limit_us * 1e-6 / BEATS
-        return self._next_beat - now
+    def ping(self, now: float) -> float:
+        """Called by the loop each time it goes on: report it if it is time to; how long the loop may wait, s."""
+        if now >= self._next_ping:
+            self._notify("WATCHDOG=1")
+            self._next_ping = now + self._limit_us * 1e-6 / PINGS
+        return self._next_ping - now
 
     def take_compiling(self, begins: bool, _: str | None) -> None:
         """Ask for patience while the process compiles (listener of ``dsse_core/compiling.py``)."""
         if begins and not self._is_ready:
-            self._say(f"EXTEND_TIMEOUT_USEC={COMPILING_US}")
+            self._notify(f"EXTEND_TIMEOUT_USEC={COMPILING_US}")
         elif self._is_ready and self._limit_us:
-            self._say(f"WATCHDOG_USEC={max(self._limit_us, COMPILING_US) if begins else self._limit_us}")
+            self._notify(f"WATCHDOG_USEC={max(self._limit_us, COMPILING_US) if begins else self._limit_us}")
 
-    def _say(self, text: str) -> None:
+    def _notify(self, text: str) -> None:
         """A service manager that does not listen changes nothing."""
         if self._address:
             with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as sent:

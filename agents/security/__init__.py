@@ -1,1 +1,1 @@
-"""Who may speak: keys, certificates and access rules."""
+"""Who may publish: keys, certificates and access rules."""

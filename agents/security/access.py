@@ -1,4 +1,4 @@
-"""Who may speak: what each certificate may publish, show and receive, and the same as Zenoh's access control.
+"""Access rights: what each certificate may publish, show and receive, and the same as Zenoh's access control.
 
 Every process applies this to every link of its own, whichever end called: the common name of the certificate at the
 other end says who that is, not the place where it was found, and everything that is not allowed here is rejected.
@@ -14,6 +14,7 @@ from typing import Any
 from agents.messages.keys import (
     all_commands,
     all_from_neighbours,
+    all_gateways,
     all_incarnations,
     all_live,
     all_of_run,
@@ -22,11 +23,14 @@ from agents.messages.keys import (
     all_telemetry,
     clock_key,
     command_key,
+    gateway_key,
     neighbour_key,
+    of_any_version,
     readings_key,
     state_key,
     telemetry_key,
 )
+from dsse_core.reading_rules import ANYBODY
 
 ROUTER, PLANT, COORDINATOR, OPERATOR, WATCHER = "router", "plant", "coordinator", "operator", "watcher"
 ROLES = (ROUTER, PLANT, COORDINATOR, OPERATOR, WATCHER)
@@ -44,13 +48,14 @@ EVERY_MESSAGE = (
     "liveliness_query",
     "declare_liveliness_subscriber",
 )
-SPOKEN = ("put", "delete", "liveliness_token")
+PUBLISHING = ("put", "delete", "liveliness_token")
+SUBSCRIBING = ("declare_liveliness_subscriber", "liveliness_query", "declare_subscriber")  # the first names a rule
 REVOKED = "/revoked"  # a rule's name that is no area's
 
 
 @dataclass(frozen=True)
 class Access:
-    """All that decides who may speak in ``run``.
+    """All that decides who may publish in ``run``.
 
     ``neighbours``: area -> its neighbours. ``revoked``: names whose keys are in wrong hands. ``gateways``: gateway ->
     the areas to which it may send readings; the plant may to all, unless it stands there as ``plant``.
@@ -64,10 +69,10 @@ class Access:
     @property
     def names(self) -> tuple[str, ...]:
         """The common names of all certificates of a deployment."""
-        return (*ROLES, *self.speakers, *self.neighbours)
+        return (*ROLES, *self.gateways_by_name, *self.neighbours)
 
     @property
-    def speakers(self) -> Mapping[str, str]:
+    def gateways_by_name(self) -> Mapping[str, str]:
         """Common name of each gateway but the plant -> the gateway."""
         return {f"{GATEWAY_}{gateway}": gateway for gateway in self.gateways if gateway != PLANT}
 
@@ -82,9 +87,10 @@ class Access:
     def met_directly_by(self, name: str) -> tuple[str, ...]:
         """Whom ``name`` links with where there is no router: a gateway with its areas, a watcher with all."""
         if name not in self.neighbours:
-            return self.areas_of(self.speakers[name]) if name in self.speakers else tuple(self.neighbours)
-        speakers = (speaker for speaker, gateway in self.speakers.items() if name in self.areas_of(gateway))
-        return (*self.neighbours[name], PLANT, COORDINATOR, OPERATOR, WATCHER, *speakers)
+            gateway = self.gateways_by_name.get(name)
+            return tuple(self.neighbours) if gateway is None else self.areas_of(gateway)
+        gateways = (own for own, gateway in self.gateways_by_name.items() if name in self.areas_of(gateway))
+        return (*self.neighbours[name], PLANT, COORDINATOR, OPERATOR, WATCHER, *gateways)
 
 
 def find_name_problems(access: Access) -> Iterator[str]:
@@ -120,13 +126,13 @@ class Rights:
 
 
 def find_rights(access: Access) -> dict[str, Rights]:
-    """Common name -> its rights, of all but routers: they pass on what others say."""
+    """Common name -> its rights, of all but routers: they pass on what others publish."""
     return {
         PLANT: _rights_of_plant(access),
         COORDINATOR: _rights_of_coordinator(access),
         OPERATOR: _rights_of_operator(access),
         WATCHER: _rights_of_watcher(access),
-        **{name: _rights_of_gateway(access, gateway) for name, gateway in access.speakers.items()},
+        **{name: _rights_of_gateway(access, gateway) for name, gateway in access.gateways_by_name.items()},
         **{area: _rights_of_area(access, area) for area in access.neighbours},
     }
 
@@ -168,12 +174,12 @@ def _rights_of_gateway(access: Access, gateway: str) -> Rights:
     """It also gets the states of its areas, to pass the results on."""
     run, areas, own_tokens = access.run, access.areas_of(gateway), all_incarnations(access.run, "gateway", gateway)
     return Rights(
-        publishes=tuple(telemetry_key(run, area, gateway) for area in areas),
+        publishes=(*(telemetry_key(run, area, gateway) for area in areas), gateway_key(run, gateway)),
         shows=(own_tokens,),
         subscribes=(all_states(run),),
         receives=tuple(state_key(run, area) for area in areas),
         sees=(all_incarnations(run, "area", "*"), own_tokens),
-        is_received_by=(*(all_telemetry(run, area) for area in areas), all_live(run)),
+        is_received_by=(*(all_telemetry(run, area) for area in areas), all_gateways(run), all_live(run)),
     )
 
 
@@ -191,13 +197,14 @@ def _rights_of_coordinator(access: Access) -> Rights:
 
 def _rights_of_operator(access: Access) -> Rights:
     run, everything = access.run, _for_watchers(access)
+    commands = tuple(command_key(run, name) for name in (*access.neighbours, PLANT))
     return Rights(
-        publishes=(all_commands(run),),
+        publishes=commands,
         shows=(),
         subscribes=everything,
         receives=everything,
         sees=(all_live(run),),
-        is_received_by=(*(command_key(run, name) for name in (*access.neighbours, PLANT)), all_commands(run)),
+        is_received_by=(*commands, all_commands(run)),
     )
 
 
@@ -207,18 +214,19 @@ def _rights_of_watcher(access: Access) -> Rights:
 
 
 def _for_watchers(access: Access) -> tuple[str, ...]:
-    return all_states(access.run), all_readings(access.run), all_commands(access.run)
+    return all_states(access.run), all_readings(access.run), all_commands(access.run), all_gateways(access.run)
 
 
 def zenoh_access_control(access: Access, meets: Iterable[str]) -> dict[str, Any]:
     """The rules for links with ``meets`` as Zenoh's configuration ``access_control``: what is not allowed is rejected.
 
     A link with anybody else, or with a revoked name, may be there, and nothing passes. What revoked names alone may
-    say is rejected, also where another process passes it on.
+    publish is rejected, also where another process passes it on.
     """
     names = [name for name in meets if name not in access.revoked]
     rights = find_rights(access)
-    rules = [_rule(REVOKED, "deny", ("ingress", "egress"), SPOKEN, own)] if (own := _said_by_revoked(access)) else []
+    own = _keys_of_revoked(access)
+    rules = [_rule(REVOKED, "deny", ("ingress", "egress"), PUBLISHING, own)] if own else []
     policies = []
     for name in names:
         allowed = _rules_of_router(access) if name == ROUTER else _rules_of(name, rights[name])
@@ -233,7 +241,32 @@ def zenoh_access_control(access: Access, meets: Iterable[str]) -> dict[str, Any]
     }
 
 
-def _said_by_revoked(access: Access) -> tuple[str, ...]:
+def zenoh_access_control_without_keys(access: Access) -> dict[str, Any]:
+    """The rules of a router that knows who takes part in a run, and nobody's key: anybody may publish and subscribe to
+    what some process of the run may. What anybody announces under other names ends at this link, before the router
+    notes it.
+    """
+    rights = find_rights(access).values()
+    published = {key: None for r in rights for key in (*r.publishes, *map(of_any_version, r.shows))}
+    subscribed = {key: None for r in rights for key in (*r.subscribes, *r.sees)}
+    published |= dict.fromkeys(of_any_version(state_key(access.run, area)) for area in access.neighbours)
+    # of watchers without keys, which name programs of other versions
+    every_version = map(of_any_version, (all_live(access.run), all_states(access.run), all_states("*")))
+    rules = [
+        _rule("published", "allow", ("ingress",), ("put", "liveliness_token"), tuple(published)),
+        _rule("subscribed", "allow", ("ingress",), SUBSCRIBING, (*subscribed, *every_version)),
+        _rule("passed on", "allow", ("egress",), EVERY_MESSAGE, ("**",)),
+    ]
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": [{"id": ANYBODY}],
+        "policies": [{"rules": [rule["id"] for rule in rules], "subjects": [ANYBODY]}],
+    }
+
+
+def _keys_of_revoked(access: Access) -> tuple[str, ...]:
     rights = find_rights(access)
     return tuple(key for name in access.revoked for key in (*rights[name].publishes, *rights[name].shows))
 
@@ -256,7 +289,7 @@ def _table(rights: Rights) -> tuple[tuple[str, tuple[str, ...], tuple[str, ...]]
         ("ingress", ("put",), rights.publishes),
         ("ingress", ("liveliness_token", "put"), rights.shows),
         ("ingress", ("declare_subscriber",), rights.subscribes),
-        ("ingress", ("declare_liveliness_subscriber", "liveliness_query", "declare_subscriber"), rights.sees),
+        ("ingress", SUBSCRIBING, rights.sees),
         ("egress", ("put",), rights.receives),
         ("egress", ("liveliness_token", "put"), rights.sees),
         ("egress", ("declare_subscriber",), rights.is_received_by),

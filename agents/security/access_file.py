@@ -18,7 +18,7 @@ from dsse_core.files.strict_table import FileTable, load_strict
 
 ACCESS_FILE = "access.toml"
 HEAD = """\
-# Who may speak with whom: nobody lets through anything else.
+# Who may exchange messages with whom: nobody lets through anything else.
 # "gateways": to which areas each gateway may send readings.
 # Names in "revoked" are denied everything; after a change, send SIGHUP to every process.
 """

@@ -17,7 +17,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from agents.security.credential_files import Credentials, find_mode_problems
 from dsse_core.files.bounded_file import LARGEST_PEM, read_bounded
 
-PROBE_S = 2.0  # time for a handshake that only asks why there is no connection
+PROBE_S = 5.0  # time for a handshake that only asks why there is no connection
 
 
 def find_credential_problems(credentials: Credentials, listens: bool) -> list[str]:
@@ -40,13 +40,28 @@ def find_credential_problems(credentials: Credentials, listens: bool) -> list[st
         )
     problems += _find_usage_problems(credentials.certificate, own, listens)
     if key and key.public_key() != own.public_key():
-        problems.append(f"{credentials.key}: does not belong to {credentials.certificate}; copy both from one place")
+        problems.append(_does_not_belong(credentials.certificate, credentials.key))
     if authorities and not any(_is_issued_by(c, a) for c in chain for a in authorities):
         problems.append(
             f"{credentials.certificate}: was issued by {own.issuer.rfc4514_string()!r}, not by the authority in "
             f"{credentials.authority}; take certificate and authority from the same `dsse keys create`"
         )
     return problems
+
+
+def find_pair_problems(certificate: Path, key: Path) -> list[str]:
+    """Every problem of a server's own certificate, whoever issued it, and its key."""
+    now = datetime.datetime.now(datetime.UTC)
+    problems: list[str] = []
+    chain, private = _read_certificates(certificate, problems), _read_key(key, problems)
+    problems += [problem for one in chain for problem in _find_date_problems(certificate, one, now)]
+    if chain and private and private.public_key() != chain[0].public_key():
+        problems.append(_does_not_belong(certificate, key))
+    return problems
+
+
+def _does_not_belong(certificate: Path, key: Path) -> str:
+    return f"{key}: does not belong to {certificate}; copy both from one place"
 
 
 def _read_certificates(path: Path, problems: list[str]) -> list[x509.Certificate]:
@@ -121,7 +136,7 @@ def _is_issued_by(certificate: x509.Certificate, authority: x509.Certificate) ->
 def explain_rejection(endpoint: str, credentials: Credentials) -> str:
     """Why ``endpoint`` (``tls/HOST:PORT``) and we do not come together, in words; empty if unknown.
 
-    Zenoh says only that time is up. A handshake of our own tells what the other side, or we, object to.
+    Zenoh says only that time is up. A handshake of our own shows what the other side, or we, object to.
     """
     host, _, port = endpoint.partition("/")[2].rpartition(":")
     context = ssl.create_default_context(cafile=str(credentials.authority))

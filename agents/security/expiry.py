@@ -38,7 +38,7 @@ class ExpiryWatch:
     def __init__(self, credentials: Credentials) -> None:
         self._credentials = credentials
         self._stopped = threading.Event()
-        self._tell()
+        self._warn()
         threading.Thread(target=self._go_on, daemon=True).start()
 
     def stop(self) -> None:
@@ -46,8 +46,8 @@ class ExpiryWatch:
 
     def _go_on(self) -> None:
         while not self._stopped.wait(DAY_S):
-            self._tell()
+            self._warn()
 
-    def _tell(self) -> None:
+    def _warn(self) -> None:
         for line in describe_expiry(self._credentials, datetime.datetime.now(datetime.UTC)):
             log.warning("%s", line)

@@ -1,4 +1,4 @@
-"""Strategies: what an area makes of what it knows, and what it tells its neighbours. With what yours needs."""
+"""Strategies: what an area makes of what it knows, and what it sends its neighbours. With what yours needs."""
 
 from agents.area_files.area_file import AreaFile
 from agents.messages.checks import Count, Integer, Name, Names, Number, Numbers

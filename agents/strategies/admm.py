@@ -1,8 +1,8 @@
 """``admm``: consensus ADMM (``dsse_core.exchange``), for comparison; its fixed point is the centralised estimate.
 
 An area waits for those of its neighbours whose turn it is, takes one step on its own telemetry and what its
-boundaries pull it to, and tells the neighbours (``admm_boundary``). Load messages and the local power flow only
-start the iteration.
+boundaries pull it to, and sends the neighbours the result (``admm_boundary``). Load messages and the local power flow
+only start the iteration.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from dsse_core.linear.boundary_information import BEYOND_REASON, EXACT_SIGMA, VA
 
 MOST_STEPS = 50  # between two messages
 LARGEST_R = np.array([1e6, 1e6, 1e3, 1e3])  # p.u. and rad; from farther away z would not come back with all digits
-SETTLED = 1e-6  # p.u., rad: a last step below it tells of the end
+SETTLED = 1e-6  # p.u., rad: a last step below it shows the end
 
 
 class Admm(Strategy):

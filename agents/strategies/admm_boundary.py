@@ -7,7 +7,7 @@ apart than that. A side that is, because it has restarted, goes on from what it 
 depend on how it was reached.
 
 Of two sides that are at the same iteration the owner goes first, and then each message is an answer that brings the
-next step along: half as many messages as when both speak at a time, and no longer a way.
+next step along: half as many messages as when both send at a time, and no longer a way.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ ANGLE = np.arange(4) == VA
 
 @dataclass(frozen=True, slots=True)
 class AdmmMessage(BoundaryUpdate):
-    """What the sender tells in its ``iteration`` at a boundary: ``r = 2 y - z`` of its d ``variables`` y.
+    """What the sender states in its ``iteration`` at a boundary: ``r = 2 y - z`` of its d ``variables`` y.
 
     ``r_before``: that of the iteration before, should its message have been lost. ``weight``: the sender's own
     information about each of y, which the penalty is a multiple of. ``referenced``: the sender's side knows the
@@ -95,7 +95,7 @@ class BoundaryIteration:
 
     @property
     def is_owed(self) -> bool:
-        """Whether it is the turn of the neighbour, which has spoken before."""
+        """Whether it is the turn of the neighbour, which has sent before."""
         return self.received is not None and self.received.iteration < self.k + self._defers
 
     def pull(self, penalty: float) -> BoundaryInformation | None:

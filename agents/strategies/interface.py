@@ -1,6 +1,6 @@
 """What a strategy is: what the program asks of every one, and the interface of asynchronous ones.
 
-An asynchronous strategy takes three decisions, without clock and bus: solve, what to tell, is it worth telling.
+An asynchronous strategy takes three decisions, without clock and bus: solve, what to send, is it to be sent at once.
 """
 
 from __future__ import annotations
@@ -104,7 +104,7 @@ class AnyStrategy:
 
 
 class Strategy(AnyStrategy, ABC):
-    """One area's side of an asynchronous strategy: it solves with what it knows, and tells each neighbour the result.
+    """One area's side of an asynchronous strategy: it solves with what it knows, and sends each neighbour the result.
 
     A strategy of one's own derives from it, and its distribution names it in an entry point of group
     ``dsse.strategies`` (docs/tutorials/own-strategy.md). The protocol delivers its messages whatever is lost, and
@@ -133,7 +133,7 @@ class Strategy(AnyStrategy, ABC):
 
     @abstractmethod
     def is_update(self, neighbour: Neighbour, message: BoundaryUpdate, last: BoundaryUpdate) -> bool:
-        """Whether ``message`` to ``neighbour`` differs from the last one sent enough to be worth sending at once."""
+        """Whether ``message`` to ``neighbour`` differs enough from the last one sent to be sent at once."""
 
     def find_rejection(self, message: BoundaryUpdate) -> str:
         """Why a neighbour's message cannot be used, in short; empty if it can."""

@@ -8,7 +8,7 @@ from typing import Any
 
 from agents.messages.packing import MAX_BYTES
 from agents.peers.freshness import PATIENCE_HEARTBEATS
-from agents.security.access import zenoh_access_control
+from agents.security.access import Access, zenoh_access_control, zenoh_access_control_without_keys
 from agents.security.credential_files import Credentials
 from agents.security.credentials import Keys
 
@@ -19,11 +19,16 @@ RETRY = {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 2
 
 
 def bus_config(
-    mode: str, keys: Keys | None = None, meets: Iterable[str] = (), beat_s: float = 0.0, **sections: Any
+    mode: str,
+    keys: Keys | None = None,
+    meets: Iterable[str] = (),
+    heartbeat_s: float = 0.0,
+    access: Access | None = None,
+    **sections: Any,
 ) -> dict[str, Any]:
-    """``beat_s``: that of who speaks here; the other end waits for a sign as long as that allows.
+    """``heartbeat_s``: that of the process; the other end waits for a sign as long as that allows.
 
-    ``meets``: names that may be at the other ends of links, with keys.
+    ``meets``: names that may be at the other ends of links, with keys. ``access``: of a router without keys, if known.
     """
     return {
         "mode": mode,
@@ -40,7 +45,7 @@ def bus_config(
             "link": {
                 **(_tls(keys.credentials) if keys else {}),
                 "tx": {
-                    "lease": int(1000 * max(SHORTEST_LEASE_S, LEASE_HEARTBEATS * beat_s)),
+                    "lease": int(1000 * max(SHORTEST_LEASE_S, LEASE_HEARTBEATS * heartbeat_s)),
                     "keep_alive": 4,
                     "queue": {
                         # what waits for the thread that sends: an area says a dozen things at once, and Zenoh
@@ -52,9 +57,15 @@ def bus_config(
                 "rx": {"max_message_size": MAX_BYTES},
             },
         },
-        **({"access_control": zenoh_access_control(keys.access, meets)} if keys else {}),
+        **_access_control(keys, meets, access),
         **sections,
     }
+
+
+def _access_control(keys: Keys | None, meets: Iterable[str], access: Access | None) -> dict[str, Any]:
+    if keys:
+        return {"access_control": zenoh_access_control(keys.access, meets)}
+    return {"access_control": zenoh_access_control_without_keys(access)} if access else {}
 
 
 def _tls(credentials: Credentials) -> dict[str, Any]:

@@ -81,6 +81,14 @@ class RenewableBus:
                 declared.entity = declare(self.bus)
         return declared
 
+    def withdraw(self, declared: Declaration) -> None:
+        """Take back what was declared, for good."""
+        with self._lock:
+            self._declared.remove(declared)
+            entity, declared.entity = declared.entity, None
+        if entity is not None:
+            entity.undeclare()
+
     def is_open(self, bus: OpenBus) -> bool:
         """Whether ``bus`` is the one in use; what still comes from a former one is to be ignored."""
         return bus is self.bus

@@ -16,7 +16,7 @@ from typing import Any, TypeVar, cast
 
 import zenoh
 
-from agents.security.access import ROUTER
+from agents.security.access import ROUTER, Access
 from agents.security.credential_files import Credentials
 from agents.security.credentials import Keys
 from agents.transport.bus_config import (
@@ -27,7 +27,7 @@ from agents.transport.bus_config import (
     in_the_background,
     in_turns,
 )
-from agents.transport.renewable_bus import RenewableBus
+from agents.transport.renewable_bus import Declaration, RenewableBus
 from dsse_core.errors import DsseError
 from dsse_core.limits import LONGEST_S
 
@@ -47,7 +47,7 @@ class Session(RenewableBus):
 
     @classmethod
     def connect(
-        cls, endpoints: Sequence[str], timeout_s: float = 10.0, keys: Keys | None = None, *, beat_s: float = 0.0
+        cls, endpoints: Sequence[str], timeout_s: float = 10.0, keys: Keys | None = None, *, heartbeat_s: float = 0.0
     ) -> Session:
         """Connect to the first of ``endpoints`` that answers within ``timeout_s``, and has a router's certificate.
 
@@ -64,7 +64,7 @@ class Session(RenewableBus):
                 left_s = deadline - time.monotonic()
                 try:
                     connect = at_once(order, left_s if len(endpoints) == 1 else min(slice_s, left_s))
-                    return _open(bus_config("client", keys, (ROUTER,), beat_s, connect=connect))
+                    return _open(bus_config("client", keys, (ROUTER,), heartbeat_s, connect=connect))
                 except zenoh.ZError as error:
                     if time.monotonic() >= deadline - LAST_SLICE_S:
                         raise _cannot_reach(endpoints, wait_s, keys, error) from None
@@ -74,7 +74,7 @@ class Session(RenewableBus):
 
     @classmethod
     def meet(
-        cls, endpoints: Sequence[str], listen: Sequence[str] = (), keys: Keys | None = None, *, beat_s: float = 0.0
+        cls, endpoints: Sequence[str], listen: Sequence[str] = (), keys: Keys | None = None, *, heartbeat_s: float = 0.0
     ) -> Session:
         """Link with each of ``endpoints`` directly, as soon and as often as it is there; no router takes part.
 
@@ -89,12 +89,12 @@ class Session(RenewableBus):
         meets = keys.access.met_directly_by(keys.name) if keys else ()
 
         def open_bus(keys: Keys | None, _: float) -> zenoh.Session:
-            sections = {
+            sections: dict[str, Any] = {
                 "listen": {"endpoints": list(listen), "exit_on_failure": True},
                 "connect": in_the_background(endpoints),
             }
             try:
-                return _open(bus_config("peer", keys, meets, beat_s, **sections))
+                return _open(bus_config("peer", keys, meets, heartbeat_s, **sections))
             except zenoh.ZError as error:
                 raise _cannot_listen(listen, error) from None
 
@@ -107,13 +107,13 @@ class Session(RenewableBus):
         timeout_s: float = 10.0,
         keys: Keys | None = None,
         *,
-        beat_s: float = 0.0,
+        heartbeat_s: float = 0.0,
         direct: bool = False,
     ) -> Session:
         """``connect`` to one of the routers at ``endpoints``, or, ``direct``, ``meet`` all areas there."""
         if direct:
-            return cls.meet(endpoints, keys=keys, beat_s=beat_s)
-        return cls.connect(endpoints, timeout_s, keys, beat_s=beat_s)
+            return cls.meet(endpoints, keys=keys, heartbeat_s=heartbeat_s)
+        return cls.connect(endpoints, timeout_s, keys, heartbeat_s=heartbeat_s)
 
     def is_linked(self) -> bool:
         """Whether there is a link to a router, or to any of those met directly."""
@@ -137,8 +137,11 @@ class Session(RenewableBus):
 
         return put
 
-    def subscribe(self, key_expression: str, callback: Callable[[str, bytes], None]) -> None:
-        """Call ``callback(key, payload)`` for every message, on the thread that receives; it must return at once."""
+    def subscribe(self, key_expression: str, callback: Callable[[str, bytes], None]) -> Declaration:
+        """Call ``callback(key, payload)`` for every message, on the thread that receives; it must return at once.
+
+        The result may be given to ``withdraw``.
+        """
 
         def declare(bus: zenoh.Session) -> Any:
             def on_sample(sample: zenoh.Sample) -> None:
@@ -147,7 +150,7 @@ class Session(RenewableBus):
 
             return bus.declare_subscriber(key_expression, _directly(on_sample))
 
-        self.declare(declare)
+        return self.declare(declare)
 
     def declare_presence(self, key: str) -> None:
         """Show a liveliness token on ``key`` until the session closes or the process dies."""
@@ -155,6 +158,9 @@ class Session(RenewableBus):
 
     def watch_presence(self, key_expression: str, callback: Callable[[str, bool], None]) -> None:
         """Call ``callback(key, alive)`` for every token, those already there included.
+
+        Ask by name: a wildcard that matches what strangers announce blocks the router when they leave, also after it
+        was asked for (``coordinator/observe/watched_keys.py``).
 
         After ``interrupt`` none counts until it is seen again: their ends are not reported.
         """
@@ -176,12 +182,19 @@ class Router(RenewableBus):
 
     @classmethod
     def listen(
-        cls, endpoints: Sequence[str], keys: Keys | None = None, others: Sequence[str] = (), *, beat_s: float = 0.0
+        cls,
+        endpoints: Sequence[str],
+        keys: Keys | None = None,
+        others: Sequence[str] = (),
+        *,
+        heartbeat_s: float = 0.0,
+        access: Access | None = None,
     ) -> Router:
         """Open a router on ``endpoints``; port 0 takes a free one, ``Router.endpoints`` says which.
 
         ``others``: routers to link with, as soon and as often as they are there; linked routers are one bus.
-        ``beat_s``: of those who will link with it. Without ``keys`` everybody may speak who gets a link. What is
+        ``heartbeat_s``: of those who will link with it. Without ``keys`` everybody may publish who gets a link, under
+        any name, or, with ``access``, under the names of those who take part in that run. What is
         rejected is logged on standard output by Zenoh: links at level ``warn``, messages at
         ``RUST_LOG=zenoh::net::routing::interceptor=trace``.
 
@@ -195,13 +208,13 @@ class Router(RenewableBus):
         meets = keys.access.names if keys else ()
 
         def open_bus(keys: Keys | None, _: float) -> zenoh.Session:
-            sections = {
+            sections: dict[str, Any] = {
                 "listen": {"endpoints": list(bound), "exit_on_failure": True},
                 "connect": in_the_background(others),
                 "adminspace": {"enabled": True},
             }
             try:
-                return _open(bus_config("router", keys, meets, beat_s, **sections))
+                return _open(bus_config("router", keys, meets, heartbeat_s, access, **sections))
             except zenoh.ZError as error:
                 raise _cannot_listen(bound, error) from None
 

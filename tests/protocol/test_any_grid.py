@@ -54,7 +54,7 @@ UNLIKE_IMPEDANCES = PLAIN | UNLIKE_IMPEDANCES | {"shares": FEW_METERS}
 
 NO_BOUNDARIES = MeterShares(voltage=0.3, angle=0.3, flow=0.3, current=0.2, injection=0.9, boundary_injection=0.0)
 SHORT_BRANCHES = {"seed": 24, "n_bus": 24, "n_area": 4, "transformers": 0.15, "short": 1e-4, "shares": NO_BOUNDARIES}
-LOSSES_TELL = {"seed": 105, "n_bus": 3, "n_area": 2, "decades": 1.0, "shares": replace(NO_BOUNDARIES, current=0.5)}
+ONLY_LOSSES = {"seed": 105, "n_bus": 3, "n_area": 2, "decades": 1.0, "shares": replace(NO_BOUNDARIES, current=0.5)}
 
 ALL_KINDS = MeterShares(voltage=0.3, angle=0.3, flow=0.3, current=0.5, injection=0.7)
 BENT = {"seed": 4647, "n_bus": 37, "n_area": 3, "chain": 0.9, "decades": 0.0, "loops": 3, "transformers": 0.15}
@@ -91,7 +91,7 @@ CURRENT_BESIDE |= {"shares": replace(ALL_KINDS, injection=1.0)}
 @example(PLAIN | NOTHING_KNOWN, 0.3, None, "radial")  # the same, where a voltage is not known at no load
 @example(PLAIN | SHORT_BRANCHES, 0.0, 24, "dense")  # over them information changes with a state that has hardly moved
 @example(BENT, 0.6, None, "sparse")  # current magnitudes make it converge by shares only
-@example(PLAIN | LOSSES_TELL, 0.6, 2, "radial")  # of a flow and its opposite, as current magnitudes do
+@example(PLAIN | ONLY_LOSSES, 0.6, 2, "radial")  # of a flow and its opposite, as current magnitudes do
 @example(FULL_TURN, 0.3, None, "dense")  # transformers turn one bus past half a turn, another not
 @example(LONE_ANGLE, 0.3, 107, "sparse")  # behind a phase-shifting transformer, all that is known of an area's power
 @example(TWO_ANGLES, 0.6, 0, "radial")  # magnitudes and angles tell each other's, across a transformer's tap, too

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import math
 import weakref
 from typing import Any
 
@@ -12,6 +13,7 @@ from feeders import make_feeder
 from simulated_bus import SimulatedBus
 
 from agents.protocol import published_state
+from coordinator.simulator.simulator import TRAVEL_S
 from dsse_core.exchange import area_estimation
 from dsse_core.linear.area_model import AreaModel
 
@@ -35,7 +37,7 @@ def test_at_rest_no_heartbeat_finds_the_numbers_of_the_state_anew(bus: Simulated
     assert not found
 
 
-def test_no_area_keeps_its_no_load_model_when_all_have_been_told_what_follows_from_it(
+def test_no_area_keeps_its_no_load_model_when_all_have_been_sent_what_follows_from_it(
     bus: SimulatedBus, monkeypatch: pytest.MonkeyPatch
 ):
     built: list[weakref.ref[Any]] = []
@@ -51,3 +53,31 @@ def test_no_area_keeps_its_no_load_model_when_all_have_been_told_what_follows_fr
     gc.collect()
     assert len(built) == len(bus.files)
     assert not [model for model in built if model() is not None]
+
+
+def test_at_rest_an_area_wakes_itself_no_more_than_once_a_heartbeat(bus: SimulatedBus):
+    """What is due to several neighbours goes out at the area's own heartbeat, to all of them."""
+    settle_bus(bus)
+    bus.run(SOME_HEARTBEATS_S)  # until what heartbeats say has not changed for longer than one
+    bus.delivered.clear()
+    bus.run(SOME_HEARTBEATS_S)
+    for name, content in bus.files.items():
+        times = [at for at, sender, _, message in bus.delivered if sender == name]
+        heartbeats = SOME_HEARTBEATS_S / content.beat_s
+        assert len(times) >= (heartbeats - 1) * len(content.area.neighbours)
+        assert len(set(times)) <= heartbeats + 1
+
+
+def test_a_neighbour_that_is_there_and_does_not_answer_is_asked_ever_more_rarely(bus: SimulatedBus):
+    """It may wait for its turn on a processor that hundreds share; each message would keep it waiting longer."""
+    settle_bus(bus)
+    silent = next(iter(bus.files))
+    bus.pause(silent)
+    bus.delivered.clear()
+    heartbeats = 4
+    bus.run(heartbeats * bus.files[silent].beat_s)
+    shortest_wait_s = 2 * TRAVEL_S
+    most = heartbeats + math.log2(bus.files[silent].beat_s / shortest_wait_s)
+    for neighbour in bus.files[silent].area.neighbours:
+        asked = [at for at, sender, receiver, _ in bus.delivered if (sender, receiver) == (neighbour.area, silent)]
+        assert heartbeats - 1 <= len(asked) <= most

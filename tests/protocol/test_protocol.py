@@ -185,9 +185,9 @@ def test_a_repeat_is_the_same_message_with_the_same_number_and_stops_when_it_is_
     again = [a for a in act_until(protocol, 0.0, 0.5 * content.beat_s) if a.message.kind == "boundary"]
     assert {a.to for a in again} == first.keys() == {"area2", "area3"}
     for action in again:
-        said = first[action.to]
-        assert action.message.header.order == said.header.order
-        assert (action.message.vm, action.message.va) == (said.vm, said.va)
+        sent = first[action.to]
+        assert action.message.header.order == sent.header.order
+        assert (action.message.vm, action.message.va) == (sent.vm, sent.va)
     now = 0.5 * content.beat_s
     reply = Received(heartbeat_from_area2(received=(0, first["area2"].header.sequence)), "area2")
     assert act(protocol, [reply], now)
@@ -220,8 +220,8 @@ def test_a_repeat_is_the_same_message_with_the_same_number_and_stops_when_it_is_
 def test_what_should_not_have_come_is_rejected_and_counted(area1, message, key_sender, reason):
     protocol, telemetry, content = area1
     act(protocol, [telemetry], 0.0)
-    said = act(protocol, [Received(message, key_sender)], 0.01)
-    assert [a.message.kind for a in said] == (["state"] if reason in ("time in the future", "other strategy") else [])
+    sent = act(protocol, [Received(message, key_sender)], 0.01)
+    assert [a.message.kind for a in sent] == (["state"] if reason in ("time in the future", "other strategy") else [])
     state = last_state(act(protocol, [], content.beat_s))
     assert state.rejected == {reason: 1}
     assert state.received["area2"] == (0, 0)
@@ -257,8 +257,8 @@ def test_payloads_that_cannot_be_decoded_are_counted_by_reason(area1):
 def test_an_overtaken_message_changes_nothing(area1):
     protocol, telemetry, _ = area1
     act(protocol, [telemetry, Received(load_from_area2(3), "area2")], 0.0)
-    said = act(protocol, [Received(load_from_area2(2), "area2")], 0.01)
-    assert [a.message.kind for a in said] == ["heartbeat"]  # which acknowledges the newest
+    sent = act(protocol, [Received(load_from_area2(2), "area2")], 0.01)
+    assert [a.message.kind for a in sent] == ["heartbeat"]  # which acknowledges the newest
 
 
 def test_a_message_of_a_former_incarnation_changes_nothing(area1):
@@ -266,8 +266,8 @@ def test_a_message_of_a_former_incarnation_changes_nothing(area1):
     act(protocol, [telemetry, Received(load_from_area2(1), "area2")], 0.0)
     late = load_from_area2(99, incarnation=Incarnation(4, 9))
     assert {a.message.kind for a in act(protocol, [Received(late, "area2")], 0.01)} <= {"heartbeat"}
-    said = act(protocol, [Received(heartbeat_from_area2(), "area2")], 0.02)
-    answers = [a.message.received for a in said if isinstance(a.message, HeartbeatMessage)]
+    sent = act(protocol, [Received(heartbeat_from_area2(), "area2")], 0.02)
+    answers = [a.message.received for a in sent if isinstance(a.message, HeartbeatMessage)]
     assert answers == [(1, 0)]  # the newest load is still that of the present incarnation
     assert last_state(act(protocol, [], content.beat_s)).rejected == {}
 

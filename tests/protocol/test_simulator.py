@@ -107,8 +107,8 @@ def test_time_passes_exactly_as_asked_and_heartbeats_come_in_it():
     sent = sum(link.messages for link in bus.links.values())
     bus.run(1.0)
     assert bus.now == 2.1
-    beat_s, links, kinds = 0.2, 4, 1  # links are directed; heartbeat
-    assert sum(link.messages for link in bus.links.values()) - sent == links * kinds * round(1.0 / beat_s)
+    heartbeat_s, links, kinds = 0.2, 4, 1  # links are directed; heartbeat
+    assert sum(link.messages for link in bus.links.values()) - sent == links * kinds * round(1.0 / heartbeat_s)
 
 
 def test_impossible_changes_of_links_are_rejected_all_at_once():

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from expiring import let_expire
-from waiting import wait_until
+from waiting import DEADLINE_S, wait_until
 
 from agents.security.access import Access
 from agents.security.credentials import load_keys
@@ -83,26 +83,26 @@ def listen(session: Session, name: str, received: Received) -> None:
         session.subscribe(f"dsse/v2/run/{expression}", note)
 
 
-def say_all(session: Session, name: str) -> list[Callable[[], None]]:
+def publish_all(session: Session, name: str) -> list[Callable[[], None]]:
     """Functions that say ``name`` on every key there is, what is rejected first."""
     keys = sorted(KEYS, key=lambda key: any(key == k for who, k, _ in DELIVERED if who == name))
     publishers = [session.publisher(f"dsse/v2/run/{key}") for key in keys]
     return [lambda put=put: put(name.encode()) for put in publishers]  # type: ignore[misc]
 
 
-def test_of_all_that_anybody_says_only_what_is_allowed_is_delivered(join: Callable[[str], Session]):
+def test_of_all_that_anybody_publishes_only_what_is_allowed_is_delivered(join: Callable[[str], Session]):
     received: Received = set()
     for name in NAMES:
         listen(join(name), name, received)
-    said = [put for name in NAMES for put in say_all(join(name), name)]
+    puts = [put for name in NAMES for put in publish_all(join(name), name)]
 
-    def said_until_all_is_received() -> bool:
-        for put in said:
+    def publish_until_received() -> bool:
+        for put in puts:
             put()
         return received >= DELIVERED
 
-    wait_until(said_until_all_is_received)
-    assert said_until_all_is_received()  # once more, now that everybody knows who listens
+    wait_until(publish_until_received)
+    assert publish_until_received()  # once more, now that everybody knows who listens
     assert received == DELIVERED
 
 
@@ -116,7 +116,7 @@ def test_a_certificate_that_expires_in_operation_ends_its_link(
     for path in keys.iterdir():
         (short / path.name).write_bytes(path.read_bytes())
         (short / path.name).chmod(0o600)
-    let_expire(short, "a", in_s=6.0)
+    let_expire(short, "a", in_s=12.0)
     token = "dsse/v2/run/live/area/a/1-2"
     with Session.connect(router.endpoints, keys=load_keys(short, "a")) as session:
         session.declare_presence(token)
@@ -133,7 +133,7 @@ def test_while_both_authorities_are_believed_old_and_new_keys_link(keys: Path, t
     for first, second in (("changing", "changed"), ("changed", "changing")):
         with (
             Router.listen(["tls/127.0.0.1:0"], load_keys(tmp_path / first, "router", listens=True)) as router,
-            Session.connect(router.endpoints, 20.0, load_keys(tmp_path / second, "a")) as session,
+            Session.connect(router.endpoints, DEADLINE_S, load_keys(tmp_path / second, "a")) as session,
         ):
             assert session.bus is not None
 
@@ -163,7 +163,7 @@ def test_broken_handshakes_at_one_port_of_a_router_do_not_keep_links_at_another_
         for _ in range(400):  # the router waits 0.1 s after each
             with socket.create_connection((host, int(port))) as link:
                 link.sendall(b"rubbish")
-        with Session.connect([private], 20.0, own):
+        with Session.connect([private], DEADLINE_S, own):
             pass
         with pytest.raises(TransportError):  # or the flood was none
             Session.connect([flooded], 0.5, own)

@@ -1,15 +1,15 @@
-"""Whoever has a key is at the endpoint of somebody else: what each process tells it and receives from it there.
+"""The owner of a key is at the endpoint of somebody else: what each process sends it and receives from it there.
 
 The certificates here are good for everything, so that only the rules are left to tell who is who.
 """
 
 from __future__ import annotations
 
-import socket
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from dsse_command import free_endpoint
 from impostor import Impostor, let_listen
 from waiting import wait_until
 
@@ -94,12 +94,6 @@ def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def free_endpoint() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tls/127.0.0.1:{probe.getsockname()[1]}"
-
-
 class Victim:
     """The session of a process as it really is, which says, shows and receives all that this process does."""
 
@@ -122,26 +116,26 @@ class Victim:
         if key not in token_keys(self.name):
             self.seen.add(key)
 
-    def say(self) -> None:
+    def publish(self) -> None:
         for put, payload in self.puts:
             put(payload)
 
 
 def exchange(victim: Victim, impostor: Impostor, until: Callable[[], bool]) -> None:
-    """Let both say everything ``until`` something holds, and a while after it."""
+    """Let both publish everything ``until`` something holds, and a while after it."""
     impostor.listen(*(whole(e) for of in SUBSCRIPTIONS.values() for e in of))
     impostor.show(*(key for name in OWN_KEYS for key in token_keys(name)))
-    said = impostor.say([key for name in OWN_KEYS for key in message_keys(name)])
+    puts = impostor.publish([key for name in OWN_KEYS for key in message_keys(name)])
 
-    def all_said() -> bool:
-        victim.say()
-        for put in said:
+    def publish_all() -> bool:
+        victim.publish()
+        for put in puts:
             put()
         return until()
 
-    wait_until(all_said)
+    wait_until(publish_all)
     for _ in range(20):
-        all_said()
+        publish_all()
 
 
 @pytest.mark.parametrize("impostor", [name for name in ALL if name != "router"])
@@ -149,7 +143,7 @@ def exchange(victim: Victim, impostor: Impostor, until: Callable[[], bool]) -> N
 def test_nobody_but_a_router_is_reported_or_received_where_a_router_is_expected(
     keys: Path, victim: str, impostor: str, caplog: pytest.LogCaptureFixture
 ):
-    endpoint = free_endpoint()
+    endpoint = free_endpoint("tls")
     with (
         Impostor.at(endpoint, keys, impostor) as router,
         Session.connect([endpoint], keys=load_keys(keys, victim)) as session,
@@ -166,7 +160,7 @@ def test_nobody_but_a_router_is_reported_or_received_where_a_router_is_expected(
 def test_between_neighbours_a_key_gives_its_own_rights_at_any_endpoint(
     keys: Path, caller: str, impostor: str, mode: str
 ):
-    endpoint = free_endpoint()
+    endpoint = free_endpoint("tls")
     with (
         Impostor.at(endpoint, keys, impostor, mode) as other,
         Session.meet([endpoint], keys=load_keys(keys, caller)) as session,
@@ -184,7 +178,7 @@ def test_between_neighbours_a_key_gives_its_own_rights_at_any_endpoint(
 
 def test_a_link_to_nobody_with_a_certificate_for_calling_only_comes_about(tmp_path: Path):
     create_keys(tmp_path / "keys", CHAIN, days=1)
-    endpoint = free_endpoint()
+    endpoint = free_endpoint("tls")
     with (
         Impostor.at(endpoint, tmp_path / "keys", "c"),
         pytest.raises(TransportError, match="its certificate is rejected here: unsuitable certificate purpose"),
@@ -194,7 +188,7 @@ def test_a_link_to_nobody_with_a_certificate_for_calling_only_comes_about(tmp_pa
 
 def test_a_client_goes_on_to_the_true_router_if_an_area_is_at_the_endpoint_of_another(tmp_path: Path):
     create_keys(tmp_path / "keys", CHAIN, days=1)
-    endpoint = free_endpoint()
+    endpoint = free_endpoint("tls")
     with (
         Impostor.at(endpoint, tmp_path / "keys", "c"),
         Router.listen(["tls/127.0.0.1:0"], load_keys(tmp_path / "keys", "router", listens=True)) as router,

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+
 import pytest
+from speaking import speaking
+from waiting import DEADLINE_S
 
 from agents.messages.packing import WIRE_VERSION
-from agents.transport.zenoh_bus import Session, TransportError
+from agents.transport.zenoh_bus import Router, TransportError
 from coordinator.cli.live.address import RunAddress
 from coordinator.cli.live.session import attach
 
@@ -13,26 +18,25 @@ FORMER, LATER = WIRE_VERSION - 1, WIRE_VERSION + 1
 
 
 @pytest.fixture
-def show(router):
+def show(router: Router) -> Iterator[Callable[[int], None]]:
     """Have an area of another wire version on the bus."""
-    session = Session.connect(router.endpoints)
-    yield lambda version: session.declare_presence(f"dsse/v{version}/old/live/area/area1/1-00000001")
-    session.close()
+    with ExitStack() as stack:
+        yield lambda version: stack.enter_context(speaking(router.endpoints, version, "old", "area1"))
 
 
 @pytest.mark.parametrize(("version", "upgrade"), [(FORMER, "upgrade the other side"), (LATER, "upgrade this program")])
-def test_a_watcher_does_not_say_that_nobody_is_there_where_another_wire_version_speaks(router, show, version, upgrade):
+def test_a_watcher_does_not_report_that_nobody_is_there_where_another_wire_version_is(router, show, version, upgrade):
     show(version)
     with (
         pytest.raises(TransportError, match=f"run old speaks wire version {version}, this is version .*{upgrade}"),
-        attach(RunAddress(router.endpoints, None, 20.0)),
+        attach(RunAddress(router.endpoints, None, DEADLINE_S)),
     ):
         pass
 
 
 def test_a_watcher_of_a_named_run_names_its_areas_of_another_wire_version(router, show):
     show(FORMER)
-    with attach(RunAddress(router.endpoints, "old", 20.0)) as look:
-        looks = (look(0.05) for _ in range(400))
+    with attach(RunAddress(router.endpoints, "old", DEADLINE_S)) as look:
+        looks = (look(0.05) for _ in range(4000))
         seen = next(found for watcher in looks if (found := watcher.look(0.0).other_versions))
     assert seen == (f"area area1 speaks wire version {FORMER}, this is version {WIRE_VERSION}: upgrade the other side",)

@@ -27,7 +27,7 @@ def closing():
         thing.close()
 
 
-def speak_until_received(session, key, received):
+def publish_until_received(session, key, received):
     """Put numbered payloads on ``key`` until one that is new has been received."""
     put = session.publisher(key)
     numbers = itertools.count(len(received))
@@ -47,12 +47,12 @@ def test_clients_of_two_linked_routers_receive_each_other_and_survive_the_loss_o
     listener = closing(Session.connect(free_endpoints))  # of the first, which is the one to be lost
     listener.subscribe("dsse/test/a", lambda key, payload: received.append(payload))
     listener.watch_presence("dsse/live/*", lambda key, alive: presence.append(alive))
-    speaker = closing(Session.connect(free_endpoints[1:]))
-    speaker.declare_presence("dsse/live/speaker")
-    speak_until_received(speaker, "dsse/test/a", received)
+    sender = closing(Session.connect(free_endpoints[1:]))
+    sender.declare_presence("dsse/live/speaker")
+    publish_until_received(sender, "dsse/test/a", received)
     wait_until(lambda: presence and presence[-1])
     first.close()
-    speak_until_received(speaker, "dsse/test/a", received)
+    publish_until_received(sender, "dsse/test/a", received)
     wait_until(lambda: presence[-1])
     assert len(received) == len(set(received))
 
@@ -65,7 +65,7 @@ def test_neighbours_link_directly_in_any_order_and_again_after_one_was_gone(free
     for _ in range(2):
         parent = closing(Session.meet((), listen=free_endpoints[:1]))
         parent.declare_presence("dsse/live/parent")
-        speak_until_received(parent, "dsse/test/a", received)
+        publish_until_received(parent, "dsse/test/a", received)
         wait_until(lambda: presence and presence[-1])
         parent.close()
         wait_until(lambda: not presence[-1])
@@ -78,8 +78,8 @@ def test_what_passes_between_two_others_does_not_pass_here(free_endpoints, closi
     end = closing(Session.meet(free_endpoints[:1]))
     for session, name in ((middle, "middle"), (end, "end")):
         session.subscribe("dsse/test/*", lambda key, payload, name=name: received[name].append(key))
-    speak_until_received(one, "dsse/test/a", received["middle"])
-    speak_until_received(middle, "dsse/test/b", received["end"])
+    publish_until_received(one, "dsse/test/a", received["middle"])
+    publish_until_received(middle, "dsse/test/b", received["end"])
     assert set(received["end"]) == {"dsse/test/b"}
 
 

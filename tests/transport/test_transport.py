@@ -11,7 +11,7 @@ import pytest
 
 from agents.transport.zenoh_bus import Router, Session, TransportError
 
-DEADLINE_S = 20.0
+DEADLINE_S = 180.0
 
 
 def wait_for(condition):

@@ -30,11 +30,11 @@ def end_of_hub(files):
 
 
 def assert_both_name(states, one, other, key):
-    for name, said in ((one, other), (other, one)):
+    for name, problem in ((one, other), (other, one)):
         assert states[name].quality in {"degraded", "relative-angle"}
         assert np.isfinite(states[name].vm).all()
         assert len(states[name].vm) > 0
-        assert any(said in note and key in note for note in states[name].notes), states[name].notes
+        assert any(problem in note and key in note for note in states[name].notes), states[name].notes
         assert states[name].rejected["contradicts the area file"] > 0
 
 

@@ -109,15 +109,15 @@ def test_names_without_end_fit_no_message():
 def test_a_wild_scan_number_names_the_one_in_whose_name_it_came():
     scenario = load_scenario("ieee33")
     bus = SimulatedBus(area_files_of(scenario), make_telemetry(scenario).by_area)
-    honest, heard = bus.deliver, {}
+    honest, received = bus.deliver, {}
 
     def deliver(sender: str, receiver: str, payload: bytes) -> None:
-        heard[sender, receiver] = payload
+        received[sender, receiver] = payload
         honest(sender, receiver, payload)
 
     bus.deliver = deliver
     bus.run_until_settled()
-    (sender, receiver), payload = next(item for item in heard.items() if item[0][1] == "area1")
+    (sender, receiver), payload = next(item for item in received.items() if item[0][1] == "area1")
     message = decode(payload)
     header = replace(message.header, scan=2**40, sequence=message.header.sequence + 1)
     honest(sender, receiver, encode(replace(message, header=header)))
@@ -147,15 +147,15 @@ def test_one_wild_scan_number_before_any_telemetry_keeps_no_later_scan_from_bein
     scenario = load_scenario("ieee33")
     areas = ("area1", "area2", "area3")
     bus = SimulatedBus(area_files_of(scenario), make_telemetry(scenario).by_area, late_s=dict.fromkeys(areas, 0.5))
-    honest, heard = bus.deliver, {}
+    honest, received = bus.deliver, {}
 
     def deliver(sender: str, receiver: str, payload: bytes) -> None:
-        heard.setdefault(receiver, (sender, payload))
+        received.setdefault(receiver, (sender, payload))
         honest(sender, receiver, payload)
 
     bus.deliver = deliver
     bus.run(0.3)
-    sender, payload = heard[victim]
+    sender, payload = received[victim]
     message = decode(payload)
     header = replace(message.header, scan=scan, sequence=message.header.sequence + 1000)
     honest(sender, victim, encode(replace(message, header=header)))

@@ -88,8 +88,8 @@ def test_a_verdict_that_does_not_follow_is_rejected_and_named(verdict: str):
 )
 def test_totals_from_which_another_end_follows_are_named_and_nobody_waits_for_ever(lie, wrong):
     areas = areas_of(run_with_lie("area1", "area2", lie, wrong))
-    said = "area1 is not believed: it is at the end after round "
-    assert any(note.startswith(said) for note in areas["area2"].notes)
+    note = "area1 is not believed: it is at the end after round "
+    assert any(other.startswith(note) for other in areas["area2"].notes)
     assert "good" not in {area.quality for area in areas.values()}
     assert "none" not in {area.quality for area in areas.values()}
 
@@ -114,43 +114,43 @@ def test_the_decider_does_not_take_out_its_own_meter_nor_one_that_nobody_has_on_
 
 
 @pytest.mark.parametrize(
-    ("liar", "receives", "count", "said"),
+    ("liar", "receives", "count", "note"),
     [
         ("area1", "area2", 1, "it counts 1 areas where 1 on this side are not all"),
         ("area2", "area1", 3, "it counts 3 areas on its side, of 3"),
     ],
 )
-def test_a_count_that_cannot_be_is_named_and_takes_good_from_all(liar: str, receives: str, count: int, said: str):
+def test_a_count_that_cannot_be_is_named_and_takes_good_from_all(liar: str, receives: str, count: int, note: str):
     areas = areas_of(run_with_lie(liar, receives, {"areas": count}, NO_READING_WRONG))
     assert "good" not in {area.quality for area in areas.values()}
-    assert f"{liar} is not believed: {said}" in areas[receives].notes
+    assert f"{liar} is not believed: {note}" in areas[receives].notes
 
 
 @pytest.mark.parametrize(
-    ("liar", "receives", "count", "said", "named"),
+    ("liar", "receives", "count", "note", "named"),
     [("area1", "area2", 5, 5, "area1"), ("area2", "area1", 2, 4, "area2 or area3")],
 )
-def test_who_may_have_counted_too_many_areas_is_named_and_good_is_taken_from_all(liar, receives, count, said, named):
+def test_who_may_have_counted_too_many_areas_is_named_and_good_is_taken_from_all(liar, receives, count, note, named):
     """Nobody is excluded: a false count that is passed on moves no estimate."""
     outcome = run_with_lie(liar, receives, {"areas": count}, NO_READING_WRONG)
     areas = areas_of(outcome)
     assert {area.quality for area in areas.values()} == {"degraded"}
-    assert f"{said} of 3 areas are counted: {named} says false things, or passes them on" in areas[receives].notes
+    assert f"{note} of 3 areas are counted: {named} says false things, or passes them on" in areas[receives].notes
     assert largest_error(outcome) < 1e-6
 
 
 def test_totals_that_leave_out_what_the_receiver_has_sent_are_rejected_and_named():
     """J of the whole grid is not less than that of a part."""
     areas = areas_of(run_with_lie("area1", "area2", {"objective": 0.0}, WRONG_IN_AREA2))
-    said = "area1 is not believed: it says objective 0 where this side alone has "
-    assert any(note.startswith(said) for note in areas["area2"].notes)
+    note = "area1 is not believed: it says objective 0 where this side alone has "
+    assert any(other.startswith(note) for other in areas["area2"].notes)
     assert "good" not in {area.quality for area in areas.values()}
 
 
 def test_who_forwards_false_totals_of_a_side_is_found_out_by_that_side():
     areas = areas_of(run_with_lie("area2", "area1", {"objective": 0.0}, WRONG_IN_AREA2))
-    said = "area1 is not believed: it says objective "
-    assert any(note.startswith(said) for note in areas["area2"].notes)
+    note = "area1 is not believed: it says objective "
+    assert any(other.startswith(note) for other in areas["area2"].notes)
     assert "good" not in {area.quality for area in areas.values()}
 
 
@@ -202,7 +202,7 @@ def have_lie_of_totals(bus: SimulatedBus, liar: str, **false: object) -> None:
     round.add_up = lambda: replace(add_up(), **false)
 
 
-def test_an_area_that_tells_too_small_a_j_of_its_own_side_hides_its_bad_meter():
+def test_an_area_that_sends_too_small_a_j_of_its_own_side_hides_its_bad_meter():
     scenario = load_scenario("ieee33", changes={"telemetry.gross_error": WRONG_IN_AREA2})
     telemetry = make_telemetry(scenario)
     bus = SimulatedBus(area_files_of(scenario, strategy="information"), telemetry.by_area)

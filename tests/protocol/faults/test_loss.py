@@ -19,15 +19,15 @@ STRATEGIES = ("information", "angle-offset", "admm")
 Ends = dict[str, tuple[np.ndarray, np.ndarray]]
 
 
-def bus_with(strategy: str, *, loss: float, beat_s: float, seed: int = 0) -> SimulatedBus:
+def bus_with(strategy: str, *, loss: float, heartbeat_s: float, seed: int = 0) -> SimulatedBus:
     scenario = load_scenario("ieee33")
     files = with_links(area_files_of(scenario, strategy=strategy), LinkFaults(loss=loss))
-    files = [replace(content, seed=seed, beat_s=beat_s) for content in files]
+    files = [replace(content, seed=seed, beat_s=heartbeat_s) for content in files]
     return SimulatedBus(files, make_telemetry(scenario).by_area)
 
 
 def find_ends(strategy: str) -> Ends:
-    bus = bus_with(strategy, loss=0.0, beat_s=0.2)
+    bus = bus_with(strategy, loss=0.0, heartbeat_s=0.2)
     bus.run(5.0)
     return {name: (np.array(state.vm), np.array(state.va)) for name, state in bus.states.items()}
 
@@ -61,5 +61,7 @@ def test_a_lost_message_costs_round_trips_and_no_heartbeat(strategy: str, loss: 
     """
     ends = find_ends(strategy)
     for seed in range(3):
-        counts = {round_trips_to(bus_with(strategy, loss=loss, beat_s=b, seed=seed), ends, most) for b in (0.2, 2, 20)}
+        counts = {
+            round_trips_to(bus_with(strategy, loss=loss, heartbeat_s=b, seed=seed), ends, most) for b in (0.2, 2, 20)
+        }
         assert len(counts) == 1 or strategy == "information", f"{counts} round trips with three heartbeats"

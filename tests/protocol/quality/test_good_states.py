@@ -104,7 +104,7 @@ def test_who_lacks_the_numbers_of_the_hub_for_the_last_step_is_not_good(to: str)
     hub = watched.bus.protocols["area1"]
     assert isinstance(hub, RoundsProtocol)
     estimation, verdicts = hub._round.estimation, []
-    decide, tell = hub._round.decide, estimation.information_for
+    decide, honest = hub._round.decide, estimation.information_for
 
     def note(totals: Totals) -> Verdict:
         verdicts.append(decide(totals))
@@ -113,7 +113,7 @@ def test_who_lacks_the_numbers_of_the_hub_for_the_last_step_is_not_good(to: str)
     def fail_at_the_last_step(neighbour: str, received: Received) -> BoundaryInformation:
         if neighbour == to and verdicts and verdicts[-1].decision is Decision.FINAL:
             raise ArithmeticError("the digits are gone")
-        return tell(neighbour, received)
+        return honest(neighbour, received)
 
     hub._round.decide, estimation.information_for = note, fail_at_the_last_step  # type: ignore[method-assign]
     watched.bus.next_scan(watched.telemetry[2].by_area)

@@ -64,7 +64,7 @@ def test_all_is_good_once_nothing_is_missing(strategy: str):
 
 
 def test_before_telemetry_there_is_no_estimate_to_evaluate(bus: SimulatedBus):
-    bus.plant_speaks = False
+    bus.plant_publishes = False
     bus.kill("area3")
     bus.start("area3")
     bus.run(0.5)
@@ -180,11 +180,11 @@ def test_information_of_a_former_scan_degrades_and_the_sigmas_of_those_who_do_wi
 
 
 def test_a_silent_plant_makes_every_estimate_stale_visibly(bus: SimulatedBus):
-    bus.plant_speaks = False
+    bus.plant_publishes = False
     bus.run(SOON)
     assert set(qualities(bus).values()) == {"stale"}
     assert all(state.telemetry_age >= FRESH_HEARTBEATS * HEARTBEAT_S for state in bus.states.values())
-    bus.plant_speaks = True
+    bus.plant_publishes = True
     bus.run(HEARTBEAT_S + 0.01)
     assert set(qualities(bus).values()) == {"good"}
 
@@ -217,7 +217,7 @@ def test_what_a_paused_area_says_when_it_wakes_does_not_pass_for_update():
 
 def test_quality_is_no_change_of_the_state_and_keeps_its_number(bus: SimulatedBus):
     before = bus.states["area1"]
-    bus.plant_speaks = False
+    bus.plant_publishes = False
     bus.run(SOON)
     after = bus.states["area1"]
     assert (before.quality, after.quality) == ("good", "stale")
@@ -290,7 +290,7 @@ def _pause(bus: SimulatedBus) -> None:
 
 
 def _silence_plant(bus: SimulatedBus) -> None:
-    bus.plant_speaks = False
+    bus.plant_publishes = False
 
 
 def _begin_scan_late(bus: SimulatedBus) -> None:

@@ -44,14 +44,14 @@ def test_normalised_residuals_of_areas_are_the_centralised_ones(name: str):
     assert compared > 30
 
 
-def test_who_comes_later_is_told_the_readings_in_use_and_they_are_the_same():
+def test_who_comes_later_is_sent_the_readings_in_use_and_they_are_the_same():
     scenario = load_scenario("industrial13")
-    said: list[tuple[float, ReadingsMessage]] = []
+    seen: list[tuple[float, ReadingsMessage]] = []
     bus = SimulatedBus(
-        area_files_of(scenario), make_telemetry(scenario).by_area, on_readings=lambda at, used: said.append((at, used))
+        area_files_of(scenario), make_telemetry(scenario).by_area, on_readings=lambda at, used: seen.append((at, used))
     )
     bus.run(25.0)
-    of_one = [(at, used) for at, used in said if used.header.sender == "area1"]
+    of_one = [(at, used) for at, used in seen if used.header.sender == "area1"]
     assert len(of_one) == 3
     assert len({id(used) for _, used in of_one}) == 1
     assert all(later - earlier >= 10.0 for (earlier, _), (later, _) in itertools.pairwise(of_one))

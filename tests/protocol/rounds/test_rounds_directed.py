@@ -115,7 +115,7 @@ def test_a_lost_acknowledgement_is_made_good_by_one_repeat(seed: int):
 @pytest.mark.parametrize("away_s", [TRAVEL_S / 2, 3 * TRAVEL_S])
 @pytest.mark.parametrize("name", ["a", "b", "c"])
 @pytest.mark.parametrize("has_tokens", [False, True])
-def test_who_starts_again_in_the_middle_of_a_scan_takes_nothing_that_was_said_to_its_past(
+def test_who_starts_again_in_the_middle_of_a_scan_takes_nothing_that_was_sent_to_its_past(
     died_at, away_s, name, has_tokens
 ):
     bus = at_rest()
@@ -128,9 +128,9 @@ def test_who_starts_again_in_the_middle_of_a_scan_takes_nothing_that_was_said_to
     bus.run_until_at_rest(LIMIT_S)
 
 
-def test_a_neighbour_whose_token_is_lost_while_it_speaks_makes_nobody_begin_anew_at_every_heartbeat():
+def test_a_neighbour_whose_token_is_lost_while_it_sends_makes_nobody_begin_anew_at_every_heartbeat():
     bus = at_rest()
-    bus.tell("a", PresenceChanged("b", False))
+    bus.post("a", PresenceChanged("b", False))
     bus.next_scan()
     bus.run_until_at_rest(LIMIT_S)
     revision = bus.protocols["a"].term[1]
@@ -191,10 +191,10 @@ def test_a_repeat_at_rest_takes_good_from_nobody_for_longer_than_round_trips():
 
 def test_of_two_heartbeats_of_one_moment_the_second_counts():
     bus = at_rest()
-    said = bus.last_heartbeat["a", "b"]
-    first, second = (replace(said, header=replace(said.header, time=said.header.time + ms / 1000)) for ms in (1, 2))
+    last = bus.last_heartbeat["a", "b"]
+    first, second = (replace(last, header=replace(last.header, time=last.header.time + ms / 1000)) for ms in (1, 2))
     for heartbeat in (replace(first, complete=False), second):
-        bus.tell("b", Received(heartbeat, "a"))
+        bus.post("b", Received(heartbeat, "a"))
     bus.run(TRAVEL_S / 2)
     assert bus.states["b"].quality == GOOD
 
@@ -221,7 +221,7 @@ def test_at_rest_a_sound_link_carries_two_heartbeats_a_heartbeat():
 def test_a_scan_that_no_plant_has_made_is_forgotten_when_its_author_is_gone():
     bus = at_rest()
     lie = bus.last_heartbeat["a", "b"]
-    bus.tell("b", Received(replace(lie, header=replace(lie.header, scan=2**40), receives=True), "a"))
+    bus.post("b", Received(replace(lie, header=replace(lie.header, scan=2**40), receives=True), "a"))
     bus.run(3.0)
     for _ in range(3):
         bus.next_scan()
@@ -310,7 +310,7 @@ def test_an_area_that_starts_after_a_plant_was_set_back_does_not_number_scans_by
 def test_what_a_liar_says_of_the_numbers_of_scans_leads_to_no_scan_that_others_lack():
     bus = at_rest()
     for offset in (7, 2**40, 2**60):
-        bus.tell("b", Received(replace(bus.last_heartbeat["c", "b"], plant=Incarnation(0, 0), offset=offset), "c"))
+        bus.post("b", Received(replace(bus.last_heartbeat["c", "b"], plant=Incarnation(0, 0), offset=offset), "c"))
         bus.run(TRAVEL_S / 2)
         wait_until_agreed(bus)
     assert 2**40 < bus.protocols["a"].scan < 2**41

@@ -116,17 +116,17 @@ class ToyBus:
         protocol._round.estimation.find_term = lambda: protocol.term
         self.protocols[name] = protocol
         self._push(self.now, name, None)
-        self._tell_presence(name, alive=True)
+        self._post_presence(name, alive=True)
         self.send_telemetry(name)
 
     def kill(self, name: str) -> None:
         if self.protocols.pop(name, None) is not None:
             self._frozen.pop(name, None)
-            self._tell_presence(name, alive=False)
+            self._post_presence(name, alive=False)
 
     def lose_token(self, name: str) -> None:
         """The process goes on, but its neighbours learn that it has ended."""
-        self._tell_presence(name, alive=False)
+        self._post_presence(name, alive=False)
 
     def freeze(self, name: str) -> None:
         if name in self.protocols:
@@ -168,7 +168,7 @@ class ToyBus:
         if name in self._telemetry:
             self._push(self.now + TRAVEL_S, name, Received(self._telemetry[name], ""))
 
-    def tell(self, name: str, event: Event) -> None:
+    def post(self, name: str, event: Event) -> None:
         """``event`` happens to an area now."""
         self._push(self.now, name, event)
 
@@ -208,7 +208,7 @@ class ToyBus:
                 missing.append(f"{where}: not good")
         return missing
 
-    def _tell_presence(self, name: str, alive: bool) -> None:
+    def _post_presence(self, name: str, alive: bool) -> None:
         for n in self.files[name].area.neighbours if self.has_tokens else ():
             self._push(self.now + TRAVEL_S, n.area, PresenceChanged(name, alive))
             if alive and n.area in self.protocols:
@@ -225,20 +225,20 @@ class ToyBus:
     def _step(self) -> None:
         """The next moment; who is concerned acts in the order of names."""
         self.now = self._queue[0][0]
-        happening: dict[str, list[Event]] = {}
+        events: dict[str, list[Event]] = {}
         while self._queue and self._queue[0][0] <= self.now:
             _, _, name, event = heapq.heappop(self._queue)
             if not name:
                 event()
             elif event is not None:
-                happening.setdefault(name, []).append(event)
+                events.setdefault(name, []).append(event)
             else:
-                happening.setdefault(name, [])
-        for name in sorted(happening):
+                events.setdefault(name, [])
+        for name in sorted(events):
             if name in self._frozen:
-                self._frozen[name] += happening[name]
-            elif name in self.protocols and (happening[name] or self._wake.get(name, 0.0) <= self.now):
-                self._act(name, happening[name])
+                self._frozen[name] += events[name]
+            elif name in self.protocols and (events[name] or self._wake.get(name, 0.0) <= self.now):
+                self._act(name, events[name])
 
     def _act(self, name: str, events: Sequence[Event]) -> None:
         protocol = self.protocols[name]
@@ -272,8 +272,8 @@ class ToyBus:
         assert self.sent[name, to] < MOST_PER_SECOND * (self.now + 1), f"{name} floods {to}"
         if isinstance(message, DownMessage):
             key = (message.header.scan, message.revision, message.decider, message.incarnation, message.k)
-            said = self.decided.setdefault(key, (message.verdict, message.totals))
-            assert said == (message.verdict, message.totals), f"two verdicts of {key}"
+            decided = self.decided.setdefault(key, (message.verdict, message.totals))
+            assert decided == (message.verdict, message.totals), f"two verdicts of {key}"
         travel_s = None if (name, to) in self.cuts else self.fate(name, to, message)
         if travel_s is not None:
             self._push(self.now + travel_s, to, Received(message, name))

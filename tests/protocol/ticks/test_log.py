@@ -1,4 +1,4 @@
-"""What areas with a scan a second have their logs told: what holds at the ends of scans, not the exchange at work."""
+"""What areas with a scan a second log: what holds at the ends of scans, not the exchange at work."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from ticking import SCAN_S, Ticking, by_clock
 
 from agents.messages.packing import TelemetryMessage
 from agents.protocol.events import Action, Conclude, Event
-from agents.runtime.change_log import ChangeLog
+from agents.runtime.log.changes import ChangeLog
 
 SCANS = 30
 
 
 class Logs:
-    """What the agents of ``run`` write; ``told``: all that their protocols have said for it."""
+    """What the agents of ``run`` write; ``ends``: all that their protocols conclude."""
 
     def __init__(self, run: Ticking, caplog: pytest.LogCaptureFixture) -> None:
-        caplog.set_level("INFO", "agents.runtime.change_log")
+        caplog.set_level("INFO", "agents.runtime.log.changes")
         self._caplog = caplog
-        self.told: list[Conclude] = []
+        self.ends: list[Conclude] = []
         self._lines: dict[str, list[str]] = {}
         for name, protocol in run.bus.protocols.items():
             self._listen(name, protocol)
@@ -34,7 +34,7 @@ class Logs:
                 if isinstance(action, Conclude):
                     before = len(self._caplog.messages)
                     changes.take(action, now)
-                    self.told.append(action)
+                    self.ends.append(action)
                     self._lines.setdefault(name, []).extend(self._caplog.messages[before:])
                 yield action
 
@@ -51,18 +51,18 @@ def test_scan_after_scan_leaves_one_line_in_the_log_of_each_area(caplog: pytest.
     run.run(5.0)
     lines = {name: len(logs.lines_of(name)) for name in run.bus.protocols}
     run.run(SCANS * SCAN_S)
-    assert len(logs.told) >= SCANS * len(lines)
+    assert len(logs.ends) >= SCANS * len(lines)
     for name, before in lines.items():
         assert not logs.lines_of(name)[before:], logs.lines_of(name)
     if not changes:
         assert logs.lines_of("area2") == ["estimates"]
 
 
-def test_what_has_happened_is_told_with_the_scan_and_once(caplog: pytest.LogCaptureFixture):
-    speaks = True
+def test_what_has_happened_is_logged_with_the_scan_and_once(caplog: pytest.LogCaptureFixture):
+    publishes = True
 
     def spoil(message: TelemetryMessage, now: float) -> TelemetryMessage | None:
-        return message if speaks or message.area != "area2" else None
+        return message if publishes or message.area != "area2" else None
 
     run = Ticking(by_clock(), spoil)
     logs = Logs(run, caplog)
@@ -73,8 +73,8 @@ def test_what_has_happened_is_told_with_the_scan_and_once(caplog: pytest.LogCapt
     assert lines[0] == "estimates"
     assert any("neighbour area3 is gone" in line and "no information from area3" in line for line in lines)
     assert len(lines) <= 3, lines
-    speaks = False
+    publishes = False
     run.run(20.0)
     assert any("overdue: the reading of vm@" in line for line in logs.lines_of("area2"))
     assert len(logs.lines_of("area2")) <= 7, logs.lines_of("area2")
-    assert not any("under way" in end.text for end in logs.told)
+    assert not any("under way" in end.text for end in logs.ends)

@@ -57,9 +57,9 @@ def test_late_partial_and_lost_readings_are_normal():
 def test_each_area_says_once_per_scan_what_it_has_used():
     run = Ticking(by_clock())
     run.run(5.5)
-    said = Counter((r.header.sender, r.header.scan) for r in run.readings)
-    assert set(said.values()) == {1}
-    assert {scan for _, scan in said} == {int(STARTED_AT) + k for k in range(6)}
+    counts = Counter((r.header.sender, r.header.scan) for r in run.readings)
+    assert set(counts.values()) == {1}
+    assert {scan for _, scan in counts} == {int(STARTED_AT) + k for k in range(6)}
     first, last = [r for r in run.readings if r.header.sender == "area1"][:: len(run.readings) // 3 - 1]
     sigmas = dict(zip(last.meters, last.sigmas, strict=True))
     grown = {k: (sigmas[k] / sigma) ** 2 for k, sigma in zip(first.meters, first.sigmas, strict=True)}
@@ -75,7 +75,7 @@ def test_where_readings_end_states_say_so_also_between_ticks():
     scenario = by_clock(measurements__flow__period_s=1.0, measurements__injection__period_s=8.0, **kept)
     run = Ticking(scenario, on_state=lambda at, state: shown.append((at, state)))
     run.run(2.5)
-    run.speaks = False  # read last at 2.0
+    run.publishes = False  # read last at 2.0
     run.run(2.4)
     assert set(run.qualities().values()) == {"good"}
     run.run(0.3)  # those of 1 s are overdue from 5.0 on: two intervals, and the scan that uses them
@@ -85,7 +85,7 @@ def test_where_readings_end_states_say_so_also_between_ticks():
     run.run(13.0)  # those of 8 s, read at 0, are overdue from 17 on
     assert set(run.qualities().values()) == {"stale"}
     assert "all readings of this area are overdue or missing" in run.notes_of("area1")
-    run.speaks = True
+    run.publishes = True
     run.run(2.5)
     assert set(run.qualities().values()) == {"good"}
     assert run.find_gap() < SHARP
@@ -156,7 +156,7 @@ def test_asynchronous_strategies_take_a_tick_too(strategy):
     run = Ticking(by_clock(strategy=strategy, measurements__injection__period_s=1.0))
     run.run(2.5)
     assert {state.header.scan for state in run.bus.states.values()} == {int(STARTED_AT) + 2}
-    run.speaks = False
+    run.publishes = False
     run.run(10.0)
     assert set(run.qualities().values()) == {"stale"}
 

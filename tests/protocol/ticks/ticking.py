@@ -50,7 +50,7 @@ class Ticking:
     ) -> None:
         self.scenario = scenario
         self.readings: list[ReadingsMessage] = []
-        self.speaks = True
+        self.publishes = True
         self._spoil = spoil
         self._sequence = 0
         self._held = HeldReadings(next(iter(scenario.reading_rules.values())).kinds)
@@ -65,7 +65,7 @@ class Ticking:
         now = self.bus.now
         fresh = make_telemetry(self.scenario, self._sequence).by_area
         by_area, read_at = self._held.take(fresh, STARTED_AT + now)
-        for area, part in by_area.items() if self.speaks else ():
+        for area, part in by_area.items() if self.publishes else ():
             header = Header("sim", "plant", Incarnation(1, 1), 0, self._sequence, STARTED_AT + now)
             message = make_message(header, area, part)
             message = replace(message, times=tuple(read_at[k] for k in message.meters))

@@ -16,7 +16,7 @@ from agents.messages.triangle import read_triangle, write_triangle
 from agents.messages.types import PlaceMessage, VariablesMessage
 
 THREE_PHASES = tuple(f"{kind}.{phase}" for kind in ("p", "q", "vm", "va") for phase in "abc")
-SPEAK_OF_BOUNDARIES = [UP, *(m for m in MESSAGES if m.kind in ("down", "admm", "heartbeat"))]
+OF_BOUNDARIES = [UP, *(m for m in MESSAGES if m.kind in ("down", "admm", "heartbeat"))]
 
 
 def with_variables(message, variables):
@@ -32,14 +32,14 @@ def with_variables(message, variables):
     return replace(message, variables=variables, R=numbers, z=numbers[:d], no_load=numbers, power=numbers[:powers])
 
 
-@pytest.mark.parametrize("message", SPEAK_OF_BOUNDARIES, ids=lambda m: m.kind)
+@pytest.mark.parametrize("message", OF_BOUNDARIES, ids=lambda m: m.kind)
 @pytest.mark.parametrize("variables", [THREE_PHASES, ("p.a", "q.a", "vm.a", "va.a"), ("p@6", "q@6", "vm@7", "va@7")])
 def test_a_boundary_may_have_any_number_of_variables(message, variables):
     sent = with_variables(message, variables)
     assert decode(encode(sent)) == sent
 
 
-@pytest.mark.parametrize("message", SPEAK_OF_BOUNDARIES, ids=lambda m: m.kind)
+@pytest.mark.parametrize("message", OF_BOUNDARIES, ids=lambda m: m.kind)
 @pytest.mark.parametrize("variables", [THREE_PHASES, ONE_PHASE])
 def test_no_array_about_a_boundary_has_another_length_than_its_variables_ask_for(message, variables):
     sent = with_variables(message, variables)

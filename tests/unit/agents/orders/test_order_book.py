@@ -163,3 +163,9 @@ def test_a_file_brings_back_what_was_saved(tmp_path: Path):
         file.save(saved)
         assert file.load() == saved
     assert [path.name for path in tmp_path.iterdir()] == [file.path.name]
+
+
+def test_an_operator_file_that_cannot_be_looked_for_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path / ("x" * 300)))
+    with pytest.raises(InvalidInputError, match=r"run\.area1\.operator\.json.*\n.*cannot be read: File name too long"):
+        OrderFile.of(tmp_path / "area1.toml", "run", "area1").load()

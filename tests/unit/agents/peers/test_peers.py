@@ -29,8 +29,8 @@ def load(incarnation: Incarnation = FIRST, sequence: int = 1) -> LoadMessage:
 
 
 def heartbeat(incarnation: Incarnation = FIRST, *, time: float = WALL, **changes: object) -> HeartbeatMessage:
-    said = HeartbeatMessage(header(incarnation, time=time), 6, 0, 0, True, 0.0, (0, 0), False, False, ())
-    return replace(said, **changes)
+    made = HeartbeatMessage(header(incarnation, time=time), 6, 0, 0, True, 0.0, (0, 0), False, False, ())
+    return replace(made, **changes)
 
 
 def boundary(sequence: int, *, time: float = WALL, complete: bool = False) -> BoundaryMessage:
@@ -58,7 +58,7 @@ def test_neither_a_repeat_nor_an_older_message_is_new(peer: Peer):
     assert peer.take_load(load(sequence=3))
 
 
-def test_a_former_incarnation_is_not_received_while_the_newest_speaks(peers: PeerTable, peer: Peer):
+def test_a_former_incarnation_is_not_received_while_the_newest_sends(peers: PeerTable, peer: Peer):
     for now in (0.0, 0.9 * OVER_S):
         receive(peer, heartbeat(time=WALL + now), now)
     assert peers.is_of_former_incarnation(header(SET_BACK), 1.8 * OVER_S)
@@ -84,7 +84,7 @@ def test_of_two_messages_of_one_number_the_later_one_says_whether_the_side_is_co
 
 
 def test_a_message_is_repeated_until_its_number_is_acknowledged_and_no_slower_than_the_link_needs(peers, peer):
-    peer.await_answer(peer.load, load(sequence=4), 0.0)
+    peer.await_reply(peer.load, load(sequence=4), 0.0)
     due = []
     while len(due) < 4:
         now = min(sent.repeat.at for sent in peer.outgoing if sent.repeat)
@@ -98,18 +98,18 @@ def test_a_message_is_repeated_until_its_number_is_acknowledged_and_no_slower_th
     assert peer.load.repeat is None
 
 
-def test_repeats_follow_the_measured_round_trip(peers: PeerTable, peer: Peer):
+def test_repeats_follow_the_measured_round_trip(peer: Peer):
     for k in range(20):
         now = 0.1 * k
         receive(peer, heartbeat(answers=WALL + now - 0.03, time=WALL + now), now)
     assert peer.round_trip.mean == pytest.approx(0.03, abs=1e-6)
-    peer.await_answer(peer.exchange, boundary(1), now)
+    peer.await_reply(peer.exchange, boundary(1), now)
     assert peer.exchange.repeat.wait_s < 2 * 0.03
     assert peer.round_trip.longest_wait_s >= max(4 * peer.round_trip.mean - 1e-6, 4 * LEAST_WAIT_S)
 
 
 @pytest.mark.parametrize("answers", [1e-300, 1.0, WALL - 1.0, WALL + 10.0])
-def test_what_was_never_said_tells_no_round_trip(peer: Peer, answers: float):
+def test_what_was_never_sent_measures_no_round_trip(peer: Peer, answers: float):
     """Of before this process began, or of later than now."""
     receive(peer, heartbeat(answers=answers), 1.0)
     assert peer.round_trip.longest_wait_s == FIRST_WAIT_S
@@ -117,7 +117,7 @@ def test_what_was_never_said_tells_no_round_trip(peer: Peer, answers: float):
 
 def test_nothing_is_repeated_to_a_process_that_is_no_more(peer: Peer):
     receive(peer, heartbeat(), 0.0)
-    peer.await_answer(peer.load, load(sequence=4), 0.0)
+    peer.await_reply(peer.load, load(sequence=4), 0.0)
     receive(peer, heartbeat(Incarnation(3_000, 1)), 0.1)
     assert peer.load.repeat is None
     assert peer.load.message is not None  # for when it says that it lacks it
@@ -125,6 +125,6 @@ def test_nothing_is_repeated_to_a_process_that_is_no_more(peer: Peer):
 
 def test_nothing_is_repeated_to_a_neighbour_that_is_not_there(peers: PeerTable, peer: Peer):
     receive(peer, heartbeat(receives=False), 0.0)
-    peer.await_answer(peer.load, load(), 0.0)
+    peer.await_reply(peer.load, load(), 0.0)
     assert list(peers.take_due_repeats(PATIENCE_HEARTBEATS * HEARTBEAT_S)) == []
     assert peer.load.repeat is None

@@ -228,7 +228,7 @@ def test_where_a_gateway_numbers_scans_its_readings_without_period_belong_to_the
     assert meter_id in readings.silent
 
 
-def test_a_scan_that_is_said_again_at_every_heartbeat_is_not_looked_through_meter_by_meter(
+def test_a_scan_that_is_sent_again_at_every_heartbeat_is_not_looked_through_meter_by_meter(
     monkeypatch: pytest.MonkeyPatch,
 ):
     area = replace(AREA, readings=ReadingRules())

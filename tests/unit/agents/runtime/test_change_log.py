@@ -8,7 +8,7 @@ import random
 import pytest
 
 from agents.protocol.events import Conclude
-from agents.runtime.change_log import FIRST_WAIT_S, LONGEST_WAIT_S, ChangeLog
+from agents.runtime.log.changes import FIRST_WAIT_S, LONGEST_WAIT_S, ChangeLog
 
 ESTIMATES = ("estimates", "")
 
@@ -24,7 +24,7 @@ def changes(caplog: pytest.LogCaptureFixture) -> ChangeLog:
     return ChangeLog()
 
 
-def test_what_is_so_in_every_scan_is_told_once_and_what_changes_at_once(
+def test_what_is_so_in_every_scan_is_logged_once_and_what_changes_at_once(
     changes: ChangeLog, caplog: pytest.LogCaptureFixture
 ):
     for scan in range(1000):
@@ -42,14 +42,14 @@ def test_what_is_so_in_every_scan_is_told_once_and_what_changes_at_once(
     ]
 
 
-def test_figures_that_change_from_scan_to_scan_are_no_news(changes: ChangeLog, caplog: pytest.LogCaptureFixture):
-    told = frozenset([ESTIMATES, ("clock ahead of", "area2")])
+def test_figures_that_change_from_scan_to_scan_are_no_change(changes: ChangeLog, caplog: pytest.LogCaptureFixture):
+    findings = frozenset([ESTIMATES, ("clock ahead of", "area2")])
     for scan in range(1000):
-        changes.take(Conclude(scan, f"estimates; the clock of area2 is {scan / 1000} s ahead", told), float(scan))
+        changes.take(Conclude(scan, f"estimates; the clock of area2 is {scan / 1000} s ahead", findings), float(scan))
     assert len(caplog.messages) == 1
 
 
-def test_what_comes_and_goes_all_the_time_is_told_ever_more_rarely(
+def test_what_comes_and_goes_all_the_time_is_logged_ever_more_rarely(
     changes: ChangeLog, caplog: pytest.LogCaptureFixture
 ):
     meters, scans, draw = 40, 20_000, random.Random(1)
@@ -60,19 +60,21 @@ def test_what_comes_and_goes_all_the_time_is_told_ever_more_rarely(
     assert 2 < len(caplog.messages) < most_of_each * (meters + 1) < scans / 20
 
 
-def test_what_was_quiet_for_a_day_is_told_at_once(changes: ChangeLog, caplog: pytest.LogCaptureFixture):
+def test_what_was_quiet_for_a_day_is_logged_at_once(changes: ChangeLog, caplog: pytest.LogCaptureFixture):
     for scan in range(2000):
         changes.take(end(scan, *["area2"] * (scan % 2)), float(scan))
     before = len(caplog.messages)
     changes.take(end(2000), 2000.0)
-    told = len(caplog.messages)
-    assert told - before <= 1
+    findings = len(caplog.messages)
+    assert findings - before <= 1
     at = 2000 + round(LONGEST_WAIT_S)
     changes.take(end(at, "area2"), float(at))
-    assert caplog.messages[told:] == [f"scan {at}: estimates; area2 is gone"]
+    assert caplog.messages[findings:] == [f"scan {at}: estimates; area2 is gone"]
 
 
-def test_what_holds_at_last_is_told_however_often_it_has_changed(changes: ChangeLog, caplog: pytest.LogCaptureFixture):
+def test_what_holds_at_last_is_logged_however_often_it_has_changed(
+    changes: ChangeLog, caplog: pytest.LogCaptureFixture
+):
     for scan in range(1000):
         changes.take(end(scan, *["area2"] * (scan % 2)), float(scan))
     for scan in range(1000, 5000):
@@ -83,4 +85,4 @@ def test_what_holds_at_last_is_told_however_often_it_has_changed(changes: Change
 def test_neighbours_may_name_what_they_like_without_making_the_process_grow(changes: ChangeLog):
     for scan in range(300):
         changes.take(end(scan, *(f"{scan}-{k}" for k in range(200))), float(scan))
-    assert len(changes._things) <= 20_200
+    assert len(changes._facts) <= 20_200

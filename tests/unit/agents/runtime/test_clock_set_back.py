@@ -78,7 +78,7 @@ def set_back(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
     return set_clock
 
 
-def says(bus: Bus, plant: bytes, scan: int) -> bool:
+def has_scan(bus: Bus, plant: bytes, scan: int) -> bool:
     """Repeat the plant's word; whether area1 has an estimate of ``scan`` by now."""
     key = telemetry_key(RUN, "area1")
     bus.receive[all_telemetry(RUN, "area1")](key, plant)
@@ -89,11 +89,11 @@ def says(bus: Bus, plant: bytes, scan: int) -> bool:
 def test_an_agent_works_with_a_plant_that_was_restarted_with_the_clock_set_back_and_repeats_itself(bus, set_back):
     wait_until(lambda: all_telemetry(RUN, "area1") in bus.receive)
     first = make_payloads(SCENARIO, RUN, begin_incarnation(), 7)["area1"]
-    wait_until(lambda: says(bus, first, 7))
+    wait_until(lambda: has_scan(bus, first, 7))
     set_back()
     restarted = make_payloads(SCENARIO, RUN, begin_incarnation(), 3)["area1"]
     assert decode(restarted).header.incarnation < decode(first).header.incarnation
-    wait_until(lambda: says(bus, restarted, 8))  # a term never goes back: these are the readings of the next one
+    wait_until(lambda: has_scan(bus, restarted, 8))  # a term never goes back: these are the readings of the next one
     seen = len(bus.states())
     wait_until(lambda: len(bus.states()) >= seen + 5)
     times = [state.header.time for state in bus.states()]

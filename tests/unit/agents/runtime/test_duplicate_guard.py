@@ -17,8 +17,8 @@ def token(later_s: float = 1.0, random: int = 7) -> str:
     return live_key("run", "area", "area1", Incarnation(START_MS + int(1000 * later_s), random))
 
 
-def guard(beat_s: float = 0.2) -> DuplicateGuard:
-    return DuplicateGuard("area area1 of run run", OWN, 100.0, beat_s)
+def guard(heartbeat_s: float = 0.2) -> DuplicateGuard:
+    return DuplicateGuard("area area1 of run run", OWN, 100.0, heartbeat_s)
 
 
 def test_it_gives_way_to_a_newer_incarnation_that_stays_and_says_whose_and_which():
@@ -31,7 +31,7 @@ def test_it_gives_way_to_a_newer_incarnation_that_stays_and_says_whose_and_which
 
 
 def test_it_waits_longer_where_heartbeats_are_long_and_with_them_the_lease():
-    watched = guard(beat_s=2.0)
+    watched = guard(heartbeat_s=2.0)
     watched.take(token(), True, 101.0)
     watched.check(101.0 + 8 * 2.0)
     with pytest.raises(ReplacedError):

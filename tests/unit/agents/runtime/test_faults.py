@@ -26,10 +26,17 @@ from agents.runtime.link import FaultyLinks
 from agents.runtime.link_faults import LinkFate
 from agents.strategies.admm_boundary import AdmmMessage
 from agents.strategies.angle_offset import BoundaryMessage
+from agents.strategies.installed import load_strategy
 from dsse_core.estimation.decision import Memory, Totals, decide
 from dsse_core.link_faults import LinkFaults
 
 COUNT = 4000
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _messages_are_known() -> None:
+    for name in ("admm", "angle-offset"):
+        load_strategy(name)
 
 
 def header(sequence: int = 1) -> Header:
@@ -185,7 +192,7 @@ def up_of(y: np.ndarray, power: tuple[float, ...] = (), totals: Totals = Totals(
     return UpMessage(header(), 6, **OF_ROUND, R=upper, z=z, no_load=(), power=power, totals=totals)
 
 
-def test_a_lie_tells_of_another_boundary_in_every_strategys_words():
+def test_a_lie_states_another_boundary_in_every_strategys_variables():
     faults = LinkFaults(lie_p=0.3, lie_q=-0.2, lie_vm=0.02, lie_va=-0.1, lie_scale=1.5)
     false = 1.5 * Y + np.array([0.3, -0.2, 0.02, -0.1])
     heartbeat = HeartbeatMessage(header(), 6, **OF_ROUND, final=True, complete=True, y=tuple(Y))
@@ -209,7 +216,7 @@ def test_a_lie_of_the_boundary_is_a_change_of_variables_and_so_never_contradicts
 
 def test_a_verdict_follows_from_the_totals_that_are_reported_also_in_a_repeat_and_in_a_new_term():
     faults = LinkFaults(lie_objective=100.0, lie_areas=7)
-    memory, false_memory, said, expected = Memory(), Memory(), [], []
+    memory, false_memory, messages, expected = Memory(), Memory(), [], []
     steps = (1e-3, 1e-6, 1e-12)
     for k, step in enumerate((0.0, *steps)):
         totals = Totals(objective=5.0, degrees_of_freedom=9, dvm=step, areas=3, silent=("area2",), referenced=True)
@@ -217,10 +224,10 @@ def test_a_verdict_follows_from_the_totals_that_are_reported_also_in_a_repeat_an
         fields = {**OF_ROUND, "k": k, "R": (), "z": (), "no_load": (), "power": (), "totals": totals}
         down = DownMessage(header(), 6, **fields, verdict=str(verdict), decider="a", incarnation=(1, 1))
         false_memory, verdict = decide(false_memory, replace(totals, objective=500.0, areas=7, silent=()))
-        said += [down, down]
+        messages += [down, down]
         expected += [str(verdict)] * 2
-    said += [replace(m, revision=1) for m in said]
-    found, _ = send(faults, said)
+    messages += [replace(m, revision=1) for m in messages]
+    found, _ = send(faults, messages)
     assert [m.verdict for m in found] == expected * 2
     assert "evaluate after a last step" in expected  # the true totals end in peace
     assert all((m.totals.objective, m.totals.areas, m.totals.silent) == (500.0, 7, ()) for m in found)

@@ -23,7 +23,7 @@ def clocks(monkeypatch: pytest.MonkeyPatch) -> dict[str, float]:
     return now
 
 
-def test_a_clock_that_is_set_is_told_once(clocks):
+def test_a_clock_that_is_set_is_reported_once(clocks):
     clock = HostClock(error_s=3.0)
     assert clock.offset == pytest.approx(1.7e9 - 100.0 + 3.0)
     assert not clock.has_been_set()

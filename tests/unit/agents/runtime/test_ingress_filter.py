@@ -49,6 +49,18 @@ def test_telemetry_with_two_readings_of_a_meter_is_rejected(door):
     assert inbox.take(0.0) == [Rejected("meter given twice", 1)]
 
 
+@pytest.mark.parametrize(("named", "is_shared"), [(("vm@1", "vm@2"), True), (("vm@2", "vm@1"), False), ((), False)])
+def test_telemetry_of_all_meters_does_not_bring_a_second_text_of_each(named: tuple[str, ...], is_shared: bool):
+    inbox, meters = Inbox(), ("vm@1", "vm@2")
+    ingress_filter = IngressFilter({KEY}, "r", "area1", ["plant"], inbox, meters)
+    numbers, header = (1.0,) * len(named), replace(LOAD.header, sender="plant")
+    telemetry = TelemetryMessage(header, "area1", named, numbers, numbers, numbers, (True,) * len(named))
+    ingress_filter.take(TELEMETRY, encode(telemetry))
+    (received,) = inbox.take(0.0)
+    assert received == Received(telemetry, "")
+    assert (received.message.meters is meters) == is_shared
+
+
 class Unread(tuple):
     """Names that nobody may look through."""
 
@@ -98,7 +110,7 @@ def telemetry_of(gateway: str) -> TelemetryMessage:
     return TelemetryMessage(Header("r", gateway, Incarnation(1, 1), 1, 1, 0.0), "area1", (), (), (), (), ())
 
 
-def test_a_gateway_speaks_on_its_own_key_only(door):
+def test_a_gateway_publishes_on_its_own_key_only(door):
     ingress_filter, inbox = door
     ingress_filter.take(TELEMETRY, encode(telemetry_of("feeder")))
     ingress_filter.take("dsse/v2/r/telemetry/area1/feeder", encode(telemetry_of("feeder")))

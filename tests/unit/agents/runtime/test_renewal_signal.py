@@ -17,9 +17,9 @@ LISTENER = """
 import signal, sys, time
 from pathlib import Path
 from agents.runtime.renewal import on_hangup
-said = Path(sys.argv[1])
+log = Path(sys.argv[1])
 def say(what):
-    with said.open("a") as file:
+    with log.open("a") as file:
         file.write(what + " ")
 signal.signal(signal.SIGHUP, signal.SIG_IGN if sys.argv[2] == "nohup" else signal.SIG_DFL)
 on_hangup(lambda: say("asked"), lambda: (say("ended"), sys.exit()))
@@ -29,24 +29,24 @@ while True:
 """
 
 
-def listen_on_a_terminal(said: Path, how: str) -> tuple[int, int]:
+def listen_on_a_terminal(log: Path, how: str) -> tuple[int, int]:
     """A process with a terminal of its own; its pid and the other end of the terminal."""
     pid, terminal = pty.fork()
     if pid == 0:
-        os.execve(sys.executable, [sys.executable, "-c", LISTENER, str(said), how], ENVIRONMENT)
-    wait_until(lambda: said.exists() and "ready" in said.read_text())
+        os.execve(sys.executable, [sys.executable, "-c", LISTENER, str(log), how], ENVIRONMENT)
+    wait_until(lambda: log.exists() and "ready" in log.read_text())
     return pid, terminal
 
 
 def test_asked_by_somebody_a_process_without_a_terminal_renews(tmp_path: Path):
-    said = tmp_path / "said"
-    process = subprocess.Popen([sys.executable, "-c", LISTENER, said, ""], env=ENVIRONMENT, start_new_session=True)
+    log = tmp_path / "log"
+    process = subprocess.Popen([sys.executable, "-c", LISTENER, log, ""], env=ENVIRONMENT, start_new_session=True)
     try:
-        wait_until(lambda: said.exists() and "ready" in said.read_text())
+        wait_until(lambda: log.exists() and "ready" in log.read_text())
         for count in (1, 2):
             process.send_signal(signal.SIGHUP)
-            wait_until(lambda count=count: said.read_text().count("asked") == count)
-        assert "ended" not in said.read_text()
+            wait_until(lambda count=count: log.read_text().count("asked") == count)
+        assert "ended" not in log.read_text()
     finally:
         process.kill()
         process.wait()
@@ -54,23 +54,23 @@ def test_asked_by_somebody_a_process_without_a_terminal_renews(tmp_path: Path):
 
 @pytest.mark.parametrize("how", ["", "nohup"])
 def test_nobody_goes_on_unseen_when_its_terminal_is_closed_unless_under_nohup(tmp_path: Path, how: str):
-    said = tmp_path / "said"
-    pid, terminal = listen_on_a_terminal(said, how)
+    log = tmp_path / "log"
+    pid, terminal = listen_on_a_terminal(log, how)
     try:
         os.kill(pid, signal.SIGHUP)
-        wait_until(lambda: said.read_text().count("asked") == 1)
+        wait_until(lambda: log.read_text().count("asked") == 1)
         os.close(terminal)
         if not how:
             wait_until(lambda: is_gone(pid))
-            assert said.read_text() == "ready asked ended "
+            assert log.read_text() == "ready asked ended "
             return
 
         def asked_again() -> bool:
             os.kill(pid, signal.SIGHUP)  # one that comes together with the terminal's is one with it
-            return said.read_text().count("asked") > 1
+            return log.read_text().count("asked") > 1
 
         wait_until(asked_again)
-        assert "ended" not in said.read_text()
+        assert "ended" not in log.read_text()
     finally:
         if not is_gone(pid):
             os.kill(pid, signal.SIGKILL)

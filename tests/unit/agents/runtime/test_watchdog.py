@@ -42,17 +42,17 @@ def manager(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Manager]
 
 def test_a_process_is_ready_when_it_says_so_and_not_when_it_starts(manager: Manager):
     watchdog = Watchdog({"NOTIFY_SOCKET": manager.path})
-    assert watchdog.beat(0.0) == float("inf")
+    assert watchdog.ping(0.0) == float("inf")
     assert manager.received() == []
     watchdog.ready(0.0)
-    assert watchdog.beat(100.0) == float("inf")
+    assert watchdog.ping(100.0) == float("inf")
     assert manager.received() == ["READY=1"]  # the unit has no WatchdogSec: nothing else is said
 
 
 def test_a_loop_that_goes_round_says_so_four_times_in_the_limit_and_never_more_often(manager: Manager):
     watchdog = Watchdog({"NOTIFY_SOCKET": manager.path, "WATCHDOG_USEC": "20000000", "WATCHDOG_PID": str(os.getpid())})
     watchdog.ready(1000.0)
-    waits = [watchdog.beat(now) for now in (1000.0, 1000.1, 1004.0, 1005.0, 1005.1)]
+    waits = [watchdog.ping(now) for now in (1000.0, 1000.1, 1004.0, 1005.0, 1005.1)]
     assert waits == pytest.approx([5.0, 4.9, 1.0, 5.0, 4.9])
     assert manager.received() == ["READY=1", "WATCHDOG=1", "WATCHDOG=1"]
 
@@ -60,7 +60,7 @@ def test_a_loop_that_goes_round_says_so_four_times_in_the_limit_and_never_more_o
 def test_a_loop_that_is_stuck_says_nothing(manager: Manager):
     watchdog = Watchdog({"NOTIFY_SOCKET": manager.path, "WATCHDOG_USEC": "1000"})
     watchdog.ready(0.0)
-    watchdog.beat(0.0)
+    watchdog.ping(0.0)
     manager.received()
     assert manager.received() == []  # nobody but the loop speaks: no thread, no timer
 
@@ -88,11 +88,11 @@ def test_compiling_asks_for_patience_and_gives_it_back(manager: Manager):
 def test_without_a_service_manager_that_listens_nothing_happens(environment: dict[str, str]):
     watchdog = Watchdog(environment)
     watchdog.ready(0.0)
-    assert watchdog.beat(1.0) > 0
+    assert watchdog.ping(1.0) > 0
 
 
 def test_the_limit_of_another_process_is_not_ours(manager: Manager):
     watchdog = Watchdog({"NOTIFY_SOCKET": manager.path, "WATCHDOG_USEC": "1000", "WATCHDOG_PID": "1"})
     watchdog.ready(0.0)
-    assert watchdog.beat(1.0) == float("inf")
+    assert watchdog.ping(1.0) == float("inf")
     assert manager.received() == ["READY=1"]

@@ -19,7 +19,7 @@ def may(name: str, flow: str, message: str, key: str, access: Access = CHAIN, me
     assert control["default_permission"] == "deny"
     rules = {rule["id"]: rule for rule in control["rules"]}
     subjects = {s["id"] for s in control["subjects"] if name in s["cert_common_names"]}
-    said = [
+    published = [
         rule["permission"]
         for policy in control["policies"]
         if subjects & set(policy["subjects"])
@@ -28,7 +28,7 @@ def may(name: str, flow: str, message: str, key: str, access: Access = CHAIN, me
         and message in rule["messages"]
         and any(zenoh.KeyExpr(allowed).includes(f"dsse/v2/{key}") for allowed in rule["key_exprs"])
     ]
-    return "allow" in said and "deny" not in said
+    return "allow" in published and "deny" not in published
 
 
 ALLOWED = [
@@ -68,6 +68,8 @@ ALLOWED = [
     ("gateway-north", "ingress", "declare_liveliness_subscriber", "run/live/gateway/north/*"),
     ("gateway-north", "ingress", "declare_subscriber", "run/area/*/state"),
     ("gateway-north", "egress", "put", "run/area/a/state"),
+    ("gateway-north", "ingress", "put", "run/gateway/north"),
+    ("gateway-north", "egress", "declare_subscriber", "run/gateway/*"),
     ("operator", "ingress", "put", "run/command/a"),
     ("operator", "ingress", "put", "run/command/plant"),
     ("operator", "ingress", "declare_subscriber", "run/area/*/state"),
@@ -79,6 +81,8 @@ ALLOWED = [
     ("watcher", "ingress", "declare_subscriber", "run/area/*/state"),
     ("watcher", "ingress", "declare_subscriber", "run/area/*/readings"),
     ("watcher", "ingress", "declare_subscriber", "run/command/*"),
+    ("watcher", "ingress", "declare_subscriber", "run/gateway/*"),
+    ("watcher", "egress", "put", "run/gateway/north"),
     ("watcher", "egress", "put", "run/area/c/readings"),
     ("watcher", "egress", "put", "run/command/c"),
     ("watcher", "egress", "liveliness_token", "run/live/gateway/north/1-2"),
@@ -128,6 +132,7 @@ REJECTED = [
     ("gateway-north", "ingress", "put", "run/telemetry/c/north"),
     ("gateway-north", "ingress", "put", "run/telemetry/a/south"),
     ("gateway-north", "ingress", "put", "run/telemetry/a/plant"),
+    ("gateway-north", "ingress", "put", "run/gateway/south"),
     ("gateway-north", "ingress", "put", "run/area/a/state"),
     ("gateway-north", "ingress", "put", "run/area/a/readings"),
     ("gateway-north", "ingress", "put", "run/area/a/information/b"),

@@ -79,7 +79,7 @@ def test_an_unknown_strategy_is_answered_with_those_that_are_installed(
 
 
 @pytest.mark.parametrize(
-    ("text", "entry", "said"),
+    ("text", "entry", "message"),
     [
         ("import nowhere_at_all", "gossip = {module}:Gossip", "ModuleNotFoundError: No module named 'nowhere_at_all'"),
         ("def f(:", "gossip = {module}:Gossip", "SyntaxError"),
@@ -100,12 +100,12 @@ def test_a_broken_strategy_is_one_error_that_names_its_distribution(
     capsys: pytest.CaptureFixture[str],
     text: str,
     entry: str,
-    said: str,
+    message: str,
 ):
     install(tmp_path, monkeypatch, text, entry)
     assert run_command(["simulate", "ieee33", "--strategy", "gossip", "--out", str(tmp_path / "out")]) == 2
     error = capsys.readouterr().err
-    assert said in error
+    assert message in error
     assert "strategy 'gossip' of distribution talkative 0.1.0" in error
     assert "Traceback" not in error
     assert run_command(["simulate", "ieee33", "--out", str(tmp_path / "other")]) == 0  # it disturbs no other strategy

@@ -1,0 +1,1 @@
+"""What a process writes into its log, and how."""

@@ -1,0 +1,66 @@
+"""An agent's log of what its area works with: each fact when it begins and when it ends to hold, not in every scan.
+
+A fact that changes all the time is logged ever more rarely, in the end once a day: a log of months stays short, and the
+change of a fact that was the same for a day is logged at once.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+
+from agents.protocol.events import Conclude
+
+log = logging.getLogger(__name__)
+FIRST_WAIT_S = 10.0  # after a change was logged, until the next one of the same fact is; doubled each time, up to
+LONGEST_WAIT_S = 86_400.0
+MOST_KEPT = 20_000  # facts that are kept: two of each meter of a large area
+
+
+@dataclass(slots=True)
+class _Fact:
+    """Whether it ``holds``, since when that is so, and what the log says of it; before ``free_at`` it says no more."""
+
+    holds: bool
+    since: float
+    is_logged: bool = False
+    free_at: float = float("-inf")
+    wait_s: float = FIRST_WAIT_S
+
+
+class ChangeLog:
+    """Writes the ends of scans in which something has changed that may be logged."""
+
+    def __init__(self) -> None:
+        self._facts: dict[tuple[str, str], _Fact] = {}
+
+    def take(self, end: Conclude, now: float) -> None:
+        """What holds at an end; ``now``: monotonic time, s."""
+        for name in end.facts:
+            self._facts.setdefault(name, _Fact(False, now))
+        changed = [name for name, fact in self._facts.items() if _has_changed(fact, name in end.facts, now)]
+        if not changed:
+            return
+        log.info("scan %d: %s", end.scan, end.text)
+        for name in changed:
+            fact = self._facts[name]
+            fact.free_at, fact.wait_s = now + fact.wait_s, min(2 * fact.wait_s, LONGEST_WAIT_S)
+        for fact in self._facts.values():
+            fact.is_logged = fact.holds
+        self._forget(now)
+
+    def _forget(self, now: float) -> None:
+        """Those that have been away for the longest, beyond ``MOST_KEPT``."""
+        if len(self._facts) > MOST_KEPT:
+            kept = sorted(self._facts.items(), key=lambda item: (not item[1].holds, now - item[1].since))
+            self._facts = dict(kept[:MOST_KEPT])
+
+
+def _has_changed(fact: _Fact, holds: bool, now: float) -> bool:
+    """Note whether it ``holds``; whether the log says otherwise, and may be corrected."""
+    if holds != fact.holds:
+        if now - fact.since >= LONGEST_WAIT_S:
+            fact.wait_s = FIRST_WAIT_S
+            fact.free_at = min(fact.free_at, now)
+        fact.holds, fact.since = holds, now
+    return fact.holds != fact.is_logged and now >= fact.free_at
