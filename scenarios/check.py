@@ -31,14 +31,26 @@ def check_scenario(scenario: Scenario, local_meters: LocalMeters | None = None) 
             every local slack voltage that is missing, angle meters in areas that do not share an angle and, where
             load messages stand for meters, a substation whose production nobody knows.
     """
+    check_and_plan(scenario, local_meters)
+    return scenario
+
+
+def check_and_plan(scenario: Scenario, local_meters: LocalMeters | None = None) -> EstimationPlan | None:
+    """As ``check_scenario``, which it does; returns the plan of ``plan_whole_grid`` where it has made it: of a large
+    grid.
+    """
     problems = find_missing_local_slacks(scenario)
     problems += _find_angle_problems(scenario)
-    problems += _find_gaps("whole grid", scenario.network, scenario.meters, None)
+    plan = None
+    try:
+        plan = _check_observable(scenario.network, scenario.meters, None)
+    except NotObservableError as error:
+        problems.append(f"whole grid: {error}")
     if local_meters is not None:
         problems += _find_local_problems(scenario, local_meters)
     if problems:
         raise InvalidInputError(f"scenario {scenario.name!r}", problems)
-    return scenario
+    return plan
 
 
 def plan_whole_grid(scenario: Scenario) -> EstimationPlan:
@@ -79,7 +91,10 @@ def _find_local_problems(scenario: Scenario, local_meters: LocalMeters) -> Itera
         yield from _find_substation_problems(scenario)
     for area, meters in areas:
         reference = scenario.network.slack.bus if area.is_reference and scenario.network.slack else area.slack_bus
-        yield from _find_gaps(f"area {area.name}", area.network, meters, reference)
+        try:
+            _check_observable(area.network, meters, reference)
+        except NotObservableError as error:
+            yield f"area {area.name}: {error}"
 
 
 def _find_substation_problems(scenario: Scenario) -> Iterator[str]:
@@ -96,10 +111,13 @@ def _find_substation_problems(scenario: Scenario) -> Iterator[str]:
         )
 
 
-def _find_gaps(place: str, network: Network, meters: Sequence[Meter], reference: int | None) -> list[str]:
-    is_large = len(network.buses) >= FEWEST_BUSES_OF_PLAN
-    try:
-        (build_estimation_plan if is_large else check_observable)(network, meters, reference=reference)
-    except NotObservableError as error:
-        return [f"{place}: {error}"]
-    return []
+def _check_observable(network: Network, meters: Sequence[Meter], reference: int | None) -> EstimationPlan | None:
+    """The plan, where the check of a plan is the quicker one.
+
+    Raises:
+        NotObservableError: names the buses that the meters do not determine.
+    """
+    if len(network.buses) >= FEWEST_BUSES_OF_PLAN:
+        return build_estimation_plan(network, meters, reference=reference)
+    check_observable(network, meters, reference=reference)
+    return None

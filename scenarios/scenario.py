@@ -153,14 +153,7 @@ def load_scenario(
     problems += network_problems
     area_buses, area_problems = ({}, []) if whole else _find_area_buses(file, network)
     problems += area_problems
-    routers = 0 if file.transport.kind == "neighbours" else file.transport.routers
-    problems += find_name_problems(file.faults, area_buses, routers)
-    problems += find_time_problems(file.faults.events, file.run.timeout_s)
-    problems += find_order_problems(file.faults.events)
-    problems += [
-        f"areas.{name}: this name belongs to another process; choose another"
-        for name in sorted({*RESERVED, *(f"gateway-{name}" for name in file.gateways)} & (area_buses or {}).keys())
-    ]
+    problems += _find_problems_of_names_and_times(file, area_buses)
     if network is None:
         raise InvalidInputError(file.called(path), problems)
     problems += find_place_problems(file.measurements, network)
@@ -178,6 +171,16 @@ def load_scenario(
     if partition is None or problems:
         raise InvalidInputError(file.called(path), problems)
     return replace(_build_scenario(path, file, partition, meters, readings), changes=dict(changes or {}))
+
+
+def _find_problems_of_names_and_times(file: ScenarioFile, area_buses: AreaBuses | None) -> Iterator[str]:
+    """What needs no network: names in faults, times and order of their events, and names of other processes."""
+    routers = 0 if file.transport.kind == "neighbours" else file.transport.routers
+    yield from find_name_problems(file.faults, area_buses, routers)
+    yield from find_time_problems(file.faults.events, file.run.timeout_s)
+    yield from find_order_problems(file.faults.events)
+    for name in sorted({*RESERVED, *(f"gateway-{name}" for name in file.gateways)} & (area_buses or {}).keys()):
+        yield f"areas.{name}: this name belongs to another process; choose another"
 
 
 def _find_file(name_or_path: str | Path) -> Path:

@@ -9,8 +9,8 @@ from pydantic import BeforeValidator, Discriminator, Field, PlainValidator, Tag,
 from dsse_core.estimation.state_limits import DEFAULT_LIMITS
 from dsse_core.files.kinds import SCENARIO_FILE, FileKind
 from dsse_core.files.quantities import (
-    BeatSeconds,
     GrossError,
+    HeartbeatSeconds,
     Name,
     NotNegative,
     Positive,
@@ -283,7 +283,7 @@ class RunTable(Table):
     between two scans, None where there is one only.
     """
 
-    beat_s: BeatSeconds = 0.2
+    beat_s: HeartbeatSeconds = 0.2
     scan_s: ScanSeconds | None = None
     timeout_s: Seconds = 30.0
 

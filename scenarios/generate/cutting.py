@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.files.wording import Suggestions
-from dsse_core.grid.biconnected import Block, find_blocks
+from dsse_core.grid.biconnected import Block, find_blocks, list_incidence
 from dsse_core.grid.network import Network
 
 MAX_NAMED = 8  # branches of a loop that a message lists
@@ -61,7 +61,7 @@ def cut_at(network: Network, switches: Sequence[str]) -> dict[str, list[int]]:
     areas: list[list[Block]] = [[]]
     for block in reversed(blocks):
         area = area_above.get(block.top, areas[0])
-        if block.branches[0].id in opened:
+        if block.branches[0] in opened:
             area = []
             areas.append(area)
         area.append(block)
@@ -77,18 +77,18 @@ def cut_at(network: Network, switches: Sequence[str]) -> dict[str, list[int]]:
 
 
 def _find_switch_problems(network: Network, blocks: Sequence[Block], switches: Sequence[str]) -> list[str]:
-    block_of = {branch.id: block for block in blocks for branch in block.branches}
-    suggestions = Suggestions(block_of)
+    block_of = {branch: block for block in blocks for branch in block.branches}
+    known, suggestions = set(network.branch_ids), Suggestions(block_of)
     problems = []
     for name, count in Counter(switches).items():
         if count > 1:
             problems.append(f"branch {name} is named {count} times; name it once")
-        if name not in network.branch_by_id:
+        if name not in known:
             problems.append(f"there is no branch {name!r}{suggestions.find(name)}")
         elif name not in block_of:
             problems.append(f"branch {name} is out of service, so that it joins nothing; leave it out")
         elif len(loop := block_of[name].branches) > 1:
-            others = [branch.id for branch in loop if branch.id != name]
+            others = [branch for branch in loop if branch != name]
             more = f" and {len(others) - MAX_NAMED} more" if len(others) > MAX_NAMED else ""
             problems.append(
                 f"branch {name} lies in a loop with {', '.join(others[:MAX_NAMED])}{more}, so that the areas at its "
@@ -114,29 +114,31 @@ class _Hanging:
 class _Packing:
     """Blocks in bundles: blocks that hang at one bus, with all that is joined to them below.
 
-    ``leader``: of each block the one that stands for its bundle. ``joined``: whether the bundle that it stands for
-    is joined to the block above; else it is an area. ``weight``: of a leader that of the bundle.
+    ``leader``: of each block the one that stands for its bundle, where that is another. ``joined``: whether the bundle
+    that it stands for is joined to the block above; else it is an area. ``weight``: of a leader that of the bundle.
     """
 
     weight: list[int]
-    leader: list[int]
+    leader: dict[int, int]
     joined: bytearray
 
     @property
     def n_area(self) -> int:
-        return len(set(self.leader)) - sum(self.joined)
+        return len(self.weight) - len(self.leader) - self.joined.count(1)
 
 
 def _balance(blocks: Sequence[Block], count: int) -> list[list[Block]]:
     """Exactly ``count`` areas of ``blocks``, which are connected, each before the one above it."""
     hanging = _find_hanging(blocks)
-    low, high = 0, -(-sum(hanging.sizes) // count)
+    high = -(-sum(hanging.sizes) // count)
+    low = high - 1 if max(hanging.sizes) < high else 0  # so many areas of that size do not hold all
+    hanging = _merge_small(hanging, low)
     while _pack(hanging, high).n_area > count:
         low, high = high, 2 * high
-    merged = _merge_small(hanging, low)
+    hanging = _merge_small(hanging, low)
     while high - low > 1:
         middle = (low + high) // 2
-        low, high = (low, middle) if _pack(merged, middle).n_area <= count else (middle, high)
+        low, high = (low, middle) if _pack(hanging, middle).n_area <= count else (middle, high)
     areas = _read_off(blocks, _pack(hanging, high))
     largest = [(-sum(len(block.buses) for block in area), i) for i, area in enumerate(areas)]
     heapq.heapify(largest)
@@ -187,7 +189,7 @@ def _pack(hanging: _Hanging, bound: int) -> _Packing:
     block above: they are bundled, the lightest bundle may be joined. Any two bundles at a bus exceed ``bound``, and
     from this follows by their exchange argument that twice the smallest possible bound needs no more areas.
     """
-    weight, leader = hanging.sizes.copy(), list(range(len(hanging.sizes)))
+    weight, leader = hanging.sizes.copy(), dict[int, int]()
     joined = bytearray(hanging.joined)
     for i, groups in hanging.below:
         if isinstance(groups, int):
@@ -206,7 +208,7 @@ def _pack(hanging: _Hanging, bound: int) -> _Packing:
     return _Packing(weight, leader, joined)
 
 
-def _bundle(group: Sequence[int], bound: int, weight: list[int], leader: list[int]) -> int:
+def _bundle(group: Sequence[int], bound: int, weight: list[int], leader: dict[int, int]) -> int:
     """Put the blocks of ``group`` into bundles, none heavier than ``bound`` but single blocks, any two heavier.
 
     Returns the lightest; ``weight`` and ``leader`` are changed.
@@ -230,7 +232,7 @@ def _read_off(blocks: Sequence[Block], packing: _Packing) -> list[list[Block]]:
     area_above: dict[int, list[Block]] = {}  # bus -> the area that reaches down to it
     areas: dict[int, list[Block]] = {}  # by leader
     for i in range(len(blocks) - 1, -1, -1):
-        block, first = blocks[i], packing.leader[i]
+        block, first = blocks[i], packing.leader.get(i, i)
         area = area_above[block.top] if packing.joined[first] else areas.setdefault(first, [])
         area.append(block)
         for bus in block.buses:
@@ -244,18 +246,22 @@ def _name_areas(network: Network, areas: Sequence[Sequence[Block]]) -> dict[str,
     at_top: dict[int, dict[str, int]] = {}  # the bus where a walk enters areas -> their branches -> area
     for i, area in enumerate(areas):
         top = area[-1].top
-        entries = (branch.id for block in area if block.top == top for branch in block.branches)
+        entries = (branch for block in area if block.top == top for branch in block.branches)
         at_top.setdefault(top, {}).update(dict.fromkeys(entries, i))
     order: dict[int, None] = {}
-    walk = [network.slack.bus]
-    seen = set(walk)
+    at, ids, row = list_incidence(network), network.branch_ids, network.row
+    starts = {row[top]: area_of for top, area_of in at_top.items()}
+    walk = [row[network.slack.bus]]
+    seen = bytearray(len(row))
+    seen[walk[0]] = True
     for bus in walk:  # which grows: breadth first
-        branches = network.branches_at[bus]
-        if bus in at_top:
-            order |= dict.fromkeys(at_top[bus][branch.id] for branch in branches if branch.id in at_top[bus])
-        for branch in branches:
-            if (there := branch.other_end(bus)) not in seen:
-                seen.add(there)
+        first, last = at.first[bus], at.first[bus + 1]
+        if bus in starts:
+            area_of = starts[bus]
+            order |= dict.fromkeys(area_of[ids[k]] for k in at.branch[first:last] if ids[k] in area_of)
+        for there in at.there[first:last]:
+            if not seen[there]:
+                seen[there] = True
                 walk.append(there)
     buses_of = ({areas[i][-1].top}.union(*(block.buses for block in areas[i])) for i in order)
-    return {f"area{k}": sorted(buses, key=network.row.__getitem__) for k, buses in enumerate(buses_of, 1)}
+    return {f"area{k}": sorted(buses, key=row.__getitem__) for k, buses in enumerate(buses_of, 1)}

@@ -17,7 +17,7 @@ from dsse_core.grid.physical_ranges import RATING
 from dsse_core.limits import LARGEST_SIGMA
 from dsse_core.printable import listed
 
-SAYS_NOTHING = f"with a standard deviation above {LARGEST_SIGMA:g} p.u., infinite ones included, which says nothing"
+NO_INFORMATION = f"with a standard deviation above {LARGEST_SIGMA:g} p.u., infinite ones included, which says nothing"
 
 
 @dataclass(frozen=True, slots=True)

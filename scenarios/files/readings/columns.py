@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import compress
 
 import numpy as np
 
-from dsse_core.grid.columns import Records, rows_of_texts
+from dsse_core.grid.columns import Records, find_distinct
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter
-from dsse_core.grid.meter_table import all_fit, make_meters
+from dsse_core.grid.meter_table import each_fits, number_meters
 from dsse_core.grid.network import Network
 from dsse_core.limits import LARGEST_SIGMA, SMALLEST_SIGMA
-from scenarios.files.readings.rows import LONGEST_BUS, ReadingRows
+from scenarios.files.readings.cells import split_cells
+from scenarios.files.readings.meter_ids import read_meter_ids
+from scenarios.files.readings.rows import ReadingRows
 from scenarios.files.readings.units import RANGES, UNITS
 
 KIND = MeasurementKind
-_CODE_OF_NAME = {str(kind): k for k, kind in enumerate(KIND)}
 
 
 @dataclass(frozen=True)
@@ -50,74 +48,80 @@ class SoundReadings:
 
 def read_sound_columns(text: str, network: Network, *, takes_scans: bool = False) -> SoundReadings | None:
     """What ``ReadingRows`` reads; None where anything is unusual, which it then names or takes."""
-    try:
-        header, *rows = (row for row in csv.reader(io.StringIO(text, newline=""), strict=True) if row)
-    except (csv.Error, ValueError):  # no header
+    if (cells := split_cells(text)) is None:
         return None
     checked = ReadingRows(network, takes_scans)
-    checked.take_header(header)
-    if checked.problems or not rows or set(map(len, rows)) != {len(header)}:
+    checked.take_header(cells.titles)
+    if checked.problems or not len(cells.start):
         return None
-    names, *cells = zip(*rows, strict=True)
-    scans: Sequence[str] = cells.pop(0) if checked.takes_many else [""] * len(names)
-    if checked.takes_many and not all(scan and scan == scan.strip() for scan in set(scans)):
+    first = len(checked.keys)
+    unit = _find_units(cells.are_filled[:, first:])
+    if unit is None or not cells.are_filled[:, :first].all():
         return None
-    place = {name: k for k, name in enumerate(dict.fromkeys(names))}
-    meters = _read_meters(list(place), network)
-    if meters is None:
+    of_rows = read_meter_ids(cells.raw, cells.start[:, 0], cells.end[:, 0], network)
+    if of_rows is None or not each_fits(network, of_rows):
         return None
-    if len(place) < len(names) and len(set(zip(scans, names, strict=True))) < len(names):
+    scans = _read_scans(cells.filled[1 :: first + 2]) if checked.takes_many else [""] * len(of_rows)
+    first_rows, column = find_distinct(number_meters(network, of_rows))
+    if scans is None or _have_doubles(scans if checked.takes_many else None, column):
         return None
-    column = np.array([place[name] for name in names], dtype=np.intp)
     try:
-        read = _read_cells(cells, checked.units, meters.take(column), network)
+        values, sigmas = (_read_numbers(cells.filled[k :: first + 2]) for k in (first, first + 1))
     except ValueError:
         return None
-    return None if read is None else SoundReadings(meters, column, *read, scans)
-
-
-def _read_meters(names: Sequence[str], network: Network) -> Records[Meter] | None:
-    """The meters with these ids; None where one is no id, does not fit the network, or is another spelling of one."""
-    kinds, _, places = zip(*(name.partition("@") for name in names), strict=True)
-    buses, _, branches = zip(*(place.partition(":") for place in places), strict=True)
-    if not (
-        all(map(str.isdecimal, buses)) and max(map(len, buses)) <= LONGEST_BUS and _CODE_OF_NAME.keys() >= {*kinds}
-    ):
+    sizes = _find_sizes(checked.units, unit, of_rows, network)
+    if sizes is None or not _are_possible(of_rows.columns["kind"], values * sizes, sigmas * sizes, network):
         return None
-    kind = np.array([_CODE_OF_NAME[name] for name in kinds], dtype=np.int64)
-    bus = np.array(list(map(int, buses)), dtype=np.int64)
-    branch = rows_of_texts(network.branch_ids, [branch or None for branch in branches])
-    return make_meters(network, kind, bus, branch) if all_fit(network, kind, bus, branch) else None
+    return SoundReadings(of_rows.take(first_rows), column, values * sizes, sigmas * sizes, scans)
+
+
+def _find_units(are_filled: np.ndarray) -> np.ndarray | None:
+    """In which pair of ``are_filled`` (n, 2 n_unit) each row has its value and sigma, (n,); None where not in one."""
+    of_value, of_sigma = are_filled[:, ::2], are_filled[:, 1::2]
+    is_sound = (of_value == of_sigma).all() and (of_value.sum(axis=1) == 1).all()
+    return of_value.argmax(axis=1) if is_sound else None
+
+
+def _read_scans(cells: Sequence[bytes]) -> Sequence[str] | None:
+    """The scan of each row; None where one has blanks around it."""
+    names = {cell: cell.decode() for cell in set(cells)}
+    return [names[cell] for cell in cells] if all(name == name.strip() for name in names.values()) else None
+
+
+def _have_doubles(scans: Sequence[str] | None, column: np.ndarray) -> bool:
+    """Whether a scan, or the only one, has a meter, by its ``column`` (n,), twice."""
+    place = column
+    if scans is not None:
+        row = {scan: k for k, scan in enumerate(dict.fromkeys(scans))}
+        place = np.fromiter(map(row.__getitem__, scans), np.int64, len(scans)) * len(column) + column
+    return len(find_distinct(place)[0]) < len(place)
+
+
+def _read_numbers(cells: Sequence[bytes]) -> np.ndarray:
+    """Raises ValueError where one is none."""
+    return np.array(list(map(float, cells)))
+
+
+def _find_sizes(units: Sequence[str], unit: np.ndarray, meters: Records[Meter], network: Network) -> np.ndarray | None:
+    """What one of the ``unit`` of each of ``meters`` is in p.u. or rad, (n,); None where one cannot be in its unit."""
+    kind = meters.columns["kind"]
+    if not np.array([[one in UNITS[name] for one in KIND] for name in units])[unit, kind].all():
+        return None
+    base_kv, sizes = network.table.base_kv[network.table.rows.find(meters.columns["bus"])], np.empty(len(unit))
+    for k, name in enumerate(units):
+        sizes[unit == k] = _sizes_of(name, base_kv[unit == k], network.base_mva)
+    return sizes
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a number that is too large is no sound one
-def _read_cells(
-    cells: Sequence[Sequence[str]], units: Sequence[str], meters: Records[Meter], network: Network
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """Values and sigmas of all rows, (n,) each; None where some cannot be. ``meters``: of all rows.
-
-    Raises:
-        ValueError: a cell is no number.
-    """
-    kind, base_kv = meters.columns["kind"], network.table.base_kv[network.table.rows.find(meters.columns["bus"])]
-    values, sigmas, times = np.zeros(len(meters)), np.zeros(len(meters)), np.zeros(len(meters), dtype=int)
-    for k, unit in enumerate(units):
-        given = list(map(bool, cells[2 * k]))
-        if given != list(map(bool, cells[2 * k + 1])):
-            return None
-        filled = np.array(given)
-        size = _sizes_of(unit, base_kv[filled], network.base_mva)
-        values[filled] = np.array(list(map(float, compress(cells[2 * k], given)))) * size
-        sigmas[filled] = np.array(list(map(float, compress(cells[2 * k + 1], given)))) * size
-        if not np.array([one in UNITS[unit] for one in KIND])[kind[filled]].all():
-            return None
-        times += filled
-    possible = (times == 1) & np.isfinite(values) & (sigmas >= SMALLEST_SIGMA) & (sigmas <= LARGEST_SIGMA)
-    for k, one in enumerate(KIND):
-        limits, size_of_one = RANGES[one]
-        read = values[kind == k] * (network.base_mva if size_of_one is None else size_of_one)
-        possible[kind == k] &= (limits.least <= read) & (read <= limits.most)
-    return (values, sigmas) if possible.all() else None
+def _are_possible(kind: np.ndarray, values: np.ndarray, sigmas: np.ndarray, network: Network) -> bool:
+    """Whether ``ReadingRows`` would take all values and sigmas, p.u. and rad, of meters of a ``kind``, (n,) each."""
+    if not (np.isfinite(values).all() and (sigmas >= SMALLEST_SIGMA).all() and (sigmas <= LARGEST_SIGMA).all()):
+        return False
+    sizes = np.array([network.base_mva if size is None else size for _, size in map(RANGES.__getitem__, KIND)])
+    least, most = np.array([(limits.least, limits.most) for limits, _ in map(RANGES.__getitem__, KIND)]).T
+    read = values * sizes[kind]
+    return bool(((least[kind] <= read) & (read <= most[kind])).all())
 
 
 def _sizes_of(unit: str, base_kv: np.ndarray, base_mva: float) -> np.ndarray | float:

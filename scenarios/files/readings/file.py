@@ -80,7 +80,8 @@ def _load(path: Path, network: Network, *, takes_scans: bool) -> SoundReadings:
     rows = csv.reader(io.StringIO(text, newline=""), strict=True)
     table = ReadingRows(network, takes_scans)
     try:
-        table.take_header(next(rows, []))
+        header = next(filter(None, rows), [])  # empty lines are none, before it as after it
+        table.take_header(header, max(rows.line_num, 1) if header else 1)
         if not table.problems:
             for row in rows:
                 table.take(row, rows.line_num)

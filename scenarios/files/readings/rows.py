@@ -16,6 +16,7 @@ KIND = MeasurementKind
 KIND_OF = {str(kind): kind for kind in KIND}
 LONGEST_BUS = 18  # digits
 SCAN = "scan"
+OTHER_SEPARATORS = ";\t|"
 
 
 @dataclass
@@ -40,32 +41,35 @@ class ReadingRows:
         """Whether there is a column ``scan``."""
         return SCAN in self.keys
 
-    def take_header(self, header: Sequence[str]) -> None:
+    def take_header(self, header: Sequence[str], line: int = 1) -> None:
+        """Take the titles of the columns, which stand in ``line``."""
+        self.problems += [f"line {line}: {problem}" for problem in self._find_header_problems(header)]
+
+    def _find_header_problems(self, header: Sequence[str]) -> Iterator[str]:
         if list(header[1:2]) == [SCAN]:
             if not self.takes_scans:
-                self.problems.append(
-                    "line 1: column 'scan': a scenario has one scan; remove the column, or give the file to "
+                yield (
+                    "column 'scan': a scenario has one scan; remove the column, or give the file to "
                     "`dsse estimate SCENARIO --readings FILE`"
                 )
                 return
             self.keys = ["meter", SCAN]
         allowed = [*self.keys, *(f"{column}_{unit}" for unit in UNITS for column in ("value", "sigma"))]
-        if len(header) == 1 and ";" in header[0]:
-            self.problems.append("line 1: the columns are separated by ';'; separate them by ','")
+        if len(header) == 1 and (other := next((mark for mark in OTHER_SEPARATORS if mark in header[0]), "")):
+            yield f"the columns are separated by {other!r}; separate them by ','"
             return
         if not header or header[0] != "meter":
             found = f"{header[0]!r:.80}" if header else "an empty file"
-            self.problems.append(f"line 1: the first column must be 'meter', found {found}")
-        for name in header:
-            if name not in allowed:
-                self.problems.append(
-                    f"line 1: unknown column {name!r:.80}; allowed: {', '.join(allowed)}{suggest(name, allowed)}"
-                )
+            yield f"the first column must be 'meter', found {found}"
+        unknown = [name for name in header if name not in allowed]
+        for name in unknown:
+            yield f"unknown column {name!r:.80}; allowed: {', '.join(allowed)}{suggest(name, allowed)}"
         self.units = [name.removeprefix("value_") for name in header if name.startswith("value_")]
         expected = [*self.keys, *(f"{column}_{unit}" for unit in self.units for column in ("value", "sigma"))]
-        if not self.problems and (list(header) != expected or len(set(header)) < len(header) or not self.units):
-            self.problems.append(
-                f"line 1: after {self.keys[-1]!r} come pairs value_UNIT,sigma_UNIT of one unit, each unit once; found "
+        is_sound = list(header) == expected and len(set(header)) == len(header) and self.units
+        if header and header[0] == "meter" and not (unknown or is_sound):
+            yield (
+                f"after {self.keys[-1]!r} come pairs value_UNIT,sigma_UNIT of one unit, each unit once; found "
                 + ",".join(header)[:200]
             )
 

@@ -15,7 +15,7 @@ from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter
 from dsse_core.grid.network import Network
 from dsse_core.limits import LARGEST_SIGMA
 from dsse_core.printable import listed
-from scenarios.importers.imported import SAYS_NOTHING, Remark, combine_readings, sum_readings
+from scenarios.importers.imported import NO_INFORMATION, Remark, combine_readings, sum_readings
 
 KIND = MeasurementKind
 AT_BUS = {"v": KIND.VM, "va": KIND.VA, "p": KIND.P_INJECTION, "q": KIND.Q_INJECTION}
@@ -63,7 +63,7 @@ def read_measurements(what: str, conversion: Conversion) -> tuple[tuple[Measurem
         elif isinstance(found := _read(conversion, row), str):
             problems.append(f"measurement {index}: {found}")
         elif found.sigma > LARGEST_SIGMA:
-            left_out.setdefault(SAYS_NOTHING, []).append(index)
+            left_out.setdefault(NO_INFORMATION, []).append(index)
         elif found.meter.kind.of_injection:
             powers.setdefault((found.meter.kind, int(row.element)), []).append(found)
         else:

@@ -53,27 +53,10 @@ def read_pandapower(path: Path, tree: Any) -> Imported:
     text = write_anew(str(path), tree)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        try:
-            net = pandapower.from_json_string(text)
-        except Exception as error:  # whatever a foreign reader raises
-            raise InvalidInputError(str(path), [f"pandapower cannot read it: {on_one_line(error)}"]) from None
-        try:
-            problems = list(find_broken(net)) or list(find_unsupported(net))
-        except Exception as error:  # tables so broken that pandas cannot go through them
-            found = f"{type(error).__name__}: {on_one_line(error)}"
-            problems = [f"its tables are broken ({found}); pandapower.diagnostic may say why"]
-        if problems:
-            raise InvalidInputError(str(path), problems)
+        net = _read_net(pandapower, path, text)
         sgen = net.sgen.copy()  # sources here, negative loads in pandapower's matrices, clipped to limits there
         net.sgen["in_service"] = False
-        try:
-            ppc = load_extra("pandapower.converter.pypower.to_ppc", "pandapower", str(path)).to_ppc(
-                net, init="flat", calculate_voltage_angles=True, check_connectivity=True, mode="pf"
-            )
-        except Exception as error:
-            found = f"{type(error).__name__}: {on_one_line(error)}"
-            problem = f"pandapower cannot convert it ({found}); pandapower.diagnostic may say why"
-            raise InvalidInputError(str(path), [problem]) from None
+        ppc = _to_ppc(path, net)
     try:
         conversion, remarks = _convert(_name_of(net) or path.stem, net, sgen, ppc)
         names = {branch: f"{name} {index}" for (name, index), branch in conversion.branch_of.items()}
@@ -94,6 +77,34 @@ def read_pandapower(path: Path, tree: Any) -> Imported:
         readings=readings,
         zero_injection="measured" if readings else "virtual",
     )
+
+
+def _read_net(pandapower: Any, path: Path, text: str) -> Any:
+    """The network in ``text``, free of what the network model cannot hold."""
+    try:
+        net = pandapower.from_json_string(text)
+    except Exception as error:  # whatever a foreign reader raises
+        raise InvalidInputError(str(path), [f"pandapower cannot read it: {on_one_line(error)}"]) from None
+    try:
+        problems = list(find_broken(net)) or list(find_unsupported(net))
+    except Exception as error:  # tables so broken that pandas cannot go through them
+        found = f"{type(error).__name__}: {on_one_line(error)}"
+        problems = [f"its tables are broken ({found}); pandapower.diagnostic may say why"]
+    if problems:
+        raise InvalidInputError(str(path), problems)
+    return net
+
+
+def _to_ppc(path: Path, net: Any) -> Any:
+    """The matrices that pandapower makes of ``net`` for a power flow."""
+    try:
+        return load_extra("pandapower.converter.pypower.to_ppc", "pandapower", str(path)).to_ppc(
+            net, init="flat", calculate_voltage_angles=True, check_connectivity=True, mode="pf"
+        )
+    except Exception as error:
+        found = f"{type(error).__name__}: {on_one_line(error)}"
+        problem = f"pandapower cannot convert it ({found}); pandapower.diagnostic may say why"
+        raise InvalidInputError(str(path), [problem]) from None
 
 
 def _name_of(net: Any) -> str:

@@ -17,7 +17,7 @@ from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter
 from dsse_core.grid.network import Network
 from dsse_core.limits import LARGEST_SIGMA
 from dsse_core.printable import listed
-from scenarios.importers.imported import SAYS_NOTHING, Remark, combine_readings, sum_readings
+from scenarios.importers.imported import NO_INFORMATION, Remark, combine_readings, sum_readings
 from scenarios.importers.power_grid_model.data import APPLIANCES, Data, rows
 
 KIND = MeasurementKind
@@ -54,7 +54,7 @@ class _Reader:
     of_appliances: dict[tuple[KIND, int], dict[int, list[Measurement]]] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
     unsupplied: list[int] = field(default_factory=list)
-    saying_nothing: dict[int, None] = field(default_factory=dict)
+    uninformative: dict[int, None] = field(default_factory=dict)
     remarks: list[Remark] = field(default_factory=list)
 
     @cached_property
@@ -102,8 +102,8 @@ def read_sensors(what: str, conversion: Conversion) -> tuple[tuple[Measurement, 
     if reader.unsupplied:
         text = f"sensor {listed(reader.unsupplied)}: of something out of service, unsupplied or bridged by links"
         reader.remarks.append(Remark("left out", text))
-    if reader.saying_nothing:
-        reader.remarks.append(Remark("left out", f"sensor {listed(list(reader.saying_nothing))}: {SAYS_NOTHING}"))
+    if reader.uninformative:
+        reader.remarks.append(Remark("left out", f"sensor {listed(list(reader.uninformative))}: {NO_INFORMATION}"))
     return combined, [*reader.remarks, *remarks]
 
 
@@ -169,7 +169,7 @@ def _read_flow(reader: _Reader, sensor: Any, end: tuple[int, str] | None, sign: 
 def _reading_of(reader: _Reader, sensor: Any, value: float, sigma: float) -> tuple[float, float] | None:
     """(value, sigma) in p.u.; None if there is no value, or a sigma that leaves it without weight."""
     if sigma > LARGEST_SIGMA:
-        reader.saying_nothing[int(sensor["id"])] = None
+        reader.uninformative[int(sensor["id"])] = None
     return None if math.isnan(value) or sigma > LARGEST_SIGMA else (value, sigma)
 
 

@@ -33,7 +33,7 @@ def test_a_scenario_without_any_of_this_has_the_rules_of_before():
     assert all(rules == DEFAULT_RULES for rules in scenario.reading_rules.values())
 
 
-def test_live_readings_follow_clocks_and_any_gateway_speaks_where_none_is_named(tmp_path):
+def test_live_readings_follow_clocks_and_any_gateway_sends_where_none_is_named(tmp_path):
     rules = live(tmp_path).reading_rules["area1"]
     assert rules.ticks == "clock"
     assert rules.gateways == {"*": "all"}

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from scenario_mistakes import GOOD, link, problems_of, the_only
 
-from coordinator.process_run.fault_schedule import FaultSchedule
+from coordinator.process_run.faults.schedule import FaultSchedule
 from dsse_core.link_faults import LinkFaults
 from scenarios.scenario import load_scenario
 

@@ -248,7 +248,7 @@ def test_twenty_thousand_unknown_ids_are_not_all_compared_with_all_ids(monkeypat
     assert 0 < sum(compared) <= 2 * MOST_COMPARISONS
 
 
-def test_wrong_names_do_not_each_list_all_right_ones(tmp_path: Path):
+def test_wrong_names_do_not_each_list_all_right_ones():
     links = [{"from": "x", "to": f"y{k}", "loss": 0.1} for k in range(50)]
     with pytest.raises(InvalidInputError) as caught:
         load_scenario("ieee33", changes={"areas": {"count": 30}, "faults": {"link": links}})

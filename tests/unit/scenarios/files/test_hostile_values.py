@@ -13,7 +13,7 @@ from scenarios.scenario import load_scenario
 
 
 @pytest.mark.parametrize(
-    ("key", "value", "said"),
+    ("key", "value", "message"),
     [
         ("seed", LARGEST_SEED + 1, "seed: must be less than or equal to 9223372036854775807"),
         ("run.beat_s", 1e-300, "run.beat_s: must be greater than or equal to 0.001"),
@@ -27,10 +27,10 @@ from scenarios.scenario import load_scenario
         ("version", 1.0, "version: must be the integer 1, found 1.0"),
     ],
 )
-def test_a_value_that_nothing_can_be_computed_with_is_not_sound(key: str, value: object, said: str):
+def test_a_value_that_nothing_can_be_computed_with_is_not_sound(key: str, value: object, message: str):
     with pytest.raises(InvalidInputError) as error:
         load_scenario("ieee33", changes={key: value})
-    assert said in str(error.value)
+    assert message in str(error.value)
 
 
 def test_an_integer_of_more_digits_than_python_prints_is_no_traceback():

@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import io
 import math
+import sys
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -16,6 +18,7 @@ from dsse_core.grid.admittance import build_admittance
 from dsse_core.grid.columns import Records
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.grid.measurement_model import build_measurement_model
+from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from scenarios.check import check_scenario
 from scenarios.files.network_file import load_case
 from scenarios.files.readings.columns import read_sound_columns
@@ -76,7 +79,21 @@ current@3:3-4,,,,,,,,,,,120,1
 """
 
 
-@pytest.mark.parametrize("text", [EVERY_UNIT, EVERY_UNIT.replace("\n", "\r\n"), EVERY_UNIT + "\n\n"])
+QUOTED = "\n".join(",".join(f'"{cell}"' if cell else "" for cell in row.split(",")) for row in EVERY_UNIT.splitlines())
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        EVERY_UNIT,
+        EVERY_UNIT.removesuffix("\n"),
+        EVERY_UNIT.replace("\n", "\r\n"),
+        EVERY_UNIT.replace("\n", "\r"),
+        EVERY_UNIT + "\n\n",
+        EVERY_UNIT.replace(",120,1", ", +1.2e2,1."),
+        QUOTED,
+    ],
+)
 def test_columns_are_read_as_rows_are(text: str) -> None:
     rows = csv.reader(io.StringIO(text, newline=""), strict=True)
     table = ReadingRows(NETWORK)
@@ -112,6 +129,46 @@ def test_no_object_is_made_of_a_sound_reading_before_the_estimate(
     assert found.keys() == read.keys() | virtual
     for meter, pair in found.items():
         assert tuple(pair) == pytest.approx(read.get(meter, (0.0, 0.0)), rel=1e-12), meter.id
+
+
+def test_no_call_is_made_for_a_row_of_a_sound_file(tmp_path: Path) -> None:
+    def count_calls(n: int) -> int:
+        save_readings(tmp_path / "readings.csv", NETWORK, all_readings()[:n])
+        text, calls = (tmp_path / "readings.csv").read_text(), Counter[str]()
+        read_sound_columns(text, NETWORK)  # what is found once of a network
+        sys.setprofile(lambda _frame, event, _argument: calls.update([event]))
+        try:
+            sound = read_sound_columns(text, NETWORK)
+        finally:
+            sys.setprofile(None)
+        assert sound is not None
+        assert len(sound.values) == n
+        return calls["call"]
+
+    assert count_calls(len(all_readings())) < count_calls(20) + 20
+
+
+def test_a_branch_is_found_by_a_name_with_separators_of_ids_and_letters_of_any_alphabet() -> None:
+    odd = Branch("übergabe @3: a b", 1, 2, 0.1, 0.1)
+    network = Network("odd", 1.0, (Bus(1, 1.0), Bus(2, 1.0)), (odd,), (Generator(1, Control.SLACK),))
+    text = f"meter,value_pu,sigma_pu\np_flow@2:{odd.id},0.5,0.01\n"
+    sound = read_sound_columns(text, network)
+    assert sound is not None
+    assert sound.readings == (Measurement(Meter(KIND.P_FLOW, 2, odd.id), 0.5, 0.01),)
+
+
+def test_a_cell_with_a_comma_in_quotes_is_one_cell() -> None:
+    text = 'meter,value_pu,sigma_pu\n"vm@1,1",0.01\n'
+    assert read_sound_columns(text, NETWORK) is None
+
+
+def test_another_spelling_of_a_meter_in_another_scan_is_the_same_meter() -> None:
+    text = "meter,scan,value_pu,sigma_pu\nvm@2,a,1,0.01\nvm@1,a,1,0.01\nvm@02,b,1.1,0.01\n"
+    sound = read_sound_columns(text, NETWORK, takes_scans=True)
+    assert sound is not None
+    assert [meter.id for meter in sound.meters] == ["vm@2", "vm@1"]
+    assert (sound.column.tolist(), sound.scans) == ([0, 1, 0], ["a", "a", "b"])
+    assert read_sound_columns(text.replace(",b,", ",a,"), NETWORK, takes_scans=True) is None
 
 
 @pytest.mark.parametrize("name", ["vm@01", "vm@1:", "vm@\u0661"])
@@ -223,6 +280,8 @@ vm@5,1.0
     [
         ("", "the first column must be 'meter', found an empty file"),
         ("meter;value_pu;sigma_pu\n", "separated by ';'"),
+        ("meter\tvalue_pu\tsigma_pu\n", r"separated by '\t'"),
+        ("\n\nmeter,value\nvm@1,1\n", "line 3: unknown column 'value'"),
         ("meter,value,sigma\nvm@1,1,1\n", "unknown column 'value'"),
         ("meter,value_pu\nvm@1,1\n", "come pairs value_UNIT,sigma_UNIT"),
         ("meter,sigma_pu,value_pu\nvm@1,1,1\n", "come pairs value_UNIT,sigma_UNIT"),
@@ -233,6 +292,20 @@ vm@5,1.0
 )
 def test_a_wrong_header_or_an_empty_file_is_rejected(tmp_path: Path, text: str, words: str) -> None:
     assert words in "\n".join(problems_of(tmp_path, text))
+
+
+@pytest.mark.parametrize("first", ["", "\n", "\r\n\n", "\n\n\n"])
+def test_empty_lines_before_the_header_do_not_hide_what_is_wrong_below(tmp_path: Path, first: str) -> None:
+    wrong = f"{first}meter,value_pu,sigma_pu\nvm@1,1,0.1\nvm@99,1,0.1\n"
+    line = 3 + first.count("\n")
+    assert problems_of(tmp_path, wrong) == (f"line {line}: meter vm@99: bus 99 is not in network 'ieee33'",)
+
+
+def test_letters_of_another_encoding_are_named_with_their_line(tmp_path: Path) -> None:
+    path = tmp_path / "readings.csv"
+    path.write_bytes("meter,value_pu,sigma_pu\nvm@1,1,0.1\nvm@ü,1,0.1\n".encode("latin-1"))
+    with pytest.raises(InvalidInputError, match=r"line 3: not UTF-8 text .*; save the file as UTF-8"):
+        load_readings(path, NETWORK)
 
 
 def test_a_scenario_takes_its_readings_from_the_file_and_knows_no_truth(tmp_path: Path) -> None:

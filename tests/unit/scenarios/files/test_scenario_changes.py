@@ -25,7 +25,7 @@ def test_several_changes_and_items_of_lists_are_possible():
 
 
 @pytest.mark.parametrize(
-    ("key", "value", "said"),
+    ("key", "value", "message"),
     [
         ("faults.los", 0.1, "faults.los: unknown key; allowed here: loss"),
         ("faults.loss", 2, "must be less than or equal to 1, found 2"),
@@ -37,7 +37,7 @@ def test_several_changes_and_items_of_lists_are_possible():
         ("", 1, "is no key"),
     ],
 )
-def test_a_change_that_cannot_be_made_names_its_key(key: str, value: object, said: str):
+def test_a_change_that_cannot_be_made_names_its_key(key: str, value: object, message: str):
     with pytest.raises(InvalidInputError) as error:
         load_scenario("ieee33-lossy", changes={key: value})
-    assert said in str(error.value)
+    assert message in str(error.value)

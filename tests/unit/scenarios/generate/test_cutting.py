@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.grid.biconnected import Block, find_blocks
+from dsse_core.grid.columns import Records
 from dsse_core.grid.division import build_partition
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from scenarios.generate.cutting import cut_at, cut_into
@@ -187,11 +189,11 @@ def test_areas_by_switches_are_a_partition_in_which_every_switch_begins_an_area(
     at_busbar = [block for block in find_blocks(network) if block.top == network.slack.bus]  # type: ignore[union-attr]
     if not chosen or (len(at_busbar) == 1 and chosen == at_busbar):
         return
-    areas = cut_at(network, [block.branches[0].id for block in chosen])
+    areas = cut_at(network, [block.branches[0] for block in chosen])
     partition = build_partition(network, areas)
     assert len(areas) == len(chosen) + any(block not in chosen for block in at_busbar)
     for block in chosen:
-        (home,) = [a for a in partition.areas if block.branches[0] in a.network.branches]
+        (home,) = [a for a in partition.areas if block.branches[0] in a.network.branch_ids]
         assert home.parent is None or home.parent.bus == block.top
 
 
@@ -221,3 +223,18 @@ def test_buses_beyond_an_open_branch_are_reported_before_any_cut() -> None:
     network = grid((1, 2), (2, 3), open_ids=["2-3"])
     for problems in (problems_of(cut_into, network, 2), problems_of(cut_at, network, ["1-2"])):
         assert problems == ("no path of branches in service joins bus 3 to the substation",)
+
+
+def test_no_branch_or_bus_becomes_an_object_where_a_network_of_columns_is_cut() -> None:
+    n, ones = 40, np.ones(39)
+    loads = {key: np.zeros(n) for key in ("p_load", "q_load", "g_shunt", "b_shunt")}
+    ends = {"from_bus": np.arange(1, n) // 2 + 1, "to_bus": np.arange(2, n + 1)}
+    impedances = {"r": 0.01 * ones, "x": 0.01 * ones, "b": 0 * ones, "tap": ones, "shift": 0 * ones, "g": 0 * ones}
+    buses = Records(Bus, {"id": np.arange(1, n + 1), "base_kv": np.full(n, 20.0), **loads})
+    columns = {"id": [f"b{k}" for k in range(n - 1)], **ends, **impedances, "in_service": ones == 1}
+    branches = Records(Branch, columns)
+    network = Network("columns", 1.0, buses, branches, (Generator(1, Control.SLACK),))
+    areas = cut_into(network, 4)
+    assert cut_at(network, ["b3"]).keys() == {"area1", "area2"}
+    assert "objects" not in vars(buses) | vars(branches)
+    assert areas == cut_into(Network("objects", 1.0, tuple(buses), tuple(branches), network.generators), 4)
