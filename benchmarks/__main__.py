@@ -12,9 +12,9 @@ for _library in ("OPENBLAS", "OMP", "MKL"):  # one thread each, also in the chil
 
 import click  # noqa: E402
 
-from benchmarks.batch import BatchRow, format_batches  # noqa: E402
-from benchmarks.cases import SETS, SHARP  # noqa: E402
-from benchmarks.comparison import DrawRow, Limits, Row, compare, compare_batches, compare_draws  # noqa: E402
+from benchmarks.estimates.batch import PEER, BatchRow, format_batches  # noqa: E402
+from benchmarks.estimates.cases import SETS, SHARP  # noqa: E402
+from benchmarks.estimates.comparison import DrawRow, Limits, Row, compare, compare_batches, compare_draws  # noqa: E402
 from benchmarks.measuring.figures import figures_option, write_section  # noqa: E402
 from benchmarks.measuring.machine import describe_machine  # noqa: E402
 from benchmarks.measuring.report import format_draws, format_estimates, format_ratios, write_report  # noqa: E402
@@ -75,12 +75,13 @@ def main(
     limits = Limits(runs, limit_s, limit_gib)
     others = PEERS if peers else ()
     methods = (*OURS, *OURS_WITH_RESIDUALS, *others)
-    machine = describe_machine(dict.fromkeys([*(method.package for method in methods), *ENVIRONMENT]))
+    packages = [method.package for method in methods]
+    machine = describe_machine(dict.fromkeys([*packages, PEER, *ENVIRONMENT]))
     try:
         out.mkdir(parents=True, exist_ok=True)  # before the hours of work, not after
-        rows = compare(sizes, sets, OURS, (*OURS_WITH_RESIDUALS, *others), limits, _tell)
-        solved = compare_draws(sizes, sets, (*OURS, *others), draws, limits, _tell)
-        batches = compare_batches(sizes, sets, limits, _tell)
+        rows = compare(sizes, sets, OURS, (*OURS_WITH_RESIDUALS, *others), limits, _report)
+        solved = compare_draws(sizes, sets, (*OURS, *others), draws, limits, _report)
+        batches = compare_batches(sizes, sets, limits, _report)
         command = shlex.join(["python", "-m", "benchmarks", *sys.argv[1:]])
         written = write_report(out, command, machine, rows, solved, batches)
     except InvalidInputError as error:
@@ -116,7 +117,7 @@ def _find_missed(rows: list[Row]) -> list[str]:
     ]
 
 
-def _tell(what: str) -> None:
+def _report(what: str) -> None:
     click.echo(what, err=True)
 
 

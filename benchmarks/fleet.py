@@ -35,12 +35,12 @@ def main(areas: int, buses: int, timeout_s: float, figures: str | None) -> None:
         start, spent = time.monotonic(), _processor_time()
         with subprocess.Popen([*_dsse(), *arguments], stdout=subprocess.PIPE, text=True) as process:
             most = _watch_memory(process, out)
-            said = process.stdout.read() if process.stdout else ""
+            output = process.stdout.read() if process.stdout else ""
         wall_s = time.monotonic() - start
         machine = describe_machine(PACKAGES)
         for key, text in machine.items():
             click.echo(f"{key}: {text}")
-        click.echo(f"\n{areas} areas of {buses} buses, {areas * buses} in all\n{said.strip()}\n")
+        click.echo(f"\n{areas} areas of {buses} buses, {areas * buses} in all\n{output.strip()}\n")
         if not (out / "result.json").exists():
             raise click.ClickException(f"dsse run ended with {process.returncode} and left no result")
         facts = _summarise(json.loads((out / "result.json").read_text()), wall_s, _processor_time() - spent, most)

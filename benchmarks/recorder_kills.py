@@ -10,6 +10,7 @@ import os
 import random
 import tempfile
 import time
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -66,14 +67,15 @@ def kill_recorders(folder: Path, kills: int, seed: int) -> dict[str, object]:
     notes = close_ended(recording)
     recorded = read_recorded(recording)
     due = [find_due(passed, run, recorded) for run in runs]
-    missing = [[at for at, said in messages if said not in recorded] for messages in due]
+    missing = [[at for at, passed_on in messages if passed_on not in recorded] for messages in due]
     lost_s = [run.killed - min(times) for run, times in zip(runs, missing, strict=True) if times]
-    seen = [said for messages in due for _, said in messages]
+    seen = [passed_on for messages in due for _, passed_on in messages]
     return {
         "kills": kills,
         "messages while a recorder ran": len(seen),
-        "scans of areas while a recorder ran": len({said for said in seen if said[0] == "readings"}),
-        "lives that lost anything": len(lost_s),
+        "scans of areas while a recorder ran": len({passed_on for passed_on in seen if passed_on[0] == "readings"}),
+        "recorders that lost anything": len(lost_s),
+        "messages lost before one that was not": sum(count_holes(messages, recorded) for messages in due),
         "longest that was lost before a kill, s": round(max(lost_s, default=0.0), 3),
         "damaged logs": [row for row in _events(recording) if row[0] == "damaged log" and "last frame" not in row[1]],
         "notes of closing": notes,
@@ -89,13 +91,24 @@ def find_due(
     """
     begun: set[tuple[str, str]] = set()
     due = []
-    for at, said in passed:
+    for at, passed_on in passed:
         if run.began <= at <= run.killed:
-            if said in recorded:
-                begun.add(said[:2])
-            if said[:2] in begun:
-                due.append((at, said))
+            if passed_on in recorded:
+                begun.add(passed_on[:2])
+            if passed_on[:2] in begun:
+                due.append((at, passed_on))
     return due
+
+
+def count_holes(due: list[tuple[float, Published]], recorded: set[Published]) -> int:
+    """How many that are missing passed before one of the same area and kind that is there: a kill cuts off the end."""
+    missing, holes = Counter[tuple[str, str]](), 0
+    for _, said in due:
+        if said not in recorded:
+            missing[said[:2]] += 1
+        else:
+            holes += missing.pop(said[:2], 0)
+    return holes
 
 
 def _is_writing(recording: Path) -> bool:
@@ -121,6 +134,7 @@ def find_failures(seen: dict[str, object]) -> list[str]:
     assert isinstance(lost_s, float)
     checks = {
         f"more than the last {MOST_LOST_S:g} s is gone": lost_s <= MOST_LOST_S,
+        "something is missing before what is there": not seen["messages lost before one that was not"],
         "a log is damaged elsewhere than at its end": not seen["damaged logs"],
         "a log was not closed": not seen["notes of closing"],
         "a process ended unasked": not seen["ended unasked"],

@@ -39,9 +39,9 @@ FAST_HEARTBEAT_S = 0.02  # so that a silence of some tens of milliseconds shows
 Times = dict[str, list[float]]
 
 
-def build_scenario(areas: int, routers: int, beat_s: float) -> Scenario:
+def build_scenario(areas: int, routers: int, heartbeat_s: float) -> Scenario:
     """The feeder in so many areas, with one router or two linked ones."""
-    changes = {"areas": {"count": areas}, "transport.routers": routers, "run.beat_s": beat_s}
+    changes = {"areas": {"count": areas}, "transport.routers": routers, "run.beat_s": heartbeat_s}
     return check_with_strategy(load_scenario("ieee33", changes=changes))
 
 
@@ -150,8 +150,8 @@ def main(kills: int, seed: int, figures: str | None) -> None:
             for _ in range(kills):
                 repeat(times, lose_one_router(linked))
     machine, summary = describe_machine(PACKAGES), summarise(times)
-    beats = {"beat_s": str(HEARTBEAT_S), "fast_beat_s": str(FAST_HEARTBEAT_S)}
-    print(json.dumps(machine | beats | summary, indent=2))
+    heartbeats = {"beat_s": str(HEARTBEAT_S), "fast_beat_s": str(FAST_HEARTBEAT_S)}
+    print(json.dumps(machine | heartbeats | summary, indent=2))
     if figures:
         write_section(figures, machine, make_table(summary))
 

@@ -8,17 +8,25 @@ from pathlib import Path
 from benchmarks.commands.sizes import SEED, count_areas
 from dsse_core.grid.network import Control, Network
 from scenarios.files.readings.file import save_readings
+from scenarios.files.saved_network import name_network_file, save_network
 from scenarios.generate.generated_files import write_generated
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 
+NETWORK = "network.json"
 SLACK_TYPE, LOAD_TYPE = 3, 1
 
 
 def write_inputs(folder: Path, n_bus: int) -> None:
-    """``scenario.toml`` with its network, ``measured.toml`` with ``readings.csv``, and ``case.m``, in ``folder``."""
+    """``scenario.toml`` with its network, ``measured.toml`` with ``readings.csv``, and ``case.m``, in ``folder``.
+
+    The network is JSON whatever its size: TOML takes many times as long, and an exponent over both means nothing.
+    """
     path = write_generated(folder, n_bus, SEED, n_area=count_areas(n_bus))
     scenario = load_scenario(path)
+    save_network(folder / NETWORK, scenario.network, "a feeder of dsse generate")
+    named = f'network = "{name_network_file(n_bus)}"'
+    path.write_text(path.read_text(encoding="utf-8").replace(named, f'network = "{NETWORK}"'), encoding="utf-8")
     real = [m for m in make_telemetry(scenario).union if m.sigma > 0]
     save_readings(folder / "readings.csv", scenario.network, real)
     head, _, _ = path.read_text(encoding="utf-8").partition("[measurements]")

@@ -67,7 +67,7 @@ class WatchedBus(SimulatedBus):
     def _begin(self) -> None:
         self._began = getattr(self, "now", 0.0)
         self._counts: Counter[str] = Counter()
-        self._said: set[tuple[object, ...]] = set()
+        self._seen: set[tuple[object, ...]] = set()
         self._rounds = self._revision = 0
         self._good_of: set[str] = set()
         self._good_at = self._agree_at = math.nan
@@ -126,12 +126,12 @@ class WatchedBus(SimulatedBus):
             self._counts["loads"] += is_under_way
         elif message.kind == HEARTBEAT:
             self._count_heartbeat(sender, receiver, message)
-        elif (key := (message.kind, sender, receiver, message.header.order)) in self._said:
+        elif (key := (message.kind, sender, receiver, message.header.order)) in self._seen:
             self._counts["repeats"] += is_under_way
         else:
             self._counts["boundary"] += 1
             self._update_at = self.now
-            self._said.add(key)
+            self._seen.add(key)
             self._rounds = max(self._rounds, getattr(message, "k", -1) + 1)
             self._revision = max(self._revision, getattr(message, "revision", 0))
 

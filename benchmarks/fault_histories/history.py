@@ -69,7 +69,11 @@ class World:
     central: tuple[BadDataReport, ...]
 
     def files(
-        self, links: Mapping[Link, LinkFaults], seed: int, strategy: str = "information", beat_s: float = HEARTBEAT_S
+        self,
+        links: Mapping[Link, LinkFaults],
+        seed: int,
+        strategy: str = "information",
+        heartbeat_s: float = HEARTBEAT_S,
     ) -> list[AreaFile]:
         """What every area's agent reads; it knows every meter that has ever been read."""
         meters = {
@@ -83,7 +87,7 @@ class World:
                 meters=tuple(meters[area.name]),
                 strategy=strategy,
                 endpoints=("tcp/127.0.0.1:0",),
-                beat_s=beat_s,
+                beat_s=heartbeat_s,
                 links={n.area: links[area.name, n.area] for n in area.neighbours},
                 seed=seed,
             )
@@ -260,8 +264,8 @@ def _draw_events(rng: np.random.Generator, severity: float, bus: SimulatedBus, w
             bus.at(end, partial(bus.resume, name))
     if rng.random() < 0.2 * severity:
         start, end = _draw_window(rng, 1.0)
-        bus.at(start, partial(setattr, bus, "plant_speaks", False))
-        bus.at(end, partial(setattr, bus, "plant_speaks", True))
+        bus.at(start, partial(setattr, bus, "plant_publishes", False))
+        bus.at(end, partial(setattr, bus, "plant_publishes", True))
     for telemetry, at in zip(world.telemetry[1:], sorted(rng.uniform(0.5, FAULTS_S, SCANS - 1)), strict=True):
         late_s = {name: float(rng.uniform(0.0, 0.5)) for name in names if rng.random() < 0.2 * severity}
         bus.at(float(at), partial(bus.next_scan, telemetry, late_s))

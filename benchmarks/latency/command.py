@@ -93,13 +93,13 @@ def _make_scan(scenario: Scenario, payloads: dict[str, bytes], draw: int) -> Sca
 def _start(scenario: Scenario, launcher: Launcher, folder: Path) -> Iterator[Session]:
     """Router, echo and agents as processes, and a session of ours; all are there."""
     launcher.preload("coordinator.process_run.router_process", "benchmarks.latency.timed_agent")
-    said = folder / "router.endpoints"
-    arguments = ["--listen", "tcp/127.0.0.1:0", "--endpoints-file", str(said)]
+    endpoints_file = folder / "router.endpoints"
+    arguments = ["--listen", "tcp/127.0.0.1:0", "--endpoints-file", str(endpoints_file)]
     launcher.start(
         "router", "coordinator.process_run.router_process:main", arguments, log=folder / "router.log", stop_last=True
     )
-    _wait(said.exists)
-    endpoint = said.read_text().split()[0]
+    _wait(endpoints_file.exists)
+    endpoint = endpoints_file.read_text().split()[0]
     launcher.start("echo", "benchmarks.latency.timed_agent:run_echo", endpoint, log=folder / "echo.log")
     present: set[str] = set()
     with Session.connect([endpoint]) as session:

@@ -51,7 +51,7 @@ def write_section(name: str, machine: Mapping[str, str], table: str, page: Path 
 
 def list_facts(facts: Mapping[str, object]) -> str:
     """A Markdown table of two columns; mappings and lists become words."""
-    rows = [f"| {what} | {_say(figure)} |" for what, figure in facts.items()]
+    rows = [f"| {what} | {_write(figure)} |" for what, figure in facts.items()]
     return "\n".join(["| what | figure |", "|---|---|", *rows])
 
 
@@ -75,11 +75,11 @@ def conclude(
     sys.exit(1 if failures else 0)
 
 
-def _say(figure: object) -> str:
+def _write(figure: object) -> str:
     if isinstance(figure, Mapping):
-        return ", ".join(f"{name} {_say(value)}" for name, value in figure.items()) or "none"
+        return ", ".join(f"{name} {_write(value)}" for name, value in figure.items()) or "none"
     if isinstance(figure, list):
-        return ", ".join(map(_say, figure)) or "none"
+        return ", ".join(map(_write, figure)) or "none"
     return f"{figure:.3g}" if isinstance(figure, float) else str(figure)
 
 

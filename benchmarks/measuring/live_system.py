@@ -11,16 +11,16 @@ from typing import Self
 
 import numpy as np
 
-from agents.messages.keys import all_states, clock_key
+from agents.messages.keys import clock_key, state_key
 from agents.messages.packing import StateMessage, decode
 from agents.peers.freshness import PATIENCE_HEARTBEATS, is_old
 from agents.runtime.presence import begin_incarnation
 from agents.security.access import COORDINATOR
 from coordinator.evaluation.comparison import rows_of
 from coordinator.evaluation.evaluation import estimate_centralised
+from coordinator.process_run.faults.clock import RunClock
 from coordinator.process_run.fork_server import Ended, Started
 from coordinator.process_run.processes import Launcher, Updates
-from coordinator.process_run.run_clock import RunClock
 from coordinator.process_run.system import System
 from scenarios.scenario import Scenario
 from scenarios.telemetry import make_telemetry
@@ -36,9 +36,18 @@ class LiveSystem:
     """The processes of ``scenario``; ``states`` are the newest that were received, ``strays`` ended unasked.
 
     ``scan_every_s``: time between scans, None for one only. ``folder``: empty, for area files and logs.
+    ``any_name``: the router lets everybody say everything. ``keys``: folder of everybody's credentials, if secured.
     """
 
-    def __init__(self, scenario: Scenario, folder: Path, scan_every_s: float | None = None) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        folder: Path,
+        scan_every_s: float | None = None,
+        *,
+        any_name: bool = False,
+        keys: Path | None = None,
+    ) -> None:
         (folder / "logs").mkdir(parents=True)
         self.scenario = scenario
         self.folder = folder
@@ -50,7 +59,7 @@ class LiveSystem:
         self._began: float | None = None
         self._clock = RunClock("live", scenario.run.beat_s, begin_incarnation())
         self._launcher = Launcher(self._updates.put)
-        self.system = System(self._launcher, scenario, "live", folder, scan_every_s)
+        self.system = System(self._launcher, scenario, "live", folder, scan_every_s, keys, any_name)
         self._rows = {area.name: rows_of(scenario.partition, area.name) for area in scenario.partition.areas}
         self._centralised = lru_cache(maxsize=8)(self._estimate)
 
@@ -68,9 +77,10 @@ class LiveSystem:
             self.system.start_plant()
             self._session = self.system.join(COORDINATOR)
             self._clock.publish = self._session.publisher(clock_key("live"))
-            self._session.subscribe(
-                all_states("live"), lambda key, payload: self._updates.put((time.monotonic(), payload))
-            )
+            for area in self.areas:
+                self._session.subscribe(
+                    state_key("live", area), lambda key, payload: self._updates.put((time.monotonic(), payload))
+                )
         except BaseException:
             self._launcher.close()
             raise
@@ -85,7 +95,7 @@ class LiveSystem:
     def take(self, timeout_s: float = 0.0) -> str:
         """Take in what has arrived, or wait for it; the strays, in words."""
         if self._began is not None:
-            self._clock.tell(time.monotonic() - self._began)
+            self._clock.tick(time.monotonic() - self._began)
         for item in self._updates.take(timeout_s):
             if isinstance(item, Started | Ended):
                 if not self.system.note(item):

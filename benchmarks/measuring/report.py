@@ -8,8 +8,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Literal
 
-from benchmarks.batch import BatchRow, format_batches
-from benchmarks.comparison import DrawRow, Row
+from benchmarks.estimates.batch import BatchRow, format_batches
+from benchmarks.estimates.comparison import DrawRow, Row
 
 NOTES = """\
 - cold: the model from the tool's own input tables, then the estimate. warm: a second estimate on the same model, same

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.cases import Case, build_case
+from benchmarks.estimates.cases import Case, build_case
 from benchmarks.methods.method import Method, NotConvergedError, State
 from dsse_core.grid.network import Network
 

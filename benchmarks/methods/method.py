@@ -7,7 +7,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from benchmarks.cases import Case
+from benchmarks.estimates.cases import Case
 
 TOLERANCE = 1e-6  # of max |dx|, p.u. and rad, for every tool
 MAX_ITERATIONS = 50

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.cases import Case
+from benchmarks.estimates.cases import Case
 from benchmarks.methods.method import TOLERANCE, State
 from dsse_core.estimation.bad_data import normalized_residuals
 from dsse_core.estimation.estimator import EstimationResult, estimate_with_plan

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.cases import Case
+from benchmarks.estimates.cases import Case
 from benchmarks.methods.method import MAX_ITERATIONS, TOLERANCE, NotConvergedError, State
 from benchmarks.methods.physical import describe_lines
 

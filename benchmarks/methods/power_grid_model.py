@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.cases import Case
+from benchmarks.estimates.cases import Case
 from benchmarks.methods.method import MAX_ITERATIONS, TOLERANCE, State
 from benchmarks.methods.physical import LineNetwork, describe_lines
 

@@ -1,8 +1,9 @@
-"""``python -m benchmarks.page tasks`` and ``... day``."""
+"""``python -m benchmarks.page tasks``, ``... day`` and ``... pictures``."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import click
 
@@ -10,6 +11,7 @@ from benchmarks.measuring.figures import figures_option, write_section
 from benchmarks.measuring.machine import describe_machine
 from benchmarks.page.browser import choose_bus, looking
 from benchmarks.page.day import COUNT, Sample, sample_day
+from benchmarks.page.pictures import take_pictures
 from benchmarks.page.server import serving
 from benchmarks.page.tasks import CATEGORIES, Task, find_tasks
 
@@ -90,6 +92,15 @@ def day(scenario: str, moments: int, samples: int, figures: str | None) -> None:
             click.echo(lines[-1])
     if figures:
         write_section(figures, machine, "\n".join(lines))
+
+
+@main.command(context_settings={"show_default": True})
+@click.argument("folder", type=click.Path(exists=True, file_okay=False, path_type=Path))
+@click.option("--scenario", default="ieee33-lossy", help="Whose run on the simulator is shown.")
+def pictures(folder: Path, scenario: str) -> None:
+    """Take the pictures of the documents anew, into FOLDER; look at them before they are kept."""
+    for path in take_pictures(folder, scenario):
+        click.echo(path)
 
 
 def _row(sample: Sample) -> str:

@@ -20,7 +20,7 @@ NOT_GOOD = 7  # one area in so many is degraded
 
 
 @dataclass
-class _Said:
+class _Content:
     """What hardly changes of an area's messages."""
 
     buses: tuple[int, ...]
@@ -39,7 +39,7 @@ class Feed:
     scenario: Scenario
     scan: int = 0
     watcher: Watcher = field(init=False)
-    _said: dict[str, _Said] = field(init=False)
+    _contents: dict[str, _Content] = field(init=False)
 
     def __post_init__(self) -> None:
         scenario = self.scenario
@@ -51,12 +51,12 @@ class Feed:
         assert read.truth is not None, "the scenario has a power flow"
         place = {meter.id: k for k, meter in enumerate(scenario.meters)}
         meters = scenario.partition.meters_by_area(scenario.meters)
-        self._said = {}
+        self._contents = {}
         for area in scenario.partition.areas:
             rows = [scenario.network.row[bus.id] for bus in area.network.buses]
             own = [meter.id for meter in meters[area.name]]
             at = [place[name] for name in own]
-            self._said[area.name] = _Said(
+            self._contents[area.name] = _Content(
                 tuple(bus.id for bus in area.network.buses),
                 read.truth.vm[rows],
                 read.truth.va[rows],
@@ -70,33 +70,33 @@ class Feed:
         time.sleep(duration_s)
         self.scan += 1
         chance = np.random.default_rng(self.scan)
-        for number, (name, said) in enumerate(self._said.items()):
+        for number, (name, content) in enumerate(self._contents.items()):
             header = Header(RUN, name, ME, self.scan, self.scan, time.time())
             self.watcher.take_state(
-                _state_of(header, said, chance, (self.scan + number) % NOT_GOOD == 0), time.monotonic()
+                _state_of(header, content, chance, (self.scan + number) % NOT_GOOD == 0), time.monotonic()
             )
-            self.watcher.take_readings(_readings_of(header, said, chance))
+            self.watcher.take_readings(_readings_of(header, content, chance))
         return self.watcher
 
 
-def _state_of(header: Header, said: _Said, chance: np.random.Generator, is_degraded: bool) -> StateMessage:
-    n = len(said.buses)
+def _state_of(header: Header, content: _Content, chance: np.random.Generator, is_degraded: bool) -> StateMessage:
+    n = len(content.buses)
     small = (0.001,) * n
     return StateMessage(
         header=header,
-        buses=said.buses,
-        vm=tuple((said.vm + chance.normal(0, SPREAD, n)).tolist()),
-        va=tuple(said.va.tolist()),
+        buses=content.buses,
+        vm=tuple((content.vm + chance.normal(0, SPREAD, n)).tolist()),
+        va=tuple(content.va.tolist()),
         sigma_vm=small,
         sigma_va=small,
         referenced=True,
-        objective=float(len(said.meters)),
-        degrees_of_freedom=len(said.meters),
+        objective=float(len(content.meters)),
+        degrees_of_freedom=len(content.meters),
         removed=(),
         critical=(),
         checked=True,
-        sent=dict.fromkeys(said.neighbours, (1, header.scan)),
-        received=dict.fromkeys(said.neighbours, (1, header.scan)),
+        sent=dict.fromkeys(content.neighbours, (1, header.scan)),
+        received=dict.fromkeys(content.neighbours, (1, header.scan)),
         messages=5 * header.scan,
         bytes=500 * header.scan,
         lost=header.scan // 20,
@@ -105,21 +105,21 @@ def _state_of(header: Header, said: _Said, chance: np.random.Generator, is_degra
         faults={},
         quality="degraded" if is_degraded else "good",
         telemetry_age=0.1,
-        ages=dict.fromkeys(said.neighbours, 0.2),
-        scans=dict.fromkeys(said.neighbours, header.scan),
+        ages=dict.fromkeys(content.neighbours, 0.2),
+        scans=dict.fromkeys(content.neighbours, header.scan),
         old_sides=(),
     )
 
 
-def _readings_of(header: Header, said: _Said, chance: np.random.Generator) -> ReadingsMessage:
-    n, off = len(said.meters), chance.normal(0, 1, len(said.meters))
+def _readings_of(header: Header, content: _Content, chance: np.random.Generator) -> ReadingsMessage:
+    n, off = len(content.meters), chance.normal(0, 1, len(content.meters))
     return ReadingsMessage(
         header=header,
         taken_at=header.time,
-        meters=said.meters,
-        values=tuple((said.values + said.sigmas * off).tolist()),
-        sigmas=tuple(said.sigmas.tolist()),
+        meters=content.meters,
+        values=tuple((content.values + content.sigmas * off).tolist()),
+        sigmas=tuple(content.sigmas.tolist()),
         times=(header.time,) * n,
-        estimates=tuple(said.values.tolist()),
+        estimates=tuple(content.values.tolist()),
         normalised=tuple(np.abs(off).tolist()),
     )

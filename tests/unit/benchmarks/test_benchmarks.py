@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import comparison
-from benchmarks.batch import format_batches, measure_batches
-from benchmarks.cases import build_case, build_network
+from benchmarks.estimates import comparison
+from benchmarks.estimates.batch import format_batches, measure_batches
+from benchmarks.estimates.cases import build_case, build_network
 from benchmarks.measuring.limits import GIB, LimitedCallError, call_limited
 from benchmarks.methods.compared import OURS, OURS_WITH_RESIDUALS, PEERS
 from benchmarks.methods.physical import describe_lines
@@ -36,7 +36,7 @@ def run_reduced(out: Path, *options: str) -> list[dict]:
         cwd=ROOT,
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=1800,
         check=False,
     )
     assert finished.returncode == 0, finished.stderr

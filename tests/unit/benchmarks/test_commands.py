@@ -9,6 +9,8 @@ from benchmarks.commands.command import COMMANDS, _format_rows
 from benchmarks.commands.cost import Cost
 from benchmarks.commands.growth import find_exponent, find_n_log_n
 from benchmarks.commands.inputs import write_inputs
+from dsse_core.files.strict_table import load_strict
+from scenarios.files.scenario_file import ScenarioFile
 from scenarios.importers import import_grid
 from scenarios.scenario import load_scenario
 
@@ -44,6 +46,13 @@ def test_all_inputs_are_the_same_feeder(tmp_path: Path):
     assert [(b.from_bus, b.to_bus, b.r, b.x) for b in imported.branches] == [
         (b.from_bus, b.to_bus, b.r, b.x) for b in made.network.branches
     ]
+
+
+@pytest.mark.parametrize("n_bus", [40, 2500])
+def test_the_format_of_the_network_does_not_change_with_its_size(tmp_path: Path, n_bus: int):
+    write_inputs(tmp_path, n_bus)
+    for name in ("scenario.toml", "measured.toml"):
+        assert load_strict(tmp_path / name, ScenarioFile).network == "network.json"
 
 
 def test_every_command_about_a_grid_is_measured():

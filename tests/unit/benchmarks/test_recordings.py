@@ -6,7 +6,7 @@ import pytest
 
 from benchmarks import live_recording
 from benchmarks.long_recording import find_failures, record_long
-from benchmarks.recorder_kills import RecorderRun, find_due
+from benchmarks.recorder_kills import RecorderRun, count_holes, find_due
 
 pytestmark = [pytest.mark.long, pytest.mark.xdist_group("benchmarks")]
 
@@ -26,10 +26,17 @@ def test_what_a_recording_lacks_is_a_failure(tmp_path: Path) -> None:
 
 
 def test_what_passed_before_an_area_knew_of_the_recorder_is_not_lost_by_it() -> None:
-    said = [("states", "area1", scan) for scan in range(5)]
-    passed = [(float(k), one) for k, one in enumerate(said)]
-    due = find_due(passed, RecorderRun(1.0, 3.0), {said[2]})
-    assert due == [(2.0, said[2]), (3.0, said[3])]
+    keys = [("states", "area1", scan) for scan in range(5)]
+    passed = [(float(k), one) for k, one in enumerate(keys)]
+    due = find_due(passed, RecorderRun(1.0, 3.0), {keys[2]})
+    assert due == [(2.0, keys[2]), (3.0, keys[3])]
+
+
+def test_a_kill_may_cut_off_the_end_and_makes_no_hole() -> None:
+    due = [(float(k), ("states", "area1", k)) for k in range(5)]
+    recorded = {said for _, said in due}
+    assert count_holes(due, recorded - {due[3][1], due[4][1]}) == 0
+    assert count_holes(due, recorded - {due[1][1], due[2][1], due[4][1]}) == 2
 
 
 def test_a_process_that_grows_and_a_message_that_is_not_recorded_are_failures() -> None:

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TypeVar
 
-from benchmarks.batch import BatchRow, measure_batches
-from benchmarks.cases import SHARP, build_case, build_network
+from benchmarks.estimates.batch import BatchRow, measure_batches
+from benchmarks.estimates.cases import SHARP, build_case, build_network
 from benchmarks.measuring.limits import LimitedCallError, call_limited
 from benchmarks.measuring.machine import find_version
 from benchmarks.measuring.timing import Draws, Outcome, measure, try_draws
@@ -67,7 +67,7 @@ def compare(
     ours: Sequence[Method],
     others: Sequence[Method],
     limits: Limits,
-    tell: Callable[[str], None],
+    report: Callable[[str], None],
 ) -> list[Row]:
     """Every method on every network and measurement set."""
     rows = []
@@ -77,7 +77,7 @@ def compare(
             case = build_case(network, set_name)
             found: dict[str, Outcome | str] = {}
             for method in (*ours, *others):
-                tell(f"{n_bus} buses, {set_name}: {method.name}")
+                report(f"{n_bus} buses, {set_name}: {method.name}")
                 found[method.name] = _try(method, limits, measure, case, method, ours, limits.runs, limits.budget_s)
             rows += _evaluate(n_bus, set_name, found)
     return rows
@@ -89,7 +89,7 @@ def compare_draws(
     methods: Sequence[Method],
     draws: int,
     limits: Limits,
-    tell: Callable[[str], None],
+    report: Callable[[str], None],
 ) -> list[DrawRow]:
     """Every method on the same random draws, sigma floor 200 VA; of networks as large as MOST_BUSES_OF_DRAWS."""
     rows = []
@@ -98,7 +98,7 @@ def compare_draws(
         for set_name in dict.fromkeys(name.removesuffix(SHARP) + SHARP for name in sets):
             found: dict[str, Draws | str] = {}
             for method in methods:
-                tell(f"{n_bus} buses, {set_name}, {draws} random draws: {method.name}")
+                report(f"{n_bus} buses, {set_name}, {draws} random draws: {method.name}")
                 found[method.name] = _try(
                     method, limits, try_draws, network, set_name, method, draws, 0.8 * limits.seconds
                 )
@@ -107,21 +107,21 @@ def compare_draws(
 
 
 def compare_batches(
-    sizes: Sequence[int], sets: Sequence[str], limits: Limits, tell: Callable[[str], None]
+    sizes: Sequence[int], sets: Sequence[str], limits: Limits, report: Callable[[str], None]
 ) -> list[BatchRow]:
     """Batches of scans on networks as large as MOST_BUSES_OF_DRAWS; what fails has no rows."""
     rows: list[BatchRow] = []
     for n_bus in [n for n in sizes if n <= MOST_BUSES_OF_DRAWS]:
         network = build_network(n_bus)
         for set_name in sets:
-            tell(f"{n_bus} buses, {set_name}: batches")
+            report(f"{n_bus} buses, {set_name}: batches")
             case = build_case(network, set_name)
             try:
                 rows += call_limited(
                     measure_batches, case, min(limits.runs, 7), limit_s=limits.seconds, limit_gib=limits.gib
                 )
             except LimitedCallError as error:
-                tell(str(error))
+                report(str(error))
     return rows
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.cases import SEED, Case
+from benchmarks.estimates.cases import SEED, Case
 from benchmarks.measuring.machine import find_version
 from benchmarks.methods.method import MAX_ITERATIONS, TOLERANCE
 from benchmarks.methods.ours import Ours, Scan
@@ -22,6 +22,7 @@ from dsse_core.estimation.plan import EstimationPlan
 
 READINGS = 10_000_000  # of all scans of a batch, at most
 MOST_SCANS = 4000
+PEER = "power-grid-model"
 ALGORITHMS = ("newton_raphson", "iterative_linear")
 Solve = Callable[[], int]
 
@@ -52,9 +53,9 @@ def measure_batches(case: Case, runs: int) -> list[BatchRow]:
     solves: dict[tuple[str, int], Solve] = {}
     for threads in dict.fromkeys((1, len(os.sched_getaffinity(0)))):
         solves[ours.name, threads] = partial(_solve_ours, plan, values, scan.sigmas, threads)
-        if find_version("power-grid-model") is not None:
+        if find_version(PEER) is not None:
             for algorithm in ALGORITHMS:
-                solves[f"power-grid-model {algorithm}", threads] = _peer(case, algorithm, values, threads)
+                solves[f"{PEER} {algorithm}", threads] = _peer(case, algorithm, values, threads)
     failed = {key: solve() for key, solve in solves.items()}
     fastest = dict.fromkeys(solves, (np.inf, np.inf))
     for _ in range(runs):

@@ -1,0 +1,1 @@
+"""Estimates timed side by side: cases, draws, batches."""
