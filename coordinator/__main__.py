@@ -33,7 +33,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _replace_closed_streams() -> None:
     """Let the standard streams that the caller has closed lead nowhere: else the first files take their numbers, and
-    what is said goes into these.
+    output goes into these.
     """
     while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
         os.set_inheritable(number, True)
@@ -51,18 +51,18 @@ def _run_agent(arguments: Sequence[str]) -> int:
 
 def _run_command(arguments: Sequence[str]) -> int:
     from agents.runtime.heap import keep_small
-    from coordinator.cli.main import run_command, say_interrupted
-    from coordinator.cli.terminal import say
+    from coordinator.cli.main import report_interrupted, run_command
+    from coordinator.cli.terminal import notify
     from coordinator.process_run.compile_clock import clock
 
     keep_small()
-    clock.say = say
+    clock.notify = notify
     try:
         interrupts.raise_interrupts()
         code = run_command(arguments)
         interrupts.ignore()
     except KeyboardInterrupt:  # before the command began, or when it was over
-        code = say_interrupted()
+        code = report_interrupted()
     return code
 
 

@@ -1,5 +1,5 @@
-"""What signals do to the command ``dsse``, stage by stage: end it at once while it loads, raise while it works, change
-no exit code that has been decided.
+"""What signals do to the command ``dsse``, stage by stage: end it at once while it loads, raise while it works, end it
+with the exit code that has been decided once there is one.
 
 Only ``coordinator.__main__`` begins this; where commands are called as functions, signals stay the caller's.
 """
@@ -17,12 +17,25 @@ if TYPE_CHECKING:
 SIGINT = (signal.SIGINT,)
 ENDS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 INTERRUPTED_CODE = 1
-_state = {"is_command": False, "code": INTERRUPTED_CODE}
+_state: dict[str, int | None] = {"is_command": False, "decided": None, "held": False, "came": False}
+
+
+class Held:
+    """A block that Ctrl-C does not break off: the command ends after it; a second Ctrl-C is followed at once."""
+
+    def __enter__(self) -> None:
+        _state["held"], _state["came"] = True, False
+
+    def __exit__(self, *_: object) -> None:
+        _state["held"] = False
+        if _state["came"]:
+            _state["came"] = False
+            raise _make_end()
 
 
 def end_at_once() -> None:
     """Loading: nothing is there to be tidied up, and imports that are broken off show tracebacks."""
-    _state["is_command"] = True
+    _state.update(is_command=True, decided=None)
     _set(SIGINT, _end_interrupted)
 
 
@@ -37,9 +50,9 @@ def end_orderly_on_signals() -> None:
 
 
 def decide(code: int) -> None:
-    """The verdict is known: from now on signals end the command at once, with ``code``."""
-    _state["code"] = code
-    _set(ENDS, _end_decided)
+    """The verdict is known: from now on a signal ends the command with ``code``, after what it writes is tidied up."""
+    _state["decided"] = code
+    _set(ENDS, _interrupt_once)
 
 
 def ignore() -> None:
@@ -58,21 +71,31 @@ def _end_interrupted(*_: object) -> NoReturn:
     os._exit(INTERRUPTED_CODE)
 
 
-def _end_decided(*_: object) -> NoReturn:
-    os._exit(_state["code"])
+def _interrupt_once(number: int, frame: FrameType | None) -> None:
+    """As ``_interrupt``; another signal does not break off the tidying up."""
+    ignore()
+    _interrupt(number, frame)
 
 
 def _interrupt(_number: int, frame: FrameType | None) -> None:
-    """Raise KeyboardInterrupt, or once the import under way is over: compiled modules swallow it, or make a traceback
-    of it.
+    """Raise what ends the command, or once the import under way is over: compiled modules swallow it, or make a
+    traceback of it.
     """
+    if _state["held"] and not _state["came"]:
+        _state["came"] = True
+        return
     importer = _find_importer(frame)
     if importer is None:
-        raise KeyboardInterrupt
+        raise _make_end()
     import sys  # loaded already wherever a module is imported
 
     importer.f_trace = _raise_interrupt
     sys.settrace(lambda *_: None)  # without any, that of the frame is not asked
+
+
+def _make_end() -> BaseException:
+    """KeyboardInterrupt; once there is an exit code, the end with that."""
+    return KeyboardInterrupt() if _state["decided"] is None else SystemExit(_state["decided"])
 
 
 def _find_importer(frame: FrameType | None) -> FrameType | None:
@@ -90,4 +113,4 @@ def _raise_interrupt(frame: FrameType, _event: str, _argument: object) -> NoRetu
 
     sys.settrace(None)
     frame.f_trace = None
-    raise KeyboardInterrupt
+    raise _make_end()

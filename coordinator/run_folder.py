@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from dsse_core.errors import InvalidInputError
@@ -32,6 +33,34 @@ def make_run_folder(out: str | Path | None, name: str, inside: Sequence[str] = (
     if occupied:
         raise InvalidInputError(f"run folder {folder}", ["is not empty; choose a new one, or remove what it holds"])
     return folder
+
+
+@contextmanager
+def result_folder(out: Path) -> Iterator[Path]:
+    """Folder ``out``, new or empty, for the results of the block; after an error what was made for nothing is gone.
+
+    Raises:
+        InvalidInputError: as ``make_run_folder``.
+    """
+    made = [place for place in (out, *out.parents) if not place.exists()]
+    try:
+        yield make_run_folder(out, "")
+    except BaseException:
+        for place in made:
+            with suppress(OSError):  # never made, or something stands in it
+                place.rmdir()
+        raise
+
+
+def describe_missing(folder: Path, name: str) -> str:
+    """That file ``name`` is not in ``folder``, in words; empty where it is, or nobody may look."""
+    try:
+        (folder / name).stat()
+    except (FileNotFoundError, NotADirectoryError):
+        return f"no {name} is in it" if folder.is_dir() else "there is no such folder"
+    except (OSError, ValueError):
+        return ""
+    return ""
 
 
 def _is_made(folder: Path) -> bool:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from agents.strategies.installed import load_strategy
-from scenarios.check import check_scenario
+from dsse_core.estimation.plan import EstimationPlan
+from scenarios.check import check_and_plan
 from scenarios.scenario import Scenario
 
 
@@ -13,5 +14,11 @@ def check_with_strategy(scenario: Scenario) -> Scenario:
     Raises:
         InvalidInputError: as ``check_scenario``; or the strategy cannot be used.
     """
+    plan_with_strategy(scenario)
+    return scenario
+
+
+def plan_with_strategy(scenario: Scenario) -> EstimationPlan | None:
+    """As ``check_with_strategy``; the plan of the whole grid, where the check has made it (``check_and_plan``)."""
     strategy = load_strategy(scenario.strategy)
-    return check_scenario(scenario, strategy.local_meters if strategy.estimates_alone else None)
+    return check_and_plan(scenario, strategy.local_meters if strategy.estimates_alone else None)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from coordinator.cli.terminal import bus_timeout_option, connect_option, keys_option, say, show
+from coordinator.cli.terminal import bus_timeout_option, connect_option, keys_option, notify, show
 from coordinator.interrupts import end_orderly_on_signals
 
 TABLES = ("buses", "branches")
@@ -47,16 +47,16 @@ def flows(
     content = load_area_file(area_file, list_strategies())
     name, direct = content.area.name, bool(content.listen)
     chosen = endpoints or (content.listen if direct else content.endpoints)
-    with attach(RunAddress(chosen, content.run, timeout, keys, direct)) as look:
+    with attach(RunAddress(chosen, content.run, timeout, keys, direct), areas=frozenset({name})) as look:
         watcher = wait_for_state(look, name, timeout)
     view = next((area for area in watcher.look(time.monotonic()).areas if area.name == name), None)
     state = watcher.state_of(name)
     if view is None or state is None or not state.buses:
-        say(f"area {name} of run {content.run} has published no estimate within {timeout:g} s")
+        notify(f"area {name} of run {content.run} has published no estimate within {timeout:g} s")
         return 1
     buses, branches = make_area_flows(content.area, state)
-    worth = f"area {name}: {view.quality}, scan {view.scan}, {view.age_s:.1f} s old"
-    lines = [worth, *(f"note: {note}" for note in view.notes)]
+    summary = f"area {name}: {view.quality}, scan {view.scan}, {view.age_s:.1f} s old"
+    lines = [summary, *(f"note: {note}" for note in view.notes)]
     if as_json:
         about = {"time": time.time(), "run": content.run, "area": name, "quality": view.quality, "scan": view.scan}
         about |= {"age_s": view.age_s, "notes": view.notes}
@@ -64,7 +64,7 @@ def flows(
     elif csv:
         show(format_csv(buses if csv == "buses" else branches))
         for line in lines:
-            say(line)
+            notify(line)
     else:
         show("\n\n".join([format_state(buses, branches), "\n".join(lines)]))
     return 0

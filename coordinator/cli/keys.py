@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from coordinator.cli.terminal import Number, run_id_option, say, scenario_argument, show
+from coordinator.cli.terminal import Number, notify, run_id_option, scenario_argument, show
 from dsse_core.printable import printable
 
 YEAR_DAYS = 365.0
@@ -41,14 +41,15 @@ def keys_commands() -> None:
 )
 @run_id_option
 def create(scenario: str, out: Path, days: float, hosts: tuple[str, ...], run_id: str | None) -> None:
-    """Make a private authority, a certificate for each process of SCENARIO, and the rules of who may speak.
+    """Make a private authority, a certificate for each process of SCENARIO, and the rules of who may publish.
 
     \b
     Examples:  dsse keys create ieee33 --out keys
                dsse keys create ieee33 --host grid-a.example --host 192.0.2.7
                dsse keys create my/neighbours.toml --host area1=grid-a.example
     """
-    from coordinator.deployment.certificates import access_of, create_keys
+    from coordinator.deployment.certificates import create_keys
+    from coordinator.deployment.run_access import access_of
     from coordinator.deployment.split import choose_run_id
     from scenarios.reading_rules import find_gateway_remark
     from scenarios.scenario import load_scenario
@@ -60,4 +61,4 @@ def create(scenario: str, out: Path, days: float, hosts: tuple[str, ...], run_id
     authority = printable(out / "authority.key")
     show(f"keep {authority} off the hosts; each needs authority.crt and its own processes' .crt and .key")
     if remark := find_gateway_remark(loaded.reading_rules):
-        say(f"warning: {remark}, then make the keys anew")
+        notify(f"warning: {remark}, then make the keys anew")

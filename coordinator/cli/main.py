@@ -26,10 +26,10 @@ from coordinator.cli.terminal import (
     answering_once,
     changed,
     finish_run,
+    notify,
     progress,
     quiet_option,
     run_folder_option,
-    say,
     scenario_argument,
     seed_option,
     set_option,
@@ -54,25 +54,25 @@ def run_command(arguments: Sequence[str]) -> int:
     try:
         code = commands.main(list(arguments), prog_name="dsse", standalone_mode=False, obj=tuple(arguments))
     except DsseError as error:
-        say(f"error: {error}")
+        notify(f"error: {error}")
         return 2
     except click.ClickException as error:
         usage = io.StringIO()
         error.show(usage)
-        say(usage.getvalue().rstrip())
+        notify(usage.getvalue().rstrip())
         return 2
     except OSError as error:  # a full disk, a folder that cannot be written, a file that is none
         name = f"{error.filename}: " if error.filename else ""
-        say(f"error: {name}{error.strerror or error}; choose another place, or make room there")
+        notify(f"error: {name}{error.strerror or error}; choose another place, or make room there")
         return 2
     except (KeyboardInterrupt, click.Abort):
-        return say_interrupted()
+        return report_interrupted()
     return int(code or 0)
 
 
-def say_interrupted() -> int:
+def report_interrupted() -> int:
     """Say that somebody has ended the command; its exit code."""
-    say("interrupted")
+    notify("interrupted")
     return INTERRUPTED_CODE
 
 

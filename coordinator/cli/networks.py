@@ -7,7 +7,7 @@ from typing import Literal
 
 import click
 
-from coordinator.cli.terminal import Number, scenario_argument, show
+from coordinator.cli.terminal import Number, next_run, scenario_argument, show
 from dsse_core.errors import InvalidInputError
 from dsse_core.limits import LARGEST_SEED
 
@@ -108,7 +108,7 @@ def generate(
     if n_area is None:
         n_area = min(MAX_DEFAULT_AREAS, max(1, n_bus // BUSES_OF_AN_AREA))
     path = write_generated(out, n_bus, seed, n_area=n_area, lowest_vm=lowest_vm, n_pv=n_pv, meters=meters)
-    show(f"{out / network_file}\n{path}\nnext: dsse run {path}")
+    show(f"{out / network_file}\n{path}\n{next_run(path)}")
 
 
 @click.command("import", short_help="Take over a network from MATPOWER, pandapower or power-grid-model.")
@@ -138,7 +138,7 @@ def import_file(file: Path, out: Path, n_area: int, name: str | None, frequency_
 
     imported = import_grid(file, name=name, frequency_hz=frequency_hz)
     path, summary = write_imported(out, imported, n_area, lambda scenario: _check(scenario, file))
-    show(f"{summary}\nnext: dsse run {path}")
+    show(f"{summary}\n{next_run(path)}")
 
 
 def _check(path: Path, source: Path) -> None:

@@ -5,14 +5,15 @@ from __future__ import annotations
 import functools
 import json
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from coordinator.cli.terminal import say, show
-from coordinator.run_folder import make_run_folder
+from coordinator.cli.terminal import notify, show
+from coordinator.run_folder import result_folder
 
 if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts fast
     from coordinator.evaluation.table_files import Tables
@@ -56,8 +57,8 @@ def output_options(command: Callable[..., Any]) -> Callable[..., Any]:
         if parquet and out is None:
             raise click.UsageError("--parquet writes files; say where with --out DIR")
         check_parquet_option(parquet)
-        folder = None if out is None else make_run_folder(out, "")
-        return command(output=Output(folder, as_json, csv, parquet), **others)
+        with nullcontext() if out is None else result_folder(out) as folder:
+            return command(output=Output(folder, as_json, csv, parquet), **others)
 
     return with_output
 
@@ -96,9 +97,9 @@ def hand_over(
         show(text())
     machine_reads = output.as_json or output.csv is not None
     for note in notes if machine_reads else ():
-        say(f"note: {note}")
+        notify(f"note: {note}")
     if output.folder is not None:
-        (say if machine_reads else show)(f"files: {output.folder}")
+        (notify if machine_reads else show)(f"files: {output.folder}")
 
 
 def _write_files(folder: Path, parquet: bool, tables: Tables, content: dict[str, Any]) -> None:

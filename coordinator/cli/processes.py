@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -22,6 +23,9 @@ from coordinator.cli.terminal import (
 )
 from dsse_core.limits import LONGEST_S, SHORTEST_SCAN_S
 from dsse_core.printable import printable
+
+if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts fast
+    from agents.security.access import Access
 
 SCAN_SECONDS = Number(min=SHORTEST_SCAN_S, max=LONGEST_S)
 
@@ -83,21 +87,38 @@ def agent(arguments: tuple[str, ...]) -> int:
 )
 @click.option("--connect", "others", multiple=True, help="Another router to link with, now or later; repeatable.")
 @keys_option
-@click.option("--run", "run_id", help="Apply the rules of access in DIR to this run.  [default: the run named there]")
-def router(endpoints: tuple[str, ...], others: tuple[str, ...], keys: Path | None, run_id: str | None) -> int:
+@click.option("--run", "run_id", help="Apply the rules to this run.  [default: that in DIR; the scenario's name]")
+@click.option("--scenario", metavar="NAME|FILE", help="Without keys: let only what the processes of its run say pass.")
+def router(
+    endpoints: tuple[str, ...], others: tuple[str, ...], keys: Path | None, run_id: str | None, scenario: str | None
+) -> int:
     """Run the Zenoh router that agents, plant and coordinator connect to, until Ctrl-C. Linked routers are one bus.
 
     \b
     Examples:  dsse router --listen tcp/0.0.0.0:7447
                dsse router --listen tls/0.0.0.0:7447 --keys keys
                dsse router --listen tcp/0.0.0.0:7448 --connect tcp/192.0.2.7:7447
+               dsse router --scenario ieee33
     """
     from coordinator.process_run.router_process import main
 
+    if scenario and keys:
+        raise click.UsageError("--scenario and --keys: the rules of access beside the keys name the areas already")
     arguments = [part for endpoint in endpoints for part in ("--listen", endpoint)]
     arguments += [part for other in others for part in ("--connect", other)]
     arguments += ["--keys", str(keys)] if keys else []
-    return main([*arguments, "--run", run_id] if run_id else arguments)
+    arguments += ["--run", run_id] if run_id else []
+    return main(arguments, _access_of(scenario, run_id) if scenario else None)
+
+
+def _access_of(scenario: str, run_id: str | None) -> Access:
+    """Who takes part in a run of ``scenario``."""
+    from coordinator.deployment.run_access import access_without_keys
+    from coordinator.deployment.split import choose_run_id
+    from scenarios.scenario import load_scenario
+
+    loaded = load_scenario(scenario)
+    return access_without_keys(loaded.partition, choose_run_id(loaded, run_id), loaded.reading_rules)
 
 
 @click.command(short_help="Publish the meter readings of a scenario.")
@@ -169,7 +190,7 @@ def compile_() -> None:
     from coordinator.process_run.compile_ahead import compile_ahead
 
     ahead = compile_ahead()
-    print(f"kept in {ahead.folder}" if ahead.folder else f"is compiled already, in {' or '.join(ahead.found_in)}")
+    show(f"kept in {ahead.folder}" if ahead.folder else f"is compiled already, in {' or '.join(ahead.found_in)}")
 
 
 process_commands = (split, agent, router, plant, compile_)

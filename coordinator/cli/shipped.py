@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from coordinator.cli.terminal import show
+from coordinator.cli.terminal import next_run, show
 from dsse_core.printable import printable
 
 
@@ -54,4 +54,4 @@ def copy(name: str, folder: Path) -> None:
     """
     from scenarios.files.shipped_files import copy_scenario
 
-    show(f"next: dsse run {printable(copy_scenario(name, folder))}")
+    show(printable(next_run(copy_scenario(name, folder))))

@@ -17,10 +17,10 @@ from coordinator.cli.terminal import (
     Number,
     changed,
     finish_run,
+    notify,
     progress,
     quiet_option,
     run_folder_option,
-    say,
     scenario_argument,
     seed_option,
     set_option,
@@ -168,14 +168,14 @@ def _run_and_keep(
 def _run_processes(scenario: Scenario, folder: Path) -> RunOutcome:
     import coordinator
 
-    say(f"{scenario.strategy} ...")
+    notify(f"{scenario.strategy} ...")
     return coordinator.run(scenario, out=folder, plots=False)
 
 
 def _run_on_simulator(scenario: Scenario, folder: Path) -> RunOutcome:
     from coordinator.simulator.simulate import simulate_scenario
 
-    say(f"{scenario.strategy} ...")
+    notify(f"{scenario.strategy} ...")
     return simulate_scenario(scenario, folder)
 
 
@@ -223,11 +223,13 @@ def sweep(
     folder = out or Path("runs") / f"sweep-{plan.base.name}-{time.strftime('%Y%m%d-%H%M%S')}"
     with SweepTable(folder, plan.settings) as table:
         if table.cut_off:
-            say(f"the last line of {table.path} was half written; that run is done again")
+            notify(f"the last line of {table.path} was half written; that run is done again")
         try:
             _run_missing(plan, table, jobs or len(os.sched_getaffinity(0)), quiet)
         except KeyboardInterrupt:
-            say(f"{len(table.rows)} runs are in {table.path}; the same command with --out {folder} goes on from there")
+            notify(
+                f"{len(table.rows)} runs are in {table.path}; the same command with --out {folder} goes on from there"
+            )
             raise
         finally:
             _report(plan, table, folder, formats)

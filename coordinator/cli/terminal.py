@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import os
+import shlex
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -129,10 +130,15 @@ def show(text: str) -> bool:
     return True
 
 
-def say(text: str) -> None:
+def notify(text: str) -> None:
     """Print on standard error, printable, if anybody still reads it."""
     with suppress(OSError):
         print(printable_lines(text), file=sys.stderr, flush=True)
+
+
+def next_run(scenario: Path) -> str:
+    """The command that runs ``scenario``, as a shell takes it, for who has just made that."""
+    return f"next: {shlex.join(['dsse', 'run', str(scenario)])}"
 
 
 def finish_run(result: RunResult, formats: Sequence[str] | None, parquet: bool) -> int:
@@ -145,7 +151,7 @@ def finish_run(result: RunResult, formats: Sequence[str] | None, parquet: bool) 
     decide(code)
     show(verdict)
     if result.unwritten:
-        return _say_unwritten(result)
+        return _report_unwritten(result)
     if parquet:
         from coordinator.evaluation.table_files import write_parquet
 
@@ -154,12 +160,12 @@ def finish_run(result: RunResult, formats: Sequence[str] | None, parquet: bool) 
         from coordinator.report.run_files import write_report
 
         if (written := write_report(result, formats, given_arguments())).unwritten:
-            return _say_unwritten(written)
+            return _report_unwritten(written)
     return code
 
 
-def _say_unwritten(result: RunResult) -> int:
-    say(f"error: files of the run are missing: {result.unwritten}; make room there, or choose another place")
+def _report_unwritten(result: RunResult) -> int:
+    notify(f"error: files of the run are missing: {result.unwritten}; make room there, or choose another place")
     return 2
 
 
@@ -167,7 +173,7 @@ def _say_unwritten(result: RunResult) -> int:
 def progress(title: str, quiet: bool) -> Iterator[Callable[[Progress], None] | None]:
     """How progress is shown: not at all, as a table that stays in the terminal, or as a line now and then."""
     if quiet:
-        clock.say = None
+        clock.notify = None
         yield None
     elif sys.stderr.isatty():
         with ExitStack() as stack:
@@ -201,6 +207,6 @@ def _print_now_and_then() -> Callable[[Progress], None]:
                 areas = [f"{area.name} {area.state}" for area in progress.areas]
             else:
                 areas = [f"{n} {state}" for state, n in sorted(Counter(a.state for a in progress.areas).items())]
-            say(f"{progress.elapsed_s:6.1f} s  {', '.join(areas)}")
+            notify(f"{progress.elapsed_s:6.1f} s  {', '.join(areas)}")
 
     return show

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 
 import click
@@ -28,17 +29,17 @@ def thesis(tables: tuple[str, ...], summary: bool, out: Path | None) -> None:
                dsse thesis --table 5.9 --table 5.12 --out thesis
     """
     from coordinator.evaluation.table_files import write_csv
-    from coordinator.run_folder import make_run_folder
+    from coordinator.run_folder import result_folder
     from coordinator.thesis.comparison import as_one_table, compare_tables, format_compared, format_summary
     from dsse_core.files.drafts import whole_file
 
     end_orderly_on_signals()
-    folder = None if out is None else make_run_folder(out, "")
-    compared = compare_tables(tables)
-    for table in () if summary else compared:
-        show(format_compared(table) + "\n")
-    show(format_summary(compared))
-    if folder is not None:
-        with whole_file(folder / FILE) as draft, draft.open("w", encoding="utf-8", newline="") as file:
-            write_csv(file, as_one_table(compared))
-        show(f"\nfiles: {printable(folder)}")
+    with nullcontext() if out is None else result_folder(out) as folder:
+        compared = compare_tables(tables)
+        for table in () if summary else compared:
+            show(format_compared(table) + "\n")
+        show(format_summary(compared))
+        if folder is not None:
+            with whole_file(folder / FILE) as draft, draft.open("w", encoding="utf-8", newline="") as file:
+                write_csv(file, as_one_table(compared))
+            show(f"\nfiles: {printable(folder)}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 import ipaddress
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from cryptography import x509
@@ -19,8 +19,6 @@ from agents.security.credential_files import AUTHORITY, credentials_in, make_pri
 from agents.security.credentials import check_credentials
 from coordinator.run_folder import folder_error
 from dsse_core.errors import InvalidInputError
-from dsse_core.grid.partition import Partition
-from dsse_core.reading_rules import ANYBODY, ReadingRules
 from scenarios.files.whole_folder import written_whole
 
 HERE = ("localhost", "127.0.0.1", "::1")
@@ -28,24 +26,6 @@ LONGEST_HOST = 253  # letters of a name in the DNS, RFC 1035
 LABEL = re.compile(r"[A-Za-z0-9_]([A-Za-z0-9_-]{0,61}[A-Za-z0-9_])?")
 LONGEST_NAME = 64  # letters of a common name, X.520
 CLOCKS_DIFFER = datetime.timedelta(minutes=5)  # a certificate is valid so long before it was made
-
-
-def access_of(partition: Partition, run: str, rules: Mapping[str, ReadingRules] | None = None) -> Access:
-    """Who is whose neighbour among the areas of ``partition``, and who sends them readings.
-
-    ``rules``: area -> those of its readings; None: the plant sends to all.
-    """
-    neighbours = {area.name: tuple(sorted({n.area for n in area.neighbours})) for area in partition.areas}
-    gateways: dict[str, tuple[str, ...]] = {}
-    for area, its_rules in (rules or {}).items():
-        for gateway in its_rules.gateways:
-            gateways[gateway] = (*gateways.get(gateway, ()), area)
-    has_strangers = gateways.pop(ANYBODY, None) is not None
-    if len(gateways.get(PLANT, ())) == len(neighbours):
-        del gateways[PLANT]  # as where nothing is said
-    elif rules and not has_strangers:
-        gateways.setdefault(PLANT, ())
-    return Access(run, neighbours, gateways=gateways)
 
 
 def listeners_of(access: Access, direct: bool) -> tuple[str, ...]:
@@ -61,7 +41,7 @@ def check_keys(folder: Path, access: Access, direct: bool = False) -> None:
     Raises:
         InvalidInputError: every problem of the files, or of the rules.
     """
-    needed = [name for name in access.names if name not in (OPERATOR, WATCHER, *access.speakers)]
+    needed = [name for name in access.names if name not in (OPERATOR, WATCHER, *access.gateways_by_name)]
     check_credentials(folder, needed, listeners_of(access, direct))
     path = folder / ACCESS_FILE
     rules = load_access(path)
@@ -212,7 +192,7 @@ def _find_host_problem(text: str, listeners: Sequence[str]) -> str:
 
 
 def _hosts_of(name: str, hosts: Sequence[str]) -> tuple[str, ...]:
-    """Where ``name`` is called: here, at what is said for all, and at what is said for it."""
+    """Where ``name`` is called: here, at what is given for all, and at what is given for it."""
     parts = [host.rpartition("=") for host in hosts]
     return (*HERE, *(host for whose, given, host in parts if not given or whose == name))
 

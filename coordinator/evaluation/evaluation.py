@@ -14,8 +14,11 @@ from coordinator.observe.duplicates import Duplicate
 from coordinator.observe.observer import Observer
 from dsse_core.code_places import has_whole
 from dsse_core.errors import DsseError, InvalidInputError
-from dsse_core.estimation.bad_data import BadDataReport, process_bad_data
+from dsse_core.estimation.bad_data import BadDataReport, process_bad_data, process_bad_data_with_plan
+from dsse_core.estimation.plan import EstimationPlan
 from dsse_core.files.wording import describe_unknown
+from dsse_core.grid.columns import read_column
+from dsse_core.grid.meter_table import read_meters_of
 from dsse_core.limits import LARGEST_SEED, LONGEST_S
 from scenarios.faults.faults import LinkChanges, change_links
 from scenarios.scenario import Scenario, load_scenario
@@ -70,7 +73,7 @@ def make_observer(scenario: Scenario) -> Observer:
         scenario.partition,
         tolerance_va=scenario.tolerances.consensus_va_rad,
         tolerance_vm=scenario.tolerances.consensus_vm_pu,
-        beat_s=scenario.run.beat_s,
+        heartbeat_s=scenario.run.beat_s,
         compare_magnitudes=load_strategy(scenario.strategy).reconciles_magnitudes,
     )
 
@@ -83,16 +86,22 @@ class Centralised:
     failure: str | None
 
 
-def estimate_centralised(scenario: Scenario, telemetry: Telemetry) -> Centralised:
-    """What a control centre would make of the telemetry of all areas.
+def estimate_centralised(scenario: Scenario, telemetry: Telemetry, plan: EstimationPlan | None = None) -> Centralised:
+    """What a control centre would make of the telemetry of all areas; ``plan``: of all meters, if there already.
 
     Where it is compiled for that, so is the rest of what a single estimate needs, which never waits for a compiler.
     """
+    readings, tolerance = telemetry.union, min(scenario.tolerances.estimator, REFERENCE_ESTIMATE)
     try:
-        tolerance = min(scenario.tolerances.estimator, REFERENCE_ESTIMATE)
-        report = process_bad_data(scenario.network, telemetry.union, tolerance=tolerance)
+        if plan is not None and plan.meters is read_meters_of(readings):  # each has a reading
+            values, sigmas = (read_column(readings, key, float) for key in ("value", "sigma"))
+            report = process_bad_data_with_plan(plan, values, sigmas, tolerance=tolerance)
+        else:
+            report = process_bad_data(scenario.network, readings, tolerance=tolerance)
     except DsseError as error:
         return Centralised(None, str(error))
+    except MemoryError as error:  # the areas, each of which has a part of the grid, may have had enough
+        return Centralised(None, ": ".join(filter(None, ["there is not enough memory for it", str(error)])))
     plan = report.result.plan
     if plan.backend == "radial" and not has_whole("estimate"):
         from agents.runtime.warm_up import warm_up_estimate  # which most runs do not need

@@ -6,25 +6,18 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import Future
 
-from coordinator.evaluation.evaluation import Centralised, estimate_centralised
-from scenarios.scenario import Scenario
-from scenarios.telemetry import Telemetry
+from coordinator.evaluation.evaluation import Centralised
 
 
-def start_reference_estimate(
-    scenario: Scenario, telemetry: Telemetry, when_done: Callable[[], None]
-) -> Future[Centralised]:
+def start_reference_estimate(estimate: Callable[[], Centralised]) -> Future[Centralised]:
     """Make the centralised estimate on a thread, which does not hold up the end of the program."""
     future: Future[Centralised] = Future()
 
     def make() -> None:
         try:
-            result = estimate_centralised(scenario, telemetry)
+            future.set_result(estimate())
         except BaseException as error:
             future.set_exception(error)
-        else:
-            when_done()
-            future.set_result(result)
 
     threading.Thread(target=make, name="centralised estimate", daemon=True).start()
     return future

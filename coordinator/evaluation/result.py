@@ -26,7 +26,7 @@ from scenarios.scenario import Scenario
 class AreaResult:
     """One area at the verdict; gaps and errors over every bus that it sees.
 
-    ``quality``: what its last state is worth at the verdict (docs/explanation/quality.md).
+    ``quality``: of its last state at the verdict (docs/explanation/quality.md).
     ``notes``: why, the worst first; of a state that is good, remarks.
     """
 
@@ -50,7 +50,7 @@ class AreaResult:
 
     @property
     def degraded(self) -> bool:
-        """Whether the state is worth less than it should be."""
+        """Whether the quality of the state is lower than it should be."""
         return self.quality != GOOD
 
 
@@ -115,7 +115,7 @@ def _make_area_result(name: str, observer: Observer, comparison: Comparison, now
     state = observer.states.get(name)
     gap, error = comparison.gap_of(name), comparison.error_of(name)
     estimated = state is not None and bool(state.buses)
-    worth = observer.worth_of(name, now)
+    assessment = observer.assess_area(name, now)
     return AreaResult(
         name=name,
         buses=len(observer.partition.area(name).network.buses),
@@ -132,8 +132,8 @@ def _make_area_result(name: str, observer: Observer, comparison: Comparison, now
         degrees_of_freedom=state.degrees_of_freedom if state and estimated else None,
         removed=state.removed if state else (),
         critical=state.critical if state else (),
-        notes=worth.notes,
-        quality=worth.quality,
+        notes=assessment.notes,
+        quality=assessment.quality,
     )
 
 

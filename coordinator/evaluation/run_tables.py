@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 
 from coordinator.evaluation.comparison import Comparison
 from dsse_core.estimation.bad_data import BadDataReport
+from dsse_core.grid.columns import read_column
 from dsse_core.grid.measurement import Measurement, Meter
+from dsse_core.grid.meter_table import find_places, read_meters_of
+from dsse_core.grid.network import Network
 from dsse_core.results.deviations.choose import Deviations, find_deviations
 from dsse_core.results.results import MeterReadings, Results, assemble_results, no_deviations, readings_of_estimate
 from dsse_core.results.state import GridState, join_states
@@ -46,7 +48,8 @@ def make_run_tables(
     }
     division = division_of(comparison.partition)
     deviations, agreed = _find_deviations(comparison, centralised, state, division)
-    beside = _find_readings(meters, readings, centralised, areas, agreed[_rows_of(state, meters)])
+    rows = state.network.table.rows.find(read_column(meters, "bus", np.int64))
+    beside = _find_readings(state.network, meters, readings, centralised, areas, agreed[rows])
     return assemble_results(
         state,
         deviations,
@@ -56,10 +59,6 @@ def make_run_tables(
         _figures_of(areas),
         [area["quality"] for area in areas],
     )
-
-
-def _rows_of(state: GridState, meters: Sequence[Meter]) -> np.ndarray:
-    return np.array([state.network.row[meter.bus] for meter in meters], dtype=np.int64)
 
 
 def _find_deviations(
@@ -75,14 +74,9 @@ def _find_deviations(
     both = agreed[state.branches.f] & agreed[state.branches.t]
     branches = np.where(both & ~np.isnan(state.flows.s_from.real), central.branches, np.nan)
     injections = np.where(agreed & ~np.isnan(state.injection.real), central.injections, np.nan)
-    find_totals = partial(_find_agreed_totals, central, state, division, both, agreed)
-    return replace(published, branches=branches, injections=injections, find_totals=find_totals), agreed
-
-
-def _find_agreed_totals(
-    central: Deviations, state: GridState, division: Division, branches: np.ndarray, buses: np.ndarray
-) -> np.ndarray:
-    return np.where(_find_agreed_areas(state, division, branches, buses), central.totals, np.nan)
+    totals = np.where(_find_agreed_areas(state, division, both, agreed), central.totals, np.nan)
+    # found at once, as what they are found from takes more memory than the tables
+    return replace(published, branches=branches, injections=injections, find_totals=lambda: totals), agreed
 
 
 def _find_agreed_areas(state: GridState, division: Division, branches: np.ndarray, buses: np.ndarray) -> np.ndarray:
@@ -95,6 +89,7 @@ def _find_agreed_areas(state: GridState, division: Division, branches: np.ndarra
 
 
 def _find_readings(
+    network: Network,
     meters: Sequence[Meter],
     readings: Sequence[Measurement],
     centralised: BadDataReport | None,
@@ -107,9 +102,8 @@ def _find_readings(
     """
     removed = {meter for area in areas for meter in area["removed"]}
     critical = {meter for area in areas for meter in area["critical"]}
-    known = {m.meter.id: (m.value, m.sigma) for m in readings}
-    nothing = np.nan, np.nan
-    values, sigmas = np.array([known.get(meter.id, nothing) for meter in meters], dtype=float).reshape(-1, 2).T
+    at = find_places(network, read_meters_of(readings), meters)
+    values, sigmas = (np.append(read_column(readings, key, float), np.nan)[at] for key in ("value", "sigma"))
     variance, taken_out = np.full(len(meters), np.nan), dict.fromkeys(removed, np.nan)
     if centralised is not None:
         central = readings_of_estimate(centralised, meters)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-import csv
 import io
 import json
 import math
-from collections.abc import Iterable
+import re
+from collections.abc import Iterable, Sequence
+from itertools import groupby
 from pathlib import Path
 from typing import Any, TextIO
 
+import msgspec
 import numpy as np
 
 from dsse_core.errors import InvalidInputError
@@ -20,6 +22,8 @@ from dsse_core.results.table import Table
 
 Tables = Results | ScanTables
 Column = np.ndarray | tuple[str, ...]
+ROWS_AT_A_TIME = 4096  # of which the cells take a few megabytes
+NEEDS_QUOTES = re.compile('[,"\r\n]')
 
 
 def write_tables(folder: Path, tables: Tables) -> None:
@@ -39,19 +43,47 @@ def format_csv(table: Table) -> str:
 
 def write_csv(file: TextIO, table: Table) -> None:
     """A header and one line per row; numbers read back as the same ones, and what is unknown is an empty cell."""
-    writer = csv.writer(file, lineterminator="\n")
-    writer.writerow(table.columns)
-    writer.writerows(zip(*(_as_cells(table[name]) for name in table.columns), strict=True))
+    file.write(",".join(table.columns) + "\n")
+    columns = [table[name] for name in table.columns]
+    groups = [(is_text, list(group)) for is_text, group in groupby(columns, key=_is_text)]
+    for first in range(0, len(table), ROWS_AT_A_TIME):
+        parts: list[Sequence[str]] = []
+        for is_text, group in groups:
+            cut = [column[first : first + ROWS_AT_A_TIME] for column in group]
+            parts += map(_quote, cut) if is_text else [_join_numbers(cut)]
+        file.write("\n".join(map(",".join, zip(*parts, strict=True))) + "\n")
 
 
-def _as_cells(column: Column) -> Iterable[object]:
-    if isinstance(column, tuple):
-        return column
+def _is_text(column: Column) -> bool:
+    return isinstance(column, tuple) or column.dtype.kind not in "biuf"
+
+
+def _quote(texts: Column) -> Sequence[str]:
+    """As cells; in quotes where a reader would see more than one cell otherwise."""
+    cells = texts if isinstance(texts, tuple) else list(map(str, texts.tolist()))
+    if not NEEDS_QUOTES.search("".join(cells)):
+        return cells
+    return ['"' + cell.replace('"', '""') + '"' if NEEDS_QUOTES.search(cell) else cell for cell in cells]
+
+
+def _join_numbers(columns: Sequence[np.ndarray]) -> list[str]:
+    """The cells of each row, with commas between them.
+
+    All numbers are written by one call of ``msgspec``, in a fifth of the time that Python takes for each.
+    """
+    text = msgspec.json.encode(list(zip(*map(_as_numbers, columns), strict=True))).decode()
+    return text[len("[[") : -len("]]")].replace("null", "").split("],[")
+
+
+def _as_numbers(column: np.ndarray) -> list[object]:
+    """What ``msgspec`` writes as Python does; exponents of one digit and of large numbers it writes in another way."""
+    numbers: list[object] = column.tolist()
     if column.dtype.kind == "f":
-        return ["" if math.isnan(value) else repr(value) for value in column.tolist()]
-    if column.dtype.kind == "b":
-        return ["true" if value else "false" for value in column.tolist()]
-    return list(column.tolist())
+        size = abs(column)
+        alike = (size < 1e-9) | (size >= 1e-4) & (size < 1e16) | np.isnan(size)
+        for row in np.flatnonzero(~alike).tolist():
+            numbers[row] = msgspec.Raw(repr(numbers[row]).encode())
+    return numbers
 
 
 def write_json(path: Path, content: object) -> None:

@@ -19,7 +19,7 @@ from scenarios.telemetry import Telemetry
 
 
 class UsedReadings:
-    """The newest that each area has said; nothing is asked of areas whose readings do not age."""
+    """The newest that each area has published; nothing is asked of areas whose readings do not age."""
 
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario
@@ -29,7 +29,7 @@ class UsedReadings:
         self._newest: dict[str, ReadingsMessage] = {}
 
     def take(self, message: ReadingsMessage) -> None:
-        """An area has said what it has used."""
+        """An area has published what it has used."""
         known = self._newest.get(message.header.sender)
         if self._is_needed and (known is None or message.header.order > known.header.order):
             self._newest[message.header.sender] = message

@@ -23,7 +23,7 @@ from coordinator.figures.style import (
     Drawing,
     format_power_of_ten,
     new_figure,
-    say_instead,
+    write_instead,
 )
 
 SMALLEST = 1e-16  # p.u. and degrees: what a logarithmic axis shows for 0
@@ -39,8 +39,8 @@ class GapCourse:
     """How the gap of a run went: ``areas``: name -> (n_state, 3), ``all_areas``: (n, 3), the largest of all.
 
     Columns: time since the scan (s), gap in magnitude (p.u.) and angle (degrees); nan where it is not known, of all
-    areas until each has said something. ``end_s``: the verdict. ``sigma``: the medians of the standard deviations of
-    all buses, in the same units: how much of the gap matters.
+    areas until each has published something. ``end_s``: the verdict. ``sigma``: the medians of the standard deviations
+    of all buses, in the same units: how much of the gap matters.
     """
 
     areas: Mapping[str, np.ndarray]
@@ -166,7 +166,7 @@ def _finish(axes: Sequence[Axes], courses: Sequence[GapCourse]) -> None:
             _scale_gaps(axis, _median(np.array([course.sigma[column - 1] for course in courses])))
         else:
             reasons = {course.why_none for course in courses}
-            say_instead(axis, reasons.pop() if len(reasons) == 1 else "no gap is known")
+            write_instead(axis, reasons.pop() if len(reasons) == 1 else "no gap is known")
             continue
         if len(courses) == 1 and courses[0].consensus:
             axis.axvline(courses[0].end_s, color=INK, linestyle=(0, (1, 2)), linewidth=1.2, label="consensus noted")

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 
 from coordinator.evaluation.result import RunOutcome
 from coordinator.figures.plot_text import plot_text
-from coordinator.figures.style import BLUE, GREY, MAX_VECTOR, PURPLE, VERMILLION, Drawing, new_figure, say_instead
+from coordinator.figures.style import BLUE, GREY, MAX_VECTOR, PURPLE, VERMILLION, Drawing, new_figure, write_instead
 from dsse_core.estimation.residuals import THRESHOLD
 from dsse_core.grid.measurement import MeasurementKind
 from dsse_core.results.meters import REMOVED
@@ -43,7 +43,7 @@ def draw_residuals(outcome: RunOutcome) -> Drawing:
         _draw_marks(axis, x[removed], values[removed], "removed as bad data", style)
         _name_removed(axis, x, values, meters, removed)
     if np.isnan(values).all():
-        say_instead(axis, "no residual is known")
+        write_instead(axis, "no residual is known")
     else:
         axis.set_ylim(bottom=0, top=1.08 * max(THRESHOLD, float(np.nanmax(values))))
     if normalised:

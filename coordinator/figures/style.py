@@ -1,6 +1,6 @@
 """How figures look, in all formats, and how they are written: as files, and as SVG inside a page.
 
-Colours are those of Okabe and Ito, told apart by people who see colours differently; marks differ by shape, too. Text,
+Colours are those of Okabe and Ito, distinct also for people who see colours differently; marks differ by shape. Text,
 axes and what is black on paper have the colour INK, in a page that of its text; so figures suit light and dark pages.
 """
 
@@ -23,7 +23,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from dsse_core.files.drafts import whole_file
 
-INK, PAPER = "#000001", "#fffffe"  # told apart in SVG from any colour of the data
+INK, PAPER = "#000001", "#fffffe"  # in SVG distinct from each colour of the data
 BLUE, VERMILLION, GREEN, PURPLE = "#0072b2", "#d55e00", "#009e73", "#cc79a7"
 ORANGE, SKY, GREY = "#e69f00", "#56b4e9", "#7f7f7f"
 COLOURS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, GREY)
@@ -87,7 +87,7 @@ def format_power_of_ten(value: float, _position: float = 0) -> str:
     return f"10{str(exponent).translate(SUPERSCRIPT)}" if whole else ""
 
 
-def say_instead(axis: Axes, words: str) -> None:
+def write_instead(axis: Axes, words: str) -> None:
     """``words`` in the middle of axes that have nothing to show."""
     axis.set_yticks([])
     axis.text(0.5, 0.5, words, transform=axis.transAxes, ha="center", va="center")

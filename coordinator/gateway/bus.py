@@ -12,7 +12,15 @@ from pathlib import Path
 from typing import Any
 
 from agents.messages.checks import MessageError
-from agents.messages.keys import all_incarnations, all_states, live_key, name_of_live, sender_of, telemetry_key
+from agents.messages.keys import (
+    all_incarnations,
+    all_states,
+    gateway_key,
+    live_key,
+    name_of_live,
+    sender_of,
+    telemetry_key,
+)
 from agents.messages.packing import Incarnation, StateMessage, decode
 from agents.runtime.duplicate_guard import GIVES_WAY, DuplicateGuard, ReplacedError
 from agents.security.credentials import load_keys
@@ -26,13 +34,14 @@ GUARD_S = 0.5  # between two looks for another process of our name
 
 @dataclass
 class GatewayBus:
-    """``send``: area -> puts a payload on its key."""
+    """``send``: area -> puts a payload on its key. ``announce``: for watchers that do not know our name."""
 
     content: GatewayMap
     incarnation: Incarnation
     session: Session
     send: Mapping[str, Callable[[bytes], None]]
     send_leave: Callable[[bytes], None]
+    announce: Callable[[bytes], None]
     guard: DuplicateGuard
 
     def watch(self, on_area: Callable[[str], None], on_state: Callable[[StateMessage], None] | None) -> None:
@@ -44,9 +53,8 @@ class GatewayBus:
                 loop.call_soon_threadsafe(callback, *arguments)
 
         def on_token(key: str, alive: bool) -> None:
-            name = name_of_live(key)[1]
-            if alive and name in self.send:
-                later(on_area, name)
+            if alive:
+                later(on_area, name_of_live(key)[1])
 
         def on_own(key: str, alive: bool) -> None:
             later(lambda: self.guard.take(key, alive, time.monotonic()))
@@ -56,19 +64,20 @@ class GatewayBus:
             if state is not None and on_state is not None:
                 later(on_state, state)
 
-        if self.send:
-            self.session.watch_presence(all_incarnations(run, "area", "*"), on_token)
+        for area in self.send:  # each by its name: what strangers announce is not even sent here
+            self.session.watch_presence(all_incarnations(run, "area", area), on_token)
         self.session.watch_presence(all_incarnations(run, ROLE, self.content.name), on_own)
         if on_state is not None:
             self.session.subscribe(all_states(run), on_payload)
 
     async def mind_successors(self) -> None:
-        """Until another process of our name has begun later.
+        """Announce that we are there, until another process of our name has begun later.
 
         Raises:
-            ReplacedError: one has; it is told that we go.
+            ReplacedError: one has; it gets our leave message.
         """
         while True:
+            self.announce(b"")
             await asyncio.sleep(GUARD_S)
             try:
                 self.guard.check(time.monotonic())
@@ -98,15 +107,16 @@ def join_bus(
         InvalidInputError: the keys cannot be used.
         TransportError: no endpoint answers in time.
     """
-    run, beat_s = content.run, content.scenario.run.beat_s
+    run, heartbeat_s = content.run, content.scenario.run.beat_s
     loaded = load_keys(keys, f"{ROLE}-{content.name}", run)
-    with Session.join(endpoints, timeout_s, loaded, beat_s=beat_s, direct=direct) as session:
+    with Session.join(endpoints, timeout_s, loaded, heartbeat_s=heartbeat_s, direct=direct) as session:
         send = {area: session.publisher(telemetry_key(run, area, content.name)) for area in content.areas}
         token = live_key(run, ROLE, content.name, incarnation)
         send_leave = session.publisher(token)
         session.declare_presence(token)
-        guard = DuplicateGuard(f"gateway {content.name} of run {run}", incarnation, time.monotonic(), beat_s)
-        yield GatewayBus(content, incarnation, session, send, send_leave, guard)
+        guard = DuplicateGuard(f"gateway {content.name} of run {run}", incarnation, time.monotonic(), heartbeat_s)
+        announce = session.publisher(gateway_key(run, content.name))
+        yield GatewayBus(content, incarnation, session, send, send_leave, announce, guard)
 
 
 def _state_in(key: str, payload: bytes) -> StateMessage | None:

@@ -40,14 +40,14 @@ def check_map(content: GatewayMap, duration_s: float) -> CheckReport:
     if content.source is None:
         return CheckReport("the map has no [source]; nothing to read", True)
     lead_s = allowed_lead_s(content.scenario.run.scan_s)
-    intake = Intake(content.points, time.time, lead_s, Counts(say=_say_nothing))
-    link = Link("source", say=_say_nothing)
+    intake = Intake(content.points, time.time, lead_s, Counts(warn=_ignore))
+    link = Link("source", warn=_ignore)
     asyncio.run(_read_for(duration_s, content, intake, link))
     newest = {meter: reading for part in intake.newest.values() for meter, reading in part.items()}
     return make_report(content, newest, _find_schedule(content), intake.counts, link.error)
 
 
-def _say_nothing(_: str) -> None:
+def _ignore(_: str) -> None:
     """The report says it all."""
 
 
@@ -84,7 +84,7 @@ def make_report(
     wrong = [f"the source cannot be read: {error}"] if error else []
     wrong += [
         f"{reason}, {found.count} times: {listed(found.addresses, MOST_NAMED) or 'no address'}; last: {found.last}"
-        for reason, found in sorted(counts.refused.items())
+        for reason, found in sorted(counts.rejected.items())
         if reason not in (reasons.OLDER, reasons.TWICE)
     ]
     if unexplained:
@@ -129,9 +129,9 @@ def _format(
     rows = [_row(point, newest.get(point.meter.id), schedule, now) for point in points]
     header = ("meter", "address", "unit", "reading", "schedule", "age s")
     lines = format_table(header, rows[:MOST_ROWS]).split("\n")
-    said = ["remark", *(printable(remarks[point.meter.id]) for point in points[:MOST_ROWS])]
+    column = ["remark", *(printable(remarks[point.meter.id]) for point in points[:MOST_ROWS])]
     more = [f"... and {len(rows) - MOST_ROWS} more meters"] if len(rows) > MOST_ROWS else []
-    return "\n".join([*(f"{line}  {remark}".rstrip() for line, remark in zip(lines, said, strict=True)), *more])
+    return "\n".join([*(f"{line}  {remark}".rstrip() for line, remark in zip(lines, column, strict=True)), *more])
 
 
 def _row(point: Point, reading: Reading | None, schedule: Mapping[str, Schedule], now: float) -> tuple[str, ...]:

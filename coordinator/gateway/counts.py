@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from agents.messages.checks import is_worth_writing
+from agents.messages.checks import should_log
 from dsse_core.printable import shortened
 
 log = logging.getLogger(__name__)
@@ -22,7 +22,7 @@ OLDER, INVALID, DROPPED, MALFORMED = "older than the last", "marked invalid", "d
 
 
 @dataclass
-class Refused:
+class Rejected:
     """Of one reason: how many, how many of each address (of some), and the last one in words."""
 
     count: int = 0
@@ -32,10 +32,10 @@ class Refused:
 
 @dataclass
 class Counts:
-    """``received`` readings are ``used``, ``superseded`` by newer ones before they could be published, refused, or
+    """``received`` readings are ``used``, ``superseded`` by newer ones before they could be published, rejected, or
     still waiting. ``invalid``: those of the used that their source did not vouch for.
 
-    ``say``: what to do with a reason for the first, 10th, 100th, ... time.
+    ``warn``: what to do with a reason for the first, 10th, 100th, ... time.
     """
 
     received: int = 0
@@ -43,25 +43,20 @@ class Counts:
     superseded: int = 0
     invalid: int = 0
     messages: int = 0
-    refused: dict[str, Refused] = field(default_factory=dict)
-    say: Callable[[str], None] = log.warning
+    rejected: dict[str, Rejected] = field(default_factory=dict)
+    warn: Callable[[str], None] = log.warning
 
-    def refuse(self, reason: str, address: str, detail: str) -> None:
+    def reject(self, reason: str, address: str, detail: str) -> None:
         """Count one that is not used. A source of one's own may have reasons of its own, but not any number of them."""
-        if reason not in self.refused and len(self.refused) >= MOST_REASONS:
+        if reason not in self.rejected and len(self.rejected) >= MOST_REASONS:
             reason = OTHER
-        found = self.refused.setdefault(shortened(reason, 80), Refused())
+        found = self.rejected.setdefault(shortened(reason, 80), Rejected())
         found.count += 1
         found.last = shortened(detail, LONGEST_DETAIL)
         if address and (address in found.addresses or len(found.addresses) < MOST_NAMED):
             found.addresses[shortened(address, LONGEST_DETAIL)] += 1
-        if is_worth_writing(found.count):
-            self.say(f"not used, {reason} ({found.count} so far): {found.last}")
-
-    @property
-    def total_refused(self) -> int:
-        """Of the readings; lines that are no readings are not among them."""
-        return sum(found.count for found in self.refused.values())
+        if should_log(found.count):
+            self.warn(f"not used, {reason} ({found.count} so far): {found.last}")
 
     def as_json(self) -> dict[str, Any]:
         """All of it."""
@@ -71,16 +66,16 @@ class Counts:
             "superseded": self.superseded,
             "marked_invalid": self.invalid,
             "messages": self.messages,
-            "refused": {
+            "rejected": {
                 reason: {"count": found.count, "addresses": dict(found.addresses), "last": found.last}
-                for reason, found in sorted(self.refused.items())
+                for reason, found in sorted(self.rejected.items())
             },
         }
 
     def describe(self) -> str:
         """In one line."""
-        refused = ", ".join(f"{found.count} {reason}" for reason, found in sorted(self.refused.items()))
+        rejected = ", ".join(f"{found.count} {reason}" for reason, found in sorted(self.rejected.items()))
         return (
             f"{self.received} readings received, {self.used} used, {self.superseded} superseded by newer ones, "
-            f"{self.messages} messages" + (f"; not used: {refused}" if refused else "")
+            f"{self.messages} messages" + (f"; not used: {rejected}" if rejected else "")
         )

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from agents.runtime.duplicate_guard import REPLACED_CODE, ReplacedError
-from agents.runtime.log_format import start_log
+from agents.runtime.log.format import start_log
 from agents.runtime.presence import begin_incarnation
 from agents.runtime.renewal import on_hangup
 from agents.runtime.watchdog import Watchdog
@@ -91,7 +91,7 @@ class _Gateway:
             _wait(ended),
             self.bus.mind_successors(),
             self._report(),
-            _tell_systemd(),
+            _notify_systemd(),
         ]
         if content.source:
             jobs.append(self._read(content.source))
@@ -200,7 +200,7 @@ async def read_source(source: SourceOf, intake: Intake, link: Link) -> None:
     class Noting:
         """An ``Emit`` by which every reading shows that the link works."""
 
-        refuse = staticmethod(intake.refuse)
+        reject = staticmethod(intake.reject)
 
         def __call__(self, *arguments: Any, **options: Any) -> None:
             if link.error:
@@ -210,12 +210,12 @@ async def read_source(source: SourceOf, intake: Intake, link: Link) -> None:
     await keep_on(link, lambda: source.make(addresses).read(Noting()))
 
 
-async def _tell_systemd() -> None:
+async def _notify_systemd() -> None:
     """That the loop goes round: it cannot where a source blocks it."""
     watchdog = Watchdog()
     watchdog.ready(time.monotonic())
     while True:
-        await asyncio.sleep(min(STATUS_S, watchdog.beat(time.monotonic())))
+        await asyncio.sleep(min(STATUS_S, watchdog.ping(time.monotonic())))
 
 
 async def _wait(ended: asyncio.Event) -> None:

@@ -46,29 +46,29 @@ class Intake:
         self.counts.received += 1
         point = self.points.get(address)
         if point is None:
-            self._refuse(reasons.UNKNOWN, address, "is in no [[reading]] of the map")
+            self._reject(reasons.UNKNOWN, address, "is in no [[reading]] of the map")
             return
         number = number_of(value)
         if isinstance(number, str):
-            self._refuse(number, address, f"{_shown(value)} is no finite number")
+            self._reject(number, address, f"{_shown(value)} is no finite number")
             return
         if unit is not None and unit != point.unit:
-            self._refuse(reasons.WRONG_UNIT, address, f"in {_shown(unit)}, the map says {point.unit}")
+            self._reject(reasons.WRONG_UNIT, address, f"in {_shown(unit)}, the map says {point.unit}")
             return
         read = point.value_of(number)
         if not point.is_in_range(read):
             shown = f"{read / point.size:g} {point.unit}; meter {point.meter.id} reads "
             limits = f"{point.lowest / point.size:g} to {point.highest / point.size:g} {point.unit}"
-            self._refuse(reasons.OUT_OF_RANGE, address, shown + limits)
+            self._reject(reasons.OUT_OF_RANGE, address, shown + limits)
             return
         now = self.clock()
         at = now if time is None else self._time_of(address, time, now)
         if at is not None:
             self._take(point, Reading(read, point.deviation.of(read), at, valid), now, is_stated=time is not None)
 
-    def refuse(self, reason: str, detail: str) -> None:
+    def reject(self, reason: str, detail: str) -> None:
         """See ``Emit``."""
-        self.counts.refuse(reason, "", printable(detail))
+        self.counts.reject(reason, "", printable(detail))
 
     def take_waiting(self, area: str) -> int:
         """How many readings of ``area`` are published now for the first time."""
@@ -80,10 +80,10 @@ class Intake:
         """When it was measured, as its source states it; None if that cannot be."""
         at = number_of(time)
         if isinstance(at, str) or at < EARLIEST_S:
-            self._refuse(reasons.BAD_TIME, address, f"time {_shown(time)} is no number of seconds since 1970 UTC")
+            self._reject(reasons.BAD_TIME, address, f"time {_shown(time)} is no number of seconds since 1970 UTC")
             return None
         if at > now + self.ahead_s:
-            self._refuse(reasons.AHEAD, address, f"{at - now:.1f} s ahead of the clock of this host")
+            self._reject(reasons.AHEAD, address, f"{at - now:.1f} s ahead of the clock of this host")
             return None
         return at
 
@@ -94,13 +94,13 @@ class Intake:
             last = None  # the clock of this host was set back: what it took for now is the future
         if last is not None and reading.time < last.time:
             age = f"{last.time - reading.time:.3g} s older than the last"
-            self._refuse(reasons.OLDER, point.address, age)
+            self._reject(reasons.OLDER, point.address, age)
             return
         if last == reading:
             self.counts.superseded += 1  # the same once more
             return
         if last is not None and reading.time == last.time and is_stated:
-            self._refuse(reasons.TWICE, point.address, "has another value of the same time, which is kept")
+            self._reject(reasons.TWICE, point.address, "has another value of the same time, which is kept")
             return
         waiting = self.waiting.setdefault(point.area, set())
         self.counts.superseded += point.meter.id in waiting
@@ -109,9 +109,9 @@ class Intake:
         of_area[point.meter.id] = reading
         self.on_reading(point.area)
 
-    def _refuse(self, reason: str, address: str, detail: str) -> None:
+    def _reject(self, reason: str, address: str, detail: str) -> None:
         name = printable(shortened(address, reasons.LONGEST_DETAIL))
-        self.counts.refuse(reason, name, f"address {name}: {detail}")
+        self.counts.reject(reason, name, f"address {name}: {detail}")
 
 
 def _shown(value: object) -> str:

@@ -37,7 +37,7 @@ class Emit(Protocol):
         """
         ...
 
-    def refuse(self, reason: str, detail: str) -> None:
+    def reject(self, reason: str, detail: str) -> None:
         """Count, under the few words of ``reason``, something that is no reading: a line that cannot be read."""
         ...
 

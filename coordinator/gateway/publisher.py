@@ -111,7 +111,7 @@ class LeadingPublisher(Publisher):
         self._begin_scan()
 
     def publish_soon(self, area: str) -> None:
-        """What has been said in this scan, to an area that has just appeared."""
+        """What has been sent in this scan, to an area that has just appeared."""
         if area in self._messages:
             self._publish(area, None)
 

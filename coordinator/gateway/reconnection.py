@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 
-from agents.messages.checks import is_worth_writing
+from agents.messages.checks import should_log
 from dsse_core.printable import printable, shortened
 
 log = logging.getLogger(__name__)
@@ -22,26 +22,26 @@ MOST_ERRORS = 50  # that are counted by themselves
 @dataclass
 class Link:
     """What a source or sink is linked with. ``failures``: how often it has failed; ``error``: why last, empty while it
-    works. ``say``: what to do with a sentence about that. ``clock``: monotonic, s.
+    works. ``warn``: what to do with a sentence about that. ``clock``: monotonic, s.
 
     What works for less than ``LONGEST_PAUSE_S`` has not worked: of a link that comes and goes the 1st, 10th, 100th, ...
-    failure is said, and the pauses grow.
+    failure is logged, and the pauses grow.
     """
 
     name: str
     failures: int = 0
     error: str = ""
-    say: Callable[[str], None] = log.warning
+    warn: Callable[[str], None] = log.warning
     clock: Callable[[], float] = time.monotonic
     _came_at: float = -math.inf  # when it began to work
     _gone: Counter[str] = field(default_factory=Counter)  # error -> how often it ended what had not worked for long
-    _is_said: bool = False
+    _is_logged: bool = False
 
     def note_success(self) -> None:
         """Something has come or gone through."""
         if self.error:
-            if self._is_said:
-                self.say(f"{self.name} works again")
+            if self._is_logged:
+                self.warn(f"{self.name} works again")
             self.error = ""
             self._came_at = self.clock()
 
@@ -59,9 +59,9 @@ class Link:
         found_as = found if found in self._gone or len(self._gone) < MOST_ERRORS else ""
         self._gone[found_as] += 1
         self.error = found
-        self._is_said = is_worth_writing(self._gone[found_as])
-        if self._is_said:
-            self.say(f"{self.name}: {found}; trying again, in {FIRST_PAUSE_S:g} to {LONGEST_PAUSE_S:g} s")
+        self._is_logged = should_log(self._gone[found_as])
+        if self._is_logged:
+            self.warn(f"{self.name}: {found}; trying again, in {FIRST_PAUSE_S:g} to {LONGEST_PAUSE_S:g} s")
 
 
 async def keep_on(link: Link, attempt: Callable[[], Awaitable[None]]) -> None:

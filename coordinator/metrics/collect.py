@@ -114,7 +114,7 @@ def _list_others(view: View) -> Iterator[Metric]:
 
 
 def _list_areas(view: View, states: Mapping[str, StateMessage]) -> Iterator[Metric]:
-    """Metrics of all areas; what an area has never said is absent."""
+    """Metrics of all areas; what an area has never published is absent."""
     gauges = {name: GaugeMetricFamily(f"dsse_area_{name}", text, labels=["area"]) for name, text in GAUGES.items()}
     counters = {
         name: CounterMetricFamily(f"dsse_area_{name}", text, labels=["area"]) for name, text in COUNTERS.items()

@@ -50,7 +50,7 @@ class MetricsPage:
         states = {area.name: state for area in view.areas if (state := watcher.state_of(area.name))}
         self._collector.sight = Sight(now, view, states, trouble)
 
-    def tell(self, now: float, trouble: str) -> None:
+    def show_trouble(self, now: float, trouble: str) -> None:
         """Answer with nothing but ``trouble``, of ``now``."""
         self._collector.sight = Sight(now, trouble=trouble)
 

@@ -69,7 +69,7 @@ def serve_metrics(page: MetricsPage, attach: Callable[[], AbstractContextManager
     watchdog.ready(time.monotonic())
     last = ""
     wait_s = 0.0
-    while None not in inbox.take(min(wait_s, watchdog.beat(time.monotonic()))):
+    while None not in inbox.take(min(wait_s, watchdog.ping(time.monotonic()))):
         try:
             with attach() as look:
                 log.info("watching at %s", page.where)
@@ -79,7 +79,7 @@ def serve_metrics(page: MetricsPage, attach: Callable[[], AbstractContextManager
             if str(error) != last:
                 log.warning("%s", error)
             last, wait_s = str(error), PAUSE_S
-            page.tell(time.monotonic(), last)
+            page.show_trouble(time.monotonic(), last)
 
 
 def _look_on(page: MetricsPage, look: Attached, inbox: Inbox, watchdog: Watchdog) -> None:
@@ -88,7 +88,7 @@ def _look_on(page: MetricsPage, look: Attached, inbox: Inbox, watchdog: Watchdog
     while None not in (updates := inbox.take(0.0)):
         if Renewal.ASKED in updates:
             look.renew()
-        watchdog.beat(time.monotonic())
+        watchdog.ping(time.monotonic())
         watcher = look.for_whole(LOOK_S)
         if look.is_linked() != linked:
             linked = not linked

@@ -39,15 +39,15 @@ class Duplicates:
     ``found``: all up to now.
     """
 
-    def __init__(self, beat_s: float) -> None:
-        self._sure_s = max(SURE_S, SURE_HEARTBEATS * beat_s)
+    def __init__(self, heartbeat_s: float) -> None:
+        self._sure_s = max(SURE_S, SURE_HEARTBEATS * heartbeat_s)
         self.found: list[Duplicate] = []
         self._since: dict[
             tuple[str, str], dict[Incarnation, float]
         ] = {}  # role and name -> incarnation -> first seen, s
 
     def take(self, key: str, alive: bool, now: float, leave_reason: str = "") -> Duplicate | None:
-        """Note that the token on ``key`` appeared or vanished; ``leave_reason``: what its process has said before."""
+        """Note that the token on ``key`` appeared or vanished; ``leave_reason``: the leave message before."""
         whose, incarnation = name_of_live(key), incarnation_of(key)
         if incarnation is None or whose[0] not in NOUNS:
             return None

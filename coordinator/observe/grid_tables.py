@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -20,6 +22,7 @@ from scenarios.scenario import Scenario
 
 States = Mapping[str, StateMessage]
 ReadingsByArea = Mapping[str, ReadingsMessage]
+Columns = dict[str, Any]  # as of a table: arrays of numbers, lists or tuples of texts
 RELATIVE = "age_s", "residual_in_sigmas", "normalised_residual"  # columns without a unit of the meter
 USED, REMOVED, CRITICAL, SILENT, OFF = "used", "removed", "critical", "silent", "off"
 UNKNOWN = "not received"  # what its area has used: for up to 10 s after a watcher begins to listen
@@ -45,42 +48,53 @@ def list_meters(states: States, readings: ReadingsByArea) -> Table:
     magnitude in those of its own; nan where it is not known, as of a meter that is left out.
     ``age_s``: at the tick of the scan.
     """
-    columns: dict[str, list[str]] = {name: [] for name in ("meter", "area", "status")}
+    return Table("meters", collect_readings(states, readings))
+
+
+def collect_readings(states: States, readings: ReadingsByArea) -> Columns:
+    """The columns of ``list_meters``, for who makes them a few times a second."""
+    texts: dict[str, list[str]] = {name: [] for name in ("meter", "area", "status")}
     names = "reading", "sigma", "estimate", "normalised_residual", "age_s"
     numbers: dict[str, list[float]] = {name: [] for name in names}
     for area, used in readings.items():
         state = states.get(area)
-        status = _status_of(state)
-        unknown = (np.nan,) * (len(used.meters) - len(used.estimates))
-        columns["meter"] += used.meters
-        columns["area"] += [area] * len(used.meters)
-        columns["status"] += [status.get(meter, USED) for meter in used.meters]
-        numbers["reading"] += used.values
-        numbers["sigma"] += used.sigmas
-        numbers["estimate"] += (*used.estimates, *unknown)
-        numbers["normalised_residual"] += (*used.normalised, *unknown)
-        numbers["age_s"] += [max(0.0, used.taken_at - time) for time in used.times]
-        if state is not None:
-            missing = [meter for meter in state.meters_off if meter not in used.meters]
-            columns["meter"] += missing
-            columns["area"] += [area] * len(missing)
-            columns["status"] += [OFF] * len(missing)
-            for column in numbers.values():
-                column += [np.nan] * len(missing)
+        known = {*used.meters} if state is not None and state.meters_off else frozenset[str]()
+        missing = [meter for meter in state.meters_off if meter not in known] if state is not None else []
+        unknown = (math.nan,) * (len(used.meters) - len(used.estimates))
+        status, gap = _status_of(state), [math.nan] * len(missing)
+        texts["meter"] += (*used.meters, *missing)
+        texts["area"] += [area] * (len(used.meters) + len(missing))
+        texts["status"] += [status.get(meter, USED) for meter in used.meters] if status else [USED] * len(used.meters)
+        texts["status"] += [OFF] * len(missing)
+        numbers["reading"] += (*used.values, *gap)
+        numbers["sigma"] += (*used.sigmas, *gap)
+        numbers["estimate"] += (*used.estimates, *unknown, *gap)
+        numbers["normalised_residual"] += (*used.normalised, *unknown, *gap)
+        numbers["age_s"] += (used.taken_at - np.array(used.times, dtype=float)).clip(0.0).tolist() + gap
     found = {name: np.array(column, dtype=float) for name, column in numbers.items()}
     with np.errstate(divide="ignore", invalid="ignore"):
         found["residual_in_sigmas"] = (found["reading"] - found["estimate"]) / found["sigma"]
-    return Table("meters", {**columns, **found})
+    return {**texts, **found}
 
 
 def worst_first(meters: Table) -> Table:
     """The same rows, the farthest from the estimate first; what is not known comes last."""
-    order = np.argsort(-meters.normalised_residual, kind="stable")  # nan last
     columns = {name: meters[name] for name in meters.columns}
-    return Table(
-        "meters",
-        {n: [c[k] for k in order.tolist()] if isinstance(c, tuple) else c[order] for n, c in columns.items()},
-    )
+    return Table("meters", pick_rows(columns, order_worst_first(columns)))
+
+
+def order_worst_first(meters: Columns, most: int | None = None) -> np.ndarray:
+    """The rows in the order of ``worst_first``, the first ``most`` of them."""
+    order = -meters["normalised_residual"]
+    found = np.arange(len(order))
+    if most is not None and most < len(order) and not np.isnan(last := np.partition(order, most)[most]):
+        found = np.flatnonzero(order <= last)
+    return found[np.argsort(order[found], kind="stable")][:most]  # nan last
+
+
+def pick_rows(columns: Columns, rows: np.ndarray) -> Columns:
+    """The values of ``columns`` in some ``rows``."""
+    return {n: c[rows] if isinstance(c, np.ndarray) else [c[k] for k in rows.tolist()] for n, c in columns.items()}
 
 
 def _status_of(state: StateMessage | None) -> dict[str, str]:
@@ -90,10 +104,28 @@ def _status_of(state: StateMessage | None) -> dict[str, str]:
 
 
 @dataclass(frozen=True)
+class _MeterRows:
+    """What stays the same in a table of meters while the same ones have readings.
+
+    ``of``: meters and areas of the readings; ``known``: which of them are of the grid; ``size``: of their units;
+    ``columns``: of those and, below, of meters without a reading, whose areas ``silent_areas`` are.
+    """
+
+    of: tuple[list[str], list[str]]
+    known: np.ndarray
+    are_all: bool
+    size: np.ndarray
+    silent_areas: list[str]
+    columns: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
 class GridTables:
     """Tables of a grid that is known: the same columns as everywhere else, in kV, kW, kvar, A and degrees."""
 
     scenario: Scenario
+    _last_rows: list[_MeterRows] = field(default_factory=list, repr=False, compare=False)
+    _last_order: dict[str, tuple[tuple[int, ...], np.ndarray]] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def partition(self) -> Partition:
@@ -101,50 +133,63 @@ class GridTables:
 
     def buses_and_branches(self, states: States) -> tuple[Table, Table]:
         """A bus is as its owner says, a branch as the area that holds it; what is not known is nan."""
-        fitting = {area.name: said for area in self.partition.areas if (said := self._fitting(area.name, states))}
+        fitting = {area.name: own for area in self.partition.areas if (own := self._fitting(area.name, states))}
         state = join_states(self.partition, {name: self._voltages_of(name, s) for name, s in fitting.items()})
         n, owners = len(state.vm), self.partition.owner_of_bus
         sigma = np.full((2, n), np.nan)
-        for name, said in fitting.items():
-            for bus, vm, va in zip(said.buses, said.sigma_vm, said.sigma_va, strict=True):
-                if owners[bus] == name:
-                    sigma[:, state.network.row[bus]] = vm, va if said.referenced else np.nan
+        for k, area in enumerate(self.partition.areas):
+            if (own := fitting.get(area.name)) is not None:
+                rows, order = self.partition.rows_of_buses[area.name], self._order_of(area.name, own.buses)
+                owned = self.partition.owner[rows] == k
+                sigma[0, rows[owned]] = np.array(own.sigma_vm)[order][owned]
+                if own.referenced:
+                    sigma[1, rows[owned]] = np.array(own.sigma_va)[order][owned]
         areas = [owners[bus.id] for bus in state.network.buses]
         buses = make_bus_table(state, areas, {}, sigma[0], sigma[1], np.full((2, n), np.nan))
         return buses, make_branch_table(state.network, state.branches, state.flows)
 
     def meters(self, states: States, readings: ReadingsByArea) -> Table:
         """As ``list_meters``, readings in their ``unit``, and a row for each meter of which no reading is
-        known: ``silent`` where its area has said what it used.
+        known: ``silent`` where its area has published what it used.
         """
-        plain = list_meters(states, readings)
-        known = [k for k, meter in enumerate(plain.meter) if meter in self._meters]
-        listed = [self._meters[plain.meter[k]] for k in known]
-        present = set(plain.meter)
+        return Table("meters", self.collect_meters(states, readings))
+
+    def collect_meters(self, states: States, readings: ReadingsByArea) -> Columns:
+        """The columns of ``meters``, for who makes them a few times a second."""
+        plain = collect_readings(states, readings)
+        rows = self._find_rows(plain["meter"], plain["area"])
+        gap = np.full(len(rows.silent_areas), np.nan)
+        status = plain["status"] if rows.are_all else [plain["status"][k] for k in rows.known.tolist()]
+        silent = [SILENT if area in readings else UNKNOWN for area in rows.silent_areas]
+        sized = "reading", "sigma", "estimate"
+        scaled = {name: np.concatenate([plain[name][rows.known] * rows.size, gap]) for name in sized}
+        relative = {name: np.concatenate([plain[name][rows.known], gap]) for name in RELATIVE}
+        return {**rows.columns, "status": status + silent, **scaled, **relative}
+
+    def _find_rows(self, meters: list[str], areas: list[str]) -> _MeterRows:
+        """Found anew only where other meters have readings than when it was asked for last."""
+        last = self._last_rows[0] if self._last_rows else None
+        if last is not None and last.of == (meters, areas):
+            return last
+        known = [k for k, meter in enumerate(meters) if meter in self._meters]
+        listed = [self._meters[meters[k]] for k in known]
+        present = set(meters)
         silent = [name for name in self._telemetered if name not in present]
-        silent_in = [self._area_of_meter.get(name, "") for name in silent]
+        silent_areas = [self._area_of_meter.get(name, "") for name in silent]
         all_meters = [*listed, *(self._meters[name] for name in silent)]
-        size, gap = find_unit_sizes(self.scenario.network, listed), np.full(len(silent), np.nan)
-
-        def scaled(name: str) -> np.ndarray:
-            return np.concatenate([plain[name][known] * size, gap])
-
-        return Table(
-            "meters",
-            {
-                "meter": [*(plain.meter[k] for k in known), *silent],
-                "area": [*(plain.area[k] for k in known), *silent_in],
-                "bus": np.array([m.bus for m in all_meters], dtype=np.int64),
-                "branch": [m.branch or "" for m in all_meters],
-                "unit": [UNIT[m.kind] for m in all_meters],
-                "status": [
-                    *(plain.status[k] for k in known),
-                    *(SILENT if area in readings else UNKNOWN for area in silent_in),
-                ],
-                **{name: scaled(name) for name in ("reading", "sigma", "estimate")},
-                **{name: np.concatenate([plain[name][known], gap]) for name in RELATIVE},
-            },
+        columns = {
+            "meter": tuple(meter.id for meter in all_meters),
+            "area": (*(areas[k] for k in known), *silent_areas),
+            "bus": np.array([meter.bus for meter in all_meters], dtype=np.int64),
+            "branch": tuple(meter.branch or "" for meter in all_meters),
+            "unit": tuple(UNIT[meter.kind] for meter in all_meters),
+        }
+        size = find_unit_sizes(self.scenario.network, listed)
+        rows = _MeterRows(
+            (meters, areas), np.array(known, dtype=np.int64), len(known) == len(meters), size, silent_areas, columns
         )
+        self._last_rows[:] = [rows]
+        return rows
 
     @cached_property
     def _meters(self) -> dict[str, Meter]:
@@ -166,7 +211,14 @@ class GridTables:
         own = self.partition.area(area).network.row
         return state if state is not None and state.buses and own.keys() == set(state.buses) else None
 
+    def _order_of(self, area: str, buses: tuple[int, ...]) -> np.ndarray:
+        """Where among ``buses``, as the area says them, each bus of its network is, (n_bus,)."""
+        if self._last_order.get(area, ((), None))[0] != buses:
+            place = {bus: k for k, bus in enumerate(buses)}
+            found = [place[bus] for bus in self.partition.area(area).network.row]
+            self._last_order[area] = buses, np.array(found, dtype=np.int64)
+        return self._last_order[area][1]
+
     def _voltages_of(self, area: str, state: StateMessage) -> AreaVoltages:
-        place = {bus: k for k, bus in enumerate(state.buses)}
-        order = [place[bus.id] for bus in self.partition.area(area).network.buses]
+        order = self._order_of(area, state.buses)
         return AreaVoltages(np.array(state.vm)[order], np.array(state.va)[order], state.referenced)

@@ -1,4 +1,4 @@
-"""The table of areas that lives in the terminal while a run goes on."""
+"""The table of areas in the terminal, renewed while a run goes on."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from coordinator.interrupts import Held
 from coordinator.observe.progress import Progress
 from dsse_core.printable import printable, shortened
 
@@ -22,7 +23,12 @@ def live_table(title: str) -> Iterator[Callable[[Progress], None]]:
     """A function that shows a run's progress in place; the table vanishes with the block, the verdict follows it."""
     console = Console(stderr=True)
     with Live(console=console, auto_refresh=False, transient=True) as live:
-        yield lambda progress: live.update(build_table(title, progress), refresh=True)
+
+        def update(progress: Progress) -> None:
+            with Held():  # a table that is drawn in part stays on the screen, and the next one begins in its last line
+                live.update(build_table(title, progress), refresh=True)
+
+        yield update
 
 
 def build_table(title: str, progress: Progress) -> Table:

@@ -15,9 +15,12 @@ from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from agents.messages.packing import StateMessage
 from agents.peers.freshness import FRESH_HEARTBEATS, PATIENCE_HEARTBEATS, is_old
-from agents.protocol.quality import GOOD, NONE, STALE, UNOBSERVABLE, Worth, weigh_from_outside
+from agents.protocol.quality import GOOD, NONE, STALE, UNOBSERVABLE, Assessment, assess_from_outside
+from dsse_core.grid.columns import read_ids
 from dsse_core.grid.partition import Partition
 from dsse_core.printable import printable
 
@@ -61,6 +64,7 @@ class Sample:
 class _Watched:
     alive: bool = False
     state: StateMessage | None = None
+    buses: tuple[int, ...] = ()  # of the last state with an estimate
     received_at: float = -math.inf
     repeats: int = 0  # of the state, since change number ``change``, the last anywhere that it knows of
     change: int = 0
@@ -72,21 +76,21 @@ class Observer:
 
     Args:
         tolerance_va, tolerance_vm: within which areas agree at a boundary bus, rad and p.u.
-        beat_s: interval at which areas repeat themselves.
+        heartbeat_s: interval at which areas repeat themselves.
         compare_magnitudes: whether the strategy reconciles voltage magnitudes at all.
     """
 
     partition: Partition
     tolerance_va: float
     tolerance_vm: float
-    beat_s: float
+    heartbeat_s: float
     compare_magnitudes: bool
     history: list[Sample] = field(default_factory=list)
     changed_at: float = -math.inf
 
     def __post_init__(self) -> None:
         self._watched = {area.name: _Watched() for area in self.partition.areas}
-        self._buses = {area.name: frozenset(area.network.row) for area in self.partition.areas}
+        self._buses = {area.name: area.network.table.bus_id for area in self.partition.areas}
         self._states: dict[str, StateMessage] = {}
         self._changes = 0
         self._disturbed_at = -math.inf  # when the last disturbance came, if any did
@@ -113,7 +117,7 @@ class Observer:
             return False
         last = watched.state
         if last is not None and is_old(
-            state.header, last.header, now - watched.received_at, PATIENCE_HEARTBEATS * self.beat_s
+            state.header, last.header, now - watched.received_at, PATIENCE_HEARTBEATS * self.heartbeat_s
         ):
             return False
         if last is not None and state.header.incarnation != last.header.incarnation:
@@ -127,13 +131,15 @@ class Observer:
         self._note_change(now)
         if state.buses:
             vm, va = array("d", state.vm), array("d", state.va)  # a quarter of the memory of tuples; there are many
-            self.history.append(Sample(now, state.header.sender, state.buses, vm, va, state.referenced))
+            if watched.buses != state.buses:  # else the same tuple again, not one for each state
+                watched.buses = state.buses
+            self.history.append(Sample(now, state.header.sender, watched.buses, vm, va, state.referenced))
         return True
 
     def _is_of_its_area(self, state: StateMessage) -> bool:
         """Whether it is about the area's own buses, or about none yet."""
-        own = self._buses.get(state.header.sender, frozenset())
-        return not state.buses or (len(state.buses) == len(own) and own.issuperset(state.buses))
+        own = self._buses[state.header.sender]
+        return not state.buses or np.array_equal(np.sort(read_ids(state.buses)), np.sort(own))
 
     def take_presence(self, area: str, alive: bool, now: float) -> bool:
         """Note that an area's token appeared or vanished; whether that is new."""
@@ -151,15 +157,15 @@ class Observer:
         self._disturbed_at = now
         self._note_change(now)
 
-    def worth_of(self, area: str, now: float) -> Worth:
-        """What the area's last state is worth at time ``now``: stale once it is gone or has sent nothing for long."""
+    def assess_area(self, area: str, now: float) -> Assessment:
+        """Quality of the area's last state at time ``now``, and why: stale once it is gone or has long sent nothing."""
         watched = self._watched[area]
         if watched.state is None:
-            return weigh_from_outside(None, "")
+            return assess_from_outside(None, "")
         silence = "" if watched.alive else f"{area} is not on the bus"
-        if not silence and now - watched.received_at >= FRESH_HEARTBEATS * self.beat_s:
+        if not silence and now - watched.received_at >= FRESH_HEARTBEATS * self.heartbeat_s:
             silence = f"{area} has sent nothing for {now - watched.received_at:.1f} s"
-        return weigh_from_outside(watched.state, silence, tuple(self._find_disputes(area)))
+        return assess_from_outside(watched.state, silence, tuple(self._find_disputes(area)))
 
     def _find_disputes(self, area: str) -> Iterator[str]:
         """Where neighbours publish another voltage for the same scan: one of them has received false numbers."""
@@ -176,7 +182,7 @@ class Observer:
 
     def quality_of(self, area: str, now: float) -> str:
         """The quality alone."""
-        return self.worth_of(area, now).quality
+        return self.assess_area(area, now).quality
 
     def standing(self, now: float) -> Standing:
         """What is missing to consensus at time ``now``, and whether it can still come."""
@@ -185,10 +191,10 @@ class Observer:
         ages = self._find_cut_off(now)
         obstacles = tuple(f"{name} has received no telemetry for {age:.1f} s" for name, age in ages.items())
         if (
-            now - self.changed_at < SETTLING_HEARTBEATS * self.beat_s
+            now - self.changed_at < SETTLING_HEARTBEATS * self.heartbeat_s
         ):  # in which areas learn that their neighbours are done
-            worth = {name: self.quality_of(name, now) for name in self._watched}
-            obstacles += tuple(f"{name} is {quality}" for name, quality in worth.items() if quality != GOOD)
+            qualities = {name: self.quality_of(name, now) for name in self._watched}
+            obstacles += tuple(f"{name} is {quality}" for name, quality in qualities.items() if quality != GOOD)
         return Standing(obstacles, self._find_dead_end(ages))
 
     def _find_unobservable(self, now: float) -> str | None:
@@ -203,7 +209,7 @@ class Observer:
     @property
     def _longest_wait_s(self) -> float:
         """After which waiting helps no more."""
-        return max(PATIENCE_HEARTBEATS * self.beat_s, LEAST_DEAD_END_S)
+        return max(PATIENCE_HEARTBEATS * self.heartbeat_s, LEAST_DEAD_END_S)
 
     def _find_dead_end(self, ages: Mapping[str, float]) -> str | None:
         """Why waiting helps no more, if it does not: the areas agree, on estimates that have been stale for long."""
@@ -228,7 +234,7 @@ class Observer:
         return found
 
     def _find_disunity(self, now: float) -> list[str]:
-        """What is missing to agreement, whatever the estimates are worth."""
+        """What is missing to agreement, whatever the quality of the estimates."""
         states, scan, obstacles = self.states, self.scan, []
         for name, watched in self._watched.items():
             obstacle = self._find_area_obstacle(name, watched, scan)
@@ -247,7 +253,7 @@ class Observer:
 
     def _is_quiet(self, now: float) -> bool:
         """Whether nothing has changed for so long that every area must have repeated itself."""
-        if now - self.changed_at < QUIET_HEARTBEATS * self.beat_s:
+        if now - self.changed_at < QUIET_HEARTBEATS * self.heartbeat_s:
             return False
         return min(map(self._repeats, self._watched.values()), default=0) >= QUIET_HEARTBEATS
 
@@ -310,10 +316,10 @@ class Observer:
                     numbers.get(name, (0, 0))
                     for numbers, name in ((sender.sent, n.area), (receiver.received, area.name))
                 )
-                for kind, said, got in zip(("load", "boundary"), sent, received, strict=True):
-                    if said == 0:
+                for kind, n_sent, n_received in zip(("load", "boundary"), sent, received, strict=True):
+                    if n_sent == 0:
                         found.append(f"{area.name} has sent {n.area} no {kind} message")
-                    elif got != said:
+                    elif n_received != n_sent:
                         found.append(f"{n.area} has not received the last {kind} message of {area.name}")
         return found
 

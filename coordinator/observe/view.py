@@ -25,7 +25,7 @@ class AreaView:
     ``lowest_vm``, ``highest_vm``: of its buses, p.u.; None without an estimate. ``worst_meter``: the one of the
     largest normalised residual; None where none is known.
     ``mismatch_vm_pu``, ``mismatch_va_deg``: the largest differences to a neighbour at a bus that both publish, None
-    where there is none. ``neighbours``: those that it speaks to. ``age_s``: None if it was never received.
+    where there is none. ``neighbours``: those that it sends to. ``age_s``: None if it was never received.
     ``leave_reason``: what it said when it left, empty if it died. ``silent``: it has said nothing for longer than
     ``silent_after_s``, though its token may be there. ``said_quality``: what it said of its own state
     (docs/explanation/quality.md); ``quality``: the same, and stale once it is gone or silent. ``telemetry_age_s``,

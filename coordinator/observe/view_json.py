@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import fields
 from typing import Any
 
 from coordinator.evaluation.table_files import columns_as_json
-from coordinator.observe.view import AreaView, View
+from coordinator.observe.view import AreaView, Extreme, View
 from dsse_core.results.table import Table
+
+OF_AREA = tuple(field.name for field in fields(AreaView) if field.name != "name")
 
 
 def describe_view(view: View) -> dict[str, Any]:
@@ -19,9 +21,13 @@ def describe_view(view: View) -> dict[str, Any]:
 
 
 def _describe_area(area: AreaView) -> dict[str, Any]:
-    described = {"state": area.state} | asdict(area)
-    del described["name"]
-    return described
+    values = {name: getattr(area, name) for name in OF_AREA}
+    described = {name: _describe_extreme(v) if isinstance(v, Extreme) else v for name, v in values.items()}
+    return {"state": area.state} | described
+
+
+def _describe_extreme(extreme: Extreme) -> dict[str, Any]:
+    return {"value": extreme.value, "at": extreme.at}
 
 
 def describe_tables(tables: Mapping[str, Table]) -> dict[str, dict[str, list[Any]]]:

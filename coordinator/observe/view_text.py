@@ -1,17 +1,19 @@
-"""What a watcher sees of a run as text, 80 columns wide: one line for each area, and below it why it is not good."""
+"""What a watcher sees of a run as lines: one for each area, and below it why it is not good."""
 
 from __future__ import annotations
 
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 
-import numpy as np
 from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
 from agents.protocol.quality import DEGRADED, GOOD
+from coordinator.interrupts import Held
+from coordinator.observe.table_text import write_table
 from coordinator.observe.view import AreaView, Extreme, View
 from dsse_core.printable import listed, printable, shortened
 from dsse_core.results.table import Table
@@ -22,43 +24,64 @@ MOST_AREAS = 200
 MOST_NOTES = 3  # of an area
 LONGEST_SENTENCE = 300  # `dsse watch --json` has all sentences whole
 COLUMNS = (("area", 16), ("quality", 14), ("age s", 6), ("voltage p.u.", 12))
-SHOWN_OF_TABLE = 40  # rows in a terminal; --json has all
+LEAST_ROWS = 3  # of a table in a terminal that is too low for it
+WIDEST = 160  # beyond it nobody finds the end of a line
 STYLES = {GOOD: "green", DEGRADED: "yellow"}  # every other quality is red
 
 
 def format_view(view: View, tables: Iterable[Table] = (), most: int | None = None) -> str:
     """The view, and below it ``tables`` with ``most`` rows each, as lines of WIDTH characters at most."""
-    lines = [text for text, _ in _write_view(view)]
+    lines = [text for text, _ in _write_view(view, WIDTH)]
     for table in tables:
-        lines += ["", *_write_table(table, most)]
+        lines += ["", *write_table(table, WIDTH, most)]
     return "\n".join(lines)
 
 
 @contextmanager
 def live_view() -> Iterator[Callable[[View, Iterable[Table]], None]]:
-    """A function that shows what a watcher sees in place, in colours."""
-    with Live(console=Console(), auto_refresh=False) as live:
+    """A function that shows what a watcher sees in place, in colours, as much of it as the terminal holds."""
+    console = Console()
+    with Live(console=console, auto_refresh=False) as live:
 
         def update(view: View, tables: Iterable[Table]) -> None:
-            text = Text("\n").join(Text(line, style=style) for line, style in _write_view(view))
-            for table in tables:
-                text.append("\n\n" + "\n".join(_write_table(table, SHOWN_OF_TABLE)))
-            live.update(text, refresh=True)
+            width, height = min(console.width, WIDEST), console.height - 1  # the cursor stands in the last line
+            lines = fit_view(view, list(tables), width, height)
+            with Held():  # what is drawn in part stays on the screen, and what follows begins in its last line
+                live.update(Text("\n").join(Text(line, style=style) for line, style in lines), refresh=True)
 
         yield update
 
 
-def _write_view(view: View) -> Iterator[tuple[str, str]]:
+def fit_view(view: View, tables: Sequence[Table], width: int, height: int) -> list[tuple[str, str]]:
+    """Lines and their styles, ``height`` at most: the areas, those that are not good first where not all fit, and as
+    many rows of ``tables`` as there is room for.
+    """
+    room = height - len(tables) * (
+        LEAST_ROWS + 3
+    )  # a table has an empty line, its heading, and how many rows are left out
+    lines = list(_write_view(view, width))
+    if len(lines) > room:
+        shown = max(1, room - 1)
+        worst_first = sorted(view.areas, key=lambda area: area.quality == GOOD)
+        lines = list(_write_view(replace(view, areas=tuple(worst_first)), width))
+        lines = [*lines[:shown], (f"... and {len(lines) - shown} lines more: --once shows all", "")]
+    for k, table in enumerate(tables):
+        rows = max(LEAST_ROWS, (height - len(lines)) // (len(tables) - k) - 3)
+        lines += [("", ""), *((line, "") for line in write_table(table, width, rows))]
+    return lines[: max(1, height)]
+
+
+def _write_view(view: View, width: int) -> Iterator[tuple[str, str]]:
     """Lines and their styles."""
     qualities = [area.quality for area in view.areas]
     counts = [f"{qualities.count(quality)} {quality}" for quality in dict.fromkeys(qualities)]
     scan = max((area.scan for area in view.areas), default=0)
     title = f"run {view.run}, scan {scan}: {_count(len(qualities), 'area')}, {listed(counts) or 'nobody is there'}"
-    yield from ((line, "bold") for line in _wrap(title))
+    yield from ((line, "bold") for line in _wrap(title, width))
     strangers = [f"{view.strangers} more are announced as areas and not shown"] if view.strangers else []
     for remark in (_write_others(view), *strangers, *view.duplicates[:MOST_LISTED], *view.other_versions):
-        yield from ((line, "") for line in _wrap(remark))
-    yield _columns([name for name, _ in COLUMNS], "worst normalised residual"), "bold"
+        yield from ((line, "") for line in _wrap(remark, width))
+    yield _columns([name for name, _ in COLUMNS], "worst norm. residual", width), "bold"
     for area in _choose_areas(view.areas):
         cells = [
             shortened(printable(area.name), COLUMNS[0][1]),
@@ -67,15 +90,15 @@ def _write_view(view: View) -> Iterator[tuple[str, str]]:
             _write_band(area),
         ]
         worst = _write_worst(area.worst_meter)
-        yield _columns(cells, worst), STYLES.get(area.quality, "red")
+        yield _columns(cells, worst, width), STYLES.get(area.quality, "red")
         for remark in _remarks(area, scan):
-            yield from ((line, "") for line in _wrap(remark, "    "))
+            yield from ((line, "") for line in _wrap(remark, width, "    "))
     if len(view.areas) > MOST_AREAS:
         yield f"... and {len(view.areas) - MOST_AREAS} areas more: --json has all", ""
 
 
 def _choose_areas(areas: Sequence[AreaView]) -> Sequence[AreaView]:
-    """Where there are very many: those that are not good, then good ones, then those that have never said anything."""
+    """Where there are very many: those that are not good, then good ones, then those that have never published."""
     if len(areas) <= MOST_AREAS:
         return areas
     return sorted(areas, key=lambda area: 2 if area.age_s is None else int(area.quality == GOOD))[:MOST_AREAS]
@@ -91,16 +114,16 @@ def _remarks(area: AreaView, scan: int) -> Iterator[str]:
     """Why it is no better, the worst first."""
     if 0 < area.scan != scan:
         yield f"works on scan {area.scan}"
-    said = f" (it said {area.said_quality})" if area.quality != area.said_quality else ""
+    own_quality = f" (it said {area.said_quality})" if area.quality != area.said_quality else ""
     for k, note in enumerate(area.notes[:MOST_NOTES]):
-        yield shortened(note, LONGEST_SENTENCE) + said * (k == 0)
+        yield shortened(note, LONGEST_SENTENCE) + own_quality * (k == 0)
     if len(area.notes) > MOST_NOTES:
         yield f"and {len(area.notes) - MOST_NOTES} notes more: --json has all"
 
 
-def _columns(cells: Sequence[str], last: str) -> str:
-    padded = "  ".join(cell.ljust(width) for cell, (_, width) in zip(cells, COLUMNS, strict=True))
-    return shortened(f"{padded}  {last}".rstrip(), WIDTH)
+def _columns(cells: Sequence[str], last: str, width: int) -> str:
+    padded = "  ".join(cell.ljust(wide) for cell, (_, wide) in zip(cells, COLUMNS, strict=True))
+    return shortened(f"{padded}  {last}".rstrip(), width)
 
 
 def _write_band(area: AreaView) -> str:
@@ -113,8 +136,10 @@ def _write_worst(worst: Extreme | None) -> str:
     return "-" if worst is None else f"{shortened(printable(worst.at), 20)} {worst.value:.1f}"
 
 
-def _wrap(text: str, indent: str = "") -> list[str]:
-    lines = textwrap.wrap(printable(text), WIDTH, initial_indent=indent, subsequent_indent=indent)
+def _wrap(text: str, width: int, indent: str = "") -> list[str]:
+    lines = textwrap.wrap(
+        printable(text), max(width, 2 * len(indent) + 1), initial_indent=indent, subsequent_indent=indent
+    )
     return lines or [indent]
 
 
@@ -125,27 +150,3 @@ def _seconds(value: float) -> str:
 
 def _count(n: int, noun: str) -> str:
     return f"{n} {noun}{'' if n == 1 else 's'}"
-
-
-def _write_table(table: Table, most: int | None) -> Iterator[str]:
-    """The columns that fit, the first ``most`` rows."""
-    shown = len(table) if most is None else min(most, len(table))
-    known = [name for name in table.columns if not _is_unknown(table[name])]
-    columns = [[name, *map(_cell, table[name][:shown])] for name in known]
-    widths = [max(map(len, column)) for column in columns]
-    fitting = int(np.searchsorted(np.cumsum([width + 2 for width in widths]), WIDTH + 2, side="right"))
-    for row in zip(*columns[:fitting], strict=True):
-        yield "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=False)).rstrip()
-    if shown < len(table):
-        yield f"... and {len(table) - shown} rows more: --json has all"
-
-
-def _is_unknown(column: np.ndarray | tuple[str, ...]) -> bool:
-    """Whether no row has anything there."""
-    return not isinstance(column, tuple) and column.dtype.kind == "f" and bool(np.isnan(column).all())
-
-
-def _cell(value: object) -> str:
-    if isinstance(value, float):
-        return "-" if np.isnan(value) else f"{value:.5g}"
-    return shortened(printable(value), 24)

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from itertools import islice
+from typing import Any
+
+import numpy as np
 
 from agents.messages.keys import name_of_live, version_of
 from agents.messages.packing import WIRE_VERSION, ReadingsMessage, StateMessage, describe_other_version
 from agents.peers.freshness import is_old
-from agents.protocol.quality import weigh_from_outside
+from agents.protocol.quality import assess_from_outside
 from agents.runtime.presence import MAX_NAMES, Presence
 from coordinator.observe.duplicates import NOUNS, describe_duplicate
 from coordinator.observe.observer import count_exchanges
@@ -39,12 +42,19 @@ class Watcher:
     _presence: Presence = field(default_factory=Presence)
     _strangers: Presence = field(default_factory=Presence)  # all but ``areas``, if these are known
     _other_versions: dict[int, Presence] = field(default_factory=dict)
+    _shown: dict[str, None] = field(default_factory=dict)  # areas whose tokens were there, or are
     _leave_reasons: dict[str, str] = field(default_factory=dict)
     _received: dict[str, tuple[float, StateMessage]] = field(default_factory=dict)
+    _first_received: dict[str, float] = field(default_factory=dict)  # area -> when
     _longest_pause: dict[str, float] = field(default_factory=dict)  # between two states of an area's incarnation, s
     _readings: dict[str, ReadingsMessage] = field(default_factory=dict)
     _sizes: dict[tuple[str, str], int] = field(default_factory=dict)  # area and kind of message -> bytes, and
     _bytes: int = 0  # their sum
+
+    def copy(self) -> Watcher:
+        """One that knows the same, and goes its own way from here; messages are shared, as nobody changes them."""
+        own = (field for field in fields(self) if field.name not in ("run", "areas"))
+        return replace(self, **{field.name: _copy(getattr(self, field.name)) for field in own})
 
     def take_presence(self, key: str, alive: bool) -> None:
         """Note that a token of any wire version appeared or vanished."""
@@ -52,17 +62,21 @@ class Watcher:
             if version in self._other_versions or len(self._other_versions) < MOST_VERSIONS:
                 self._other_versions.setdefault(version, Presence()).take(key, alive)
             return
-        if self._presence_of(key).take(key, alive) and alive and self._is_known(name_of_live(key)[1]):
-            self._leave_reasons.pop(name_of_live(key)[1], None)  # that was said by a former incarnation
+        role, name = name_of_live(key)
+        if self._presence_of(key).take(key, alive) and alive and self._is_known(name):
+            self._leave_reasons.pop(name, None)  # of a former incarnation
+            if role == "area" and len(self._shown) < MAX_NAMES:
+                self._shown[name] = None
 
     def forget_presence(self) -> None:
         """Know of no token any more: the links to the bus are opened anew."""
         self._presence.forget()
         self._strangers.forget()
+        self._shown.clear()
         self._other_versions.clear()
 
     def take_leave(self, key: str, leave_reason: str) -> None:
-        """Note that a process said that it goes."""
+        """Note the leave message of a process."""
         is_gone = self._presence_of(key).take_leave(key) and self._is_known(name_of_live(key)[1])
         if is_gone and len(self._leave_reasons) < MAX_NAMES:
             self._leave_reasons[name_of_live(key)[1]] = leave_reason
@@ -86,6 +100,7 @@ class Watcher:
             same_incarnation = state.header.incarnation == last.header.incarnation
             self._longest_pause[area] = max(now - at, self._longest_pause.get(area, 0.0)) if same_incarnation else 0.0
             self._received[area] = (now, state)
+            self._first_received.setdefault(area, now)
 
     def take_readings(self, readings: ReadingsMessage, size: int = 0) -> None:
         """Keep what an area has used last; ``size``: bytes of the message."""
@@ -111,9 +126,9 @@ class Watcher:
         return bool(present) and present <= self._received.keys()
 
     def find_absent(self) -> tuple[str, ...]:
-        """Areas that others speak to, and that are not there."""
-        spoken_to = {name for _, state in self._received.values() for name in state.sent}
-        return tuple(sorted(spoken_to - self.names_of("area")))
+        """Areas that others send to, and that are not there."""
+        addressed = {name for _, state in self._received.values() for name in state.sent}
+        return tuple(sorted(addressed - self.names_of("area")))
 
     def state_of(self, area: str) -> StateMessage | None:
         """What ``area`` published last."""
@@ -134,13 +149,13 @@ class Watcher:
     def look(self, now: float) -> View:
         """What is known at ``now``."""
         present, received = self.names_of("area"), self._choose_received()
-        spoken_to = {name for area in received for name in self._received[area][1].sent if self._is_known(name)}
-        named = (present | spoken_to) - self._received.keys()
+        addressed = {name for area in received for name in self._received[area][1].sent if self._is_known(name)}
+        named = (present | addressed) - self._received.keys()
         room = self._most_areas - len(received)  # an area that was received is not crowded out by who is only named
         names = sorted([*received, *sorted(named, key=_by_number)[:room]], key=_by_number)
         left_out = len(self._received) + len(named) - len(names)
         strangers = sum(role == "area" for role, _ in self._strangers.names) + left_out
-        views = tuple(self._view_of(name, name in present, now) for name in names)
+        views = tuple(self._view_of(name, name in present or self._may_be_there(name, now), now) for name in names)
         duplicates = tuple(islice(self._find_duplicates(), MOST_DUPLICATES))
         others, more_others = self._find_others()
         return View(self.run, views, others, duplicates, self.find_other_versions(), strangers, more_others)
@@ -193,11 +208,16 @@ class Watcher:
         """Who of ``role`` is there."""
         return {name for its_role, name in self._presence.names if its_role == role}
 
+    def _may_be_there(self, area: str, now: float) -> bool:
+        """Whether ``area`` was first received just now, and nothing is known of its token yet: it is asked for then."""
+        is_known_by_states = self.areas is None and area in self._received and area not in self._shown
+        return is_known_by_states and now - self._first_received[area] <= OVER_S
+
     def _view_of(self, name: str, present: bool, now: float) -> AreaView:
         leave_reason = "" if present else self._leave_reasons.get(name, "")
         if name not in self._received:
             silence = f"has left: {leave_reason}" if leave_reason else "" if present else "is gone"
-            return AreaView(name, present, None, leave_reason, notes=weigh_from_outside(None, silence).notes)
+            return AreaView(name, present, None, leave_reason, notes=assess_from_outside(None, silence).notes)
         at, state = self._received[name]
         silent_after_s = max(OVER_S, SILENT_PAUSES * self._longest_pause.get(name, 0.0))
         is_silent = now - at > silent_after_s
@@ -205,14 +225,14 @@ class Watcher:
         silence = f"has sent nothing for {now - at:.1f} s" if is_silent else ""
         if not present:
             silence = f"has left: {leave_reason}" if leave_reason else "is gone"
-        worth = weigh_from_outside(state, silence)
+        assessment = assess_from_outside(state, silence)
         return AreaView(
             name=name,
             present=present,
             age_s=round(now - at, 3),
             leave_reason=leave_reason,
             scan=state.header.scan,
-            quality=worth.quality,
+            quality=assessment.quality,
             said_quality=state.quality,
             silent=is_silent,
             silent_after_s=silent_after_s,
@@ -239,7 +259,7 @@ class Watcher:
             lost=state.lost,
             removed=state.removed,
             rejected=state.rejected,
-            notes=worth.notes,
+            notes=assessment.notes,
         )
 
     def _mismatch(self, state: StateMessage, other: str) -> tuple[float, float] | None:
@@ -255,6 +275,15 @@ class Watcher:
         )
 
 
+def _copy(kept: Any) -> Any:
+    match kept:
+        case Presence():
+            return kept.copy()
+        case dict():
+            return {key: _copy(value) for key, value in kept.items()}
+    return kept
+
+
 def _extreme(state: StateMessage, vm: float | None) -> Extreme | None:
     """The bus that has magnitude ``vm``."""
     return None if vm is None else Extreme(vm, str(state.buses[state.vm.index(vm)]))
@@ -264,8 +293,11 @@ def _find_worst(readings: ReadingsMessage | None, state: StateMessage) -> Extrem
     """The meter in use whose normalised residual is the largest in the same scan."""
     if readings is None or readings.header.scan != state.header.scan:
         return None
-    off = map(Extreme, readings.normalised, readings.meters)
-    return max(off, key=lambda extreme: extreme.value, default=None)
+    off = np.array(readings.normalised, dtype=float)
+    if np.isnan(off).all():  # also of none
+        return None
+    worst = int(np.nanargmax(off))
+    return Extreme(readings.normalised[worst], readings.meters[worst])
 
 
 def _by_number(name: str) -> tuple[str, int]:

@@ -9,18 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
-from coordinator.cli.live.address import RunAddress
-from coordinator.cli.terminal import (
-    bus_timeout_option,
-    choose_endpoints,
-    connect_option,
-    direct_option,
-    keys_option,
-    run_option,
-    say,
-    show,
-)
+from coordinator.cli.live.address import RunAddress, address_options
+from coordinator.cli.terminal import notify, show
 from coordinator.interrupts import end_orderly_on_signals
 from dsse_core.printable import printable
 
@@ -34,35 +26,22 @@ UNSECURED = "without --keys anybody on this bus can do the same"
 def operator_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Where the system is; the command gets ``join``, which joins it as its operator."""
 
-    @connect_option()
-    @direct_option
-    @keys_option
-    @run_option
-    @bus_timeout_option
+    @address_options
     @functools.wraps(command)
-    def with_operator(
-        *arguments: Any,
-        endpoints: tuple[str, ...],
-        direct: bool,
-        keys: Path | None,
-        run_id: str | None,
-        timeout: float,
-        **options: Any,
-    ) -> Any:
+    def with_operator(*arguments: Any, address: RunAddress, **options: Any) -> Any:
         @contextmanager
         def join() -> Iterator[Operator]:
             from coordinator.operate.operator import operate
 
             end_orderly_on_signals()
-            if keys is None:
-                say(UNSECURED)
-            chosen = choose_endpoints(endpoints, keys is not None)
-            with operate(RunAddress(chosen, run_id, timeout, keys, direct)) as operator:
+            if address.keys is None:
+                notify(UNSECURED)
+            with operate(address) as operator:
                 if operator.absent:
-                    say(f"not on the bus, and not reached: {', '.join(operator.absent)}")
+                    notify(f"not on the bus, and not reached: {', '.join(operator.absent)}")
                 yield operator
 
-        return command(*arguments, join=join, is_connected=bool(endpoints), **options)
+        return command(*arguments, join=join, **options)
 
     return with_operator
 
@@ -79,7 +58,7 @@ def meter() -> None:
 @meter.command(short_help="Leave the readings of meters out.")
 @click.argument("meters", metavar="ID...", nargs=-1, required=True)
 @operator_options
-def off(meters: tuple[str, ...], join: Joining, is_connected: bool) -> None:
+def off(meters: tuple[str, ...], join: Joining) -> None:
     """Leave the readings of the meters out, from now on and after restarts, until `dsse meter on`.
 
     \b
@@ -93,7 +72,7 @@ def off(meters: tuple[str, ...], join: Joining, is_connected: bool) -> None:
 @meter.command(short_help="Use the readings of meters again.")
 @click.argument("meters", metavar="ID...", nargs=-1, required=True)
 @operator_options
-def on(meters: tuple[str, ...], join: Joining, is_connected: bool) -> None:
+def on(meters: tuple[str, ...], join: Joining) -> None:
     """Use the readings of meters again that are off.
 
     \b
@@ -106,7 +85,7 @@ def on(meters: tuple[str, ...], join: Joining, is_connected: bool) -> None:
 
 @click.command(short_help="Have a running system make a scan at once.")
 @operator_options
-def scan(join: Joining, is_connected: bool) -> None:
+def scan(join: Joining) -> None:
     """Have the plant make a new scan at once; where gateways send the readings, all areas take the newest ones.
 
     \b
@@ -119,7 +98,7 @@ def scan(join: Joining, is_connected: bool) -> None:
 @click.command(short_help="End what is left of a run, or a running system.")
 @click.argument("folder", metavar="[RUN_FOLDER]", type=click.Path(path_type=Path), required=False)
 @operator_options
-def stop(folder: Path | None, join: Joining, is_connected: bool) -> None:
+def stop(folder: Path | None, join: Joining) -> None:
     """End the processes of the run in RUN_FOLDER that are left on this host, as after `kill -9` of its `dsse run`.
 
     With --connect in its place: end the areas and the plant of the system there, on all its hosts.
@@ -128,6 +107,7 @@ def stop(folder: Path | None, join: Joining, is_connected: bool) -> None:
     Examples:  dsse stop runs/ieee33-20261122-120000
                dsse stop --connect tls/192.0.2.7:7447 --keys keys
     """
+    is_connected = click.get_current_context().get_parameter_source("endpoints") is not ParameterSource.DEFAULT
     if (folder is None) == (not is_connected):
         raise click.UsageError("give either RUN_FOLDER, or with --connect where the system is that is to end")
     if folder is not None:

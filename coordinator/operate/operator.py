@@ -20,7 +20,7 @@ from dsse_core.errors import DsseError, InvalidInputError
 from dsse_core.printable import listed
 
 REPEAT_S = 0.2
-LINK_S = 3.0  # for areas that others speak to, and that are not there
+LINK_S = 3.0  # for areas that others send to, and a router does not show; a direct link may take longer
 MOST_NAMED = 12
 CURES = {
     TOO_OLD: "the clocks of its host and of this one differ; set them",
@@ -57,7 +57,7 @@ def operate(address: RunAddress) -> Iterator[Operator]:
     with attach(address, OPERATOR) as look:
         watcher = wait_until_whole(look, timeout_s)
         if watcher.names_of("area"):
-            _wait_for_neighbours(look, min(timeout_s, LINK_S))
+            _wait_for_neighbours(look, timeout_s if address.direct else min(timeout_s, LINK_S))
         areas = sorted(watcher.names_of("area"))
         if not areas:
             raise NotFollowedError(f"no area of run {look.run} is on this bus within {timeout_s:g} s")
@@ -75,7 +75,7 @@ def _wait_for_neighbours(look: Look, timeout_s: float) -> None:
 
 @dataclass
 class Operator:
-    """``areas``: those that were there in the beginning; ``absent``: those that were not, and that they speak to."""
+    """``areas``: those that were there in the beginning; ``absent``: those that were not, and that they send to."""
 
     session: Session
     run: str
@@ -168,7 +168,7 @@ class Operator:
         """Give ``orders`` (name -> what it is asked) until nobody is left who has not followed, or ``until`` holds.
 
         An area follows only what is above the last that it has followed. Where another operator was faster, the order
-        is given again above his: so none is lost, whoever speaks at once.
+        is given again above that one: so none is lost when two operators act at once.
 
         Raises:
             NotFollowedError: that is not so in time.
@@ -199,7 +199,7 @@ class Operator:
         self._publishers[name](encode(message))
 
     def _next_order(self, name: str) -> tuple[Incarnation, int]:
-        """Above the last that ``name`` has followed, whatever the clock of that operator has said; no other operator
+        """Above the last that ``name`` has followed, whatever the clock of that operator was; no other operator
         gives it.
         """
         self._sequence += 1

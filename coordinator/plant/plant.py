@@ -7,7 +7,7 @@ import math
 import signal
 import sys
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from agents.orders.order_book import BY_OPERATOR, STOPPED_CODE, OrderBook
 from agents.protocol.events import Event, Ordered, StopRequested
 from agents.runtime.duplicate_guard import GIVES_WAY, REPLACED_CODE, DuplicateGuard, ReplacedError
 from agents.runtime.inbox import Inbox
-from agents.runtime.log_format import start_log
+from agents.runtime.log.format import start_log
 from agents.runtime.presence import begin_incarnation
 from agents.runtime.renewal import Renewal, on_hangup
 from agents.runtime.watchdog import Watchdog
@@ -28,8 +28,8 @@ from coordinator.plant.scans import Scans
 from dsse_core.errors import DsseError
 
 log = logging.getLogger(__name__)
-SILENT, SPEAK = signal.SIGUSR1, signal.SIGUSR2
-# At once a plant says so many bytes, then it waits: what the bus has no room for it drops, until the next heartbeat
+SILENT, RESUME = signal.SIGUSR1, signal.SIGUSR2
+# At once a plant sends so many bytes, then it waits: what the bus has no room for it drops, until the next heartbeat
 BURST, RATE = 2**16, 16 * 2**20  # bytes, bytes per second
 
 
@@ -49,7 +49,7 @@ def run_plant(
 
     An area is served when it appears and then at every heartbeat: it subscribes before it shows itself. ``scan``: above
     that of any plant before it in the same run. ``every_s``: time from one scan to the next; None: there is one only.
-    Signal ``SILENT`` makes it publish nothing until signal ``SPEAK``. ``keys``: folder of the plant's credentials.
+    Signal ``SILENT`` makes it publish nothing until signal ``RESUME``. ``keys``: folder of the plant's credentials.
     ``direct``: ``endpoints`` are those of all areas, not of routers. If no area shows itself for ``timeout_s``, a
     warning says so.
     """
@@ -62,49 +62,46 @@ def run_plant(
         if keys:
             on_hangup(lambda: inbox.put("renewal", Renewal.ASKED), lambda: inbox.put("stop", None))
         loaded = load_keys(keys, PLANT, run)
-        with Session.join(endpoints, timeout_s, loaded, beat_s=scans.beat_s, direct=direct) as session:
+        with Session.join(endpoints, timeout_s, loaded, heartbeat_s=scans.heartbeat_s, direct=direct) as session:
             for number in (signal.SIGTERM, signal.SIGINT):
                 signal.signal(number, lambda *_: inbox.put("stop", None))
             publishers = {area: session.publisher(telemetry_key(run, area)) for area in payloads}
-            session.watch_presence(
-                all_incarnations(run, "area", "*"),
-                lambda key, alive: inbox.put(name_of_live(key), key) if alive and _is_known(key, payloads) else None,
-            )
-            session.watch_presence(
-                all_incarnations(run, "plant", PLANT), lambda key, alive: inbox.put(key, (key, alive))
-            )
-            session.subscribe(
-                command_key(run, PLANT), lambda key, payload: inbox.put("command", _CommandReceived(payload))
-            )
+            _subscribe(session, run, tuple(payloads), inbox)
             own_token = live_key(run, "plant", PLANT, incarnation)
             send_leave = session.publisher(own_token)
             session.declare_presence(own_token)
             log.info("plant of run %s, seed %s, %s areas", run, scans.seed, len(payloads))
-            guard = DuplicateGuard(f"plant of run {run}", incarnation, time.monotonic(), scans.beat_s)
+            guard = DuplicateGuard(f"plant of run {run}", incarnation, time.monotonic(), scans.heartbeat_s)
             orders = OrderBook(PLANT, run, began_at=incarnation.start_ms / 1000)
-            voice = _Voice(publishers, inbox, scans.beat_s, guard, session, orders)
-            voice.alone = _Alone(time.monotonic() + timeout_s, f"of run {run} within {timeout_s:g} s", endpoints)
-            for number in (SILENT, SPEAK):
-                signal.signal(number, voice.be_silent)
-            signal.pthread_sigmask(signal.SIG_UNBLOCK, (SILENT, SPEAK))  # a run's plant may have its orders already
-            voice.watchdog.ready(time.monotonic())
+            loop = _PlantLoop(publishers, inbox, scans.heartbeat_s, guard, session, orders)
+            loop.no_area = _NoAreaWarning(
+                time.monotonic() + timeout_s, f"of run {run} within {timeout_s:g} s", endpoints
+            )
+            loop.follow_signals()
+            loop.watchdog.ready(time.monotonic())
             try:
-                while not voice.serve(payloads, scans.late_s(scan), every_s or math.inf):
+                while not loop.publish_scan(payloads, scans.late_s(scan), every_s or math.inf):
                     scan += 1
                     payloads = scans.payloads(run, incarnation, scan)
             except ReplacedError:
                 send_leave(GIVES_WAY.encode())
                 raise
-            send_leave(voice.stops_for.encode())
+            send_leave(loop.stop_reason.encode())
     except DsseError as error:
         print(f"error: {error}", file=sys.stderr)
         return REPLACED_CODE if isinstance(error, ReplacedError) else 2
-    return STOPPED_CODE if voice.stops_for == BY_OPERATOR else 0
+    return STOPPED_CODE if loop.stop_reason == BY_OPERATOR else 0
 
 
-def _is_known(key: str, areas: Collection[str]) -> bool:
-    """Whether a token is that of one of ``areas``: for strangers there is nothing, and no place in the inbox."""
-    return name_of_live(key)[1] in areas
+def _subscribe(session: Session, run: str, areas: Sequence[str], inbox: Inbox) -> None:
+    """Have the presence of ``areas`` and of other plants, and the operator's commands, put into ``inbox``."""
+    for area in areas:  # each by its name: what strangers announce is not even sent here
+        session.watch_presence(
+            all_incarnations(run, "area", area),
+            lambda key, alive: inbox.put(name_of_live(key), key) if alive else None,
+        )
+    session.watch_presence(all_incarnations(run, "plant", PLANT), lambda key, alive: inbox.put(key, (key, alive)))
+    session.subscribe(command_key(run, PLANT), lambda key, payload: inbox.put("command", _CommandReceived(payload)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,8 +112,8 @@ class _CommandReceived:
 
 
 @dataclass
-class _Alone:
-    """Says once that no area is received ``until`` then, which may be as it should: areas may be started later."""
+class _NoAreaWarning:
+    """Warns once that no area is received ``until`` then, which may be as it should: areas may be started later."""
 
     until: float = math.inf
     where: str = ""
@@ -132,23 +129,23 @@ class _Alone:
 
 
 @dataclass
-class _Voice:
-    """Publishes one scan after the other. A silent one publishes nothing and keeps time."""
+class _PlantLoop:
+    """Publishes one scan after the other. While it is silent it publishes nothing and keeps time."""
 
     publishers: Mapping[str, Callable[[bytes], None]]
     inbox: Inbox
-    beat_s: float
+    heartbeat_s: float
     guard: DuplicateGuard
     bus: RenewableBus
     orders: OrderBook
-    stops_for: str = "stopped"
+    stop_reason: str = "stopped"
     silent: bool = False
-    alone: _Alone = field(default_factory=_Alone)
+    no_area: _NoAreaWarning = field(default_factory=_NoAreaWarning)
     watchdog: Watchdog = field(default_factory=Watchdog)
     _newest: dict[str, bytes] = field(default_factory=dict)  # area -> the readings that have come in
     _due: dict[str, None] = field(default_factory=dict)  # areas to be served, in this order; a new scan goes on with it
 
-    def serve(self, payloads: Mapping[str, bytes], late_s: Mapping[str, float], duration_s: float) -> bool:
+    def publish_scan(self, payloads: Mapping[str, bytes], late_s: Mapping[str, float], duration_s: float) -> bool:
         """Publish one scan at every heartbeat for ``duration_s``, or until another is asked for; whether to stop.
 
         ``late_s``: area -> by how much its readings come late; until then the former ones are repeated.
@@ -161,26 +158,26 @@ class _Voice:
         while True:  # once at least: the next scan may be due already
             now = time.monotonic()
             if now >= next_heartbeat:
-                next_heartbeat = now + self.beat_s
+                next_heartbeat = now + self.heartbeat_s
                 self._due |= dict.fromkeys(payloads)
-            said = self._publish_some(payloads, late_s, now - start)
-            wait_s = said / RATE if self._due else math.inf
-            wait_s = min(wait_s, self.watchdog.beat(now))
+            n_bytes = self._publish_due(payloads, late_s, now - start)
+            wait_s = n_bytes / RATE if self._due else math.inf
+            wait_s = min(wait_s, self.watchdog.ping(now))
             updates = self.inbox.take(min(next_heartbeat - time.monotonic(), over - time.monotonic(), wait_s))
             if Renewal.ASKED in updates and self.bus.interrupt():
                 updates += self.inbox.take(0.0)
-                self._mind_successors([item for item in updates if isinstance(item, tuple)])
+                self._check_duplicates([item for item in updates if isinstance(item, tuple)])
                 updates = [item for item in updates if not isinstance(item, tuple)]
                 self.guard.forget()
                 self.bus.resume()
             if None in updates:
                 return True
-            self._mind_successors([item for item in updates if isinstance(item, tuple)])
+            self._check_duplicates([item for item in updates if isinstance(item, tuple)])
             names = [name_of_live(key)[1] for key in updates if isinstance(key, str)]
-            self.alone.check(names, time.monotonic())
+            self.no_area.check(names, time.monotonic())
             commands = [event for item in updates if isinstance(item, _CommandReceived) for event in self._follow(item)]
             if any(isinstance(event, StopRequested) for event in commands):
-                self.stops_for = BY_OPERATOR
+                self.stop_reason = BY_OPERATOR
                 return True
             if time.monotonic() >= over or any(isinstance(event, Ordered) and event.scan for event in commands):
                 return False
@@ -189,25 +186,30 @@ class _Voice:
     def _follow(self, command: _CommandReceived) -> Iterator[Event]:
         return self.orders.take(command.payload, time.time())
 
-    def _publish_some(self, payloads: Mapping[str, bytes], late_s: Mapping[str, float], elapsed_s: float) -> int:
-        """Publish the newest readings of the areas that are due next, one or many small ones; bytes said."""
-        said = 0
-        while self._due and said < BURST:
+    def _publish_due(self, payloads: Mapping[str, bytes], late_s: Mapping[str, float], elapsed_s: float) -> int:
+        """Publish the newest readings of the areas that are due next, one or many small ones; their bytes."""
+        n_bytes = 0
+        while self._due and n_bytes < BURST:
             area = next(iter(self._due))
             del self._due[area]
             if elapsed_s >= late_s.get(area, 0.0):
                 self._newest[area] = payloads[area]
             if area in self._newest and not self.silent:
                 self.publishers[area](self._newest[area])
-                said += len(self._newest[area])
-        return said
+                n_bytes += len(self._newest[area])
+        return n_bytes
 
-    def _mind_successors(self, tokens: Sequence[tuple[str, bool]]) -> None:
+    def _check_duplicates(self, tokens: Sequence[tuple[str, bool]]) -> None:
         now = time.monotonic()
         for key, alive in tokens:
             self.guard.take(key, alive, now)
         self.guard.check(now)
 
-    def be_silent(self, number: int, _: object) -> None:
-        """Handler of two signals."""
+    def follow_signals(self) -> None:
+        """Fall silent at signal ``SILENT``, publish again at ``RESUME``."""
+        for number in (SILENT, RESUME):
+            signal.signal(number, self._on_signal)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, (SILENT, RESUME))  # a run's plant may have its orders already
+
+    def _on_signal(self, number: int, _: object) -> None:
         self.silent = number == SILENT

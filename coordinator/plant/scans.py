@@ -17,13 +17,13 @@ from scenarios.telemetry import Telemetry, find_lateness, make_telemetry
 
 
 class Scans(Protocol):
-    """``seed``: of their noise; ``beat_s``: interval at which a scan is repeated."""
+    """``seed``: of their noise; ``heartbeat_s``: interval at which a scan is repeated."""
 
     @property
     def seed(self) -> int: ...
 
     @property
-    def beat_s(self) -> float: ...
+    def heartbeat_s(self) -> float: ...
 
     def payloads(self, run: str, incarnation: Incarnation, scan: int) -> dict[str, bytes]:
         """Area -> its encoded readings."""
@@ -46,7 +46,7 @@ class OwnScans:
         return self.scenario.seed
 
     @property
-    def beat_s(self) -> float:
+    def heartbeat_s(self) -> float:
         return self.scenario.run.beat_s
 
     def payloads(self, run: str, incarnation: Incarnation, scan: int) -> dict[str, bytes]:
@@ -75,7 +75,7 @@ class MadeScan:
     readings: Mapping[str, bytes]
     lateness: Mapping[str, float]
     seed: int
-    beat_s: float
+    heartbeat_s: float
 
     @classmethod
     def of(cls, scenario: Scenario, telemetry: Telemetry) -> MadeScan:

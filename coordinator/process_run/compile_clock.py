@@ -1,4 +1,4 @@
-"""When this command, or the parent of its processes, compiles: it is said once, and no time limit runs meanwhile."""
+"""When this command, or the parent of its processes, compiles: reported once, while no time limit runs."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from dsse_core import compiling
 class CompileClock:
     """Takes in, on any thread, when this process and the parent compile, and in which folder the code is kept.
 
-    ``say``: called with one line for the user when that begins for the first time.
+    ``notify``: called with one line for the user when that begins for the first time.
     """
 
     def __init__(self) -> None:
-        self.say: Callable[[str], None] | None = None
+        self.notify: Callable[[str], None] | None = None
         self._lock = threading.Lock()
         self._under_way = 0
         self._ended_at = -math.inf
@@ -27,10 +27,10 @@ class CompileClock:
         with self._lock:
             self._under_way += 1 if begins else -1
             self._ended_at = time.monotonic()
-            say = self.say if begins else None
-            self.say = None if begins else self.say
-        if say:
-            say(describe_compiling(folder))
+            notify = self.notify if begins else None
+            self.notify = None if begins else self.notify
+        if notify:
+            notify(describe_compiling(folder))
 
     def find_start(self, started: float) -> float:
         """When the clock of what began at ``started`` starts: at the end of all compiling, which may be now; s."""

@@ -1,9 +1,10 @@
 """The warmed parent: imports once what router, plant and agents need, then forks each of them in milliseconds.
 
 It obeys the coordinator over one socket. A coordinator that ends in order has its processes stopped; one
-that is killed stops nothing: the areas go on until SIGTERM, SIGINT or SIGHUP to this process, which then stops them;
-if this process is killed, they end by themselves. It holds no thread and no Zenoh session, so forking is safe. It
-and its children are one process group of their own, so that Ctrl-C in a terminal reaches the coordinator only.
+that is killed stops nothing, unless it has bound them to its life: the areas go on until SIGTERM, SIGINT or SIGHUP to
+this process, which then stops them; if this process is killed, they end by themselves. It holds no thread and no Zenoh
+session, so forking is safe. It and its children are one process group of their own, so that Ctrl-C in a terminal
+reaches the coordinator only.
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ from dsse_core import compiling
 from dsse_core.code_places import Whole, find_folder_to_keep_in, has_whole
 from dsse_core.printable import printable_lines
 
-STOP_S = 3.0  # from SIGTERM to SIGKILL
+STOP_S = 5.0  # from SIGTERM to SIGKILL
+STOP_ALL_S = 2 * STOP_S  # first those whom routers serve, then the routers
 PARENT = "parent of all processes"
 MODULE = "coordinator.process_run.fork_server"
 COMPILES: Mapping[str, Whole] = {
@@ -43,9 +45,10 @@ IO_ERROR_CODE = 74  # exit code of a process that could not write or read a file
 
 @dataclass(frozen=True, slots=True)
 class Preload:
-    """Import these modules, and call what of them stands behind a colon ("module:function")."""
+    """Import these modules, and call what of them stands behind a colon ("module:function") with ``arguments``."""
 
     targets: tuple[str, ...]
+    arguments: tuple[Any, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,8 +76,16 @@ class Signal:
 
 
 @dataclass(frozen=True, slots=True)
+class Bind:
+    """Stop all children and exit as soon as there is no coordinator any more."""
+
+
+@dataclass(frozen=True, slots=True)
 class Stop:
     """Stop all children and exit."""
+
+
+Order = Preload | Start | Signal | Bind | Stop
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,6 +121,7 @@ class ForkServer:
     children: dict[int, Start] = field(default_factory=dict)  # by pid
     stopped: bool = False
     signalled: int = 0  # by which signal it was ordered to stop, if by one
+    bound: bool = False  # to the life of the coordinator
     lifeline: Lifeline = field(default_factory=Lifeline)
     _compiler: int = 0  # process id, while there is one
 
@@ -140,7 +152,7 @@ class ForkServer:
                     try:
                         self._obey(self.orders.recv())
                     except (EOFError, ConnectionError):
-                        orphaned = True
+                        orphaned, self.stopped = True, self.stopped or self.bound
                         _redirect(Path(os.devnull))  # who reads the coordinator's pipes shall see their end
         finally:
             if self.signalled:  # before the ends of the children, which follow from it
@@ -152,16 +164,16 @@ class ForkServer:
         if self._compiler:
             os.kill(self._compiler, signal.SIGKILL)
 
-    def _obey(self, order: Preload | Start | Signal | Stop) -> None:
+    def _obey(self, order: Order) -> None:
         match order:
-            case Preload(targets):
+            case Preload(targets, arguments):
                 for target in targets:
                     module, _, function = target.partition(":")
                     imported = importlib.import_module(module)
                     if function:
                         self._compile_in_child(target)
                         if not self.stopped:
-                            getattr(imported, function)()
+                            getattr(imported, function)(*arguments)
                 gc.collect()  # what no child needs is freed once, not as copied pages in each of them
                 gc.freeze()  # the children share these pages as long as no collector touches them
             case Start():
@@ -170,6 +182,8 @@ class ForkServer:
                 for pid, child in self.children.items():
                     if child.name == name:
                         os.kill(pid, number)
+            case Bind():
+                self.bound = True
             case Stop():
                 self.stopped = True
 
@@ -196,7 +210,7 @@ class ForkServer:
             module, _, function = target.partition(":")
             getattr(importlib.import_module(module), function)()
         except BaseException:
-            _say_last(traceback.format_exc())
+            _write_last(traceback.format_exc())
         finally:
             os._exit(0)
 
@@ -226,9 +240,9 @@ class ForkServer:
         except OSError as error:  # if the disk is full, these words find no room either: the code says it, too
             code = IO_ERROR_CODE
             where = f"{error.filename}: " if error.filename else ""
-            _say_last(f"error: {where}{error.strerror or error}; make room there, or choose another place\n")
+            _write_last(f"error: {where}{error.strerror or error}; make room there, or choose another place\n")
         except BaseException:
-            _say_last(traceback.format_exc())
+            _write_last(traceback.format_exc())
         finally:
             os._exit(code)  # nothing of the parent's stack may run here
 
@@ -245,8 +259,8 @@ class ForkServer:
 
     def _stop_children(self) -> None:
         """SIGTERM to all but the routers, then to the routers, so that agents say goodbye on a bus that works."""
-        deadline = time.monotonic() + STOP_S
         for last in (False, True):
+            deadline = time.monotonic() + STOP_S
             group = [pid for pid, child in self.children.items() if child.stop_last == last]
             for pid in group:
                 os.kill(pid, signal.SIGTERM)
@@ -269,7 +283,7 @@ def _take_signals() -> None:
             signal.signal(number, signal.SIG_DFL)
 
 
-def _say_last(text: str) -> None:
+def _write_last(text: str) -> None:
     """Write to standard error past all buffers, which may hold what could not be written."""
     with contextlib.suppress(OSError):
         os.write(sys.stderr.fileno(), printable_lines(text).encode(errors="backslashreplace"))

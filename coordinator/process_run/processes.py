@@ -18,15 +18,18 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from agents.runtime.heap import LARGE
 from coordinator.interrupts import ENDS
 from coordinator.process_run.compile_clock import clock
 from coordinator.process_run.fork_server import (
     IO_ERROR_CODE,
     MODULE,
     PARENT,
-    STOP_S,
+    STOP_ALL_S,
+    Bind,
     Compiling,
     Ended,
+    Order,
     Preload,
     Signal,
     Start,
@@ -41,8 +44,7 @@ ONE_THREAD = {
 FILES_OF_A_PROCESS = 32  # beside one for the link of each area; measured: a router with three areas runs with 24
 # glibc's allocator: one heap for all threads, and what is free goes back to the system; the matrices of an area of 500
 # buses stay below the limit, or each of them would be made of cleared pages
-LARGE = str(2**20)  # bytes
-ONE_HEAP = {"MALLOC_ARENA_MAX": "1", "MALLOC_TRIM_THRESHOLD_": LARGE, "MALLOC_MMAP_THRESHOLD_": LARGE}
+ONE_HEAP = {"MALLOC_ARENA_MAX": "1", "MALLOC_TRIM_THRESHOLD_": str(LARGE), "MALLOC_MMAP_THRESHOLD_": str(LARGE)}
 MAX_WAITING = 100_000  # updates, and
 MOST_BYTES = 64 * 2**20  # of messages in them
 ROOT = Path(__file__).resolve().parents[2]  # where this package was imported from
@@ -55,10 +57,11 @@ class LaunchError(DsseError):
 class Launcher:
     """Starts the processes of a run from one warmed parent; leaving its block stops all of them.
 
-    ``update``, if given, is called with every ``Started`` and ``Ended``, on a thread of its own.
+    ``update``, if given, is called with every ``Started`` and ``Ended``, on a thread of its own. ``bound``: whether the
+    processes end with this one if it is killed, too; else they go on.
     """
 
-    def __init__(self, update: Callable[[Started | Ended], None] | None = None) -> None:
+    def __init__(self, update: Callable[[Started | Ended], None] | None = None, *, bound: bool = False) -> None:
         if not hasattr(os, "fork"):
             raise LaunchError("this system cannot fork processes; run on Linux or macOS, or under WSL on Windows")
         self.on_update = update or (lambda _: None)
@@ -85,6 +88,8 @@ class Launcher:
         self._closed = False
         self._reader = threading.Thread(target=self._read_updates, name="process updates", daemon=True)
         self._reader.start()
+        if bound:
+            self._send(Bind())
 
     def __enter__(self) -> Self:
         return self
@@ -99,9 +104,9 @@ class Launcher:
         """Process id of the warmed parent, and id of the process group of all."""
         return self._fork_server.pid
 
-    def preload(self, *targets: str) -> None:
-        """Have the parent import modules ("module"), or call functions ("module:function"), now."""
-        self._send(Preload(targets))
+    def preload(self, *targets: str, arguments: tuple[Any, ...] = ()) -> None:
+        """Have the parent import modules ("module"), or call functions ("module:function") with ``arguments``, now."""
+        self._send(Preload(targets, arguments))
 
     def start(self, name: str, target: str, *arguments: Any, log: Path, stop_last: bool = False, nice: int = 0) -> None:
         """Start process ``name``, which calls ``target`` ("module:function") and writes its output to ``log``.
@@ -130,7 +135,7 @@ class Launcher:
         try:
             self.stop()
             if self._stopping:
-                self._fork_server.wait(STOP_S + 2.0)
+                self._fork_server.wait(STOP_ALL_S + 2.0)
         except subprocess.TimeoutExpired:
             pass
         finally:  # also on a second Ctrl-C
@@ -144,7 +149,7 @@ class Launcher:
             os.killpg(self.pid, signal.SIGKILL)
         self._fork_server.wait()
 
-    def _send(self, order: Preload | Start | Signal | Stop) -> None:
+    def _send(self, order: Order) -> None:
         try:
             self._orders.send(order)
         except OSError:
@@ -153,7 +158,7 @@ class Launcher:
             ) from None
 
     def _read_updates(self) -> None:
-        said_its_end = compiles = False
+        reported_end = compiles = False
         try:
             while True:
                 update = self._orders.recv()
@@ -161,18 +166,18 @@ class Launcher:
                     compiles = update.begins
                     clock.take(update.begins, update.folder)
                     continue
-                said_its_end |= update.name == PARENT
+                reported_end |= update.name == PARENT
                 self.on_update(update)  # looked up now: it may have been set while we waited
         except (EOFError, OSError):
             if compiles:
                 clock.take(False, None)
-            if not (self._stopping or self._closed or said_its_end):
+            if not (self._stopping or self._closed or reported_end):
                 self.on_update(Ended(PARENT, self.pid, self._fork_server.wait()))
 
 
 def check_open_files(areas: int) -> None:
     """Raise LaunchError if a process may not open as many files as the links of ``areas`` need."""
-    import resource  # not on Windows, where Launcher has said so
+    import resource  # not on Windows, where Launcher has raised
 
     limit, needed = resource.getrlimit(resource.RLIMIT_NOFILE)[0], FILES_OF_A_PROCESS + areas
     if limit != resource.RLIM_INFINITY and limit < needed:
@@ -214,13 +219,13 @@ class Updates(queue.SimpleQueue[Any]):
         self._lock = threading.Lock()
         self._bytes = 0  # of messages that wait
 
-    def offer(self, item: Any, *, said_once: bool = False, size: int = 0) -> None:
+    def offer(self, item: Any, *, sent_once: bool = False, size: int = 0) -> None:
         """Leave it, or drop it where too much waits: what every heartbeat repeats goes first.
 
         ``size``: bytes of the message that it is, and of its key.
         """
         with self._lock:
-            share = 2 if said_once else 1
+            share = 2 if sent_once else 1
             if self.qsize() < MAX_WAITING * share and self._bytes + size <= MOST_BYTES * share:
                 self._bytes += size
                 self.put(_Sized(size, item) if size else item)

@@ -11,10 +11,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from agents.runtime.inbox import Inbox
-from agents.runtime.log_format import start_log
+from agents.runtime.log.format import start_log
 from agents.runtime.renewal import Renewal, on_hangup
 from agents.runtime.watchdog import Watchdog
-from agents.security.access import ROUTER
+from agents.security.access import ROUTER, Access
 from agents.security.credentials import load_keys
 from agents.transport.zenoh_bus import Router
 from dsse_core.errors import DsseError
@@ -22,8 +22,38 @@ from dsse_core.errors import DsseError
 AWAKE_S = 0.2  # a signal that a thread of Zenoh has caught is acted on when this thread wakes
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run a router until SIGTERM or Ctrl-C; 0 after an orderly end, 2 if it cannot listen."""
+def main(argv: Sequence[str] | None = None, access: Access | None = None) -> int:
+    """Run a router until SIGTERM or Ctrl-C; 0 after an orderly end, 2 if it cannot listen.
+
+    ``access``: who takes part in the run, if that is known and nobody has keys; nothing else passes then.
+    """
+    arguments = _build_parser().parse_args(argv)
+    start_log()
+    inbox = Inbox()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: inbox.put("stop", True))
+    try:
+        if arguments.keys:
+            on_hangup(lambda: inbox.put("renewal", Renewal.ASKED), lambda: inbox.put("stop", True))
+        keys = load_keys(arguments.keys, ROUTER, arguments.run, listens=True)
+        default = "tls/127.0.0.1:7447" if keys else "tcp/127.0.0.1:7447"
+        listen, others = arguments.listen or [default], arguments.connect or ()
+        with Router.listen(listen, keys, others, heartbeat_s=arguments.heartbeat, access=access) as router:
+            print("listening on", ", ".join(router.endpoints), flush=True)
+            if arguments.endpoints_file:
+                _write_whole(arguments.endpoints_file, "\n".join(router.endpoints))
+            watchdog = Watchdog()
+            watchdog.ready(time.monotonic())
+            while True not in (updates := inbox.take(min(AWAKE_S, watchdog.ping(time.monotonic())))):
+                if Renewal.ASKED in updates and router.interrupt():
+                    router.resume()
+    except DsseError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def _build_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m coordinator.process_run.router_process",
         description="Run the Zenoh router that agents, plant and coordinator connect to, until SIGTERM or Ctrl-C.",
@@ -47,30 +77,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         metavar="S",
         help="heartbeat of the areas: where it is long, silence may last, too",
     )
-    arguments = parser.parse_args(argv)
-    start_log()
-    inbox = Inbox()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: inbox.put("stop", True))
-    try:
-        if arguments.keys:
-            on_hangup(lambda: inbox.put("renewal", Renewal.ASKED), lambda: inbox.put("stop", True))
-        keys = load_keys(arguments.keys, ROUTER, arguments.run, listens=True)
-        default = "tls/127.0.0.1:7447" if keys else "tcp/127.0.0.1:7447"
-        listen, others = arguments.listen or [default], arguments.connect or ()
-        with Router.listen(listen, keys, others, beat_s=arguments.heartbeat) as router:
-            print("listening on", ", ".join(router.endpoints), flush=True)
-            if arguments.endpoints_file:
-                _write_whole(arguments.endpoints_file, "\n".join(router.endpoints))
-            watchdog = Watchdog()
-            watchdog.ready(time.monotonic())
-            while True not in (updates := inbox.take(min(AWAKE_S, watchdog.beat(time.monotonic())))):
-                if Renewal.ASKED in updates and router.interrupt():
-                    router.resume()
-    except DsseError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    return 0
+    return parser
 
 
 def _write_whole(path: Path, text: str) -> None:

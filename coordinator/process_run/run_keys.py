@@ -24,7 +24,7 @@ def folder_of_keys(mark: str) -> Iterator[Path]:
 
 
 def remove_keys_of_dead_runs() -> None:
-    """Remove the keys that killed runs of this user have left, if none of their processes lives."""
+    """Remove the keys that killed runs of this user have left, if all of their processes have ended."""
     remove_leftovers(Path(tempfile.gettempdir()), NAME.pattern, _is_used)
 
 

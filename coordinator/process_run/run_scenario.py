@@ -5,7 +5,9 @@ from __future__ import annotations
 import secrets
 import time
 from collections.abc import Callable
+from concurrent.futures import Future
 from contextlib import ExitStack
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -14,6 +16,7 @@ from agents.security.credential_files import AUTHORITY, credentials_in
 from agents.strategies.installed import load_strategy
 from coordinator.deployment.split import default_run_id
 from coordinator.evaluation.evaluation import (
+    Centralised,
     choose_scenario,
     estimate_centralised,
     evaluate,
@@ -26,7 +29,7 @@ from coordinator.observe.events import EventLog
 from coordinator.observe.observer import Observer
 from coordinator.observe.progress import UPDATE_S, Progress, describe_progress
 from coordinator.process_run.compile_clock import clock
-from coordinator.process_run.process_faults import do_to_processes
+from coordinator.process_run.faults.processes import do_to_processes
 from coordinator.process_run.processes import Launcher, LaunchError
 from coordinator.process_run.run_keys import folder_of_keys
 from coordinator.process_run.run_status import (
@@ -40,14 +43,16 @@ from coordinator.process_run.run_status import (
 )
 from coordinator.process_run.system import System
 from coordinator.run_folder import EVENTS, PARTS, RECORDING, make_run_folder
-from coordinator.strategy_check import check_with_strategy
+from coordinator.strategy_check import plan_with_strategy
 from dsse_core.estimation.plan import FEWEST_BUSES_OF_RADIAL
 from dsse_core.linear import needs_compiled_code
 from scenarios.scenario import Scenario
-from scenarios.telemetry import expect_telemetry
+from scenarios.telemetry import Telemetry, expect_telemetry
 
 DAYS_OF_A_RUN = 1.0  # that the keys of one secured run are valid
-MANY_AREAS = 50  # from which on the agents that start have the cores, and readings are made when all are there,
+# From which on their parent rehearses, and the areas have cores and memory to themselves: readings are made when all
+# agents are there, and the centralised estimate after the verdict.
+MANY_AREAS = 50
 JOIN_SHARE = 0.25  # or after this part of the time limit
 LOOK_SHARE = 0.05  # of the time of watching that may pass in looks at hundreds of areas, which need the cores to get on
 INTERRUPTED = "interrupted"
@@ -67,16 +72,15 @@ def run_scenario(
 ) -> RunResult:
     """Run ``scenario`` with the processes of ``launcher``; see ``coordinator.run``. ``started``: monotonic time."""
     scenario = choose_scenario(scenario, seed, strategy, timeout_s)
-    launcher.preload("agents.strategies.installed:list_strategies", load_strategy(scenario.strategy).__module__)
-    launcher.preload(*_find_solvers(scenario))  # beside the check, which in a large grid takes as long
-    check_with_strategy(scenario)
+    _preload(launcher, scenario)  # beside the check, which in a large grid takes as long
+    plan = plan_with_strategy(scenario)
     folder = make_run_folder(out, default_run_id(scenario), PARTS)
     with ExitStack() as at_the_end, EventLog(folder / EVENTS, started) as events:
         run_id = f"{default_run_id(scenario)}-{secrets.token_hex(4)}"
         keys = _find_keys(scenario, run_id, launcher.mark, at_the_end, secure, keys)
         system = System(launcher, scenario, run_id, folder, keys=keys)
         system.scan_every_s = scenario.renew_s
-        run = RunUnderWay(scenario, run_id, folder, system, events, started)
+        run = RunUnderWay(scenario, run_id, folder, system, events, started, plan)
         parent = {"parent_pid": launcher.pid, "mark": launcher.mark}
         events.write("run started", None, run=run_id, scenario=scenario.name, seed=scenario.seed, **parent)
         if events.failure:  # by this event `dsse stop` finds the processes, which so are not started
@@ -99,6 +103,15 @@ def run_scenario(
                 close_recording(folder / RECORDING)
 
 
+def _preload(launcher: Launcher, scenario: Scenario) -> None:
+    """Have the parent of all processes import the strategy and its solvers, and of many areas rehearse an estimate."""
+    launcher.preload("agents.strategies.installed:list_strategies", load_strategy(scenario.strategy).__module__)
+    launcher.preload(*_find_solvers(scenario))
+    if len(scenario.partition.areas) >= MANY_AREAS:
+        largest = max(len(area.network.buses) for area in scenario.partition.areas)
+        launcher.preload("coordinator.process_run.rehearsal:rehearse", arguments=(scenario.strategy, largest))
+
+
 def _find_solvers(scenario: Scenario) -> tuple[str, ...]:
     """What of the compiled solvers the areas need, as targets of ``Launcher.preload``."""
     areas = scenario.partition.areas
@@ -119,7 +132,8 @@ def _find_keys(
     """
     if keys is None and not secure:
         return None
-    from coordinator.deployment.certificates import access_of, check_keys, create_keys  # not needed by most runs
+    from coordinator.deployment.certificates import check_keys, create_keys  # not needed by most runs
+    from coordinator.deployment.run_access import access_of
 
     access = access_of(scenario.partition, run_id, scenario.reading_rules)
     direct = scenario.transport.kind == "neighbours"
@@ -150,15 +164,15 @@ def _run_with_router(run: RunUnderWay, on_update: Callable[[Progress], None] | N
     with run.system.join(COORDINATOR) as session:
         listen(run, session)
         reason = None
-        if len(scenario.partition.areas) >= MANY_AREAS:
+        has_many = len(scenario.partition.areas) >= MANY_AREAS
+        if has_many:
             reason = _watch(run, observer, on_update, is_over=lambda: _is_time_to_begin(run))
         telemetry = expect_telemetry(scenario)  # of fewer areas made while they join
         if reason is None and scenario.telemetry.source != "live":
             run.note_time("plant_started")
             run.system.start_plant(telemetry if scenario.renew_s is None else None)
-        reference_estimate = start_reference_estimate(
-            scenario, telemetry, lambda: run.note_time("centralised_estimated")
-        )
+        telemetry = _keep_compared(telemetry)
+        beside = None if has_many else start_reference_estimate(lambda: _estimate_centralised(run, telemetry))
         reason = reason or _watch(run, observer, on_update)
         used = run.used.put_into(telemetry, observer.states)
         wall_s = time.monotonic() - run.started
@@ -166,7 +180,7 @@ def _run_with_router(run: RunUnderWay, on_update: Callable[[Progress], None] | N
     run.note_time("verdict")
     run.events.write("consensus" if reason is None else "no consensus", reason=reason)
     run.system.launcher.stop()  # the processes end while the files are written
-    centralised = reference_estimate.result() if used is telemetry else estimate_centralised(scenario, used)
+    centralised = _find_centralised(run, used, beside if used is telemetry else None)
     outcome = evaluate(
         scenario,
         run.id,
@@ -182,9 +196,31 @@ def _run_with_router(run: RunUnderWay, on_update: Callable[[Progress], None] | N
         duplicates=run.duplicates.found,
     )
     result = write_files(outcome.in_folder(run.folder), run.events.failure)
-    if reason == INTERRUPTED:
+    if INTERRUPTED in (reason, centralised.failure):
         raise KeyboardInterrupt
     return result
+
+
+def _keep_compared(telemetry: Telemetry) -> Telemetry:
+    """``telemetry`` without what each area reads, which the plant has now, and what the truth has made for that."""
+    truth = telemetry.truth and replace(telemetry.truth)  # without its admittances: of a large grid they take most
+    return replace(telemetry, by_area={}, truth=truth)
+
+
+def _find_centralised(run: RunUnderWay, telemetry: Telemetry, beside: Future[Centralised] | None) -> Centralised:
+    """That of ``telemetry``, from ``beside`` where it is made there. Ctrl-C ends the wait for it: what the areas have
+    found is written all the same.
+    """
+    try:
+        return beside.result() if beside else _estimate_centralised(run, telemetry)
+    except KeyboardInterrupt:
+        return Centralised(None, INTERRUPTED)
+
+
+def _estimate_centralised(run: RunUnderWay, telemetry: Telemetry) -> Centralised:
+    found = estimate_centralised(run.scenario, telemetry, run.plan)
+    run.note_time("centralised_estimated")
+    return found
 
 
 def _is_time_to_begin(run: RunUnderWay) -> bool:
@@ -236,7 +272,7 @@ def _watch(
 def _carry_out_faults(run: RunUnderWay, observer: Observer, now: float) -> None:
     """Do to the processes what the scenario says for this moment, and write it down; the links know by the clock."""
     if run.joined is not None:
-        run.clock.tell(now - run.joined)
+        run.clock.tick(now - run.joined)
         for step in run.schedule.carry_out(now - run.joined, partial(do_to_processes, run.system)):
             run.events.write("fault", kind=step.kind, names=step.names)
             observer.take_fault(now)

@@ -8,22 +8,24 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from agents.messages.checks import MessageError, is_worth_writing
-from agents.messages.keys import all_live, all_readings, all_states, clock_key, live_key, name_of_live, sender_of
+from agents.messages.checks import MessageError, should_log
+from agents.messages.keys import clock_key, live_key, name_of_live, sender_of
 from agents.messages.packing import ReadingsMessage, StateMessage, decode
 from agents.runtime.presence import Presence, begin_incarnation, read_leave
-from agents.security.access import COORDINATOR, PLANT
+from agents.security.access import COORDINATOR
 from agents.transport.zenoh_bus import Session
 from coordinator.evaluation.used_readings import UsedReadings
 from coordinator.observe.duplicates import Duplicate, Duplicates
 from coordinator.observe.events import EventLog
 from coordinator.observe.observer import Observer
 from coordinator.observe.state_log import StateLog
-from coordinator.process_run.fault_schedule import FaultSchedule
+from coordinator.observe.watched_keys import readings_keys, state_keys, token_keys
+from coordinator.process_run.faults.clock import RunClock
+from coordinator.process_run.faults.schedule import FaultSchedule
 from coordinator.process_run.fork_server import Ended, Started
 from coordinator.process_run.processes import Updates, describe_end, read_end
-from coordinator.process_run.run_clock import RunClock
 from coordinator.process_run.system import System
+from dsse_core.estimation.plan import EstimationPlan
 from scenarios.scenario import Scenario
 
 
@@ -59,6 +61,7 @@ class RunUnderWay:
     system: System
     events: EventLog
     started: float
+    plan: EstimationPlan | None = None  # of the whole grid, where the check has made it
     updates: Updates = field(default_factory=Updates)
     presence: Presence = field(default_factory=Presence)
     rejected: Counter[str] = field(default_factory=Counter)  # by reason
@@ -87,8 +90,6 @@ def listen(run: RunUnderWay, session: Session) -> None:
     areas = {area.name for area in run.scenario.partition.areas}
 
     def on_shown(key: str, payload: bytes) -> None:
-        if sender_of(key) not in areas:  # a stranger's, who may say as much as it likes
-            return
         try:
             message = decode(payload)
         except MessageError as error:
@@ -99,22 +100,20 @@ def listen(run: RunUnderWay, session: Session) -> None:
         elif isinstance(message, ReadingsMessage) and message.header.sender == sender_of(key):
             run.updates.offer(message, size=len(payload))
 
-    session.subscribe(all_states(run.id), on_shown)
-    if run.scenario.renew_s is not None:
-        session.subscribe(all_readings(run.id), on_shown)
-    known = {("plant", PLANT), ("coordinator", COORDINATOR)}
-    known |= {("area", name) for name in areas}
+    readings = () if run.scenario.renew_s is None else readings_keys(run.id, areas)
+    for key in (*state_keys(run.id, areas), *readings):
+        session.subscribe(key, on_shown)
 
     def on_presence(key: str, alive: bool, leave_reason: str = "") -> None:
-        if name_of_live(key) in known:
-            run.updates.offer(_PresenceSeen(time.monotonic(), key, alive, leave_reason), said_once=True)
+        run.updates.offer(_PresenceSeen(time.monotonic(), key, alive, leave_reason), sent_once=True)
 
     def on_leave(key: str, payload: bytes) -> None:
         if leave_reason := read_leave(payload):
             on_presence(key, False, leave_reason)
 
-    session.subscribe(all_live(run.id), on_leave)
-    session.watch_presence(all_live(run.id), on_presence)
+    for key in token_keys(run.id, areas):
+        session.subscribe(key, on_leave)
+        session.watch_presence(key, on_presence)
     if any(faults.has_windows for faults in run.scenario.faults.links.values()):
         run.clock.publish = session.publisher(clock_key(run.id))
     session.declare_presence(live_key(run.id, "coordinator", COORDINATOR, run.clock.incarnation))
@@ -146,7 +145,7 @@ def take_update(run: RunUnderWay, observer: Observer, item: object) -> str | Non
                     run.timing_s["areas_joined"] = at - run.started
         case MessageError():
             run.rejected[item.reason] += 1
-            if is_worth_writing(run.rejected[item.reason]):
+            if should_log(run.rejected[item.reason]):
                 run.events.write("rejected", reason=str(item), count=run.rejected[item.reason])
         case ProcessUpdate(at, update):
             reason = take_process_update(run, item)

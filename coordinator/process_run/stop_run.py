@@ -14,14 +14,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from coordinator.process_run.fork_server import MODULE, STOP_S
-from coordinator.run_folder import EVENTS, PARTS
+from coordinator.process_run.fork_server import MODULE, STOP_ALL_S, STOP_S
+from coordinator.run_folder import EVENTS, PARTS, describe_missing
 from dsse_core.errors import DsseError, InvalidInputError
 from dsse_core.files.bounded_file import read_text
 from dsse_core.files.drafts import remove_leftovers
 
 PROC = Path("/proc")
 SPARE_S = 2.0  # that a process may take longer than it is allowed to
+RUN_FOLDER = "give the run folder of `dsse run`"
 MARK = re.compile("[0-9a-f]{16}")
 
 
@@ -55,7 +56,7 @@ def stop_run(folder: Path) -> tuple[StartedRun | None, int]:
     found = set(find_marked(run.mark))
     if run.parent_pid in found:
         _send([run.parent_pid], signal.SIGTERM)
-        _wait_for_end(run, STOP_S + SPARE_S)
+        _wait_for_end(run, STOP_ALL_S + SPARE_S)
     for number, wait_s in ((signal.SIGTERM, STOP_S), (signal.SIGKILL, SPARE_S)):
         left = set(find_marked(run.mark))
         _send(left, number)
@@ -79,7 +80,7 @@ def _is_of_no_process(folder: Path) -> bool:
             bool(entries) and not begun and all(e == log or (e.name in PARTS and not any(e.iterdir())) for e in entries)
         )
     except OSError:
-        return False  # as is said when the log is read
+        return False  # as is reported when the log is read
 
 
 def read_started_run(folder: Path) -> StartedRun:
@@ -89,13 +90,15 @@ def read_started_run(folder: Path) -> StartedRun:
         InvalidInputError: it cannot be read, or is not that of a run of processes.
     """
     path = folder / EVENTS
+    if missing := describe_missing(folder, EVENTS):
+        raise InvalidInputError(f"run folder {folder}", [f"{missing}; {RUN_FOLDER}"])
     try:
         event: dict[str, Any] = json.loads((read_text(path).splitlines() or [""])[0])
         run = StartedRun(str(event["run"]), int(event["parent_pid"]), str(event["mark"]))
     except (ValueError, RecursionError, KeyError, TypeError):
         run = None
     if run is None or not MARK.fullmatch(run.mark):
-        problem = "does not begin with the start of a run of processes; give the run folder of `dsse run`"
+        problem = f"does not begin with the start of a run of processes; {RUN_FOLDER}"
         raise InvalidInputError(str(path), [problem])
     return run
 

@@ -15,6 +15,7 @@ from agents.security.access import PLANT, ROUTER, ROUTERS, SECOND_ROUTER
 from agents.security.credentials import load_keys
 from agents.transport.zenoh_bus import Session, TransportError, warn_of_strangers
 from coordinator.deployment.endpoints import choose_area_endpoints
+from coordinator.deployment.run_access import access_without_keys
 from coordinator.deployment.split import area_files, write_area_files
 from coordinator.plant.scans import MadeScan, OwnScans
 from coordinator.process_run.fork_server import Ended, Started
@@ -35,7 +36,8 @@ class System:
     """Starts the processes of ``scenario`` with ``launcher`` under run id ``id``; ``folder``: for files and logs.
 
     ``scan_every_s``: time between scans of the plant, None for one scan only. ``keys``: folder of everybody's
-    credentials; all links are secured then. ``note`` must be called with all updates of the launcher: a death that was
+    credentials; all links are secured then. ``any_name``: without them a router lets everybody say everything, not only
+    what processes of the run may. ``note`` must be called with all updates of the launcher: a death that was
     ordered is distinguished from one that was not.
     """
 
@@ -45,6 +47,7 @@ class System:
     folder: Path
     scan_every_s: float | None = None
     keys: Path | None = None
+    any_name: bool = False
     endpoints: tuple[str, ...] = ()
     pids: dict[str, int] = field(default_factory=dict)  # of the last incarnation of each
     _area_endpoints: dict[str, str] = field(default_factory=dict)  # where each area listens if there is no router
@@ -84,18 +87,20 @@ class System:
 
     def join(self, name: str) -> Session:
         """A session of ours on the bus, with the credentials of process ``name`` if it is secured."""
-        keys, beat_s = load_keys(self.keys, name, self.id), self.scenario.run.beat_s
-        return Session.join(self.endpoints, keys=keys, beat_s=beat_s, direct=self.direct)
+        keys, heartbeat_s = load_keys(self.keys, name, self.id), self.scenario.run.beat_s
+        return Session.join(self.endpoints, keys=keys, heartbeat_s=heartbeat_s, direct=self.direct)
 
     def _start_router(self, name: str, listen: str, wait: Callable[[], str | None]) -> tuple[str, ...]:
         """Start a router that links with those before it; its endpoints."""
-        said = self.folder.absolute() / "logs" / f"{name}.endpoints"
+        endpoints_file = self.folder.absolute() / "logs" / f"{name}.endpoints"
         always = [part for endpoint in self.endpoints for part in ("--connect", endpoint)] + self._keys() + self._run()
         always += ["--heartbeat", str(self.scenario.run.beat_s)]
         target = "coordinator.process_run.router_process:main"
-        self._order(name, target, ["--listen", listen, "--endpoints-file", str(said), *always])
+        rules = self.scenario.reading_rules
+        access = None if self.keys or self.any_name else access_without_keys(self.scenario.partition, self.id, rules)
+        self._order(name, target, ["--listen", listen, "--endpoints-file", str(endpoints_file), *always], access)
         deadline = math.inf
-        while not said.exists():
+        while not endpoints_file.exists():
             if name in self.pids:  # before, the parent may be compiling, which takes 13 s the first time on a machine
                 deadline = min(deadline, time.monotonic() + ROUTER_START_S)
             reason = wait()
@@ -103,9 +108,9 @@ class System:
                 raise TransportError(self._last_error(name) or reason)
             if time.monotonic() > deadline:
                 raise TransportError(f"the {name} has not opened {listen} within {ROUTER_START_S:g} s")
-        endpoints = tuple(said.read_text(encoding="utf-8").split())
+        endpoints = tuple(endpoints_file.read_text(encoding="utf-8").split())
         again = [part for endpoint in endpoints for part in ("--listen", endpoint)]  # where the others look for it
-        self._orders[name] = (target, [*again, *always])
+        self._orders[name] = (target, [*again, *always], access)
         return endpoints
 
     def start_recorder(self, folder: Path, limit_gb: float | None, wait: Callable[[], str | None]) -> None:

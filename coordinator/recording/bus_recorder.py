@@ -6,19 +6,20 @@ import logging
 import signal
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from pathlib import Path
 from threading import Event
 
-from agents.messages.keys import all_commands, all_live, all_readings, all_states
-from agents.runtime.log_format import start_log
+from agents.messages.keys import all_gateways, publisher_of
+from agents.runtime.log.format import start_log
 from agents.runtime.presence import read_leave
 from agents.runtime.renewal import on_hangup
 from agents.runtime.watchdog import Watchdog
 from agents.security.access import COORDINATOR
 from agents.security.credentials import load_keys
 from agents.transport.zenoh_bus import Session
+from coordinator.observe.watched_keys import PresenceByName, command_keys, processes_of, readings_keys, state_keys
 from coordinator.recording.arrivals import Arrivals
 from coordinator.recording.closing import Closer, close_ended, remove_oldest
 from coordinator.recording.entries import APPEARED, MESSAGE, VANISHED, Entry, note
@@ -67,11 +68,11 @@ def record_from(session: Session, order: Order, on_begun: Callable[[], None] = l
         arrivals, closer = Arrivals(), Closer(order.folder)
         written = SegmentLog(order.folder, order.limit, closer.ask)
         recorder = Recorder(written, order.run)
-        _listen(session, order.run, arrivals)
+        asked = _listen(session, order.run, [file.area.name for file in order.files] or None, arrivals)
         recorder.take([note(time.time(), "recorder started", run=order.run)])
         closer.ask()  # what a killed recorder has left
         on_begun()
-        _serve(session, order, arrivals, recorder, closer, over, renew)
+        _serve(session, order, arrivals, asked, recorder, closer, over, renew)
         written.write([note(time.time(), "recorder stopped", lost=written.lost)])
         written.close()
         closer.wait()
@@ -80,10 +81,11 @@ def record_from(session: Session, order: Order, on_begun: Callable[[], None] = l
             log.warning("%s", text)
 
 
-def _listen(session: Session, run: str, arrivals: Arrivals) -> None:
-    """Have all that is recorded put into ``arrivals``."""
+def _listen(session: Session, run: str, areas: Collection[str] | None, arrivals: Arrivals) -> PresenceByName:
+    """Have all that is recorded put into ``arrivals``, of ``areas`` if they are known; whose presence is asked for."""
 
     def on_message(key: str, payload: bytes) -> None:
+        asked.note(*publisher_of(key))
         arrivals.put(Entry(MESSAGE, time.time(), key, payload))
 
     def on_leave(key: str, payload: bytes) -> None:
@@ -93,16 +95,19 @@ def _listen(session: Session, run: str, arrivals: Arrivals) -> None:
     def on_presence(key: str, alive: bool) -> None:
         arrivals.put(Entry(APPEARED if alive else VANISHED, time.time(), key))
 
-    for expression in (all_states(run), all_readings(run), all_commands(run)):
+    asked = PresenceByName(session, run, on_presence, on_leave)
+    asked.ask(processes_of(areas))
+    for expression in (*state_keys(run, areas), *readings_keys(run, areas), *command_keys(run, areas)):
         session.subscribe(expression, on_message)
-    session.subscribe(all_live(run), on_leave)
-    session.watch_presence(all_live(run), on_presence)
+    session.subscribe(all_gateways(run), lambda key, payload: asked.note(*publisher_of(key)))
+    return asked
 
 
 def _serve(
     session: Session,
     order: Order,
     arrivals: Arrivals,
+    asked: PresenceByName,
     recorder: Recorder,
     closer: Closer,
     over: Event,
@@ -112,8 +117,9 @@ def _serve(
     next_tidying = time.monotonic()
     watchdog.ready(next_tidying)
     while not over.is_set():
-        watchdog.beat(time.monotonic())
+        watchdog.ping(time.monotonic())
         recorder.take(arrivals.take(AWAKE_S))
+        asked.ask_noted()
         if dropped := arrivals.take_dropped():
             recorder.take([note(time.time(), "lost", entries=dropped, why="more arrived than could be written")])
         if renew.is_set() and session.interrupt():

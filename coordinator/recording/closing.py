@@ -16,7 +16,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from agents.runtime.log_format import start_log
+from agents.runtime.log.format import start_log
 from coordinator.recording.entries import read_entries
 from coordinator.recording.folder import LOG, LOGS, TABLES, list_segments, load_areas, log_of, table_of
 from coordinator.recording.frames import is_being_written
@@ -32,7 +32,7 @@ NO_PARQUET = "pyarrow is not installed, so logs are not closed into Parquet; pip
 
 
 def close_ended(folder: Path) -> list[str]:
-    """Close every log in ``folder`` that nobody writes; what is to be said about it.
+    """Close every log in ``folder`` that nobody writes; what is to be reported about it.
 
     Raises:
         InvalidInputError: ``folder`` is no recording.
@@ -67,7 +67,7 @@ def _closing_alone(folder: Path) -> Iterator[None]:
 
 
 def close_recording(folder: Path) -> None:
-    """Close what a run has recorded, and log what is to be said about it: the run does not fail by that."""
+    """Close what a run has recorded, and log what is to be reported about it: the run does not fail by that."""
     try:
         notes = close_ended(folder)
     except (DsseError, OSError) as error:

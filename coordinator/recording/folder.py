@@ -18,6 +18,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from agents.area_files.area_file import AreaFile, save_area_file
+from coordinator.run_folder import RECORDING, describe_missing
 from dsse_core.errors import InvalidInputError
 from dsse_core.files.bounded_file import read_text
 from dsse_core.files.drafts import whole_file
@@ -63,6 +64,9 @@ def read_about(folder: Path) -> About:
         InvalidInputError: ``folder`` is no recording.
     """
     path = folder / ABOUT
+    if missing := describe_missing(folder, ABOUT):
+        problem = f"{missing}; give a folder that `dsse record` has written, or {RECORDING} in a run folder"
+        raise InvalidInputError(f"recording {folder}", [problem])
     try:
         content = json.loads(read_text(path))
         if content["format"] != FORMAT:

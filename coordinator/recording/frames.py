@@ -138,7 +138,7 @@ def _find_next(content: mmap.mmap, at: int, size: int) -> int:
 
 
 def is_being_written(path: Path) -> bool:
-    """Whether the process that writes the log at ``path`` lives."""
+    """Whether the process that writes the log at ``path`` still runs."""
     try:
         lock = os.open(path, os.O_RDONLY)
     except OSError:

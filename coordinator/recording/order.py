@@ -1,4 +1,4 @@
-"""What is recorded where: what a recorder is told."""
+"""The order to a recorder: what it records, and where."""
 
 from __future__ import annotations
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -62,8 +62,9 @@ def write_rows(rows: Iterable[Row], folder: Path) -> list[str]:
     return list(writers)
 
 
-def read_rows(path: Path, columns: Sequence[str]) -> Iterator[tuple[Any, ...]]:
-    """The values of ``columns`` in each row of the file at ``path``; times in s since 1970.
+def read_rows(path: Path, columns: Sequence[str], added: Collection[str] = ()) -> Iterator[tuple[Any, ...]]:
+    """The values of ``columns`` in each row of the file at ``path``; times in s since 1970. Those of ``added`` that it
+    lacks are None.
 
     Raises:
         InvalidInputError: it cannot be read, or pyarrow is not installed.
@@ -71,9 +72,11 @@ def read_rows(path: Path, columns: Sequence[str]) -> Iterator[tuple[Any, ...]]:
     pyarrow, parquet = _load_pyarrow(str(path))
     try:
         with parquet.ParquetFile(path) as file:
-            for batch in file.iter_batches(ROWS_AT_ONCE, columns=list(columns)):
-                table = {name: batch.column(name) for name in columns}
-                yield from zip(*(_from_array(pyarrow, table[name]) for name in columns), strict=True)
+            lacking = {*added} - {*file.schema_arrow.names}
+            for batch in file.iter_batches(ROWS_AT_ONCE, columns=[name for name in columns if name not in lacking]):
+                unknown = [None] * batch.num_rows
+                values = [unknown if name in lacking else _from_array(pyarrow, batch.column(name)) for name in columns]
+                yield from zip(*values, strict=True)
     except (OSError, KeyError, pyarrow.ArrowException) as error:
         problem = f"is no table of a recording: {str(error).splitlines()[0][:200]}; move it elsewhere"
         raise InvalidInputError(str(path), [problem]) from None

@@ -6,7 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 
-from agents.messages.checks import MessageError, is_worth_writing
+from agents.messages.checks import MessageError, should_log
 from agents.messages.keys import run_of, sender_of
 from agents.messages.packing import CommandMessage, Message, ReadingsMessage, StateMessage, decode
 from coordinator.recording.entries import LEFT, MESSAGE, Entry, note
@@ -14,7 +14,7 @@ from coordinator.recording.segment_log import SegmentLog
 
 REPEAT_S = 10.0  # of what an area repeats without anything new, one is written in so many seconds
 NUMBERS = re.compile(r"[0-9.]+")  # in notes: for how long something lasts
-MOST_KEYS = 20_000  # whose last message is kept in mind; who may speak may speak on many
+MOST_KEYS = 20_000  # whose last message is kept in mind; who may publish may publish on many
 
 
 class Recorder:
@@ -26,11 +26,11 @@ class Recorder:
     def __init__(self, log: SegmentLog, run: str) -> None:
         self._log = log
         self._run = run
-        self._last: dict[str, tuple[object, float]] = {}  # key -> what its last message said, and when that was written
+        self._last: dict[str, tuple[object, float]] = {}  # key -> gist of its last message, and when it was written
         self.rejected: Counter[str] = Counter()
 
     def take(self, entries: Sequence[Entry]) -> None:
-        """Write what of ``entries``, in the order of their arrival, says something new."""
+        """Write what of ``entries``, in the order of their arrival, is new."""
         if new := list(self._filter(entries)):
             self._log.write(new)
 
@@ -44,22 +44,22 @@ class Recorder:
                     yield entry
             except MessageError as error:
                 self.rejected[error.reason] += 1
-                if is_worth_writing(count := self.rejected[error.reason]):
+                if should_log(count := self.rejected[error.reason]):
                     yield note(entry.at, "rejected", reason=error.reason, count=count, key=entry.key[:200])
 
     def _is_new(self, entry: Entry) -> bool:
-        """Whether a message says something new, or something old once more after a while.
+        """Whether the content of a message is new, or old and written long ago.
 
         Raises:
-            MessageError: it is none, or not of who may speak on its key.
+            MessageError: it is none, or not of who may publish on its key.
         """
         message = decode(entry.payload)
         check_sender(entry.key, message, self._run)
-        says, (said, at) = _gist_of(message), self._last.get(entry.key, (None, 0.0))
-        if says == said and abs(entry.at - at) < REPEAT_S:
+        gist, (last_gist, at) = _gist_of(message), self._last.get(entry.key, (None, 0.0))
+        if gist == last_gist and abs(entry.at - at) < REPEAT_S:
             return False
         if entry.key in self._last or len(self._last) < MOST_KEYS:
-            self._last[entry.key] = says, entry.at
+            self._last[entry.key] = gist, entry.at
         return True
 
 
@@ -79,8 +79,8 @@ def check_sender(key: str, message: Message, run: str) -> None:
 def _gist_of(message: Message) -> object:
     """What makes a message new: all but what repeats may change."""
     h = message.header
-    worth = (message.quality, NUMBERS.sub("", "; ".join(message.notes))) if isinstance(message, StateMessage) else ()
-    return h.incarnation, h.scan, h.sequence, worth
+    quality = (message.quality, NUMBERS.sub("", "; ".join(message.notes))) if isinstance(message, StateMessage) else ()
+    return h.incarnation, h.scan, h.sequence, quality
 
 
 def left(at: float, key: str, reason: str) -> Entry:

@@ -77,10 +77,14 @@ COLUMNS: Mapping[str, Mapping[str, str]] = {
         "value": NUMBER,
         "sigma": NUMBER,
         "measured_at": TIME,
+        "estimate": NUMBER,
+        "normalised_residual": NUMBER,
     },
     "events": {"time": TIME, "event": TEXT, "role": TEXT, "name": TEXT, "scan": INTEGER, "details": TEXT},
 }
 """Table -> its columns and what they hold."""
+ADDED: Mapping[str, tuple[str, ...]] = {"readings": ("estimate", "normalised_residual")}
+"""Table -> columns that files of earlier recorders lack."""
 
 Row = tuple[str, tuple[Any, ...]]
 """A table, and a value for each of its columns; None for what is not known."""
@@ -253,11 +257,13 @@ def _as_text(table: Mapping[str, Any]) -> str:
 
 def _rows_of_readings(at: float, message: ReadingsMessage) -> Iterator[Row]:
     whose = tuple((_whose(at, message) | {"sequence": message.header.sequence, "taken_at": message.taken_at}).values())
-    columns: Sequence[Sequence[Any]] = (message.meters, message.values, message.sigmas, message.times)
+    unknown = (None,) * (len(message.meters) - len(message.estimates))
+    described = (*message.estimates, *unknown), (*message.normalised, *unknown)
+    columns: Sequence[Sequence[Any]] = (message.meters, message.values, message.sigmas, message.times, *described)
     for reading in zip(*columns, strict=True):
         yield "readings", (*whose, *reading)
     if not message.meters:
-        yield "readings", (*whose, None, None, None, None)  # the area took none
+        yield "readings", (*whose, *(None,) * len(columns))  # the area took none
 
 
 def _event(at: float, event: str, role: str, name: str, details: str, scan: int | None = None) -> Row:

@@ -30,7 +30,7 @@ class SegmentLog:
         limit: of the whole recording, bytes; a segment ends when it has a part of that.
         on_segment_end: called when a segment has ended, which can be closed now.
 
-    What cannot be written, on a full disk for instance, is counted, and said as soon as something can be again.
+    What cannot be written, on a full disk for instance, is counted, and reported as soon as something can be again.
     ``lost``: how many entries those are, up to now.
     """
 
@@ -41,7 +41,7 @@ class SegmentLog:
         self._log: FrameLog | None = None
         self._ends_at = 0.0
         self.lost = 0
-        self._unsaid = 0
+        self._unreported = 0
         self._lock = threading.Lock()  # between closing a segment and having it on the disk
         self._stop = threading.Event()
         self._syncing = threading.Thread(target=self._sync_on, name="fsync of the recording", daemon=True)
@@ -70,17 +70,17 @@ class SegmentLog:
         try:
             if self._log is None:
                 raise OSError(None, "no log could be begun", str(self._folder))
-            self._log.append(self._say_lost(entries[0].at) + [encode_entry(entry) for entry in entries])
-            self._unsaid = 0
+            self._log.append(self._note_lost(entries[0].at) + [encode_entry(entry) for entry in entries])
+            self._unreported = 0
         except OSError as error:
-            if not self._unsaid:
+            if not self._unreported:
                 log.error("%s: %s; what arrives is lost until it can be written", error.filename, error.strerror)
             self.lost += len(entries)
-            self._unsaid += len(entries)
+            self._unreported += len(entries)
 
-    def _say_lost(self, at: float) -> list[bytes]:
-        what = {"entries": self._unsaid, "why": "could not be written"}
-        return [encode_entry(note(at, "lost", **what))] if self._unsaid else []
+    def _note_lost(self, at: float) -> list[bytes]:
+        what = {"entries": self._unreported, "why": "could not be written"}
+        return [encode_entry(note(at, "lost", **what))] if self._unreported else []
 
     def _begin(self, at: float) -> None:
         self._end()

@@ -15,10 +15,10 @@ from coordinator.recording.folder import begin_writing
 from coordinator.recording.order import GIB
 from coordinator.recording.recorder import Recorder
 from coordinator.recording.segment_log import SegmentLog
-from coordinator.simulator.audience import Audience
+from coordinator.simulator.subscriber import Subscriber
 
 
-class SimulatedRecording(Audience):
+class SimulatedRecording(Subscriber):
     """Writes what areas say into ``folder``; ``started_at``: what virtual time 0 is called, s since 1970."""
 
     def __init__(self, folder: Path, started_at: float, limit_gb: float | None) -> None:

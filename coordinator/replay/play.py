@@ -22,7 +22,7 @@ def play_on_simulator(
     """
     files = load_replay_areas(folder, scenario)
     names = [content.area.name for content in files]
-    return replay(folder, SimulatorStage(files), names, speed, on_scan or _say_nothing)
+    return replay(folder, SimulatorStage(files), names, speed, on_scan or _ignore)
 
 
 def play_on_processes(
@@ -36,8 +36,8 @@ def play_on_processes(
     files = load_replay_areas(folder, scenario)
     with ProcessStage(files) as stage:
         names = [content.area.name for content in files]
-        return replay(folder, stage, names, speed, on_scan or _say_nothing)
+        return replay(folder, stage, names, speed, on_scan or _ignore)
 
 
-def _say_nothing(tick: Tick) -> None:
+def _ignore(tick: Tick) -> None:
     """Nobody wants to know."""

@@ -8,6 +8,7 @@ import signal
 import tempfile
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
@@ -17,7 +18,7 @@ from typing import Self
 
 from agents.area_files.area_file import AreaFile, save_area_file
 from agents.messages.checks import MessageError
-from agents.messages.keys import all_incarnations, all_states, sender_of, telemetry_key
+from agents.messages.keys import all_incarnations, sender_of, state_key, telemetry_key
 from agents.messages.packing import StateMessage, decode, encode
 from agents.protocol.quality import GOOD
 from agents.runtime.presence import Presence, begin_incarnation
@@ -25,19 +26,22 @@ from agents.security.access import ROUTER
 from agents.transport.zenoh_bus import Session, TransportError
 from coordinator.process_run.fork_server import Ended, Started
 from coordinator.process_run.processes import Launcher, Updates, describe_end, read_end
-from coordinator.replay.replay import is_at_rest, make_telemetry_message
+from coordinator.replay.replay import make_telemetry_message
+from coordinator.replay.scan_states import ScanStates
 from coordinator.replay.ticks import Tick
+from dsse_core.files.drafts import draft_folder, remove_leftovers
 
+PREFIX = "dsse-replay-"  # how the folders of area files and logs begin
 START_S = 60.0  # for a router to listen and for agents to join; a busy machine takes its time
 LONGEST_SCAN_S = 30.0
-QUIET_S = 3.0  # after which a state that is not good stays so
+QUIET_S, QUIET_IF_GOOD_S = 3.0, 10.0  # after which a state that is not good stays so; that was good when recorded
 STEP_S = 0.002
 NICE = 10
 ANY_PORT = "tcp/127.0.0.1:0"
 
 
 class ProcessStage:
-    """Plays scans to processes of ``files``, which begin and end with its block.
+    """Plays scans to processes of ``files``, which begin and end with its block, and with this process if it is killed.
 
     ``endpoint``: where their router listens. ``on_state``: called with every state that comes, and when, s since 1970.
     """
@@ -51,7 +55,7 @@ class ProcessStage:
         self.run = f"replay-{secrets.token_hex(4)}"
         self.endpoint = ""
         self._files = {content.area.name: content for content in files}
-        self._beat_s = min(content.beat_s for content in files)
+        self._heartbeat_s = min(content.beat_s for content in files)
         self._listen = listen
         self._on_state = on_state
         self._incarnation = begin_incarnation()
@@ -61,15 +65,15 @@ class ProcessStage:
         self._payloads: dict[str, bytes] = {}  # area -> its readings, repeated as a plant does
         self._publishers: dict[str, Callable[[bytes], None]] = {}
         self._over = threading.Event()
-        self._best: dict[str, StateMessage] = {}  # of this scan: the last good state, else the last
-        self._changed_at = 0.0
-        self._scan = 0
-        self._expected: set[str] = set()  # areas that are to end
+        self._states = ScanStates(0, 0.0)
+        self._ending: Counter[str] = Counter()  # area -> how many processes of it are to end, and have not yet
 
     def __enter__(self) -> Self:
+        temporary = Path(tempfile.gettempdir()).absolute()
+        remove_leftovers(temporary, PREFIX)
         with ExitStack() as stack:
-            self._folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="dsse-replay-")))
-            self._launcher = stack.enter_context(Launcher(self._updates.put))
+            self._folder = stack.enter_context(draft_folder(temporary, PREFIX))
+            self._launcher = stack.enter_context(Launcher(self._updates.put, bound=True))
             self._start_router()
             self._session = stack.enter_context(Session.connect([self.endpoint], START_S))
             self._join()
@@ -95,38 +99,40 @@ class ProcessStage:
             TransportError: a process has died.
         """
         self._have_there(tick.readings.keys())
-        self._best, self._scan = {}, tick.scan
+        self._states = states = ScanStates(tick.scan, time.monotonic())
         now = time.time()
         for name, snapshot in tick.readings.items():
             message = make_telemetry_message(self.run, name, tick.scan, snapshot, self._incarnation, now)
             self._payloads[name] = payload = encode(message)
             self._publishers[name](payload)
-        self._changed_at = began = time.monotonic()
+        found = tick.estimates
+        was_good = all(name in found and found[name].quality == GOOD for name in tick.readings)
+        quiet_s = QUIET_IF_GOOD_S if was_good else QUIET_S
+        states.changed_at = began = time.monotonic()
         while time.monotonic() - began < LONGEST_SCAN_S:
             self._take(STEP_S)
-            if is_at_rest((self._best.get(name) for name in tick.readings), tick.scan):
+            if states.are_good(tick.readings) or time.monotonic() - states.changed_at > quiet_s:
                 break
-            if time.monotonic() - self._changed_at > QUIET_S:
-                break
-        return dict(self._best)
+        return states.best
 
     def _start_router(self) -> None:
-        said = self._folder / "endpoints"
-        options = ["--listen", self._listen, "--endpoints-file", str(said)]
+        endpoints_file = self._folder / "endpoints"
+        options = ["--listen", self._listen, "--endpoints-file", str(endpoints_file)]
         self._order(ROUTER, "coordinator.process_run.router_process:main", options, stop_last=True)
         deadline = time.monotonic() + START_S
-        while not said.exists():
+        while not endpoints_file.exists():
             self._take(STEP_S)
             if time.monotonic() > deadline:
                 raise TransportError(f"the router has not opened {self._listen} within {START_S:g} s")
-        self.endpoint = said.read_text(encoding="utf-8").split()[0]
+        self.endpoint = endpoints_file.read_text(encoding="utf-8").split()[0]
 
     def _join(self) -> None:
         session, run = self._session, self.run
         self._publishers = {name: session.publisher(telemetry_key(run, name)) for name in self._files}
-        session.subscribe(all_states(run), lambda key, payload: self._updates.offer((key, payload)))
-        tokens = all_incarnations(run, "area", "*")
-        session.watch_presence(tokens, lambda key, alive: self._updates.put((key, alive)))
+        for name in self._files:
+            session.subscribe(state_key(run, name), lambda key, payload: self._updates.offer((key, payload)))
+            tokens = all_incarnations(run, "area", name)
+            session.watch_presence(tokens, lambda key, alive: self._updates.put((key, alive)))
 
     def _start(self, name: str) -> None:
         """Start the agent of area ``name``."""
@@ -134,7 +140,6 @@ class ProcessStage:
         if not path.exists():
             content = replace(self._files[name], run=self.run, endpoints=(self.endpoint,), listen=())
             save_area_file(path, content)
-        self._expected.discard(name)
         self._order(name, "agents.__main__:run_process", path, None, nice=NICE)
 
     def _order(self, name: str, target: str, *arguments: object, stop_last: bool = False, nice: int = 0) -> None:
@@ -148,7 +153,7 @@ class ProcessStage:
         wanted = set(names)
         there = {name for _, name in self._presence.names}
         for name in there - wanted:
-            self._expected.add(name)
+            self._ending[name] += 1
             self._payloads.pop(name, None)
             self._launcher.signal(name, signal.SIGTERM)
         for name in wanted - there:
@@ -170,10 +175,12 @@ class ProcessStage:
                     self._presence.take(key, alive)
                 case (str() as key, bytes() as payload):
                     self._take_state(key, payload)
-                case Ended(name, _, code) if name not in self._expected:
+                case Ended(name) if self._ending[name]:
+                    self._ending[name] -= 1  # it may have been started again meanwhile
+                case Ended(name, _, code):
                     end = read_end(self._log_of(name))
                     raise TransportError(f"{name} of the replay died with {describe_end(code)}:\n{end}")
-                case Started() | Ended():
+                case Started():
                     pass
 
     def _take_state(self, key: str, payload: bytes) -> None:
@@ -182,15 +189,9 @@ class ProcessStage:
             if not isinstance(state, StateMessage) or state.header.sender != sender_of(key):
                 return
             self._on_state(time.time(), state)
-            name, last = state.header.sender, self._best.get(state.header.sender)
-            if state.header.scan != self._scan:
-                return
-            if last is None or last.header.order != state.header.order or last.quality != state.quality:
-                self._changed_at = time.monotonic()
-            if last is None or state.quality == GOOD or last.quality != GOOD:
-                self._best[name] = state
+            self._states.take(time.monotonic(), state)
 
     def _repeat(self) -> None:
-        while not self._over.wait(self._beat_s):
+        while not self._over.wait(self._heartbeat_s):
             for name, payload in list(self._payloads.items()):
                 self._publishers[name](payload)

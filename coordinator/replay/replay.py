@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
@@ -183,8 +183,3 @@ def make_telemetry_message(
     header = Header(run, PLANT, incarnation, scan, scan, now)
     columns = snapshot.meters, snapshot.values, snapshot.sigmas, (now,) * count, (True,) * count
     return TelemetryMessage(header, area, *columns)
-
-
-def is_at_rest(states: Iterable[StateMessage | None], scan: int) -> bool:
-    """Whether all areas have shown a good state of ``scan``."""
-    return all(state is not None and state.header.scan == scan and state.quality == GOOD for state in states)

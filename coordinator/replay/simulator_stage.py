@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 
 from agents.area_files.area_file import AreaFile
 from agents.messages.packing import Incarnation, StateMessage
-from agents.protocol.quality import GOOD
-from coordinator.replay.replay import is_at_rest, make_telemetry_message
+from coordinator.replay.replay import make_telemetry_message
+from coordinator.replay.scan_states import ScanStates
 from coordinator.replay.ticks import Tick
 from coordinator.simulator.simulator import STARTED_AT, SimulatedBus
 from dsse_core.grid.measurement import Measurement
@@ -44,10 +44,9 @@ class SimulatorStage:
         self, files: Sequence[AreaFile], on_state: Callable[[float, StateMessage], None] = lambda at, state: None
     ) -> None:
         self._on_state = on_state
-        self._best: dict[str, StateMessage] = {}  # of this scan: the last good state, else the last
-        self._changed_at = 0.0
+        self._states = ScanStates(0, 0.0)
         self._bus = _Bus(files, {}, self._take)
-        self._beat_s = min(content.beat_s for content in files)
+        self._heartbeat_s = min(content.beat_s for content in files)
 
     def play(self, tick: Tick) -> Mapping[str, StateMessage]:
         """As ``Stage.play``; areas without readings are not there meanwhile."""
@@ -56,22 +55,18 @@ class SimulatorStage:
                 self._bus.kill(name)
             elif name not in self._bus.protocols:
                 self._bus.start(name)
-        self._best = {}
+        began = self._bus.now
+        self._states = states = ScanStates(tick.scan, began)
         self._bus.play(tick)
-        self._changed_at = began = self._bus.now
         while self._bus.now - began < LONGEST_SCAN_S:
-            self._bus.run(self._beat_s / STEPS_PER_HEARTBEAT)
-            if is_at_rest((self._best.get(name) for name in tick.readings), tick.scan):
+            self._bus.run(self._heartbeat_s / STEPS_PER_HEARTBEAT)
+            if (
+                states.are_good(tick.readings)
+                or self._bus.now - states.changed_at > QUIET_HEARTBEATS * self._heartbeat_s
+            ):
                 break
-            if self._bus.now - self._changed_at > QUIET_HEARTBEATS * self._beat_s:
-                break
-        return dict(self._best)
+        return states.best
 
     def _take(self, at: float, state: StateMessage) -> None:
         self._on_state(at, state)
-        last = self._best.get(state.header.sender)
-        if last is None or last.header.order != state.header.order or last.quality != state.quality:
-            self._changed_at = at
-        is_better = last is None or state.quality == GOOD or last.quality != GOOD
-        if state.header.scan == self._bus.scan and is_better:
-            self._best[state.header.sender] = state
+        self._states.take(at, state)

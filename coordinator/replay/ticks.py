@@ -14,7 +14,7 @@ from agents.protocol.quality import GOOD
 from coordinator.recording.closing import rows_of_log
 from coordinator.recording.folder import list_segments, log_of, read_about, table_of
 from coordinator.recording.parquet import read_rows
-from coordinator.recording.rows import COLUMNS, Row
+from coordinator.recording.rows import ADDED, COLUMNS, Row
 from dsse_core.errors import InvalidInputError
 
 MOST_BEHIND = 10  # scans by which an area may be behind the newest; what is older than that is complete
@@ -111,7 +111,7 @@ def rows_of_segment(folder: Path, segment: str) -> Iterator[Row]:
     for table in NEEDED:
         if (path := table_of(folder, table, segment)).exists():
             columns = tuple(COLUMNS[table])
-            yield from ((table, row) for row in read_rows(path, columns))
+            yield from ((table, row) for row in read_rows(path, columns, ADDED.get(table, ())))
 
 
 def _take(scans: dict[int, _Scan], table: str, row: dict[str, Any], notes: list[str]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from agents.security.access import ROUTERS
-from coordinator.process_run.fault_schedule import Step
+from coordinator.process_run.faults.schedule import Step
 from coordinator.simulator.simulator import SimulatedBus
 
 LEASE_S = 2.0  # after which a frozen router is given up for the other one
@@ -27,9 +27,9 @@ class SimulatorFaults:
         name = step.names[0]
         match step.kind, name:
             case "kill" | "pause" | "silent", "plant":
-                self._bus.plant_speaks = False
+                self._bus.plant_publishes = False
             case "restart" | "resume" | "speak", "plant":
-                self._bus.plant_speaks = True
+                self._bus.plant_publishes = True
             case _ if name in ROUTERS:
                 self._do_to_router(step.kind, name)
             case "kill", _:

@@ -23,12 +23,12 @@ from coordinator.observe.events import EventLog
 from coordinator.observe.progress import UPDATE_S, Progress, describe_progress
 from coordinator.observe.state_log import StateLog
 from coordinator.plant.held_readings import HeldReadings
-from coordinator.process_run.fault_schedule import FaultSchedule
+from coordinator.process_run.faults.schedule import FaultSchedule
 from coordinator.recording.simulated import SimulatedRecording
 from coordinator.run_folder import RECORDING, make_run_folder
-from coordinator.simulator.audience import Audience
 from coordinator.simulator.faults import SimulatorFaults
 from coordinator.simulator.simulator import STARTED_AT, SimulatedBus
+from coordinator.simulator.subscriber import Subscriber
 from coordinator.strategy_check import check_with_strategy
 from scenarios.faults.faults import LinkChanges
 from scenarios.scenario import Scenario
@@ -80,7 +80,7 @@ class Simulation:
     Args:
         events: where to write down what happens, if anywhere.
         on_update: called now and then with what the areas are doing.
-        audience: shown everything that happens, at once.
+        subscriber: receives every event, in order.
     """
 
     def __init__(
@@ -88,7 +88,7 @@ class Simulation:
         scenario: Scenario,
         events: EventLog | None = None,
         on_update: Callable[[Progress], None] | None = None,
-        audience: Audience | None = None,
+        subscriber: Subscriber | None = None,
     ) -> None:
         self._started = time.monotonic()
         self._next_update = self._started
@@ -97,14 +97,14 @@ class Simulation:
         self._states = StateLog(events)
         self._schedule = FaultSchedule.of(scenario.faults.events)
         self._on_update = on_update
-        self._audience = audience or Audience()
+        self._subscriber = subscriber or Subscriber()
         self.id = f"{default_run_id(scenario)}-{scenario.seed % 2**32:08x}"  # as long as that of processes
         self._observer = make_observer(scenario)
         self._telemetry = make_telemetry(scenario)
         self._centralised = estimate_centralised(scenario, self._telemetry)
         self._write(0.0, "run started", run=self.id, scenario=scenario.name, seed=scenario.seed)
         files = area_files(scenario, self.id, NO_BUS)
-        self._audience.begin(self.id, files)
+        self._subscriber.begin(self.id, files)
         late_s = find_lateness(scenario, FIRST_SCAN)
         self._used = UsedReadings(scenario)
         self._bus = SimulatedBus(
@@ -113,7 +113,7 @@ class Simulation:
             self._take_state,
             self._take_presence,
             late_s=late_s,
-            on_message=self._audience.take_message,
+            on_message=self._subscriber.take_message,
             on_readings=self._take_readings,
         )
         self._held = HeldReadings(scenario.common_rules.kinds)
@@ -178,7 +178,7 @@ class Simulation:
         )
 
     def _take_state(self, at: float, state: StateMessage) -> None:
-        self._audience.take_state(at, state)
+        self._subscriber.take_state(at, state)
         is_new = self._observer.take_state(state, at)
         if self._observer.states.get(state.header.sender) is state:
             self._states.take(state, at, is_new)
@@ -187,11 +187,11 @@ class Simulation:
             self._next_update = time.monotonic() + UPDATE_S
 
     def _take_readings(self, at: float, readings: ReadingsMessage) -> None:
-        self._audience.take_readings(at, readings)
+        self._subscriber.take_readings(at, readings)
         self._used.take(readings)
 
     def _take_presence(self, at: float, area: str, alive: bool) -> None:
-        self._audience.take_presence(at, area, alive)
+        self._subscriber.take_presence(at, area, alive)
         self._observer.take_presence(area, alive, at)
         self._write(at, "appeared" if alive else "vanished", role="area", name=area)
 

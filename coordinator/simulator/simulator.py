@@ -84,7 +84,7 @@ class SimulatedBus:
         self._rejected: Counter[tuple[str, str]] = Counter()  # receiver, reason
         self.protocols: dict[str, AreaProtocol] = {}
         self.links: dict[str, FaultyLinks] = {}
-        self.plant_speaks = True
+        self.plant_publishes = True
         self._on_state = on_state
         self._on_presence = on_presence
         self._on_message = on_message
@@ -99,8 +99,8 @@ class SimulatedBus:
         for name in self.files:
             self.start(name)
         self.next_scan(telemetry, late_s)
-        self._beat_s = min((content.beat_s for content in files), default=1.0)
-        self.at(self._beat_s, self._repeat_telemetry)
+        self._heartbeat_s = min((content.beat_s for content in files), default=1.0)
+        self.at(self._heartbeat_s, self._repeat_telemetry)
 
     def start(self, name: str) -> None:
         """Start or restart an area, as a new process would; the plant serves it at once."""
@@ -187,7 +187,7 @@ class SimulatedBus:
 
     def send_telemetry(self, name: str) -> None:
         """Send one area its newest readings, as the plant does when it appears."""
-        if name in self._telemetry and self.plant_speaks and self.router_runs:
+        if name in self._telemetry and self.plant_publishes and self.router_runs:
             self.post(name, Received(self._telemetry[name], ""))
 
     def post(self, receiver: str, event: Event, delay_s: float = TRAVEL_S) -> None:
@@ -226,7 +226,7 @@ class SimulatedBus:
     def _repeat_telemetry(self) -> None:
         for name in self.files:
             self.send_telemetry(name)
-        self.at(self.now + self._beat_s, self._repeat_telemetry)
+        self.at(self.now + self._heartbeat_s, self._repeat_telemetry)
 
     def _show_all(self, alive: bool) -> None:
         for name, content in self.files.items():
@@ -237,7 +237,7 @@ class SimulatedBus:
     def _step(self) -> None:
         """Go to the next moment at which anything happens; who is concerned acts in the order of names."""
         self.now = self._queue[0][0]
-        happening: dict[str, list[Event]] = {}
+        events: dict[str, list[Event]] = {}
         while self._queue and self._queue[0][0] <= self.now:
             _, _, name, event = heapq.heappop(self._queue)
             match event:
@@ -245,14 +245,14 @@ class SimulatedBus:
                     function()
                 case _Wake():
                     if self._wake.get(name) == self.now:
-                        happening.setdefault(name, [])
+                        events.setdefault(name, [])
                 case _:
-                    happening.setdefault(name, []).append(event)
-        for name in sorted(happening):
+                    events.setdefault(name, []).append(event)
+        for name in sorted(events):
             if name in self._paused:
-                self._paused[name] += happening[name]
+                self._paused[name] += events[name]
             elif name in self.protocols:
-                self._act(name, happening[name])
+                self._act(name, events[name])
 
     def _act(self, name: str, events: Sequence[Event]) -> None:
         self.links[name].release(self.now)

@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 
+from coordinator.interrupts import ENDS
 from coordinator.simulator.simulate import Simulation
 from coordinator.strategy_check import check_with_strategy
 from coordinator.studies.study_row import StudyRow, make_impossible_row, make_row
@@ -36,30 +37,45 @@ def run_tasks(plan: SweepPlan, tasks: Sequence[Task], jobs: int) -> Iterator[tup
     others = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(jobs, context, initializer=_start_worker, initargs=(plan,))
     try:
-        with _ctrl_c_held_back():  # inherited: workers leave it to us from their first moment on
+        with _signals_held_back():  # inherited: workers leave them to us from their first moment on
             tasks_of = {pool.submit(_run_task, task): task for task in tasks}
         for future in as_completed(tasks_of):
             yield tasks_of[future], future.result()
     except BrokenProcessPool:
         raise WorkerError("a worker was killed, for lack of memory perhaps; try again with fewer --jobs") from None
     except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
-        for worker in set(multiprocessing.active_children()) - others:
-            worker.terminate()
+        with _signals_held_back():
+            pool.shutdown(wait=False, cancel_futures=True)
+            for worker in set(multiprocessing.active_children()) - others:
+                worker.kill()  # which hears no signal, and has nothing to tidy up
         raise
     pool.shutdown()
 
 
 @contextlib.contextmanager
-def _ctrl_c_held_back() -> Iterator[None]:
+def _signals_held_back() -> Iterator[None]:
+    """Let those that end us wait: a worker that has received only half of its task would show a traceback.
+
+    Workers inherit the mask. It does not keep a signal from another thread of ours, so that the handlers wait, too.
+    """
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
+    came: list[int] = []
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDS)
+    handlers = {number: signal.getsignal(number) for number in ENDS}
+    is_main = threading.current_thread() is threading.main_thread()  # no other may set handlers
+    waiting = [number for number, handler in handlers.items() if is_main and callable(handler)]
+    for number in waiting:
+        signal.signal(number, lambda number, _: came.append(number))
     try:
         yield
     finally:
+        for number in waiting:
+            signal.signal(number, handlers[number])
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        for arrived in came:
+            signal.raise_signal(arrived)
 
 
 def run_on_simulator(scenario: Scenario) -> StudyRow:
@@ -77,10 +93,11 @@ def _run_task(task: Task) -> StudyRow:
 
 
 def _start_worker(plan: SweepPlan) -> None:
-    """Leave Ctrl-C to the parent, for good, and end with it, however it ends."""
+    """Leave signals to the parent, for good, and end with it, however it ends."""
     global _plan
     _plan = plan
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for number in ENDS:
+        signal.signal(number, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     assert parent is not None
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from starlette.applications import Starlette
-from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Mount, Route
@@ -18,63 +18,99 @@ from coordinator.web.guard import Guard
 from coordinator.web.history import KINDS
 from coordinator.web.moment import encode_json
 from coordinator.web.openapi import describe_api
+from coordinator.web.shown_tables import MOST_ROWS, select_rows
 from coordinator.web.sources import Source
 from coordinator.web.stream import Stream
 
 STATIC = Path(__file__).parent / "static"
 LONGEST_NAME = 200  # of what a history is asked for
+KINDS_OF_ROWS = ("bus", "branch", "meter")
+WHICH_ROWS = ("first", "count", "frame")
+MOST_DIGITS = 9  # of a number that is asked for
 
 Endpoint = Callable[[Request], Awaitable[Response]]
 
 
-def make_app(source: Source, hosts: Sequence[str], token: str | None = None) -> Starlette:
+def make_app(source: Source, hosts: Sequence[str], token: str | None = None) -> Guard:
     """The application that shows ``source`` to those who ask for one of ``hosts``, with ``token`` if there is one."""
+    serve = _Endpoints(source)
+    endpoints: dict[str, Endpoint] = {
+        "/": serve.page,
+        "/health": serve.health,
+        "/api/openapi.json": serve.openapi,
+        "/api/grid": serve.grid,
+        "/api/now": serve.now,
+        "/api/history": serve.history,
+        "/api/rows": serve.rows,
+        "/api/frames": serve.frames,
+        "/api/frame/{number}": serve.frame,
+    }
+    routes: list[Any] = [Route(path, endpoint) for path, endpoint in endpoints.items()]
+    routes += [Route("/api/stream", Stream(source)), Mount("/static", StaticFiles(directory=STATIC))]
+    return Guard(Starlette(routes=routes), hosts, token)  # around all, so that it guards answers to defects, too
 
-    async def page(request: Request) -> Response:
+
+@dataclass(frozen=True)
+class _Endpoints:
+    """What the server answers, of ``source``."""
+
+    source: Source
+
+    async def page(self, request: Request) -> Response:
         return FileResponse(STATIC / "index.html")
 
-    async def grid(request: Request) -> Response:
-        return Response(source.drawing.payload, media_type="application/json")
+    async def grid(self, request: Request) -> Response:
+        return Response(self.source.drawing.payload, media_type="application/json")
 
-    async def now(request: Request) -> Response:
-        return Response(source.newest.payload, media_type="application/json")
+    async def now(self, request: Request) -> Response:
+        return Response(self.source.newest.payload, media_type="application/json")
 
-    async def history(request: Request) -> Response:
+    async def history(self, request: Request) -> Response:
         kind, name = request.query_params.get("kind", ""), request.query_params.get("id", "")
         if kind not in KINDS or len(name) > LONGEST_NAME or (kind == "bus" and not name.isascii()):
             return _problem(400, f"kind is one of {', '.join(KINDS)}, id what is shown")
         if kind == "bus" and not name.removeprefix("-").isdigit():
             return _problem(400, "the id of a bus is its number")
-        return _json(await asyncio.to_thread(source.read_history, kind, name))
+        return _json(await asyncio.to_thread(self.source.read_history, kind, name))
 
-    async def frames(request: Request) -> Response:
-        return _json({"times": source.times(), "since": source.since})
+    async def rows(self, request: Request) -> Response:
+        asked = request.query_params
+        kind, name, given = asked.get("kind", ""), asked.get("id"), [asked.get(key) for key in WHICH_ROWS]
+        if kind not in KINDS_OF_ROWS or len(name or "") > LONGEST_NAME:
+            return _problem(400, f"kind is one of {', '.join(KINDS_OF_ROWS)}, id what is shown")
+        first, count, number = (None if value is None else _read_number(value) for value in given)
+        if -1 in (first, count, number):
+            return _problem(400, f"{', '.join(WHICH_ROWS)} are numbers")
+        if number is not None and number >= len(self.source.times()):
+            return _problem(404, f"there are {len(self.source.times())} frames")
 
-    async def frame(request: Request) -> Response:
-        number = int(request.path_params["number"])
-        if number >= len(source.times()):
-            return _problem(404, f"there are {len(source.times())} frames")
-        return Response(source.frame(number), media_type="application/json")
+        def select() -> dict[str, Any]:
+            most = MOST_ROWS if count is None else min(count, MOST_ROWS)
+            return select_rows(self.source.tables(number), kind, name, first or 0, most)
 
-    async def health(request: Request) -> Response:
-        return JSONResponse({"status": "ok", "mode": source.mode})
+        return _json(await asyncio.to_thread(select))
 
-    async def openapi(request: Request) -> Response:
+    async def frames(self, request: Request) -> Response:
+        is_complete, times = self.source.is_complete, self.source.times()  # in this order: nothing grows after the end
+        since, remarks = self.source.since, self.source.remarks
+        return _json({"times": times, "since": since, "remarks": remarks, "complete": is_complete})
+
+    async def frame(self, request: Request) -> Response:
+        number = _read_number(request.path_params["number"])
+        if not 0 <= number < len(self.source.times()):
+            return _problem(404, f"there are {len(self.source.times())} frames")
+        return Response(await asyncio.to_thread(self.source.frame, number), media_type="application/json")
+
+    async def health(self, request: Request) -> Response:
+        return JSONResponse({"status": "ok", "mode": self.source.mode})
+
+    async def openapi(self, request: Request) -> Response:
         return JSONResponse(describe_api())
 
-    endpoints: dict[str, Endpoint] = {
-        "/": page,
-        "/health": health,
-        "/api/openapi.json": openapi,
-        "/api/grid": grid,
-        "/api/now": now,
-        "/api/history": history,
-        "/api/frames": frames,
-        "/api/frame/{number:int}": frame,
-    }
-    routes: list[Any] = [Route(path, endpoint) for path, endpoint in endpoints.items()]
-    routes += [Route("/api/stream", Stream(source)), Mount("/static", StaticFiles(directory=STATIC))]
-    return Starlette(routes=routes, middleware=[Middleware(Guard, hosts=hosts, token=token)])
+
+def _read_number(text: str) -> int:
+    """Its first MOST_DIGITS digits, more than there is of anything; -1 if it is no number."""
+    return int(text[:MOST_DIGITS]) if text.isascii() and text.isdigit() else -1
 
 
 def _json(content: object) -> Response:

@@ -17,7 +17,7 @@ POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; base-uri 'none'; "
     "form-action 'none'; frame-ancestors 'none'"
 )
-SAID_ALWAYS = {
+SECURITY_HEADERS = {
     "content-security-policy": POLICY,
     "x-content-type-options": "nosniff",
     "referrer-policy": "no-referrer",
@@ -25,6 +25,7 @@ SAID_ALWAYS = {
     "cross-origin-resource-policy": "same-origin",
     "cache-control": "no-store",
 }
+LAST = {"connection": "close"}  # after an answer to what may have a body, of which nobody waits for the rest
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ class Guard:
 
         async def send_guarded(message: Message) -> None:
             if message["type"] == "http.response.start":
-                MutableHeaders(scope=message).update(SAID_ALWAYS)
+                MutableHeaders(scope=message).update(SECURITY_HEADERS)
             await send(message)
 
         answer = self._find_rejection(scope) or self.app
@@ -56,11 +57,12 @@ class Guard:
         headers = Headers(scope=scope)
         if headers.get("host", "").lower() not in self.hosts:
             return PlainTextResponse(f"this page is called {self.hosts[0]}; ask for it under that name\n", 421)
-        origin = headers.get("origin")
-        if origin is not None and urlsplit(origin).netloc.lower() not in self.hosts:
+        if not {_host_of(origin) for origin in headers.getlist("origin")} <= set(self.hosts):
             return PlainTextResponse("other sites cannot ask for this page\n", 403)
         if scope["method"] not in ("GET", "HEAD"):
-            return PlainTextResponse("this page can only be read\n", 405, {"allow": "GET, HEAD"})
+            return PlainTextResponse("this page can only be read\n", 405, {"allow": "GET, HEAD", **LAST})
+        if headers.get("content-length", "0") != "0" or "transfer-encoding" in headers:
+            return PlainTextResponse("who reads this page has nothing to send\n", 400, LAST)
         return self._find_missing_token(scope, headers)
 
     def _find_missing_token(self, scope: Scope, headers: Headers) -> Response | None:
@@ -72,13 +74,21 @@ class Guard:
             response.set_cookie(COOKIE, shown, httponly=True, secure=True, samesite="strict")
             return response
         kept = _read_cookie(headers.get("cookie", ""))
-        bearer = headers.get("authorization", "").removeprefix("Bearer ")
-        if self._is_token(kept) or self._is_token(bearer):
+        scheme, _, bearer = headers.get("authorization", "").partition(" ")
+        if self._is_token(kept) or (scheme.lower() == "bearer" and self._is_token(bearer.strip())):
             return None
         return PlainTextResponse("open /?token=TOKEN once, or send the header Authorization: Bearer TOKEN\n", 401)
 
     def _is_token(self, shown: str) -> bool:
         return hmac.compare_digest(shown.encode(), (self.token or "").encode())
+
+
+def _host_of(origin: str) -> str:
+    """``name:port`` of an origin; empty if it has none."""
+    try:
+        return urlsplit(origin).netloc.lower()
+    except ValueError:
+        return ""
 
 
 def _read_cookie(header: str) -> str:

@@ -77,3 +77,7 @@ class History:
             "meter": Series(("reading", "estimate", "normalised_residual"), share),
             "area": Series(("quality", "lowest_vm_pu", "highest_vm_pu", "messages", "lost"), share),
         }
+
+    def read(self, kind: str, name: str) -> dict[str, Any]:
+        """Of what a page calls ``name``: a bus by its number."""
+        return self.of[kind].read(int(name) if kind == "bus" else name)

@@ -11,22 +11,25 @@ import msgspec
 import numpy as np
 
 from agents.protocol.quality import GOOD, QUALITIES
-from coordinator.observe.grid_tables import GridTables, list_buses, list_meters
+from coordinator.observe.grid_tables import GridTables, collect_readings, list_buses
 from coordinator.observe.view import AreaView, View
 from coordinator.observe.view_json import describe_view
 from coordinator.observe.watch import Watcher
 from coordinator.web.history import History
-from dsse_core.results.table import Table
+from coordinator.web.shown_tables import Tables, draw_tables
 
 MOST_EVENTS = 200
-# column -> decimals: what a page can show, in a third of the bytes
-BUS = {"vm_pu": 6, "va_deg": 5, "sigma_vm_pu": 7, "sigma_va_deg": 6, "p_kw": 3, "q_kvar": 3}
-BRANCH = {"p_from_kw": 3, "q_from_kvar": 3, "i_from_a": 3, "loss_kw": 4, "loading_percent": 2}
-METER = {"reading": 6, "sigma": 7, "estimate": 6, "residual_in_sigmas": 3, "normalised_residual": 3, "age_s": 1}
-WORDS = ("meter", "area", "status", "unit")
 
-Tables = tuple[Table, Table | None, Table]
-"""Buses, branches where the grid is known, meters."""
+Links = Sequence[Mapping[str, Any]]
+"""Of ``find_links``."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Link:
+    """A link as it was seen last."""
+
+    is_dead: bool = False  # not just one that has not begun yet
+    has_worked: bool = False
 
 
 @dataclass
@@ -35,10 +38,10 @@ class Events:
 
     kept: deque[dict[str, Any]] = field(default_factory=lambda: deque(maxlen=MOST_EVENTS))
     _before: dict[str, AreaView] = field(default_factory=dict)
-    _worked: dict[tuple[str, str], bool] = field(default_factory=dict)  # links, sender first, that have ever worked
+    _links: dict[tuple[str, str], _Link] = field(default_factory=dict)  # sender first
 
-    def take(self, at: float, view: View) -> None:
-        """Note what differs from the last view."""
+    def take(self, at: float, view: View, links: Links) -> None:
+        """Note what differs from the last view and its links, see ``find_links``."""
         for area in view.areas:
             before = self._before.get(area.name)
             for kind, text in _find_changes(before, area):
@@ -48,20 +51,25 @@ class Events:
             if name not in seen and before.present:
                 self.kept.append({"time": at, "area": name, "kind": "vanished", "text": "is gone"})
         self._before = seen
-        self._take_links(at, view)
+        self._take_links(at, view, links)
 
-    def _take_links(self, at: float, view: View) -> None:
-        """Links that stop working, and those that work again; where an area is gone, its own events say so."""
-        there = {area.name for area in view.areas if area.present and not area.silent}
-        worked, self._worked = self._worked, {}
-        for link in _find_links(view):
-            ends, works = (link["from"], link["to"]), link["alive"]
-            before = worked.get(ends)
-            if before is not None and works != before and there.issuperset(ends):
-                text = f"receives {'from' if works else 'nothing from'} {link['from']}{' again' if works else ''}"
-                self.kept.append({"time": at, "area": link["to"], "kind": "link", "text": text})
-            if works or before is not None:
-                self._worked[ends] = works
+    def _take_links(self, at: float, view: View, links: Links) -> None:
+        """Links that stop working, or without which an area estimates from the begin, and those that then work; where
+        an area is gone, its own events say so.
+        """
+        there = {area.name: area for area in view.areas if area.present and not area.silent}
+        before, self._links = self._links, {}
+        for link in links:
+            sender, receiver, works = link["from"], link["to"], link["alive"]
+            known = before.get((sender, receiver), _Link())
+            is_reported = there.keys() >= {sender, receiver} and (known.has_worked or there[receiver].estimated)
+            if is_reported and works == known.is_dead:
+                text = f"receives nothing from {sender}"
+                if works:
+                    text = f"receives from {sender}{' again' if known.has_worked else ''}"
+                self.kept.append({"time": at, "area": receiver, "kind": "link", "text": text})
+            is_dead = not works and (is_reported or known.is_dead or known.has_worked)
+            self._links[sender, receiver] = _Link(is_dead, known.has_worked or works)
 
 
 def _find_changes(before: AreaView | None, area: AreaView) -> Iterable[tuple[str, str]]:
@@ -89,52 +97,45 @@ class Moments:
         self.known = known
         self.history = History()
         self.events = Events()
+        self.tables = Tables(list_buses({}), None, collect_readings({}, {}))  # of the last moment
         self._scans_kept: object = None
 
     def note(self, watcher: Watcher, now: float, at: float) -> View:
         """What is seen ``now`` on the watcher's clock, called ``at`` (s); events and past take in what is new of it."""
         view = watcher.look(now)
-        self._note(at, view, lambda: self._find_tables(watcher))
+        self._note(at, view, find_links(view), lambda: find_tables(watcher, self.known))
         return view
 
-    def _note(self, at: float, view: View, find_tables: Callable[[], Tables]) -> None:
-        self.events.take(at, view)
+    def _note(self, at: float, view: View, links: Links, find_tables: Callable[[], Tables]) -> None:
+        self.events.take(at, view, links)
         scans = tuple((area.name, area.scan, area.quality) for area in view.areas)
         if scans != self._scans_kept:
             self._scans_kept = scans
-            self._keep(at, view, *find_tables())
+            self._keep(at, view, find_tables())
 
     def make(self, watcher: Watcher, now: float, at: float, **more: Any) -> dict[str, Any]:
-        """The moment ``now``, see ``note``."""
-        view, tables = watcher.look(now), self._find_tables(watcher)
-        self._note(at, view, lambda: tables)
-        buses, branches, meters = tables
+        """The moment ``now``, see ``note``: of buses and branches what is drawn, of meters the worst."""
+        view, tables = watcher.look(now), find_tables(watcher, self.known)
+        links = find_links(view)
+        self._note(at, view, links, lambda: tables)
+        self.tables = tables
         return {
             "at": at,
             "view": describe_view(view),
-            "buses": _columns(buses, BUS) | {"id": buses.bus.tolist()},
-            "branches": {} if branches is None else _columns(branches, BRANCH),
-            "meters": _columns(meters, METER) | {name: meters[name] for name in WORDS if name in meters.columns},
-            "links": _find_links(view),
+            **draw_tables(tables, has_grid=self.known is not None),
+            "links": links,
             "events": list(self.events.kept),
             "messages": [],
             "has_messages": False,
             **more,
         }
 
-    def _find_tables(self, watcher: Watcher) -> Tables:
-        states, readings = watcher.states, watcher.readings
-        if self.known is None:
-            return list_buses(states), None, list_meters(states, readings)
-        buses, branches = self.known.buses_and_branches(states)
-        return buses, branches, self.known.meters(states, readings)
-
-    def _keep(self, at: float, view: View, buses: Table, branches: Table | None, meters: Table) -> None:
-        of = self.history.of
+    def _keep(self, at: float, view: View, tables: Tables) -> None:
+        of, (buses, branches, meters) = self.history.of, tables
         of["bus"].take(at, buses.bus.tolist(), {name: buses[name] for name in of["bus"].columns})
         if branches is not None:
             of["branch"].take(at, branches.branch, {name: branches[name] for name in of["branch"].columns})
-        of["meter"].take(at, meters.meter, {name: meters[name] for name in of["meter"].columns})
+        of["meter"].take(at, meters["meter"], {name: meters[name] for name in of["meter"].columns})
         areas = {
             "quality": [_number_quality(area.quality) for area in view.areas],
             "lowest_vm_pu": [np.nan if area.lowest_vm is None else area.lowest_vm.value for area in view.areas],
@@ -144,6 +145,14 @@ class Moments:
         }
         columns = {name: np.array(column, dtype=float) for name, column in areas.items()}
         of["area"].take(at, [area.name for area in view.areas], columns)
+
+
+def find_tables(watcher: Watcher, known: GridTables | None) -> Tables:
+    """Of what ``watcher`` has received; ``known``: the grid, if there is a scenario of it."""
+    states, readings = watcher.states, watcher.readings
+    if known is None:
+        return Tables(list_buses(states), None, collect_readings(states, readings))
+    return Tables(*known.buses_and_branches(states), known.collect_meters(states, readings))
 
 
 def encode_json(content: object) -> bytes:
@@ -156,13 +165,7 @@ def _number_quality(quality: str) -> int:
     return QUALITIES.index(quality) if quality in QUALITIES else len(QUALITIES)
 
 
-def _columns(table: Table, decimals: Mapping[str, int]) -> dict[str, Sequence[Any]]:
-    """Those that the table has, rounded."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        return {name: np.round(table[name], n).tolist() for name, n in decimals.items() if name in table.columns}
-
-
-def _find_links(view: View) -> list[dict[str, Any]]:
+def find_links(view: View) -> list[dict[str, Any]]:
     """Each boundary in each direction: whether the receiver says that it receives, and since when not."""
     present = {area.name: area for area in view.areas}
     return [

@@ -10,10 +10,11 @@ from coordinator.web.history import KINDS
 PATHS = {
     "/health": "Whether the server runs, and in which mode.",
     "/api/grid": "What does not change: buses with their places, branches, areas, limits. Columns have one order.",
-    "/api/now": "The newest moment: view of the areas, columns of buses, branches and meters, links, events.",
+    "/api/now": "The newest moment: areas, links, events, the worst meters, voltages in the order of the grid.",
     "/api/stream": "The same as server-sent events, at most four a second.",
     "/api/history": "The recent past of one bus, branch, meter or area: times, and a list for each column.",
-    "/api/frames": "Times of the moments that can be played back; none of a live page.",
+    "/api/rows": "All columns of one bus, branch or meter, or of some, meters the worst first; total: of how many.",
+    "/api/frames": "Times of the moments that can be played back, none of a live page; remarks; complete: all?",
     "/api/frame/{number}": "One of them, as /api/now.",
     "/api/openapi.json": "This description.",
 }
@@ -23,10 +24,21 @@ PARAMETERS: dict[str, list[dict[str, Any]]] = {
         {"name": "kind", "in": "query", "required": True, "schema": TEXT | {"enum": list(KINDS)}},
         {"name": "id", "in": "query", "required": True, "schema": TEXT, "description": "bus number, or id"},
     ],
+    "/api/rows": [
+        {"name": "kind", "in": "query", "required": True, "schema": TEXT | {"enum": ["bus", "branch", "meter"]}},
+        {"name": "id", "in": "query", "schema": TEXT, "description": "of one row"},
+        {"name": "first", "in": "query", "schema": WHOLE, "description": "of many; 0"},
+        {"name": "count", "in": "query", "schema": WHOLE, "description": "how many; 1000 at most"},
+        {"name": "frame", "in": "query", "schema": WHOLE, "description": "of a playback; the last"},
+    ],
     "/api/frame/{number}": [{"name": "number", "in": "path", "required": True, "schema": WHOLE}],
 }
 WRONG = {
     "/api/history": {"400": {"description": "the question is wrong, and why"}},
+    "/api/rows": {
+        "400": {"description": "the question is wrong, and why"},
+        "404": {"description": "there is no such moment, and how many there are"},
+    },
     "/api/frame/{number}": {"404": {"description": "there is no such moment, and how many there are"}},
 }
 GUARDED = {

@@ -1,28 +1,25 @@
-"""The web server: where it listens, certificates, a token beyond loopback, and an end to those who never ask."""
+"""The web server: where it listens, certificates, and a token beyond loopback."""
 
 from __future__ import annotations
 
-import asyncio
 import ipaddress
 import socket
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import uvicorn
-from uvicorn.protocols.http.h11_impl import H11Protocol
 
+from agents.security.certificate_checks import find_pair_problems
 from coordinator.listen import name_address, parse_listen
 from coordinator.web.app import make_app
+from coordinator.web.readers import LONGEST_REQUEST, MOST_READERS, PatientProtocol, PatientServer
 from coordinator.web.sources import Source
 from dsse_core.errors import InvalidInputError
 from dsse_core.files.bounded_file import read_bounded
 
 LOOPBACK_NAMES = ("localhost", "127.0.0.1", "[::1]")
-MOST_READERS = 200
-REQUEST_S = 10.0  # in which a request must have come whole
-PATIENCE_S = 10.0  # with a reader that takes nothing
+BACKLOG = 2048  # connections that wait to be taken
 LEAST_TOKEN, MOST_TOKEN = 16, 4096  # characters
 
 
@@ -61,12 +58,16 @@ def choose_place(
     problems = []
     if (certificate is None) != (key is None):
         problems.append("--tls-cert and --tls-key go together")
+    if certificate and key:
+        problems += find_pair_problems(certificate, key)
     token = None
     if token_file is not None:
         try:
             token = read_bounded(token_file, MOST_TOKEN).decode("ascii").strip()
         except UnicodeDecodeError:
             problems.append(f"--token-file {token_file}: a token is of ASCII letters and digits")
+        except OSError as error:
+            problems.append(f"--token-file {token_file}: {error.strerror}")
         if token is not None and len(token) < LEAST_TOKEN:
             problems.append(f"--token-file {token_file}: {len(token)} characters; {LEAST_TOKEN} at least")
     place = Place(host, port, certificate, key, token)
@@ -78,74 +79,40 @@ def choose_place(
     return place
 
 
-class PatientProtocol(H11Protocol):
-    """Closes a connection on which no whole request comes in time, and aborts one whose reader takes nothing for long:
-    else a few hundred of them would fill the server.
-    """
-
-    _abortion: asyncio.TimerHandle | None = None
-
-    def connection_made(self, transport: Any) -> None:
-        super().connection_made(transport)
-        self._ask_in_time()
-
-    def pause_writing(self) -> None:
-        super().pause_writing()
-        self._abortion = asyncio.get_running_loop().call_later(PATIENCE_S, self.transport.abort)
-
-    def resume_writing(self) -> None:
-        if self._abortion is not None:
-            self._abortion.cancel()
-        super().resume_writing()
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        if self._abortion is not None:
-            self._abortion.cancel()
-        super().connection_lost(exc)
-
-    def on_response_complete(self) -> None:
-        super().on_response_complete()
-        self._ask_in_time()
-
-    def _ask_in_time(self) -> None:
-        asked = self.cycle
-
-        def close_if_silent() -> None:
-            if self.cycle is asked and not self.transport.is_closing():
-                self.transport.close()
-
-        asyncio.get_running_loop().call_later(REQUEST_S, close_if_silent)
-
-
 def serve(source: Source, place: Place, names: tuple[str, ...], on_ready: Callable[[str], object]) -> None:
     """Serve ``source`` until SIGINT or SIGTERM; ``names``: those under which the host is asked for, beside its own.
 
     Raises:
-        OSError: the place is taken or is not there.
+        InvalidInputError: the place is taken or is not there.
     """
     family = socket.AF_INET6 if ":" in place.host else socket.AF_INET
     with socket.socket(family) as listener:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listener.bind((place.host, place.port))
-        listener.listen()  # who is told the address may ask at once
+        try:
+            listener.bind((place.host, place.port))
+        except OSError as error:
+            cure = "choose another port, 0 for one that is free, or another address of this host"
+            problem = f"{error.strerror}; {cure}"
+            raise InvalidInputError(f"dsse serve --listen {name_address(place.host, place.port)}", [problem]) from None
+        listener.listen(BACKLOG)  # who is told the address may ask at once
         port = listener.getsockname()[1]
         own = (place.url(port).partition("//")[2].rstrip("/"),)
-        others = LOOPBACK_NAMES if place.is_loopback else names
-        hosts = (*own, *(f"{name.lower()}:{port}" for name in others), *(names if port in (80, 443) else ()))
+        others = LOOPBACK_NAMES if place.is_loopback else tuple(name.lower() for name in names)
+        hosts = (*own, *(f"{name}:{port}" for name in others), *(others if port in (80, 443) else ()))
         config = uvicorn.Config(
             make_app(source, hosts, place.token),
             http=PatientProtocol,
             ws="none",
             lifespan="off",
-            log_level="warning",
+            log_level="error",  # strangers would fill the log with what they ask wrongly
             access_log=False,
             server_header=False,
-            limit_concurrency=MOST_READERS,
+            limit_concurrency=MOST_READERS + 1,  # beyond it a reader is told so
             timeout_keep_alive=5,
             timeout_graceful_shutdown=1,
-            h11_max_incomplete_event_size=16 * 1024,
+            h11_max_incomplete_event_size=LONGEST_REQUEST,
             ssl_certfile=place.certificate,
             ssl_keyfile=place.key,
         )
         on_ready(place.url(port))
-        uvicorn.Server(config).run(sockets=[listener])
+        PatientServer(config).run(sockets=[listener])

@@ -12,6 +12,7 @@ from coordinator.observe.grid_tables import GridTables
 from coordinator.observe.watch import Watcher
 from coordinator.web.drawing import Drawing, draw_scenario, draw_states, encode_drawing
 from coordinator.web.moment import Moments, encode_json
+from coordinator.web.shown_tables import Tables
 
 UPDATE_S = 0.25  # between two moments, at least
 BUSY_SHARE = 5  # making moments takes a fifth of the time at most, however large the grid
@@ -43,7 +44,13 @@ class Source(Protocol):
         ...
 
     def read_history(self, kind: str, name: str) -> dict[str, Any]:
-        """Times and columns of one bus, branch, meter or area; empty if it is not known."""
+        """Times and columns of one bus, branch, meter or area, empty if it is not known; ``complete``: whether that is
+        all.
+        """
+        ...
+
+    def tables(self, number: int | None = None) -> Tables:
+        """Of the newest moment, or of the frame of that number."""
         ...
 
     @property
@@ -53,6 +60,16 @@ class Source(Protocol):
 
     def times(self) -> Sequence[float]:
         """Of the frames that can be asked for; none of a live source."""
+        ...
+
+    @property
+    def remarks(self) -> Sequence[str]:
+        """In words, what is not among them."""
+        ...
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether there will be no more of them."""
         ...
 
     def frame(self, number: int) -> bytes:
@@ -68,6 +85,8 @@ class LiveSource:
 
     mode = "live"
     since = 0.0
+    remarks = ()
+    is_complete = True
 
     def __init__(self, look: Look, known: GridTables | None, run: str) -> None:
         self._look, self._known, self._run = look, known, run
@@ -97,9 +116,11 @@ class LiveSource:
         return self._drawing
 
     def read_history(self, kind: str, name: str) -> dict[str, Any]:
-        key: Any = int(name) if kind == "bus" else name
         with self._lock:
-            return self._moments.history.of[kind].read(key)
+            return self._moments.history.read(kind, name) | {"complete": True}
+
+    def tables(self, number: int | None = None) -> Tables:
+        return self._moments.tables
 
     def times(self) -> Sequence[float]:
         return ()
@@ -128,7 +149,7 @@ class LiveSource:
         """Without a scenario the grid is what areas say of their buses; it is drawn anew once that changes."""
         if self._known is not None:
             return
-        said = {name: (state.buses, tuple(state.sent)) for name, state in watcher.states.items()}
-        if said != self._drawn:
-            self._drawn = said
+        drawn = {name: (state.buses, tuple(state.sent)) for name, state in watcher.states.items()}
+        if drawn != self._drawn:
+            self._drawn = drawn
             self._drawing = encode_drawing(draw_states(self._run, watcher.states), self.mode)

@@ -10,7 +10,7 @@ from starlette.types import Receive, Scope, Send
 from coordinator.web.sources import Source
 
 LOOK_S = 0.05
-PULSE_S = 2.0  # between two signs of life where nothing changes
+PULSE_S = 2.0  # between two signs of life while there is no new moment: making one of a large grid takes long
 HEADERS = [(b"content-type", b"text/event-stream"), (b"x-accel-buffering", b"no")]
 
 
@@ -41,7 +41,7 @@ class Stream:
             while (frame := self.source.newest).number == number and waited_s < PULSE_S:
                 await asyncio.sleep(LOOK_S)
                 waited_s += LOOK_S
-            body = b": still here\n\n"
+            body = b"event: pulse\ndata\n\n"  # without data no browser would hand it out
             if frame.number != number:
                 number, body = frame.number, b"id: %d\ndata: %s\n\n" % (frame.number, frame.payload)
             await send({"type": "http.response.body", "body": body, "more_body": True})

@@ -3,12 +3,17 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { clock, number, qualityClass, when } from "./static/format.js";
+import { clock, entryOf, labelOf, number, qualityClass, unitOf, when } from "./static/format.js";
 
 test("what is no number is a dash, and no number has more digits than asked for", () => {
   assert.deepEqual([null, undefined, NaN, Infinity].map((value) => number(value)), ["-", "-", "-", "-"]);
   assert.deepEqual([1, 0.123456789, -12345.678].map((value) => number(value, 4)), ["1", "0.1235", "-12350"]);
   assert.equal(number(1.5e12), "1.50e+12");
+});
+
+test("columns and units have the names that people use, and unknown ones stay readable", () => {
+  assert.deepEqual(["vm_pu", "p_from_kw", "new_column"].map(labelOf), ["voltage (p.u.)", "active power (kW)", "new column"]);
+  assert.deepEqual(["kw", "pu", "furlong", undefined].map(unitOf), ["kW", "p.u.", "furlong", "p.u., rad"]);
 });
 
 test("a word of a stranger never looks good", () => {
@@ -20,4 +25,10 @@ test("simulated time is seconds, recorded and live time the time of day", () => 
   assert.equal(when({ mode: "playback", time: 2.5, at: 2.5 }, 1.25), "1.25 s");
   assert.equal(when({ mode: "playback", time: start + 2, at: 2 }, 1), clock(start + 1));
   assert.equal(when({ mode: "live", time: start, at: start }, start - 7), clock(start - 7));
+});
+
+test("a name that a stranger chooses finds nothing that every object has", () => {
+  assert.equal(entryOf({ a: 1 }, "a"), 1);
+  for (const name of ["constructor", "__proto__", "toString"]) assert.equal(entryOf({ a: 1 }, name), undefined);
+  assert.equal(entryOf(JSON.parse('{"__proto__": 2}'), "__proto__"), 2);
 });

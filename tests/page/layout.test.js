@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { findShapes, fitInto, keepApart, middle, shareOf, spanOf, usualLength } from "./static/layout.js";
+import { findShapes, fitInto, keepApart, middle, nearest, shareOf, spanOf, usualLength } from "./static/layout.js";
 
 test("a feeder fills the canvas but for its margin, and one bus alone is no division by zero", () => {
   const { kx, ox, ky, oy } = fitInto([2, 6], [0, 10], 440, 240, 20);
@@ -30,6 +30,10 @@ test("an area is its buses and branches; what is not on the drawing is left out"
 test("labels do not lie on one another, and the first one stays", () => {
   const boxes = [0, 5, 20].map((x) => ({ x, y: 0, width: 10, height: 10 }));
   assert.deepEqual(keepApart(boxes, (box) => box), [boxes[0], boxes[2]]);
+});
+
+test("of some buses the nearest is found", () => {
+  assert.equal(nearest([[0, 0], [9, 9], [4, 5], [5, 4.9]], [0, 1, 2], [5, 5]), 2);
 });
 
 test("shares stay between the limits", () => {

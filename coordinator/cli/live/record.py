@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from coordinator.cli.live.address import RunAddress, address_options
-from coordinator.cli.terminal import DEFAULT_ENDPOINT, Number, quiet_option, say, show
+from coordinator.cli.terminal import DEFAULT_ENDPOINT, Number, notify, quiet_option, show
 from coordinator.interrupts import end_orderly_on_signals
 
 if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts fast
@@ -35,7 +35,7 @@ def record(address: RunAddress, out: Path | None, limit_gb: float | None, scenar
     Examples:  dsse record --scenario ieee33
                dsse record --connect tcp/192.0.2.7:7447 --out /var/lib/dsse --limit-gb 20
     """
-    from agents.runtime.log_format import start_log
+    from agents.runtime.log.format import start_log
     from coordinator.cli.live.session import join_run
     from coordinator.deployment.split import area_files
     from coordinator.evaluation.evaluation import choose_scenario
@@ -50,9 +50,9 @@ def record(address: RunAddress, out: Path | None, limit_gb: float | None, scenar
         files = [] if prepared is None else area_files(prepared, run, [DEFAULT_ENDPOINT])
 
         def on_begun() -> None:
-            say(f"recording run {run} into {folder}; Ctrl-C ends it")
+            notify(f"recording run {run} into {folder}; Ctrl-C ends it")
             if not has_parquet():
-                say("note: pyarrow is not installed, so the logs stay logs; pip install 'consensus-dsse[parquet]'")
+                notify("note: pyarrow is not installed, so the logs stay logs; pip install 'consensus-dsse[parquet]'")
 
         record_from(session, Order(folder, run, files, limit_gb), on_begun)
     return 0
@@ -105,7 +105,7 @@ class _Progress:
         self._scans += 1
         if time.monotonic() >= self._next:
             self._next = time.monotonic() + LINE_S
-            say(f"{self._scans} scans, the last is {tick.scan}")
+            notify(f"{self._scans} scans, the last is {tick.scan}")
 
 
 record_commands = (record, replay)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from coordinator.cli.live.address import RunAddress, address_options
-from coordinator.cli.terminal import say, set_option, show
+from coordinator.cli.terminal import notify, set_option, show
 from coordinator.interrupts import end_orderly_on_signals
 from dsse_core.errors import InvalidInputError
 
@@ -93,22 +93,28 @@ def _check_packages() -> None:
 def _simulated(scenario: str, changes: Mapping[str, object]) -> Iterator[Source]:
     from coordinator.evaluation.evaluation import choose_scenario
     from coordinator.strategy_check import check_with_strategy
-    from coordinator.web.playback import play_simulation
+    from coordinator.web.playback.growing import GrowingPlayback
 
-    say(f"simulating {scenario} ...")
-    yield play_simulation(check_with_strategy(choose_scenario(scenario, changes=changes)))
+    chosen = check_with_strategy(choose_scenario(scenario, changes=changes))
+    notify(f"simulating {scenario}; the page plays it as far as it is computed ...")
+    source = GrowingPlayback(chosen, lambda: notify(f"{scenario} is simulated: all of it can be played"))
+    source.start()
+    try:
+        yield source
+    finally:
+        source.close()
 
 
 @contextmanager
 def _recorded(folder: Path, scenario: str | None, changes: Mapping[str, object]) -> Iterator[Source]:
     from coordinator.evaluation.evaluation import choose_scenario
-    from coordinator.web.recorded import play_recording
+    from coordinator.web.playback.recorded import play_recording
 
-    say(f"reading {folder} ...")
+    notify(f"reading {folder} ...")
     notes: list[str] = []
     source = play_recording(folder, choose_scenario(scenario, changes=changes) if scenario else None, notes)
     for note in dict.fromkeys(notes):
-        say(f"note: {note}")
+        notify(f"note: {note}")
     yield source
 
 

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 from agents.messages.checks import MessageError
 from agents.messages.keys import (
-    all_live,
-    all_live_of_any_version,
-    all_readings,
+    NAME,
+    all_gateways,
     all_states,
-    name_of_live,
+    of_any_version,
+    publisher_of,
     run_of,
     sender_of,
     version_of,
@@ -28,12 +28,14 @@ from agents.security.credentials import load_keys
 from agents.transport.zenoh_bus import Session, TransportError
 from coordinator.cli.live.address import RunAddress
 from coordinator.deployment.split import check_run_id
+from coordinator.observe.view import OVER_S
 from coordinator.observe.watch import Watcher
+from coordinator.observe.watched_keys import NAMED_BY_NEIGHBOUR, PresenceByName, processes_of, readings_keys, state_keys
 from coordinator.process_run.processes import Updates
 from dsse_core.printable import listed
 
 ANY = "*"
-SETTLE_S = 0.3  # from the first run seen to the belief that there is no other
+SETTLE_S = 0.3  # without a new name, and nobody is there but who was received
 STEP_S = 0.05
 LONGEST_WAIT_S = REPEAT_READINGS_S + 2.0
 MOST_RUNS = 12  # that an error names
@@ -48,12 +50,30 @@ class _Shown:
 
 
 class Look:
-    """What arrives on ``session`` of ``run``; called with a number of seconds it takes in what arrives within them."""
+    """What arrives on ``session`` of ``run``; called with a number of seconds it takes in what arrives within them.
+
+    ``asked_at``: when it has asked for the presence of a process last, s.
+    """
 
     def __init__(self, watcher: Watcher, updates: Updates, session: Session) -> None:
         self.is_linked = session.is_linked
         self.session, self.run = session, watcher.run
         self._watcher, self._updates = watcher, updates
+        self._any_version = session.keys is None
+        offer = self._offer_token, self._offer_leave
+        self._asked = PresenceByName(session, self.run, *offer, any_version=self._any_version)
+        self.asked_at = time.monotonic()
+
+    def listen(self) -> None:
+        """Have what the run publishes put into the updates."""
+        areas, session = self._watcher.areas, self.session
+        self._asked.ask(processes_of(areas))  # first: who has published something is known to be there
+        states = state_keys(self.run, areas)
+        if areas is None and self._any_version:
+            states = tuple(map(of_any_version, states))
+        for expression in (*states, *readings_keys(self.run, areas)):
+            session.subscribe(expression, self._offer_shown)
+        session.subscribe(all_gateways(self.run), lambda key, payload: self._asked.note(*publisher_of(key)))
 
     def renew(self) -> None:
         """Take up the keys that are in the files now; who is there is seen anew."""
@@ -72,6 +92,8 @@ class Look:
                     self._watcher.take_presence(key, alive)
                 case (key, leave_reason):
                     self._watcher.take_leave(key, leave_reason)
+        if self._asked.ask_noted():
+            self.asked_at = time.monotonic()
         return self._watcher
 
     def for_whole(self, duration_s: float) -> Watcher:
@@ -81,13 +103,28 @@ class Look:
             self(left_s)
         return self._watcher
 
+    def _offer_shown(self, key: str, payload: bytes) -> None:
+        """On the thread that receives: a slow one would hold up the router, and with it the areas."""
+        self._updates.offer(_Shown(key, payload), size=len(key) + len(payload))
+
+    def _offer_token(self, key: str, alive: bool) -> None:
+        self._updates.offer((key, alive), sent_once=True, size=len(key))
+
+    def _offer_leave(self, key: str, payload: bytes) -> None:
+        if leave_reason := read_leave(payload):
+            self._updates.offer((key, leave_reason), sent_once=True, size=len(key))
+
     def _take_shown(self, key: str, payload: bytes) -> None:
         """What areas that can be kept show; what others do is not even read."""
         if not self._watcher.has_place_for(sender_of(key)):
             return
+        self._asked.note(*publisher_of(key))
         match _decoded(key, payload):
             case StateMessage() as state:
                 self._watcher.take_state(state, time.monotonic(), len(payload))
+                if self._watcher.areas is None:
+                    for neighbour in state.sent:
+                        self._asked.note("area", neighbour, NAMED_BY_NEIGHBOUR)
             case ReadingsMessage() as readings:
                 self._watcher.take_readings(readings, len(payload))
 
@@ -115,27 +152,9 @@ def attach(address: RunAddress, name: str = "", areas: frozenset[str] | None = N
     are those of ``join_run``.
     """
     with join_run(address, name) as (session, run):
-        watcher, updates = Watcher(run, areas), Updates()
-
-        def on_shown(key: str, payload: bytes) -> None:
-            """On the thread that receives: a slow one would hold up the router, and with it the areas."""
-            if areas is None or sender_of(key) in areas:
-                updates.offer(_Shown(key, payload), size=len(key) + len(payload))
-
-        def on_leave(key: str, payload: bytes) -> None:
-            if leave_reason := read_leave(payload):
-                updates.offer((key, leave_reason), said_once=True, size=len(key))
-
-        for expression in (all_states(run), all_readings(run)):
-            session.subscribe(expression, on_shown)
-        session.subscribe(all_live(run), on_leave)
-        all_tokens = all_live_of_any_version if session.keys is None else all_live  # keys show nobody other versions
-        _watch_tokens(session, all_tokens(run), updates)
-        yield Look(watcher, updates, session)
-
-
-def _watch_tokens(session: Session, expression: str, updates: Updates) -> None:
-    session.watch_presence(expression, lambda key, alive: updates.offer((key, alive), said_once=True, size=len(key)))
+        look = Look(Watcher(run, areas), Updates(), session)
+        look.listen()
+        yield look
 
 
 def _find_own_name(keys: Path) -> str:
@@ -150,13 +169,17 @@ def wait_until_whole(look: Look, timeout_s: float, *, with_readings: bool = Fals
     Areas repeat their readings in longer intervals than their states.
     """
     deadline = time.monotonic() + (max(timeout_s, LONGEST_WAIT_S) if with_readings else timeout_s)
-    while not _is_whole(watcher := look(STEP_S), with_readings) and time.monotonic() < deadline:
-        pass
-    return watcher
+    while True:
+        watcher = look(STEP_S)
+        if time.monotonic() >= deadline or _is_whole(look, watcher, with_readings):
+            return watcher
 
 
-def _is_whole(watcher: Watcher, with_readings: bool) -> bool:
-    return watcher.is_whole() and (not with_readings or watcher.readings.keys() >= watcher.states.keys())
+def _is_whole(look: Look, watcher: Watcher, with_readings: bool) -> bool:
+    """Whether all were received, and there was time to hear of others: of those beyond an area that is gone, too."""
+    settled_at = look.asked_at + (OVER_S if watcher.find_absent() else SETTLE_S)
+    has_all = watcher.is_whole() and (not with_readings or watcher.readings.keys() >= watcher.states.keys())
+    return has_all and time.monotonic() >= settled_at
 
 
 def wait_for_state(look: Look, area: str, timeout_s: float) -> Watcher:
@@ -168,28 +191,38 @@ def wait_for_state(look: Look, area: str, timeout_s: float) -> Watcher:
 
 
 def _find_run(session: Session, timeout_s: float) -> str:
-    """The only run of which an area or a plant is there."""
+    """The only run of which an area publishes something.
+
+    Another is found, too, if its areas publish as often.
+    """
     updates = Updates()
-    others: dict[str, int] = {}  # runs of another wire version
-    _watch_tokens(session, all_live_of_any_version(ANY), updates)
-    runs: set[str] = set()
-    deadline, settled = time.monotonic() + timeout_s, float("inf")
-    while (now := time.monotonic()) < min(deadline, settled):
-        for key, alive in updates.take(STEP_S):
-            if alive and name_of_live(key)[0] in ("area", "plant"):
-                settled = min(settled, now + SETTLE_S)
-                if version_of(key) == WIRE_VERSION:
-                    runs.add(run_of(key))
-                elif len(others) <= MOST_RUNS:
-                    others[run_of(key)] = version_of(key)
-    if not runs and others:
-        who = f"run {listed(sorted(others), MOST_RUNS)} speaks"
-        raise TransportError(describe_other_version(max(others.values()), who))
-    if not runs:
-        raise TransportError(f"no area or plant is on this bus within {timeout_s:g} s; are agents running?")
+    states = session.subscribe(of_any_version(all_states(ANY)), lambda key, payload: updates.offer(key, size=len(key)))
+    versions: dict[str, int] = {}  # run -> wire version
+    first, earliest, settles_at, ends_at = "", 0.0, float("inf"), time.monotonic() + timeout_s
+    while (now := time.monotonic()) < min(ends_at, settles_at):
+        for key in updates.take(STEP_S):
+            if NAME.fullmatch(run_of(key)) and len(versions) <= MOST_RUNS:
+                speaks_ours = versions.get(run_of(key)) == WIRE_VERSION
+                versions[run_of(key)] = WIRE_VERSION if speaks_ours else version_of(key)
+            if not first:
+                first, settles_at, earliest = key, now + OVER_S, now + SETTLE_S
+            elif key == first:  # a heartbeat has passed
+                settles_at = min(settles_at, max(now, earliest))
+    session.withdraw(states)
+    return _choose_run(versions, timeout_s)
+
+
+def _choose_run(versions: Mapping[str, int], timeout_s: float) -> str:
+    """The only one that speaks this wire version."""
+    runs = [run for run, version in versions.items() if version == WIRE_VERSION]
     if len(runs) > 1:
         raise TransportError(f"several runs are on this bus: {listed(sorted(runs), MOST_RUNS)}; choose one with --run")
-    return runs.pop()
+    if not runs and versions:
+        who = f"run {listed(sorted(versions), MOST_RUNS)} speaks"
+        raise TransportError(describe_other_version(max(versions.values()), who))
+    if not runs:
+        raise TransportError(f"no area publishes anything on this bus within {timeout_s:g} s; are agents running?")
+    return runs[0]
 
 
 def _decoded(key: str, payload: bytes) -> StateMessage | ReadingsMessage | None:

@@ -148,7 +148,7 @@ def metrics(listen: str, endpoints: tuple[str, ...], direct: bool, keys: Path | 
     from coordinator.metrics.serve import check_prometheus, serve_metrics
 
     check_prometheus()
-    from agents.runtime.log_format import start_log
+    from agents.runtime.log.format import start_log
     from coordinator.cli.live.session import attach
     from coordinator.listen import parse_listen
     from coordinator.metrics.page import MetricsPage

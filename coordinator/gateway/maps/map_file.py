@@ -153,9 +153,9 @@ def _make_points(
         problems += [f"{place}.{problem}" for problem in fitted.problems]
         found = list(table.find_problems(wrong))
         for key in sorted({"address", "meter"} - wrong):
-            said = getattr(table, key)
-            if (first := first_of.setdefault((key, said), number)) != number:
-                found.append(f"{key} {said!r:.80} stands in reading[{first}] already; keep one")
+            value = getattr(table, key)
+            if (first := first_of.setdefault((key, value), number)) != number:
+                found.append(f"{key} {value!r:.80} stands in reading[{first}] already; keep one")
         if source and "address" not in wrong and (problem := source.find_address_problem(table.address)):
             found.append(f"address {table.address!r:.80}: {problem}")
         if scenario and "meter" not in wrong:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from coordinator.gateway.counts import BAD_TYPE, NOT_FINITE
 from coordinator.gateway.maps.map_tables import ReadingTable
 from coordinator.gateway.maps.units import physical_range, size_of, units_of
 from dsse_core.grid.measurement import Meter
@@ -115,9 +116,9 @@ def _deviation_of(table: ReadingTable, meter: Meter, size: float, rule: SigmaRul
 def number_of(raw: object) -> float | str:
     """``raw`` as a finite number; or the few words under which it is counted that it is none."""
     if isinstance(raw, bool) or not isinstance(raw, (int, float)):
-        return "bad type"
+        return BAD_TYPE
     try:
         value = float(raw)
     except OverflowError:
-        return "not finite"
-    return value if math.isfinite(value) else "not finite"
+        return NOT_FINITE
+    return value if math.isfinite(value) else NOT_FINITE

@@ -36,7 +36,7 @@ class HeaderError(ValueError):
 
 class CsvSource(Source):
     """Reads a file with a header: columns ``time``, ``address`` and ``value``, with or without ``valid`` and ``unit``;
-    or ``time`` and a column for each address. An empty cell is no reading, and a line without any is refused. A line
+    or ``time`` and a column for each address. An empty cell is no reading, and a line without any is rejected. A line
     counts when it is whole.
     """
 
@@ -57,7 +57,7 @@ class CsvSource(Source):
             while piece := file.read(PIECE):
                 for line in cutter.cut(piece):
                     if line is None:
-                        emit.refuse(MALFORMED, TOO_LONG)
+                        emit.reject(MALFORMED, TOO_LONG)
                     elif columns is None and line.strip():
                         columns = _Columns(line, self.settings)
                     elif columns is not None and line.strip():
@@ -98,17 +98,17 @@ class _Columns:
         try:
             cells = _cells(line, self.delimiter)
         except csv.Error as error:
-            emit.refuse(MALFORMED, f"line {line!r:.120}: {error}")
+            emit.reject(MALFORMED, f"line {line!r:.120}: {error}")
             return
         if len(cells) != len(self.names):
-            emit.refuse(MALFORMED, f"line {line!r:.120}: {len(cells)} columns, but the header has {len(self.names)}")
+            emit.reject(MALFORMED, f"line {line!r:.120}: {len(cells)} columns, but the header has {len(self.names)}")
             return
         row = dict(zip(self.names, cells, strict=True))
         time = as_time(row.pop(self.time))
         read = {row[ADDRESS]: row[VALUE]} if self.is_long else row
         valid, unit = (as_validity(row.get(VALID)), row.get(UNIT) or None) if self.is_long else (True, None)
         if not any(read.values()):
-            emit.refuse(NO_VALUE, f"line {line!r:.120}: there is nothing where a value belongs")
+            emit.reject(NO_VALUE, f"line {line!r:.120}: there is nothing where a value belongs")
         for address, value in read.items():
             if value:
                 emit(address, as_number(value), time, valid=valid, unit=unit)

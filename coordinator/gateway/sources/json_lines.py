@@ -56,7 +56,7 @@ class JsonLinesSource(Source):
 
 def _take(line: str | None, emit: Emit) -> None:
     if line is None:
-        emit.refuse(MALFORMED, TOO_LONG)
+        emit.reject(MALFORMED, TOO_LONG)
         return
     if line.strip():
         take_object(line, emit)
@@ -67,7 +67,7 @@ def take_object(line: str, emit: Emit) -> None:
     try:
         found = parse_object(line)
     except NotUsableError as error:
-        emit.refuse(MALFORMED, f"line {line!r:.120}: {error}")
+        emit.reject(MALFORMED, f"line {line!r:.120}: {error}")
         return
     time, valid = as_time(found.get("time")), as_validity(found.get("valid"))
     values, address = found.get("values"), found.get("address")
@@ -78,4 +78,4 @@ def take_object(line: str, emit: Emit) -> None:
     elif isinstance(address, str) and "value" in found:
         emit(address, found["value"], time, valid=valid, unit=unit)
     else:
-        emit.refuse(MALFORMED, f"line {line!r:.120}: it has neither address and value nor values")
+        emit.reject(MALFORMED, f"line {line!r:.120}: it has neither address and value nor values")

@@ -120,7 +120,7 @@ class ModbusSource(Source):
                         silent[device] = _Silence.after(silent.get(device), loop.time(), settings)
                         if silent.keys() == devices.keys():
                             raise
-                        emit.refuse(SILENT, f"device {device}: {error}")
+                        emit.reject(SILENT, f"device {device}: {error}")
                 due = max(due + settings.period_s, loop.time())
                 await asyncio.sleep(due - loop.time())
         finally:
@@ -138,7 +138,7 @@ class ModbusSource(Source):
                     await self._read_block(client, [register], emit)
             else:
                 found = answer if answer.isError() else f"{len(answer.registers)} registers in place of {count}"
-                emit.refuse(REJECTED, f"address {first.address}: {found}")
+                emit.reject(REJECTED, f"address {first.address}: {found}")
             return
         for register in block:
             start = register.first - first.first

@@ -83,26 +83,26 @@ class MqttSource(Source):
             await client.subscribe(subscribed)
             async for message in client.messages:
                 if queue.dropped:
-                    _tell_dropped(queue, emit)
+                    _report_dropped(queue, emit)
                 self._take(message, emit)
 
     def _take(self, message: aiomqtt.Message, emit: Emit) -> None:
         topic, payload = str(message.topic), message.payload
         if not isinstance(payload, bytes) or len(payload) > LARGEST_PAYLOAD:
-            emit.refuse(MALFORMED, f"topic {topic}: payload of more than {LARGEST_PAYLOAD} bytes, or of none")
+            emit.reject(MALFORMED, f"topic {topic}: payload of more than {LARGEST_PAYLOAD} bytes, or of none")
             return
         places = self.paths.get(topic, [(topic, self.settings.value)])
         if payload.lstrip()[:1] == b"{":
             self._take_object(topic, payload, places, bool(message.retain), emit)
         elif message.retain:
-            emit.refuse(NO_TIME, f"topic {topic}: the broker has kept it, nobody knows for how long")
+            emit.reject(NO_TIME, f"topic {topic}: the broker has kept it, nobody knows for how long")
         else:
             text = payload.decode("utf-8", "replace").strip()
             for address, path in places:
                 if path == self.settings.value:
                     emit(address, as_number(text))
                 else:
-                    emit.refuse(MALFORMED, f"address {address}: the payload is no JSON object, but {text!r:.80}")
+                    emit.reject(MALFORMED, f"address {address}: the payload is no JSON object, but {text!r:.80}")
 
     def _take_object(
         self, topic: str, payload: bytes, places: Sequence[tuple[str, str]], is_kept: bool, emit: Emit
@@ -110,11 +110,11 @@ class MqttSource(Source):
         try:
             content: Mapping[str, Any] = parse_object(payload)
         except NotUsableError as error:
-            emit.refuse(MALFORMED, f"topic {topic}: payload {payload[:80]!r}: {error}")
+            emit.reject(MALFORMED, f"topic {topic}: payload {payload[:80]!r}: {error}")
             return
         has_time, time = find_at(content, self.settings.time)
         if is_kept and not has_time:
-            emit.refuse(NO_TIME, f"topic {topic}: the broker has kept it, nobody knows for how long")
+            emit.reject(NO_TIME, f"topic {topic}: the broker has kept it, nobody knows for how long")
             return
         valid = as_validity(find_at(content, self.settings.valid)[1])
         unit = find_at(content, self.settings.unit)[1]
@@ -124,7 +124,7 @@ class MqttSource(Source):
                 stated = None if unit is None else str(unit)
                 emit(address, value, as_time(time) if has_time else None, valid=valid, unit=stated)
             else:
-                emit.refuse(MALFORMED, f"address {address}: nothing at {path} of payload {payload[:80]!r}")
+                emit.reject(MALFORMED, f"address {address}: nothing at {path} of payload {payload[:80]!r}")
 
 
 class _FairQueue(asyncio.Queue[aiomqtt.Message]):
@@ -169,8 +169,8 @@ class _FairQueue(asyncio.Queue[aiomqtt.Message]):
         return item
 
 
-def _tell_dropped(queue: _FairQueue, emit: Emit) -> None:
+def _report_dropped(queue: _FairQueue, emit: Emit) -> None:
     for topic, count in queue.dropped.items():
         for _ in range(count):
-            emit.refuse(DROPPED, f"topic {topic}: more messages than this host can take; the newest are kept")
+            emit.reject(DROPPED, f"topic {topic}: more messages than this host can take; the newest are kept")
     queue.dropped.clear()

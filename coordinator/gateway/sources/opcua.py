@@ -74,7 +74,7 @@ class OpcUaSource(Source):
             handler = _Handler(nodes, emit)
             subscription = await client.create_subscription(1000 * settings.interval_s, handler)
             for node, status in (await _subscribe(subscription, list(nodes))).items():
-                emit.refuse(NOT_THERE, f"address {nodes[node]}: {status.name}")
+                emit.reject(NOT_THERE, f"address {nodes[node]}: {status.name}")
             while True:
                 await asyncio.sleep(CHECK_S)
                 await client.check_connection()
@@ -87,13 +87,13 @@ async def _subscribe(subscription: Any, nodes: Sequence[Any]) -> dict[Any, Any]:
     tells; where a server cannot look at that, what it sends by default is better than nothing.
     """
     by_time = ua.DataChangeFilter(Trigger=ua.DataChangeTrigger.StatusValueTimestamp)
-    refused = await _monitor(subscription, nodes, by_time, first=0)
-    without_filters = [node for node, status in refused.items() if status.value in NO_FILTERS]
+    rejected = await _monitor(subscription, nodes, by_time, first=0)
+    without_filters = [node for node, status in rejected.items() if status.value in NO_FILTERS]
     for node in without_filters:
-        del refused[node]
+        del rejected[node]
     if without_filters:
-        refused |= await _monitor(subscription, without_filters, None, first=len(nodes))
-    return refused
+        rejected |= await _monitor(subscription, without_filters, None, first=len(nodes))
+    return rejected
 
 
 async def _monitor(subscription: Any, nodes: Sequence[Any], only: Any, first: int) -> dict[Any, Any]:
@@ -127,5 +127,5 @@ class _Handler:
         if not valid and value is None:
             value = 0.0  # a bad value need not be there
         if found.StatusCode is not None and found.StatusCode.value & OVERFLOW == OVERFLOW:
-            self.emit.refuse(DROPPED, f"address {self.nodes[node]}: the server had no room for values before this one")
+            self.emit.reject(DROPPED, f"address {self.nodes[node]}: the server had no room for values before this one")
         self.emit(self.nodes[node], value, time, valid=valid)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Any
 
-YES, NO = {"true", "1", "yes", "good", "valid"}, {"false", "0", "no", "bad", "invalid"}
+YES = {"true", "1", "yes", "good", "valid"}
 
 
 def as_number(text: str) -> float | str:
@@ -48,7 +48,7 @@ def parse_object(text: str | bytes) -> Mapping[str, Any]:
     """The JSON object in ``text``.
 
     Raises:
-        NotUsableError: it is none, or has a key twice; saying which.
+        NotUsableError: it is none, or has a key twice; naming which.
     """
     try:
         found = json.loads(text, object_pairs_hook=_take_each_once)

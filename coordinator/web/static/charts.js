@@ -1,11 +1,12 @@
 /** The voltage profile, and the past of what is selected. */
 
-import { byId, colour } from "./format.js";
+import { byId, clock, colour, labelOf, number } from "./format.js";
 import { spanOf } from "./layout.js";
 
 /** @typedef {import("./types.js").Grid} Grid @typedef {import("./types.js").Moment} Moment */
 
 const uPlot = /** @type {any} */ (window).uPlot;
+const MOMENT_S = 5; // to either side of a single moment
 const SIGMAS = 3; // of the band around an estimate
 const HEIGHT = 260;
 const PAST_HEIGHT = 200;
@@ -18,6 +19,11 @@ function axis(label) {
   return { label, stroke: () => colour("--ink"), grid: line, ticks: line };
 }
 
+/** Ticks that differ are written differently, where uPlot rounds to thousandths. @param {string} label */
+function valueAxis(label) {
+  return { ...axis(label), values: (/** @type {any} */ _, /** @type {number[]} */ ticks) => ticks.map((tick) => number(tick, 7)) };
+}
+
 /**
  * An axis fits what it shows, where uPlot would begin at 0.
  * @param {number[]} also values that are on it in any case
@@ -25,6 +31,12 @@ function axis(label) {
  */
 function fitted(...also) {
   return { range: (_, low, high) => (also.length ? spanOf(Math.min(low ?? Infinity, ...also), Math.max(high ?? -Infinity, ...also)) : spanOf(low, high)) };
+}
+
+/** From the first moment to the last; where there is but one uPlot would show years. @param {any} chart @param {number | null} first @param {number | null} last @returns {[number, number]} */
+function timesOf(chart, first, last) {
+  const from = first ?? 0, to = last ?? from;
+  return chart.data[0].length > 1 && to > from ? [from, to] : [from - MOMENT_S, from + MOMENT_S];
 }
 
 export class Profile {
@@ -36,12 +48,17 @@ export class Profile {
     const known = grid.buses.id.map((_, k) => k).filter((k) => grid.buses.distance[k] !== null);
     this.order = known.sort((a, b) => /** @type {number} */ (grid.buses.distance[a]) - /** @type {number} */ (grid.buses.distance[b]));
     this.x = this.order.map((k) => /** @type {number} */ (grid.buses.distance[k]));
+    const place = new Map(this.order.map((k, n) => [grid.buses.id[k], n])), { branches } = grid;
+    /** @type {[number, number][]} */ this.lines = branches.id.flatMap((_, k) => { // branches in service, by the places of their ends
+      const from = place.get(branches.from_bus[k]), to = place.get(branches.to_bus[k]);
+      return branches.in_service[k] && from !== undefined && to !== undefined ? [[from, to]] : [];
+    });
     /** @type {(number | null)[]} */ this.sigma = [];
     this.chart = new uPlot({
       width: this.holder.clientWidth || 600,
       height: HEIGHT,
       scales: { x: { time: false }, y: fitted(...grid.limits) },
-      axes: [axis(grid.axis), axis("voltage (p.u.)")],
+      axes: [axis(grid.axis), valueAxis("voltage (p.u.)")],
       cursor: { show: false },
       series: [{}, { paths: () => null, points: { show: false } }],
       hooks: { draw: [(/** @type {any} */ chart) => this.drawLimits(chart), (/** @type {any} */ chart) => this.drawBuses(chart)] },
@@ -52,12 +69,8 @@ export class Profile {
 
   /** @param {Moment} moment */
   show(moment) {
-    const ids = moment.buses.id ?? [], row = new Map(ids.map((id, k) => [id, k]));
     const [vm, sigma] = ["vm_pu", "sigma_vm_pu"].map((name) =>
-      this.order.map((k) => {
-        const found = row.get(this.grid.buses.id[k]);
-        return found === undefined ? null : /** @type {number | null} */ (moment.buses[name][found]);
-      }));
+      this.order.map((k) => /** @type {number | null} */ (moment.buses[name]?.[k] ?? null)));
     this.sigma = sigma;
     this.chart.setData([this.x, vm]);
   }
@@ -79,21 +92,33 @@ export class Profile {
     context.restore();
   }
 
-  /** A dot for each bus, and a bar of three standard deviations to either side. @param {any} chart */
+  /** A line for each branch; for each bus a dot, and a bar of three standard deviations to either side. @param {any} chart */
   drawBuses(chart) {
     const context = chart.ctx, vm = chart.data[1], size = (this.x.length > MOST_DOTS ? DOT / 3 : DOT) * uPlot.pxRatio;
+    const [low, high] = this.grid.limits;
+    const x = this.x.map((value) => chart.valToPos(value, "x", true)), y = vm.map((/** @type {number | null} */ value) => value === null ? null : chart.valToPos(value, "y", true));
     context.save();
-    context.strokeStyle = context.fillStyle = colour("--mark");
     context.lineWidth = uPlot.pxRatio;
+    context.strokeStyle = colour("--faint");
     context.beginPath();
-    this.x.forEach((x, k) => {
-      if (vm[k] === null) return;
-      const sigma = this.sigma[k] ?? 0, at = chart.valToPos(x, "x", true);
-      context.moveTo(at, chart.valToPos(vm[k] - SIGMAS * sigma, "y", true));
-      context.lineTo(at, chart.valToPos(vm[k] + SIGMAS * sigma, "y", true));
-      context.fillRect(at - size / 2, chart.valToPos(vm[k], "y", true) - size / 2, size, size);
-    });
+    for (const [from, to] of this.lines) {
+      if (y[from] === null || y[to] === null) continue;
+      context.moveTo(x[from], y[from]);
+      context.lineTo(x[to], y[to]);
+    }
     context.stroke();
+    for (const [ink, isOutside, side] of /** @type {[string, boolean, number][]} */ ([["--mark", false, size], ["--bad", true, 1.6 * size]])) {
+      context.strokeStyle = context.fillStyle = colour(ink);
+      context.beginPath();
+      x.forEach((at, k) => {
+        if (y[k] === null || (vm[k] < low || vm[k] > high) !== isOutside) return;
+        const sigma = this.sigma[k] ?? 0;
+        context.moveTo(at, chart.valToPos(vm[k] - SIGMAS * sigma, "y", true));
+        context.lineTo(at, chart.valToPos(vm[k] + SIGMAS * sigma, "y", true));
+        context.fillRect(at - side / 2, y[k] - side / 2, side, side);
+      });
+      context.stroke();
+    }
     context.restore();
   }
 
@@ -110,8 +135,8 @@ export class Profile {
 }
 
 const SHOWN = {
-  bus: ["vm_pu", "voltage (p.u.)"],
-  branch: ["p_from_kw", "active power (kW)"],
+  bus: ["vm_pu", labelOf("vm_pu")],
+  branch: ["p_from_kw", labelOf("p_from_kw")],
   meter: ["reading", "reading, dashed: estimate"],
   area: ["quality", "quality (0 is good)"],
 };
@@ -148,8 +173,8 @@ export class Past {
     this.chart = new uPlot({
       width: this.holder.clientWidth || 300,
       height: PAST_HEIGHT,
-      scales: { x: { time: ofDay }, y: fitted() },
-      axes: [axis(""), { ...axis(SHOWN[kind][1]), size: 64 }],
+      scales: { x: { time: ofDay, range: timesOf }, y: fitted() },
+      axes: [ofDay ? { ...axis(""), values: (/** @type {any} */ _, /** @type {number[]} */ ticks) => ticks.map(clock), space: 70 } : axis("time (s)"), { ...valueAxis(SHOWN[kind][1]), size: 76 }],
       cursor: { show: false },
       series: [{}, ...styles.slice(0, series.length)],
     }, [past.time, ...series], this.holder);

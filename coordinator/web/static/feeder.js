@@ -1,7 +1,8 @@
 /** The feeder: what is shown of it, zoomed and chosen there. `painter.js` paints it, on a thread of its own. */
 
-import { colour } from "./format.js";
+import { byId, colour } from "./format.js";
 import { placeBuses } from "./layout.js";
+import { findDeadLinks } from "./links.js";
 import { findStructure, paintFeeder } from "./paint.js";
 
 /** @typedef {import("./types.js").Grid} Grid @typedef {import("./types.js").Moment} Moment */
@@ -11,25 +12,43 @@ import { findStructure, paintFeeder } from "./paint.js";
 const d3 = /** @type {any} */ (window).d3;
 const NEAR = 14; // pixels within which a click finds a bus
 const STEPS = 32; // of voltage
-const INKS = ["--ink", "--faint", "--line", "--good", "--degraded", "--bad", "--mark"];
+const INKS = ["--paper", "--ink", "--faint", "--line", "--good", "--degraded", "--bad", "--mark", "--shade-degraded", "--shade-bad"];
+const CALM = [0, 3, 6, 4, 8, 9]; // of Tableau's ten colours, those that nobody takes for an alarm
 
-/** Of voltages from low to high: even steps of lightness, as in pictures. @returns {Palette} */
+/** Of voltages from low to high: even steps of lightness, as in pictures, as far as they stand out from the paper. @returns {Palette} */
 function readPalette() {
+  const low = Number(colour("--low")), high = Number(colour("--high"));
   return {
     colours: Object.fromEntries(INKS.map((name) => [name, colour(name)])),
-    areas: [...d3.schemeTableau10],
-    voltages: Array.from({ length: STEPS }, (_, k) => d3.interpolateViridis(0.1 + (0.82 * k) / (STEPS - 1))),
+    areas: CALM.map((k) => d3.schemeTableau10[k]),
+    voltages: Array.from({ length: STEPS }, (_, k) => d3.interpolateViridis(low + ((high - low) * k) / (STEPS - 1))),
   };
 }
 
-/** @param {Moment} moment @returns {PaintedMoment} as much of it as is painted */
-function pickPainted(moment) {
+/** The colours of voltages, in the legend. @param {Palette} palette */
+function paintScale({ voltages }) {
+  byId("voltages").replaceChildren(...voltages.map((ink, k) => {
+    const stop = document.createElementNS("http://www.w3.org/2000/svg", "stop");
+    stop.setAttribute("offset", String(k / (voltages.length - 1)));
+    stop.setAttribute("stop-color", ink);
+    return stop;
+  }));
+}
+
+/** One finger scrolls the page, or nobody would get past the drawing on a phone. @param {any} event @returns {boolean} */
+function mayZoom(event) {
+  return event.type === "touchstart" ? event.touches.length > 1 : !event.button && (!event.ctrlKey || event.type === "wheel");
+}
+
+/** @param {Moment} moment @param {Grid} grid @returns {PaintedMoment} as much of it as is painted */
+function pickPainted(moment, grid) {
   return {
     qualities: Object.fromEntries(Object.entries(moment.view.areas).map(([name, area]) => [name, area.quality])),
-    bus: /** @type {number[]} */ (moment.buses.id ?? []),
+    bus: /** @type {number[]} */ (moment.buses.id ?? grid.buses.id),
     vm: /** @type {(number | null)[]} */ (moment.buses.vm_pu ?? []),
     loading: /** @type {(number | null)[]} */ (moment.branches.loading_percent ?? []),
     links: moment.links,
+    dead: findDeadLinks(moment),
     messages: moment.messages,
   };
 }
@@ -47,15 +66,23 @@ export class Feeder {
     /** @type {Partial<Painting>} */ this.changed = {};
     this.planned = 0;
     this.transform = d3.zoomIdentity;
-    this.zoom = d3.zoom().scaleExtent([0.5, 60]).on("zoom", (/** @type {any} */ event) => {
+    this.zoom = d3.zoom().scaleExtent([0.5, 60]).filter(mayZoom).on("zoom", (/** @type {any} */ event) => {
       this.transform = event.transform;
       this.fit();
     });
     d3.select(canvas).call(this.zoom).on("dblclick.zoom", null);
     canvas.addEventListener("click", (event) => this.choose(event));
     new ResizeObserver(() => this.fit()).observe(canvas);
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.change({ palette: readPalette() }));
-    this.change({ palette: readPalette(), moment: null, choice: null });
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.repaint());
+    this.change({ moment: null, choice: null });
+    this.repaint();
+  }
+
+  /** In the colours that hold now. */
+  repaint() {
+    const palette = readPalette();
+    paintScale(palette);
+    this.change({ palette });
   }
 
   /** @param {Grid} grid */
@@ -66,7 +93,7 @@ export class Feeder {
 
   /** @param {Moment} moment */
   show(moment) {
-    this.change({ moment: pickPainted(moment) });
+    if (this.painting.grid) this.change({ moment: pickPainted(moment, this.painting.grid) });
   }
 
   /** @param {Choice | null} choice */
@@ -77,6 +104,17 @@ export class Feeder {
   /** The whole feeder again. */
   reset() {
     d3.select(this.canvas).call(this.zoom.transform, d3.zoomIdentity);
+  }
+
+  /** Nearer or farther, by `factor`; what is chosen comes to the middle. @param {number} factor */
+  scale(factor) {
+    const { grid, view, choice } = this.painting, row = choice?.kind === "bus" && grid ? grid.buses.id.indexOf(Number(choice.id)) : -1;
+    const surface = d3.select(this.canvas);
+    if (grid && view && row >= 0 && factor > 1) {
+      const [x, y] = placeBuses(grid, { ...view, transform: { k: 1, x: 0, y: 0 } })[row];
+      surface.call(this.zoom.translateTo, x, y);
+    }
+    surface.call(this.zoom.scaleBy, factor);
   }
 
   fit() {
@@ -103,7 +141,8 @@ export class Feeder {
   paintPrint() {
     const { grid, view } = this.painting;
     if (!grid || !view) return;
-    const painting = { .../** @type {Painting} */ (this.painting), view: { ...view, ratio: 2 }, palette: readPalette() };
+    const palette = readPalette(), painting = { .../** @type {Painting} */ (this.painting), view: { ...view, ratio: 2 }, palette };
+    paintScale(palette);
     paintFeeder(this.print, painting, findStructure(grid));
   }
 

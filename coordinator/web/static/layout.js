@@ -72,6 +72,12 @@ export function middle(at, rows) {
   return [x / rows.length, y / rows.length];
 }
 
+/** @param {Point[]} at @param {number[]} rows @param {Point} point @returns {number} the row of the bus that is nearest to it */
+export function nearest(at, rows, [x, y]) {
+  const far = (/** @type {number} */ row) => Math.hypot(at[row][0] - x, at[row][1] - y);
+  return rows.reduce((best, row) => (far(row) < far(best) ? row : best));
+}
+
 /**
  * The labels that do not lie on one another: earlier ones first.
  * @template T @param {T[]} labels @param {(label: T) => {x: number, y: number, width: number, height: number}} boxOf

@@ -1,6 +1,7 @@
 /** Paints the feeder: areas as regions, branches by loading, buses by voltage, dead links, messages. */
 
-import { findShapes, keepApart, middle, placeBuses, shareOf, usualLength } from "./layout.js";
+import { entryOf } from "./format.js";
+import { findShapes, keepApart, middle, nearest, placeBuses, shareOf, usualLength } from "./layout.js";
 
 /** @typedef {import("./types.js").Grid} Grid @typedef {import("./types.js").Painting} Painting @typedef {import("./types.js").Palette} Palette */
 /** @typedef {import("./layout.js").Shape} Shape @typedef {import("./layout.js").Point} Point */
@@ -11,8 +12,12 @@ import { findShapes, keepApart, middle, placeBuses, shareOf, usualLength } from 
 const FULL_LOADING = 100; // percent
 const MOST_NUMBERED = 150; // buses on the canvas that get their numbers
 const SHADE_WIDTH = 24; // pixels of an area's shade, at most
+const LEAST_RINGED = 3; // pixels of a bus; smaller ones are squares without a ring
 const LABEL = 13; // pixels, height
 const LONGEST_LABEL = 40;
+const DOT = 5; // pixels of a message
+const WAY_GAP = 27; // pixels beside the middles of areas: buses and their numbers stay legible
+const WAY_WIDTH = 13; // pixels between two messages on one way
 
 /** @param {Grid} grid @returns {Structure} */
 export function findStructure(grid) {
@@ -30,18 +35,32 @@ export function paintFeeder(canvas, painting, structure) {
   const at = placeBuses(painting.grid, painting.view);
   const spacing = usualLength(at, structure.shapes.flatMap((shape) => shape.segments));
   const surface = { ...painting, ...structure, context, at, width, height, spacing };
-  for (const paint of [paintAreas, paintBranches, paintBuses, paintLinks, paintMessages]) paint(surface);
+  for (const paint of [paintAreas, paintBranches, paintBuses, paintNames, paintLinks, paintMessages]) paint(surface);
 }
 
-/** @param {Canvas} canvas */
+/** On a seam of paper, so that lines below it do not cross it out. @param {Canvas} canvas @param {string} text @param {number} x @param {number} y @param {string} ink */
+function write({ context, palette }, text, x, y, ink) {
+  context.strokeStyle = palette.colours["--paper"];
+  context.lineWidth = 3;
+  context.strokeText(text, x, y);
+  context.fillStyle = palette.colours[ink];
+  context.fillText(text, x, y);
+}
+
+/** Each in its colour, those that are not good above them in that of their quality. @param {Canvas} canvas */
 function paintAreas(canvas) {
-  const { context, shapes, at, palette } = canvas;
+  const { context, shapes, at, palette, moment } = canvas;
   context.lineJoin = context.lineCap = "round";
   context.lineWidth = Math.min(SHADE_WIDTH, Math.max(4, canvas.spacing));
-  context.globalAlpha = 0.2;
-  shapes.forEach((shape, k) => {
-    if (!shape.rows.length) return;
-    context.strokeStyle = palette.areas[k % palette.areas.length];
+  const shades = shapes.map((shape, k) => {
+    const quality = moment ? entryOf(moment.qualities, shape.name) ?? "none" : "good", isGood = quality === "good";
+    const ink = isGood ? palette.areas[k % palette.areas.length] : palette.colours[quality === "degraded" ? "--shade-degraded" : "--shade-bad"];
+    return { shape, ink, isGood };
+  });
+  for (const { shape, ink, isGood } of shades.sort((one, other) => Number(other.isGood) - Number(one.isGood))) {
+    if (!shape.rows.length) continue;
+    context.globalAlpha = isGood ? 0.2 : 0.85;
+    context.strokeStyle = ink;
     context.beginPath(); // one path: a shade that crosses itself is not darker there
     for (const [from, to] of shape.segments) {
       context.moveTo(...at[from]);
@@ -49,10 +68,9 @@ function paintAreas(canvas) {
     }
     if (!shape.segments.length) traceRow(context, shape.rows.map((row) => at[row]));
     context.stroke();
-  });
+  }
   context.globalAlpha = 1;
   context.lineCap = "butt";
-  paintNames(canvas);
 }
 
 /** Of an area whose branches are not known: bus after bus. @param {Context} context @param {Point[]} points */
@@ -61,20 +79,22 @@ function traceRow(context, points) {
   for (const point of points) context.lineTo(...point);
 }
 
-/** Those that are not good come first where there is no room for all. @param {Canvas} canvas */
-function paintNames({ context, shapes, at, moment, palette, width }) {
+/** Above the bus in the middle of each area, with its quality unless it is good; the worst come first where there is no room for all. @param {Canvas} canvas */
+function paintNames(canvas) {
+  const { context, shapes, at, moment, width } = canvas;
   context.font = `600 ${LABEL - 1}px system-ui, sans-serif`;
   context.textAlign = "left";
   const labels = shapes.filter((shape) => shape.rows.length).map((shape) => {
-    const quality = moment?.qualities[shape.name] ?? "none", text = `${shape.name}: ${quality}`.slice(0, LONGEST_LABEL);
-    const wide = context.measureText(text).width, top = Math.min(...shape.rows.map((row) => at[row][1]));
-    const x = Math.max(2, Math.min(width - wide - 2, middle(at, shape.rows)[0] - wide / 2));
+    const quality = (moment && entryOf(moment.qualities, shape.name)) ?? "none", isGood = quality === "good";
+    const text = (isGood ? shape.name : `${shape.name}: ${quality}`).slice(0, LONGEST_LABEL);
+    const wide = context.measureText(text).width, [left, top] = at[nearest(at, shape.rows, middle(at, shape.rows))];
+    const x = Math.max(2, Math.min(width - wide - 2, left - wide / 2));
     return { text, quality, x, y: Math.max(LABEL, top - 16), width: wide, height: LABEL };
   });
-  labels.sort((a, b) => Number(a.quality === "good") - Number(b.quality === "good"));
+  const rank = (/** @type {{quality: string}} */ { quality }) => (quality === "good" ? 2 : quality === "degraded" ? 1 : 0);
+  labels.sort((a, b) => rank(a) - rank(b));
   for (const label of keepApart(labels, (box) => box)) {
-    context.fillStyle = palette.colours[label.quality === "good" ? "--good" : label.quality === "degraded" ? "--degraded" : "--bad"];
-    context.fillText(label.text, label.x, label.y);
+    write(canvas, label.text, label.x, label.y, label.quality === "good" ? "--good" : label.quality === "degraded" ? "--degraded" : "--bad");
   }
 }
 
@@ -113,21 +133,30 @@ function paintBuses(canvas) {
   const { context, grid, at, palette, width, height } = canvas, values = voltagesOf(canvas);
   const n = grid.buses.id.length, size = n > 1500 ? 2 : n > 300 ? 3.5 : 5;
   const seen = at.flatMap(([x, y], k) => (x > -9 && y > -9 && x < width + 9 && y < height + 9 ? [k] : []));
+  const [low, high] = grid.limits, sideOf = (/** @type {number} */ k) => Number((values[k] ?? low) > high) - Number((values[k] ?? high) < low);
   const colours = [...palette.voltages, palette.colours["--line"]]; // the last where it is not known
   /** @type {number[][]} */ const steps = colours.map(() => []); // buses of one step are painted at once
-  for (const k of seen) steps[stepOf(values[k], grid.limits, palette.voltages.length)].push(k);
+  for (const k of seen) if (!sideOf(k)) steps[stepOf(values[k], grid.limits, palette.voltages.length)].push(k);
+  context.strokeStyle = palette.colours["--faint"];
+  context.lineWidth = 0.75;
   for (const [step, rows] of steps.entries()) {
     context.fillStyle = colours[step];
     context.beginPath();
     for (const k of rows) traceBus(context, at[k], size);
     context.fill();
+    if (size >= LEAST_RINGED) context.stroke();
   }
-  paintRings(canvas, seen, values, size);
+  paintRings(canvas, seen, size);
+  paintOutside(canvas, seen.map((k) => [k, sideOf(k)]), size);
   if (seen.length > MOST_NUMBERED) return;
   context.font = "11px system-ui, sans-serif";
   context.textAlign = "center";
-  context.fillStyle = palette.colours["--ink"];
-  for (const k of seen) context.fillText(String(grid.buses.id[k]), at[k][0], at[k][1] + size + 12);
+  const numbers = seen.map((k) => ({ text: String(grid.buses.id[k]), x: at[k][0], y: at[k][1] + size + 12 }));
+  const boxOf = (/** @type {{text: string, x: number, y: number}} */ { text, x, y }) => {
+    const wide = context.measureText(text).width;
+    return { x: x - wide / 2, y, width: wide, height: LABEL - 2 };
+  };
+  for (const { text, x, y } of keepApart(numbers, boxOf)) write(canvas, text, x, y, "--ink");
 }
 
 /** @param {Canvas} canvas @returns {(number | null)[]} p.u., of each bus of the grid; null if it is not known */
@@ -147,7 +176,7 @@ function stepOf(value, limits, steps) {
 
 /** @param {Context} context @param {Point} point @param {number} size */
 function traceBus(context, [x, y], size) {
-  if (size < 3) {
+  if (size < LEAST_RINGED) {
     context.rect(x - size, y - size, 2 * size, 2 * size);
     return;
   }
@@ -155,32 +184,51 @@ function traceBus(context, [x, y], size) {
   context.arc(x, y, size, 0, 2 * Math.PI);
 }
 
-/** Around boundary buses, those outside the limits, and the chosen one. @param {Canvas} canvas @param {number[]} seen @param {(number | null)[]} values @param {number} size */
-function paintRings({ context, grid, choice, at, palette }, seen, values, size) {
-  const [low, high] = grid.limits, chosen = choice?.kind === "bus" ? choice.id : null;
-  const isOutside = (/** @type {number} */ k) => values[k] !== null && (/** @type {number} */ (values[k]) < low || /** @type {number} */ (values[k]) > high);
+/** Around boundary buses, and the chosen one. @param {Canvas} canvas @param {number[]} seen @param {number} size */
+function paintRings({ context, grid, choice, at, palette }, seen, size) {
+  const chosen = choice?.kind === "bus" ? choice.id : null;
   const rings = [
-    { ink: "--ink", wide: 1.5, more: 0, rows: seen.filter((k) => grid.buses.areas[k].length > 1 && !isOutside(k)) },
-    { ink: "--bad", wide: 2, more: 0, rows: seen.filter(isOutside) },
-    { ink: "--mark", wide: 3, more: 4, rows: seen.filter((k) => String(grid.buses.id[k]) === chosen) },
+    { ink: "--ink", wide: 1.5, more: 3, rows: seen.filter((k) => grid.buses.areas[k].length > 1) },
+    { ink: "--mark", wide: 3, more: 6, rows: seen.filter((k) => String(grid.buses.id[k]) === chosen) },
   ];
   for (const { ink, wide, more, rows } of rings) {
     context.strokeStyle = palette.colours[ink];
     context.lineWidth = wide;
     context.beginPath();
-    for (const k of rows) traceBus(context, at[k], size + more);
+    for (const k of rows) traceBus(context, at[k], Math.max(size, LEAST_RINGED) + more);
     context.stroke();
   }
 }
 
-/** A cross where nothing is received over a boundary. @param {Canvas} canvas */
-function paintLinks({ context, grid, moment, at, row, palette }) {
+/** A triangle that points up above the limits, down below them. @param {Canvas} canvas @param {[number, number][]} sides row and 1 above, -1 below, 0 within @param {number} size */
+function paintOutside({ context, at, palette }, sides, size) {
+  const half = size + 2;
+  context.fillStyle = palette.colours["--bad"];
+  context.strokeStyle = palette.colours["--paper"];
+  context.lineWidth = 1;
+  context.beginPath();
+  for (const [row, side] of sides) {
+    if (!side) continue;
+    const [x, y] = at[row];
+    context.moveTo(x - half, y + side * half);
+    context.lineTo(x + half, y + side * half);
+    context.lineTo(x, y - side * half);
+    context.closePath();
+  }
+  context.fill();
+  context.stroke();
+}
+
+/** A cross where nothing is received over a boundary, and between whom. @param {Canvas} canvas */
+function paintLinks(canvas) {
+  const { context, grid, moment, at, row, palette, width, height } = canvas;
   const boundary = new Map(grid.areas.flatMap((a) => a.neighbours.map((n) => [`${a.name} ${n.area}`, n.bus])));
+  const find = (/** @type {string} */ receiver, /** @type {string} */ sender) => row.get(boundary.get(`${receiver} ${sender}`) ?? NaN);
   context.strokeStyle = palette.colours["--bad"];
   context.lineWidth = 3;
   context.beginPath();
   for (const link of moment?.links ?? []) {
-    const place = row.get(boundary.get(`${link.to} ${link.from}`) ?? NaN);
+    const place = find(link.to, link.from);
     if (place === undefined || link.alive) continue;
     const [x, y] = at[place];
     context.moveTo(x - 8, y - 8);
@@ -189,29 +237,48 @@ function paintLinks({ context, grid, moment, at, row, palette }) {
     context.lineTo(x - 8, y + 8);
   }
   context.stroke();
+  context.font = `600 ${LABEL - 2}px system-ui, sans-serif`;
+  context.textAlign = "left";
+  /** @type {Map<number, number>} */ const below = new Map(); // how many labels a bus has already
+  const labels = (moment?.dead ?? []).flatMap(({ receiver, sender, text }) => {
+    const place = find(receiver, sender);
+    if (place === undefined) return [];
+    const line = below.get(place) ?? 0, wide = context.measureText(text).width;
+    below.set(place, line + 1);
+    const [x, y] = at[place], left = Math.max(2, Math.min(width - wide - 2, x + 12));
+    return [{ text, x: left, y: Math.min(height - 4, y + 30 + line * (LABEL + 2)), width: wide, height: LABEL }];
+  });
+  for (const { text, x, y } of keepApart(labels, (box) => box)) write(canvas, text, x, y, "--bad");
 }
 
-/** Dots between the middles of two areas. @param {Canvas} canvas */
-function paintMessages({ context, moment, shapes, at, palette }) {
+/** Dots on the way from one area to the other, those of one way beside each other. @param {Canvas} canvas */
+function paintMessages(canvas) {
+  const { context, moment, shapes, at, palette } = canvas;
   if (!moment?.messages.length) return;
-  const centre = new Map(shapes.filter((shape) => shape.rows.length).map((shape) => [shape.name, middle(at, shape.rows)]));
-  context.font = "600 11px system-ui, sans-serif";
-  context.textAlign = "center";
+  const centre = new Map(shapes.filter((shape) => shape.rows.length).map((shape) => [shape.name, at[nearest(at, shape.rows, middle(at, shape.rows))]]));
+  context.font = `600 ${LABEL - 2}px system-ui, sans-serif`;
+  context.textAlign = "left";
   context.lineWidth = 1;
+  /** @type {Map<string, number>} */ const beside = new Map(); // how many are painted on each way
+  const labels = [];
   for (const message of moment.messages) {
     const from = centre.get(message.from), to = centre.get(message.to);
     if (!from || !to) continue;
-    const way = message.lost ? 0.5 : message.arrived === null ? 0.35 : 0.85;
-    const x = from[0] + way * (to[0] - from[0]), y = from[1] + way * (to[1] - from[1]);
+    const [dx, dy] = [to[0] - from[0], to[1] - from[1]], far = Math.hypot(dx, dy) || 1, way = `${message.from} ${message.to}`;
+    const place = beside.get(way) ?? 0, aside = WAY_GAP + WAY_WIDTH * place; // to the right of who goes there
+    beside.set(way, place + 1);
+    const [x0, y0] = [from[0] - (aside * dy) / far, from[1] + (aside * dx) / far];
+    const share = message.lost ? 0.5 : message.arrived === null ? 0.35 : 0.85, x = x0 + share * dx, y = y0 + share * dy;
     context.fillStyle = context.strokeStyle = palette.colours[message.lost ? "--bad" : "--mark"];
     context.beginPath();
-    context.moveTo(...from);
-    context.lineTo(...to);
+    context.moveTo(x0, y0);
+    context.lineTo(x0 + dx, y0 + dy);
     context.stroke();
     context.beginPath();
-    context.arc(x, y, 7, 0, 2 * Math.PI);
+    context.arc(x, y, DOT, 0, 2 * Math.PI);
     context.fill();
-    context.fillStyle = palette.colours["--ink"];
-    context.fillText(message.lost ? `${message.kind} lost` : message.kind, x, y - 10);
+    const text = message.lost ? `${message.kind} lost` : message.kind;
+    labels.push({ text, x: x + DOT + 3, y: y + 4, width: context.measureText(text).width, height: LABEL - 2 });
   }
+  for (const { text, x, y } of keepApart(labels, (box) => box)) write(canvas, text, x, y, "--ink");
 }

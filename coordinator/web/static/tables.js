@@ -1,6 +1,7 @@
 /** Areas, meters, messages and events as tables; rows are reused, so that nothing flickers and focus stays. */
 
-import { byId, element, nextPicture, number, qualityClass, when } from "./format.js";
+import { byId, element, nextPicture, number, qualityClass, unitOf, when } from "./format.js";
+import { countReceived } from "./links.js";
 
 /** @typedef {import("./types.js").AreaView} AreaView @typedef {import("./types.js").Moment} Moment @typedef {import("./types.js").Choice} Choice */
 
@@ -11,7 +12,7 @@ const MOST_AREAS = 200;
 const SLICE = 25; // rows that are laid out at once
 
 /**
- * Where there are very many: those that are not good, then good ones, then those that have never said anything.
+ * Where there are very many: those that are not good, then good ones, then those that have never published.
  * @param {[string, AreaView][]} areas @returns {[string, AreaView][]}
  */
 function chooseAreas(areas) {
@@ -76,43 +77,51 @@ export class Rows {
 }
 
 export class Tables {
-  /** @param {(choice: Choice) => void} choose */
-  constructor(choose) {
+  /** @param {(choice: Choice) => void} choose @param {(path: string) => Promise<any>} ask @param {() => void} showAgain */
+  constructor(choose, ask, showAgain) {
     this.choose = choose;
+    this.ask = ask;
+    this.first = 0; // of the meters that are shown, the worst being 0
+    for (const [id, step] of /** @type {[string, number][]} */ ([["meters-back", -MOST_METERS], ["meters-on", MOST_METERS]])) {
+      byId(id).addEventListener("click", () => {
+        this.first = Math.max(0, this.first + step);
+        showAgain();
+      });
+    }
     /** @type {Choice | null} */ this.choice = null;
     this.events = "";
     this.areas = new Rows("areas", "What each area says of its estimate, and why.", [
-      { title: "Area" }, { title: "Quality" }, { title: "Scan", number: true }, { title: "Age s", number: true },
-      { title: "Voltage p.u." }, { title: "Worst normalised residual" }, { title: "Exchanges", number: true },
-      { title: "Messages", number: true }, { title: "Lost", number: true }, { title: "Why" },
+      { title: "Area" }, { title: "Quality" }, { title: "Why" }, { title: "Receives from" }, { title: "Voltage (p.u.)" },
+      { title: "Worst normalised residual" }, { title: "Age (s)", number: true }, { title: "Scan", number: true },
+      { title: "Exchanges", number: true }, { title: "Messages", number: true }, { title: "Lost", number: true },
     ]);
     this.meters = new Rows("meters", "Readings and estimates, the farthest off first.", [
       { title: "Meter" }, { title: "Status" }, { title: "Area" }, { title: "Reading", number: true },
       { title: "Estimate", number: true }, { title: "Unit" }, { title: "Normalised residual", number: true },
-      { title: "Age s", number: true },
+      { title: "Age (s)", number: true },
     ]);
     this.messages = new Rows("messages", "Messages on their way at this moment.", [
-      { title: "From" }, { title: "To" }, { title: "Kind" }, { title: "Sent s", number: true }, { title: "What became of it" },
+      { title: "From" }, { title: "To" }, { title: "Kind" }, { title: "Sent (s)", number: true }, { title: "What became of it" },
     ]);
   }
 
   /** @param {Moment} moment */
   async show(moment) {
     const is = (/** @type {string} */ kind, /** @type {string} */ id) => this.choice?.kind === kind && this.choice.id === id;
-    const areas = Object.entries(moment.view.areas);
+    const areas = Object.entries(moment.view.areas), received = countReceived(moment.links);
     await this.areas.show(chooseAreas(areas).map(([name, area]) => ({
       cells: [
-        name, area.quality, String(area.scan), number(area.age_s, 3),
+        name, area.quality, area.notes.join("; "), received.get(name) ?? "-",
         area.lowest_vm && area.highest_vm ? `${number(area.lowest_vm.value, 4)} to ${number(area.highest_vm.value, 4)}` : "-",
         area.worst_meter ? `${area.worst_meter.at} ${number(area.worst_meter.value, 2)}` : "-",
-        String(area.exchanges), String(area.messages), String(area.lost), area.notes.join("; "),
+        number(area.age_s, 3), String(area.scan), String(area.exchanges), String(area.messages), String(area.lost),
       ],
       className: qualityClass(area.quality),
       choose: () => this.choose({ kind: "area", id: name }),
       chosen: is("area", name),
     })));
     await nextPicture();
-    await this.showMeters(moment.meters, is);
+    await this.showMeters(moment, is);
     await this.messages.show(moment.messages.map((m) => ({
       cells: [m.from, m.to, m.kind, number(m.sent, 6), m.lost ? "lost" : m.arrived === null ? "on its way" : `arrived at ${number(m.arrived, 6)} s`],
     })));
@@ -130,22 +139,34 @@ export class Tables {
     byId("events").replaceChildren(...lines.map((line) => element("li", line)));
   }
 
-  /** @param {import("./types.js").Columns} meters @param {(kind: string, id: string) => boolean} is */
-  async showMeters(meters, is) {
-    const count = meters.meter?.length ?? 0, off = /** @type {(number|null)[]} */ (meters.normalised_residual ?? []);
-    const order = [...Array(count).keys()].sort((a, b) => Math.abs(off[b] ?? -1) - Math.abs(off[a] ?? -1) || a - b);
-    const of = (/** @type {string} */ word) => (meters.status ?? []).filter((status) => status === word).length;
-    const awaited = of("not received");
-    byId("meters-note").textContent = count
-      ? `${count} meters, ${of("silent")} silent${awaited ? `, ${awaited} not received yet` : ""}${count > MOST_METERS ? `; the first ${MOST_METERS} are shown` : ""}` : "No readings are known.";
-    await this.meters.show(order.slice(0, MOST_METERS).map((k) => ({
+  /** @param {Moment} moment @param {(kind: string, id: string) => boolean} is */
+  async showMeters(moment, is) {
+    const counts = moment.meter_counts, count = Object.values(counts).reduce((sum, n) => sum + n, 0);
+    if (this.first >= count) this.first = 0;
+    const meters = await this.findMeters(moment), shown = meters.meter?.length ?? 0;
+    const some = shown < count ? `; ${this.first + 1} to ${this.first + shown} are shown` : "";
+    const rest = Object.entries(counts).filter(([status]) => status !== "used" && status !== "critical").map(([status, n]) => `, ${n} ${status}`);
+    byId("meters-note").textContent = count ? `${count} meters${rest.join("")}${some}.` : "No readings are known.";
+    byId("meters-pages").hidden = count <= MOST_METERS;
+    /** @type {HTMLButtonElement} */ (byId("meters-back")).disabled = this.first === 0;
+    /** @type {HTMLButtonElement} */ (byId("meters-on")).disabled = this.first + shown >= count;
+    const off = /** @type {(number | null)[]} */ (meters.normalised_residual ?? []);
+    await this.meters.show((meters.meter ?? []).map((meter, k) => ({
       cells: [
-        String(meters.meter[k]), String(meters.status[k]), String(meters.area[k]), number(/** @type {number} */ (meters.reading[k])),
-        number(/** @type {number} */ (meters.estimate[k])), String(meters.unit?.[k] ?? "p.u., rad"), number(off[k], 3), number(/** @type {number} */ (meters.age_s[k]), 3),
+        String(meter), String(meters.status[k]), String(meters.area[k]), number(/** @type {number} */ (meters.reading[k])),
+        number(/** @type {number} */ (meters.estimate[k])), unitOf(meters.unit?.[k]), number(off[k], 3), number(/** @type {number} */ (meters.age_s[k]), 3),
       ],
       className: FINE.includes(String(meters.status[k])) ? "" : "bad",
-      choose: () => this.choose({ kind: "meter", id: String(meters.meter[k]) }),
-      chosen: is("meter", String(meters.meter[k])),
+      choose: () => this.choose({ kind: "meter", id: String(meter) }),
+      chosen: is("meter", String(meter)),
     })));
+  }
+
+  /** The worst come with the moment, the others are asked for. @param {Moment} moment @returns {Promise<import("./types.js").Columns>} */
+  async findMeters(moment) {
+    if (!this.first) return moment.meters;
+    const frame = moment.mode === "playback" ? `&frame=${moment.number}` : "";
+    const found = await this.ask(`/api/rows?kind=meter&first=${this.first}&count=${MOST_METERS}${frame}`).catch(() => null);
+    return found ? found.rows : moment.meters;
   }
 }

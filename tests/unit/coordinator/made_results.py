@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from shown_states import said_by
+from shown_states import published_by
 
 from agents.messages.packing import Incarnation, StateMessage
 from coordinator.evaluation.comparison import compare
@@ -34,7 +34,7 @@ def make_result(scenario: Scenario, folder: Path) -> RunResult:
     for number, (at, gap) in enumerate(zip(AT_S, GAPS, strict=True), start=1):
         for area in scenario.partition.areas:
             rows = [scenario.network.row[bus.id] for bus in area.network.buses]
-            state = _say(area, central.result.vm[rows] + gap, central.result.va[rows], sigma[:, rows], number)
+            state = _publish(area, central.result.vm[rows] + gap, central.result.va[rows], sigma[:, rows], number)
             observer.take_presence(area.name, True, 0.0)
             observer.take_state(state, at)
     comparison = compare(scenario.partition, observer.states, telemetry.truth, central)
@@ -55,8 +55,8 @@ def make_result(scenario: Scenario, folder: Path) -> RunResult:
     )
 
 
-def _say(area: Area, vm: np.ndarray, va: np.ndarray, sigma: np.ndarray, number: int) -> StateMessage:
-    state = said_by(
+def _publish(area: Area, vm: np.ndarray, va: np.ndarray, sigma: np.ndarray, number: int) -> StateMessage:
+    state = published_by(
         area.name,
         Incarnation(1, 1),
         buses=tuple(bus.id for bus in area.network.buses),

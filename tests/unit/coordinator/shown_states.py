@@ -27,5 +27,5 @@ def a_state(**changes: object) -> StateMessage:
     return StateMessage(Header("run", "area1", Incarnation(1, 1), 1, 1, 0.0), **(body | changes))  # type: ignore[arg-type]
 
 
-def said_by(area: str, incarnation: Incarnation, **changes: object) -> StateMessage:
+def published_by(area: str, incarnation: Incarnation, **changes: object) -> StateMessage:
     return replace(a_state(**changes), header=Header("run", area, incarnation, 1, 1, 0.0))

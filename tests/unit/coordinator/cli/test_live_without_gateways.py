@@ -15,19 +15,19 @@ REMARK = "with keys nobody but plant may; for keys, add a table [gateways.NAME]"
 
 
 @pytest.mark.parametrize(
-    ("changes", "is_said"), [(LIVE, True), ((*LIVE, TABLE), False), ((), False)], ids=["live", "named", "network"]
+    ("changes", "is_reported"), [(LIVE, True), ((*LIVE, TABLE), False), ((), False)], ids=["live", "named", "network"]
 )
 def test_who_makes_keys_or_checks_learns_that_nobody_may_send(
     capsys: pytest.CaptureFixture[str],
     edited_scenario: Callable[..., Path],
     tmp_path: Path,
     changes: tuple[tuple[str, str], ...],
-    is_said: bool,
+    is_reported: bool,
 ):
     scenario = edited_scenario("ieee33", *changes)
     assert run_command(["check", str(scenario)]) == 0
-    assert (REMARK in capsys.readouterr().out) == is_said
+    assert (REMARK in capsys.readouterr().out) == is_reported
     assert run_command(["keys", "create", str(scenario), "--out", str(tmp_path / "keys")]) == 0
-    said = capsys.readouterr()
-    assert "keys of router" in said.out
-    assert (REMARK in said.err) == is_said
+    output = capsys.readouterr()
+    assert "keys of router" in output.out
+    assert (REMARK in output.err) == is_reported

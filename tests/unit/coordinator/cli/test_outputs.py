@@ -135,14 +135,29 @@ def test_a_reader_that_goes_away_is_no_error():
     process.stdout.close()  # before anything is printed
     err = process.stderr.read()
     process.stderr.close()
-    assert (process.wait(timeout=60), err) == (0, "")
+    assert (process.wait(timeout=600), err) == (0, "")
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
 def test_a_full_disk_under_standard_output_is_one_line():
     command = [sys.executable, "-m", "coordinator", "powerflow", "ieee33", "--json"]
     with open("/dev/full", "w") as full:
-        found = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, timeout=60, check=False)
+        found = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, timeout=600, check=False)
     assert found.returncode == 2
     assert "Traceback" not in found.stderr
     assert "No space left" in found.stderr
+
+
+@pytest.mark.parametrize(
+    "arguments", [("estimate", "nosuch"), ("powerflow", "nosuch"), ("thesis", "--table", "9.9"), ("estimate", ".")]
+)
+def test_a_command_that_finds_nothing_leaves_no_folder(dsse, tmp_path: Path, arguments: tuple[str, ...]) -> None:
+    code, _, err = dsse(*arguments, "--out", tmp_path / "new" / "out")
+    assert code == 2
+    assert "error: " in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_was_there_stays_where_a_command_finds_nothing(dsse, tmp_path: Path) -> None:
+    assert dsse("estimate", "nosuch", "--out", tmp_path)[0] == 2
+    assert tmp_path.is_dir()

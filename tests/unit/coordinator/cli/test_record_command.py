@@ -24,6 +24,6 @@ def test_a_recorder_that_is_refused_does_not_say_that_it_records(
     monkeypatch.setattr(session, "join_run", _join)
     with begin_writing(tmp_path, "industrial13"):
         assert run_command(["record", "--out", str(tmp_path)]) == 2
-    said = capsys.readouterr().err
-    assert "another recorder writes here" in said
-    assert "recording run" not in said
+    output = capsys.readouterr().err
+    assert "another recorder writes here" in output
+    assert "recording run" not in output

@@ -30,6 +30,6 @@ def test_a_script_learns_whether_a_replay_agrees_and_is_whole(
 ):
     monkeypatch.setattr(play, "play_on_simulator", lambda *_: found)
     assert run_command(["replay", str(tmp_path)]) == code
-    said = capsys.readouterr().out
-    assert ("2 of 3 scans played" in said) == bool(found.left_out)
-    assert ("all states are those" in said) == (code == 0), "gaps are passed over"
+    output = capsys.readouterr().out
+    assert ("2 of 3 scans played" in output) == bool(found.left_out)
+    assert ("all states are those" in output) == (code == 0), "gaps are passed over"

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 import pytest
 
 from coordinator.cli.main import run_command
+from coordinator.process_run import compile_ahead
 from dsse_core.power_flow.newton_raphson import solve_power_flow
 from scenarios.files.network_file import load_case
 from scenarios.files.shipped_files import find_shipped
@@ -80,3 +82,14 @@ def test_the_plain_feeder_loses_what_the_literature_says() -> None:
     assert thesis.branches == network.branches
     changed = [(a.id, a.q_load) for a, b in zip(network.buses, thesis.buses, strict=True) if a != b]
     assert changed == [(28, pytest.approx(0.002))]
+
+
+def test_the_next_command_is_one_that_a_shell_takes(dsse, tmp_path: Path) -> None:
+    code, out, _ = dsse("scenarios", "copy", "ieee33", tmp_path / "my feeder's")
+    assert code == 0
+    assert shlex.split(out) == ["next:", "dsse", "run", str(tmp_path / "my feeder's" / "ieee33.toml")]
+
+
+def test_where_compiled_code_is_kept_is_printed_as_all_else_is(dsse, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compile_ahead, "compile_ahead", lambda: compile_ahead.CompiledAhead("/a\x1b[2Jfolder", ()))
+    assert dsse("compile")[:2] == (0, r"kept in /a\x1b[2Jfolder" + "\n")

@@ -51,9 +51,9 @@ def test_a_likely_mistake_is_answered_with_what_to_do(
     folder: Path, capsys: pytest.CaptureFixture[str], arguments: str, expected: str
 ):
     assert run_command(arguments.split()) == 2
-    said = capsys.readouterr().err
-    assert expected in said
-    assert len(said.splitlines()) == 2
+    output = capsys.readouterr().err
+    assert expected in output
+    assert len(output.splitlines()) == 2
 
 
 def test_a_time_that_is_no_number_is_quoted(folder: Path, capsys: pytest.CaptureFixture[str]):
@@ -65,9 +65,9 @@ def test_a_time_that_is_no_number_is_quoted(folder: Path, capsys: pytest.Capture
 @pytest.mark.parametrize("vary", ["areas=" + "[" * 5000, "faults.loss=" + "9" * 5000, f"x[{'9' * 5000}].loss=1"])
 def test_values_to_vary_that_no_reader_takes_are_one_error(capsys: pytest.CaptureFixture[str], vary: str):
     assert run_command(["sweep", "ieee33", "--vary", vary]) == 2
-    said = capsys.readouterr().err
-    assert said.startswith("error: ")
-    assert len(said) < 5000
+    output = capsys.readouterr().err
+    assert output.startswith("error: ")
+    assert len(output) < 5000
 
 
 def test_an_area_file_is_checked_as_its_agent_would(folder: Path, capsys: pytest.CaptureFixture[str]):
@@ -76,6 +76,6 @@ def test_an_area_file_is_checked_as_its_agent_would(folder: Path, capsys: pytest
     path = folder / "areas" / "area2.toml"
     path.write_text(path.read_text().replace('"information"', '"infomation"').replace("beat_s", "baet_s"))
     assert run_command(["check", "areas/area2.toml"]) == 2
-    said = capsys.readouterr().err
-    assert "area file areas/area2.toml, which `dsse split SCENARIO --out DIR` writes: 1 problem" in said
-    assert "baet_s: unknown key; allowed here: " in said
+    output = capsys.readouterr().err
+    assert "area file areas/area2.toml, which `dsse split SCENARIO --out DIR` writes: 1 problem" in output
+    assert "baet_s: unknown key; allowed here: " in output

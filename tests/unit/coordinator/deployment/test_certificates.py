@@ -16,7 +16,8 @@ from agents.security.access_file import ACCESS_FILE, load_access, save_access
 from agents.security.credential_files import credentials_in
 from agents.security.credentials import load_keys
 from coordinator.cli.main import run_command
-from coordinator.deployment.certificates import HERE, access_of, check_keys, create_keys
+from coordinator.deployment.certificates import HERE, check_keys, create_keys
+from coordinator.deployment.run_access import access_of
 from dsse_core.errors import InvalidInputError
 from dsse_core.reading_rules import ANYBODY, ReadingRules
 from scenarios.scenario import load_scenario
@@ -250,9 +251,9 @@ def test_dsse_keys_create_says_what_it_made_and_rejects_to_do_it_again(tmp_path:
     out = tmp_path / "keys"
     command = ["keys", "create", "industrial13", "--out", str(out), "--days", "3", "--run", "trial"]
     assert run_command(command) == 0
-    said = capsys.readouterr().out
-    assert f"{out}: keys of router, plant, coordinator, operator, watcher, area1, area2, valid for 3 days" in said
-    assert f"keep {out / 'authority.key'} off the hosts" in said
+    output = capsys.readouterr().out
+    assert f"{out}: keys of router, plant, coordinator, operator, watcher, area1, area2, valid for 3 days" in output
+    assert f"keep {out / 'authority.key'} off the hosts" in output
     check_keys(out, Access("trial", {"area1": ("area2",), "area2": ("area1",)}))
     assert load_access(out / ACCESS_FILE).run == "trial"
     assert run_command(command) == 2

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
-from shown_states import said_by
+from shown_states import published_by
 
 from agents.messages.packing import Incarnation, StateMessage
 from coordinator.evaluation.comparison import Voltages, compare, largest_gap
@@ -35,8 +35,8 @@ def a_state_of(area, central, va_shift: float = 0.0) -> StateMessage:
     """The area publishes the centralised estimate, its angles off by ``va_shift``."""
     rows = [central.network.row[bus.id] for bus in area.network.buses]
     n = len(rows)
-    said = {neighbour.area: (1, 2) for neighbour in area.neighbours}
-    return said_by(
+    sent = {neighbour.area: (1, 2) for neighbour in area.neighbours}
+    return published_by(
         area.name,
         Incarnation(1, 1),
         buses=tuple(bus.id for bus in area.network.buses),
@@ -47,8 +47,8 @@ def a_state_of(area, central, va_shift: float = 0.0) -> StateMessage:
         degrees_of_freedom=2,
         removed=("vm@6",),
         critical=("vm@1",),
-        sent=said,
-        received=said,
+        sent=sent,
+        received=sent,
         lost=1,
         notes=("neighbour area3 is gone",) if area.name == "area1" else (),
         quality="degraded" if area.name == "area1" else "good",

@@ -5,16 +5,19 @@ from __future__ import annotations
 import csv
 import json
 import math
-from dataclasses import fields, replace
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from coordinator.evaluation.result import RunResult, write_files
+from coordinator.evaluation.run_tables import make_run_tables
 from coordinator.evaluation.table_files import format_csv, tables_as_json, write_parquet
 from coordinator.simulator.simulate import simulate_scenario
 from dsse_core.errors import InvalidInputError
+from dsse_core.grid.columns import Records
+from dsse_core.grid.measurement import Measurement
 from dsse_core.results.results import TABLES, results_of_estimate
 from dsse_core.results.table import Table
 
@@ -26,7 +29,7 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> RunResult:
 
 def without(ran: RunResult, area: str) -> RunResult:
     """The same run, in which nobody has heard of ``area``."""
-    published = {name: said for name, said in ran.comparison.published.items() if name != area}
+    published = {name: state for name, state in ran.comparison.published.items() if name != area}
     return fresh(ran, published)
 
 
@@ -83,10 +86,10 @@ def test_an_area_without_estimate_is_unknown_and_spoils_no_other(ran: RunResult)
     assert boundary.sum() == 1  # what goes on from there is not known
 
 
-def test_angles_that_count_from_nowhere_still_tell_flows(ran: RunResult):
+def test_angles_that_count_from_nowhere_still_give_flows(ran: RunResult):
     published = dict(ran.comparison.published)
-    said = published["area2"]
-    published["area2"] = replace(said, va=said.va + 1.0, referenced=False)
+    state = published["area2"]
+    published["area2"] = replace(state, va=state.va + 1.0, referenced=False)
     tables = fresh(ran, published).tables
     in_area2 = np.array([area == "area2" for area in tables.buses.area])
     assert np.isnan(tables.buses.va_deg).tolist() == in_area2.tolist()
@@ -161,3 +164,15 @@ def test_a_name_with_commas_and_line_ends_stays_in_its_cell():
     table = Table("buses", {"bus": np.array([1, 2]), "name": ['say "no", please', "two\nlines"]})
     rows = list(csv.reader(format_csv(table).split("\n", 1)[1].splitlines(keepends=True)))
     assert rows == [["1", 'say "no", please'], ["2", "two\nlines"]]
+
+
+def test_no_meter_becomes_an_object_for_the_tables_of_a_run(ran: RunResult):
+    meters = ran.scenario.meters
+    assert isinstance(meters, Records)
+    meters = meters.take(np.arange(len(meters)))  # of which nobody has asked for any
+    readings = Records(Measurement, {**ran.readings.columns, "meter": meters})  # type: ignore[attr-defined]
+    figures = [asdict(area) for area in ran.area_results]
+    tables = make_run_tables(ran.comparison, meters, readings, ran.centralised, figures)
+    assert format_csv(tables.meters) == format_csv(ran.tables.meters)
+    assert "objects" not in vars(meters)
+    assert meters._asked == 0

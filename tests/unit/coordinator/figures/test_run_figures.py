@@ -168,7 +168,7 @@ def test_residuals_stand_at_their_kind_beside_the_limit(result: RunResult) -> No
                                            ("vm", "p_injection", "q_injection", "p_flow", "q_flow")]  # fmt: skip
 
 
-def test_a_removed_meter_has_a_mark_and_its_name(result: RunResult, tmp_path: Path) -> None:
+def test_a_removed_meter_has_a_mark_and_its_name(tmp_path: Path) -> None:
     changes = {"telemetry.gross_error": [{"meter": "p_injection@24", "sigmas": 30.0}]}
     bad = make_result(load_scenario("ieee33", changes=changes), tmp_path)
     areas = tuple(replace(area, removed=("p_injection@24",) * (area.name == "area1")) for area in bad.area_results)
@@ -180,7 +180,7 @@ def test_a_removed_meter_has_a_mark_and_its_name(result: RunResult, tmp_path: Pa
     assert "p_injection@24" in [text.get_text() for text in axis.texts]
 
 
-def test_without_normalised_residuals_those_by_the_meters_deviation_are_drawn_and_said_so(result: RunResult) -> None:
+def test_without_normalised_residuals_those_by_the_meters_deviation_are_drawn_and_named(result: RunResult) -> None:
     wrong = replace(result.comparison.sigma, vm=2 * result.comparison.sigma.vm)
     drawing = draw_residuals(replace(result, comparison=replace(result.comparison, sigma=wrong)))
     (axis,) = axes_of(drawing)

@@ -24,7 +24,8 @@ def intake(two_meters: GatewayMap) -> Intake:
 def find_sum(intake: Intake) -> int:
     """Of all fates of readings, those that wait included."""
     counts = intake.counts
-    return counts.used + counts.superseded + counts.total_refused + sum(map(len, intake.waiting.values()))
+    rejected = sum(found.count for found in counts.rejected.values())
+    return counts.used + counts.superseded + rejected + sum(map(len, intake.waiting.values()))
 
 
 def test_a_reading_is_in_per_unit_with_its_sigma(intake: Intake) -> None:
@@ -66,11 +67,11 @@ def test_bad_input_is_counted_and_named_and_takes_no_good_reading_away(
     intake("U1", 12.7, NOW - 1)
     intake(address, value, time, unit=unit)
     intake("P1", 100.0)
-    refused = intake.counts.refused
-    assert list(refused) == [reason]
-    assert refused[reason].count == 1
-    assert refused[reason].addresses == {address: 1}
-    assert address in refused[reason].last
+    rejected = intake.counts.rejected
+    assert list(rejected) == [reason]
+    assert rejected[reason].count == 1
+    assert rejected[reason].addresses == {address: 1}
+    assert address in rejected[reason].last
     assert intake.newest["area1"]["vm@1"].value == pytest.approx(12.7 / 12.66)
     assert set(intake.newest["area1"]) == {"vm@1", "p_flow@1:1-2"}
     assert find_sum(intake) == intake.counts.received == 3
@@ -90,26 +91,26 @@ def test_a_flood_takes_nothing_from_other_meters_and_every_reading_of_it_is_coun
     assert intake.take_waiting("area1") == 2
     assert intake.counts.received == 20_001 == find_sum(intake)
     assert intake.counts.superseded == 9_999
-    assert intake.counts.refused[reasons.UNKNOWN].count == 10_000
-    assert len(intake.counts.refused[reasons.UNKNOWN].addresses) == MOST_NAMED
+    assert intake.counts.rejected[reasons.UNKNOWN].count == 10_000
+    assert len(intake.counts.rejected[reasons.UNKNOWN].addresses) == MOST_NAMED
     assert intake.newest["area1"]["vm@1"].value == pytest.approx(12.09999 / 12.66)
 
 
 def test_a_flood_is_logged_a_few_times(two_meters: GatewayMap) -> None:
-    said: list[str] = []
-    intake = Intake(two_meters.points, lambda: NOW, counts=Counts(say=said.append))
+    warnings: list[str] = []
+    intake = Intake(two_meters.points, lambda: NOW, counts=Counts(warn=warnings.append))
     for _ in range(1000):
         intake("U1", "bad\x1b[31m")
-    assert len(said) == 4
-    assert all("bad type" in line and "U1" in line and "\x1b" not in line for line in said)
+    assert len(warnings) == 4
+    assert all("bad type" in line and "U1" in line and "\x1b" not in line for line in warnings)
 
 
 def test_a_source_cannot_make_any_number_of_reasons() -> None:
-    counts = Counts(say=lambda _: None)
+    counts = Counts(warn=lambda _: None)
     for k in range(1000):
-        counts.refuse(f"reason {k}", "", "a line")
-    assert len(counts.refused) == MOST_REASONS + 1
-    assert sum(found.count for found in counts.refused.values()) == 1000
+        counts.reject(f"reason {k}", "", "a line")
+    assert len(counts.rejected) == MOST_REASONS + 1
+    assert sum(found.count for found in counts.rejected.values()) == 1000
 
 
 def test_a_reading_that_its_source_does_not_vouch_for_is_passed_on_as_such(intake: Intake) -> None:
@@ -131,4 +132,4 @@ def test_two_readings_without_a_time_in_one_instant_are_one_after_the_other(inta
     intake("U1", 12.6)
     intake("U1", 12.7)
     assert intake.newest["area1"]["vm@1"].value == pytest.approx(12.7 / 12.66)
-    assert not intake.counts.refused
+    assert not intake.counts.rejected

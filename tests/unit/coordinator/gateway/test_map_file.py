@@ -200,7 +200,7 @@ def test_current_and_angle_have_their_units(edited_scenario: Callable[..., Path]
     assert points["i"].value_of(0.1) == pytest.approx(100.0 * math.sqrt(3) * 12.66 / 1000 / 10)
 
 
-def test_meters_of_another_gateway_are_refused(edited_scenario: Callable[..., Path], write_map, tmp_path: Path) -> None:
+def test_a_meter_of_another_gateway_is_rejected(edited_scenario: Callable[..., Path], write_map) -> None:
     own = '[gateways.north]\nareas = ["area1"]\nmeters = ["vm@*"]\n[gateways.south]\nareas = "all"\n'
     edited_scenario(
         "ieee33", ("noise = true", own), ('source = "network" ', 'source = "live"\nticks = "gateway"\nleader = "south"')

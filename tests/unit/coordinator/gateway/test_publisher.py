@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections import Counter
 from collections.abc import Callable
 
 import pytest
@@ -13,7 +14,7 @@ from coordinator.gateway.intake import Intake
 from coordinator.gateway.maps.map_file import GatewayMap
 from coordinator.gateway.publisher import LeadingPublisher, Publisher
 
-DEADLINE_S = 30.0
+DEADLINE_S = 180.0
 
 
 def make(
@@ -77,7 +78,7 @@ def test_a_flood_is_few_messages_with_the_newest_of_all_meters(two_meters: Gatew
     assert intake.counts.superseded == 9_999
 
 
-def test_the_same_is_said_again_for_who_has_missed_it(two_meters: GatewayMap) -> None:
+def test_the_same_is_sent_again_for_who_has_missed_it(two_meters: GatewayMap) -> None:
     async def test() -> list[TelemetryMessage]:
         intake, publisher, sent = make(two_meters)
         publisher.publish_soon("area1")  # an area is there before any reading
@@ -109,7 +110,9 @@ def test_of_a_gateway_that_leads_all_messages_of_a_scan_say_the_same(two_meters:
     async def test() -> list[TelemetryMessage]:
         intake, publisher, sent = make(two_meters, LeadingPublisher, scan_s=0.1, repeats_s=(0.01,))
         value = 12.0
-        while len({message.header.scan for message in sent}) < 3:
+        of_scan: Counter[int] = Counter()
+        while len(of_scan) < 3 or max(of_scan.values()) < 2:
+            of_scan = Counter(message.header.scan for message in sent)
             intake("U1", value := value + 1e-4)
             publisher.publish_soon("area1")
             await asyncio.sleep(0.005)

@@ -23,9 +23,9 @@ def pauses(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 
 
 def test_pauses_grow_until_something_works(pauses: list[float]) -> None:
-    said: list[str] = []
+    logged: list[str] = []
     now = [0.0]
-    link, attempts = Link("source", say=said.append, clock=lambda: now[0]), 0
+    link, attempts = Link("source", warn=logged.append, clock=lambda: now[0]), 0
 
     async def attempt() -> None:
         nonlocal attempts
@@ -40,15 +40,18 @@ def test_pauses_grow_until_something_works(pauses: list[float]) -> None:
     asyncio.run(keep_on(link, attempt))
     assert pauses == [0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 10.0, 10.0, 0.1, 0.2]
     assert link.failures == 11
-    assert len(said) == 4
-    assert ["nobody there" in said[0], "works again" in said[1], "gone" in said[2], "nobody there" in said[3]] == [
-        True
-    ] * 4
+    assert len(logged) == 4
+    assert [
+        "nobody there" in logged[0],
+        "works again" in logged[1],
+        "gone" in logged[2],
+        "nobody there" in logged[3],
+    ] == [True] * 4
 
 
 def test_a_link_that_comes_and_goes_is_tried_less_often_and_fills_no_log(pauses: list[float]) -> None:
-    said: list[str] = []
-    link, attempts = Link("source", say=said.append, clock=lambda: 0.0), 0
+    logged: list[str] = []
+    link, attempts = Link("source", warn=logged.append, clock=lambda: 0.0), 0
 
     async def attempt() -> None:
         nonlocal attempts
@@ -60,8 +63,8 @@ def test_a_link_that_comes_and_goes_is_tried_less_often_and_fills_no_log(pauses:
     asyncio.run(keep_on(link, attempt))
     assert pauses[-1] == 10.0
     assert link.failures == 2000
-    assert len(said) < 10
-    assert sum("gone" in each for each in said) == 4
+    assert len(logged) < 10
+    assert sum("gone" in each for each in logged) == 4
 
 
 def test_of_several_errors_the_first_is_named_in_one_printable_line() -> None:

@@ -102,7 +102,7 @@ def test_json_lines_are_written_one_by_one(areas: dict[str, Area], state: StateM
         task = asyncio.create_task(sink.write(queue))
         for count in (1, 2):
             queue.put(state)
-            async with asyncio.timeout(30.0):
+            async with asyncio.timeout(180.0):
                 while not path.exists() or path.read_text().count("\n") < count:
                     await asyncio.sleep(0.005)
         task.cancel()

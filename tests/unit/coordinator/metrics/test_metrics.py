@@ -36,7 +36,7 @@ def page() -> Iterator[MetricsPage]:
 
 def ask(page: MetricsPage, path: str) -> tuple[int, str]:
     try:
-        with urllib.request.urlopen(f"http://127.0.0.1:{page.port}{path}", timeout=10.0) as answer:
+        with urllib.request.urlopen(f"http://127.0.0.1:{page.port}{path}", timeout=180.0) as answer:
             return answer.status, answer.read().decode()
     except urllib.error.HTTPError as error:
         return error.code, error.read().decode()
@@ -59,8 +59,8 @@ def watcher_of_one(**changes: object) -> Watcher:
     return watcher
 
 
-def test_before_the_bus_is_reached_nothing_is_healthy_or_ready_and_the_reason_is_said(page: MetricsPage):
-    page.tell(time.monotonic(), "cannot reach tcp/192.0.2.7:7447 within 2 s")
+def test_before_the_bus_is_reached_nothing_is_healthy_or_ready_and_the_reason_is_shown(page: MetricsPage):
+    page.show_trouble(time.monotonic(), "cannot reach tcp/192.0.2.7:7447 within 2 s")
     assert ask(page, "/health") == (503, '{"ok": false, "why": ["cannot reach tcp/192.0.2.7:7447 within 2 s"]}\n')
     assert ask(page, "/ready")[0] == 503
     assert numbers(page)["dsse_bus_reachable",] == 0.0

@@ -19,7 +19,7 @@ def tokens(role: str, name: str) -> list[str]:
 @pytest.mark.parametrize(("role", "name"), [("area", "area1"), ("plant", "plant")])
 def test_two_that_are_there_for_long_are_reported_once_with_both_incarnations(role: str, name: str):
     assert SURE_S < OVERLAP_S, "or the older one has gone before it is reported"
-    duplicates = Duplicates(beat_s=0.2)
+    duplicates = Duplicates(heartbeat_s=0.2)
     for at, key in enumerate(tokens(role, name)):
         duplicates.take(key, True, at)
     assert duplicates.find_lasting(1.0 + 0.9 * SURE_S) == []
@@ -30,13 +30,13 @@ def test_two_that_are_there_for_long_are_reported_once_with_both_incarnations(ro
     assert all(word in str(duplicate) for word in (name, "1-00000001", "2-00000001", "at once"))
 
 
-@pytest.mark.parametrize("farewells", [(GIVES_WAY, ""), ("", GIVES_WAY)])
-def test_one_that_gives_way_is_reported_at_once_and_only_once(farewells: tuple[str, str]):
+@pytest.mark.parametrize("leave_reasons", [(GIVES_WAY, ""), ("", GIVES_WAY)])
+def test_one_that_gives_way_is_reported_at_once_and_only_once(leave_reasons: tuple[str, str]):
     old, new = tokens("area", "area1")
-    duplicates = Duplicates(beat_s=0.2)
+    duplicates = Duplicates(heartbeat_s=0.2)
     duplicates.take(old, True, 0.0)
     duplicates.take(new, True, 0.0)
-    for leave_reason in farewells:
+    for leave_reason in leave_reasons:
         reported = duplicates.take(old, False, 0.1, leave_reason)
         assert reported == (Duplicate("area", "area1", *map(str, INCARNATIONS)) if leave_reason else None)
     assert len(duplicates.found) == 1
@@ -44,7 +44,7 @@ def test_one_that_gives_way_is_reported_at_once_and_only_once(farewells: tuple[s
 
 def test_a_process_that_was_killed_and_started_again_is_none_nor_one_that_leaves_in_order():
     old, new = tokens("area", "area1")
-    duplicates = Duplicates(beat_s=0.2)
+    duplicates = Duplicates(heartbeat_s=0.2)
     for leave_reason in ("", "SIGTERM"):
         duplicates.take(old, True, 0.0)
         duplicates.take(new, True, 0.5)
@@ -53,14 +53,14 @@ def test_a_process_that_was_killed_and_started_again_is_none_nor_one_that_leaves
 
 
 def test_watchers_may_be_many():
-    duplicates = Duplicates(beat_s=0.2)
+    duplicates = Duplicates(heartbeat_s=0.2)
     for key in tokens("coordinator", "coordinator"):
         duplicates.take(key, True, 0.0)
     assert duplicates.find_lasting(100.0) == []
 
 
 def test_where_heartbeats_are_long_a_dead_ones_token_may_be_there_for_longer():
-    duplicates = Duplicates(beat_s=2.0)
+    duplicates = Duplicates(heartbeat_s=2.0)
     for key in tokens("area", "area1"):
         duplicates.take(key, True, 0.0)
     assert duplicates.find_lasting(8 * 2.0) == []

@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 
 import pytest
-from shown_states import said_by
+from shown_states import published_by
 
 from agents.messages.packing import Header, Incarnation, StateMessage
 from agents.peers.freshness import PATIENCE_HEARTBEATS
@@ -23,13 +23,13 @@ def a_state(area: str, sequence: int = 1, **changes: object) -> StateMessage:
     """A state of an area that agrees with everybody: 1 p.u. at 0 rad, everything received."""
     here = PARTITION.area(area)
     n = len(here.network.buses)
-    said = {neighbour.area: (1, 2) for neighbour in here.neighbours}
+    sent = {neighbour.area: (1, 2) for neighbour in here.neighbours}
     shown = {
         **{"buses": tuple(bus.id for bus in here.network.buses), "vm": (1.0,) * n, "va": (0.0,) * n},
-        **{"sigma_vm": (0.001,) * n, "sigma_va": (0.001,) * n, "sent": said, "received": said, "lost": 1},
+        **{"sigma_vm": (0.001,) * n, "sigma_va": (0.001,) * n, "sent": sent, "received": sent, "lost": 1},
         **{"telemetry_age": 0.0, "ages": {}},
     }
-    state = said_by(area, Incarnation(1, 1), **(shown | changes))
+    state = published_by(area, Incarnation(1, 1), **(shown | changes))
     return replace(state, header=replace(state.header, sequence=sequence))
 
 
@@ -42,7 +42,7 @@ def watch(
 ) -> Observer:
     """An observer of agreeing states, with ``states`` in their place, and all of them ``heartbeats`` times again."""
     observer = Observer(
-        PARTITION, tolerance_va=1e-6, tolerance_vm=1e-6, beat_s=HEARTBEAT_S, compare_magnitudes=magnitudes
+        PARTITION, tolerance_va=1e-6, tolerance_vm=1e-6, heartbeat_s=HEARTBEAT_S, compare_magnitudes=magnitudes
     )
     for area in alive:
         observer.take_presence(area, True, 0.0)
@@ -217,6 +217,22 @@ def test_history_keeps_every_changed_estimate_with_its_time():
     observer = watch()
     observer.take_state(a_state("area1", sequence=2), 9.0)
     assert [sample.time for sample in observer.history if sample.area == "area1"] == [0.0, 9.0]
+
+
+def test_samples_of_an_area_do_not_keep_its_buses_once_more_each():
+    observer = watch()
+    buses = tuple(int(f"{bus}") for bus in observer.states["area1"].buses)
+    observer.take_state(a_state("area1", sequence=2, buses=buses), 9.0)
+    first, second = (sample.buses for sample in observer.history if sample.area == "area1")
+    assert first is second
+
+
+def test_a_state_that_names_a_bus_twice_or_lacks_one_is_not_of_its_area():
+    observer, buses = watch(), a_state("area1").buses
+    for wrong in ((buses[1], *buses[1:]), buses[1:], (10**18, *buses[1:])):
+        n = len(wrong)
+        columns = {key: (1.0,) * n for key in ("vm", "va", "sigma_vm", "sigma_va")}
+        assert not observer.take_state(a_state("area1", sequence=2, buses=wrong, **columns), 9.0)
 
 
 def test_progress_shows_state_and_mismatch_of_every_area():

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
-from shown_states import a_state, said_by
+import zenoh
+from shown_states import a_state, published_by
 
 from agents.messages.checks import LONGEST_NAME
 from agents.messages.keys import live_key
@@ -27,29 +29,45 @@ INCARNATION = Incarnation(1, 1)
 
 
 class Bus:
-    """Keeps what a listener asks of its session."""
+    """Passes on what a listener asks of its session."""
 
-    def subscribe(self, keys: str, callback) -> None:
-        self.leave_reason = callback  # the last one
+    def __init__(self) -> None:
+        self._leaves: list[tuple[zenoh.KeyExpr, Callable[[str, bytes], None]]] = []
+        self._tokens: list[tuple[zenoh.KeyExpr, Callable[[str, bool], None]]] = []
 
-    def watch_presence(self, keys: str, callback) -> None:
-        self.token = callback
+    def subscribe(self, keys: str, callback: Callable[[str, bytes], None]) -> None:
+        self._leaves.append((zenoh.KeyExpr(keys), callback))
+
+    def watch_presence(self, keys: str, callback: Callable[[str, bool], None]) -> None:
+        self._tokens.append((zenoh.KeyExpr(keys), callback))
 
     def declare_presence(self, key: str) -> None:
         pass
+
+    def show(self, key: str) -> None:
+        for asked, callback in self._tokens:
+            if asked.includes(zenoh.KeyExpr(key)):
+                callback(key, True)
+
+    def leave(self, key: str) -> None:
+        for asked, callback in self._leaves:
+            if asked.includes(zenoh.KeyExpr(key)):
+                callback(key, b"SIGTERM")
 
 
 def test_a_run_takes_in_the_tokens_of_its_own_processes_only():
     bus, clock = Bus(), SimpleNamespace(incarnation=INCARNATION)
     run = SimpleNamespace(id="run", updates=Updates(), scenario=load_scenario("ieee33"), clock=clock)
     listen(run, bus)  # type: ignore[arg-type]
-    for role, name in (("area", "area99"), ("plant", "other"), ("stranger", "area1")):
-        bus.token(live_key("run", role, name, INCARNATION), True)
-        bus.leave_reason(live_key("run", role, name, INCARNATION), b"SIGTERM")
+    for role, name in (("area", "area99"), ("plant", "other"), ("stranger", "area1"), ("gateway", "north")):
+        bus.show(live_key("run", role, name, INCARNATION))
+        bus.leave(live_key("run", role, name, INCARNATION))
     assert run.updates.take(0.0) == []
     for role, name in (("area", "area1"), ("plant", "plant"), ("coordinator", "coordinator")):
-        bus.token(live_key("run", role, name, INCARNATION), True)
+        bus.show(live_key("run", role, name, INCARNATION))
     assert len(run.updates.take(0.0)) == 3
+    bus.leave(live_key("run", "area", "area1", INCARNATION))
+    assert len(run.updates.take(0.0)) == 1
 
 
 def test_states_and_tokens_that_nobody_takes_in_do_not_pile_up(monkeypatch: pytest.MonkeyPatch):
@@ -58,7 +76,7 @@ def test_states_and_tokens_that_nobody_takes_in_do_not_pile_up(monkeypatch: pyte
     for k in range(100):
         updates.offer(k)
     for k in range(100):
-        updates.offer(-k, said_once=True)
+        updates.offer(-k, sent_once=True)
     updates.put("the end of a process")
     assert updates.take(0.0) == [*range(10), *range(0, -10, -1), "the end of a process"]
 
@@ -84,7 +102,7 @@ def test_a_watcher_keeps_so_many_areas_and_no_more(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(watch, "MOST_AREAS", 5)
     watcher = Watcher("run")
     for k in range(20):
-        watcher.take_state(said_by(f"area{k}", INCARNATION, sent={f"made-up{j}": (1, 1) for j in range(20)}), 0.0)
+        watcher.take_state(published_by(f"area{k}", INCARNATION, sent={f"made-up{j}": (1, 1) for j in range(20)}), 0.0)
         watcher.take_leave(live_key("run", "area", f"area{k}", INCARNATION), "SIGTERM")
     assert len(watcher.look(0.0).areas) == 5
     assert len(watcher._received) == len(watcher._leave_reasons) == 5

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from shown_states import a_state, said_by
+from shown_states import a_state, published_by
 
 from agents.messages.keys import live_key
 from agents.messages.packing import Incarnation
@@ -32,7 +32,7 @@ def test_the_last_state_of_an_area_that_is_gone_is_stale_and_its_ages_go_on():
     assert (gone.quality, gone.state, gone.telemetry_age_s, gone.ages_s) == ("stale", "gone", 60.1, {"area2": 60.2})
 
 
-def test_an_area_that_is_there_and_silent_for_long_is_stale_whatever_it_said():
+def test_an_area_that_is_there_and_silent_for_long_is_stale_whatever_it_published():
     watcher = Watcher("run")
     watcher.take_presence(ONE, True)
     for at in (5.0, 5.2, 5.4):
@@ -83,20 +83,20 @@ def seen_state(watcher: Watcher) -> str:
 
 def test_an_incarnation_whose_clock_was_set_back_is_shown_once_the_newer_one_was_silent_for_long():
     watcher = Watcher("run")
-    watcher.take_state(said_by("area1", Incarnation(2, 1), messages=1), 0.0)
-    watcher.take_state(said_by("area1", Incarnation(1, 1), messages=2), 0.9 * OVER_S)
+    watcher.take_state(published_by("area1", Incarnation(2, 1), messages=1), 0.0)
+    watcher.take_state(published_by("area1", Incarnation(1, 1), messages=2), 0.9 * OVER_S)
     assert seen(watcher, OVER_S).messages == 1
-    watcher.take_state(said_by("area1", Incarnation(1, 1), messages=2), 1.1 * OVER_S)
+    watcher.take_state(published_by("area1", Incarnation(1, 1), messages=2), 1.1 * OVER_S)
     assert seen(watcher, 2 * OVER_S).messages == 2
 
 
 def test_mismatches_are_the_largest_to_a_neighbour_at_a_bus_that_both_show():
     watcher = Watcher("run")
     incarnation, neighbours = Incarnation(1, 1), {"area2": (1, 1), "area3": (1, 1)}
-    watcher.take_state(said_by("area1", incarnation, sent=neighbours), 0.0)
+    watcher.take_state(published_by("area1", incarnation, sent=neighbours), 0.0)
     assert seen(watcher, 0.0).mismatch_vm_pu is None
-    watcher.take_state(said_by("area2", incarnation, vm=(1.01,)), 0.0)
-    watcher.take_state(said_by("area3", incarnation, vm=(0.97,)), 0.0)
+    watcher.take_state(published_by("area2", incarnation, vm=(1.01,)), 0.0)
+    watcher.take_state(published_by("area3", incarnation, vm=(0.97,)), 0.0)
     assert seen(watcher, 0.0).mismatch_vm_pu == pytest.approx(0.03)
 
 
@@ -110,8 +110,8 @@ def test_what_an_area_says_is_shown_and_never_obeyed():
     watcher = Watcher("[/run]")
     hostile = "[/nope]\x1b]0;owned\x07\nconsensus :smile: [bold red]"
     for area in ("area1", "[/link]\x9b2J"):
-        said = said_by(area, Incarnation(1, 1), notes=(hostile,), quality="\x1b[8m[/x]")
-        watcher.take_state(replace(said, header=replace(said.header, run="[/run]")), 0.0)
+        state = published_by(area, Incarnation(1, 1), notes=(hostile,), quality="\x1b[8m[/x]")
+        watcher.take_state(replace(state, header=replace(state.header, run="[/run]")), 0.0)
     table = format_view(watcher.look(0.0))
     assert table.replace("\n", "").isprintable()
     text = "".join(table.replace("│", "").split())  # cells may be broken into lines

@@ -86,17 +86,17 @@ def test_orders_of_two_operators_who_have_not_seen_each_other_add_up(tmp_path: P
 def test_an_order_that_another_operator_has_overtaken_is_given_again(tmp_path: Path, second: int):
     areas = Areas(tmp_path)
     late, prompt = operator(areas, 5), operator(areas, second)
-    heard: list[tuple[str, bytes]] = []
+    received: list[tuple[str, bytes]] = []
 
     def lose(area: str) -> Callable[[bytes], None]:
-        return lambda payload: heard.append((area, payload))
+        return lambda payload: received.append((area, payload))
 
     late._publishers |= {area: lose(area) for area in METERS}  # its first commands are on their way
 
     def overtake() -> None:
-        if heard and "A" not in areas.meters_off() and "B" not in areas.meters_off():
+        if received and "A" not in areas.meters_off() and "B" not in areas.meters_off():
             prompt.switch_off(["B"])
-            for area, payload in heard:
+            for area, payload in received:
                 areas.take(area, payload)  # and come after those of the other one
             late._publishers.clear()
 

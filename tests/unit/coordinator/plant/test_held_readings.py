@@ -14,7 +14,7 @@ def scan(value: float, *meters: Meter) -> dict[str, tuple[Measurement, ...]]:
     return {"area1": tuple(Measurement(meter, value, 0.01) for meter in meters)}
 
 
-def said(held: HeldReadings, value: float, now: float, *meters: Meter) -> dict[str, tuple[float, float]]:
+def held_at(held: HeldReadings, value: float, now: float, *meters: Meter) -> dict[str, tuple[float, float]]:
     """Meter id -> what the plant says it has read, and when."""
     readings, times = held.take(scan(value, *meters), now)
     return {m.meter.id: (m.value, times[m.meter.id]) for m in readings["area1"]}
@@ -22,14 +22,14 @@ def said(held: HeldReadings, value: float, now: float, *meters: Meter) -> dict[s
 
 def test_a_meter_with_an_interval_reads_when_it_is_due_and_the_others_always():
     held = HeldReadings(RULES)
-    assert said(held, 1.0, 11.0, VM, INJECTION) == {"vm@1": (1.0, 11.0), "p_injection@1": (1.0, 11.0)}
-    assert said(held, 2.0, 14.0, VM, INJECTION) == {"vm@1": (1.0, 11.0), "p_injection@1": (2.0, 14.0)}
-    assert said(held, 3.0, 15.0, VM, INJECTION) == {"vm@1": (3.0, 15.0), "p_injection@1": (3.0, 15.0)}
+    assert held_at(held, 1.0, 11.0, VM, INJECTION) == {"vm@1": (1.0, 11.0), "p_injection@1": (1.0, 11.0)}
+    assert held_at(held, 2.0, 14.0, VM, INJECTION) == {"vm@1": (1.0, 11.0), "p_injection@1": (2.0, 14.0)}
+    assert held_at(held, 3.0, 15.0, VM, INJECTION) == {"vm@1": (3.0, 15.0), "p_injection@1": (3.0, 15.0)}
 
 
 def test_where_a_reading_is_lost_the_last_one_stays_if_there_is_an_interval():
     held = HeldReadings(RULES)
-    said(held, 1.0, 10.0, VM, INJECTION)
-    assert said(held, 2.0, 15.0) == {"vm@1": (1.0, 10.0)}
-    assert said(held, 3.0, 16.0, VM) == {"vm@1": (1.0, 10.0)}, "it reads again when it is due"
-    assert said(held, 4.0, 20.0, VM) == {"vm@1": (4.0, 20.0)}
+    held_at(held, 1.0, 10.0, VM, INJECTION)
+    assert held_at(held, 2.0, 15.0) == {"vm@1": (1.0, 10.0)}
+    assert held_at(held, 3.0, 16.0, VM) == {"vm@1": (1.0, 10.0)}, "it reads again when it is due"
+    assert held_at(held, 4.0, 20.0, VM) == {"vm@1": (4.0, 20.0)}

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import signal
 import time
-from contextlib import nullcontext
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from click.testing import CliRunner
@@ -17,17 +20,27 @@ from agents.orders.order_book import OrderBook
 from agents.runtime.duplicate_guard import DuplicateGuard
 from agents.runtime.inbox import Inbox
 from agents.transport.renewable_bus import RenewableBus
+from agents.transport.zenoh_bus import Session
 from coordinator.cli.processes import plant
 from coordinator.deployment.split import choose_run_id, default_run_id, write_area_files
-from coordinator.plant.plant import BURST, _Alone, _Voice
+from coordinator.plant.plant import BURST, _NoAreaWarning, _PlantLoop, run_plant
 from coordinator.plant.scans import MadeScan, OwnScans
 from coordinator.plant.telemetry_messages import make_payloads
-from dsse_core.errors import InvalidInputError
+from dsse_core.errors import DsseError, InvalidInputError
 from dsse_core.grid.measurement import Source
 from dsse_core.limits import LONGEST_S
 from dsse_core.link_faults import LinkFaults
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import find_lateness, make_telemetry
+
+
+@contextmanager
+def restored_signals() -> Iterator[None]:
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = {number: signal.getsignal(number) for number in numbers}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 def readings(seed: int) -> dict[str, tuple[object, ...]]:
@@ -40,6 +53,28 @@ def readings(seed: int) -> dict[str, tuple[object, ...]]:
 def test_the_same_seed_gives_the_same_telemetry_and_another_seed_another():
     assert readings(3) == readings(3)
     assert readings(3) != readings(4)
+
+
+def test_a_plant_asks_the_bus_for_the_presence_of_its_areas_and_of_nobody_else(monkeypatch: pytest.MonkeyPatch):
+    asked: list[str] = []
+
+    class Bus(nullcontext[None]):
+        def watch_presence(self, expression: str, callback: object) -> None:
+            asked.append(expression)
+
+        def declare_presence(self, key: str) -> None:
+            raise DsseError("all is declared before the token is shown")
+
+        def publisher(self, key: str) -> None: ...
+        def subscribe(self, key: str, callback: object) -> None: ...
+        def __enter__(self) -> Any:
+            return self
+
+    monkeypatch.setattr(Session, "join", lambda *_, **__: Bus())
+    with restored_signals():
+        assert run_plant(OwnScans(load_scenario("ieee33"), many=False), "run", ()) == 2
+    areas = ("area/area1", "area/area2", "area/area3")
+    assert asked == [f"dsse/v2/run/live/{name}/*" for name in (*areas, "plant/plant")]
 
 
 def test_virtual_measurements_are_not_sent_because_area_files_hold_them(tmp_path: Path):
@@ -121,25 +156,27 @@ def no_bus() -> RenewableBus:
 def test_a_plant_whose_scans_follow_at_once_publishes_each_and_can_be_stopped():
     published: list[bytes] = []
     inbox = Inbox()
-    guard = DuplicateGuard("plant", Incarnation(1, 1), 0.0, beat_s=0.2)
-    voice = _Voice(
-        {"area1": published.append}, inbox, beat_s=0.2, guard=guard, bus=no_bus(), orders=OrderBook("plant", "run")
+    guard = DuplicateGuard("plant", Incarnation(1, 1), 0.0, heartbeat_s=0.2)
+    loop = _PlantLoop(
+        {"area1": published.append}, inbox, heartbeat_s=0.2, guard=guard, bus=no_bus(), orders=OrderBook("plant", "run")
     )
-    assert not voice.serve({"area1": b"scan 1"}, {}, duration_s=1e-9)
+    assert not loop.publish_scan({"area1": b"scan 1"}, {}, duration_s=1e-9)
     inbox.put("stop", None)
-    assert voice.serve({"area1": b"scan 2"}, {}, duration_s=1e-9)
+    assert loop.publish_scan({"area1": b"scan 2"}, {}, duration_s=1e-9)
     assert published == [b"scan 1", b"scan 2"]
 
 
-def test_a_plant_says_much_in_pieces_and_who_waits_when_a_scan_ends_is_first_in_the_next():
-    said: list[str] = []
+def test_a_plant_sends_much_in_pieces_and_who_waits_when_a_scan_ends_is_first_in_the_next():
+    published: list[str] = []
     areas = [f"area{k}" for k in range(1, 4)]
-    publishers = {area: lambda payload, area=area: said.append(f"{area} {payload[:1].decode()}") for area in areas}
-    guard = DuplicateGuard("plant", Incarnation(1, 1), 0.0, beat_s=LONGEST_S)
-    voice = _Voice(publishers, Inbox(), beat_s=LONGEST_S, guard=guard, bus=no_bus(), orders=OrderBook("plant", "run"))
+    publishers = {area: lambda payload, area=area: published.append(f"{area} {payload[:1].decode()}") for area in areas}
+    guard = DuplicateGuard("plant", Incarnation(1, 1), 0.0, heartbeat_s=LONGEST_S)
+    loop = _PlantLoop(
+        publishers, Inbox(), heartbeat_s=LONGEST_S, guard=guard, bus=no_bus(), orders=OrderBook("plant", "run")
+    )
     for scan in (b"1", b"2", b"3"):
-        assert not voice.serve({area: scan * BURST for area in areas}, {}, duration_s=1e-9)
-    assert said == ["area1 1", "area2 2", "area3 3"]
+        assert not loop.publish_scan({area: scan * BURST for area in areas}, {}, duration_s=1e-9)
+    assert published == ["area1 1", "area2 2", "area3 3"]
 
 
 @pytest.mark.parametrize("given", [(), ("tcp/192.0.2.7:1", "tcp/192.0.2.7:2")])
@@ -170,25 +207,25 @@ def scenario_of_neighbours(folder: Path, more: str = "") -> Path:
 @pytest.mark.parametrize("is_received", [False, True])
 def test_a_plant_that_no_area_receives_says_so_once(caplog, is_received: bool):
     inbox = Inbox()
-    guard = DuplicateGuard("plant", Incarnation(1, 1), 0.0, beat_s=0.2)
-    voice = _Voice(
-        {"area1": lambda _: None}, inbox, beat_s=0.2, guard=guard, bus=no_bus(), orders=OrderBook("plant", "run")
+    guard = DuplicateGuard("plant", Incarnation(1, 1), 0.0, heartbeat_s=0.2)
+    loop = _PlantLoop(
+        {"area1": lambda _: None}, inbox, heartbeat_s=0.2, guard=guard, bus=no_bus(), orders=OrderBook("plant", "run")
     )
-    voice.alone = _Alone(0.0, "of run near within 1 s", ["tcp/127.0.0.1:7501"])
+    loop.no_area = _NoAreaWarning(0.0, "of run near within 1 s", ["tcp/127.0.0.1:7501"])
     if is_received:
         key = live_key("near", "area", "area1", Incarnation(1, 1))
         inbox.put(key, key)
     for _ in range(2):
-        voice.serve({"area1": b"scan"}, {}, duration_s=0.01)
-    said = "no area of run near within 1 s has shown itself; looking on at tcp/127.0.0.1:7501"
-    assert caplog.messages == ([] if is_received else [said])
+        loop.publish_scan({"area1": b"scan"}, {}, duration_s=0.01)
+    warning = "no area of run near within 1 s has shown itself; looking on at tcp/127.0.0.1:7501"
+    assert caplog.messages == ([] if is_received else [warning])
 
 
 def test_a_scan_that_was_made_elsewhere_is_published_as_the_plant_would_make_it():
     scenario, incarnation = load_scenario("industrial13"), Incarnation(1, 0)
     own, made = OwnScans(scenario, many=False), MadeScan.of(scenario, make_telemetry(scenario))
     for scans in (own, made):
-        assert scans.beat_s == scenario.run.beat_s
+        assert scans.heartbeat_s == scenario.run.beat_s
         assert scans.late_s(1) == find_lateness(scenario, 1)
     contents = [
         {

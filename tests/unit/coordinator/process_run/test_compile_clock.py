@@ -38,13 +38,13 @@ def test_the_clock_starts_when_all_is_compiled_here_and_in_the_parent(time: Time
 
 
 def test_the_user_is_reported_once_whether_it_will_happen_again():
-    said: list[str] = []
+    notes: list[str] = []
     clock = CompileClock()
-    clock.say = said.append
+    clock.notify = notes.append
     for begins in (True, False, True, False):
         clock.take(begins, "/cache")
-    assert len(said) == 1
-    assert "happens once: the code is kept in /cache" in said[0]
-    clock.say = said.append
+    assert len(notes) == 1
+    assert "happens once: the code is kept in /cache" in notes[0]
+    clock.notify = notes.append
     clock.take(True, None)
-    assert "no safe folder" in said[1]
+    assert "no safe folder" in notes[1]

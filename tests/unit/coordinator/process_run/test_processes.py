@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -13,7 +15,7 @@ import pytest
 from coordinator.process_run.fork_server import IO_ERROR_CODE, Ended, Started
 from coordinator.process_run.processes import Launcher, LaunchError, Updates, describe_end, read_end
 
-DEADLINE_S = 20.0
+DEADLINE_S = 180.0
 
 
 def take_until(updates: Updates, kind: type, name: str):
@@ -73,9 +75,9 @@ def test_a_process_that_cannot_write_its_log_ends_without_a_traceback_and_is_no_
         assert take_until(updates, Ended, "three").code == 0
     assert codes == {"one": IO_ERROR_CODE, "two": IO_ERROR_CODE}
     assert "is the disk full?" in describe_end(IO_ERROR_CODE)
-    said = capfd.readouterr().err
-    assert "Traceback" not in said
-    assert f"error: {tmp}: No such file or directory" in said
+    output = capfd.readouterr().err
+    assert "Traceback" not in output
+    assert f"error: {tmp}: No such file or directory" in output
 
 
 def test_the_exit_code_of_a_process_is_reported(tmp_path: Path):
@@ -101,7 +103,7 @@ def test_a_nice_process_gives_way_to_the_others(tmp_path: Path):
 def test_a_killed_process_is_reported_with_its_signal(tmp_path: Path):
     updates = Updates()
     with Launcher(updates.put) as launcher:
-        launcher.start("one", "time:sleep", 60, log=tmp_path / "one.log")
+        launcher.start("one", "time:sleep", 3600, log=tmp_path / "one.log")
         os.kill(take_until(updates, Started, "one").pid, signal.SIGKILL)
         assert describe_end(take_until(updates, Ended, "one").code) == "signal SIGKILL"
 
@@ -110,27 +112,33 @@ def test_leaving_the_block_stops_all_processes(tmp_path: Path):
     updates = Updates()
     with Launcher(updates.put) as launcher:
         for name in ("one", "two"):
-            launcher.start(name, "time:sleep", 60, log=tmp_path / f"{name}.log")
+            launcher.start(name, "time:sleep", 3600, log=tmp_path / f"{name}.log")
         pids = [started.pid for started in take_all(updates, Started, "one", "two").values()]
     assert all(is_gone(pid) for pid in [*pids, launcher.pid])
+
+
+def start_deaf(launcher: Launcher, updates: Updates, folder: Path) -> int:
+    """The pid of a process that ignores SIGTERM, once it does."""
+    ignore = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); print('deaf'); time.sleep(3600)"
+    launcher.start("deaf", "builtins:exec", ignore, log=folder / "deaf.log")
+    pid = take_until(updates, Started, "deaf").pid
+    deadline = time.monotonic() + DEADLINE_S
+    while read_end(folder / "deaf.log") != "deaf" and time.monotonic() < deadline:
+        updates.take(0.02)
+    return pid
 
 
 def test_a_process_that_ignores_sigterm_is_killed(tmp_path: Path):
     updates = Updates()
     with Launcher(updates.put) as launcher:
-        ignore = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); print('deaf'); time.sleep(60)"
-        launcher.start("deaf", "builtins:exec", ignore, log=tmp_path / "deaf.log")
-        pid = take_until(updates, Started, "deaf").pid
-        deadline = time.monotonic() + DEADLINE_S
-        while read_end(tmp_path / "deaf.log") != "deaf" and time.monotonic() < deadline:
-            updates.take(0.02)
+        pid = start_deaf(launcher, updates, tmp_path)
     assert is_gone(pid)
 
 
 def test_an_exception_in_the_block_leaves_nothing_behind(tmp_path: Path):
     updates = Updates()
     with pytest.raises(RuntimeError, match="mine"), Launcher(updates.put) as launcher:  # noqa: PT012
-        launcher.start("one", "time:sleep", 60, log=tmp_path / "one.log")
+        launcher.start("one", "time:sleep", 3600, log=tmp_path / "one.log")
         pid = take_until(updates, Started, "one").pid
         raise RuntimeError("mine")
     assert is_gone(pid)
@@ -140,12 +148,12 @@ def test_an_exception_in_the_block_leaves_nothing_behind(tmp_path: Path):
 def test_the_end_of_the_parent_is_reported_and_its_children_are_stopped(tmp_path: Path):
     updates = Updates()
     with Launcher(updates.put) as launcher:
-        launcher.start("one", "time:sleep", 60, log=tmp_path / "one.log")
+        launcher.start("one", "time:sleep", 3600, log=tmp_path / "one.log")
         pid = take_until(updates, Started, "one").pid
         os.kill(launcher.pid, signal.SIGKILL)
         assert take_until(updates, Ended, "parent of all processes").code == -signal.SIGKILL
         with pytest.raises(LaunchError, match="SIGKILL"):
-            launcher.start("two", "time:sleep", 60, log=tmp_path / "two.log")
+            launcher.start("two", "time:sleep", 3600, log=tmp_path / "two.log")
     assert is_gone(pid)
 
 
@@ -166,11 +174,33 @@ def test_an_order_to_a_process_that_is_not_ready_for_it_waits_and_does_not_end_i
 def test_a_process_that_ignores_sigterm_does_not_outlive_its_killed_parent(tmp_path: Path):
     updates = Updates()
     with Launcher(updates.put) as launcher:
-        ignore = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); print('deaf'); time.sleep(600)"
-        launcher.start("deaf", "builtins:exec", ignore, log=tmp_path / "deaf.log")
-        pid = take_until(updates, Started, "deaf").pid
-        deadline = time.monotonic() + DEADLINE_S
-        while read_end(tmp_path / "deaf.log") != "deaf" and time.monotonic() < deadline:
-            updates.take(0.02)
+        pid = start_deaf(launcher, updates, tmp_path)
         os.kill(launcher.pid, signal.SIGKILL)
         assert is_gone(pid)  # inside the block: on leaving it the launcher would kill the group
+
+
+COORDINATOR = """
+import os, signal, sys
+from pathlib import Path
+from coordinator.process_run.fork_server import Started
+from coordinator.process_run.processes import Launcher, Updates
+
+updates = Updates()
+launcher = Launcher(updates.put, bound=sys.argv[1] == "bound")
+launcher.start("one", "time:sleep", 600, log=Path(os.devnull))
+started = [item.pid for item in updates.take(60.0) if isinstance(item, Started)]
+print(launcher.pid, *started, flush=True)
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.mark.parametrize("bound", [True, False])
+def test_only_processes_that_are_bound_end_with_a_killed_coordinator(bound: bool):
+    how = "bound" if bound else "free"
+    done = subprocess.run([sys.executable, "-c", COORDINATOR, how], capture_output=True, text=True, check=False)
+    parent, child = map(int, done.stdout.split())
+    if not bound:
+        assert psutil.Process(child).status() != psutil.STATUS_ZOMBIE
+        os.kill(parent, signal.SIGTERM)
+    assert is_gone(parent)
+    assert is_gone(child)

@@ -56,7 +56,17 @@ def make_readings(content: AreaFile, scan: int = 1, sequence: int = 1, at: float
     meters = tuple(meter.id for meter in content.meters)
     header = Header(RUN, content.area.name, ME, scan, sequence, at)
     values = tuple(0.1 * k for k in range(len(meters)))
-    return ReadingsMessage(header, at, meters, values, (0.01,) * len(meters), (at - 0.5,) * len(meters))
+    known = meters[:-1]  # of the last one no estimate
+    return ReadingsMessage(
+        header,
+        at,
+        meters,
+        values,
+        (0.01,) * len(meters),
+        (at - 0.5,) * len(meters),
+        estimates=tuple(value + 0.01 for value in values[: len(known)]),
+        normalised=(1.5,) * len(known),
+    )
 
 
 def entry_of(message: StateMessage | ReadingsMessage, at: float = AT) -> Entry:

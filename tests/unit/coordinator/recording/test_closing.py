@@ -137,21 +137,21 @@ def test_a_damaged_log_loses_what_is_damaged_and_says_so(record: Record) -> None
     assert close_ended(folder) == []
     rows = len(read_table(folder, "states")) + len({(r["area"], r["scan"]) for r in read_table(folder, "readings")})
     assert rows == 2 * 4 * len(AREAS) - 2
-    said = [row["details"] for row in read_table(folder, "events") if row["event"] == "damaged log"]
-    assert ["frames are damaged" in text for text in map(str, said)] == [True, False]
+    details = [row["details"] for row in read_table(folder, "events") if row["event"] == "damaged log"]
+    assert ["frames are damaged" in text for text in map(str, details)] == [True, False]
 
 
 def test_a_foreign_file_among_the_logs_is_named_and_stays(record: Record) -> None:
     folder = record(_scans(1))
     (folder / LOGS / "notes.log").write_text("what I saw today\n")
-    (said,) = close_ended(folder)
-    assert "notes.log" in said
-    assert "is no log of a recording" in said
+    (details,) = close_ended(folder)
+    assert "notes.log" in details
+    assert "is no log of a recording" in details
     assert [path.name for path in (folder / LOGS).iterdir()] == ["notes.log"]
     assert len(read_table(folder, "states")) == len(AREAS)
 
 
-def test_without_pyarrow_the_logs_stay_and_it_is_said(record: Record, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_pyarrow_the_logs_stay_and_it_is_reported(record: Record, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = record(_scans(1))
     monkeypatch.setattr(closing, "has_parquet", lambda: False)
     assert close_ended(folder) == [NO_PARQUET]

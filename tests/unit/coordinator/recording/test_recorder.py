@@ -108,8 +108,10 @@ def test_another_run_gets_a_folder_of_its_own(tmp_path: Path) -> None:
 
 
 def test_a_folder_that_is_no_recording_is_one_clear_error(tmp_path: Path) -> None:
-    with pytest.raises(InvalidInputError, match="cannot be read"):
+    with pytest.raises(InvalidInputError, match=r"no recording\.json is in it; give a folder that `dsse record`"):
         read_about(tmp_path)
+    with pytest.raises(InvalidInputError, match="there is no such folder"):
+        read_about(tmp_path / "absent")
     (tmp_path / "recording.json").write_text("[1]")
     with pytest.raises(InvalidInputError, match="does not say of which run"):
         read_about(tmp_path)

@@ -33,11 +33,11 @@ def test_a_residual_that_stands_out_is_not_said_not_to(detected, tables):
         assert "stands out" not in report
 
 
-def test_where_none_does_it_is_said(detected, tables):
+def test_where_none_does_it_is_reported(detected, tables):
     assert "still detected, but no normalised residual stands out" in format_estimate(detected, tables)
 
 
-def test_residuals_of_unknown_variance_are_said_to_identify_nothing(detected, tables):
+def test_residuals_of_unknown_variance_are_reported_to_identify_nothing(detected, tables):
     assert "no bad data identification" not in format_estimate(detected, tables)
     variance = detected.result.residual_variance.copy()
     variance[:3] = np.nan

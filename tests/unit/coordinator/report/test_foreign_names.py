@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from agents.runtime.log_format import PrintableFormatter
+from agents.runtime.log.format import PrintableFormatter
 from coordinator.evaluation.result import RunResult
 from coordinator.figures.draw_areas import draw_areas
 from coordinator.observe.live import build_table

@@ -22,7 +22,7 @@ BROWSER = next(filter(None, map(shutil.which, NAMES)), None)
 QUIET = ["--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking"]
 QUIET += ["--disable-component-update", "--disable-sync", "--disable-default-apps", "--disable-dev-shm-usage"]
 ALONE = "--host-resolver-rules=MAP * ~NOTFOUND"  # the test itself asks nobody for anything either
-DEADLINE_S = 120
+DEADLINE_S = 600
 
 pytestmark = [pytest.mark.long, pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed")]
 

@@ -161,7 +161,7 @@ def test_the_command_to_repeat_is_that_which_was_given_with_a_new_folder(given: 
     assert write_command(given) == shown
 
 
-def test_what_cannot_be_written_is_told_by_the_result(tmp_path: Path) -> None:
+def test_what_cannot_be_written_is_named_by_the_result(tmp_path: Path) -> None:
     made = make_result(load_scenario("industrial13"), tmp_path)
     (tmp_path / "report.html").mkdir()
     unwritten = write_report(made, ["png"], []).unwritten

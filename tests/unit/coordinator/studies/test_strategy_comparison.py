@@ -104,7 +104,7 @@ def test_it_is_an_error_if_no_strategy_can_run(tmp_path: Path, capsys: pytest.Ca
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (["ieee33", "--strategies", "information,gossip"], "unknown strategy 'gossip'; allowed: admm, angle-offset"),
         (["ieee33", "--strategies", "information,information"], "'information' is given twice"),
@@ -115,7 +115,7 @@ def test_it_is_an_error_if_no_strategy_can_run(tmp_path: Path, capsys: pytest.Ca
 )
 def test_a_users_mistake_ends_with_exit_code_2(
     arguments: list[str],
-    said: str,
+    message: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -123,7 +123,7 @@ def test_a_users_mistake_ends_with_exit_code_2(
     (tmp_path / "occupied").touch()
     monkeypatch.chdir(tmp_path)
     assert run_command(["compare", *arguments]) == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 def test_all_unknown_strategies_are_named_at_once():

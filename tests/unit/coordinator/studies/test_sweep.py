@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import csv
 import json
+import os
+import signal
+from contextlib import suppress
 from dataclasses import replace
+from multiprocessing import util
 from pathlib import Path
 
+import psutil
 import pytest
 
 from coordinator.cli.main import run_command
 from coordinator.studies import sweep as sweep_module
 from coordinator.studies.study_row import COLUMNS
+from coordinator.studies.sweep import run_tasks
 from coordinator.studies.sweep_plan import Task, make_plan, parse_vary
 from coordinator.studies.sweep_table import SweepTable
 from scenarios.files.shipped_files import find_shipped
@@ -115,9 +121,40 @@ def test_an_interrupted_sweep_keeps_what_is_done_and_goes_on(
     assert len(rows_in(tmp_path / "s")) == 4
 
 
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
+def test_a_signal_while_workers_are_started_shows_no_traceback_of_theirs(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], number: signal.Signals
+):
+    spawn, workers = util.spawnv_passfds, []
+
+    def spawn_under_a_signal(path: object, arguments: list[str], files: object) -> int:
+        pid = spawn(path, arguments, files)
+        if "--multiprocessing-fork" in arguments:
+            workers.append(pid)
+            os.kill(os.getpid(), number)
+        return pid
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(util, "spawnv_passfds", spawn_under_a_signal)
+    plan = make_plan("industrial13", "faults.loss", [0.0, 0.1], ["information"], 1)
+    former = signal.signal(number, interrupt)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            list(run_tasks(plan, plan.tasks, 2))
+    finally:
+        signal.signal(number, former)
+    assert workers
+    for worker in workers:
+        with suppress(psutil.NoSuchProcess):
+            psutil.Process(worker).wait(60.0)
+    assert capfd.readouterr().err == ""
+
+
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("other", "said"),
+    ("other", "message"),
     [
         (["industrial13-lossy", *SMALL[1:]], "scenario is 'industrial13'"),
         (["industrial13", "--vary", "run.beat_s=0.1,0.2", *SMALL[3:]], "vary is 'faults.loss'"),
@@ -126,13 +163,13 @@ def test_an_interrupted_sweep_keeps_what_is_done_and_goes_on(
     ],
 )
 def test_rows_of_different_sweeps_never_mix(
-    tmp_path: Path, runs: list, other: list[str], said: str, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, runs: list, other: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ):
     sweep(tmp_path / "s", seeds=1)
     before = (tmp_path / "s" / "sweep.csv").read_text()
     runs.clear()
     assert sweep(tmp_path / "s", seeds=1, base=other) == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
     assert runs == []
     assert (tmp_path / "s" / "sweep.csv").read_text() == before
 
@@ -202,7 +239,7 @@ def test_settings_do_not_depend_on_where_the_file_lies(tmp_path: Path):
     assert json.loads(json.dumps(found[0])) == found[0]
 
 
-def test_a_plan_runs_the_seeds_from_the_scenarios_own_on(tmp_path: Path):
+def test_a_plan_runs_the_seeds_from_the_scenarios_own_on():
     plan = make_plan("industrial13", *parse_vary("run.beat_s=1"), ("admm",), 3)
     assert plan.tasks == [Task("1", "admm", seed) for seed in (1, 2, 3)]
     assert plan.scenario_of(plan.tasks[2]).run.beat_s == 1
@@ -228,7 +265,7 @@ def test_values_are_a_range_or_a_list_as_toml_writes_them(vary: str, values: lis
 
 
 @pytest.mark.parametrize(
-    ("vary", "said"),
+    ("vary", "message"),
     [
         ("faults.loss", "must be KEY=START:STOP:N"),
         ("faults.loss=", "must be KEY=START:STOP:N"),
@@ -248,10 +285,10 @@ def test_values_are_a_range_or_a_list_as_toml_writes_them(vary: str, values: lis
     ],
 )
 def test_a_key_or_value_that_the_scenario_rejects_is_one_clear_error(
-    vary: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    vary: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     assert run_command(["sweep", "industrial13", "--vary", vary, "--out", str(tmp_path / "s")]) == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
     assert not (tmp_path / "s").exists()
 
 

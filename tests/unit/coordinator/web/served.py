@@ -14,8 +14,10 @@ import httpx
 
 from coordinator.evaluation.evaluation import choose_scenario
 from coordinator.observe.watch import Watcher
+from coordinator.simulator.simulate import Simulation
 from coordinator.web.app import make_app
-from coordinator.web.playback import PlaybackSource, play_simulation
+from coordinator.web.playback.play import Play
+from coordinator.web.playback.source import PlaybackSource
 from coordinator.web.server import Place, serve
 from coordinator.web.sources import LiveSource, Source
 
@@ -24,7 +26,9 @@ HOST = "127.0.0.1:8080"
 
 @functools.cache
 def played(name: str = "industrial13-lossy") -> PlaybackSource:
-    return play_simulation(choose_scenario(name))
+    play, scenario = Play(), choose_scenario(name)
+    Simulation(scenario, subscriber=play).run()
+    return PlaybackSource(play, scenario)
 
 
 class Client:
@@ -86,17 +90,17 @@ def serving(source: Source, place: Place | None = None, names: tuple[str, ...] =
     thread = threading.Thread(target=serve, args=(source, place or Place("127.0.0.1", 0), names, on_ready))
     thread.start()
     try:
-        assert ready.wait(20)
+        assert ready.wait(180)
         wait_for(lambda: bool(servers) and servers[0].started)
         yield urls[0]
     finally:
         uvicorn.Server.run = begin  # type: ignore[method-assign]
         for server in servers:
             server.should_exit = True
-        thread.join(20)
+        thread.join(180)
 
 
-def wait_for(holds: Callable[[], bool], deadline_s: float = 60.0) -> None:
+def wait_for(holds: Callable[[], bool], deadline_s: float = 180.0) -> None:
     deadline = time.monotonic() + deadline_s
     while not holds():
         assert time.monotonic() < deadline, f"did not happen within {deadline_s} s"

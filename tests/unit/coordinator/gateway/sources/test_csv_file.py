@@ -35,7 +35,7 @@ def test_a_line_counts_when_it_is_whole(tmp_path: Path, recorder, reading, run) 
     assert recorder.readings == [("U1", 12.6, 1.8e9, True, None), ("U1", 12.7, 1.8e9 + 1, False, "kV")]
 
 
-def test_a_wrong_line_is_refused_and_the_others_are_read(tmp_path: Path, recorder, reading, run) -> None:
+def test_a_wrong_line_is_rejected_and_the_others_are_read(tmp_path: Path, recorder, reading, run) -> None:
     path = tmp_path / "r.csv"
     lines = [
         "1800000000,U1",
@@ -52,7 +52,7 @@ def test_a_wrong_line_is_refused_and_the_others_are_read(tmp_path: Path, recorde
             await recorder.wait_until(lambda: 13.0 in recorder.values_of("U1"))
 
     run(test())
-    assert [reason for reason, _ in recorder.refused] == ["malformed", "malformed", "no value", "malformed"]
+    assert [reason for reason, _ in recorder.rejected] == ["malformed", "malformed", "no value", "malformed"]
     assert recorder.values_of("U1")[0] == "abc"
     assert recorder.values_of("U1")[2:] == [12.0, 13.0]
 
@@ -68,7 +68,7 @@ def test_no_line_without_a_reading_is_passed_over(tmp_path: Path, recorder, read
 
     run(test())
     there = "there is nothing where a value belongs"
-    assert recorder.refused == [
+    assert recorder.rejected == [
         ("no value", f"line ',,,,': {there}"),
         ("no value", f"line '1800000000,,,,': {there}"),
     ]
@@ -92,7 +92,7 @@ def test_a_file_in_its_place_is_read_from_its_beginning(tmp_path: Path, recorder
             await recorder.wait_until(lambda: recorder.values_of("U1") == [1.0, 2.0, 3.0])
 
     run(test())
-    assert recorder.refused == []
+    assert recorder.rejected == []
     assert recorder.values_of("U2") == []
 
 

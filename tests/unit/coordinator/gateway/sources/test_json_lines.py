@@ -27,7 +27,7 @@ def make_source() -> JsonLinesSource:
     return JsonLinesSource(JsonLinesSettings(), ["U1"])
 
 
-def test_it_reads_both_forms_and_refuses_what_is_none(stdin, recorder, run) -> None:
+def test_it_reads_both_forms_and_rejects_what_is_none(stdin, recorder, run) -> None:
     stdin.write(
         b'{"address": "U1", "value": 12.6, "time": "2027-01-15T08:00:00Z", "valid": false, "unit": "kV"}\n'
         b'{"time": 1800000000, "values": {"U1": 1, "U2": null}}\n'
@@ -50,8 +50,8 @@ def test_it_reads_both_forms_and_refuses_what_is_none(stdin, recorder, run) -> N
     ]
     assert recorder.readings[3][1] != recorder.readings[3][1]
     assert recorder.readings[4] == ("U1", 13, None, True, None)
-    assert [reason for reason, _ in recorder.refused] == ["malformed"] * 7
-    assert "'address' stands twice" in recorder.refused[3][1]
+    assert [reason for reason, _ in recorder.rejected] == ["malformed"] * 7
+    assert "'address' stands twice" in recorder.rejected[3][1]
 
 
 def test_a_unit_stated_for_many_values_is_that_of_each(stdin, recorder, run) -> None:

@@ -15,6 +15,7 @@ from pymodbus.simulator import DataType, SimData, SimDevice
 from coordinator.gateway.sources.modbus import ModbusSettings, ModbusSource
 
 pytestmark = pytest.mark.long
+SILENT_S = 2.0  # after which a device has not answered; one that does, in this process, is faster on any machine
 
 
 @contextlib.asynccontextmanager
@@ -34,7 +35,7 @@ async def device(port: int) -> AsyncIterator[None]:
         await found.shutdown()
 
 
-def make_source(port: int, *addresses: str, timeout_s: float = 1.0) -> ModbusSource:
+def make_source(port: int, *addresses: str, timeout_s: float = 60.0) -> ModbusSource:
     return ModbusSource(ModbusSettings(host="127.0.0.1", port=port, period_s=0.02, timeout_s=timeout_s), addresses)
 
 
@@ -52,8 +53,8 @@ def test_registers_are_read_again_and_again(free_port: int, recorder, reading, r
     assert recorder.values_of(addresses[2])[0] != recorder.values_of(addresses[2])[0]
     assert recorder.values_of(addresses[3])[:2] == [65535, 65535]
     assert recorder.values_of(wrong) == []
-    assert {reason for reason, _ in recorder.refused} == {"rejected by the device"}
-    assert all(wrong in detail for _, detail in recorder.refused)
+    assert {reason for reason, _ in recorder.rejected} == {"rejected by the device"}
+    assert all(wrong in detail for _, detail in recorder.rejected)
 
 
 def test_a_device_that_goes_is_an_error(free_port: int, error_of_losing, run) -> None:
@@ -85,18 +86,18 @@ async def devices(answer: Callable[[int, int], list[int] | None]) -> AsyncIterat
 def test_a_silent_device_takes_no_reading_of_those_behind_the_same_gateway(recorder, reading, run) -> None:
     async def test() -> None:
         async with devices(lambda device, count: None if device == 2 else [device] * count) as port:
-            source = make_source(port, "1/holding:0", "2/holding:0", "3/holding:0", timeout_s=0.1)
+            source = make_source(port, "1/holding:0", "2/holding:0", "3/holding:0", timeout_s=SILENT_S)
             async with reading(source, recorder) as task:
                 await recorder.wait_until(
-                    lambda: len(recorder.refused) >= 2 and len(recorder.values_of("3/holding:0")) > 5
+                    lambda: len(recorder.rejected) >= 2 and len(recorder.values_of("3/holding:0")) > 1
                 )
                 assert not task.done()
 
     run(test())
     assert set(recorder.values_of("1/holding:0")) == {1}
     assert set(recorder.values_of("3/holding:0")) == {3}
-    assert {reason for reason, _ in recorder.refused} == {"no answer"}
-    assert all("device 2" in detail for _, detail in recorder.refused)
+    assert {reason for reason, _ in recorder.rejected} == {"no answer"}
+    assert all("device 2" in detail for _, detail in recorder.rejected)
 
 
 def test_a_device_that_answers_again_is_read_again(recorder, reading, run) -> None:
@@ -105,9 +106,9 @@ def test_a_device_that_answers_again_is_read_again(recorder, reading, run) -> No
     async def test() -> None:
         async with (
             devices(lambda device, count: None if device in silent else [device] * count) as port,
-            reading(make_source(port, "1/holding:0", "2/holding:0", timeout_s=0.1), recorder),
+            reading(make_source(port, "1/holding:0", "2/holding:0", timeout_s=SILENT_S), recorder),
         ):
-            await recorder.wait_until(lambda: bool(recorder.refused))
+            await recorder.wait_until(lambda: bool(recorder.rejected))
             silent.clear()
             await recorder.wait_until(lambda: bool(recorder.values_of("2/holding:0")))
 
@@ -132,8 +133,8 @@ def test_an_answer_of_too_few_registers_is_no_reading_and_takes_none(recorder, r
 
     run(test())
     assert recorder.values_of("2/holding:0") == recorder.values_of("2/holding:4:float32") == []
-    assert {reason for reason, _ in recorder.refused} == {"rejected by the device"}
-    assert "address 2/holding:4:float32: 1 registers in place of 2" in {detail for _, detail in recorder.refused}
+    assert {reason for reason, _ in recorder.rejected} == {"rejected by the device"}
+    assert "address 2/holding:4:float32: 1 registers in place of 2" in {detail for _, detail in recorder.rejected}
 
 
 @pytest.mark.parametrize("address", ["256/holding:0", "holding:65536", "holding:65535:float32", "input:65533:int64"])
@@ -147,7 +148,7 @@ def test_nobody_there_is_an_error(free_port: int, recorder, run) -> None:
         run(make_source(free_port, "holding:0").read(recorder))
 
 
-def test_registers_without_a_gap_are_one_question(free_port: int) -> None:
+def test_registers_without_a_gap_are_one_question() -> None:
     source = make_source(
         1, "holding:3:float32", "holding:0", "holding:1:float32", "input:5", "holding:9", "2/holding:5:int64"
     )

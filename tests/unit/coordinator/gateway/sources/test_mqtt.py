@@ -28,7 +28,7 @@ def test_numbers_objects_and_bad_payloads(free_port: int, recorder, reading, run
             await client.publish("f/dated", '{"value": 6, "time": 1800000000}', retain=True, qos=1)
             source = make_source(free_port, "f/u", "f/p#a.total", "f/p#b", "f/old", "f/dated", topics=["f/#"])
             async with reading(source, recorder):
-                await recorder.wait_until(lambda: bool(recorder.refused) and bool(recorder.readings))
+                await recorder.wait_until(lambda: bool(recorder.rejected) and bool(recorder.readings))
                 for topic, payload in (
                     ("f/u", "12.6"),
                     ("f/u", "NaN"),
@@ -49,7 +49,7 @@ def test_numbers_objects_and_bad_payloads(free_port: int, recorder, reading, run
     assert recorder.values_of("f/u")[2:] == ["abc", 12.7]
     assert ("f/p#a.total", 7, 1.8e9, False, "kW") in recorder.readings
     assert recorder.values_of("f/stranger") == [9.0]
-    assert [reason for reason, _ in recorder.refused] == [
+    assert [reason for reason, _ in recorder.rejected] == [
         "retained without a time",
         "malformed",  # broken
         "malformed",  # too large
@@ -93,11 +93,11 @@ def test_a_flood_of_one_topic_takes_no_message_of_another_and_is_counted(recorde
         assert str(found[0].topic) == "quiet"
         assert [int(m.payload) for m in found[1:]] == list(range(10_000 - mqtt.MOST_OF_A_TOPIC, 10_000))
         assert queue.empty()
-        mqtt._tell_dropped(queue, recorder)
+        mqtt._report_dropped(queue, recorder)
 
     run(test())
-    assert len(recorder.refused) == 10_000 - mqtt.MOST_OF_A_TOPIC
-    assert recorder.refused[0][0] == "dropped"
+    assert len(recorder.rejected) == 10_000 - mqtt.MOST_OF_A_TOPIC
+    assert recorder.rejected[0][0] == "dropped"
 
 
 def test_a_flood_of_ever_new_topics_and_of_large_payloads_takes_no_memory(recorder, run) -> None:
@@ -114,11 +114,11 @@ def test_a_flood_of_ever_new_topics_and_of_large_payloads_takes_no_memory(record
         assert sum(len(m.payload) for m in waiting) < 2 * mqtt.LARGEST_PAYLOAD
         for each in waiting:
             source._take(each, recorder)
-        mqtt._tell_dropped(queue, recorder)
+        mqtt._report_dropped(queue, recorder)
 
     run(test())
     assert [address for address, *_ in recorder.readings] == [f"new/{k}" for k in range(9_900, 10_000)]
-    reasons = [reason for reason, _ in recorder.refused]
+    reasons = [reason for reason, _ in recorder.rejected]
     assert reasons == ["malformed", *["dropped"] * 9_900]
 
 
@@ -187,10 +187,11 @@ def test_a_broker_that_floods_is_taken_or_counted_to_the_last_message(free_port:
         async with server, reading(make_source(free_port, "loud", "quiet"), recorder):
             await recorder.wait_until(
                 lambda: (
-                    len(recorder.readings) + len(recorder.refused) == count + 1 and recorder.values_of("quiet") == [1.0]
+                    len(recorder.readings) + len(recorder.rejected) == count + 1
+                    and recorder.values_of("quiet") == [1.0]
                 )
             )
 
     run(test())
     assert recorder.values_of("loud")[-1] == count - 1
-    assert {reason for reason, _ in recorder.refused} <= {"dropped"}
+    assert {reason for reason, _ in recorder.rejected} <= {"dropped"}

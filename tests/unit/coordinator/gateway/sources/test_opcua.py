@@ -34,7 +34,7 @@ async def server(port: int) -> AsyncIterator[dict[str, Any]]:
 
 
 def make_source(port: int, *names: str) -> OpcUaSource:
-    settings = OpcUaSettings(url=f"opc.tcp://127.0.0.1:{port}/", interval_s=0.02, timeout_s=2.0)
+    settings = OpcUaSettings(url=f"opc.tcp://127.0.0.1:{port}/", interval_s=0.02, timeout_s=60.0)
     return OpcUaSource(settings, [f"ns=2;s={name}" for name in names])
 
 
@@ -55,9 +55,9 @@ def test_values_come_with_their_time_and_status(free_port: int, recorder, readin
     assert ("ns=2;s=u", 12.7, 1.8e9, True, None) in recorder.readings
     assert [reading[3] for reading in recorder.readings if reading[0] == "ns=2;s=p"] == [True, False]
     assert recorder.values_of("ns=2;s=text") == ["on"]
-    assert len(recorder.refused) == 1
-    assert recorder.refused[0][0] == "unknown to the server"
-    assert "ns=2;s=none" in recorder.refused[0][1]
+    assert len(recorder.rejected) == 1
+    assert recorder.rejected[0][0] == "unknown to the server"
+    assert "ns=2;s=none" in recorder.rejected[0][1]
 
 
 def test_a_value_that_is_read_again_and_has_not_changed_is_a_reading(free_port: int, recorder, reading, run) -> None:
@@ -75,7 +75,7 @@ def test_a_value_that_is_read_again_and_has_not_changed_is_a_reading(free_port: 
     assert [reading[2] for reading in recorder.readings[1:]] == [at.timestamp() for at in times]
 
 
-def test_a_server_that_cannot_tell_new_times_tells_new_values(
+def test_a_server_that_cannot_report_new_times_reports_new_values(
     free_port: int, recorder, reading, run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     create = MonitoredItemService._create_data_change_monitored_item
@@ -95,7 +95,7 @@ def test_a_server_that_cannot_tell_new_times_tells_new_values(
             await recorder.wait_until(lambda: 12.7 in recorder.values_of("ns=2;s=u"))
 
     run(test())
-    assert [reason for reason, _ in recorder.refused] == ["unknown to the server"]
+    assert [reason for reason, _ in recorder.rejected] == ["unknown to the server"]
 
 
 def test_values_that_a_server_had_no_room_for_are_counted(recorder) -> None:
@@ -105,7 +105,7 @@ def test_values_that_a_server_had_no_room_for_are_counted(recorder) -> None:
     handler.datachange_notification(node, 1.0, SimpleNamespace(monitored_item=item))
     assert recorder.values_of("ns=2;s=u") == [1.0]
     assert recorder.readings[0][3]
-    assert [reason for reason, _ in recorder.refused] == ["dropped"]
+    assert [reason for reason, _ in recorder.rejected] == ["dropped"]
 
 
 def test_a_server_that_goes_is_an_error(free_port: int, error_of_losing, run) -> None:

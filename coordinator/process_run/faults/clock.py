@@ -1,4 +1,4 @@
-"""The clock of a run: tells the agents how long it has lasted, because windows of injected faults count by it."""
+"""The clock of a run: publishes how long it has lasted, because windows of injected faults count by it."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from agents.security.access import COORDINATOR
 
 @dataclass
 class RunClock:
-    """Speaks at every heartbeat through ``publish``; never without it. ``incarnation``: the coordinator's."""
+    """Publishes at every heartbeat through ``publish``; never without it. ``incarnation``: the coordinator's."""
 
     run: str
-    beat_s: float
+    heartbeat_s: float
     incarnation: Incarnation
     publish: Callable[[bytes], None] | None = None
     _sent: int = 0
     _next: float = field(default=0.0)
 
-    def tell(self, elapsed_s: float) -> None:
-        """Say that the run has lasted ``elapsed_s`` seconds, if it is time to."""
+    def tick(self, elapsed_s: float) -> None:
+        """Publish that the run has lasted ``elapsed_s`` seconds, if a heartbeat is due."""
         if self.publish is None or elapsed_s < self._next:
             return
-        self._next = elapsed_s + self.beat_s
+        self._next = elapsed_s + self.heartbeat_s
         self._sent += 1
         header = Header(self.run, COORDINATOR, self.incarnation, 0, self._sent, time.time())
         self.publish(encode(ClockMessage(header, elapsed_s)))

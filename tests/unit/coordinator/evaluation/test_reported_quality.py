@@ -8,10 +8,20 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from shown_states import said_by
+from shown_states import published_by
 
 from agents.messages.packing import Incarnation, StateMessage
-from agents.protocol.quality import DEGRADED, GOOD, NONE, QUALITIES, RELATIVE_ANGLE, STALE, UNOBSERVABLE, Finding, weigh
+from agents.protocol.quality import (
+    DEGRADED,
+    GOOD,
+    NONE,
+    QUALITIES,
+    RELATIVE_ANGLE,
+    STALE,
+    UNOBSERVABLE,
+    Finding,
+    assess,
+)
 from coordinator.evaluation.evaluation import Centralised, evaluate, make_observer
 from coordinator.evaluation.result import RunResult, as_json
 from coordinator.observe.watch import Watcher
@@ -28,22 +38,22 @@ INCARNATION = Incarnation(1, 1)
 
 def a_state_with(area, found: tuple[Finding, ...]) -> StateMessage:
     """As an area publishes it that has found this."""
-    quality, notes = weigh(found)
+    quality, notes = assess(found)
     qualities = {finding.quality for finding in found}
     numbers = {"buses": (), "vm": (), "va": (), "sigma_vm": (), "sigma_va": ()}
     if not qualities & {NONE, UNOBSERVABLE}:
         n = len(area.network.buses)
         numbers = {"buses": tuple(b.id for b in area.network.buses), "vm": (1.0,) * n, "va": (0.0,) * n}
         numbers |= {"sigma_vm": (0.001,) * n, "sigma_va": (0.001,) * n}
-    said = {neighbour.area: (1, 1) for neighbour in area.neighbours}
+    numbered = {neighbour.area: (1, 1) for neighbour in area.neighbours}
     changes = {
         "quality": quality,
         "notes": notes,
         "referenced": RELATIVE_ANGLE not in qualities,
-        "sent": said,
-        "received": said,
+        "sent": numbered,
+        "received": numbered,
     }
-    return said_by(area.name, INCARNATION, **numbers, **changes, telemetry_age=0.0)
+    return published_by(area.name, INCARNATION, **numbers, **changes, telemetry_age=0.0)
 
 
 def results(found: tuple[Finding, ...], *, is_gone: bool) -> Iterator[tuple[RunResult, Watcher]]:
@@ -80,7 +90,7 @@ def results(found: tuple[Finding, ...], *, is_gone: bool) -> Iterator[tuple[RunR
 
 def test_a_quality_has_its_reason_first_and_a_good_state_has_none():
     for found in SETS:
-        quality, notes = weigh(found)
+        quality, notes = assess(found)
         assert set(notes) == {finding.note for finding in found}
         reasons = [finding.note for finding in found if finding.quality == quality != GOOD]
         assert (quality == GOOD) == (not reasons)
@@ -108,7 +118,7 @@ def test_run_report_and_watcher_say_the_same_of_every_combination_of_findings(is
                 assert area.quality in (STALE, NONE)
                 assert "area1 is not on the bus" in area.notes[0]
             else:
-                assert (area.quality, area.notes) == weigh(found)
+                assert (area.quality, area.notes) == assess(found)
                 assert view.notes == area.notes
             if result.verdict.consensus:  # exit code 0
                 assert area.quality in (GOOD, DEGRADED)
@@ -126,8 +136,8 @@ def test_an_area_whose_neighbour_publishes_another_voltage_is_not_good_even_if_i
         observer.take_state(replace(state, vm=tuple(vm + 0.01 * (area.name == "area2") for vm in state.vm)), 1.0)
     is_compared = RELATIVE_ANGLE not in {f.quality for f in found}
     for area in SCENARIO.partition.areas:
-        quality, notes = observer.worth_of(area.name, 1.0)
+        quality, notes = observer.assess_area(area.name, 1.0)
         assert any("differ by 0.01 p.u. at bus 3" in note for note in notes) == is_compared
-        said = weigh(found).quality
-        assert quality == (DEGRADED if said == GOOD else said)
+        own = assess(found).quality
+        assert quality == (DEGRADED if own == GOOD else own)
     assert observer.standing(1.0).obstacles

@@ -1,4 +1,4 @@
-"""Who looks at a simulation: sees every message and state, and changes nothing."""
+"""Who receives the events of a simulation: every message, state and presence; a subscriber changes nothing."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from agents.area_files.area_file import AreaFile
 from agents.messages.packing import Message, ReadingsMessage, StateMessage
 
 
-class Audience:
-    """Is shown all that happens on the simulated bus, in its order; this one does not look."""
+class Subscriber:
+    """Receives every event of the simulated bus, in order; this one ignores them."""
 
     def begin(self, run: str, files: Sequence[AreaFile]) -> None:
         """Before anything else: the name of the run, and what its areas are given."""

@@ -16,15 +16,15 @@ from coordinator.recording.entries import APPEARED, VANISHED
 from coordinator.recording.folder import list_segments, read_about
 from coordinator.recording.rows import COLUMNS
 from coordinator.replay.ticks import rows_of_segment
-from coordinator.web.playback import Happening, Play, PlaybackSource, Presence
+from coordinator.web.playback.play import MOST_VALUES, Play, Presence, Update, count_values
+from coordinator.web.playback.source import PlaybackSource
 from dsse_core.errors import InvalidInputError
 from scenarios.scenario import Scenario
 
-MOST_HAPPENINGS = 10_000  # the newest that are played, and
-MOST_VALUES = 2_000_000  # buses and meters in all of them together
+MOST_UPDATES = 10_000  # the newest that are played
 
 Row = Mapping[str, Any]
-Timed = tuple[float, Happening]
+Timed = tuple[float, Update]
 
 
 def play_recording(folder: Path, scenario: Scenario | None, notes: list[str]) -> PlaybackSource:
@@ -46,25 +46,36 @@ def play_recording(folder: Path, scenario: Scenario | None, notes: list[str]) ->
     if not kept:
         raise InvalidInputError(str(folder), ["nothing is recorded here yet"])
     since = kept[0][0]
+    remarks = [*dict.fromkeys(notes), *_find_lacking(item for _, item in kept)]
     kept = [*((since, token) for token in _find_there_before(kept, run)), *kept]
-    play = Play(run=run, since=since, happenings=[(at - since, item) for at, item in kept])
-    return PlaybackSource(play, scenario)
+    play = Play(run=run, since=since, updates=[(at - since, item) for at, item in kept])
+    return PlaybackSource(play, scenario, remarks)
 
 
-def _find_begin(happenings: list[Timed]) -> int:
+def _find_lacking(updates: Iterable[Update]) -> Iterator[str]:
+    """In words, what a page shows of a run and a recording does not hold."""
+    yield "a recording holds no messages between areas"
+    used = [item for item in updates if isinstance(item, ReadingsMessage) and item.meters]
+    if not used:
+        yield "this one holds no readings"
+    elif not any(item.estimates for item in used):
+        yield "this one holds no estimate and no residual of its readings"
+
+
+def _find_begin(updates: list[Timed]) -> int:
     """The place of the first that is played."""
     values = 0
-    for k in reversed(range(len(happenings))):
-        values += _count_values(happenings[k][1])
-        if len(happenings) - k > MOST_HAPPENINGS or values > MOST_VALUES:
-            return min(k + 1, len(happenings) - 1)
+    for k in reversed(range(len(updates))):
+        values += count_values(updates[k][1])
+        if len(updates) - k > MOST_UPDATES or values > MOST_VALUES:
+            return min(k + 1, len(updates) - 1)
     return 0
 
 
-def _find_there_before(happenings: list[Timed], run: str) -> Iterator[Presence]:
+def _find_there_before(updates: list[Timed], run: str) -> Iterator[Presence]:
     """The tokens of areas that were there before the first that is played."""
     known = set[str]()
-    for _, item in happenings:
+    for _, item in updates:
         if isinstance(item, Presence):
             known.add(name_of_live(item.key)[1])
         elif item.header.sender not in known:
@@ -72,21 +83,12 @@ def _find_there_before(happenings: list[Timed], run: str) -> Iterator[Presence]:
             yield Presence(live_key(run, "area", item.header.sender, item.header.incarnation), True)
 
 
-def _count_values(item: Happening) -> int:
-    match item:
-        case StateMessage():
-            return len(item.buses)
-        case ReadingsMessage():
-            return len(item.meters)
-    return 0
-
-
 def _read_segment(folder: Path, segment: str, run: str, notes: list[str]) -> list[Timed]:
     """All of one segment; the newest state of an estimate has its buses."""
     states: list[tuple[tuple[Any, ...], Timed]] = []
     buses: dict[tuple[Any, ...], dict[int, Row]] = {}
     readings: dict[tuple[Any, ...], list[Row]] = {}
-    happenings: list[Timed] = []
+    updates: list[Timed] = []
     try:
         for table, values in rows_of_segment(folder, segment):
             row = dict(zip(COLUMNS[table], values, strict=True))
@@ -98,12 +100,12 @@ def _read_segment(folder: Path, segment: str, run: str, notes: list[str]) -> lis
                 key = row["area"], row["incarnation"], row["sequence"], row["time"]
                 readings.setdefault(key, []).append(row)
             elif table == "events" and row["event"] in (APPEARED, VANISHED):
-                happenings += _to_presence(row, run)
+                updates += _to_presence(row, run)
     except InvalidInputError as error:  # a foreign file, or one that is damaged; the others are read all the same
         notes.append(str(error))
-    happenings += [(at, _with_buses(item, buses.get(key, {}).values())) for key, (at, item) in states]
-    happenings += [(rows[0]["time"], _to_readings(rows, run)) for rows in readings.values()]
-    return sorted(happenings, key=lambda timed: timed[0])
+    updates += [(at, _with_buses(item, buses.get(key, {}).values())) for key, (at, item) in states]
+    updates += [(rows[0]["time"], _to_readings(rows, run)) for rows in readings.values()]
+    return sorted(updates, key=lambda timed: timed[0])
 
 
 def _whose(row: Row) -> tuple[Any, ...]:
@@ -157,7 +159,7 @@ _SAME = tuple(
 )
 
 
-def _with_buses(state: Happening, rows: Iterable[Row]) -> Happening:
+def _with_buses(state: Update, rows: Iterable[Row]) -> Update:
     if not isinstance(state, StateMessage) or not (found := list(rows)):
         return state
 
@@ -177,8 +179,16 @@ def _with_buses(state: Happening, rows: Iterable[Row]) -> Happening:
 def _to_readings(rows: list[Row], run: str) -> ReadingsMessage:
     """One row without a meter says that none was used."""
     given = [row for row in rows if row["meter"] is not None]
-    columns = {
-        name: tuple(row[key] for row in given)
-        for name, key in (("meters", "meter"), ("values", "value"), ("sigmas", "sigma"), ("times", "measured_at"))
-    }
-    return ReadingsMessage(header=_to_header(rows[0], run), taken_at=rows[0]["taken_at"] or 0.0, **columns)
+    described = [row for row in given if row["estimate"] is not None]
+    given = [*described, *(row for row in given if row["estimate"] is None)]
+    columns = {name: tuple(row[key] for row in given) for name, key in _OF_READINGS.items()}
+    return ReadingsMessage(
+        header=_to_header(rows[0], run),
+        taken_at=rows[0]["taken_at"] or 0.0,
+        **columns,
+        estimates=tuple(row["estimate"] for row in described),
+        normalised=tuple(math.nan if (off := row["normalised_residual"]) is None else off for row in described),
+    )
+
+
+_OF_READINGS = {"meters": "meter", "values": "value", "sigmas": "sigma", "times": "measured_at"}

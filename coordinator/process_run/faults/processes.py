@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from agents.security.access import PLANT
-from coordinator.plant.plant import SILENT, SPEAK
-from coordinator.process_run.fault_schedule import Step
+from coordinator.plant.plant import RESUME, SILENT
+from coordinator.process_run.faults.schedule import Step
 from coordinator.process_run.system import System
 
 
@@ -23,6 +23,6 @@ def do_to_processes(system: System, step: Step) -> None:
         case "silent":
             system.launcher.signal(PLANT, SILENT)
         case "speak":
-            system.launcher.signal(PLANT, SPEAK)
+            system.launcher.signal(PLANT, RESUME)
         case _:
             pass  # the links of the two areas know from their area files when they are cut

@@ -1,0 +1,79 @@
+"""What the warmed parent of many areas goes through before it forks them: one estimate of three areas of a feeder.
+
+What comes into being when code first runs is there then: caches of types and patterns, bytecode made for what it meets,
+modules that are imported late. Else it would come into being in each of hundreds of agents, which copy the pages.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import tempfile
+from pathlib import Path
+
+from agents.area_files.area_file import AreaFile, save_area_file
+from agents.area_files.reader import load_area_file
+from agents.messages.packing import decode, encode
+from agents.strategies.installed import list_strategies
+from coordinator.simulator.simulator import SimulatedBus
+from dsse_core.files.drafts import draft_folder, remove_leftovers
+from dsse_core.grid.division import build_partition
+from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter
+from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
+from dsse_core.grid.partition import Partition
+
+PREFIX = "dsse-rehearsal-"  # how the folders of its area files begin
+AREAS = ("first", "second", "third")
+LARGEST = 61  # buses of an area; larger ones are computed by the same code
+SETTLING_S = 0.5  # of virtual time: an estimate, and what is repeated after it
+SIGMA = 0.01
+
+
+def rehearse(strategy: str, n_bus: int) -> dict[str, str]:
+    """Estimate a feeder of three areas of ``n_bus`` buses each, ``LARGEST`` at most; area -> its quality.
+
+    A strategy that fails here fails in its area, too, which says so.
+    """
+    with contextlib.suppress(Exception):
+        return _estimate(strategy, _divide_feeder(min(n_bus, LARGEST)))
+    return {}
+
+
+def _estimate(strategy: str, partition: Partition) -> dict[str, str]:
+    meters = partition.meters_by_area(_list_meters(partition.network))
+    temporary, files = Path(tempfile.gettempdir()).absolute(), []
+    remove_leftovers(
+        temporary, PREFIX
+    )  # this process is killed without notice where the scenario turns out to be wrong
+    with draft_folder(temporary, PREFIX) as folder:
+        for area in partition.areas:
+            path = folder / f"{area.name}.json"
+            save_area_file(path, AreaFile("rehearsal", area, meters[area.name], strategy, ("tcp/127.0.0.1:0",)))
+            files.append(load_area_file(path, list_strategies()))
+    readings = {
+        content.area.name: [Measurement(m, float(m.kind is MeasurementKind.VM), SIGMA) for m in content.meters]
+        for content in files
+    }
+    bus = SimulatedBus(files, readings)
+    bus.run(SETTLING_S)
+    for state in bus.states.values():
+        decode(encode(state))
+    return {name: state.quality for name, state in bus.states.items()}
+
+
+def _divide_feeder(n_bus: int) -> Partition:
+    """A feeder without load, areas in a row, each of which begins at the last bus of the one before."""
+    n = max(n_bus, 2)
+    numbers = range(1, len(AREAS) * (n - 1) + 2)
+    buses = tuple(Bus(i, 20.0) for i in numbers)
+    branches = tuple(Branch(f"{i}-{i + 1}", i, i + 1, 1e-4, 1e-4) for i in numbers[:-1])
+    network = Network("rehearsal", 1.0, buses, branches, (Generator(1, Control.SLACK),))
+    return build_partition(
+        network, {name: list(numbers[k * (n - 1) : (k + 1) * (n - 1) + 1]) for k, name in enumerate(AREAS)}
+    )
+
+
+def _list_meters(network: Network) -> list[Meter]:
+    at_buses = [kind for kind in MeasurementKind if kind is MeasurementKind.VM or kind.of_injection]
+    flows = (MeasurementKind.P_FLOW, MeasurementKind.Q_FLOW)
+    meters = [Meter(kind, bus.id) for bus in network.buses for kind in at_buses]
+    return [*meters, *(Meter(kind, b.from_bus, b.id) for b in network.branches for kind in flows)]

@@ -1,0 +1,32 @@
+"""What areas show of one scan, as a replay keeps it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from agents.messages.packing import StateMessage
+from agents.protocol.quality import GOOD
+
+
+class ScanStates:
+    """Of ``scan`` the best state of each area: the last good one, else the last. ``changed_at``: s."""
+
+    def __init__(self, scan: int, began_at: float) -> None:
+        self.scan = scan
+        self.best: dict[str, StateMessage] = {}
+        self.changed_at = began_at
+
+    def take(self, at: float, state: StateMessage) -> None:
+        """Take in what an area shows at time ``at``, s."""
+        if state.header.scan != self.scan:
+            return
+        name = state.header.sender
+        last = self.best.get(name)
+        if last is None or last.header.order != state.header.order or last.quality != state.quality:
+            self.changed_at = at
+        if last is None or state.quality == GOOD or last.quality != GOOD:
+            self.best[name] = state
+
+    def are_good(self, names: Iterable[str]) -> bool:
+        """Whether all areas ``names`` have shown a good state."""
+        return all(name in self.best and self.best[name].quality == GOOD for name in names)

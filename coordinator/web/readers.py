@@ -1,0 +1,154 @@
+"""Who is connected to the page: room for so many, and an end to those who never begin, never ask or never read."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import uvicorn
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+MOST_READERS = 200
+LONGEST_REQUEST = 16 * 1024  # bytes
+HANDSHAKE_S = 10.0  # in which TLS must be agreed on
+REQUEST_S = 10.0  # in which a request must have come whole
+PATIENCE_S = 10.0  # with a reader that takes nothing
+FAREWELL_S = 2.0  # in which the other end of TLS says goodbye, too
+AGAIN_S = 0.1  # until connections are taken again, where this process can have no more files
+
+
+class PatientProtocol(H11Protocol):
+    """Closes a connection on which no whole request comes in time, and aborts one whose reader takes nothing for long:
+    else a few hundred of them would fill the server.
+    """
+
+    _abortion: asyncio.TimerHandle | None = None
+    silent_since: float = 0.0
+
+    def connection_made(self, transport: Any) -> None:
+        super().connection_made(transport)
+        self._ask_in_time()
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether it has no answer to wait for."""
+        return self.cycle is None or self.cycle.response_complete
+
+    def end(self) -> None:
+        """At once, and without a word."""
+        self.connections.discard(self)
+        self.transport.abort()
+
+    def data_received(self, data: bytes) -> None:
+        if len(data) > LONGEST_REQUEST:  # h11 limits what comes in pieces
+            self.transport.abort()
+        else:
+            super().data_received(data)
+
+    def pause_writing(self) -> None:
+        super().pause_writing()
+        self._abortion = asyncio.get_running_loop().call_later(PATIENCE_S, self.transport.abort)
+
+    def resume_writing(self) -> None:
+        if self._abortion is not None:
+            self._abortion.cancel()
+        super().resume_writing()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        if self._abortion is not None:
+            self._abortion.cancel()
+        super().connection_lost(exc)
+
+    def on_response_complete(self) -> None:
+        super().on_response_complete()
+        self._ask_in_time()
+
+    def _ask_in_time(self) -> None:
+        asked, self.silent_since = self.cycle, time.monotonic()
+
+        def close_if_silent() -> None:
+            if self.cycle is asked and not self.transport.is_closing():
+                self.transport.close()
+
+        asyncio.get_running_loop().call_later(REQUEST_S, close_if_silent)
+
+
+@dataclass(frozen=True, eq=False)
+class Arrival:
+    """A connection that has been accepted and, with TLS, not been agreed on yet; one of ``others``."""
+
+    link: socket.socket
+    task: asyncio.Task[None]
+    others: set[Arrival]
+    silent_since: float
+
+    def end(self) -> None:
+        """At once, also where the other end has not said a word."""
+        self.others.discard(self)
+        self.task.cancel()
+
+    def forget(self, task: asyncio.Task[None]) -> None:
+        """After the end of its ``task``: it is among the connections of the server, or closed."""
+        self.others.discard(self)
+        if task.cancelled() or task.exception() is not None:  # strangers would fill a log with what they do wrongly
+            self.link.close()
+
+
+class PatientServer(uvicorn.Server):
+    """Takes connections itself, as asyncio counts none before TLS is agreed on: where there are MOST_READERS, arriving
+    ones among them, who has been silent longest gives way.
+    """
+
+    _door: asyncio.Task[None] | None = None
+    _arrivals: set[Arrival]
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets=[])
+        (listener,) = sockets or []
+        listener.setblocking(False)
+        self._arrivals = set()
+        self._door = asyncio.create_task(self._take_all(listener))
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        tasks = [task for task in (self._door, *(arrival.task for arrival in self._arrivals)) if task is not None]
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        await super().shutdown(sockets=sockets)
+
+    async def _take_all(self, listener: socket.socket) -> None:
+        loop = asyncio.get_running_loop()
+        while True:
+            try:
+                link, _ = await loop.sock_accept(listener)
+            except OSError:  # there are no more files for it, or it is gone already
+                await asyncio.sleep(AGAIN_S)
+                continue
+            self._make_room()
+            task = loop.create_task(self._let_in(link))
+            arrival = Arrival(link, task, self._arrivals, time.monotonic())
+            self._arrivals.add(arrival)
+            task.add_done_callback(arrival.forget)
+            await asyncio.sleep(0)  # while many wait, the others are served in between
+
+    async def _let_in(self, link: socket.socket) -> None:
+        """Until it is among the connections of the server, or an error says why not."""
+        limits = {"ssl_handshake_timeout": HANDSHAKE_S, "ssl_shutdown_timeout": FAREWELL_S} if self.config.ssl else {}
+        await asyncio.get_running_loop().connect_accepted_socket(
+            lambda: PatientProtocol(self.config, self.server_state, self.lifespan.state),
+            link,
+            ssl=self.config.ssl,
+            **limits,
+        )
+
+    def _make_room(self) -> None:
+        """For one more."""
+        readers = [reader for reader in self.server_state.connections if isinstance(reader, PatientProtocol)]
+        if len(readers) + len(self._arrivals) >= MOST_READERS:
+            silent: list[PatientProtocol | Arrival] = [reader for reader in readers if reader.is_silent]
+            silent += self._arrivals
+            if longest := min(silent, key=lambda one: one.silent_since, default=None):
+                longest.end()
