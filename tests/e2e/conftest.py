@@ -58,11 +58,11 @@ def forked_processes_end() -> Iterator[None]:
 @pytest.fixture
 def dsse(tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[..., subprocess.CompletedProcess[str]]:
     """Run ``dsse`` with arguments in an empty folder, in a forked process, and wait for its end."""
-    said = tmp_path_factory.mktemp("said")
+    logs = tmp_path_factory.mktemp("logs")
 
     def run(*arguments: object) -> subprocess.CompletedProcess[str]:
         command = list(map(str, arguments))
-        out, err = said / "out", said / "err"
+        out, err = logs / "out", logs / "err"
         for file in (out, err):
             file.write_text("")
         process = parent().start(command, tmp_path, ENVIRONMENT, out, err)
@@ -95,13 +95,16 @@ def dsse_from_nothing(tmp_path: Path) -> Callable[..., subprocess.CompletedProce
 
 @pytest.fixture
 def start_run(tmp_path: Path) -> Iterator[Callable[..., RunUnderWay]]:
-    """Start ``dsse run`` with arguments, its run folder being ``out``; all of it is killed after the test."""
+    """Start ``dsse run`` with arguments, its run folder being ``out``, and a time limit that a slow machine keeps; all
+    of it is killed after the test.
+    """
     started = []
 
     def start(*arguments: object) -> RunUnderWay:
         folder = tmp_path / "out"
+        limit = () if "--timeout" in arguments else ("--timeout", DEADLINE_S)
         process = subprocess.Popen(
-            [*COMMAND, "run", *map(str, arguments), "--out", str(folder), "--no-plots"],
+            [*COMMAND, "run", *map(str, (*arguments, *limit)), "--out", str(folder), "--no-plots"],
             cwd=tmp_path,
             env=ENVIRONMENT,
             stdout=subprocess.PIPE,
@@ -127,7 +130,7 @@ def assert_nothing_left() -> Callable[[dict[str, int]], None]:
 
     def check(pids: dict[str, int]) -> None:
         assert pids
-        wait_until(lambda: all(is_gone(pid) for pid in pids.values()), 20.0)
+        wait_until(lambda: all(is_gone(pid) for pid in pids.values()))
 
     return check
 

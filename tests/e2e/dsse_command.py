@@ -17,15 +17,20 @@ WITH_LIMITS = ENVIRONMENT | {"PYTHONDONTWRITEBYTECODE": "1"}
 
 
 BELOW_THOSE_OF_LINKS = range(10_000, 32_000)  # ports that no system gives to a link that somebody opens meanwhile
+_drawn: set[int] = set()  # some are listened on later, or again after a while
 
 
 def free_port() -> int:
-    """A port of this host that nobody listens on, and that no other test will draw before it is used."""
+    """A port of this host that nobody listens on, and that no other test draws, nor another worker of the tests."""
+    worker, count = os.environ.get("PYTEST_XDIST_WORKER", "gw0"), os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1")
+    own = BELOW_THOSE_OF_LINKS[int(worker.removeprefix("gw")) :: int(count)]
     while True:
-        port = random.SystemRandom().choice(BELOW_THOSE_OF_LINKS)
+        port = random.SystemRandom().choice(own)
         with socket.socket() as probe, contextlib.suppress(OSError):
             probe.bind(("127.0.0.1", port))
-            return port
+            if port not in _drawn:
+                _drawn.add(port)
+                return port
 
 
 def free_endpoint(protocol: str = "tcp") -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,14 +13,13 @@ from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID
+from waiting import DEADLINE_S
 
 from agents.security.access import Access
 from agents.security.credential_files import credentials_in
 from agents.security.credentials import Keys
 from agents.transport.bus_config import at_once, bus_config, in_the_background
 from coordinator.deployment.certificates import HERE, _host
-
-DEADLINE_S = 30.0
 
 
 def let_listen(keys: Path, name: str) -> None:
@@ -50,9 +50,10 @@ class Impostor:
         config = bus_config(mode, Keys(keys, name, Access("run", {})) if keys else None, **sections)
         config.pop("access_control", None)
         self.name = name
-        self.received: set[tuple[str, str]] = set()  # (what was said, key)
+        self.received: set[tuple[str, str]] = set()  # (payload, key)
         self.seen: set[str] = set()
-        self._said: set[bytes] = set()
+        self._lock = threading.Lock()
+        self._published: set[bytes] = set()
         self._shown: set[str] = set()
         self._session = zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
         self._kept: list[Any] = []
@@ -83,22 +84,24 @@ class Impostor:
         self._shown |= set(keys)
         self._kept += [self._session.liveliness().declare_token(key) for key in keys]
 
-    def say(self, keys: Sequence[str], payload: bytes | None = None) -> list[Callable[[], None]]:
-        """Functions that say ``payload``, or its name, on each of ``keys``."""
+    def publish(self, keys: Sequence[str], payload: bytes | None = None) -> list[Callable[[], None]]:
+        """Functions that publish ``payload``, or its name, on each of ``keys``."""
         publishers = [self._session.declare_publisher(key) for key in keys]
         self._kept += publishers
         what = payload or self.name.encode()
-        self._said.add(what)
+        self._published.add(what)
         return [lambda p=p: p.put(what) for p in publishers]  # type: ignore[misc]
 
     def _note(self, sample: zenoh.Sample) -> None:
-        said = sample.payload.to_bytes()
-        if said not in self._said:  # a session receives itself
-            self.received.add((said.decode(errors="replace")[:40], str(sample.key_expr)))
+        payload = sample.payload.to_bytes()
+        if payload not in self._published:  # a session receives itself
+            with self._lock:  # a new set: who goes through the last one is on another thread
+                self.received = self.received | {(payload.decode(errors="replace")[:40], str(sample.key_expr))}
 
     def _see(self, key: str) -> None:
         if key not in self._shown:
-            self.seen.add(key)
+            with self._lock:
+                self.seen = self.seen | {key}
 
     def __enter__(self) -> Impostor:
         return self

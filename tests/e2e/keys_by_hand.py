@@ -12,8 +12,9 @@ from system_by_hand import SystemByHand
 from agents.messages.keys import telemetry_key
 from agents.runtime.presence import begin_incarnation
 from agents.security.access import Access
-from coordinator.deployment.certificates import access_of, create_keys
+from coordinator.deployment.certificates import create_keys
 from coordinator.deployment.endpoints import choose_area_endpoints
+from coordinator.deployment.run_access import access_of
 from coordinator.deployment.split import write_area_files
 from coordinator.plant.telemetry_messages import make_payloads
 from scenarios.scenario import load_scenario

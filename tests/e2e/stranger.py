@@ -1,6 +1,6 @@
 """A process that should be kept out: it speaks and listens where it must not, or floods the router's port.
 
-python stranger.py speak ENDPOINT [KEYS NAME]     prints what it received as JSON after its last message
+python stranger.py lie ENDPOINT [KEYS NAME]     prints what it received as JSON after its last message
 python stranger.py connect ENDPOINT [KEYS NAME]   prints "in", or why not
 python stranger.py flood[-wildly] ENDPOINT        until it is killed
 """
@@ -18,6 +18,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from impostor import Impostor
+from waiting import DEADLINE_S
 
 from agents.messages.keys import all_from_neighbours, all_incarnations, neighbour_key, state_key, telemetry_key
 from agents.runtime.presence import begin_incarnation
@@ -29,32 +30,31 @@ from scenarios.scenario import load_scenario
 
 RUN = "ieee33"
 ROUNDS = 300
-DEADLINE_S = 30.0
 LATER = 1_000_000  # scans ahead of the real plant
 CONNECTIONS = 20
 
 
-def speak(endpoint: str, keys: Path | None, name: str) -> None:
+def publish_lies(endpoint: str, keys: Path | None, name: str) -> None:
     """As area2, tell lies in the name of others, and listen to what is not for area2."""
     scan = int(1000 * time.time()) + LATER
     lies = make_payloads(replace(load_scenario(RUN), seed=99), RUN, begin_incarnation(), scan)
     with (
-        Impostor.calling([endpoint], keys, name) as mouth,  # a session receives itself, whoever forbids it
+        Impostor.calling([endpoint], keys, name) as liar,  # a session receives itself, whoever forbids it
         Impostor.calling([endpoint], keys, name) as ear,
     ):
         ear.listen(f"dsse/v2/{RUN}/area/*/state", telemetry_key(RUN, "area1"))
         ear.listen(all_from_neighbours(RUN, "area3"), all_from_neighbours(RUN, "area2"))  # the second is its due
         ear.listen(all_incarnations(RUN, "area", "*"), all_incarnations(RUN, "plant", "*"))
         ear.listen(all_incarnations(RUN, "area", "area1"), all_incarnations(RUN, "area", "area2"))
-        mouth.show(f"dsse/v2/{RUN}/live/area/area9/1-2")
+        liar.show(f"dsse/v2/{RUN}/live/area/area9/1-2")
         keys_of_others = {telemetry_key(RUN, area): lie for area, lie in lies.items()}
         for kind in ("information", "tally", "load"):
             keys_of_others[neighbour_key(RUN, "area3", kind, "area1")] = b"lie"
         keys_of_others |= {neighbour_key(RUN, "area9", "information", "area1"): b"lie", state_key(RUN, "area1"): b"lie"}
-        said = [put for key, lie in keys_of_others.items() for put in mouth.say([key], lie)]
+        puts = [put for key, lie in keys_of_others.items() for put in liar.publish([key], lie)]
         pause, deadline = threading.Event(), time.monotonic() + DEADLINE_S
         for _ in range(ROUNDS):
-            for put in said:
+            for put in puts:
                 put()
             pause.wait(0.002)
         while not any(key.endswith("/area2") for _, key in ear.received) and time.monotonic() < deadline:
@@ -77,9 +77,9 @@ def shout(endpoint: str, keys: Path | None, name: str) -> None:
     """Send rubbish to all areas in the name of one that does not exist, as fast as can be."""
     areas = [area.name for area in load_scenario(RUN).partition.areas]
     with Impostor.calling([endpoint], keys, name) as impostor:
-        said = impostor.say([neighbour_key(RUN, "area9", "information", area) for area in areas], b"rubbish" * 20)
+        puts = impostor.publish([neighbour_key(RUN, "area9", "information", area) for area in areas], b"rubbish" * 20)
         for number in itertools.count():
-            for put in said:
+            for put in puts:
                 put()
             if number == ROUNDS:
                 print("shouting", flush=True)
@@ -108,4 +108,4 @@ if __name__ == "__main__":
     if what.startswith("flood"):
         flood(at, wildly=what == "flood-wildly")
     else:
-        {"speak": speak, "connect": connect, "shout": shout}[what](at, *own)  # type: ignore[operator]
+        {"lie": publish_lies, "connect": connect, "shout": shout}[what](at, *own)  # type: ignore[operator]

@@ -41,6 +41,9 @@ def prepare_by_hand(dsse: Callable[..., subprocess.CompletedProcess[str]], secur
     return endpoint, ["--keys", "keys"] if secured else []
 
 
+WAIT_FOR_A_BUS = ("agent", "gateway", "plant", "record", "serve")
+
+
 class SystemByHand:
     """``dsse`` processes by name, each with a log file; those that are left are killed at the end of the block."""
 
@@ -54,11 +57,13 @@ class SystemByHand:
 
         ``prefix``: the command that runs it elsewhere; ``python``: that of another environment, which then runs it.
         """
-        said, words = self.log_of(name), list(map(str, arguments))
+        log_path, words = self.log_of(name), list(map(str, arguments))
+        if words[0] in WAIT_FOR_A_BUS and "--timeout" not in words:
+            words += ["--timeout", str(DEADLINE_S)]  # the router may be on its way as long as a test waits
         if not prefix and python is None:
-            self.processes[name] = parent().start(words, self.folder, self._environment, said, said)
+            self.processes[name] = parent().start(words, self.folder, self._environment, log_path, log_path)
             return
-        with said.open("ab") as log:
+        with log_path.open("ab") as log:
             command = [str(python or COMMAND[0]), *COMMAND[1:]]
             self.processes[name] = subprocess.Popen(
                 [*prefix, *command, *words], cwd=self.folder, env=self._environment, stdout=log, stderr=log
@@ -67,7 +72,7 @@ class SystemByHand:
     def log_of(self, name: str) -> Path:
         return self.folder / f"{name}.log"
 
-    def said(self, name: str) -> str:
+    def read_log(self, name: str) -> str:
         """All that a process has logged."""
         return self.log_of(name).read_text(errors="replace")
 

@@ -12,6 +12,8 @@ from collections.abc import Callable, Coroutine
 from types import TracebackType
 from typing import Any, Self
 
+from waiting import DEADLINE_S
+
 RESET_AT_CLOSE = struct.pack("ii", 1, 0)  # SO_LINGER on, for no time
 
 
@@ -57,7 +59,7 @@ class TcpFaultProxy:
         self._call(self._reset)
 
     def _do(self, work: Coroutine[Any, Any, Any]) -> Any:
-        return asyncio.run_coroutine_threadsafe(work, self._loop).result(10.0)
+        return asyncio.run_coroutine_threadsafe(work, self._loop).result(DEADLINE_S)
 
     def _call(self, function: Callable[[], None]) -> None:
         async def call() -> None:

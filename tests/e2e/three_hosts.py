@@ -18,7 +18,8 @@ from system_by_hand import SystemByHand, Watcher
 from units import DEPLOY, command_of, read_host_file
 
 from agents.messages.packing import StateMessage
-from coordinator.deployment.certificates import access_of, create_keys
+from coordinator.deployment.certificates import create_keys
+from coordinator.deployment.run_access import access_of
 from coordinator.deployment.split import write_area_files
 from coordinator.evaluation.comparison import Gap
 from scenarios.scenario import load_scenario
@@ -88,7 +89,7 @@ def start_all(system: SystemByHand, there: Mapping[str, list[str]]) -> None:
             system.start(name, *command_of(unit, variables, system.folder, area), prefix=there[host])
 
 
-def tell(gap: Gap) -> float:
+def combine(gap: Gap) -> float:
     """The larger of both, p.u. and rad."""
     assert gap.vm_pu is not None
     assert gap.va_deg is not None
@@ -99,7 +100,7 @@ def main(folder: Path) -> None:
     with linked_hosts() as there, SystemByHand(folder) as system:
         start_all(system, there)
         with Watcher(RUN, [LOCAL], folder / "keys") as watcher:
-            reported: dict[str, object] = {"gap before": tell(watcher.wait_for_consensus())}
+            reported: dict[str, object] = {"gap before": combine(watcher.wait_for_consensus())}
             run("ip", "link", "set", "to_a", "down")
             cut_off = "neighbour area1 is gone"
             others: tuple[StateMessage, ...] = ()
@@ -107,13 +108,14 @@ def main(folder: Path) -> None:
             def noticed() -> bool:
                 nonlocal others
                 others = tuple(watcher.states[area] for area in ("area2", "area3"))
-                return all(cut_off in state.notes for state in others)
+                is_seen = "area1 is not on the bus" in watcher.obstacles()  # by the watcher, too, which is a third
+                return is_seen and all(cut_off in state.notes for state in others)
 
             watcher.wait_until(noticed)
             reported["notes when cut off"] = {state.header.sender: state.notes for state in others}
             reported["obstacles when cut off"] = watcher.obstacles()
             run("ip", "link", "set", "to_a", "up")
-            reported["gap after"] = tell(watcher.wait_for_consensus())
+            reported["gap after"] = combine(watcher.wait_for_consensus())
         reported["exit codes"] = [system.end(name) for name in reversed(list(system.processes))]
         print(json.dumps(reported))
 

@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 
 
-def test_the_command_tells_its_version(capsys: pytest.CaptureFixture[str]):
+def test_the_command_prints_its_version(capsys: pytest.CaptureFixture[str]):
     assert run_command(["--version"]) == 0
     assert capsys.readouterr().out == f"{PROJECT['name']} {PROJECT['version']}\n"
 

@@ -23,7 +23,7 @@ CELLS = [
 def test_a_cell_of_a_notebook_shows_a_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(os.environ, "PYTHONPATH", ENVIRONMENT["PYTHONPATH"])
     notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(cell) for cell in CELLS])
-    client = nbclient.NotebookClient(notebook, timeout=120, resources={"metadata": {"path": str(tmp_path)}})
+    client = nbclient.NotebookClient(notebook, timeout=1800, resources={"metadata": {"path": str(tmp_path)}})
     client.execute()
     shown = [cell.outputs[-1]["data"] for cell in notebook.cells]
     assert shown[0]["text/plain"].startswith("<RunResult of 'ieee33': consensus of 3 areas")

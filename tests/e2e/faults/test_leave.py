@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from system_by_hand import SystemByHand, Watcher, prepare_by_hand
+from waiting import wait_until
 
 NOTES = {signal.SIGTERM: "neighbour area2 has left: SIGTERM", signal.SIGKILL: "neighbour area2 is gone"}
 
@@ -28,6 +29,11 @@ def test_neighbours_and_watchers_tell_an_orderly_end_from_a_death(dsse, tmp_path
                 watcher.wait_until(lambda note=note: note in watcher.states["area1"].notes)
                 # the watcher, too, or the next incarnation would be killed before it is there
                 watcher.wait_until(lambda: "area2 is not on the bus" in watcher.obstacles())
-        done = dsse("watch", "--connect", endpoint, *keys, "--once", "--json")
-        areas = json.loads(done.stdout)["areas"]
-        assert (areas["area1"]["quality"], areas["area2"]["state"]) == ("degraded", "gone")
+
+        def is_told() -> bool:
+            done = dsse("watch", "--connect", endpoint, *keys, "--once", "--json")
+            areas = json.loads(done.stdout)["areas"] if done.returncode == 0 else {}
+            told = areas.get("area1", {}).get("quality"), areas.get("area2", {}).get("state")
+            return told == ("degraded", "gone")
+
+        wait_until(is_told)

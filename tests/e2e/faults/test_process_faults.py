@@ -88,7 +88,7 @@ def test_a_run_whose_plant_died_is_no_consensus_although_the_areas_agree(
     start_run, edited_scenario, assert_nothing_left
 ):
     scenario = edited_scenario("ieee33")
-    scenario.write_text(scenario.read_text() + '[[faults.events]]\nat_s = 1.5\nkill = "plant"\n')
+    scenario.write_text(scenario.read_text() + '[[faults.events]]\nat_s = 10.0\nkill = "plant"\n')
     run = start_run(scenario)
     code, out, err = run.end()
     assert code == 1, out + err

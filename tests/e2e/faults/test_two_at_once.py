@@ -7,11 +7,14 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from dsse_command import COMMAND, ENVIRONMENT
-from system_by_hand import agreeing_system
+from dsse_command import COMMAND, ENVIRONMENT, free_endpoint
+from system_by_hand import SystemByHand, agreeing_system
 from waiting import DEADLINE_S, wait_until
 
+from agents.messages.keys import live_key
 from agents.runtime.duplicate_guard import REPLACED_CODE
+from agents.runtime.presence import begin_incarnation
+from agents.transport.zenoh_bus import Session
 
 
 @pytest.mark.parametrize("secured", [False, True], ids=["open", "secured"])
@@ -23,9 +26,27 @@ def test_the_older_agent_and_the_older_plant_give_way_and_the_estimate_stays(dss
             process = system.processes[name]
             watcher.wait_until(lambda process=process: process.poll() is not None)
             assert process.returncode == REPLACED_CODE
-            assert f"error: two processes run as {whom} at once" in system.said(name)
+            assert f"error: two processes run as {whom} at once" in system.read_log(name)
         watcher.wait_for_consensus()
         assert all(system.processes[f"{name} again"].poll() is None for name in ("area2", "plant"))
+
+
+def test_a_watcher_that_comes_later_is_told_while_both_are_there(dsse, tmp_path: Path):
+    endpoint, run = free_endpoint(), "industrial13"
+    with SystemByHand(tmp_path) as system:
+        system.start("router", "router", "--listen", endpoint)
+        with Session.connect([endpoint], DEADLINE_S) as one, Session.connect([endpoint], DEADLINE_S) as other:
+            for session in (one, other):  # neither gives way
+                session.declare_presence(live_key(run, "area", "area2", begin_incarnation()))
+
+            def is_shown() -> bool:
+                done = dsse(
+                    "watch", "--grid", run, "--connect", endpoint, "--run", run, "--once", "--json", "--timeout", "2"
+                )
+                shown = json.loads(done.stdout)["duplicates"] if done.stdout else []
+                return any("2 agents of area area2 publish at once" in line for line in shown)
+
+            wait_until(is_shown)
 
 
 def test_a_run_whose_area_runs_twice_says_so_with_both_incarnations(start_run, deaf_scenario, assert_nothing_left):
@@ -34,14 +55,6 @@ def test_a_run_whose_area_runs_twice_says_so_with_both_incarnations(start_run, d
     command = [*COMMAND, "agent", str(run.folder / "areas" / "area2.json")]
     stranger = subprocess.Popen(command, env=ENVIRONMENT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
-        endpoint = (run.folder / "logs" / "router.endpoints").read_text().split()[0]
-
-        def is_shown() -> bool:
-            watch = [*COMMAND, "watch", "--connect", endpoint, "--once", "--json"]
-            view = subprocess.run(watch, env=ENVIRONMENT, capture_output=True, timeout=DEADLINE_S, check=False).stdout
-            return any("2 agents of area area2 publish at once" in line for line in json.loads(view)["duplicates"])
-
-        wait_until(is_shown)
         code, out, _ = run.end()
     finally:
         stranger.terminate()

@@ -114,11 +114,11 @@ class Field:
 
     def _wait_for(self, word: str) -> None:
         assert self._process.stdout is not None
-        said = self._process.stdout.readline().strip()
-        assert said == word, f"the field said {said!r}; see field.log"
+        line = self._process.stdout.readline().strip()
+        assert line == word, f"the field said {line!r}; see field.log"
 
 
-def write_maps(scenario: Scenario, path: Path, meters: Sequence[FieldMeter], ports: dict[str, int]) -> None:
+def write_maps(path: Path, meters: Sequence[FieldMeter], ports: dict[str, int]) -> None:
     """A map for each gateway, ``mqtt.toml`` and so on, beside the scenario file ``path``."""
     sources = {
         "mqtt": {"kind": "mqtt", "host": "127.0.0.1", "port": ports["mqtt"], "qos": 0},
@@ -145,7 +145,7 @@ def running_feeder(folder: Path) -> Iterator[FeederUnderWay]:
     field = Field(meters, folder)
     try:
         with SystemByHand(folder) as system:
-            write_maps(scenario, path, meters, field.ports)
+            write_maps(path, meters, field.ports)
             yield FeederUnderWay(scenario, path, endpoint, meters, field, system)
     finally:
         field.close()

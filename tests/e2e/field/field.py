@@ -69,7 +69,7 @@ async def broker(port: int) -> Any:
     made = Broker({"listeners": {"default": {"type": "tcp", "bind": f"127.0.0.1:{port}"}}, "plugins": everybody})
     await made.start()
     try:
-        async with aiomqtt.Client("127.0.0.1", port) as client:
+        async with aiomqtt.Client("127.0.0.1", port, timeout=60.0) as client:
 
             async def write(topic: str, value: float) -> None:
                 await client.publish(topic, json.dumps({"value": value, "time": time.time()}), retain=True)

@@ -52,7 +52,7 @@ class LiveSystem:
 
     def wait_for(self, quality: str) -> None:
         """Until all areas say this of their states."""
-        wait_until(lambda: [state.quality for state in self.states.values()] == [quality] * len(AREAS))
+        wait_until(lambda: [state.quality for state in tuple(self.states.values())] == [quality] * len(AREAS))
 
 
 @pytest.fixture

@@ -20,7 +20,7 @@ from coordinator.observe.events import EventLog
 def run_limited(folder: Path, limit: int, value: int, *arguments: str) -> subprocess.CompletedProcess[str]:
     """``dsse run`` in ``folder``, whose processes may have no more than ``value`` of ``limit``."""
     return subprocess.run(
-        [*COMMAND, "run", *arguments, "--no-plots"],
+        [*COMMAND, "run", *arguments, "--no-plots", "--timeout", str(DEADLINE_S)],
         cwd=folder,
         env=WITH_LIMITS,
         capture_output=True,

@@ -117,7 +117,7 @@ def test_without_a_home_that_can_be_written_a_run_is_as_ever(tmp_path: Path, hom
     lock(tmp_path / "locked")
     environment = {"HOME": str(tmp_path / home) if home else "", "TMPDIR": str(tmp_path / "nowhere")}
     plots = [] if home == "locked" else ["--no-plots"]  # without a home, finding the fonts takes 3 s
-    run = ["run", "ieee33", "--out", "out", *plots]
+    run = ["run", "ieee33", "--out", "out", "--timeout", str(DEADLINE_S), *plots]
     done = run_there(tmp_path, run, kept_out=True, without_home=not home, **environment)
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("consensus after ")

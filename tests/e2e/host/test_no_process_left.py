@@ -59,7 +59,8 @@ def test_a_killed_coordinator_stops_nothing_and_one_signal_to_the_parent_stops_a
     run.process.kill()
     run.end()
     states = Inbox()
-    with Session.connect((run.folder / "logs" / "router.endpoints").read_text().split()) as session:
+    endpoints = (run.folder / "logs" / "router.endpoints").read_text().split()
+    with Session.connect(endpoints, DEADLINE_S) as session:
         session.subscribe(all_states(run.events()[0]["run"]), lambda key, payload: states.put(key, decode(payload)))
         seen = {}
         wait_until(
@@ -201,7 +202,7 @@ def test_a_script_without_a_main_guard_may_run_a_scenario(tmp_path: Path, assert
     script.write_text(
         "import coordinator\n"
         "print('once')\n"
-        "result = coordinator.run('industrial13', out='out', plots=False)\n"
+        f"result = coordinator.run('industrial13', out='out', plots=False, timeout_s={DEADLINE_S})\n"
         "print(result.verdict.consensus)\n"
     )
     done = subprocess.run(
@@ -210,7 +211,7 @@ def test_a_script_without_a_main_guard_may_run_a_scenario(tmp_path: Path, assert
         env={**os.environ, "PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=DEADLINE_S,
         check=False,
     )
     assert (done.stdout, done.stderr) == ("once\nTrue\n", "")
@@ -221,5 +222,5 @@ def test_folders_of_the_user_with_our_names_do_not_disturb(tmp_path: Path, dsse_
     for name in ("agents", "scenarios"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").write_text("raise ImportError('not ours')")
-    done = dsse_from_nothing("run", "industrial13", "--no-plots", "--quiet")
+    done = dsse_from_nothing("run", "industrial13", "--no-plots", "--quiet", "--timeout", DEADLINE_S)
     assert done.returncode == 0, done.stderr

@@ -9,7 +9,7 @@ import psutil
 import pytest
 from dsse_command import free_endpoint
 from system_by_hand import SystemByHand, Watcher
-from waiting import wait_until
+from waiting import DEADLINE_S, wait_until
 
 THREADS_OF_A_BUS = 2  # a process with more has imported all, and looks for the bus or is on it
 ORDERS = (
@@ -24,8 +24,8 @@ def test_a_system_started_one_after_the_other_agrees_whoever_is_first(dsse, tmp_
     assert dsse("split", "ieee33", "--out", "areas", "--connect", endpoint).returncode == 0
     commands: dict[str, tuple[object, ...]] = {
         "router": ("router", "--listen", endpoint),
-        "plant": ("plant", "ieee33", "--connect", endpoint, "--timeout", "60"),
-        **{f"area{i}": ("agent", f"areas/area{i}.toml", "--timeout", "60") for i in (1, 2, 3)},
+        "plant": ("plant", "ieee33", "--connect", endpoint, "--timeout", str(DEADLINE_S)),
+        **{f"area{i}": ("agent", f"areas/area{i}.toml", "--timeout", str(DEADLINE_S)) for i in (1, 2, 3)},
     }
     with SystemByHand(tmp_path) as system:
         for name in order:

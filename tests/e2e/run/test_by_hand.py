@@ -13,12 +13,13 @@ from pathlib import Path
 
 import pytest
 from dsse_command import COMMAND, ENVIRONMENT, free_endpoint
+from waiting import DEADLINE_S
 
 from agents.messages.keys import all_states
 from agents.messages.packing import StateMessage, decode
 from agents.transport.zenoh_bus import Session
 
-DEADLINE_S = 30.0
+PATIENCE = ("--timeout", str(DEADLINE_S))  # with the router, which starts beside
 
 
 def test_agents_started_by_hand_agree_and_end_with_exit_code_0(dsse, tmp_path: Path):
@@ -26,9 +27,9 @@ def test_agents_started_by_hand_agree_and_end_with_exit_code_0(dsse, tmp_path: P
     assert dsse("split", "industrial13", "--out", "areas", "--connect", endpoint).returncode == 0
     commands = [
         [sys.executable, "-m", "coordinator.process_run.router_process", "--listen", endpoint],
-        [*COMMAND, "agent", str(tmp_path / "areas" / "area1.toml")],
-        [sys.executable, "-m", "agents", str(tmp_path / "areas" / "area2.toml")],
-        [*COMMAND, "plant", "industrial13", "--connect", endpoint],
+        [*COMMAND, "agent", str(tmp_path / "areas" / "area1.toml"), *PATIENCE],
+        [sys.executable, "-m", "agents", str(tmp_path / "areas" / "area2.toml"), *PATIENCE],
+        [*COMMAND, "plant", "industrial13", "--connect", endpoint, *PATIENCE],
     ]
     processes = [subprocess.Popen(command, env=ENVIRONMENT) for command in commands]
     try:
@@ -38,7 +39,7 @@ def test_agents_started_by_hand_agree_and_end_with_exit_code_0(dsse, tmp_path: P
             deadline = time.monotonic() + DEADLINE_S
             referenced: set[str] = set()
             while referenced != {"area1", "area2"}:
-                state = decode(states.get(timeout=deadline - time.monotonic()))
+                state = decode(states.get(timeout=max(0.0, deadline - time.monotonic())))
                 assert isinstance(state, StateMessage)
                 if state.referenced:
                     referenced.add(state.header.sender)

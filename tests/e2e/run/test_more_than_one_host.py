@@ -43,9 +43,9 @@ def test_systemd_accepts_every_unit(tmp_path: Path):
 
 @pytest.mark.parametrize("name", UNITS)
 def test_every_unit_is_restarted_when_its_loop_is_stuck_and_bounded_in_memory_and_tasks(name: str):
-    said = {key: setting_of(name, key) for key in ("Type", "WatchdogSec", "Restart", "MemoryMax", "TasksMax")}
-    assert (said["Type"], said["Restart"]) == ("notify", "always")
-    assert all(said.values()), said
+    settings = {key: setting_of(name, key) for key in ("Type", "WatchdogSec", "Restart", "MemoryMax", "TasksMax")}
+    assert (settings["Type"], settings["Restart"]) == ("notify", "always")
+    assert all(settings.values()), settings
 
 
 @pytest.mark.parametrize("name", UNITS)

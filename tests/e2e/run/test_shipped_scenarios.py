@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from waiting import DEADLINE_S
 
 import coordinator
 from agents.runtime.link_faults import draw_fate
@@ -36,7 +37,7 @@ SEED = 2  # one of the first two messages is lost
 
 
 def run(name: str, folder: Path, seed: int | None = None) -> RunResult:
-    return coordinator.run(name, out=folder, seed=seed, strategy="angle-offset", plots=False)
+    return coordinator.run(name, out=folder, seed=seed, strategy="angle-offset", plots=False, timeout_s=DEADLINE_S)
 
 
 def assert_within_bounds(result: RunResult) -> None:
@@ -81,7 +82,7 @@ def test_another_seed_means_other_telemetry(tmp_path: Path):
 @pytest.mark.parametrize(("name", "strategy"), [("industrial13-load-error", "information"), ("ieee33-lossy", "admm")])
 def test_exact_strategies_give_the_centralised_estimate(name: str, strategy: str, tmp_path: Path):
     """In exact arithmetic their fixed point is the centralised estimate; what is left is tolerances and rounding."""
-    result = coordinator.run(name, out=tmp_path / "out", strategy=strategy, plots=False)
+    result = coordinator.run(name, out=tmp_path / "out", strategy=strategy, plots=False, timeout_s=DEADLINE_S)
     assert result.verdict.consensus, result.verdict.reason
     assert result.verdict.gap_vm_pu is not None
     assert result.verdict.gap_vm_pu <= 1e-8
@@ -143,7 +144,7 @@ def test_under_losses_real_processes_give_the_tables_of_the_thesis(case: str, ta
     scenario = load_scenario(f"{case}-thesis")
     links = wrong_on_every_link(scenario) if case == "industrial13" else []
     scenario = load_scenario(f"{case}-thesis", changes={"faults.loss": LOSS, "faults.link": links, "seed": 5})
-    result = coordinator.run(scenario, out=tmp_path / "out", plots=False)
+    result = coordinator.run(scenario, out=tmp_path / "out", plots=False, timeout_s=DEADLINE_S)
     assert result.verdict.consensus, result.verdict.reason
     assert result.verdict.lost > 0
     assert ("load changed" in result.faults) == bool(links)
@@ -155,7 +156,7 @@ def test_with_load_error_and_losses_real_processes_estimate_the_area_power_flows
     name = "industrial13-thesis"
     errors = {f"faults.load_error.{area.name}": ERROR for area in load_scenario(name).partition.areas}
     scenario = load_scenario(name, changes={"faults.loss": LOSS, "seed": 5, **errors})
-    result = coordinator.run(scenario, out=tmp_path / "out", plots=False)
+    result = coordinator.run(scenario, out=tmp_path / "out", plots=False, timeout_s=DEADLINE_S)
     assert result.verdict.consensus, result.verdict.reason
     assert result.verdict.lost > 0
     order = json.loads((TABLES / "industrial13.json").read_text())["local_order"]
@@ -172,7 +173,7 @@ def test_with_load_error_and_losses_real_processes_estimate_the_area_power_flows
 
 
 def test_a_load_error_moves_processes_as_it_moves_the_simulator(tmp_path: Path):
-    processes = coordinator.run("ieee33-load-error", out=tmp_path / "processes", plots=False)
+    processes = coordinator.run("ieee33-load-error", out=tmp_path / "processes", plots=False, timeout_s=DEADLINE_S)
     simulator = coordinator.simulate("ieee33-load-error", out=tmp_path / "simulator", plots=False)
     assert processes.verdict.consensus, processes.verdict.reason
     for of in ("vm", "va"):

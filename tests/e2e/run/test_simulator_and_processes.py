@@ -7,13 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from waiting import DEADLINE_S
 
 import coordinator
 
 
 @pytest.mark.parametrize("name", ["ieee33", "ieee33-lossy"])
 def test_the_simulator_ends_where_real_processes_do(name: str, tmp_path: Path):
-    real = coordinator.run(name, out=tmp_path / "real", strategy="information", plots=False)
+    real = coordinator.run(name, out=tmp_path / "real", strategy="information", plots=False, timeout_s=DEADLINE_S)
     simulator = coordinator.simulate(name, out=tmp_path / "simulator", strategy="information", plots=False)
     assert real.verdict.consensus
     assert simulator.verdict.consensus
@@ -30,7 +31,8 @@ def test_the_simulator_ends_where_real_processes_do(name: str, tmp_path: Path):
 
 
 def test_compare_runs_real_processes_too(dsse, tmp_path: Path):
-    done = dsse("compare", "industrial13", "--strategies", "angle-offset,information", "--processes", "--out", "out")
+    both = ("--strategies", "angle-offset,information", "--processes", "--timeout", DEADLINE_S)
+    done = dsse("compare", "industrial13", *both, "--out", "out")
     assert done.returncode == 0, done.stderr
     assert "real processes" in done.stdout
     with (tmp_path / "out" / "comparison.csv").open() as file:

@@ -90,7 +90,7 @@ def is_back(system: SystemByHand, watcher: Watcher, name: str, before: Mapping[s
     if name == "plant":  # its readings have numbers above those of the former one
         is_new = all(states[area].header.scan > before[area].header.scan for area in AREAS)
     elif name == "router":  # what all areas say has passed it
-        is_new = system.said(name).count("listening on") == 2 and all(
+        is_new = system.read_log(name).count("listening on") == 2 and all(
             states[area].header.time > before[area].header.time + LEASE_S for area in AREAS
         )
     else:

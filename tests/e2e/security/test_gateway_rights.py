@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from system_by_hand import SystemByHand, Watcher, free_endpoint
+from waiting import DEADLINE_S
 
 from agents.messages.keys import telemetry_key
 from agents.messages.packing import Header, TelemetryMessage, encode
@@ -34,7 +35,7 @@ def test_a_gateway_cannot_speak_for_the_meters_of_another(
         system.start("plant", "plant", scenario, "--connect", endpoint, "--keys", "keys", "--run", RUN)
         with (
             Watcher(RUN, [endpoint], tmp_path / "keys") as watcher,
-            Session.connect([endpoint], 20.0, load_keys(tmp_path / "keys", "gateway-north")) as gateway,
+            Session.connect([endpoint], DEADLINE_S, load_keys(tmp_path / "keys", "gateway-north")) as gateway,
         ):
             watcher.wait_for_consensus()
             readings = [m for m in watcher.telemetry.by_area["area2"] if m.meter.source is not Source.VIRTUAL]
@@ -44,10 +45,10 @@ def test_a_gateway_cannot_speak_for_the_meters_of_another(
             columns = (others.meter.id,), (others.value + 1.0,), (others.sigma / 1000,), (now,), (True,)
             put = gateway.publisher(telemetry_key(RUN, "area2", "north"))
 
-            def is_refused() -> bool:
+            def is_rejected() -> bool:
                 put(encode(TelemetryMessage(header, "area2", *columns)))
                 return "meter of another gateway" in watcher.states["area2"].rejected
 
-            watcher.wait_until(is_refused)
+            watcher.wait_until(is_rejected)
             gap = watcher.wait_for_consensus()
             assert max(gap.vm_pu or 0.0, math.radians(gap.va_deg or 0.0)) <= 1e-8

@@ -15,7 +15,7 @@ from impostor import Impostor, let_listen
 from keys_by_hand import AREAS, RUN, KeysByHand, scenario_of
 from shown_states import a_state
 from system_by_hand import Watcher
-from waiting import wait_until
+from waiting import DEADLINE_S, wait_until
 
 from agents.messages.keys import all_incarnations, all_live, state_key, telemetry_key
 from agents.messages.packing import Header, encode
@@ -27,17 +27,17 @@ ROUNDS = 200
 
 
 def attack(impostor: Impostor, lies: dict[str, bytes]) -> None:
-    """Listen to everybody, show everybody's tokens, and say ``lies``."""
+    """Listen to everybody, show everybody's tokens, and publish ``lies``."""
     impostor.listen(*(state_key(RUN, area) for area in ("*", *AREAS)), *(telemetry_key(RUN, area) for area in AREAS))
     impostor.listen(*(f"dsse/v2/{RUN}/area/*/*/{area}" for area in AREAS), all_live(RUN))
     impostor.listen(
         *(all_incarnations(RUN, role, name) for role, name in (*(("area", a) for a in AREAS), ("plant", "plant")))
     )
     impostor.show(*(f"dsse/v2/{RUN}/live/area/{area}/fffffffffff-ffffffff" for area in AREAS))
-    said = [put for key, lie in lies.items() for put in impostor.say([key], lie)]
+    puts = [put for key, lie in lies.items() for put in impostor.publish([key], lie)]
     pause = threading.Event()
     for _ in range(ROUNDS):
-        for put in said:
+        for put in puts:
             put()
         pause.wait(0.01)
 
@@ -70,19 +70,21 @@ def test_with_the_key_of_an_area_nobody_is_taken_for_the_router(
         system.end("router")
         with Impostor.at(system.endpoints[0], stolen, "area3") as impostor:
             if is_for_everything:
-                wait_until(lambda: all("shows the certificate of 'area3'" in system.said(a) for a in (*AREAS, "plant")))
+                wait_until(
+                    lambda: all("shows the certificate of 'area3'" in system.read_log(a) for a in (*AREAS, "plant"))
+                )
             attack(impostor, system.lies() | {state_key(RUN, area): forge_state(area) for area in AREAS})
             system.start("watch", "watch", "--once", "--json", "--timeout", "3", *system.connect())
-            assert system.processes["watch"].wait(60) in (1, 2)  # nothing to be seen, or no router at all
+            assert system.processes["watch"].wait(DEADLINE_S) in (1, 2)  # nothing to be seen, or no router at all
             assert not impostor.received
             assert not impostor.seen
-        assert "forged" not in system.said("watch")
+        assert "forged" not in system.read_log("watch")
         system.start_router()
         with Watcher(RUN, system.endpoints, system.keys) as watcher:
             watcher.wait_for_consensus()
             assert all(state.rejected == {} for state in watcher.states.values())
         for name in (*AREAS, "plant", "router"):
-            assert system.end(name) == 0, system.said(name)
+            assert system.end(name) == 0, system.read_log(name)
 
 
 def test_between_neighbours_the_key_of_an_area_receives_and_forges_nobody_else(
@@ -93,14 +95,14 @@ def test_between_neighbours_the_key_of_an_area_receives_and_forges_nobody_else(
         forged = {state_key(RUN, area): forge_state(area) for area in AREAS[:2]}
         system.start("watch", "watch", "--direct", "--json", *system.connect())
         with Impostor.at(system.area_endpoints["area3"], system.keys, "area3", "peer") as impostor:
-            wait_until(lambda: '"area2"' in system.said("watch") and '"area1"' in system.said("watch"))
+            wait_until(lambda: '"area2"' in system.read_log("watch") and '"area1"' in system.read_log("watch"))
             attack(impostor, system.lies() | forged)
             wait_until(lambda: any("/telemetry/area3" in key for _, key in impostor.received))
             assert [key for _, key in impostor.received if not is_due(system.access, "area3", key)] == []
             assert [key for key in impostor.seen if not is_due(system.access, "area3", key)] == []
-        assert "forged" not in system.said("watch")
+        assert "forged" not in system.read_log("watch")
         for name in (*AREAS[:2], "plant"):
-            assert system.end(name) == 0, system.said(name)
+            assert system.end(name) == 0, system.read_log(name)
 
 
 @pytest.mark.parametrize("name", ["area2", "area3", "plant", "coordinator", "router"])
@@ -128,7 +130,7 @@ def test_between_neighbours_whoever_calls_everybody_receives_its_due_only(
                 assert [key for _, key in impostor.received if not is_due(system.access, name, key)] == []
                 assert [key for key in impostor.seen if not is_due(system.access, name, key)] == []
         system.start("watch", "watch", "--direct", "--json", *system.connect())
-        wait_until(lambda: system.said("watch").count('"state": "estimates"') >= len(AREAS))
-        assert "forged" not in system.said("watch")
+        wait_until(lambda: system.read_log("watch").count('"state": "estimates"') >= len(AREAS))
+        assert "forged" not in system.read_log("watch")
         for area in (*AREAS, "plant"):
-            assert system.end(area) == 0, system.said(area)
+            assert system.end(area) == 0, system.read_log(area)

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from keys_by_hand import AREAS, KeysByHand, scenario_of
 from system_by_hand import SystemByHand, Watcher, agreeing_system
-from waiting import wait_until
+from waiting import DEADLINE_S, wait_until
 
 from agents.messages.keys import all_commands, command_key
 from agents.orders.order_book import STOPPED_CODE
@@ -31,7 +31,8 @@ class System:
         self.dsse, self.processes, self.watcher, self.endpoint, self.keys = dsse, system, watcher, endpoint, keys
 
     def order(self, *arguments: str, keys: list[str] | None = None) -> subprocess.CompletedProcess[str]:
-        return self.dsse(*arguments, "--connect", self.endpoint, *(self.keys if keys is None else keys))
+        patience = () if "--timeout" in arguments else ("--timeout", str(DEADLINE_S))
+        return self.dsse(*arguments, *patience, "--connect", self.endpoint, *(self.keys if keys is None else keys))
 
     def spared(self, area: str) -> str:
         """A meter of ``area`` without which the estimate changes, and is still one."""
@@ -67,9 +68,13 @@ def test_a_meter_that_is_off_is_left_out_until_it_is_on_again_also_by_a_restarte
     watcher.leave_out(meter)
     system.wait_for_gap_below(1e-8)
     assert f"switched off by the operator: {meter}" in watcher.states["area2"].notes
-    assert f"the operator has switched off: {meter}" in system.processes.said("area2")
-    shown = json.loads(system.order("watch", "--once", "--json").stdout)
-    assert shown["areas"]["area2"]["meters_off"] == [meter]
+    assert f"the operator has switched off: {meter}" in system.processes.read_log("area2")
+
+    def is_shown() -> bool:
+        shown = json.loads(system.order("watch", "--once", "--json").stdout)
+        return shown["areas"].get("area2", {}).get("meters_off") == [meter]
+
+    wait_until(is_shown)
 
     assert system.processes.end("area2") == 0
     before = watcher.states["area2"].header.incarnation
@@ -90,12 +95,12 @@ def test_a_command_that_somebody_has_received_and_repeats_is_rejected_also_after
     received: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     operators = system.processes.folder / "keys" if system.keys else None
     with (
-        Session.connect([system.endpoint], 20.0, load_keys(operators, "watcher")) as ear,
-        Session.connect([system.endpoint], 20.0, load_keys(operators, "operator")) as mouth,  # a stolen key
+        Session.connect([system.endpoint], DEADLINE_S, load_keys(operators, "watcher")) as ear,
+        Session.connect([system.endpoint], DEADLINE_S, load_keys(operators, "operator")) as mouth,  # a stolen key
     ):
         ear.subscribe(all_commands(RUN), lambda key, payload: received.put(payload) if key.endswith("area2") else None)
         assert system.order("meter", "off", meter).returncode == 0
-        payload = received.get(timeout=20.0)
+        payload = received.get(timeout=DEADLINE_S)
         assert system.order("meter", "on", meter).returncode == 0
         watcher.wait_until(lambda: watcher.states["area2"].meters_off == ())
         system.processes.end("area2")
@@ -110,7 +115,7 @@ def test_a_command_that_somebody_has_received_and_repeats_is_rejected_also_after
 
         watcher.wait_until(is_rejected)
         assert watcher.states["area2"].meters_off == ()
-        assert "rejected command number 1 for this reason, command of the past" in system.processes.said("area2")
+        assert "rejected command number 1 for this reason, command of the past" in system.processes.read_log("area2")
 
 
 def test_mistakes_of_the_operator_are_one_clear_error_each(system: System):
@@ -142,10 +147,10 @@ def test_an_area_that_is_away_is_named_and_the_others_follow(system: System):
 def test_an_area_that_cannot_record_a_command_rejects_it_and_the_operator_learns_why(system: System):
     meter = system.spared("area2")
     (system.processes.folder / "areas" / f"{RUN}.area2.operator.json").mkdir()  # no file can take its place
-    done = system.order("meter", "off", meter, "--timeout", "3")
+    done = system.order("meter", "off", meter, "--timeout", "8")
     assert (done.returncode, done.stdout) == (2, "")
-    assert "area2 has not followed the command within 3 s: it rejects: command that cannot be recorded" in done.stderr
-    assert "area2.operator.json: Is a directory" in system.processes.said("area2")
+    assert "area2 has not followed the command within 8 s: it rejects: command that cannot be recorded" in done.stderr
+    assert "area2.operator.json: Is a directory" in system.processes.read_log("area2")
     assert system.watcher.states["area2"].meters_off == ()
 
 
@@ -161,7 +166,7 @@ def test_where_no_plant_is_a_scan_has_the_areas_take_the_newest_readings(system:
     system.watcher.wait_until(lambda: "plant" not in system.watcher.present)
     done = system.order("scan")
     assert (done.returncode, done.stdout) == (0, "area1, area2: the newest readings are taken\n"), done.stderr
-    assert "the operator has asked for a scan" in system.processes.said("area1")
+    assert "the operator has asked for a scan" in system.processes.read_log("area1")
 
 
 def test_a_system_ends_when_the_operator_stops_it(system: System):
@@ -171,7 +176,7 @@ def test_a_system_ends_when_the_operator_stops_it(system: System):
         process = system.processes.processes[name]
         wait_until(lambda process=process: process.poll() is not None)
         assert process.poll() == STOPPED_CODE
-    assert "area area1 ends: stopped by the operator" in system.processes.said("area1")
+    assert "area area1 ends: stopped by the operator" in system.processes.read_log("area1")
 
 
 def test_where_areas_link_directly_the_operator_links_with_each(
@@ -179,11 +184,14 @@ def test_where_areas_link_directly_the_operator_links_with_each(
 ):
     with KeysByHand(tmp_path, scenario_of(edited_scenario, "neighbours")) as system:
         system.start_others()
-        wait_until(lambda: all("scan 1" in system.said(area) or "estimates" in system.said(area) for area in AREAS))
-        done = dsse("meter", "off", "vm@30", "--direct", *system.connect())
+        patience = "--timeout", str(DEADLINE_S)
+        wait_until(
+            lambda: all("scan 1" in system.read_log(area) or "estimates" in system.read_log(area) for area in AREAS)
+        )
+        done = dsse("meter", "off", "vm@30", "--direct", *patience, *system.connect())
         assert (done.returncode, done.stdout) == (0, "area3: vm@30 is off\n"), done.stderr
-        assert "the operator has switched off: vm@30" in system.said("area3")
-        done = dsse("scan", "--direct", *system.connect())
+        assert "the operator has switched off: vm@30" in system.read_log("area3")
+        done = dsse("scan", "--direct", *patience, *system.connect())
         assert done.stdout == "area1, area2, area3: the newest readings are taken\n", done.stderr
-        done = dsse("stop", "--direct", *system.connect())
+        done = dsse("stop", "--direct", *patience, *system.connect())
         assert done.stdout == f"run {system.access.run}: area1, area2, area3 stopped\n", done.stderr

@@ -12,6 +12,9 @@ import pytest
 from dsse_command import COMMAND, ENVIRONMENT
 from waiting import DEADLINE_S
 
+from dsse_core.files.drafts import DRAFT
+
+LIMIT = ("--timeout", str(DEADLINE_S))
 INTERRUPT = """
 import os, signal, sys
 class Finder:
@@ -78,9 +81,22 @@ def test_ctrl_c_while_workers_of_a_sweep_load_their_modules_is_left_to_the_comma
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_after_the_verdict_does_not_change_the_exit_code(interrupted_at, number: signal.Signals):
-    done = interrupted_at("matplotlib.figure", "run", "ieee33", "--out", "out", "--quiet", number=number)
+    done = interrupted_at("matplotlib.figure", "run", "ieee33", "--out", "out", "--quiet", *LIMIT, number=number)
     assert done.stdout.startswith("consensus after")
     assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_a_figure_is_written_leaves_no_part_of_it(
+    interrupted_at, tmp_path: Path, number: signal.Signals
+):
+    options = ["--out", "out", "--quiet", "--format", "pdf"]
+    done = interrupted_at("matplotlib.backends.backend_pdf", "simulate", "industrial13", *options, number=number)
+    assert done.stdout.startswith("consensus after")
+    assert (done.returncode, done.stderr) == (0, "")
+    left = {path.name for path in (tmp_path / "out").iterdir()}
+    assert "report.html" in left  # written before the figures
+    assert not [name for name in left if name.startswith(DRAFT) or name.endswith(".pdf")]
 
 
 def test_sigterm_when_the_interpreter_ends_does_not_change_the_exit_code(tmp_path: Path):

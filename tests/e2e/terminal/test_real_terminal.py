@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import re
@@ -21,6 +22,7 @@ from waiting import DEADLINE_S, wait_until
 
 from agents.messages.keys import live_key, state_key
 from agents.messages.packing import Header, StateMessage, encode
+from agents.protocol.quality import UNOBSERVABLE
 from agents.runtime.presence import begin_incarnation
 from agents.transport.zenoh_bus import Session
 
@@ -73,15 +75,15 @@ def hostile_state(run: str, area: str) -> StateMessage:
 
 
 @contextmanager
-def saying(session: Session, states: Sequence[StateMessage]) -> Iterator[None]:
-    """Put ``states`` on the bus again and again, each with a new number."""
+def publishing(session: Session, states: Sequence[StateMessage], *, is_new: bool = True) -> Iterator[None]:
+    """Put ``states`` on the bus again and again, each with a new number if it ``is_new``."""
     over = threading.Event()
 
     def go_on() -> None:
         publishers = [session.publisher(state_key(s.header.run, s.header.sender)) for s in states]
         sequence = 1
         while not over.wait(0.05):
-            sequence += 1
+            sequence += is_new
             for put, state in zip(publishers, states, strict=True):
                 put(encode(replace(state, header=replace(state.header, sequence=sequence))))
 
@@ -99,15 +101,15 @@ def test_a_watcher_in_a_terminal_shows_what_strangers_say_and_obeys_none_of_it(t
     with SystemByHand(tmp_path) as system:
         system.start("router", "router", "--listen", endpoint)
         with Session.connect([endpoint], DEADLINE_S) as session:
-            token = live_key("run", "area", "[bold]\x1b]0;owned\x07", begin_incarnation())
-            session.declare_presence(token)
-            with saying(session, [hostile_state("run", "area1")]):
+            name = "[bold]\x1b]0;owned\x07"
+            session.declare_presence(live_key("run", "area", name, begin_incarnation()))
+            with publishing(session, [hostile_state("run", name), hostile_state("run", "area1")]):
                 screen = terminal(tmp_path, "watch", "--connect", endpoint, "--run", "run")
                 screen.expect_exact(SHOWN)
                 output = str(screen.before) + SHOWN
                 screen.kill(signal.SIGINT)
                 rest, code = read_all(screen)
-                once = terminal(tmp_path, "watch", "--connect", endpoint, "--run", "run", "--once", "--timeout", "2")
+                once = terminal(tmp_path, "watch", "--connect", endpoint, "--run", "run", "--once", "--timeout", "8")
                 lines, _ = read_all(once)
         assert system.end("router") == 0
     assert code == 0
@@ -118,35 +120,45 @@ def test_a_watcher_in_a_terminal_shows_what_strangers_say_and_obeys_none_of_it(t
     assert_harmless(lines)
 
 
-def test_a_watcher_fits_a_terminal_of_80_columns(tmp_path):
-    endpoint = free_endpoint()
+@pytest.mark.parametrize("size", [(24, 80), (40, 120)])
+def test_a_watcher_fits_its_terminal_and_says_what_it_leaves_out(size: tuple[int, int], tmp_path):
+    endpoint, (high, wide) = free_endpoint(), size
     with SystemByHand(tmp_path) as system:
         system.start("router", "router", "--listen", endpoint)
         with Session.connect([endpoint], DEADLINE_S) as session:
             session.declare_presence(live_key("run", "area", "area1", begin_incarnation()))
-            long = replace(hostile_state("run", "area1"), notes=("behind area2 something is missing or old, " * 5,))
-            with saying(session, [long]):
-                screen = terminal(tmp_path, "watch", "--connect", endpoint, "--run", "run", size=(24, 80))
-                screen.expect_exact("something is missing")
-                output = str(screen.before)
+            note, n = "behind area2 something is missing or old, " * 5, 50
+            buses = {"buses": tuple(range(n)), **dict.fromkeys(("vm", "va", "sigma_vm", "sigma_va"), (1.0,) * n)}
+            long = replace(hostile_state("run", "area1"), notes=(note,), quality="degraded", **buses)
+            dead = replace(hostile_state("run", "area2"), notes=(), quality="good")  # its token is not there
+            with publishing(session, [long, dead]):
+                words = ["watch", "--connect", endpoint, "--run", "run", "--buses", "--meters"]
+                screen = terminal(tmp_path, *words, size=size)
+                screen.logfile_read = io.StringIO()
+                screen.expect_exact("is gone (it said good)")
+                screen.expect_exact("rows more: --once shows all")
                 screen.kill(signal.SIGINT)
-                rest, code = read_all(screen)
+                _, code = read_all(screen)
         assert system.end("router") == 0
     assert code == 0
-    lines = [line for line in OF_RICH.sub("", output + rest).replace("\r", "\n").split("\n") if line]
-    assert any(line.startswith("area1") for line in lines)
-    assert max(map(len, lines)) <= 80
+    text = OF_RICH.sub("", screen.logfile_read.getvalue()).replace("\r", "")
+    pictures = [f"run run,{picture}".split("\n") for picture in text.split("run run,")[1:]]
+    assert any(line.startswith("area1") for picture in pictures for line in picture)
+    assert [line for picture in pictures for line in picture if len(line) > wide] == []
+    assert max(map(len, pictures)) <= high
 
 
 def test_a_run_in_a_terminal_ends_with_its_verdict_whatever_strangers_say(deaf_scenario, tmp_path):
     out = tmp_path / "out"
-    screen = terminal(tmp_path, "run", str(deaf_scenario), "--out", str(out), "--timeout", "12", "--no-plots")
+    limit = ("--timeout", str(DEADLINE_S))  # before, what they say for long ends the run
+    screen = terminal(tmp_path, "run", str(deaf_scenario), "--out", str(out), *limit, "--no-plots")
     endpoints, events = out / "logs" / "router.endpoints", out / "events.jsonl"
     # of an area's states those of the incarnation that began last are shown
     wait_until(lambda: events.exists() and events.read_text().count('"appeared", "role": "area"') == 2)
     run = json.loads(events.read_text().splitlines()[0])["run"]
-    lies = [hostile_state(run, f"area{k}") for k in (1, 2)]
-    with Session.connect([endpoints.read_text().split()[0]], DEADLINE_S) as session, saying(session, lies):
+    lies = [replace(hostile_state(run, f"area{k}"), quality=UNOBSERVABLE) for k in (1, 2)]
+    endpoint = endpoints.read_text().split()[0]
+    with Session.connect([endpoint], DEADLINE_S) as session, publishing(session, lies, is_new=False):
         output, code = read_all(screen)
     assert code == 1
     table, _, verdict = output.partition("NO CONSENSUS")
@@ -160,7 +172,7 @@ def test_the_name_of_a_file_is_text_in_tables_and_pictures(command: str, tmp_pat
     (tmp_path / "[").mkdir()  # as far as the slash the name is that of a folder
     name = "[/nope]$\\frac$\x1b]0;owned\x07.toml"
     (tmp_path / name).write_text((ROOT / "scenarios" / "shipped" / "industrial13.toml").read_text())
-    options = {"run": ["--out", "out"], "simulate": ["--out", "out"]}
+    options = {"run": ["--out", "out", "--timeout", str(DEADLINE_S)], "simulate": ["--out", "out"]}
     output, code = read_all(terminal(tmp_path, command, name, *options.get(command, [])))
     assert code == 0, output
     assert r"nope]$\frac$\x1b]0;owned\x07" in output
@@ -180,7 +192,7 @@ def test_a_name_that_the_terminal_cannot_write_is_no_traceback(name: bytes, tmp_
     text = (ROOT / "scenarios" / "shipped" / "industrial13.toml").read_text()
     (tmp_path / os.fsdecode(name)).write_text(text)
     for command in ("check", "run"):
-        options = ["--out", "out", "--no-plots"] if command == "run" else []
+        options = ["--out", "out", "--no-plots", "--timeout", str(DEADLINE_S)] if command == "run" else []
         done = subprocess.run(
             [*COMMAND, command, name, *options],
             cwd=tmp_path,

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from dsse_command import free_endpoint
+from waiting import DEADLINE_S
 
 import coordinator
 import coordinator.process_run.system
@@ -90,7 +91,7 @@ def test_a_run_says_which_agent_rejected_its_file(tmp_path: Path, monkeypatch: p
             yield name, path
 
     monkeypatch.setattr(coordinator.process_run.system, "write_area_files", spoil)
-    result = coordinator.run("industrial13", out=tmp_path / "out", plots=False)
+    result = coordinator.run("industrial13", out=tmp_path / "out", plots=False, timeout_s=DEADLINE_S)
     assert not result.verdict.consensus
     assert result.verdict.reason is not None
     assert "area area2 died with exit code 2" in result.verdict.reason
@@ -101,7 +102,7 @@ def test_a_reader_who_leaves_changes_neither_the_result_nor_the_exit_code(start_
     run = start_run("industrial13")
     assert run.process.stdout is not None
     run.process.stdout.close()
-    assert run.process.wait(60) == 0
+    assert run.process.wait(DEADLINE_S) == 0
     assert (run.folder / "result.json").exists()
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from dsse_command import free_port
 from system_by_hand import SystemByHand
-from waiting import wait_until
+from waiting import DEADLINE_S, wait_until
 
 CHROMIUM = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
 
@@ -36,12 +36,12 @@ def browsing(*, may_complain: bool = False, **options: Any) -> Iterator[Any]:
         browser = playwright.chromium.launch(executable_path=find_chromium(), args=["--no-sandbox"])
         try:
             page = browser.new_page(**({"viewport": {"width": 1280, "height": 900}} | options))
-            said: list[str] = []
-            page.on("console", lambda message: said.append(message.text) if message.type == "error" else None)
-            page.on("pageerror", lambda error: said.append(str(error)))
-            page.set_default_timeout(30_000)
+            errors: list[str] = []
+            page.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
+            page.on("pageerror", lambda error: errors.append(str(error)))
+            page.set_default_timeout(DEADLINE_S * 1000)
             yield page
-            assert may_complain or said == []
+            assert may_complain or errors == []
         finally:
             browser.close()
 
@@ -49,10 +49,41 @@ def browsing(*, may_complain: bool = False, **options: Any) -> Iterator[Any]:
 def serve(system: SystemByHand, *arguments: object) -> str:
     """Start ``dsse serve`` as ``page``; the address to open."""
     system.start("page", "serve", *arguments, "--listen", f"127.0.0.1:{free_port()}")
-    wait_until(lambda: "open http" in system.said("page"))
-    found = re.search(r"open (http\S+)", system.said("page"))
+    line = re.compile(r"open (http\S+)\n")
+    wait_until(lambda: line.search(system.read_log("page")) is not None)
+    found = line.search(system.read_log("page"))
     assert found
     return found[1]
+
+
+def open_play(page: Any, url: str) -> None:
+    """Open a page that plays back, and wait until all of it can be played and its end is shown."""
+    page.goto(url)
+    page.wait_for_selector("body[data-complete]", timeout=DEADLINE_S * 1000)
+    last = page.locator("#moment").get_attribute("max")
+    page.wait_for_selector(f'body[data-moment="{last}"]', timeout=DEADLINE_S * 1000)
+
+
+def cell_of(page: Any, area: str, title: str) -> str:
+    """What the table of areas says of ``area`` in the column ``title``.
+
+    ``inner_text`` would be empty while the table is off the screen, where the browser lays nothing out.
+    """
+    columns = page.locator("#areas thead th").all_text_contents()
+    row = page.locator("#areas tbody tr", has=page.locator("button", has_text=re.compile(f"^{re.escape(area)}$")))
+    return str(row.locator("td").nth(columns.index(title)).text_content())
+
+
+def show_moment(page: Any, number: int) -> None:
+    """Move the slider of a playback there, and wait until all parts of the page show that moment."""
+    page.evaluate(f"document.querySelector('#moment').value = {number}")
+    page.locator("#moment").dispatch_event("input")
+    wait_for_moment(page, number)
+
+
+def wait_for_moment(page: Any, number: int) -> None:
+    """Until all parts of the page show it, not only those that come first."""
+    wait_until(lambda: page.evaluate("document.body.dataset.moment") == str(number))
 
 
 def keep_picture(page: Any, name: str) -> None:

@@ -34,7 +34,7 @@ def python(code: str, folder: Path, *first: Path) -> subprocess.CompletedProcess
         env=os.environ | {"PYTHONPATH": paths},
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=600,
         check=False,
     )
 

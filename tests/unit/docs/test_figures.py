@@ -50,8 +50,8 @@ def test_a_section_is_replaced_and_nothing_else(tmp_path: Path):
 
 def test_facts_and_times_of_recovery_are_tables():
     facts = {"gap": 1.23456e-9, "faults": {"lost": 2, "late": 1.5}, "alive of": [14, 14], "ended": []}
-    said = ["| gap | 1.23e-09 |", "| faults | lost 2, late 1.5 |", "| alive of | 14, 14 |", "| ended | none |"]
-    assert list_facts(facts).splitlines()[2:] == said
+    rows = ["| gap | 1.23e-09 |", "| faults | lost 2, late 1.5 |", "| alive of | 14, 14 |", "| ended | none |"]
+    assert list_facts(facts).splitlines()[2:] == rows
     assert make_table(summarise({"killed": [0.25, 0.5]})).splitlines()[2:] == ["| killed | 2 | 375 | 500 |"]
 
 

@@ -43,9 +43,6 @@ def test_no_page_of_the_docs_is_missing_from_the_index():
     assert {page for page in pages if not page.startswith("reference/api/")} - {"index"} - set(index) == set()
 
 
-ROOMS = "agents|benchmarks|coordinator|deploy|dsse_core|scenarios|tests"
-
-
 def test_pages_name_only_modules_that_exist():
     named = {
         (name_of(page), path.rstrip("/"))

@@ -31,7 +31,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_one_line_reads_a_recording(recording: Path, line: str) -> None:
     assert len([text for text in line.splitlines() if text and not text.startswith("import ")]) == 1
     done = subprocess.run(
-        [sys.executable, "-c", line], cwd=recording, capture_output=True, text=True, timeout=120, check=False
+        [sys.executable, "-c", line], cwd=recording, capture_output=True, text=True, timeout=600, check=False
     )
     assert done.returncode == 0, done.stderr
     assert "area1" in done.stdout
