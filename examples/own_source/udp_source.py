@@ -24,7 +24,7 @@ class UdpSource(Source):
                     case [address, value]:
                         emit(address, number_in(value))
                     case _:
-                        emit.refuse("malformed", f"packet {data[:80]!r} of {sender[0]}")
+                        emit.reject("malformed", f"packet {data[:80]!r} of {sender[0]}")
 
         loop = asyncio.get_running_loop()
         place = (self.settings.host, self.settings.port)
