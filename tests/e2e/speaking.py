@@ -2,31 +2,22 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
+from repeating import repeating
+
 from agents.transport.zenoh_bus import Session
 
-BEAT_S = 0.1
+HEARTBEAT_S = 0.1
 
 
 @contextmanager
 def speaking(endpoints: Sequence[str], version: int, run: str, area: str) -> Iterator[None]:
     """One that speaks wire version ``version``, until the end of the block."""
-    root, over = f"dsse/v{version}/{run}", threading.Event()
+    root = f"dsse/v{version}/{run}"
     with Session.connect(endpoints) as session:
         session.declare_presence(f"{root}/live/area/{area}/1-00000001")
         put = session.publisher(f"{root}/area/{area}/state")
-
-        def speak() -> None:
-            while not over.wait(BEAT_S):
-                put(b"of no version that anybody reads here")
-
-        thread = threading.Thread(target=speak)
-        thread.start()
-        try:
+        with repeating(lambda: put(b"of no version that anybody reads here"), HEARTBEAT_S):
             yield
-        finally:
-            over.set()
-            thread.join()

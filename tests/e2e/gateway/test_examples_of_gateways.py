@@ -7,13 +7,13 @@ import os
 import socket
 import subprocess
 import sys
-import threading
 import time
 import tomllib
 from pathlib import Path
 
 import pytest
 from dsse_command import COMMAND, ENVIRONMENT, ROOT, free_port
+from repeating import repeating
 from waiting import DEADLINE_S
 
 EXAMPLES = ROOT / "examples"
@@ -63,24 +63,18 @@ def test_the_source_of_the_page_reads_packets_and_counts_bad_ones(installed: dic
     scenario = EXAMPLES / "gateway" / "scenario.toml"
     map_file = tmp_path / "map.toml"
     map_file.write_text(text.replace("5005", str(port)).replace("../gateway/scenario.toml", str(scenario)))
-    ended = threading.Event()
+    packets = ["works/u 11020", "works/in/p nan", "works/p abc", "nowhere 1", "x"]
 
-    def send() -> None:
-        sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        packets = ["works/u 11020", "works/in/p nan", "works/p abc", "nowhere 1", "x"]
-        while not ended.wait(0.05):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+
+        def send() -> None:
             for packet in packets:
                 sender.sendto(packet.encode(), ("127.0.0.1", port))
 
-    thread = threading.Thread(target=send)
-    thread.start()
-    try:
-        deadline = time.monotonic() + DEADLINE_S
-        while "works/u     V    11020" not in (output := check(map_file, installed, seconds=2.0)):
-            assert time.monotonic() < deadline, output
-    finally:
-        ended.set()
-        thread.join()
+        with repeating(send, 0.05):
+            deadline = time.monotonic() + DEADLINE_S
+            while "works/u     V    11020" not in (output := check(map_file, installed, seconds=2.0)):
+                assert time.monotonic() < deadline, output
     for reason in ("bad type", "malformed", "not finite", "unknown address"):
         assert f"wrong: {reason}, " in output
     assert output.endswith("1")

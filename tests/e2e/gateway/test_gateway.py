@@ -6,38 +6,30 @@ import asyncio
 import contextlib
 import json
 import signal
-import threading
 import time
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import aiomqtt
 import pytest
 from dsse_command import free_port
 from mqtt_broker import broker
+from repeating import repeating
 from waiting import DEADLINE_S, wait_until
 
 PERIOD_S = 0.1
 
 
-@contextlib.contextmanager
-def writing(path: Path, values: dict[str, float]):
+def writing(path: Path, values: dict[str, float]) -> AbstractContextManager[None]:
     """A CSV file, to which a line for each meter is appended again and again during the block."""
-    ended = threading.Event()
     path.write_text("time,address,value\n")
 
     def write() -> None:
-        while not ended.wait(PERIOD_S):
-            now = time.time()
-            append(path, [f"{now},{meter},{value}" for meter, value in values.items()])
+        now = time.time()
+        append(path, [f"{now},{meter},{value}" for meter, value in values.items()])
 
-    thread = threading.Thread(target=write)
-    thread.start()
-    try:
-        yield
-    finally:
-        ended.set()
-        thread.join()
+    return repeating(write, PERIOD_S)
 
 
 def append(path: Path, lines: list[str]) -> None:

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import io
+import itertools
 import json
 import os
 import re
 import signal
 import subprocess
-import threading
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 
 import pexpect
 import pytest
 from dsse_command import COMMAND, ENVIRONMENT, ROOT, free_endpoint
+from repeating import repeating
 from system_by_hand import SystemByHand
 from waiting import DEADLINE_S, wait_until
 
@@ -74,26 +75,19 @@ def hostile_state(run: str, area: str) -> StateMessage:
     )
 
 
-@contextmanager
-def publishing(session: Session, states: Sequence[StateMessage], *, is_new: bool = True) -> Iterator[None]:
+def publishing(
+    session: Session, states: Sequence[StateMessage], *, is_new: bool = True
+) -> AbstractContextManager[None]:
     """Put ``states`` on the bus again and again, each with a new number if it ``is_new``."""
-    over = threading.Event()
+    publishers = [session.publisher(state_key(s.header.run, s.header.sender)) for s in states]
+    sequence = itertools.count(2) if is_new else itertools.repeat(1)
 
-    def go_on() -> None:
-        publishers = [session.publisher(state_key(s.header.run, s.header.sender)) for s in states]
-        sequence = 1
-        while not over.wait(0.05):
-            sequence += is_new
-            for put, state in zip(publishers, states, strict=True):
-                put(encode(replace(state, header=replace(state.header, sequence=sequence))))
+    def publish() -> None:
+        now = next(sequence)
+        for put, state in zip(publishers, states, strict=True):
+            put(encode(replace(state, header=replace(state.header, sequence=now))))
 
-    thread = threading.Thread(target=go_on)
-    thread.start()
-    try:
-        yield
-    finally:
-        over.set()
-        thread.join()
+    return repeating(publish, 0.05)
 
 
 def test_a_watcher_in_a_terminal_shows_what_strangers_say_and_obeys_none_of_it(tmp_path):

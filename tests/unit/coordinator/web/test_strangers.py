@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
 import pytest
+from repeating import repeating
 from served import wait_for
 from shown_states import a_state, published_by
 
@@ -281,19 +281,9 @@ def test_an_area_that_has_just_said_something_is_not_gone_before_the_bus_has_sai
 
 def test_a_flood_does_not_make_a_watcher_look_more_often():
     bus, updates = Bus(), Updates()
-    look, over = session.Look(Watcher("run"), updates, bus), threading.Event()  # type: ignore[arg-type]
-
-    def flood() -> None:
-        while not over.is_set():
-            updates.offer((live_key("run", "area", "a1", ME), True))
-
-    thread = threading.Thread(target=flood)
-    thread.start()
-    try:
+    look = session.Look(Watcher("run"), updates, bus)  # type: ignore[arg-type]
+    with repeating(lambda: updates.offer((live_key("run", "area", "a1", ME), True)), 0.0):
         began = time.monotonic()
         for _ in range(2):
             look.for_whole(0.1)
         assert time.monotonic() - began >= 2 * 0.1
-    finally:
-        over.set()
-        thread.join()
