@@ -52,11 +52,6 @@ def processes_of(areas: Collection[str] | None) -> tuple[tuple[str, str], ...]:
     return (*(("area", area) for area in sorted(areas or ())), *ALWAYS)
 
 
-def token_keys(run: str, areas: Collection[str]) -> tuple[str, ...]:
-    """Of the presence tokens of ``areas``, plant and coordinator."""
-    return tuple(all_incarnations(run, role, name) for role, name in processes_of(areas))
-
-
 class PresenceByName:
     """Asks for tokens and leave messages of processes of ``run``, each by its name and once.
 

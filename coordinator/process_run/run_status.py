@@ -19,7 +19,7 @@ from coordinator.observe.duplicates import Duplicate, Duplicates
 from coordinator.observe.events import EventLog
 from coordinator.observe.observer import Observer
 from coordinator.observe.state_log import StateLog
-from coordinator.observe.watched_keys import readings_keys, state_keys, token_keys
+from coordinator.observe.watched_keys import PresenceByName, processes_of, readings_keys, state_keys
 from coordinator.process_run.faults.clock import RunClock
 from coordinator.process_run.faults.schedule import FaultSchedule
 from coordinator.process_run.fork_server import Ended, Started
@@ -111,9 +111,7 @@ def listen(run: RunUnderWay, session: Session) -> None:
         if leave_reason := read_leave(payload):
             on_presence(key, False, leave_reason)
 
-    for key in token_keys(run.id, areas):
-        session.subscribe(key, on_leave)
-        session.watch_presence(key, on_presence)
+    PresenceByName(session, run.id, on_presence, on_leave).ask(processes_of(areas))
     if any(faults.has_windows for faults in run.scenario.faults.links.values()):
         run.clock.publish = session.publisher(clock_key(run.id))
     session.declare_presence(live_key(run.id, "coordinator", COORDINATOR, run.clock.incarnation))
