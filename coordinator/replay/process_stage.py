@@ -33,8 +33,8 @@ from dsse_core.files.drafts import draft_folder, remove_leftovers
 
 PREFIX = "dsse-replay-"  # how the folders of area files and logs begin
 START_S = 60.0  # for a router to listen and for agents to join; a busy machine takes its time
-LONGEST_SCAN_S = 30.0
-QUIET_S, QUIET_IF_GOOD_S = 3.0, 10.0  # after which a state that is not good stays so; that was good when recorded
+LONGEST_SCAN_S = 30.0  # to wait for states that were good when recorded
+QUIET_S = 3.0  # without a better state, after which a scan that was not good when recorded has ended
 STEP_S = 0.002
 NICE = 10
 ANY_PORT = "tcp/127.0.0.1:0"
@@ -107,11 +107,10 @@ class ProcessStage:
             self._publishers[name](payload)
         found = tick.estimates
         was_good = all(name in found and found[name].quality == GOOD for name in tick.readings)
-        quiet_s = QUIET_IF_GOOD_S if was_good else QUIET_S
         states.changed_at = began = time.monotonic()
-        while time.monotonic() - began < LONGEST_SCAN_S:
+        while not states.are_good(tick.readings) and time.monotonic() - began < LONGEST_SCAN_S:
             self._take(STEP_S)
-            if states.are_good(tick.readings) or time.monotonic() - states.changed_at > quiet_s:
+            if not was_good and time.monotonic() - states.changed_at > QUIET_S:
                 break
         return states.best
 
