@@ -263,7 +263,7 @@ class SparseIteration:
 
     def diverged(self) -> EstimationDivergedError:
         """The error that names the measurement with the largest weighted residual."""
-        r = self._plan.model.subtract(self._values, self._plan.model.predict(self._before))
+        r = self._plan.model.subtract(self._values, self._plan.predict(self._before))
         weighted = abs(r) * self._weight
         worst = int(np.argmax(weighted))
         return EstimationDivergedError(
