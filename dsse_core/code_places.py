@@ -72,9 +72,8 @@ def find_fault(folder: Path) -> str | None:
         for path in (folder, *folder.parents):
             with contextlib.suppress(FileNotFoundError):
                 status = path.lstat()
-                sticky_above = (
-                    path != folder and status.st_mode & stat.S_ISVTX
-                )  # there, nobody renames what is another's
+                # where a folder above is sticky, nobody renames what is another's
+                sticky_above = path != folder and status.st_mode & stat.S_ISVTX
                 if fault := _fault_of(path, status, stat.S_ISDIR, 0 if sticky_above else BY_OTHERS):
                     return fault
         with contextlib.suppress(FileNotFoundError), os.scandir(folder) as entries:

@@ -190,9 +190,7 @@ class Observer:
             return Standing(tuple(disunity), self._find_unobservable(now))
         ages = self._find_cut_off(now)
         obstacles = tuple(f"{name} has received no telemetry for {age:.1f} s" for name, age in ages.items())
-        if (
-            now - self.changed_at < SETTLING_HEARTBEATS * self.heartbeat_s
-        ):  # in which areas learn that their neighbours are done
+        if now - self.changed_at < SETTLING_HEARTBEATS * self.heartbeat_s:  # areas learn that their neighbours are done
             qualities = {name: self.quality_of(name, now) for name in self._watched}
             obstacles += tuple(f"{name} is {quality}" for name, quality in qualities.items() if quality != GOOD)
         return Standing(obstacles, self._find_dead_end(ages))

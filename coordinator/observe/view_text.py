@@ -56,9 +56,8 @@ def fit_view(view: View, tables: Sequence[Table], width: int, height: int) -> li
     """Lines and their styles, ``height`` at most: the areas, those that are not good first where not all fit, and as
     many rows of ``tables`` as there is room for.
     """
-    room = height - len(tables) * (
-        LEAST_ROWS + 3
-    )  # a table has an empty line, its heading, and how many rows are left out
+    beside = 3  # lines of a table that are no rows: an empty one, its heading, and how many rows are left out
+    room = height - len(tables) * (LEAST_ROWS + beside)
     lines = list(_write_view(view, width))
     if len(lines) > room:
         shown = max(1, room - 1)
@@ -66,7 +65,7 @@ def fit_view(view: View, tables: Sequence[Table], width: int, height: int) -> li
         lines = list(_write_view(replace(view, areas=tuple(worst_first)), width))
         lines = [*lines[:shown], (f"... and {len(lines) - shown} lines more: --once shows all", "")]
     for k, table in enumerate(tables):
-        rows = max(LEAST_ROWS, (height - len(lines)) // (len(tables) - k) - 3)
+        rows = max(LEAST_ROWS, (height - len(lines)) // (len(tables) - k) - beside)
         lines += [("", ""), *((line, "") for line in write_table(table, width, rows))]
     return lines[: max(1, height)]
 

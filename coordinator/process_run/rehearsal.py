@@ -41,9 +41,8 @@ def rehearse(strategy: str, n_bus: int) -> dict[str, str]:
 def _estimate(strategy: str, partition: Partition) -> dict[str, str]:
     meters = partition.meters_by_area(_list_meters(partition.network))
     temporary, files = Path(tempfile.gettempdir()).absolute(), []
-    remove_leftovers(
-        temporary, PREFIX
-    )  # this process is killed without notice where the scenario turns out to be wrong
+    # what an earlier one has left: this process is killed without notice where the scenario turns out to be wrong
+    remove_leftovers(temporary, PREFIX)
     with draft_folder(temporary, PREFIX) as folder:
         for area in partition.areas:
             path = folder / f"{area.name}.json"

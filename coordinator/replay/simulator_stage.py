@@ -58,12 +58,9 @@ class SimulatorStage:
         began = self._bus.now
         self._states = states = ScanStates(tick.scan, began)
         self._bus.play(tick)
-        while self._bus.now - began < LONGEST_SCAN_S:
+        while not states.are_good(tick.readings) and self._bus.now - began < LONGEST_SCAN_S:
             self._bus.run(self._heartbeat_s / STEPS_PER_HEARTBEAT)
-            if (
-                states.are_good(tick.readings)
-                or self._bus.now - states.changed_at > QUIET_HEARTBEATS * self._heartbeat_s
-            ):
+            if self._bus.now - states.changed_at > QUIET_HEARTBEATS * self._heartbeat_s:
                 break
         return states.best
 

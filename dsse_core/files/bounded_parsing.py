@@ -45,9 +45,8 @@ def parse_json(text: str) -> Any:
         with _integers_in_words():
             tree = json.loads(text, object_pairs_hook=_take_each_once)
         may_hold_half = "\\u" in text or not text.isascii()  # found in a tenth of the time
-        if may_hold_half and HALF_OF_A_PAIR.search(
-            text
-        ):  # some readers leave out the half that stands alone, so that names change
+        if may_hold_half and HALF_OF_A_PAIR.search(text):
+            # some readers leave out the half that stands alone, so that names change
             json.dumps(tree, ensure_ascii=False).encode()
     except RecursionError:
         raise ValueError("it nests too deeply") from None
