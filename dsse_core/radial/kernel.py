@@ -363,6 +363,8 @@ def descend(parent, place, factor, v, va, step, length, small, v_to, va_to):
 
     Of ``step`` only the rows ``place`` are used, which are those of the levels: what is written for every bus leaves
     the processor's cache in a large network, which takes longer than to compute it. ``small``: see ``turned``.
+    The formulas are those of ``substitute_below``; in a function of their own, even if inlined, they take an estimate a
+    quarter longer.
     """
     d0, d1 = step[place[0], 2], step[place[0], 3]
     dva, largest, total = abs(d0), (v[0].real ** 2 + v[0].imag ** 2) * d1 * d1, d0 + d1
