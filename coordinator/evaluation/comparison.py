@@ -12,6 +12,7 @@ from dsse_core.estimation.bad_data import BadDataReport
 from dsse_core.grid.partition import Partition
 from dsse_core.power_flow.newton_raphson import PowerFlowResult
 from dsse_core.results.state import AreaVoltages
+from dsse_core.results.units import wrap_degrees
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -133,12 +134,7 @@ def rows_of(partition: Partition, area: str) -> np.ndarray:
     return partition.rows_of_buses[area]
 
 
-def wrapped_deg(va: np.ndarray) -> np.ndarray:
-    """Angle differences in degrees, wrapped to [-180, 180)."""
-    return np.asarray((np.degrees(va) + 180.0) % 360.0 - 180.0)
-
-
 def largest_gap(one: Voltages, other: Voltages) -> Gap:
     """The largest absolute differences; None if any voltage is nan."""
-    vm, va = abs(one.vm - other.vm).max(initial=0.0), abs(wrapped_deg(one.va - other.va)).max(initial=0.0)
+    vm, va = abs(one.vm - other.vm).max(initial=0.0), abs(wrap_degrees(one.va - other.va)).max(initial=0.0)
     return Gap(None if np.isnan(vm) else float(vm), None if np.isnan(va) else float(va))

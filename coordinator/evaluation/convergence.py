@@ -7,8 +7,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from coordinator.evaluation.comparison import rows_of, wrapped_deg
+from coordinator.evaluation.comparison import rows_of
 from coordinator.evaluation.result import RunOutcome
+from dsse_core.results.units import wrap_degrees
 
 
 def gap_history(outcome: RunOutcome) -> dict[str, np.ndarray]:
@@ -24,7 +25,7 @@ def gap_history(outcome: RunOutcome) -> dict[str, np.ndarray]:
     for sample in outcome.history:
         at = rows[sample.area]
         vm = abs(np.array(sample.vm) - central.vm[at]).max()
-        va = abs(wrapped_deg(np.array(sample.va) - central.va[at])).max() if sample.referenced else math.nan
+        va = abs(wrap_degrees(np.array(sample.va) - central.va[at])).max() if sample.referenced else math.nan
         found[sample.area].append((sample.time, float(vm), float(va)))
     return {name: np.array(gaps).reshape(-1, 3) for name, gaps in found.items()}
 

@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from coordinator.evaluation.comparison import Comparison, wrapped_deg
+from coordinator.evaluation.comparison import Comparison
 from coordinator.evaluation.result import RunOutcome
 from coordinator.figures.bus_axis import label_buses, order_buses
 from coordinator.figures.style import CENTRALISED, DECENTRALISED, MAX_VECTOR, SKY, Drawing, new_figure
+from dsse_core.results.units import wrap_degrees
 
 BAND = 2.0  # standard deviations; of normal errors 95 % lie within
 PANELS = ("magnitude {} (p.u.)", "angle {} (degrees)")
@@ -47,7 +48,7 @@ def _in_unit(of: str, values: np.ndarray) -> np.ndarray:
 
 def _difference(of: str, one: object, other: object) -> np.ndarray:
     difference = getattr(one, of) - getattr(other, of)
-    return wrapped_deg(difference) if of == "va" else difference
+    return wrap_degrees(difference) if of == "va" else difference
 
 
 def _draw_band(axis: Axes, sigma: np.ndarray) -> None:

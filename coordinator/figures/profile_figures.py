@@ -20,6 +20,7 @@ from coordinator.figures.style import (
     Drawing,
     new_figure,
 )
+from dsse_core.results.units import wrap_degrees
 
 
 def draw_magnitudes(outcome: RunOutcome) -> Drawing:
@@ -43,7 +44,7 @@ def draw_magnitudes(outcome: RunOutcome) -> Drawing:
 
 def draw_angles(outcome: RunOutcome) -> Drawing:
     """The same of angles, which have no limits."""
-    return _draw(outcome, "angles", "Voltage angles", "voltage angle (degrees)", lambda v: np.degrees(v.va), ())
+    return _draw(outcome, "angles", "Voltage angles", "voltage angle (degrees)", lambda v: wrap_degrees(v.va), ())
 
 
 def _draw(

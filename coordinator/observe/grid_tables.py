@@ -18,6 +18,7 @@ from dsse_core.results.buses import make_bus_table
 from dsse_core.results.meters import UNIT, find_unit_sizes
 from dsse_core.results.state import AreaVoltages, join_states
 from dsse_core.results.table import Table
+from dsse_core.results.units import wrap_degrees
 from scenarios.scenario import Scenario
 
 States = Mapping[str, StateMessage]
@@ -31,13 +32,14 @@ UNKNOWN = "not received"  # what its area has used: for up to 10 s after a watch
 def list_buses(states: States) -> Table:
     """A row for each bus of each area, p.u. and degrees; a boundary bus has one for each area that sees it."""
     rows = [
-        (area, bus, vm, np.degrees(va) if s.referenced else np.nan, sigma_vm, np.degrees(sigma_va))
+        (area, bus, vm, va if s.referenced else np.nan, sigma_vm, np.degrees(sigma_va))
         for area, s in states.items()
         for bus, vm, va, sigma_vm, sigma_va in zip(s.buses, s.vm, s.va, s.sigma_vm, s.sigma_va, strict=True)
     ]
     areas, buses, *numbers = zip(*rows, strict=True) if rows else [()] * 6
     names = "vm_pu", "va_deg", "sigma_vm_pu", "sigma_va_deg"
     columns = {name: np.array(column, dtype=float) for name, column in zip(names, numbers, strict=True)}
+    columns["va_deg"] = wrap_degrees(columns["va_deg"])
     return Table("buses", {"bus": np.array(buses, dtype=np.int64), "area": areas, **columns})
 
 

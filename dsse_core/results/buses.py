@@ -9,7 +9,7 @@ import numpy as np
 from dsse_core.grid.columns import read_given
 from dsse_core.results.state import GridState
 from dsse_core.results.table import PHASE, Table
-from dsse_core.results.units import base_kv, base_kw
+from dsse_core.results.units import base_kv, base_kw, wrap_degrees
 
 COMPARED = ("true", "centralised", "decentralised")
 """The voltages that stand beside each other, where they are known."""
@@ -36,14 +36,14 @@ def make_bus_table(
     }
     for which in COMPARED:
         vm, va = compared.get(which, (unknown, unknown))
-        columns |= {f"{which}_vm_pu": vm, f"{which}_va_deg": np.degrees(va)}
+        columns |= {f"{which}_vm_pu": vm, f"{which}_va_deg": wrap_degrees(va)}
     columns |= {
         "sigma_vm_pu": sigma_vm,
         "sigma_va_deg": np.degrees(sigma_va),
         "name": list(read_given(network.buses, "name")) or [""] * n,
         "phase": [PHASE] * n,
         "vm_pu": state.vm,
-        "va_deg": np.degrees(state.va),
+        "va_deg": wrap_degrees(state.va),
         "vm_kv": state.vm * kv,
         "p_kw": state.injection.real * kw,
         "q_kvar": state.injection.imag * kw,

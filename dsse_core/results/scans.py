@@ -10,7 +10,7 @@ import numpy as np
 
 from dsse_core.estimation.batch import BatchResult
 from dsse_core.results.table import PHASE, Table
-from dsse_core.results.units import base_kv
+from dsse_core.results.units import base_kv, wrap_degrees
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def make_scan_tables(
         "bus": np.tile(bus, n_row),
         "phase": [PHASE] * (n_row * n),
         "vm_pu": batch.vm.ravel(),
-        "va_deg": np.degrees(batch.va.ravel()),
+        "va_deg": wrap_degrees(batch.va.ravel()),
         "vm_kv": (batch.vm * base_kv(batch.plan.network)).ravel(),
     }
     return ScanTables(Table("scans", scans), Table("buses of scans", buses))

@@ -88,7 +88,7 @@ def read_state(state: GridState, meters: Sequence[Meter]) -> np.ndarray:
     """
     table, f = tabulate_meters(state.network, meters), state.branches.f
     bus, active = table.bus, state.network.table.active
-    branch = np.where(table.branch < 0, -1, np.append(active, -1)[table.branch])
+    branch = np.append(active, -1)[np.maximum(table.branch, -1)]
     at_from = (branch >= 0) & (np.append(f, -1)[branch] == bus)
     s = state.injection[bus]
     i = np.zeros(len(meters), dtype=complex)

@@ -25,6 +25,12 @@ def base_a(network: Network) -> np.ndarray:
     return base
 
 
+def wrap_degrees(va: np.ndarray) -> np.ndarray:
+    """Angles or their differences, rad, as degrees from -180 to 180; nan stays nan, and none is rounded by it."""
+    degrees = np.degrees(va)
+    return np.asarray(degrees - 360.0 * np.round(degrees / 360.0))
+
+
 def base_current(base_mva: float, base_kv: float) -> float:
     """What 1 p.u. of current is, A: ``S_base / (sqrt(3) V_base)``."""
     return 1000.0 * base_mva / (math.sqrt(3.0) * base_kv)

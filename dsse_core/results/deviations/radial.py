@@ -102,9 +102,9 @@ class RadialDeviations:
         """Of the powers into the branch above each of ``buses`` (k,), at the bus: variances, (k, 2), and the covariance
         with z of the bus, (k, 2, 4); 0 at the root.
         """
-        branch = np.zeros(len(self._plan.parent), dtype=np.int64)
+        branch = np.full(len(self._plan.parent), -1)
         branch[self._child] = self._branch
-        far = np.where(buses[:, None] > 0, gradients.far[branch[buses]], 0.0)
+        far = np.append(gradients.far, np.zeros((1, 3)), axis=0)[branch[buses]]
         G, C = np.stack([far.real, far.imag], axis=1), self._at_parent(buses)
         return np.einsum("nij,njk,nik->ni", G, C, G), G @ self._with_z(C, buses)
 

@@ -12,7 +12,8 @@ from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.bad_data import process_bad_data
 from dsse_core.estimation.estimator import estimate_state
 from dsse_core.grid.division import build_partition
-from dsse_core.grid.measurement import MeasurementKind, Meter
+from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter
+from dsse_core.grid.network import Bus, Control, Generator, Network
 from dsse_core.power_flow.newton_raphson import solve_power_flow
 from dsse_core.results.deviations import choose as deviations
 from dsse_core.results.meters import make_meter_table
@@ -100,6 +101,21 @@ def test_a_residual_of_angles_is_wrapped(chain):
     assert table.unit == ("deg",)
     assert table.residual.tolist() == pytest.approx([-2.0])
     assert table.normalised_residual.tolist() == pytest.approx([math.radians(2.0) / 0.01])
+
+
+def test_angles_are_shown_between_minus_and_plus_a_half_turn(solved, meshed):
+    whole_turns = 2 * math.pi * np.resize([-1, 0, 2], len(meshed.buses))
+    state = solve_power_flow(meshed)
+    turned = results_of_power_flow(replace(state, va=state.va + whole_turns)).buses.va_deg
+    np.testing.assert_allclose(turned, solved.buses.va_deg, rtol=0, atol=1e-12)
+
+
+def test_a_network_of_one_bus_has_tables(backend):
+    network = Network("one", 1.0, (Bus(1, 10.0),), (), (Generator(1, Control.SLACK),))
+    measurements = [Measurement(Meter(Kind.VM, 1), 1.0, 0.01), Measurement(Meter(Kind.P_INJECTION, 1), 0.0, 0.01)]
+    results = results_of_estimate(process_bad_data(network, measurements, backend=backend))
+    assert results.meters.estimate.tolist() == pytest.approx([1.0, 0.0])
+    assert results.buses.vm_pu.tolist() == pytest.approx([1.0])
 
 
 def test_an_open_branch_carries_nothing_and_stays_in_the_table(solved, meshed):
