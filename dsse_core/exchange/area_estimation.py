@@ -78,7 +78,7 @@ class AreaEstimation:
         self._no_load: NoLoadModel | None = None  # while something of it is asked for
         self._measured_at_no_load: Sequence[Measurement] = ()
         self._meters_of_no_load: tuple[Meter, ...] = ()
-        self._kept_no_load: dict[tuple[object, ...], object] = {}  # of the no-load model
+        self._kept_no_load: dict[tuple[str, ...], tuple[object, object]] = {}  # what -> what it follows from, itself
 
     @property
     def model(self) -> AreaModel:
@@ -215,13 +215,14 @@ class AreaEstimation:
 
     def _keep(self, what: tuple[str, ...], received: Received, find: Callable[[], T]) -> T | None:
         """What ``find`` makes of the no-load model and ``received``, found anew only where these differ."""
-        key = (*what, *((name, received[name].R.tobytes()) for name in sorted(received)))
-        if key not in self._kept_no_load:
+        of = tuple((name, received[name].R.tobytes()) for name in sorted(received))
+        if what not in self._kept_no_load or self._kept_no_load[what][0] != of:
             try:
-                self._kept_no_load[key] = find()
+                found = find()
             except FAILURES:
-                self._kept_no_load[key] = None  # readings that determine next to nothing
-        return cast("T | None", self._kept_no_load[key])
+                found = None  # readings that determine next to nothing
+            self._kept_no_load[what] = of, found
+        return cast("T | None", self._kept_no_load[what][1])
 
     def _with_aged(self, received: Received) -> Received:
         """With what silent neighbours have last sent."""

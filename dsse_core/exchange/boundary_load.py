@@ -88,14 +88,17 @@ def scheduled_load_messages(partition: Partition) -> dict[str, dict[str, NetLoad
     """Receiving area -> (neighbour -> load message) when every message is the schedule and none is lost."""
     own = {area.name: own_net_load(area) for area in partition.areas}
     received: dict[str, dict[str, NetLoad]] = {area.name: {} for area in partition.areas}
+    beside = {area.name: list(dict.fromkeys(n.area for n in area.neighbours)) for area in partition.areas}
 
-    def collect(sender: str, receiver: str) -> NetLoad:
-        if sender not in received[receiver]:
-            beyond = {n.area: collect(n.area, sender) for n in partition.area(sender).neighbours if n.area != receiver}
-            received[receiver][sender] = load_message_for(receiver, own[sender], beyond)
-        return received[receiver][sender]
+    def send(sender: str, receiver: str) -> None:
+        beyond = {name: received[sender][name] for name in beside[sender] if name != receiver}
+        received[receiver][sender] = load_message_for(receiver, own[sender], beyond)
 
-    for area in partition.areas:
-        for n in area.neighbours:
-            collect(n.area, area.name)
+    links = [("", partition.areas[0].name)]  # from an area to the next, down the tree from any one
+    for above, name in links:
+        links += [(name, below) for below in beside[name] if below != above]
+    for above, name in reversed(links[1:]):
+        send(name, above)
+    for above, name in links[1:]:
+        send(above, name)
     return received

@@ -228,6 +228,15 @@ def divided_trees(draw):
     return network, {name: sorted(areas[name]) for name in order}
 
 
+def test_load_messages_of_many_areas_in_a_row_add_up():
+    n = 1001
+    partition = build_partition(row(n), {f"a{k}": [k, k + 1] for k in range(1, n)})
+    received = scheduled_load_messages(partition)
+    for area in (partition.areas[0], partition.areas[n // 2], partition.areas[-1]):
+        everything = own_net_load(area).s + sum((load.s for load in received[area.name].values()), 0j)
+        assert everything == pytest.approx(sum(own_net_load(one).s for one in partition.areas))
+
+
 @settings(max_examples=150, deadline=None)
 @given(divided_trees())
 def test_what_an_area_owns_and_receives_is_the_net_load_of_the_whole_grid(divided):
