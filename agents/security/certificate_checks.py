@@ -6,6 +6,7 @@ import contextlib
 import datetime
 import socket
 import ssl
+from collections.abc import Sequence
 from pathlib import Path
 
 from cryptography import x509
@@ -41,7 +42,7 @@ def find_credential_problems(credentials: Credentials, listens: bool) -> list[st
     problems += _find_usage_problems(credentials.certificate, own, listens)
     if key and key.public_key() != own.public_key():
         problems.append(_does_not_belong(credentials.certificate, credentials.key))
-    if authorities and not any(_is_issued_by(c, a) for c in chain for a in authorities):
+    if authorities and not _leads_to(chain, authorities):
         problems.append(
             f"{credentials.certificate}: was issued by {own.issuer.rfc4514_string()!r}, not by the authority in "
             f"{credentials.authority}; take certificate and authority from the same `dsse keys create`"
@@ -133,14 +134,27 @@ def _is_issued_by(certificate: x509.Certificate, authority: x509.Certificate) ->
     return False
 
 
+def _leads_to(chain: Sequence[x509.Certificate], authorities: Sequence[x509.Certificate]) -> bool:
+    """Whether the first of ``chain``, or one that each up to it was issued by, was issued by one of ``authorities``."""
+    for k, one in enumerate(chain):
+        if any(_is_issued_by(one, authority) for authority in authorities):
+            return True
+        if k + 1 == len(chain) or not _is_issued_by(one, chain[k + 1]):
+            return False
+    return False
+
+
 def explain_rejection(endpoint: str, credentials: Credentials) -> str:
     """Why ``endpoint`` (``tls/HOST:PORT``) and we do not come together, in words; empty if unknown.
 
     Zenoh says only that time is up. A handshake of our own shows what the other side, or we, object to.
     """
     host, _, port = endpoint.partition("/")[2].rpartition(":")
-    context = ssl.create_default_context(cafile=str(credentials.authority))
-    context.load_cert_chain(str(credentials.certificate), str(credentials.key))
+    try:
+        context = ssl.create_default_context(cafile=str(credentials.authority))
+        context.load_cert_chain(str(credentials.certificate), str(credentials.key))
+    except OSError as error:
+        return f"{credentials.certificate} with its key and authority cannot be used here: {error}"
     try:
         with (
             socket.create_connection((host.strip("[]"), int(port)), PROBE_S) as plain,

@@ -12,7 +12,7 @@ from typing import Any, Protocol, Self
 
 from agents.security.credentials import Keys
 from agents.security.expiry import ExpiryWatch
-from dsse_core.errors import DsseError, InvalidInputError
+from dsse_core.errors import InvalidInputError
 
 log = logging.getLogger(__name__)
 REOPEN_S = 1.0  # one attempt to open links again; a process that is to end waits for its end
@@ -131,7 +131,7 @@ class RenewableBus:
         while not self._given_up.is_set():
             try:
                 bus = self._open(self.keys, REOPEN_S)
-            except DsseError as error:
+            except Exception as error:  # whatever it is: nobody else opens the bus again
                 if not logged:
                     log.warning("not open again yet: %s", error)
                 logged = True

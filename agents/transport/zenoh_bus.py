@@ -70,7 +70,7 @@ class Session(RenewableBus):
                         raise _cannot_reach(endpoints, wait_s, keys, error) from None
             raise AssertionError("turns never end")
 
-        return _with_watched_links(cls(open_bus, _close, keys, timeout_s), (ROUTER,))
+        return _with_watched_links(cls(open_bus, _close, keys, timeout_s), lambda _: (ROUTER,))
 
     @classmethod
     def meet(
@@ -86,9 +86,9 @@ class Session(RenewableBus):
         _check_protocol([*endpoints, *listen], keys)
         _log_rejected_links(keys if listen else None)
         warn_of_strangers(listen, keys is not None)
-        meets = keys.access.met_directly_by(keys.name) if keys else ()
 
         def open_bus(keys: Keys | None, _: float) -> zenoh.Session:
+            meets = _met_directly(keys) if keys else ()
             sections: dict[str, Any] = {
                 "listen": {"endpoints": list(listen), "exit_on_failure": True},
                 "connect": in_the_background(endpoints),
@@ -98,7 +98,7 @@ class Session(RenewableBus):
             except zenoh.ZError as error:
                 raise _cannot_listen(listen, error) from None
 
-        return _with_watched_links(cls(open_bus, _close, keys), meets)
+        return _with_watched_links(cls(open_bus, _close, keys), _met_directly)
 
     @classmethod
     def join(
@@ -205,9 +205,9 @@ class Router(RenewableBus):
         _log_rejected_links(keys)
         warn_of_strangers(endpoints, keys is not None)
         bound = tuple(endpoints)
-        meets = keys.access.names if keys else ()
 
         def open_bus(keys: Keys | None, _: float) -> zenoh.Session:
+            meets = keys.access.names if keys else ()
             sections: dict[str, Any] = {
                 "listen": {"endpoints": list(bound), "exit_on_failure": True},
                 "connect": in_the_background(others),
@@ -218,7 +218,7 @@ class Router(RenewableBus):
             except zenoh.ZError as error:
                 raise _cannot_listen(bound, error) from None
 
-        router = _with_watched_links(cls(open_bus, _close, keys), meets)
+        router = _with_watched_links(cls(open_bus, _close, keys), lambda keys: keys.access.names)
         router.endpoints = _locators(cast(zenoh.Session, router.bus))
         if any(endpoint.endswith(":0") for endpoint in endpoints):
             bound = router.endpoints  # where the others look for it when it opens again
@@ -234,15 +234,22 @@ def _close(session: zenoh.Session) -> None:
         session.close()  # type: ignore[no-untyped-call]
 
 
-def _with_watched_links(bus: AnyBus, meets: Sequence[str]) -> AnyBus:
-    """Have it logged who links, or is found where somebody else was looked for, and has no rights here."""
+def _met_directly(keys: Keys) -> Sequence[str]:
+    return keys.access.met_directly_by(keys.name)
+
+
+def _with_watched_links(bus: AnyBus, meets: Callable[[Keys], Sequence[str]]) -> AnyBus:
+    """Have it logged who links, or is found where somebody else was looked for, and has no rights here.
+
+    ``meets``: whom the rules of some keys let link with us; those in use may be renewed.
+    """
     if bus.keys is None:
         return bus
     logged: set[tuple[str, str]] = set()
 
     def on_link(event: zenoh.LinkEvent) -> None:
         endpoint, name = event.link.dst, event.link.auth_identifier or ""
-        has_rights = bus.keys is not None and name in meets and name not in bus.keys.access.revoked
+        has_rights = bus.keys is not None and name in meets(bus.keys) and name not in bus.keys.access.revoked
         if (
             event.kind == zenoh.SampleKind.PUT
             and not has_rights

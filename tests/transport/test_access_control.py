@@ -6,6 +6,7 @@ import shutil
 import socket
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from expiring import let_expire
 from waiting import DEADLINE_S, wait_until
 
 from agents.security.access import Access
+from agents.security.access_file import ACCESS_FILE, load_access, save_access
 from agents.security.credentials import load_keys
 from agents.transport.zenoh_bus import Router, Session, TransportError
 from coordinator.deployment.certificates import create_keys
@@ -152,6 +154,20 @@ def test_a_router_opens_again_at_the_endpoints_where_it_was(keys: Path):
         wait_until(lambda: changes == [True, False])
         router.resume()
         wait_until(lambda: changes == [True, False, True])
+
+
+def test_a_router_whose_rules_name_others_than_before_opens_again_with_these(keys: Path, tmp_path: Path):
+    folder = tmp_path / "keys"
+    shutil.copytree(keys, folder)
+    access = load_access(folder / ACCESS_FILE)
+    with Router.listen(["tls/127.0.0.1:0"], load_keys(folder, "router", listens=True)) as router:
+        for gateways in ({**access.gateways, "new": ("a",)}, {}):
+            save_access(folder / ACCESS_FILE, replace(access, gateways=gateways))
+            assert router.interrupt()
+            router.resume()
+            wait_until(lambda: router.bus is not None)
+            with Session.connect(router.endpoints, DEADLINE_S, load_keys(folder, "a")):
+                pass
 
 
 def test_broken_handshakes_at_one_port_of_a_router_do_not_keep_links_at_another_waiting(keys: Path):

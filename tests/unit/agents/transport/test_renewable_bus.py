@@ -40,7 +40,7 @@ class Opener:
     def __call__(self, keys: Keys | None, _: float) -> Bus:
         if self.failures:
             self.failures -= 1
-            raise DsseError("nobody is there")
+            raise (DsseError if self.failures % 2 else KeyError)("nobody is there")
         self.opened.append(Bus(keys))
         return self.opened[-1]
 
