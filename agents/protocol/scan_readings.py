@@ -21,6 +21,7 @@ from agents.protocol.readings import Readings
 MOST_AHEAD = (
     10  # scans by which a neighbour may be ahead of telemetry that is received; with more, one of them is wrong
 )
+LARGEST_SCAN = 3 * MOST_COUNTED // 4  # that the numbering of a neighbour may lead to; scans go on from there
 DEADLINE_HEARTBEATS = 5  # after which an area goes on without its own readings; or
 DEADLINE_SHARE = 1 / 4  # of the time between two scans, where that is known
 
@@ -163,12 +164,13 @@ class ScanReadings:
         return self._file(message, now)
 
     def _renumber(self, message: TelemetryMessage) -> None:
-        """Find the offset of an incarnation of the plant that is received for the first time, or again; and of one so
-        far behind the current scan that this has come from a neighbour who was wrong: terms never go back.
+        """Find the offset of an incarnation of the plant that is received for the first time or again, or whose numbers
+        have gone back with its clock; and of one so far behind the current scan that this has come from a neighbour who
+        was wrong: terms never go back.
         """
         last, incarnation, number = self._last, message.header.incarnation, message.header.scan
-        if last is None or incarnation != last.header.incarnation:
-            self._later.clear()  # of a former incarnation: to enter its scans would leave this one behind
+        if last is None or incarnation != last.header.incarnation or number < last.header.scan:
+            self._later.clear()  # of former numbers: to enter those scans would leave this one behind
             self._offset = max(
                 (offset for its_incarnation, offset in self._of_neighbours.values() if its_incarnation == incarnation),
                 default=0,
@@ -185,6 +187,8 @@ class ScanReadings:
 
     def take_numbering(self, name: str, incarnation: Incarnation, offset: int, now: float) -> TelemetryUpdate:
         """Follow neighbour ``name`` where it needs a larger ``offset`` for an ``incarnation`` of the plant."""
+        if offset + (self._last.header.scan if self._last else 0) > LARGEST_SCAN:
+            return TelemetryUpdate.NONE  # a lie, after which nobody would take a message of this area
         self._of_neighbours[name] = incarnation, offset
         if self._last is None or incarnation != self._last.header.incarnation or offset <= self._offset:
             return TelemetryUpdate.NONE

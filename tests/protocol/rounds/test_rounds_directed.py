@@ -292,6 +292,22 @@ def test_areas_in_different_scans_do_not_number_those_of_a_plant_that_was_set_ba
         assert bus.protocols["a"].scan == before + 1
 
 
+def test_numbers_that_go_back_with_the_clock_of_who_leads_go_on_in_every_area():
+    bus = ToyBus(ROW)
+    for _ in range(8):
+        bus.next_scan()
+        bus.run(1.0)
+    for number in (5, 6, 9, 3):
+        before = bus.protocols["a"].scan
+        for name in bus.files:
+            del bus._telemetry[name]  # the same process, whose next message has another number
+            bus.read(name, number, 1.5 + 1e-3 * number)
+        bus.run(HEARTBEAT_S)
+        wait_until_agreed(bus)
+        scan, used, _ = scan_numbers(bus)["a"]
+        assert (scan > before, used) == (True, number)
+
+
 def test_an_area_that_starts_after_a_plant_was_set_back_does_not_number_scans_by_itself():
     bus = ToyBus(ROW)
     for _ in range(40):
@@ -309,7 +325,7 @@ def test_an_area_that_starts_after_a_plant_was_set_back_does_not_number_scans_by
 
 def test_what_a_liar_says_of_the_numbers_of_scans_leads_to_no_scan_that_others_lack():
     bus = at_rest()
-    for offset in (7, 2**40, 2**60):
+    for offset in (7, 2**40, 2**51 - 1, 2**60):
         bus.post("b", Received(replace(bus.last_heartbeat["c", "b"], plant=Incarnation(0, 0), offset=offset), "c"))
         bus.run(TRAVEL_S / 2)
         wait_until_agreed(bus)
