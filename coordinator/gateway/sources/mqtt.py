@@ -112,8 +112,8 @@ class MqttSource(Source):
         except NotUsableError as error:
             emit.reject(MALFORMED, f"topic {topic}: payload {payload[:80]!r}: {error}")
             return
-        has_time, time = find_at(content, self.settings.time)
-        if is_kept and not has_time:
+        _, time = find_at(content, self.settings.time)
+        if is_kept and time is None:
             emit.reject(NO_TIME, f"topic {topic}: the broker has kept it, nobody knows for how long")
             return
         valid = as_validity(find_at(content, self.settings.valid)[1])
@@ -122,7 +122,7 @@ class MqttSource(Source):
             found, value = find_at(content, path)
             if found:
                 stated = None if unit is None else str(unit)
-                emit(address, value, as_time(time) if has_time else None, valid=valid, unit=stated)
+                emit(address, value, as_time(time), valid=valid, unit=stated)
             else:
                 emit.reject(MALFORMED, f"address {address}: nothing at {path} of payload {payload[:80]!r}")
 

@@ -25,10 +25,13 @@ def test_numbers_objects_and_bad_payloads(free_port: int, recorder, reading, run
     async def test() -> None:
         async with broker(free_port), aiomqtt.Client("127.0.0.1", free_port) as client:
             await client.publish("f/old", "5", retain=True, qos=1)
+            await client.publish("f/older", '{"value": 5, "time": null}', retain=True, qos=1)
             await client.publish("f/dated", '{"value": 6, "time": 1800000000}', retain=True, qos=1)
-            source = make_source(free_port, "f/u", "f/p#a.total", "f/p#b", "f/old", "f/dated", topics=["f/#"])
+            source = make_source(
+                free_port, "f/u", "f/p#a.total", "f/p#b", "f/old", "f/older", "f/dated", topics=["f/#"]
+            )
             async with reading(source, recorder):
-                await recorder.wait_until(lambda: bool(recorder.rejected) and bool(recorder.readings))
+                await recorder.wait_until(lambda: len(recorder.rejected) == 2 and bool(recorder.readings))
                 for topic, payload in (
                     ("f/u", "12.6"),
                     ("f/u", "NaN"),
@@ -50,6 +53,7 @@ def test_numbers_objects_and_bad_payloads(free_port: int, recorder, reading, run
     assert ("f/p#a.total", 7, 1.8e9, False, "kW") in recorder.readings
     assert recorder.values_of("f/stranger") == [9.0]
     assert [reason for reason, _ in recorder.rejected] == [
+        "retained without a time",
         "retained without a time",
         "malformed",  # broken
         "malformed",  # too large
