@@ -12,6 +12,7 @@ import re
 import typing
 import zlib
 from collections.abc import Callable, Mapping
+from dataclasses import MISSING, fields
 from operator import attrgetter
 from typing import Any
 
@@ -56,7 +57,8 @@ __all__ = [
     "UpMessage",
 ]
 
-WIRE_VERSION = 2
+WIRE_VERSION = 3
+RECORDED_VERSIONS = (2, WIRE_VERSION)  # that logs of recordings may hold
 MAX_BYTES = 8 * 1024 * 1024
 MAX_NEIGHBOUR_BYTES = 256 * 1024  # of what neighbours say; only telemetry and states grow with the area
 KIND = re.compile(r"[a-z0-9_-]{1,32}")  # a part of keys
@@ -170,7 +172,21 @@ class _Packing:
         self.decoder = msgspec.msgpack.Decoder(tuple[places])  # type: ignore[valid-type]
         self.has_misfits = hasattr(cls, "find_misfit")
 
+    def complete(self, packed: bytes) -> bytes:
+        """A message of an earlier version, which may lack the last fields, as one of this version."""
+        places = _raw_places.decode(packed)
+        forms = {self.names[k]: form for k, form in self.forms}
+        known = {field.name: field for field in fields(self.cls)}
+        for name in self.names[max(0, len(places) - 2) :]:
+            default, factory = known[name].default, known[name].default_factory
+            if default is MISSING and factory is MISSING:
+                break  # the message lacks more than what was added
+            value = default if factory is MISSING else factory()
+            places.append(msgspec.Raw(msgspec.msgpack.encode(_PACK[forms[name]](value) if name in forms else value)))
+        return msgspec.msgpack.encode([WIRE_VERSION, *places[1:]])
 
+
+_raw_places = msgspec.msgpack.Decoder(list[msgspec.Raw])
 _PACKINGS = {kind: _Packing(cls) for kind, cls in MESSAGE_TYPES.items()}
 
 
@@ -250,6 +266,21 @@ def decode(payload: bytes, largest: int = MAX_BYTES) -> Message:
     Raises:
         MessageError: anything that is not a well-formed message of this wire version.
     """
+    return _decode(payload, largest, (WIRE_VERSION,))
+
+
+def decode_recorded(payload: bytes) -> Message:
+    """The message in ``payload`` from the log of a recording, which an earlier version may have written.
+
+    Fields that the earlier version lacks stand last in the message, and take their defaults.
+
+    Raises:
+        MessageError: anything that is not a well-formed message of one of ``RECORDED_VERSIONS``.
+    """
+    return _decode(payload, MAX_BYTES, RECORDED_VERSIONS)
+
+
+def _decode(payload: bytes, largest: int, versions: tuple[int, ...]) -> Message:
     if len(payload) > largest:
         raise MessageError("too large", f"{len(payload)} bytes, the limit is {largest}")
     packed, checksum = payload[:-4], payload[-4:]
@@ -258,11 +289,13 @@ def decode(payload: bytes, largest: int = MAX_BYTES) -> Message:
     packing = None
     try:
         beginning = _beginning.decode(packed)
-        if beginning.version != WIRE_VERSION:
+        if beginning.version not in versions:
             raise MessageError("wire version", describe_other_version(beginning.version))
         packing = _BY_KIND.get(bytes(beginning.kind))
         if packing is None:
             raise MessageError("malformed", f"unknown kind {shown(bytes(beginning.kind)[:80])}")
+        if beginning.version != WIRE_VERSION:
+            packed = packing.complete(packed)
         return _build(packing, packing.decoder.decode(packed))
     except msgspec.ValidationError as error:
         raise _rejection_of(error, packing) from None

@@ -18,7 +18,7 @@ from agents.protocol.events import Action
 from agents.protocol.rounds import RoundsProtocol
 from agents.transport.zenoh_bus import Session
 
-PING, PONG = "dsse/v2/latency/ping", "dsse/v2/latency/pong"
+PING, PONG = "dsse/v3/latency/ping", "dsse/v3/latency/pong"
 
 
 def run_timed_agent(area_file: str, out: str) -> int:

@@ -17,7 +17,7 @@ import msgspec
 from agents.area_files.area_file import AreaFile
 from agents.messages.checks import MessageError
 from agents.messages.keys import name_of_live
-from agents.messages.packing import CommandMessage, Incarnation, ReadingsMessage, StateMessage, decode
+from agents.messages.packing import CommandMessage, Incarnation, ReadingsMessage, StateMessage, decode_recorded
 from coordinator.observe.area_flows import make_area_flows
 from coordinator.recording.entries import APPEARED, LEFT, MESSAGE, NOTE, VANISHED, Entry
 from dsse_core.errors import InvalidInputError
@@ -113,7 +113,7 @@ class RowMaker:
             yield _event(math.nan, "damaged log", "recorder", "", entry)
         elif entry.kind == MESSAGE:
             try:
-                message = decode(entry.payload)
+                message = decode_recorded(entry.payload)
             except MessageError as error:  # of another version of this program
                 yield _event(entry.at, "unreadable", "recorder", entry.key, str(error))
             else:

@@ -42,11 +42,11 @@ def publish_lies(endpoint: str, keys: Path | None, name: str) -> None:
         Impostor.calling([endpoint], keys, name) as liar,  # a session receives itself, whoever forbids it
         Impostor.calling([endpoint], keys, name) as ear,
     ):
-        ear.listen(f"dsse/v2/{RUN}/area/*/state", telemetry_key(RUN, "area1"))
+        ear.listen(f"dsse/v3/{RUN}/area/*/state", telemetry_key(RUN, "area1"))
         ear.listen(all_from_neighbours(RUN, "area3"), all_from_neighbours(RUN, "area2"))  # the second is its due
         ear.listen(all_incarnations(RUN, "area", "*"), all_incarnations(RUN, "plant", "*"))
         ear.listen(all_incarnations(RUN, "area", "area1"), all_incarnations(RUN, "area", "area2"))
-        liar.show(f"dsse/v2/{RUN}/live/area/area9/1-2")
+        liar.show(f"dsse/v3/{RUN}/live/area/area9/1-2")
         keys_of_others = {telemetry_key(RUN, area): lie for area, lie in lies.items()}
         for kind in ("information", "tally", "load"):
             keys_of_others[neighbour_key(RUN, "area3", kind, "area1")] = b"lie"

@@ -79,16 +79,16 @@ def listen(session: Session, name: str, received: Received) -> None:
     """Note (who says it, key, ``name``) of all that arrives at ``name``, in ``received``."""
 
     def note(key: str, payload: bytes) -> None:
-        received.add((payload.decode(), key.removeprefix("dsse/v2/run/"), name))
+        received.add((payload.decode(), key.removeprefix("dsse/v3/run/"), name))
 
     for expression in SUBSCRIPTIONS.get(name, ()):
-        session.subscribe(f"dsse/v2/run/{expression}", note)
+        session.subscribe(f"dsse/v3/run/{expression}", note)
 
 
 def publish_all(session: Session, name: str) -> list[Callable[[], None]]:
     """Functions that say ``name`` on every key there is, what is rejected first."""
     keys = sorted(KEYS, key=lambda key: any(key == k for who, k, _ in DELIVERED if who == name))
-    publishers = [session.publisher(f"dsse/v2/run/{key}") for key in keys]
+    publishers = [session.publisher(f"dsse/v3/run/{key}") for key in keys]
     return [lambda put=put: put(name.encode()) for put in publishers]  # type: ignore[misc]
 
 
@@ -112,14 +112,14 @@ def test_a_certificate_that_expires_in_operation_ends_its_link(
     keys: Path, tmp_path: Path, router: Router, join: Callable[[str], Session]
 ):
     changes: list[tuple[str, bool]] = []
-    join("coordinator").watch_presence("dsse/v2/run/live/*/*/*", lambda key, alive: changes.append((key, alive)))
+    join("coordinator").watch_presence("dsse/v3/run/live/*/*/*", lambda key, alive: changes.append((key, alive)))
     short = tmp_path / "short"
     short.mkdir()
     for path in keys.iterdir():
         (short / path.name).write_bytes(path.read_bytes())
         (short / path.name).chmod(0o600)
     let_expire(short, "a", in_s=12.0)
-    token = "dsse/v2/run/live/area/a/1-2"
+    token = "dsse/v3/run/live/area/a/1-2"
     with Session.connect(router.endpoints, keys=load_keys(short, "a")) as session:
         session.declare_presence(token)
         wait_until(lambda: (token, True) in changes)
@@ -147,8 +147,8 @@ def test_a_router_opens_again_at_the_endpoints_where_it_was(keys: Path):
         Session.connect(router.endpoints, keys=load_keys(keys, "coordinator")) as watcher,
         Session.connect(router.endpoints, keys=load_keys(keys, "a")) as area,
     ):
-        watcher.watch_presence("dsse/v2/run/live/*/*/*", lambda key, alive: changes.append(alive))
-        area.declare_presence("dsse/v2/run/live/area/a/1-2")
+        watcher.watch_presence("dsse/v3/run/live/*/*/*", lambda key, alive: changes.append(alive))
+        area.declare_presence("dsse/v3/run/live/area/a/1-2")
         wait_until(lambda: changes == [True])
         assert router.interrupt()
         wait_until(lambda: changes == [True, False])

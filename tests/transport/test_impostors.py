@@ -74,7 +74,7 @@ TOKENS = {
 
 
 def whole(key: str) -> str:
-    return f"dsse/v2/run/{key}"
+    return f"dsse/v3/run/{key}"
 
 
 def message_keys(name: str) -> list[str]:

@@ -18,7 +18,7 @@ from coordinator.cli.live.address import RunAddress
 from coordinator.cli.live.session import attach
 from dsse_core.reading_rules import ANYBODY
 
-ROOT = "dsse/v2/run"
+ROOT = "dsse/v3/run"
 PAIR = Access("run", {"a": ("b",), "b": ("a",)}, gateways={"north": ("a",)})
 KEYS = (
     "area/a/up/b",
@@ -88,9 +88,9 @@ def bus_of(access: Access) -> Iterator[tuple[Session, set[str], set[str]]]:
 
 def test_a_router_that_knows_its_run_passes_on_what_its_processes_publish_and_nothing_else() -> None:
     due = {f"{ROOT}/{key}" for key in KEYS}
-    shown = {f"dsse/v2/{key}" for key in TOKENS} | {"dsse/v1/run/live/area/b/1-00000001"}
+    shown = {f"dsse/v3/{key}" for key in TOKENS} | {"dsse/v1/run/live/area/b/1-00000001"}
     with bus_of(PAIR) as (somebody, messages, tokens):
-        for key in (*(f"dsse/v2/{key}" for key in TOKENS_OF_STRANGERS), *sorted(shown)):
+        for key in (*(f"dsse/v3/{key}" for key in TOKENS_OF_STRANGERS), *sorted(shown)):
             somebody.declare_presence(key)
         put = [somebody.publisher(f"{ROOT}/{key}") for key in (*KEYS_OF_STRANGERS, *KEYS)]
 

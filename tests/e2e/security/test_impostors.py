@@ -29,11 +29,11 @@ ROUNDS = 200
 def attack(impostor: Impostor, lies: dict[str, bytes]) -> None:
     """Listen to everybody, show everybody's tokens, and publish ``lies``."""
     impostor.listen(*(state_key(RUN, area) for area in ("*", *AREAS)), *(telemetry_key(RUN, area) for area in AREAS))
-    impostor.listen(*(f"dsse/v2/{RUN}/area/*/*/{area}" for area in AREAS), all_live(RUN))
+    impostor.listen(*(f"dsse/v3/{RUN}/area/*/*/{area}" for area in AREAS), all_live(RUN))
     impostor.listen(
         *(all_incarnations(RUN, role, name) for role, name in (*(("area", a) for a in AREAS), ("plant", "plant")))
     )
-    impostor.show(*(f"dsse/v2/{RUN}/live/area/{area}/fffffffffff-ffffffff" for area in AREAS))
+    impostor.show(*(f"dsse/v3/{RUN}/live/area/{area}/fffffffffff-ffffffff" for area in AREAS))
     puts = [put for key, lie in lies.items() for put in impostor.publish([key], lie)]
     pause = threading.Event()
     for _ in range(ROUNDS):

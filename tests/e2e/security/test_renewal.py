@@ -108,7 +108,7 @@ def test_a_revoked_name_neither_publishes_nor_receives_nor_is_seen(
         ] or system.endpoints
         with Impostor.calling(endpoints, system.keys, "area3", mode) as thief:
             thief.listen(telemetry_key(RUN, "area3"), all_from_neighbours(RUN, "area3"), all_live(RUN))
-            thief.show(f"dsse/v2/{RUN}/live/area/area3/1-00000001")
+            thief.show(f"dsse/v3/{RUN}/live/area/area3/1-00000001")
             puts = thief.publish([state_key(RUN, "area3")])
             wait_until(
                 lambda: "shows the certificate of 'area3'" in system.read_log("area1" if system.direct else "router")

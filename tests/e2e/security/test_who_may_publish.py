@@ -183,7 +183,7 @@ def test_who_has_one_areas_key_can_neither_speak_for_others_nor_listen_to_them(s
     reported = json.loads(run_stranger("lie", system.endpoint, system.keys, "area2"))
     assert reported["received"], "what is meant for its own area it may receive"
     assert all(key.endswith("/area2") for key in reported["received"])
-    allowed = tuple(f"dsse/v2/{RUN}/live/area/{name}/" for name in ("area1", "area2"))  # a neighbour, and itself
+    allowed = tuple(f"dsse/v3/{RUN}/live/area/{name}/" for name in ("area1", "area2"))  # a neighbour, and itself
     assert all(key.startswith(allowed) for key in reported["seen"])
 
     def are_rejected() -> bool:
@@ -210,7 +210,7 @@ def test_who_has_stolen_a_key_can_do_what_its_owner_may_and_nothing_else(
     system: Secured, thief: str, published_on: tuple[str, ...]
 ):
     before = len(system.read_log("router"))
-    keys = [f"dsse/v2/{RUN}/{key}" for key in published_on]
+    keys = [f"dsse/v3/{RUN}/{key}" for key in published_on]
     with Impostor.calling([system.endpoint], system.keys, thief) as liar:
         puts = liar.publish(keys, b"lie")
 

@@ -16,6 +16,7 @@ from agents.messages.packing import (
     Header,
     Incarnation,
     decode,
+    decode_recorded,
     encode,
     seal,
 )
@@ -80,21 +81,37 @@ def test_a_whole_number_may_stand_for_a_number():
     assert decode(seal(msgspec.msgpack.encode(places))).vm == float(2**64 - 1)
 
 
-RECORDED = json.loads((Path(__file__).parent / "wire_version_1.json").read_text())
+RECORDED = {
+    version: json.loads((Path(__file__).parent / f"wire_version_{version}.json").read_text()) for version in (1, 2)
+}
 
 
-@pytest.mark.parametrize("kind", sorted(RECORDED))
-def test_recorded_bytes_of_wire_version_1_are_rejected_by_name(kind):
+@pytest.mark.parametrize(("version", "kind"), [(v, kind) for v, kinds in RECORDED.items() for kind in sorted(kinds)])
+def test_recorded_bytes_of_an_earlier_wire_version_are_rejected_by_name(version, kind):
     with pytest.raises(
-        MessageError, match="speaks wire version 1, this is version 2: upgrade the other side"
+        MessageError, match=f"speaks wire version {version}, this is version 3: upgrade the other side"
     ) as caught:
-        decode(bytes.fromhex(RECORDED[kind]))
+        decode(bytes.fromhex(RECORDED[version][kind]))
     assert caught.value.reason == "wire version"
 
 
+@pytest.mark.parametrize("kind", ["state", "readings", "command"])
+def test_a_log_of_wire_version_2_is_read_and_what_it_lacks_has_its_default(kind):
+    (expected,) = (message for message in MESSAGES if message.kind == kind)
+    assert decode_recorded(bytes.fromhex(RECORDED[2][kind])) == expected
+    assert decode_recorded(encode(expected)) == expected
+
+
+def test_a_recorded_message_that_lacks_more_than_defaults_is_rejected():
+    places = msgspec.msgpack.decode(bytes.fromhex(RECORDED[2]["state"])[:-4])
+    for short in (places[:2], places[:10], ["2", "state"], [2, "state"]):
+        with pytest.raises(MessageError, match="malformed"):
+            decode_recorded(seal(msgspec.msgpack.encode(short)))
+
+
 def test_a_later_wire_version_asks_for_an_upgrade_of_this_program():
-    with pytest.raises(MessageError, match="speaks wire version 3, this is version 2: upgrade this program"):
-        decode(seal(msgspec.msgpack.encode([3, {"kind": "load"}])))
+    with pytest.raises(MessageError, match="speaks wire version 4, this is version 3: upgrade this program"):
+        decode(seal(msgspec.msgpack.encode([4, {"kind": "load"}])))
 
 
 def test_the_field_that_is_wrong_is_named():

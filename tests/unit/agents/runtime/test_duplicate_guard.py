@@ -48,7 +48,7 @@ def test_a_token_that_vanishes_in_time_was_that_of_a_dead_incarnation_and_is_no_
 
 def test_it_stays_where_the_others_are_older_or_itself_or_no_incarnations_at_all():
     watched = guard()
-    for key in (token(0.0), token(-5.0), token(0.0, random=6), token() + "zz", "dsse/v2/run/live/area/area1/*"):
+    for key in (token(0.0), token(-5.0), token(0.0, random=6), token() + "zz", "dsse/v3/run/live/area/area1/*"):
         watched.take(key, True, 101.0)
     watched.check(200.0)
 

@@ -13,7 +13,7 @@ from agents.protocol.events import Received, Rejected
 from agents.runtime.inbox import Inbox
 from agents.runtime.ingress_filter import MOST_GATEWAYS, IngressFilter
 
-KEY, TELEMETRY = "dsse/v2/r/area/area2/load/area1", "dsse/v2/r/telemetry/area1/plant"
+KEY, TELEMETRY = "dsse/v3/r/area/area2/load/area1", "dsse/v3/r/telemetry/area1/plant"
 LOAD = LoadMessage(Header("r", "area2", Incarnation(1, 1), 1, 1, 0.0), 6, 0.1, 0.0, 0.01)
 
 
@@ -79,14 +79,14 @@ def test_strangers_take_one_slot_however_many_keys_they_have(door, caplog):
     ingress_filter, inbox = door
     with caplog.at_level(logging.WARNING):
         for k in range(12_345):
-            ingress_filter.take(f"dsse/v2/r/area/stranger{k}/load/area1", encode(LOAD))
+            ingress_filter.take(f"dsse/v3/r/area/stranger{k}/load/area1", encode(LOAD))
     assert inbox.take(0.0) == [Rejected("unknown sender", 12_345)]
     assert len(caplog.records) == 5  # number 1, 10, 100, 1000, 10000
 
 
 def test_a_known_neighbour_cannot_invent_kinds_either(door):
     ingress_filter, inbox = door
-    ingress_filter.take("dsse/v2/r/area/area2/gossip/area1", encode(LOAD))
+    ingress_filter.take("dsse/v3/r/area/area2/gossip/area1", encode(LOAD))
     assert inbox.take(0.0) == [Rejected("unknown sender", 1)]
 
 
@@ -113,8 +113,8 @@ def telemetry_of(gateway: str) -> TelemetryMessage:
 def test_a_gateway_publishes_on_its_own_key_only(door):
     ingress_filter, inbox = door
     ingress_filter.take(TELEMETRY, encode(telemetry_of("feeder")))
-    ingress_filter.take("dsse/v2/r/telemetry/area1/feeder", encode(telemetry_of("feeder")))
-    ingress_filter.take("dsse/v2/r/telemetry/area2/plant", encode(telemetry_of("plant")))
+    ingress_filter.take("dsse/v3/r/telemetry/area1/feeder", encode(telemetry_of("feeder")))
+    ingress_filter.take("dsse/v3/r/telemetry/area2/plant", encode(telemetry_of("plant")))
     assert inbox.take(0.0) == [Rejected("sender does not own the key", 1), Rejected("unknown sender", 2)]
     ingress_filter.take(TELEMETRY, encode(telemetry_of("plant")))
     assert inbox.take(0.0) == [Received(telemetry_of("plant"), "")]
@@ -124,7 +124,7 @@ def test_where_any_gateway_may_speak_strangers_take_a_bounded_number_of_slots():
     inbox = Inbox()
     ingress_filter = IngressFilter({KEY}, "r", "area1", ["*"], inbox)
     for k in range(3 * MOST_GATEWAYS):
-        ingress_filter.take(f"dsse/v2/r/telemetry/area1/g{k}", encode(telemetry_of(f"g{k}")))
+        ingress_filter.take(f"dsse/v3/r/telemetry/area1/g{k}", encode(telemetry_of(f"g{k}")))
     *received, rejected = inbox.take(0.0)
     assert [r.message.header.sender for r in received] == [f"g{k}" for k in range(MOST_GATEWAYS)]
     assert rejected == Rejected("unknown sender", 2 * MOST_GATEWAYS)

@@ -26,7 +26,7 @@ def may(name: str, flow: str, message: str, key: str, access: Access = CHAIN, me
         for rule in (rules[name] for name in policy["rules"])
         if flow in rule["flows"]
         and message in rule["messages"]
-        and any(zenoh.KeyExpr(allowed).includes(f"dsse/v2/{key}") for allowed in rule["key_exprs"])
+        and any(zenoh.KeyExpr(allowed).includes(f"dsse/v3/{key}") for allowed in rule["key_exprs"])
     ]
     return "allow" in published and "deny" not in published
 

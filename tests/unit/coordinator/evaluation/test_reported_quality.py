@@ -61,7 +61,7 @@ def results(found: tuple[Finding, ...], *, is_gone: bool) -> Iterator[tuple[RunR
     observer, watcher = make_observer(SCENARIO), Watcher("run")
     for area in SCENARIO.partition.areas:
         observer.take_presence(area.name, True, 0.0)
-        watcher.take_presence(f"dsse/v2/run/live/area/{area.name}/{INCARNATION}", True)
+        watcher.take_presence(f"dsse/v3/run/live/area/{area.name}/{INCARNATION}", True)
     states = [a_state_with(area, found if area.name == "area1" else ()) for area in SCENARIO.partition.areas]
     for now in (1.0, 100.0):
         for state in states:
@@ -69,7 +69,7 @@ def results(found: tuple[Finding, ...], *, is_gone: bool) -> Iterator[tuple[RunR
             watcher.take_state(replace(state, header=replace(state.header, run="run")), now)
         if is_gone:
             observer.take_presence("area1", False, now)
-            watcher.take_presence(f"dsse/v2/run/live/area/area1/{INCARNATION}", False)
+            watcher.take_presence(f"dsse/v3/run/live/area/area1/{INCARNATION}", False)
         standing = observer.standing(now)
         reason = "; ".join(standing.obstacles) or standing.dead_end
         outcome = evaluate(

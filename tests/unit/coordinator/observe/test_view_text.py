@@ -35,7 +35,7 @@ USED = ReadingsMessage(
 def watching(*states, readings=USED) -> Watcher:
     watcher = Watcher("run")
     for state in states:
-        watcher.take_presence(f"dsse/v2/run/live/area/{state.header.sender}/1-00000001", True)
+        watcher.take_presence(f"dsse/v3/run/live/area/{state.header.sender}/1-00000001", True)
         watcher.take_state(state, 0.0)
     if readings is not None:
         watcher.take_readings(readings)

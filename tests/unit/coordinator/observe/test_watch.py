@@ -148,9 +148,9 @@ def test_areas_of_another_wire_version_are_named_instead_of_nothing_being_shown(
     assert not watcher.is_whole()
     assert view.areas == ()
     assert view.other_versions[1:] == (
-        "area area1, area area2 speak wire version 1, this is version 2: upgrade the other side",
-        "area area3 speaks wire version 7, this is version 2: upgrade this program",
+        "area area1, area area2 speak wire version 1, this is version 3: upgrade the other side",
+        "area area3 speaks wire version 7, this is version 3: upgrade this program",
     )
-    assert "speak wire version 1, this is version 2" in format_view(view)
+    assert "speak wire version 1, this is version 3" in format_view(view)
     watcher.take_presence("dsse/v7/run/live/area/area3/1-00000001", False)
     assert len(watcher.look(0.0).other_versions) == 2

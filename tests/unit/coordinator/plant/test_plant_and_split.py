@@ -74,7 +74,7 @@ def test_a_plant_asks_the_bus_for_the_presence_of_its_areas_and_of_nobody_else(m
     with restored_signals():
         assert run_plant(OwnScans(load_scenario("ieee33"), many=False), "run", ()) == 2
     areas = ("area/area1", "area/area2", "area/area3")
-    assert asked == [f"dsse/v2/run/live/{name}/*" for name in (*areas, "plant/plant")]
+    assert asked == [f"dsse/v3/run/live/{name}/*" for name in (*areas, "plant/plant")]
 
 
 def test_virtual_measurements_are_not_sent_because_area_files_hold_them(tmp_path: Path):
