@@ -1,4 +1,7 @@
-"""The numbers of a Gauss-Newton iteration that ``decision`` decides by, and the compiled iteration on a tree, too."""
+"""Step control of the Gauss-Newton iteration, numbers in, numbers out.
+
+``decision.decide`` runs these functions as they stand here; the compiled loops on trees run the same source, compiled.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ LARGEST_STEP = 1e6  # p.u. or rad; beyond it the iteration has left every state 
 # A longer step is shortened: a dead voltmeter must not throw all voltages to zero, where nothing converges.
 MAX_DVM = 0.2  # p.u.
 MAX_DVA = 1.0  # rad
-# The end, see ``is_last``; p.u. and rad but for the rate.
+# The end, see ``next_step``; p.u. and rad but for the rate.
 LAST_STEP = 1e-5  # what the last step may be
 REST = 2e-9  # what may be left after it
 SLOWEST_RATE = 0.1  # a rate says what is to come only where it is small
@@ -27,23 +30,79 @@ NO_STEP = 1e-10  # after a smaller step nothing is to come, whatever the one bef
 NEAR_LIMIT = 1e-3
 SURE_STEP = 1e-9  # p.u. and rad: after a smaller step J is as exact as it gets
 
+GO_ON, SHORTEN, USE_CURRENTS, FINAL, EVALUATE, LOST = range(6)  # verdicts on an iteration
+
 # vm and va in network order, the residuals z - h(x), (n_meas,), J(x), and how many steps the iteration took.
 Solution = tuple[np.ndarray, np.ndarray, np.ndarray, float, int]
 
 
-def is_last(step: float, before: float, with_currents: bool, tolerance: float) -> bool:
-    """Whether the step to come is the last one, evaluated by the two taken before it, each by its largest entry.
+def correct_step(share: float, stepped: bool, flows_known: bool, dva: float, dvm: float) -> tuple[int, float]:
+    """The verdict on the step just taken, and its share of the Gauss-Newton step: GO_ON where it stands.
 
-    ``before`` is 0 where there is no such step: the two must have been taken with the same share of their length and
-    both with or both without current magnitudes. Where convergence is linear the step to come is rate * step, rate =
-    step / before but LEAST_RATE at least, and must be below ``tolerance``; what is left after it, rate^2 * step, below
-    REST. Where convergence is quadratic, both are far less. With current magnitudes it is linear: the step to come
-    itself must be below REST. What a step gains is not asked: with short branches and small sigmas that lies below
-    rounding.
+    LOST: it leads to no state. SHORTEN: of the step only the returned share is taken. USE_CURRENTS: flows are
+    known, and current magnitudes are in use from now on.
+
+    Args:
+        share: what was taken of the Gauss-Newton step.
+        stepped: the step is not corrected yet, nor is it the last one.
+        flows_known: current magnitudes are in use, or there are none.
+        dva, dvm: largest change of an angle, rad, and of a magnitude, p.u., in the whole Gauss-Newton step.
     """
-    if step < NO_STEP:
-        return True
-    if not step < SLOWEST_RATE * before:
-        return False
-    rate = max(step / before, LEAST_RATE)
-    return rate * step < tolerance and (rate if with_currents else rate * rate) * step < REST
+    largest = max(dva, dvm)
+    if not largest <= LARGEST_STEP:
+        return LOST, 0.0
+    if stepped:
+        most = 1.0 / max(1.0 / share, dva / MAX_DVA, dvm / MAX_DVM)
+        if most < share:
+            return SHORTEN, most
+        if not flows_known and largest < FLOWS_KNOWN:
+            return USE_CURRENTS, share
+    return GO_ON, share
+
+
+def next_step(
+    steps: int,
+    share: float,
+    stepped: bool,
+    before: float,
+    largest: float,
+    flows_known: bool,
+    with_currents: bool,
+    objective: float,
+    limit: float,
+    tolerance: float,
+    most_steps: int,
+) -> tuple[int, float, float]:
+    """The verdict at a state that needs no correction, the share of the coming step, and the next ``before``.
+
+    FINAL, EVALUATE: the coming step is the last one and is taken in full; J lies below its limit, or not. GO_ON: more
+    are to come. LOST: the steps are used up.
+
+    The end follows from the steps that were taken. Where convergence is linear the coming step is rate * largest, with
+    rate = largest / before but LEAST_RATE at least. It must be below ``tolerance``, and what is left after it,
+    rate^2 * largest, below REST. Where convergence is quadratic, both are far less. With current magnitudes it is
+    linear: the coming step itself must be below REST. The gain of a step is no measure: with short branches and small
+    sigmas it lies below rounding.
+
+    Args:
+        steps: number of steps taken since the start.
+        share: what was taken of the last Gauss-Newton step.
+        stepped: the last step is not corrected.
+        before, largest: size of the last but one and of the last step, by their largest entry. ``before`` is 0 where
+            the two cannot be compared: other shares, or only one with current magnitudes.
+        flows_known: current magnitudes are in use, or there are none; ``with_currents``: they are in use.
+        objective, limit: J at the state, and its chi-square limit.
+        tolerance: the most that the last step may move, p.u. and rad, where convergence is linear.
+        most_steps: limit of ``steps``.
+    """
+    if stepped and flows_known and (largest <= SURE_STEP or abs(objective - limit) >= NEAR_LIMIT * limit):
+        is_last = largest < NO_STEP
+        if not is_last and largest < SLOWEST_RATE * before:
+            rate = max(largest / before, LEAST_RATE)
+            is_last = rate * largest < tolerance and (rate if with_currents else rate * rate) * largest < REST
+        if is_last:
+            return (EVALUATE if objective >= limit else FINAL), 1.0, 0.0
+    if steps >= most_steps:
+        return LOST, 0.0, 0.0
+    coming = 1.0 if steps < FULL_STEPS else 0.5
+    return GO_ON, coming, largest if stepped and coming == share else 0.0

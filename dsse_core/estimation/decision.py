@@ -11,20 +11,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
+from dsse_core import gauss_newton
 from dsse_core.estimation.residuals import CONFIDENCE, chi_square_limit, keep_tied
-from dsse_core.gauss_newton import (
-    FLOWS_KNOWN,
-    FULL_STEPS,
-    LARGEST_STEP,
-    LAST_STEP,
-    MAX_DVA,
-    MAX_DVM,
-    MOST_STEPS,
-    MOST_STEPS_ANEW,
-    NEAR_LIMIT,
-    SURE_STEP,
-    is_last,
-)
+from dsse_core.gauss_newton import LAST_STEP, MOST_STEPS, MOST_STEPS_ANEW
 
 MOST_REMOVED = 1000  # meters of one scan; more are made up by somebody who would do so for ever
 MOST_NAMED = 20  # areas or ranges of buses that totals name
@@ -129,14 +118,15 @@ class Memory:
     """What the decisions of a term rest on beside the totals; everybody in the term has the same.
 
     ``removed``: meters taken out as bad data, in order. ``kept``: the meter without which no estimate was found; it is
-    in use again, and no other is taken out. ``steps``: since the last start. ``before``: the size of the last full step
-    since a decision, 0 without one. ``stepped``: the totals' step was taken in full. ``from_flat_start``: the start of
-    the scan has led to no end with these meters.
+    in use again, and no other is taken out. ``steps``: since the last start; ``share``: what was taken of the last one.
+    ``before``: the size of the last full step since a decision, 0 without one. ``stepped``: the totals' step was taken
+    in full. ``from_flat_start``: the start of the scan has led to no end with these meters.
     """
 
     removed: tuple[str, ...] = ()
     kept: str = ""
     steps: int = 0
+    share: float = 1.0
     before: float = 0.0
     stepped: bool = False
     uses_currents: bool = False
@@ -163,31 +153,36 @@ class Verdict:
 
 
 def decide(memory: Memory, totals: Totals, tolerance: float = LAST_STEP) -> tuple[Memory, Verdict]:
-    """The verdict on ``totals``, and what the next one rests on; ``tolerance``: see ``is_last``."""
+    """The verdict on ``totals``, and what the next one rests on; ``tolerance``: see ``gauss_newton.next_step``."""
     if totals.unobservable:
         return memory, Verdict(Decision.FINAL, reason=UNOBSERVABLE)
     if totals.failed:
         return _give_up(memory, NO_ESTIMATE)
     if memory.evaluating:
         return _remove_worst(memory, totals)
-    taken, is_lost = _share_of(memory.steps), not totals.step <= LARGEST_STEP
-    if memory.stepped and not is_lost:
-        share = 1 / max(1 / taken, totals.dva / MAX_DVA, totals.dvm / MAX_DVM)
-        if share < taken:
+    flows_known, before = memory.uses_currents or not totals.held_back, 0.0
+    verdict, share = gauss_newton.correct_step(memory.share, memory.stepped, flows_known, totals.dva, totals.dvm)
+    if verdict == gauss_newton.GO_ON:
+        limit = chi_square_limit(totals.degrees_of_freedom, CONFIDENCE)
+        verdict, share, before = gauss_newton.next_step(
+            memory.steps, memory.share, memory.stepped, memory.before, totals.step, flows_known, memory.uses_currents,
+            totals.objective, limit, tolerance, most_steps(memory),
+        )  # fmt: skip
+    match verdict:
+        case gauss_newton.SHORTEN:
             return replace(memory, stepped=False, before=0.0), Verdict(Decision.SHORTEN, share)
-        if totals.held_back and not memory.uses_currents and totals.step < FLOWS_KNOWN:
+        case gauss_newton.USE_CURRENTS:
             return replace(memory, stepped=False, before=0.0, uses_currents=True), Verdict(Decision.USE_CURRENTS)
-        if (memory.uses_currents or not totals.held_back) and _comes_last(memory, totals, tolerance):
-            if _exceeds_limit(totals) and not memory.kept:
-                return replace(memory, evaluating=True), Verdict(Decision.EVALUATE, with_step=True)
+        case gauss_newton.EVALUATE if not memory.kept:
+            return replace(memory, evaluating=True), Verdict(Decision.EVALUATE, with_step=True)
+        case gauss_newton.FINAL | gauss_newton.EVALUATE:
             return memory, Verdict(Decision.FINAL, with_step=True)
-    if is_lost or memory.steps >= most_steps(memory):
-        if memory.from_flat_start:
+        case gauss_newton.LOST if memory.from_flat_start:
             return _give_up(memory, DIVERGED)
-        return begin_at_flat_start(memory), Verdict(Decision.ANEW)
-    share = _share_of(memory.steps + 1)
-    before = totals.step if memory.stepped and share == taken else 0.0
-    return replace(memory, steps=memory.steps + 1, before=before, stepped=True), Verdict(Decision.STEP, share)
+        case gauss_newton.LOST:
+            return begin_at_flat_start(memory), Verdict(Decision.ANEW)
+    memory = replace(memory, steps=memory.steps + 1, share=share, before=before, stepped=True)
+    return memory, Verdict(Decision.STEP, share)
 
 
 def begin_at_flat_start(memory: Memory) -> Memory:
@@ -207,11 +202,6 @@ def put_back(memory: Memory) -> Memory:
     return Memory(removed=memory.removed[:-1], kept=memory.removed[-1])
 
 
-def _share_of(step: int) -> float:
-    """How much is taken of the step of this number, from 1 on."""
-    return 1.0 if step <= FULL_STEPS else 0.5
-
-
 def most_steps(memory: Memory) -> int:
     """How many steps since the start are taken at most."""
     return MOST_STEPS_ANEW if memory.from_flat_start else MOST_STEPS
@@ -226,15 +216,6 @@ def _remove_worst(memory: Memory, totals: Totals) -> tuple[Memory, Verdict]:
         return replace(memory, evaluating=False), Verdict(Decision.FINAL)
     removed = (*memory.removed, totals.worst[0][0])
     return Memory(removed=removed), Verdict(Decision.ANEW)
-
-
-def _comes_last(memory: Memory, totals: Totals, tolerance: float) -> bool:
-    """Whether the coming step is the last, evaluated by the steps that were taken: a gain would lie below rounding."""
-    step = totals.step
-    if not is_last(step, memory.before, memory.uses_currents, tolerance):
-        return False
-    limit = chi_square_limit(totals.degrees_of_freedom, CONFIDENCE)
-    return step <= SURE_STEP or abs(totals.objective - limit) >= NEAR_LIMIT * limit
 
 
 def _exceeds_limit(totals: Totals) -> bool:

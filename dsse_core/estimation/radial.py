@@ -13,7 +13,7 @@ from dsse_core.errors import EstimationDivergedError
 from dsse_core.estimation.decision import Memory, begin_at_flat_start, most_steps
 from dsse_core.estimation.radial_threads import estimate_on_threads
 from dsse_core.estimation.residuals import CONFIDENCE, chi_square_limit
-from dsse_core.gauss_newton import Solution
+from dsse_core.gauss_newton import EVALUATE, LOST, Solution
 from dsse_core.grid.measurement import check_readings
 from dsse_core.radial.plan import N_SLOT, RadialPlan
 
@@ -55,15 +55,15 @@ def estimate_radial(
             )  # fmt: skip
         if end == compiled.UNUSABLE:
             check_readings(plan.network, plan.meters, values, sigmas)
-        if end != compiled.LOST or memory.from_flat_start:
+        if end != LOST or memory.from_flat_start:
             break
         memory = begin_at_flat_start(memory)
     plan.spaces.append(space)
-    if end == compiled.LOST:
+    if end == LOST:
         weighted = abs(residual) / np.where(sigmas > 0, sigmas, np.inf)
         worst = int(np.argmax(weighted))
         raise EstimationDivergedError(steps, step, str(plan.meters[worst]), float(weighted[worst]))
-    if end == compiled.EVALUATE and not memory.kept:
+    if end == EVALUATE and not memory.kept:
         memory = replace(memory, evaluating=True)
     return memory, (state[0], state[1], residual, objective, steps)
 

@@ -11,16 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from dsse_core.gauss_newton import (
-    FLOWS_KNOWN,
-    FULL_STEPS,
-    LARGEST_STEP,
-    MAX_DVA,
-    MAX_DVM,
-    NEAR_LIMIT,
-    SURE_STEP,
-    is_last,
-)
+from dsse_core.gauss_newton import GO_ON, LOST, USE_CURRENTS, correct_step, next_step
 from dsse_core.radial.plan import RadialPlan
 
 Span = tuple[int, int]
@@ -84,31 +75,23 @@ class FeederIteration:
 
     def iterate(self, tolerance: float, most_steps: int, limit: float) -> tuple[int, int, float]:
         """As ``iteration.iterate``, which has the same lines."""
-        from dsse_core.radial.iteration import EVALUATE, FINAL, LOST
-
         has_currents = self.plan.has_currents
-        flows_known, stepped, last = not has_currents, False, False
-        end, steps, largest, before = LOST, 0, np.inf, 0.0
-        while not last:
-            ends = stepped and flows_known and is_last(largest, before, has_currents, tolerance)
-            if not ends and steps >= most_steps:
+        flows_known, stepped, end = not has_currents, False, GO_ON
+        steps, taken, largest, before = 0, 1.0, 0.0, 0.0
+        while end == GO_ON:
+            J, self.dva, dvm, finite = self._step(flows_known)
+            end, taken, before = next_step(
+                steps, taken, stepped, before, largest, flows_known, has_currents, J, limit, tolerance, most_steps
+            )
+            if end == LOST:
                 break
-            J, dva, dvm, finite = self._step(flows_known)
-            if ends and (largest <= SURE_STEP or abs(J - limit) >= NEAR_LIMIT * limit):
-                last, end = True, EVALUATE if limit <= J else FINAL
-            elif steps >= most_steps:
-                break
-            at_most = 1.0 if last or steps < FULL_STEPS else 0.5
-            before = largest if stepped and steps != FULL_STEPS else 0.0
-            largest, steps = max(dva, dvm) if finite else np.inf, steps + 1
-            if not largest <= LARGEST_STEP:
+            steps, stepped, largest = steps + 1, end == GO_ON, max(self.dva, dvm) if finite else np.inf
+            verdict, self.share = correct_step(taken, stepped, flows_known, self.dva if finite else np.inf, dvm)
+            if verdict == LOST:
                 return LOST, steps, largest
-            self.share = at_most if last else 1.0 / max(1.0 / at_most, dva / MAX_DVA, dvm / MAX_DVM)
-            self.dva = dva
             self._move_trunk()
-            stepped = self.share == at_most
-            if stepped and not flows_known and largest < FLOWS_KNOWN:
-                flows_known, stepped = True, False
+            stepped = verdict == GO_ON
+            flows_known = flows_known or verdict == USE_CURRENTS
         return end, steps, largest
 
     def _step(self, flows_known: bool) -> tuple[float, float, float, bool]:

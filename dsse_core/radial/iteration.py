@@ -8,16 +8,16 @@ import numpy as np
 
 from dsse_core import gauss_newton
 from dsse_core.code_cache import compiled
-from dsse_core.gauss_newton import FLOWS_KNOWN, FULL_STEPS, LARGEST_STEP, MAX_DVA, MAX_DVM, NEAR_LIMIT, SURE_STEP
+from dsse_core.gauss_newton import GO_ON, LOST, USE_CURRENTS
 from dsse_core.limits import LEAST_USABLE_SIGMA, MOST_USABLE_SIGMA
 from dsse_core.radial.block import N_INVERSE, modulus, scaled, wrap
 from dsse_core.radial.kernel import N_FACTOR, N_MORE, SMALL_ANGLE, STEP, descend, eliminate, turned
 from dsse_core.radial.root import N_KNOWN
 
-FINAL, EVALUATE, LOST, UNUSABLE = 0, 1, 2, 3
+UNUSABLE = -1  # in place of a verdict: readings that cannot be
 N_BLOCK = 4 * N_INVERSE
 N_SPACE = 2 * (2 + 1) + 2 * 10 + N_FACTOR + N_MORE + 4 + N_KNOWN  # numbers for a bus: see ``carve``, ``carve_next``
-is_last = compiled(gauss_newton.is_last)
+correct_step, next_step = compiled(gauss_newton.correct_step), compiled(gauss_newton.next_step)
 
 
 def make_space(n: int) -> np.ndarray:
@@ -97,31 +97,26 @@ def iterate(
     found, found_va = v, va
     v_to, va_to = ahead
     moves = 0
-    flows_known, stepped, last = not has_currents, False, False
-    end, steps, largest, before = LOST, 0, np.inf, 0.0
-    while not last:
-        ends = stepped and flows_known and is_last(largest, before, has_currents, tolerance)
-        if not ends and steps >= most_steps:
-            break
+    flows_known, stepped, end = not has_currents, False, GO_ON
+    steps, share, largest, before = 0, 1.0, 0.0, 0.0
+    while end == GO_ON:
         J = eliminate(parent, Y, z, w, v, va, flows_known, STEP, place, above, factor, more, block, step)[2]
-        if ends and (largest <= SURE_STEP or abs(J - limit) >= NEAR_LIMIT * limit):
-            last, end = True, EVALUATE if limit <= J else FINAL
-        elif steps >= most_steps:
+        end, share, before = next_step(
+            steps, share, stepped, before, largest, flows_known, has_currents, J, limit, tolerance, most_steps
+        )
+        if end == LOST:
             break
-        at_most = 1.0 if last or steps < FULL_STEPS else 0.5
-        dva, dvm, finite = descend(parent, place, factor, v, va, step, at_most, True, v_to, va_to)
-        before = largest if stepped and steps != FULL_STEPS else 0.0
-        largest, steps = max(dva, dvm) if finite else np.inf, steps + 1
-        if not largest <= LARGEST_STEP:
+        dva, dvm, finite = descend(parent, place, factor, v, va, step, share, True, v_to, va_to)
+        steps, stepped, largest = steps + 1, end == GO_ON, max(dva, dvm) if finite else np.inf
+        verdict, length = correct_step(share, stepped, flows_known, dva if finite else np.inf, dvm)
+        if verdict == LOST:
             end = LOST
             break
-        share = at_most if last else 1.0 / max(max(1.0 / at_most, dva / MAX_DVA), dvm / MAX_DVM)
-        if share != at_most or not share * dva < SMALL_ANGLE:
-            descend(parent, place, factor, v, va, step, share, share * dva < SMALL_ANGLE, v_to, va_to)
+        if length != share or not length * dva < SMALL_ANGLE:
+            descend(parent, place, factor, v, va, step, length, length * dva < SMALL_ANGLE, v_to, va_to)
         v, va, v_to, va_to, moves = v_to, va_to, v, va, moves + 1
-        stepped = share == at_most
-        if stepped and not flows_known and largest < FLOWS_KNOWN:
-            flows_known, stepped = True, False
+        stepped = verdict == GO_ON
+        flows_known = flows_known or verdict == USE_CURRENTS
     if moves % 2 > 0:
         for i in range(len(v)):
             found[i], found_va[i] = v[i], va[i]

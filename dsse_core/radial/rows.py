@@ -7,9 +7,10 @@ import math
 import numpy as np
 
 from dsse_core.code_cache import compiled
+from dsse_core.gauss_newton import LOST
 from dsse_core.limits import LEAST_USABLE_SIGMA, MOST_USABLE_SIGMA
 from dsse_core.radial.block import modulus, scaled
-from dsse_core.radial.iteration import LOST, carve, carve_next, find_objective, forget_meters, iterate, place_of
+from dsse_core.radial.iteration import carve, carve_next, find_objective, forget_meters, iterate, place_of
 from dsse_core.radial.kernel import CHECK, eliminate
 from dsse_core.radial.lanes import LANES
 from dsse_core.radial.layout import LEAST_PIVOT_RATIO

@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from dsse_core.code_cache import compiled
-from dsse_core.gauss_newton import FULL_STEPS, MAX_DVA, MAX_DVM, NEAR_LIMIT, SURE_STEP
+from dsse_core.gauss_newton import FULL_STEPS, GO_ON
 from dsse_core.radial.block import N_INVERSE, modulus
-from dsse_core.radial.iteration import find_objective, is_last, move, place_of
+from dsse_core.radial.iteration import correct_step, find_objective, move, next_step, place_of
 from dsse_core.radial.kernel import N_FACTOR, N_MORE, STEP, eliminate, substitute
 from dsse_core.radial.lanes import LANES, as_complex_lanes, as_lanes
 from dsse_core.radial.root import N_KNOWN
@@ -114,12 +114,8 @@ def _iterate(of_tree, work, tolerance, limit, steps):
     parent, place, Y, z, w, v, va = of_tree
     above, factor, more, block, step = work
     totals = np.zeros((4, LANES))  # J, |dva|, |dvm|, share of the step
-    together, largest, before, ended = (
-        as_lanes(totals),
-        np.zeros(LANES),
-        np.zeros(LANES),
-        np.zeros(LANES, dtype=np.bool_),
-    )
+    together, largest, before = as_lanes(totals), np.zeros(LANES), np.zeros(LANES)
+    verdict = np.full(LANES, GO_ON)
     for taken in range(FULL_STEPS):
         together[0] = eliminate(parent, Y, z, w, v, va, False, STEP, place, above, factor, more, block, step)[2]
         together[1], together[2], finite = substitute(parent, factor, v, step)
@@ -127,16 +123,17 @@ def _iterate(of_tree, work, tolerance, limit, steps):
             return False
         waiting = 0
         for k in range(LANES):
-            totals[3, k] = 0.0 if ended[k] else 1.0
-            if ended[k]:
+            totals[3, k] = 1.0 if verdict[k] == GO_ON else 0.0
+            if verdict[k] != GO_ON:
                 continue
             J, dva, dvm, steps[k] = totals[0, k], totals[1, k], totals[2, k], taken + 1
-            sure = largest[k] <= SURE_STEP or abs(J - limit[k]) >= NEAR_LIMIT * limit[k]
-            ended[k] = taken > 0 and is_last(largest[k], before[k], False, tolerance) and sure
-            before[k], largest[k] = largest[k], max(dva, dvm)
-            if dva > MAX_DVA or dvm > MAX_DVM:
+            verdict[k], share, before[k] = next_step(
+                taken, 1.0, taken > 0, before[k], largest[k], True, False, J, limit[k], tolerance, FULL_STEPS
+            )
+            largest[k] = max(dva, dvm)
+            if correct_step(share, True, True, dva, dvm)[0] != GO_ON:
                 return False
-            waiting += not ended[k]
+            waiting += verdict[k] == GO_ON
         move(v, va, step, together[3], together[1])
         if waiting == 0:
             return True

@@ -34,7 +34,7 @@ def decisions(*steps: float, memory: Memory = Memory()) -> list[str]:  # noqa: B
 
 
 def test_a_half_step_is_not_made_longer_by_shortening_it():
-    memory = Memory(steps=FULL_STEPS + 1, stepped=True)
+    memory = Memory(steps=FULL_STEPS + 1, share=0.5, stepped=True)
     assert decide(memory, totals(1.5 * MAX_DVA))[1].decision is Decision.STEP
     assert decide(memory, totals(4 * MAX_DVA))[1] == verdict.Verdict(Decision.SHORTEN, 0.25)
 

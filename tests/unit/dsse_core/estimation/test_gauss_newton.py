@@ -2,9 +2,19 @@
 
 import math
 
+import numpy as np
 import pytest
 
-from dsse_core.gauss_newton import LAST_STEP, LEAST_RATE, REST, is_last
+from dsse_core import gauss_newton
+from dsse_core.gauss_newton import EVALUATE, FINAL, LAST_STEP, LEAST_RATE, REST, correct_step, next_step
+
+
+def is_last(largest: float, before: float, with_currents: bool, tolerance: float) -> bool:
+    """The step to come is the last one, with J far below its limit."""
+    verdict, _, _ = next_step(
+        3, 1.0, True, before, largest, True, with_currents, objective=1.0, limit=2.0, tolerance=tolerance, most_steps=25
+    )
+    return verdict == FINAL
 
 
 def ends(*steps: float, with_currents: bool = False, tolerance: float = LAST_STEP) -> int:
@@ -63,10 +73,35 @@ def test_a_smaller_tolerance_bounds_the_step_to_come(tolerance, count):
     assert ends(1e-3, 3e-5, 1e-6, 1e-8, tolerance=tolerance) == count
 
 
-def test_the_compiled_rule_is_the_same():
+def test_nothing_ends_while_j_lies_beside_its_limit():
+    def verdict(objective: float, largest: float) -> int:
+        options = {"tolerance": LAST_STEP, "most_steps": 25}
+        return next_step(3, 1.0, True, 1e-3, largest, True, False, objective=objective, limit=20.0, **options)[0]
+
+    assert (verdict(19.0, 1e-6), verdict(21.0, 1e-6)) == (FINAL, EVALUATE)
+    assert verdict(20.001, 1e-6) == gauss_newton.GO_ON
+    assert verdict(20.001, 1e-9) == EVALUATE
+
+
+def test_the_compiled_step_control_says_the_same_as_the_plain_one_of_100000_iterations():
     pytest.importorskip("numba", reason="the radial back end needs numba: pip install 'consensus-dsse[fast]'")
     from dsse_core.radial import iteration as radial_iteration
 
-    sizes = [10.0**k for k in range(-12, 0)]
-    cases = [(s, b, c, t) for s in sizes for b in (0.0, *sizes) for c in (False, True) for t in (1e-5, 1e-9)]
-    assert [radial_iteration.is_last(*case) for case in cases] == [is_last(*case) for case in cases]
+    rng, count = np.random.default_rng(1), 100_000
+    sizes = np.where(rng.random((3, count)) < 0.05, np.inf, 10.0 ** rng.uniform(-12, 7, (3, count)))
+    steps, (stepped, known, currents) = rng.integers(0, 30, count), rng.random((3, count)) < 0.7
+    share, J = rng.choice([0.5, 1.0], count), 20 + rng.choice([1e-3, 1e-1, 10.0], count) * rng.standard_normal(count)
+    before = np.where(rng.random(count) < 0.2, 0.0, 10.0 ** rng.uniform(-12, 1, count))
+    ends = set()
+    for k in range(count):
+        dva, dvm, largest = sizes[:, k].tolist()
+        of_step = float(share[k]), bool(stepped[k]), bool(known[k]), dva, dvm
+        assert radial_iteration.correct_step(*of_step) == correct_step(*of_step)
+        of_state = (
+            int(steps[k]), float(share[k]), bool(stepped[k]), float(before[k]), largest, bool(known[k]),
+            bool(currents[k]), float(J[k]), 20.0, 1e-5, 25,
+        )  # fmt: skip
+        plain = next_step(*of_state)
+        assert radial_iteration.next_step(*of_state) == plain
+        ends |= {plain[0], correct_step(*of_step)[0]}
+    assert ends == set(range(6))
