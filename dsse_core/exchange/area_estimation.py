@@ -151,8 +151,8 @@ class AreaEstimation:
         prior = self._start if self._silent or self._is_blank else None
         meters = tuple(m.meter for m in in_use)
         former = self._model
-        if former is not None and former.meters == meters and former.prior is prior is None:
-            self._model = former.with_readings(in_use)
+        if former is not None and former.meters == meters:
+            self._model = former.with_readings(in_use, prior)
         else:
             self._model = replace(build_area_model(self.area, in_use, self._reference), prior=prior)
         if former is not None:

@@ -22,7 +22,7 @@ class AreaMeasurements:
 
     ``free``: the variables that are unknown, all but a reference angle. ``backend``: see ``linear.choose_backend``.
     ``prior``: a state, shape (size,), whose voltages count as measured with PRIOR_SIGMA, where neighbours or readings
-    are missing; radial cannot serve then.
+    are missing.
     """
 
     area: Area

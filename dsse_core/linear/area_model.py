@@ -33,11 +33,12 @@ class AreaModel(AreaMeasurements):
         """What computes steps, variances and information of boundaries."""
         return make_linear(self, self.rows)
 
-    def with_readings(self, measurements: Sequence[Measurement]) -> AreaModel:
-        """The same meters, read anew: what rests on topology and meters is kept."""
+    def with_readings(self, measurements: Sequence[Measurement], prior: np.ndarray | None = None) -> AreaModel:
+        """The same meters, read anew, beside a ``prior`` or none: what rests on topology and meters is kept."""
         other = copy.copy(self)  # with all that is cached
         sigma = _sigmas_of(measurements)
-        other.__dict__.update(z=_values_of(measurements), sigma=self.sigma if (sigma == self.sigma).all() else sigma)
+        sigma = self.sigma if (sigma == self.sigma).all() else sigma
+        other.__dict__.update(z=_values_of(measurements), sigma=sigma, prior=prior)
         if (linear := self.__dict__.get("linear")) is not None:
             other.__dict__.update(linear=linear.with_readings(other))
         return other

@@ -45,7 +45,7 @@ def make_linear(model: AreaMeasurements, rows: Rows) -> LinearArea:
     if chosen == "dense":
         return ReducedSolver(model, rows, chosen)
     by_rows = RowSolver(model, rows, "sparse")
-    return RadialSolver(model, by_rows) if chosen == "radial" and model.prior is None else by_rows
+    return RadialSolver(model, by_rows) if chosen == "radial" else by_rows
 
 
 def make_no_load(model: AreaMeasurements) -> NoLoadSolver:
