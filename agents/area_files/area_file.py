@@ -28,6 +28,18 @@ from dsse_core.reading_rules import DEFAULT_RULES, ReadingRules
 FORMAT = 1
 
 
+@dataclass(frozen=True, slots=True)
+class SplitStamp:
+    """What a split writes into each of its files. Two splits of one content are equal, whenever they were made.
+
+    ``digest``: of the split, 16 hex digits. ``content``: of this file. ``time``: of the split, s since 1970 UTC.
+    """
+
+    digest: str
+    content: str
+    time: float = field(compare=False)
+
+
 @dataclass(frozen=True)
 class AreaFile:
     """One area as its agent knows it.
@@ -51,6 +63,7 @@ class AreaFile:
         limits: what an estimate must keep to be relied on.
         readings: who numbers scans, who sends for the meters, and how old their readings may be.
         clock_error_s: injected fault: by how much the clock of the area is ahead, s.
+        split: of which split the file is (``split_digest.py``); None in files of versions that knew no splits.
     """
 
     run: str
@@ -70,6 +83,7 @@ class AreaFile:
     limits: StateLimits = DEFAULT_LIMITS
     readings: ReadingRules = DEFAULT_RULES
     clock_error_s: float = 0.0
+    split: SplitStamp | None = field(default=None, compare=False)
 
 
 def save_area_file(path: Path, content: AreaFile) -> None:
@@ -78,10 +92,15 @@ def save_area_file(path: Path, content: AreaFile) -> None:
     Of buses, branches, generators and meters TOML has a table each, JSON the same keys with a list of all values each.
     """
     is_json = path.suffix == ".json"
-    table = _to_table(content, _columns_of if is_json else _all_rows_of)
+    table = table_of(content) if is_json else _to_table(content, _all_rows_of)
     comment = f"# Area {content.area.name}: all that its agent reads. Per unit on base_mva, and radians.\n"
     with whole_file(path) as draft:
         draft.write_bytes(to_json(table) if is_json else (comment + tomli_w.dumps(table)).encode())
+
+
+def table_of(content: AreaFile) -> dict[str, Any]:
+    """The keys of the file in JSON."""
+    return _to_table(content, _columns_of)
 
 
 def _to_table(content: AreaFile, all_of: Callable[[Any, Sequence[Any]], Any]) -> dict[str, Any]:
@@ -90,6 +109,7 @@ def _to_table(content: AreaFile, all_of: Callable[[Any, Sequence[Any]], Any]) ->
     slack = {"bus": area.slack_bus} | ({} if area.slack_vm is None else {"vm": area.slack_vm})
     return {
         "format": FORMAT,
+        **({"split": dataclasses.asdict(content.split)} if content.split else {}),
         "run": content.run,
         "area": area.name,
         "strategy": content.strategy,

@@ -7,7 +7,7 @@ from itertools import repeat
 from pathlib import Path
 from typing import Any, TypeVar
 
-from agents.area_files.area_file import AreaFile, keys_of
+from agents.area_files.area_file import AreaFile, SplitStamp, keys_of
 from agents.area_files.tables import area_table
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.state_limits import StateLimits
@@ -59,6 +59,7 @@ def load_area_file(path: Path, strategies: Collection[str] | None = None) -> Are
         limits=StateLimits(**vars(t.quality)),
         readings=_rules_of(t.telemetry),
         clock_error_s=t.clock_error_s,
+        split=SplitStamp(**vars(t.split)) if t.split else None,
     )
 
 

@@ -33,8 +33,10 @@ from dsse_core.grid.network import Branch, Bus, Generator
 from dsse_core.grid.partition import Neighbour
 from dsse_core.link_faults import LinkFaults
 from dsse_core.reading_rules import ANYBODY, LEADER, Ticks
+from dsse_core.split_identity import DIGITS, END_OF_TIME
 
 PROBABILITIES = ("loss", "burst_enter", "burst_leave", "burst_loss", "duplicate", "corrupt")
+Digest = Annotated[str, Field(pattern=rf"^[0-9a-f]{{{DIGITS}}}$")]
 Window = Annotated[tuple[NotNegative, NotNegative], Field(strict=False)]  # in a file a list
 
 
@@ -92,6 +94,14 @@ class KindRuleTable(Table):
     highest: float | None = None
 
 
+class SplitTable(Table):
+    """``[split]``, as ``dsse split`` writes it."""
+
+    digest: Digest = Field(description="digest of the split, the same in all of its area files")
+    content: Digest = Field(description="digest of this file as the split has written it")
+    time: Annotated[float, Field(ge=0, lt=END_OF_TIME)] = Field(description="time of the split, s since 1970 UTC")
+
+
 def _all_of_the_leader() -> dict[Any, list[str] | Literal["all"]]:
     return {LEADER: "all"}
 
@@ -113,6 +123,7 @@ class AreaTable(FileTable):
     kind: ClassVar[FileKind] = AREA_FILE
 
     format: Version = Field(description="version of this format, 1")
+    split: SplitTable | None = None
     run: Name = Field(description="name of the system that the area belongs to")
     area: Name = Field(description="name of the area")
     strategy: str = Field(description="how the areas exchange what they know")

@@ -10,6 +10,7 @@ from typing import Annotated
 from msgspec import Meta
 
 from dsse_core.printable import shortened
+from dsse_core.split_identity import DIGITS
 
 LARGEST_COUNT = 2**53  # and of integers the largest size: exact as a float, too
 LONGEST_NAME = 300  # characters of the name of a run, an area or a meter, and of every key of a map
@@ -21,6 +22,7 @@ Integer = Annotated[int, Meta(gt=-LARGEST_COUNT, lt=LARGEST_COUNT)]
 Number = Annotated[float, Meta(ge=-sys.float_info.max, le=sys.float_info.max)]  # finite: nan is not within, either
 Name = Annotated[str, Meta(max_length=LONGEST_NAME)]
 Note = Annotated[str, Meta(max_length=LONGEST_NOTE)]  # sentences; other texts in a message are names
+Digest = Annotated[str, Meta(max_length=DIGITS, pattern="^[0-9a-f]*$")]
 Numbers = tuple[Number, ...]
 Names = tuple[Name, ...]
 Notes = Annotated[tuple[Note, ...], Meta(max_length=MOST_NOTES)]

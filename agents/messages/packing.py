@@ -21,7 +21,7 @@ import msgspec
 import numpy as np
 
 from agents.messages.checks import Count, Integer, MessageError, Name, Number, shown
-from agents.messages.totals_list import WireTotals, list_totals, read_totals
+from agents.messages.totals_list import WireSplit, WireTotals, list_split, list_totals, read_split, read_totals
 from agents.messages.types import (
     NO_INCARNATION,
     BoundaryUpdate,
@@ -39,6 +39,7 @@ from agents.messages.types import (
     UpMessage,
 )
 from dsse_core.estimation.decision import Totals
+from dsse_core.split_identity import SplitIdentity
 
 __all__ = [
     "NO_INCARNATION",
@@ -125,12 +126,14 @@ _PACK: Mapping[Any, Callable[[Any], Any]] = {
     Header: _pack_header,
     Incarnation: _pack_incarnation,
     Totals: list_totals,
+    SplitIdentity: list_split,
     dict: lambda m: list(m.items()),
 }
 _READ: Mapping[Any, Callable[[Any], Any]] = {
     Header: _read_header,
     Incarnation: _read_incarnation,
     Totals: read_totals,
+    SplitIdentity: read_split,
     dict: _read_map,
 }
 
@@ -145,6 +148,8 @@ def _array_type(hint: Any) -> Any:
     """The type of what stands in a message for a value of type ``hint``."""
     if hint is Totals:
         return WireTotals
+    if hint is SplitIdentity:
+        return WireSplit
     if dataclasses.is_dataclass(hint):
         return tuple[tuple(_array_type(place) for place in _hints_of(hint).values())]  # type: ignore[misc]
     if typing.get_origin(hint) is dict:

@@ -14,9 +14,11 @@ from typing import Any, get_type_hints
 
 import msgspec
 
-from agents.messages.checks import Integer, MessageError, Name, Names, Number, shown
+from agents.messages.checks import Digest, Integer, MessageError, Name, Names, Number, shown
 from dsse_core.estimation.decision import Totals
+from dsse_core.split_identity import SplitIdentity, SplitUse
 
+WireSplit = tuple[Digest, Number, Digest]
 WireTotals = tuple[tuple[Name, msgspec.Raw], ...]
 _CHECKED: Mapping[Any, Any] = {
     bool: bool,
@@ -24,6 +26,7 @@ _CHECKED: Mapping[Any, Any] = {
     float: Number,
     tuple[str, ...]: Names,
     tuple[tuple[str, float], ...]: tuple[tuple[Name, Number], ...],
+    tuple[SplitUse, ...]: tuple[tuple[WireSplit, Names], ...],
 }
 SHORT = {"objective": "J", "degrees_of_freedom": "dof", "held_back": "held", "areas": "n", "referenced": "ref"}
 _TYPES = get_type_hints(Totals)
@@ -34,7 +37,8 @@ _PLACES = {kind: (place, name) for place, (kind, name, _) in enumerate(_KINDS)}
 
 def list_totals(totals: Totals) -> list[tuple[str, Any]]:
     """``totals`` as a message carries them."""
-    return [(kind, value) for kind, name, nothing in _KINDS if (value := getattr(totals, name)) != nothing]
+    listed = ((kind, name, value) for kind, name, nothing in _KINDS if (value := getattr(totals, name)) != nothing)
+    return [(kind, list_uses(value) if name == "splits" else value) for kind, name, value in listed]
 
 
 def read_totals(parts: Sequence[tuple[str, msgspec.Raw]]) -> Totals:
@@ -55,4 +59,27 @@ def read_totals(parts: Sequence[tuple[str, msgspec.Raw]]) -> Totals:
         if place <= last:
             raise MessageError("malformed", f"totals of kind {kind} out of order or twice")
         last, values[name] = place, _READERS[kind].decode(value)
+    if "splits" in values:
+        values["splits"] = tuple(SplitUse(read_split(split), areas) for split, areas in values["splits"])
     return Totals(**values)
+
+
+def list_uses(uses: Sequence[SplitUse]) -> list[Any]:
+    """``uses`` as a message carries them."""
+    return [(list_split(use.split), use.areas) for use in uses]
+
+
+def list_split(split: SplitIdentity) -> tuple[str, float, str]:
+    """``split`` as a message carries it."""
+    return split.digest, split.time, split.edited
+
+
+def read_split(places: tuple[str, float, str]) -> SplitIdentity:
+    """The split that a message carries.
+
+    Raises:
+        MessageError: its time lies before 1970.
+    """
+    if places[1] < 0:
+        raise MessageError("malformed", "the time of a split lies before 1970")
+    return SplitIdentity(*places)

@@ -23,6 +23,7 @@ from agents.messages.boundary_variables import (
 from agents.messages.checks import Count, Integer, MessageError, Name, Names, Notes, Number, Numbers
 from dsse_core.estimation.decision import Totals
 from dsse_core.exchange.boundary_load import NetLoad
+from dsse_core.split_identity import NO_SPLIT, SplitIdentity
 
 LAST = {"is_last": True}  # of a field that stands behind those of derived classes
 
@@ -148,6 +149,7 @@ class HeartbeatMessage(PlaceMessage):
     plant gives it, plus so much (``agents/protocol/scan_readings.py``). ``towards_hub``, ``is_parent``: what the
     receiver is to the sender; ``areas``: of the grid; ``base_mva``: all from the sender's area file (``agreement.py``).
     ``clock``: by how much the sender's clock is ahead of its send times, s, which go on where that has been set back.
+    ``split``: of the sender's area file.
     """
 
     kind: ClassVar[str] = "heartbeat"
@@ -161,6 +163,7 @@ class HeartbeatMessage(PlaceMessage):
     areas: Count = 1
     base_mva: Number = 1.0
     clock: Number = 0.0
+    split: SplitIdentity = NO_SPLIT
 
     def lengths(self) -> Lengths:
         return {"y": (len(self.y), (0, len(self.variables)))}
@@ -217,7 +220,8 @@ class DownMessage(RoundMessage):
 class TelemetryMessage:
     """What a gateway, or the plant, has read last of each of its meters in an area: id, value and sigma, p.u. and rad.
 
-    ``times``: when it was measured, s since 1970 UTC. ``valid``: whether its source vouches for it.
+    ``times``: when it was measured, s since 1970 UTC. ``valid``: whether its source vouches for it. ``split``: of the
+    scenario from which a plant reads; of a gateway none.
     """
 
     kind: ClassVar[str] = "telemetry"
@@ -228,6 +232,7 @@ class TelemetryMessage:
     sigmas: Numbers
     times: Numbers
     valid: tuple[bool, ...]
+    split: SplitIdentity = NO_SPLIT
 
     def find_misfit(self) -> str:
         if len(set(self.meters)) < len(self.meters):
@@ -308,7 +313,8 @@ class StateMessage:
     sequence number.
     ``taken_at``: to which moment the ages of the readings count, s since 1970; ``oldest_reading``: age of the oldest
     one used, s; without any that of the newest received. ``meters_off``: those that the operator has switched off;
-    ``command``: (start_ms, random, sequence) of the last command that was followed, zeros before any.
+    ``command``: (start_ms, random, sequence) of the last command that was followed, zeros before any. ``split``: of the
+    area file.
     """
 
     kind: ClassVar[str] = "state"
@@ -342,6 +348,7 @@ class StateMessage:
     oldest_reading: Number = 0.0
     meters_off: Names = ()
     command: tuple[Count, Count, Count] = (0, 0, 0)
+    split: SplitIdentity = NO_SPLIT
 
     def find_misfit(self) -> str:
         return _find_unequal(self, "buses", "vm", "va", "sigma_vm", "sigma_va")

@@ -28,6 +28,7 @@ MOST_COUNTED = 2**51  # scans, revisions, offsets, which never go back: above an
 FUTURE = "time in the future"  # a reason of rejection
 FAR_SCAN = "scan far ahead of the telemetry"  # another
 OTHER_STRATEGY = "other strategy"  # another
+OTHER_BUS = "other boundary bus"  # another
 CONTRADICTION = "contradicts the area file"  # another
 FOR_OTHERS = (StateMessage, ReadingsMessage, CommandMessage, ClockMessage)  # kinds that no neighbour says to an area
 
@@ -99,7 +100,7 @@ def find_rejection(message: Message, key_sender: str, content: AreaFile, now: fl
     if header.sender != key_sender:
         return "sender does not own the key"
     if message.bus != bus:
-        return "other boundary bus"
+        return OTHER_BUS
     if getattr(message, "variables", ONE_PHASE) != ONE_PHASE:
         return "other boundary variables"
     return find_unreasonable(message)

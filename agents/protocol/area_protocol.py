@@ -14,6 +14,7 @@ from dataclasses import replace
 from typing import Any
 
 from agents.area_files.area_file import AreaFile
+from agents.area_files.split_digest import find_identity
 from agents.messages.packing import (
     Header,
     HeartbeatMessage,
@@ -29,7 +30,16 @@ from agents.peers.clock_skew import SKEW_SHARE
 from agents.peers.freshness import FRESH_HEARTBEATS, PASSED_ON_HEARTBEATS, PATIENCE_HEARTBEATS
 from agents.peers.peer_table import PeerTable
 from agents.peers.peers import M, Outgoing, Term
-from agents.peers.rejections import CONTRADICTION, FAR_SCAN, FUTURE, OTHER_STRATEGY, Rejections, find_rejection
+from agents.peers.rejections import (
+    CONTRADICTION,
+    FAR_SCAN,
+    FUTURE,
+    OTHER_BUS,
+    OTHER_STRATEGY,
+    Rejections,
+    find_rejection,
+)
+from agents.peers.splits import Splits
 from agents.protocol.events import (
     Action,
     ClockSet,
@@ -80,8 +90,11 @@ class AreaProtocol(ABC):
         self._shown_readings: tuple[ReadingsMessage, float] | None = None  # those, and when
         self._n_shown = 0
         self._rejections = Rejections()
+        self._splits = Splits(content.area.name, find_identity(content))
         self._end = ScanEnd(PATIENCE_HEARTBEATS * content.beat_s)
-        self._published = PublishedState(content.area, self._peers, self._scan, self._rejections, self._header)
+        self._published = PublishedState(
+            content.area, self._peers, self._scan, self._rejections, self._splits, self._header
+        )
 
     # The interface
 
@@ -211,6 +224,8 @@ class AreaProtocol(ABC):
     def _take(self, message: Message, key_sender: str) -> Iterator[Action]:
         wall = self._wall
         reason = find_rejection(message, key_sender, self._content, wall)
+        if reason in ("", OTHER_BUS):
+            self._splits.take(message)
         if not reason and not isinstance(message, TelemetryMessage):
             self._rejections.note_contradiction(key_sender, self._agreement.find_contradiction(message))
         if not reason and message.kind not in self._kinds:
@@ -313,6 +328,7 @@ class AreaProtocol(ABC):
                 plant=plant,
                 offset=offset,
                 clock=self._peers.correction,
+                split=self._splits.own,
             ),
         )
 

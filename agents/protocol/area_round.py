@@ -13,12 +13,14 @@ import numpy as np
 
 from agents.messages.packing import DownMessage, RoundMessage, UpMessage
 from agents.messages.triangle import read_triangle
+from agents.peers.splits import Splits
 from dsse_core.estimation.decision import Decision, Memory, Totals, Verdict, add_totals, decide, find_omission
 from dsse_core.exchange.area_estimation import FAILURES, AreaEstimation
 from dsse_core.exchange.boundary_load import NetLoad
 from dsse_core.grid.measurement import Measurement
 from dsse_core.grid.partition import Area
 from dsse_core.linear.boundary_information import BoundaryInformation
+from dsse_core.split_identity import SplitIdentity, SplitUse, find_newest
 
 Known = dict[str, BoundaryInformation]
 
@@ -51,14 +53,19 @@ class Content:
 
 
 class AreaRound:
-    """``k``: the round. ``outcome``: how the term has ended, None before. ``links``: the neighbours in use."""
+    """``k``: the round. ``outcome``: how the term has ended, None before. ``links``: the neighbours in use.
 
-    def __init__(self, area: Area) -> None:
+    ``splits``: on which this area, its neighbours and its telemetry work.
+    """
+
+    def __init__(self, area: Area, splits: Splits) -> None:
         self.estimation = AreaEstimation(area)
         self.k = 0
         self.links: frozenset[str] = frozenset()
         self.outcome: Outcome | None = None
         self._area = area
+        self._splits = splits
+        self._newest: SplitIdentity | None = None  # of all areas, as the last totals of all stated it
         self._memory = Memory()
         self._ups: dict[str, UpMessage] = {}
         self._sent = Totals()  # in Up(k)
@@ -140,7 +147,15 @@ class AreaRound:
         for name, up in self._ups.items():
             if up.power:
                 self.estimation.set_power(name, up.power)
-        return add_totals([self.estimation.totals(), *(self._read(self._ups[name].totals) for name in self.lower)])
+        own = replace(self.estimation.totals(), splits=self._find_uses())
+        return add_totals([own, *(self._read(self._ups[name].totals) for name in self.lower)])
+
+    def _find_uses(self) -> tuple[SplitUse, ...]:
+        """The splits that this area knows of. An area whose file is not the newest states its name, once it knows."""
+        own, others = self._splits.own, self._splits.others
+        is_other = not own.is_sound or self._newest not in (None, own)
+        named = (SplitUse(split, (name,)) for name, split in others.items())
+        return (SplitUse(own, (self._area.name,) if is_other else ()), *named)
 
     def _read(self, totals: Totals) -> Totals:
         """Nobody else can name a meter of this area, nor one that is out already."""
@@ -220,6 +235,7 @@ class AreaRound:
         self, verdict: Verdict, totals: Totals, decider: Decider, down: DownMessage | None
     ) -> Iterator[tuple[str, Content]]:
         """Carry ``verdict`` out, as ``down`` brings it; what each lower neighbour is to receive, as it is known."""
+        self._newest = find_newest(totals.splits)
         known, no_load = self._below(), self._no_load_below()
         if down is not None and self.towards_hub:
             known |= {self.towards_hub: information_of(down)} if down.R else {}

@@ -41,6 +41,7 @@ from agents.protocol.quality import (
     find_meters_off,
     find_missing_readings,
     find_missing_side,
+    find_other_splits,
     find_overdue_readings,
     find_rejected_clocks,
     find_skewed_clocks,
@@ -224,7 +225,8 @@ class AsynchronousProtocol(AreaProtocol):
         if not self._scan.has_been_read or self._scan.is_late(self._now, PASSED_ON_HEARTBEATS):
             return False
         overdue = self._scan.readings.ages.overdue_share(self._now) > self._content.limits.most_overdue
-        return not (overdue or self._peers.skewed or self._find_old(PASSED_ON_HEARTBEATS) - {name})
+        is_apart = bool(self._peers.skewed) or not self._splits.are_one()
+        return not (overdue or is_apart or self._find_old(PASSED_ON_HEARTBEATS) - {name})
 
     def _find_old(self, heartbeats: float = FRESH_HEARTBEATS) -> set[str]:
         """Neighbours that are not received, in another scan or not complete, or whose newest message is not here."""
@@ -256,6 +258,7 @@ class AsynchronousProtocol(AreaProtocol):
         estimate = self._estimate
         yield from (Finding(DEGRADED if estimate else NONE, note, note.partition(":")[0]) for note in self._notes)
         yield from find_rejected_clocks(self._rejections.ahead)
+        yield from find_other_splits(self._splits.add_to(()), self._area.name)
         yield from find_contradictions(self._rejections.contradictions)
         yield from find_skewed_clocks(self._peers.skewed)
         yield from find_early_scan(self._scan.lead_s)

@@ -11,6 +11,7 @@ from typing import Any
 from agents.messages.packing import Header, StateMessage, content_of
 from agents.peers.peer_table import PeerTable
 from agents.peers.rejections import Rejections
+from agents.peers.splits import Splits
 from agents.protocol.events import Ordered
 from agents.protocol.quality import Assessment
 from agents.protocol.readings import Ages
@@ -32,6 +33,7 @@ class PublishedState:
         peers: PeerTable,
         scan: ScanReadings,
         rejections: Rejections,
+        splits: Splits,
         header_for: Callable[[int], Header],
     ) -> None:
         self.message: StateMessage | None = None
@@ -40,6 +42,7 @@ class PublishedState:
         self._peers = peers
         self._scan = scan
         self._rejections = rejections
+        self._splits = splits
         self._header_for = header_for
         self._described: tuple[Estimate | None, dict[str, Any]] = None, describe_estimate(None, ())  # the last one
         self._standing: object = None  # what makes a state be published that stays the same
@@ -55,7 +58,7 @@ class PublishedState:
     def _find_standing(self, quality: str) -> object:
         r = self._rejections
         rejections = set(r.ahead), dict(r.contradictions), dict(r.far_scans), set(self._peers.skewed)
-        return quality, dict(self._peers.gone), rejections, self.ordered
+        return quality, dict(self._peers.gone), rejections, self.ordered, dict(self._splits.others)
 
     def compose(
         self,
@@ -94,6 +97,7 @@ class PublishedState:
             oldest_reading=ages.oldest_s if ages.times else self._scan.age(now),
             meters_off=self.ordered.meters_off,
             command=self.ordered.order,
+            split=self._splits.own,
         )
         if last is not None and content_of(last) == content_of(state) and last.header.scan == scan:
             state = replace(state, header=replace(state.header, sequence=last.header.sequence))

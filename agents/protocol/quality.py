@@ -19,6 +19,7 @@ from agents.protocol.readings import Ages, Readings
 from agents.strategies.interface import Estimate
 from dsse_core.estimation.state_limits import StateLimits
 from dsse_core.grid.measurement import Meter, Source
+from dsse_core.split_identity import SplitUse, are_of_one, describe_other, find_newest
 
 GOOD, DEGRADED, RELATIVE_ANGLE, STALE, NONE = "good", "degraded", "relative-angle", "stale", "none"
 UNOBSERVABLE = "unobservable"
@@ -130,6 +131,21 @@ def find_contradictions(contradictions: Mapping[str, str]) -> Iterator[Finding]:
     """Neighbour -> in what its area file contradicts that of this area; that it is missed is noted elsewhere."""
     for name, what in sorted(contradictions.items()):
         yield Finding(DEGRADED, f"{name} is rejected: {what}")
+
+
+def find_other_splits(uses: Sequence[SplitUse], own_name: str) -> Iterator[Finding]:
+    """Files that are not of the newest split of ``uses``, or were edited since; ``own_name``: of this area."""
+    newest, is_named = find_newest(uses), False
+    for use in uses:
+        if use.split == newest and newest.is_sound:
+            continue
+        for name in use.areas:
+            is_named = True
+            whose = "this area" if name == own_name else name
+            yield Finding(DEGRADED, describe_other(whose, use.split, newest), "file of another split", [name])
+    if not (is_named or are_of_one(uses)):
+        known = ", ".join(str(use.split) for use in uses)
+        yield Finding(DEGRADED, f"files on this run are of several splits: {known}", "files of several splits")
 
 
 def find_far_scans(far_scans: Mapping[str, int]) -> Iterator[Finding]:

@@ -49,12 +49,12 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
 
     def __init__(self, content: AreaFile, incarnation: Incarnation, *, now: float, started_at: float) -> None:
         super().__init__(content, self.kinds(), incarnation, now=now, started_at=started_at)
-        self._round = AreaRound(content.area)
+        self._round = AreaRound(content.area, self._splits)
         self._revision = 0
         self._is_change_due = False
         self._has_loads_to_send = False  # which only stand in for what is missing
         self._raised_at = -math.inf  # when this area itself last raised the revision
-        known = self._peers, self._round, self._scan, self._rejections
+        known = self._peers, self._round, self._scan, self._rejections, self._splits
         self._state = RoundsState(content, *known, self._published, self._end)
 
     def describe_backend(self) -> str:

@@ -12,6 +12,7 @@ from agents.peers.freshness import PASSED_ON_HEARTBEATS
 from agents.peers.peer_table import PeerTable
 from agents.peers.peers import Term
 from agents.peers.rejections import Rejections
+from agents.peers.splits import Splits
 from agents.protocol.area_round import AreaRound, Outcome
 from agents.protocol.published_state import PublishedState
 from agents.protocol.quality import (
@@ -31,6 +32,7 @@ from agents.protocol.quality import (
     find_meters_off,
     find_missing_readings,
     find_missing_side,
+    find_other_splits,
     find_overdue_readings,
     find_rejected_clocks,
     find_skewed_clocks,
@@ -43,6 +45,7 @@ from dsse_core.estimation.decision import UNOBSERVABLE as NOT_OBSERVABLE
 from dsse_core.estimation.decision import Totals
 from dsse_core.estimation.residuals import chi_square_limit
 from dsse_core.exchange.area_estimation import FAILURES
+from dsse_core.split_identity import SplitUse
 
 CONTRADICTION = 0.9999  # confidence of the chi-square test of what is shown; bad data are looked for at a lower one
 MISMATCH = 1e-6  # p.u. and rad, of the final voltages that two sides of a boundary have; rounding leaves 1e-8
@@ -58,6 +61,7 @@ class RoundsState:
         round: AreaRound,
         scan: ScanReadings,
         rejections: Rejections,
+        splits: Splits,
         published: PublishedState,
         end: ScanEnd,
     ) -> None:
@@ -66,6 +70,7 @@ class RoundsState:
         self._round = round
         self._scan = scan
         self._rejections = rejections
+        self._splits = splits
         self._published = published
         self._end = end
         buses = [bus.id for bus in content.area.network.buses]
@@ -223,6 +228,7 @@ class RoundsState:
         for name, leave_reason in sorted(self._peers.gone.items()):
             yield find_gone(name, leave_reason)
         yield from find_rejected_clocks(self._rejections.ahead)
+        yield from find_other_splits(self._splits.add_to(self._uses), self._area.name)
         yield from find_contradictions(self._rejections.contradictions)
         yield from find_far_scans(self._rejections.far_scans)
         yield from find_skewed_clocks(self._peers.skewed)
@@ -295,7 +301,14 @@ class RoundsState:
             return False
         if self._scan.readings.ages.overdue_share(now) > self._most_overdue or self._peers.skewed:
             return False
+        if not self._splits.are_one(self._uses):
+            return False
         return not self._peers.find_old(term, self._round.links, now, PASSED_ON_HEARTBEATS) - {name}
+
+    @property
+    def _uses(self) -> tuple[SplitUse, ...]:
+        """The splits that the outcome rests on."""
+        return self._outcome.totals.splits if self._outcome is not None else ()
 
     def _old_sides(self, term: Term, now: float) -> tuple[str, ...]:
         """Neighbours that say that their side is not complete."""

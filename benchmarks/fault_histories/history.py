@@ -15,6 +15,7 @@ from functools import partial
 import numpy as np
 
 from agents.area_files.area_file import AreaFile
+from agents.area_files.split_digest import stamp_split
 from agents.messages.packing import StateMessage
 from agents.protocol.quality import GOOD
 from coordinator.simulator.simulator import SimulatedBus
@@ -80,7 +81,7 @@ class World:
             name: list(dict.fromkeys(m.meter for scan in self.telemetry for m in scan[name]))
             for name in self.telemetry[0]
         }
-        return [
+        files = [
             AreaFile(
                 run="history",
                 area=area,
@@ -93,6 +94,7 @@ class World:
             )
             for area in self.partition.areas
         ]
+        return stamp_split(files, time=0.0)
 
 
 def run_history(seed: int) -> HistoryOutcome:

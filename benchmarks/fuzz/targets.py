@@ -32,6 +32,7 @@ from coordinator.observe.view_text import format_view
 from coordinator.observe.watch import Watcher
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.decision import Totals
+from dsse_core.split_identity import SplitIdentity, SplitUse
 from scenarios.files.network_file import load_case, load_network
 from scenarios.files.readings.file import load_readings, save_readings
 from scenarios.files.shipped_files import find_shipped
@@ -82,6 +83,8 @@ def _make_value(rng: random.Random, kind: Any, length: int) -> Any:
         float: rng.gauss(0, 1),
         str: _make_text(rng),
         messages.Incarnation: messages.Incarnation(rng.randrange(10**12), rng.randrange(2**32)),
+        SplitIdentity: (split := SplitIdentity(f"{rng.randrange(2**64):016x}", rng.uniform(0, 2e9))),
+        SplitUse: SplitUse(split, (_make_text(rng),) * length),
     }
     return made[kind]
 

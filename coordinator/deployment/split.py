@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from agents.area_files.area_file import AreaFile, save_area_file
+from agents.area_files.split_digest import stamp_split
 from agents.messages.keys import NAME
 from dsse_core.errors import InvalidInputError
 from dsse_core.limits import LONGEST_NAME
@@ -20,17 +22,21 @@ def default_run_id(scenario: Scenario) -> str:
 
 
 def area_files(
-    scenario: Scenario, run: str, endpoints: Sequence[str], area_endpoints: Mapping[str, str] | None = None
+    scenario: Scenario,
+    run: str,
+    endpoints: Sequence[str],
+    area_endpoints: Mapping[str, str] | None = None,
+    time: float | None = None,
 ) -> list[AreaFile]:
     """What each area is to know, in scenario order.
 
     ``endpoints``: of the routers. ``area_endpoints``: instead, where each area listens; of two neighbours the child
-    calls.
+    calls. ``time``: of the split, s since 1970 UTC; now if not given.
     """
     area_endpoints = area_endpoints or {}
     partition = scenario.partition
     meters = partition.meters_by_area(scenario.meters)
-    return [
+    files = [
         AreaFile(
             run=run,
             area=area,
@@ -54,6 +60,7 @@ def area_files(
         )
         for area in partition.areas
     ]
+    return stamp_split(files, dataclasses.asdict(scenario.sigma_rule), time)
 
 
 def choose_run_id(scenario: Scenario, given: str | None) -> str:

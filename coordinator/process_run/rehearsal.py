@@ -12,6 +12,7 @@ from pathlib import Path
 
 from agents.area_files.area_file import AreaFile, save_area_file
 from agents.area_files.reader import load_area_file
+from agents.area_files.split_digest import stamp_split
 from agents.messages.packing import decode, encode
 from agents.strategies.installed import list_strategies
 from coordinator.simulator.simulator import SimulatedBus
@@ -44,9 +45,12 @@ def _estimate(strategy: str, partition: Partition) -> dict[str, str]:
     # what an earlier one has left: this process is killed without notice where the scenario turns out to be wrong
     remove_leftovers(temporary, PREFIX)
     with draft_folder(temporary, PREFIX) as folder:
-        for area in partition.areas:
-            path = folder / f"{area.name}.json"
-            save_area_file(path, AreaFile("rehearsal", area, meters[area.name], strategy, ("tcp/127.0.0.1:0",)))
+        made = [
+            AreaFile("rehearsal", area, meters[area.name], strategy, ("tcp/127.0.0.1:0",)) for area in partition.areas
+        ]
+        for content in stamp_split(made):
+            path = folder / f"{content.area.name}.json"
+            save_area_file(path, content)
             files.append(load_area_file(path, list_strategies()))
     readings = {
         content.area.name: [Measurement(m, float(m.kind is MeasurementKind.VM), SIGMA) for m in content.meters]

@@ -16,6 +16,7 @@ from typing import Protocol
 import numpy as np
 
 from agents.area_files.area_file import AreaFile
+from agents.area_files.split_digest import stamp_split
 from agents.messages.packing import Header, Incarnation, StateMessage, TelemetryMessage
 from agents.protocol.quality import GOOD
 from agents.security.access import PLANT
@@ -89,7 +90,7 @@ def load_replay_areas(folder: Path, scenario: Scenario | None = None) -> list[Ar
     if not files:
         problem = "was recorded without its area files; say by --scenario what the areas were split from"
         raise InvalidInputError(str(folder), [problem])
-    return [replace(content, readings=DEFAULT_RULES, clock_error_s=0.0, scan_s=None) for content in files]
+    return stamp_split([replace(c, readings=DEFAULT_RULES, clock_error_s=0.0, scan_s=None) for c in files])
 
 
 def replay(

@@ -103,7 +103,7 @@ class Simulation:
         self._telemetry = make_telemetry(scenario)
         self._centralised = estimate_centralised(scenario, self._telemetry)
         self._write(0.0, "run started", run=self.id, scenario=scenario.name, seed=scenario.seed)
-        files = area_files(scenario, self.id, NO_BUS)
+        files = area_files(scenario, self.id, NO_BUS, time=STARTED_AT)
         self._subscriber.begin(self.id, files)
         late_s = find_lateness(scenario, FIRST_SCAN)
         self._used = UsedReadings(scenario)

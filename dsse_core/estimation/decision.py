@@ -14,9 +14,10 @@ from enum import StrEnum
 from dsse_core import gauss_newton
 from dsse_core.estimation.residuals import CONFIDENCE, chi_square_limit, keep_tied
 from dsse_core.gauss_newton import LAST_STEP, MOST_STEPS, MOST_STEPS_ANEW
+from dsse_core.split_identity import SplitUse, add_uses
 
 MOST_REMOVED = 1000  # meters of one scan; more are made up by somebody who would do so for ever
-MOST_NAMED = 20  # areas or ranges of buses that totals name
+MOST_NAMED = 20  # areas, splits or ranges of buses that totals name
 
 
 class Decision(StrEnum):
@@ -45,7 +46,7 @@ class Totals:
     above the threshold and those that equal it, by id; empty unless evaluating. ``areas``: how many they are.
     ``referenced``: one of them knows the substation's angle. ``silent``, ``stale``: neighbours that are not received,
     areas without readings of the scan. ``unobservable``: buses that no meter determines. ``failed``: areas that have
-    no numbers.
+    no numbers. ``splits``: on which the areas work, the oldest first; nothing is decided by them.
     """
 
     objective: float = 0.0
@@ -60,6 +61,7 @@ class Totals:
     stale: tuple[str, ...] = ()
     unobservable: tuple[str, ...] = ()
     failed: tuple[str, ...] = ()
+    splits: tuple[SplitUse, ...] = ()
 
     @property
     def step(self) -> float:
@@ -83,6 +85,7 @@ def add_totals(parts: Iterable[Totals]) -> Totals:
         stale=_add_names(t.stale for t in parts),
         unobservable=tuple(sorted((r for t in parts for r in t.unobservable), key=_first_bus))[:MOST_NAMED],
         failed=_add_names(t.failed for t in parts),
+        splits=add_uses((use for t in parts for use in t.splits), MOST_NAMED),
     )
 
 
@@ -97,6 +100,9 @@ def find_omission(totals: Totals, part: Totals) -> str:
         names = getattr(totals, name)
         if len(names) < MOST_NAMED and (missing := set(getattr(part, name)) - set(names)):
             return f"it leaves out of what is {name}: {', '.join(sorted(missing))}"
+    splits = {use.split for use in totals.splits}
+    if len(splits) < MOST_NAMED and (left_out := [use.split for use in part.splits if use.split not in splits]):
+        return f"it leaves out that areas work on {left_out[0]}"
     for name in ("objective", "dvm", "dva", "held_back", "referenced"):
         if getattr(totals, name) < (least := getattr(part, name)):
             return f"it says {name} {getattr(totals, name):.6g} where this side alone has {least:.6g}"

@@ -179,7 +179,7 @@ def test_the_newest_readings_stand_in_for_those_that_are_lost():
 
 def test_where_the_time_between_scans_is_known_nobody_is_waited_for_longer_than_a_quarter_of_it():
     scan_s = 2 * DEADLINE_HEARTBEATS * HEARTBEAT_S
-    files = [replace(f, scan_s=scan_s) for f in area_files_of(load_scenario("ieee33"), strategy="information")]
+    files = area_files_of(load_scenario("ieee33"), strategy="information", scan_s=scan_s)
     telemetry = make_telemetry(load_scenario("ieee33")).by_area
     bus = SimulatedBus(files, telemetry)
     settle_bus(bus)

@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 
 from agents.area_files.area_file import AreaFile
+from agents.area_files.split_digest import stamp_split
 from agents.messages.packing import (
     DownMessage,
     Header,
@@ -58,7 +59,7 @@ def files_of(tree: str) -> dict[str, AreaFile]:
     for area in build_partition(network, TREES[tree]).areas:
         meter = Meter(MeasurementKind.VM, area.network.buses[-1].id)
         files[area.name] = AreaFile("toy", area, (meter,), "information", ("tcp/127.0.0.1:0",), beat_s=HEARTBEAT_S)
-    return files
+    return dict(zip(files, stamp_split(list(files.values()), time=0.0), strict=True))
 
 
 def deliver_all(sender: str, receiver: str, message: RoundsMessage) -> float | None:

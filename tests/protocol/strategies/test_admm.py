@@ -8,6 +8,7 @@ from feeders import make_feeder
 from simulated_bus import SimulatedBus, area_files_of, with_links
 from tree_of_areas import tree_scenario, with_angle_meters
 
+from agents.area_files.split_digest import stamp_split
 from agents.messages.packing import encode
 from agents.protocol.events import Received
 from agents.strategies.admm_boundary import AdmmMessage
@@ -101,7 +102,7 @@ def test_messages_that_arrive_twice_and_in_another_order_change_nothing(seed):
 def test_random_feeders_reach_it(seed):
     rng = np.random.default_rng(seed)
     feeder = make_feeder(seed, n_bus=int(rng.integers(3, 60)), n_area=int(rng.integers(2, 8)), decades=seed % 3)
-    files = [replace(f, strategy="admm") for f in feeder.area_files(rng.choice([0.0, 0.3]), seed)]
+    files = stamp_split([replace(f, strategy="admm") for f in feeder.area_files(rng.choice([0.0, 0.3]), seed)])
     bus = SimulatedBus(files, feeder.telemetry())
     settle(bus)
     assert gap_of(bus, estimate_state(feeder.network, feeder.measurements, tolerance=1e-11)) < GAP
