@@ -24,7 +24,7 @@ from dsse_core.exchange.feeder_bad_data import (
     find_objective,
 )
 from dsse_core.exchange.meter_checks import estimate_readings, find_critical, find_suspects
-from dsse_core.grid.admittance import walk_unloaded
+from dsse_core.grid.admittance import find_no_load
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.grid.partition import Area
 from dsse_core.linear import choose_backend
@@ -385,7 +385,7 @@ def _as_ranges(buses: Sequence[int]) -> tuple[str, ...]:
 
 def _flat_start(area: Area) -> np.ndarray:
     """x of the flat start of the whole grid, without power into children."""
-    vm, va = walk_unloaded(area.network, area.entry_bus)
+    vm, va = find_no_load(area.network, area.entry_bus)
     entry_vm, entry_va = area.entry_voltage
     children = sum(not n.is_parent for n in area.neighbours)
     vm, va = vm * entry_vm, va + entry_va

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
+import scipy.sparse.linalg as spla
 
 from dsse_core.grid.network import Network
+from dsse_core.grid.network_table import NetworkTable
 
 
 @dataclass(frozen=True)
@@ -50,25 +52,53 @@ def build_admittance(network: Network, *, with_shunts: bool = True) -> Admittanc
     return Admittance(sp.coo_array((entries, (rows, columns)), shape=(n + 2 * n_branch, n)).tocsr())
 
 
-def flat_start(network: Network, reference: int) -> tuple[np.ndarray, np.ndarray]:
-    """The voltages (vm, va) that the unloaded network would have with 1 p.u., 0 rad at bus ``reference``.
-
-    Walks from the reference over the branches and follows tap ratios and phase shifts.
-    """
-    vm, va = walk_unloaded(network, reference)
+def flat_start(
+    network: Network, reference: int, held: Mapping[int, float] | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """``find_no_load`` with angles within half a turn."""
+    vm, va = find_no_load(network, reference, held)
     return vm, np.angle(np.exp(1j * va))
 
 
-def walk_unloaded(network: Network, reference: int) -> tuple[np.ndarray, np.ndarray]:
-    """``flat_start`` with angles as the walk adds them up: they may be beyond half a turn."""
-    table = network.table
+def find_no_load(
+    network: Network, reference: int, held: Mapping[int, float] | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """The voltages (vm, va) of the unloaded network, p.u. and rad; angles may be beyond half a turn.
+
+    0 rad at bus ``reference``. ``held``: bus -> the magnitude there, p.u.; 1 p.u. at ``reference`` unless it is given.
+    On a tree a walk from the reference follows tap ratios and phase shifts. Where loops close with another voltage than
+    they began with, or further buses hold theirs, magnitudes and angles balance, each for themselves:
+
+        sum |ys| (vm_f / tap - vm_t)^2 -> min,    sum |ys| (va_f - shift - va_t)^2 -> min
+
+    In a meshed network taps follow the loads, and along a walk they add up to voltages that no bus has. Parts of a
+    network that share one bus can each be balanced alone.
+    """
+    table, held = network.table, {reference: 1.0} | dict(held or {})
     n, active = len(table.bus_id), table.active
     tap, shift = table.tap[active], table.shift[active]
-    if (tap == 1.0).all() and (shift == 0.0).all():
-        return np.ones(n), np.zeros(n)
+    vm, va, is_given = np.ones(n), np.zeros(n), np.zeros(n, dtype=bool)
+    is_given[network.row[reference]] = True
+    turns, transforms = bool((shift != 0.0).any()), bool((tap != 1.0).any())
+    if turns or transforms:
+        vm, va = _walk(network, reference, tap, shift)
+    vm *= held[reference]
+    has_loops = len(active) > n - table.island.max() - 1
+    if turns and has_loops:
+        va = _balance(table, np.ones(len(active)), shift, is_given, va)
+    for bus, magnitude in held.items():
+        vm[network.row[bus]], is_given[network.row[bus]] = magnitude, True
+    if (transforms and has_loops) or len(held) > 1:
+        vm = _balance(table, 1 / tap, np.zeros(len(active)), is_given, vm)
+    return vm, va
+
+
+def _walk(network: Network, reference: int, tap: np.ndarray, shift: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """vm and va along a tree of branches from 1 p.u., 0 rad, which buses out of reach keep; (n_bus,)."""
     from scipy.sparse.csgraph import breadth_first_order
 
-    start = network.row[reference]
+    table = network.table
+    n, start = len(table.bus_id), network.row[reference]
     _, above = breadth_first_order(table.graph, start, directed=False)
     gain, turn = np.ones(n), np.zeros(n)  # from the bus above, of buses out of reach none: observability names them
     for here, there, factor, angle in ((table.t, table.f, tap, shift), (table.f, table.t, 1 / tap, -shift)):
@@ -76,6 +106,26 @@ def walk_unloaded(network: Network, reference: int) -> tuple[np.ndarray, np.ndar
         gain[there[walked]], turn[there[walked]] = factor[walked], angle[walked]
     above = np.where(above < 0, np.arange(n), above)
     return follow(above, gain, np.multiply), follow(above, turn, np.add)
+
+
+def _balance(
+    table: NetworkTable, gain: np.ndarray, offset: np.ndarray, is_given: np.ndarray, values: np.ndarray
+) -> np.ndarray:
+    """The ``values`` (n_bus,) that minimise sum |ys| (gain v_f - offset - v_t)^2 with those that are given.
+
+    ``gain``, ``offset``: (n_branch,). Buses that no branch joins to a given one keep their value.
+    """
+    n, branch, weight = len(values), np.arange(len(gain)), np.sqrt(abs(table.ys))
+    A = sp.csr_array(
+        (np.r_[weight * gain, -weight], (np.r_[branch, branch], np.r_[table.f, table.t])), shape=(len(branch), n)
+    )
+    free = np.flatnonzero(~is_given & np.isin(table.island, table.island[is_given]))
+    values = values.copy()
+    values[free] = 0.0
+    if len(free):
+        A_free = A[:, free]
+        values[free] = spla.splu((A_free.T @ A_free).tocsc()).solve(A_free.T @ (weight * offset - A @ values))
+    return values
 
 
 def follow(above: np.ndarray, own: np.ndarray, join: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:

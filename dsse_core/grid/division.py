@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dsse_core.errors import InvalidInputError
-from dsse_core.grid.admittance import walk_unloaded
+from dsse_core.grid.admittance import find_no_load
 from dsse_core.grid.columns import Records, split_by, take_items
 from dsse_core.grid.network import Bus, Control, Generator, Network
 from dsse_core.grid.partition import Area, Neighbour, Partition
@@ -90,7 +90,7 @@ def _with_schedule(partition: Partition) -> Partition:
     """Every area with what it has to know of the whole: the way to the hub, how many areas there are, its start."""
     network, towards = partition.network, _find_ways(partition, partition.hub)
     assert network.slack is not None  # checked by _find_bus_problems
-    vm, va = walk_unloaded(network, network.slack.bus)
+    vm, va = find_no_load(network, network.slack.bus)
     areas = []
     for area in partition.areas:
         row = network.row[area.entry_bus]

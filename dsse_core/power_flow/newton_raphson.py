@@ -11,6 +11,7 @@ import numpy as np
 import scipy.sparse.linalg as spla
 
 from dsse_core.errors import InvalidInputError, PowerFlowDivergedError
+from dsse_core.gauss_newton import LOST, correct_step
 from dsse_core.grid.admittance import Admittance, build_admittance
 from dsse_core.grid.measurement import Meter, find_meter_problems
 from dsse_core.grid.measurement_model import MeasurementModel, build_measurement_model
@@ -18,7 +19,6 @@ from dsse_core.grid.network import Network
 from dsse_core.power_flow.plan import MethodChoice, PowerFlowPlan, build_power_flow_plan
 from dsse_core.radial.plan import RadialLayout
 
-LARGEST_STEP = 1e6  # p.u. or rad; beyond it there is nothing to find
 Method = Literal["sweep", "newton"]
 
 
@@ -80,7 +80,7 @@ def solve_power_flow(
     max_iterations: int = 30,
     method: MethodChoice = "auto",
 ) -> PowerFlowResult:
-    """Solve ``v conj(ybus v) = s_generation - s_load`` from the flat start.
+    """Solve ``v conj(ybus v) = s_generation - s_load`` from the unloaded network with all voltages held.
 
     By backward and forward sweeps where numba is installed, the network radial, with FEWEST_BUSES_OF_SWEEP buses or
     more, and no bus but the slack holds its voltage; where they do not reach the tolerance, and else, by
@@ -174,13 +174,19 @@ def _newton(
 def _newton_step(
     model: MeasurementModel, x: np.ndarray, target: np.ndarray, unknown: np.ndarray, mismatch: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """The next state and its mismatch; None at the nose of the voltage curve (singular) or out of all bounds."""
+    """The next state and its mismatch; None at the nose of the voltage curve (singular) or out of all bounds.
+
+    No step moves a voltage by more than MAX_DVM and MAX_DVA, as in the estimate.
+    """
     try:
         step = spla.splu(model.jacobian(x)[:, unknown].tocsc()).solve(mismatch)
     except RuntimeError:  # SuperLU: exactly singular
         return None
-    x = x.copy()
-    x[unknown] += step
-    if not abs(step).max(initial=0.0) < LARGEST_STEP or (x[len(x) // 2 :] == 0).any():
+    whole = np.zeros(len(x))
+    whole[unknown] = step
+    dva, dvm = abs(whole).reshape(2, -1).max(axis=1).tolist()
+    verdict, share = correct_step(1.0, stepped=True, flows_known=True, dva=dva, dvm=dvm)
+    if verdict == LOST:
         return None
-    return x, target - model.predict(x)
+    x = x + share * whole
+    return None if (x[len(x) // 2 :] <= 0).any() else (x, target - model.predict(x))

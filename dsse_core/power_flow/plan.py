@@ -28,7 +28,7 @@ ROUND_OFF = 1e-15  # of the sum of a bus' admittances: what its mismatch cannot 
 
 @dataclass(frozen=True)
 class PowerFlowPlan:
-    """``start``: x = [va; vm], (2 n_bus,), flat but for set-points. ``held``: bus -> the voltage that it holds.
+    """``start``: x = [va; vm], (2 n_bus,), of no load but for set-points. ``held``: bus -> the voltage that it holds.
 
     ``layout``: the tree to sweep over, or, as text, why Newton's method is taken.
     """
@@ -92,9 +92,7 @@ def build_power_flow_plan(
     if problems := list(_find_problems(network, slack_bus, slack_vm, extra_load or {})):
         raise InvalidInputError(f"power flow of network {network.name!r}", problems)
     held = {g.bus: g.vm for g in network.generators if g.control is Control.VOLTAGE} | {slack_bus: slack_vm}
-    vm, va = flat_start(network, slack_bus)
-    for bus, set_point in held.items():
-        vm[network.row[bus]] = set_point
+    vm, va = flat_start(network, slack_bus, held)
     layout = _lay_out(network, slack_bus, held, method, n_row)
     return PowerFlowPlan(network, slack_bus, held, np.r_[va + slack_va, vm], build_admittance(network), layout)
 

