@@ -29,6 +29,7 @@ from agents.transport.bus_config import (
 )
 from agents.transport.renewable_bus import Declaration, RenewableBus
 from dsse_core.errors import DsseError
+from dsse_core.files.bounded_parsing import parse_json
 from dsse_core.limits import LONGEST_S
 
 log = logging.getLogger(__name__)
@@ -311,7 +312,7 @@ def _locators(session: zenoh.Session) -> tuple[str, ...]:
     deadline = time.monotonic() + 5.0
     while time.monotonic() < deadline:
         for reply in session.get(f"@/{session.zid()}/router", timeout=1.0):
-            if reply.ok is not None and (locators := json.loads(reply.ok.payload.to_string()).get("locators")):
+            if reply.ok is not None and (locators := parse_json(reply.ok.payload.to_string()).get("locators")):
                 return tuple(locators)
     raise TransportError("the router does not say where it listens; this is a defect, please report it")
 

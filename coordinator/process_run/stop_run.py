@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import re
 import signal
@@ -18,6 +17,7 @@ from coordinator.process_run.fork_server import MODULE, STOP_ALL_S, STOP_S
 from coordinator.run_folder import EVENTS, PARTS, describe_missing
 from dsse_core.errors import DsseError, InvalidInputError
 from dsse_core.files.bounded_file import read_text
+from dsse_core.files.bounded_parsing import parse_json
 from dsse_core.files.drafts import remove_leftovers
 
 PROC = Path("/proc")
@@ -93,9 +93,9 @@ def read_started_run(folder: Path) -> StartedRun:
     if missing := describe_missing(folder, EVENTS):
         raise InvalidInputError(f"run folder {folder}", [f"{missing}; {RUN_FOLDER}"])
     try:
-        event: dict[str, Any] = json.loads((read_text(path).splitlines() or [""])[0])
+        event: dict[str, Any] = parse_json((read_text(path).splitlines() or [""])[0])
         run = StartedRun(str(event["run"]), int(event["parent_pid"]), str(event["mark"]))
-    except (ValueError, RecursionError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError):
         run = None
     if run is None or not MARK.fullmatch(run.mark):
         problem = f"does not begin with the start of a run of processes; {RUN_FOLDER}"

@@ -21,6 +21,7 @@ from agents.area_files.area_file import AreaFile, save_area_file
 from coordinator.run_folder import RECORDING, describe_missing
 from dsse_core.errors import InvalidInputError
 from dsse_core.files.bounded_file import read_text
+from dsse_core.files.bounded_parsing import parse_json
 from dsse_core.files.drafts import whole_file
 
 ABOUT, AREAS, LOGS = "recording.json", "areas", "log"
@@ -68,11 +69,11 @@ def read_about(folder: Path) -> About:
         problem = f"{missing}; give a folder that `dsse record` has written, or {RECORDING} in a run folder"
         raise InvalidInputError(f"recording {folder}", [problem])
     try:
-        content = json.loads(read_text(path))
+        content = parse_json(read_text(path))
         if content["format"] != FORMAT:
             raise InvalidInputError(str(path), [f"has format {content['format']!r}; this version reads {FORMAT}"])
         return About(str(content["run"]), tuple(map(str, content["areas"])))
-    except (ValueError, RecursionError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError):
         problem = "does not say of which run this is; give a folder that `dsse record` has written"
         raise InvalidInputError(str(path), [problem]) from None
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -14,6 +13,7 @@ from coordinator.figures.plot_text import plot_text
 from coordinator.figures.style import COLOURS, LINES, MARKERS, Drawing, format_power_of_ten, new_figure, styled
 from coordinator.studies.study_row import NO_CONSENSUS, StudyRow
 from coordinator.studies.sweep_plan import Task
+from dsse_core.files.bounded_parsing import parse_toml
 
 SPREAD = (10, 90)  # percentiles between which the band lies
 SMALLEST = 1e-16  # what a logarithmic axis shows for 0
@@ -100,8 +100,8 @@ def _name_outcomes(strategy: str, rows_of_value: Sequence[Sequence[StudyRow]]) -
 
 def _number(value: str) -> float | None:
     try:
-        found = tomllib.loads(f"value = {value}")["value"]
-    except tomllib.TOMLDecodeError:
+        found = parse_toml(f"value = {value}")["value"]
+    except ValueError:
         return None
     return float(found) if type(found) in (int, float) else None
 

@@ -17,6 +17,8 @@ from coordinator.run_folder import folder_error
 from coordinator.studies.study_row import COLUMNS, StudyRow, from_cells, to_cells
 from coordinator.studies.sweep_plan import Task
 from dsse_core.errors import InvalidInputError
+from dsse_core.files.bounded_file import read_text
+from dsse_core.files.bounded_parsing import parse_json
 from dsse_core.files.drafts import remove_leftovers, whole_file
 from dsse_core.files.whole_lines import WholeLines
 
@@ -107,8 +109,8 @@ def _check_settings(folder: Path, settings: dict[str, Any]) -> None:
             draft.write_text(json.dumps(settings, indent=2) + "\n", encoding="utf-8")
         return
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        found = parse_json(read_text(path))
+    except ValueError as error:
         raise InvalidInputError(str(path), [f"is not what a sweep has written: {error}; {ANOTHER}"]) from None
     there = found if isinstance(found, dict) else {}
     problems = [

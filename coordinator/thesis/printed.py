@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
+
+from dsse_core.files.bounded_parsing import parse_json
 
 CASES = ("industrial13", "ieee33")
 
@@ -45,7 +46,7 @@ class PrintedCase:
 
 def load_case(case: str) -> PrintedCase:
     """The tables of ``case``, one of CASES, by their number."""
-    content = json.loads((files("coordinator") / "thesis" / "tables" / f"{case}.json").read_text(encoding="utf-8"))
+    content = parse_json((files("coordinator") / "thesis" / "tables" / f"{case}.json").read_text(encoding="utf-8"))
     misprints = [Misprint(**entry) for entry in content["misprints"]]
     tables = {}
     for number, table in content["tables"].items():

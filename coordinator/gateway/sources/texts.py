@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Any
+
+from dsse_core.files.bounded_parsing import parse_json
 
 YES = {"true", "1", "yes", "good", "valid"}
 
@@ -41,21 +42,17 @@ def as_validity(given: object) -> bool:
 
 
 class NotUsableError(ValueError):
-    """A text that is no JSON object, or has a key twice."""
+    """A text that is no JSON object, or that the one reader of JSON rejects."""
 
 
 def parse_object(text: str | bytes) -> Mapping[str, Any]:
     """The JSON object in ``text``.
 
     Raises:
-        NotUsableError: it is none, or has a key twice; naming which.
+        NotUsableError: it is none, or ``parse_json`` rejects it; saying why.
     """
     try:
-        found = json.loads(text, object_pairs_hook=_take_each_once)
-    except RecursionError:
-        raise NotUsableError("too deep") from None
-    except NotUsableError:
-        raise
+        found = parse_json(text.decode() if isinstance(text, bytes) else text)
     except ValueError as error:
         raise NotUsableError(f"not JSON: {error}") from None
     if not isinstance(found, dict):
@@ -70,12 +67,3 @@ def find_at(content: object, path: str) -> tuple[bool, object]:
             return False, None
         content = content[key]
     return True, content
-
-
-def _take_each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    content = dict(pairs)
-    if len(content) < len(pairs):
-        keys = [key for key, _ in pairs]
-        twice = next(key for key in content if keys.count(key) > 1)
-        raise NotUsableError(f"key {twice!r:.80} stands twice")
-    return content

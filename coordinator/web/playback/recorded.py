@@ -8,8 +8,6 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
-import msgspec
-
 from agents.messages.keys import incarnation_of, live_key, name_of_live
 from agents.messages.packing import NO_INCARNATION, Header, ReadingsMessage, StateMessage
 from coordinator.recording.entries import APPEARED, VANISHED
@@ -19,6 +17,7 @@ from coordinator.replay.ticks import rows_of_segment
 from coordinator.web.playback.play import MOST_VALUES, Play, Presence, Update, count_values
 from coordinator.web.playback.source import PlaybackSource
 from dsse_core.errors import InvalidInputError
+from dsse_core.files.bounded_parsing import parse_json
 from scenarios.scenario import Scenario
 
 MOST_UPDATES = 10_000  # the newest that are played
@@ -128,7 +127,7 @@ def _to_header(row: Row, run: str) -> Header:
 def _to_state(row: Row, run: str) -> StateMessage:
     """Without its buses."""
     blank: dict[str, Any] = dict.fromkeys(("buses", "vm", "va", "sigma_vm", "sigma_va"), ())
-    tables = {name: msgspec.json.decode(row[key] or "{}") for name, key in _TABLES.items()}
+    tables = {name: parse_json(row[key] or "{}") for name, key in _TABLES.items()}
     plain: dict[str, Any] = {name: tuple(row[name]) if isinstance(row[name], list) else row[name] for name in _SAME}
     return StateMessage(
         header=_to_header(row, run),

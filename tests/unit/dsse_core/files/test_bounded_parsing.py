@@ -75,6 +75,26 @@ def test_a_key_given_twice_is_rejected_whatever_its_values(text: str) -> None:
         parse_json(text)
 
 
+class CountedKey(str):
+    """A key that counts how often it is compared."""
+
+    comparisons = 0
+    __hash__ = str.__hash__
+
+    def __eq__(self, other: object) -> bool:
+        CountedKey.comparisons += 1
+        return str.__eq__(self, other)
+
+
+def test_the_work_for_keys_given_twice_grows_with_their_number_not_with_its_square() -> None:
+    count = 20_000
+    CountedKey.comparisons = 0
+    pairs = [(CountedKey(k % (count // 2)), k) for k in range(count)]
+    with pytest.raises(ValueError, match="given twice"):
+        bounded_parsing._take_each_once(pairs)
+    assert 0 < CountedKey.comparisons < 10 * count
+
+
 @pytest.mark.parametrize("text", ['{"\\ud800_module": 1}', '["\\uDFFF"]', '["\\ude00\\ud83d"]', '["\ud800"]'])
 def test_half_of_a_character_which_other_readers_leave_out_is_rejected(text: str) -> None:
     with pytest.raises(ValueError, match="half of a character"):

@@ -10,6 +10,7 @@ import pytest
 
 from coordinator.gateway.sources import json_lines
 from coordinator.gateway.sources.json_lines import JsonLinesSettings, JsonLinesSource
+from coordinator.gateway.sources.lines import LineCutter
 
 
 @pytest.fixture
@@ -51,7 +52,17 @@ def test_it_reads_both_forms_and_rejects_what_is_none(stdin, recorder, run) -> N
     assert recorder.readings[3][1] != recorder.readings[3][1]
     assert recorder.readings[4] == ("U1", 13, None, True, None)
     assert [reason for reason, _ in recorder.rejected] == ["malformed"] * 7
-    assert "'address' stands twice" in recorder.rejected[3][1]
+    assert "'address' is given twice" in recorder.rejected[3][1]
+
+
+def test_a_line_of_a_mebibyte_that_repeats_one_key_is_one_malformed_line(recorder) -> None:
+    line = b'{"values": {' + b'"U1":1,' * 149_700 + b'"U1":1}}\n'
+    assert 2**20 - 1000 < len(line) < 2**20
+    for text in LineCutter().cut(line):
+        json_lines._take(text, recorder)
+    assert recorder.readings == []
+    assert [reason for reason, _ in recorder.rejected] == ["malformed"]
+    assert "key 'U1' is given twice" in recorder.rejected[0][1]
 
 
 def test_a_unit_stated_for_many_values_is_that_of_each(stdin, recorder, run) -> None:
