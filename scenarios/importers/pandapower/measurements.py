@@ -31,8 +31,8 @@ class Conversion:
     ``network`` has loads of constant power: what a load draws at which voltage does not matter where it is measured.
     ``sgen``: the static generators, which are out of service in ``net``.
     ``bus_of``: index of a supplied bus -> its bus id here; ``branch_of``: (element type, index) -> branch id;
-    ``open_ends``, ``loops``: the branches that are now shunts, as (element type, index), since an end is open or since
-    closed switches join the two.
+    ``unloaded``: a metered branch with an open end, as (element type, index) -> the bus of its own at that end.
+    ``loops``: the branches that are now shunts, since closed switches join their two ends.
     """
 
     net: Any
@@ -40,8 +40,14 @@ class Conversion:
     network: Network
     bus_of: dict[int, int]
     branch_of: dict[tuple[str, int], str]
-    open_ends: frozenset[tuple[str, int]]
+    unloaded: dict[tuple[str, int], int]
     loops: frozenset[tuple[str, int]]
+
+
+def find_metered_branches(net: Any) -> set[tuple[str, int]]:
+    """The lines and transformers that have a measurement, as (element type, index)."""
+    table = net.measurement[net.measurement.element_type.isin(SIDES)]
+    return {(kind, int(index)) for kind, index in zip(table.element_type, table.element, strict=True)}
 
 
 def read_measurements(what: str, conversion: Conversion) -> tuple[tuple[Measurement, ...], list[Remark]]:
@@ -83,8 +89,7 @@ def _find_reason_to_leave_out(conversion: Conversion, row: Any) -> str:
     element = (row.element_type, row.element if row.element_type == "bus" else int(row.element))
     if element in conversion.loops:
         return "of a branch whose two ends closed switches join"
-    known = conversion.branch_of.keys() | conversion.open_ends
-    is_live = row.element in conversion.bus_of if row.element_type == "bus" else element in known
+    is_live = row.element in conversion.bus_of if row.element_type == "bus" else element in conversion.branch_of
     if not is_live and row.element_type in ("bus", *SIDES):
         return "of an element that is out of service or unsupplied"
     return ""
@@ -100,8 +105,6 @@ def _read(conversion: Conversion, row: Any) -> Measurement | str:
     if row.element_type not in SIDES or (kind := ON_BRANCH.get(row.measurement_type)) is None:
         return f"{row.measurement_type!r} of a {row.element_type} is no kind of meter here"
     element = (row.element_type, int(row.element))
-    if element in conversion.open_ends:
-        return f"{row.element_type} {row.element} is open at one end and became a shunt, whose flow no meter reads"
     table, sides = conversion.net[row.element_type], SIDES[row.element_type]
     ends = [int(table.at[row.element, f"{side}_bus"]) for side in sides]
     if row.side not in (*sides, *ends):

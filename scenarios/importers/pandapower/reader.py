@@ -32,7 +32,7 @@ from scenarios.importers.imported import (
 from scenarios.importers.matpower.program import BASE_KV, BR_R, BR_X, PD, QD
 from scenarios.importers.matpower.reader import BR_B, BS, BUS_I, F_BUS, GS, SHIFT, T_BUS, TAP
 from scenarios.importers.pandapower.checks import find_broken, find_constant_currents, find_unsupported
-from scenarios.importers.pandapower.measurements import Conversion, read_measurements
+from scenarios.importers.pandapower.measurements import Conversion, find_metered_branches, read_measurements
 from scenarios.importers.pandapower.objects import write_anew
 from scenarios.importers.pandapower.unread import find_unread
 
@@ -75,7 +75,7 @@ def read_pandapower(path: Path, tree: Any) -> Imported:
         converted=converted,
         remarks=(*remarks, *reading_remarks, *find_unread(net)),
         readings=readings,
-        zero_injection="measured" if readings else "virtual",
+        zero_injection=tuple(conversion.unloaded.values()) or "measured" if readings else "virtual",
     )
 
 
@@ -124,7 +124,15 @@ def _convert(name: str, net: Any, sgen: Any, ppc: dict[str, Any]) -> tuple[Conve
     ids = id_of_row | auxiliary
     buses = [_build_bus(net, row, ids[int(row[BUS_I].real)], base) for row in ppc["bus"]]
     all_branches = _build_branches(net, ppc, ids)
-    buses, open_ends, loops = _fold_into_shunts(buses, all_branches, set(auxiliary.values()))
+    metered = find_metered_branches(net)
+    unloaded = {
+        element: end
+        for element, branch in all_branches.items()
+        for end in {branch.from_bus, branch.to_bus}.intersection(auxiliary.values())
+        if element in metered
+    }
+    folded = set(auxiliary.values()) - set(unloaded.values())
+    buses, open_ends, loops = _fold_into_shunts(buses, all_branches, folded)
     branches = {element: branch for element, branch in all_branches.items() if element not in {*open_ends, *loops}}
     network = Network(
         name=name,
@@ -136,6 +144,9 @@ def _convert(name: str, net: Any, sgen: Any, ppc: dict[str, Any]) -> tuple[Conve
     remarks = [*fused_remarks(bus_of, "closed switches"), *_find_left_out(net, bus_of, all_branches.keys())]
     if open_ends:
         remarks.append(Remark("changed", f"{_named(open_ends)}: open at one end, written as the shunt that it is"))
+    for element, end in unloaded.items():
+        text = f"open at one end and metered, kept as a branch to bus {end}, where nothing is injected"
+        remarks.append(Remark("changed", f"{_named([element])}: {text}"))
     if loops:
         text = "closed switches join its two ends, it carries nothing; what it draws stays as a shunt"
         remarks.append(Remark("left out", f"{_named(loops)}: {text}"))
@@ -145,7 +156,7 @@ def _convert(name: str, net: Any, sgen: Any, ppc: dict[str, Any]) -> tuple[Conve
         network=network,
         bus_of=bus_of,
         branch_of={element: branch.id for element, branch in branches.items()},
-        open_ends=frozenset(open_ends),
+        unloaded=unloaded,
         loops=frozenset(loops),
     )
     return conversion, remarks
@@ -269,7 +280,7 @@ def _fold_into_shunts(
 ) -> tuple[list[Bus], list[tuple[str, int]], list[tuple[str, int]]]:
     """The buses with the shunts of the branches that carry nothing; those with an open end, and those in a loop.
 
-    An open end is one of pandapower's ``auxiliary`` buses, which go; a loop has both ends at one bus.
+    An open end is one of pandapower's ``auxiliary`` buses, which go. A loop has both ends at one bus.
     """
     shunts: dict[int, list[complex]] = {}
     open_ends = [e for e, branch in branches.items() if auxiliary & {branch.from_bus, branch.to_bus}]

@@ -13,7 +13,9 @@ import pytest
 from coordinator.deployment.split import default_run_id
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.estimator import estimate_state
+from dsse_core.grid.measurement import MeasurementKind, Meter, Source
 from dsse_core.power_flow.newton_raphson import solve_power_flow
+from dsse_core.results.state import find_state, read_state
 from scenarios.importers import Imported, import_grid
 from scenarios.importers.imported_files import write_imported
 from scenarios.scenario import load_scenario
@@ -195,6 +197,29 @@ def test_the_estimate_from_the_measurement_table_is_pandapowers(tmp_path: Path) 
     assert any("unsupplied" in text and text.startswith("measurement ") for text in reported)
 
 
+@pytest.mark.parametrize("side", ["from", "to"])
+def test_a_line_open_at_one_end_keeps_its_meters_which_perfect_readings_satisfy(tmp_path: Path, side: str) -> None:
+    net = small_grid()
+    net.line.loc[6, "c_nf_per_km"] *= 100
+    pp.runpp(net, calculate_voltage_angles=True, numba=False, tolerance_mva=1e-9)
+    measured = measured_grid()
+    measured.line.loc[6, "c_nf_per_km"] *= 100
+    for kind, column in (("p", "p_{}_mw"), ("q", "q_{}_mvar")):
+        pp.create_measurement(measured, kind, "line", net.res_line[column.format(side)][6], 1e-6, 6, side=side)
+    grid = imported(tmp_path, measured)
+    (end,) = grid.zero_injection
+    text = f"line 6: open at one end and metered, kept as a branch to bus {end}, where nothing is injected"
+    assert ("changed", text) in {(remark.what, remark.text) for remark in grid.remarks}
+    (branch,) = grid.network.branches_at[end]
+    readings = [m for m in grid.readings if m.meter.branch == branch.id]
+    assert {m.meter.bus for m in readings} == {end if side == "from" else 11}
+    true = solve_power_flow(grid.network, tolerance=1e-11)
+    read = read_state(find_state(grid.network, true.vm, true.va), [m.meter for m in readings])
+    np.testing.assert_allclose([m.value for m in readings], read, rtol=0, atol=1e-8)
+    path, _ = write_imported(tmp_path / "town", grid, 1)
+    assert Meter(MeasurementKind.P_INJECTION, end, source=Source.VIRTUAL) in load_scenario(path).meters
+
+
 def test_a_half_measured_bus_of_closed_switches_is_rejected(tmp_path: Path) -> None:
     net = measured_grid()
     net.measurement = net.measurement[~((net.measurement.element == 14) & (net.measurement.measurement_type == "p"))]
@@ -204,12 +229,10 @@ def test_a_half_measured_bus_of_closed_switches_is_rejected(tmp_path: Path) -> N
 
 def test_every_measurement_that_no_meter_can_be_is_named(tmp_path: Path) -> None:
     net = measured_grid()
-    pp.create_measurement(net, "p", "line", 0.0, 0.1, 6, side="to")
     pp.create_measurement(net, "ia", "line", 0.0, 0.1, 0, side="to")
     net.measurement.loc[0, "std_dev"] = 0.0
     text = problems_of(tmp_path, net)
     assert "measurement 0: value" in text
-    assert "line 6 is open at one end" in text
     assert "'ia' of a line is no kind of meter" in text
 
 
