@@ -14,6 +14,7 @@ from agents.area_files.area_file import keys_of
 from dsse_core.estimation.state_limits import DEFAULT_LIMITS
 from dsse_core.files.kinds import AREA_FILE, FileKind
 from dsse_core.files.quantities import (
+    BranchId,
     ClockError,
     HeartbeatSeconds,
     Moment,
@@ -196,6 +197,8 @@ def _columns_of(cls: type[Any]) -> Any:
 def _types_of(cls: type[Any]) -> Any:
     """Field -> its type, in files: of an enumeration the words, which strict tables would not take for it."""
     hints: dict[str, Any] = typing.get_type_hints(cls)
+    if cls is Branch:
+        hints["id"] = BranchId
     for key, hint in hints.items():
         if isinstance(hint, type) and issubclass(hint, StrEnum):
             hints[key] = Annotated[hint, Field(strict=False)]

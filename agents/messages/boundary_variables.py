@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 
 ONE_PHASE = ("p", "q", "vm", "va")  # one bus, one phase: d = 4, all that the estimation knows today
 MOST_VARIABLES = 1000
-NAME = re.compile(r"(?P<kind>[a-z]{1,8})(@[0-9]{1,16})?(\.[a-z]{1,8})?")
+NAME = re.compile(r"(?P<kind>[a-z]{1,8})(@-?[0-9]{1,16})?(\.[a-z]{1,8})?")
 Lengths = Mapping[str, tuple[int, Sequence[int]]]
 """Field of a message -> how many numbers it has, and how many it may have."""
 POWERS = ("p", "q")  # kinds of which the child of a boundary sends the parent the value at x_k

@@ -9,6 +9,7 @@ from typing import Annotated
 
 from msgspec import Meta
 
+from dsse_core.limits import LARGEST_BUS
 from dsse_core.printable import shortened
 from dsse_core.split_identity import DIGITS
 
@@ -18,6 +19,7 @@ LONGEST_NOTE = 1000  # characters
 MOST_NOTES = 50
 
 Count = Annotated[int, Meta(ge=0, lt=LARGEST_COUNT)]
+BusId = Annotated[int, Meta(ge=-LARGEST_BUS, le=LARGEST_BUS)]  # what a file may call a bus
 Integer = Annotated[int, Meta(gt=-LARGEST_COUNT, lt=LARGEST_COUNT)]
 Number = Annotated[float, Meta(ge=-sys.float_info.max, le=sys.float_info.max)]  # finite: nan is not within, either
 Name = Annotated[str, Meta(max_length=LONGEST_NAME)]
@@ -29,10 +31,14 @@ Notes = Annotated[tuple[Note, ...], Meta(max_length=MOST_NOTES)]
 
 
 class MessageError(ValueError):
-    """A payload that is not a message of this version; ``reason`` is the short word under which it is counted."""
+    """A payload that is not a message of this version; ``reason`` is the short word under which it is counted.
+
+    ``at_field``: the field that is none of this version, and what is wrong there; empty of other reasons.
+    """
 
     def __init__(self, reason: str, detail: str) -> None:
         self.reason = reason
+        self.at_field = detail if reason in ("malformed", "not finite") else ""
         super().__init__(f"{reason}: {detail}")
 
 

@@ -20,7 +20,7 @@ import msgpack
 import msgspec
 import numpy as np
 
-from agents.messages.checks import Count, Integer, MessageError, Name, Number, shown
+from agents.messages.checks import BusId, Count, Integer, MessageError, Name, Number, shown
 from agents.messages.totals_list import WireSplit, WireTotals, list_split, list_totals, read_split, read_totals
 from agents.messages.types import (
     NO_INCARNATION,
@@ -252,7 +252,7 @@ def add_message_type(cls: type[BoundaryUpdate]) -> None:
             found = getattr(hint, "__name__", str(hint))
             raise ValueError(
                 f"message {cls.__name__}: field {name} has the type {found}; it must be of the bounded types "
-                "Count, Integer, Number, Name and bool, or tuples of them (agents/messages/checks.py)"
+                "BusId, Count, Integer, Number, Name and bool, or tuples of them (agents/messages/checks.py)"
             )
     MESSAGE_TYPES[kind] = cls
     _PACKINGS[kind] = _BY_KIND[msgpack.packb(kind)] = _Packing(cls)
@@ -262,7 +262,7 @@ def _is_bounded(hint: Any) -> bool:
     """Whether a field of this type is checked in full: a plain ``float`` may be nan, a plain ``str`` a novel."""
     if typing.get_origin(hint) is tuple:
         return all(place is Ellipsis or _is_bounded(place) for place in typing.get_args(hint))
-    return hint in (Count, Integer, Number, Name, bool)
+    return hint in (BusId, Count, Integer, Number, Name, bool)
 
 
 def decode(payload: bytes, largest: int = MAX_BYTES) -> Message:
@@ -317,7 +317,10 @@ def describe_other_version(version: int, who: str = "it speaks") -> str:
 def _build(packing: _Packing, places: tuple[Any, ...]) -> Message:
     values = list(places[2:])
     for k, form in packing.forms:
-        values[k] = _READ[form](values[k])
+        try:
+            values[k] = _READ[form](values[k])
+        except MessageError as error:
+            raise MessageError(error.reason, f"{packing.names[k]}: {error.at_field}") from None
     message: Any = packing.cls(**dict(zip(packing.names, values, strict=True)))
     if packing.has_misfits and (misfit := message.find_misfit()):
         raise MessageError("malformed", misfit)

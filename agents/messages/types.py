@@ -20,7 +20,7 @@ from agents.messages.boundary_variables import (
     find_wrong_length,
     find_wrong_variable,
 )
-from agents.messages.checks import Count, Integer, MessageError, Name, Names, Notes, Number, Numbers
+from agents.messages.checks import BusId, Count, Integer, MessageError, Name, Names, Notes, Number, Numbers
 from dsse_core.estimation.decision import Totals
 from dsse_core.exchange.boundary_load import NetLoad
 from dsse_core.split_identity import NO_SPLIT, SplitIdentity
@@ -69,7 +69,7 @@ class LoadMessage:
 
     kind: ClassVar[str] = "load"
     header: Header
-    bus: Count
+    bus: BusId
     p: Number
     q: Number
     sigma: Number
@@ -91,7 +91,7 @@ class BoundaryUpdate:
 
     kind: ClassVar[str]
     header: Header
-    bus: Count
+    bus: BusId
     receives: bool = field(default=False, kw_only=True, metadata=LAST)
     answers: Number = field(default=0.0, kw_only=True, metadata=LAST)
     received: tuple[Count, Count] = field(default=(0, 0), kw_only=True, metadata=LAST)
@@ -111,7 +111,7 @@ class VariablesMessage(ABC):
     """A message at boundary ``bus`` with numbers of its d ``variables`` y."""
 
     header: Header
-    bus: Count
+    bus: BusId
     variables: Names = field(default=ONE_PHASE, kw_only=True)
 
     @abstractmethod
@@ -319,7 +319,7 @@ class StateMessage:
 
     kind: ClassVar[str] = "state"
     header: Header
-    buses: tuple[Count, ...]
+    buses: tuple[BusId, ...]
     vm: Numbers
     va: Numbers
     sigma_vm: Numbers

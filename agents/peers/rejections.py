@@ -39,12 +39,14 @@ class Rejections:
     ``ahead``: sender rejected as from the future, "" for the plant -> by how much, s. ``contradictions``: neighbour
     whose area file, by its newest heartbeat, contradicts that of this area -> in what. ``far_scans``: neighbour
     in whose name a scan far ahead of the telemetry has been announced -> the first such scan that is still ahead.
+    ``unreadable``: neighbour or gateway -> the scan in which a payload of its was last no message, and the field.
     """
 
     def __init__(self) -> None:
         self.ahead: dict[str, float] = {}
         self.contradictions: dict[str, str] = {}
         self.far_scans: dict[str, int] = {}
+        self.unreadable: dict[str, tuple[int, str]] = {}
         self._rejected: Counter[str] = Counter()
         self._not_let_in: dict[str, int] = {}
 
@@ -74,6 +76,14 @@ class Rejections:
     def note_not_let_in(self, reason: str, count: int) -> None:
         """So many payloads have been rejected at the door so far."""
         self._not_let_in[reason] = max(count, self._not_let_in.get(reason, 0))
+
+    def note_unreadable(self, sender: str, what: str, scan: int) -> None:
+        """A payload of ``sender`` was no message, for ``what`` is wrong in it, while this area works on ``scan``."""
+        self.unreadable[sender] = scan, what
+
+    def unreadable_in(self, scan: int) -> dict[str, str]:
+        """Neighbour or gateway -> what was wrong with the last payload of its that was no message, in ``scan``."""
+        return {sender: detail for sender, (at, detail) in self.unreadable.items() if at == scan}
 
     @property
     def counts(self) -> Mapping[str, int]:

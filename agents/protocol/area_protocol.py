@@ -142,8 +142,10 @@ class AreaProtocol(ABC):
                     self._peers.follow_clock(offset, now)
                 case Received(message, key_sender):
                     yield from self._take(message, key_sender)
-                case Rejected(reason, count):
+                case Rejected(reason, count, sender, at_field):
                     self._rejections.note_not_let_in(reason, count)
+                    if sender:
+                        self._rejections.note_unreadable(sender, f"{reason}: {at_field}", self.scan)
                 case PresenceChanged(area, True):
                     self._peers.gone.pop(area, None)
                     self._peers[area].is_owed_reply = True

@@ -45,6 +45,7 @@ from agents.protocol.quality import (
     find_overdue_readings,
     find_rejected_clocks,
     find_skewed_clocks,
+    find_unreadable_payloads,
 )
 from agents.strategies.interface import Estimate, Knowledge, Strategy
 from agents.strategies.start import find_no_load
@@ -260,6 +261,7 @@ class AsynchronousProtocol(AreaProtocol):
         yield from find_rejected_clocks(self._rejections.ahead)
         yield from find_other_splits(self._splits.add_to(()), self._area.name)
         yield from find_contradictions(self._rejections.contradictions)
+        yield from find_unreadable_payloads(self._rejections.unreadable_in(self.scan))
         yield from find_skewed_clocks(self._peers.skewed)
         yield from find_early_scan(self._scan.lead_s)
         if self._scan.has_been_read:

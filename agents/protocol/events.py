@@ -17,10 +17,16 @@ class Received:
 
 @dataclass(frozen=True, slots=True)
 class Rejected:
-    """Payloads that were not let in for ``reason``; ``count``: how many so far."""
+    """Payloads that were not let in for ``reason``; ``count``: how many so far.
+
+    ``sender``: the neighbour or gateway on whose key the last one came, ``at_field``: what is wrong in which of its
+    fields; both empty where no field is known.
+    """
 
     reason: str
     count: int
+    sender: str = ""
+    at_field: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -160,6 +160,12 @@ def find_far_scans(far_scans: Mapping[str, int]) -> Iterator[Finding]:
         )
 
 
+def find_unreadable_payloads(unreadable: Mapping[str, str]) -> Iterator[Finding]:
+    """Neighbour or gateway -> what is wrong with a payload of its that is no message."""
+    for name, detail in sorted(unreadable.items()):
+        yield Finding(GOOD, f"payloads of {name} are rejected, {detail}", "payloads are rejected", [name])
+
+
 def find_skewed_clocks(skewed: Mapping[str, Skew]) -> Iterator[Finding]:
     """Neighbours whose clocks are too far from that of this area."""
     for name, skew in sorted(skewed.items()):

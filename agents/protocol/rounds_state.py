@@ -36,6 +36,7 @@ from agents.protocol.quality import (
     find_overdue_readings,
     find_rejected_clocks,
     find_skewed_clocks,
+    find_unreadable_payloads,
 )
 from agents.protocol.readings import Ages
 from agents.protocol.scan_end import ScanEnd
@@ -231,6 +232,7 @@ class RoundsState:
         yield from find_other_splits(self._splits.add_to(self._uses), self._area.name)
         yield from find_contradictions(self._rejections.contradictions)
         yield from find_far_scans(self._rejections.far_scans)
+        yield from find_unreadable_payloads(self._rejections.unreadable_in(self._scan.scan))
         yield from find_skewed_clocks(self._peers.skewed)
         yield from find_early_scan(self._scan.lead_s)
         if self._scan.has_been_read:

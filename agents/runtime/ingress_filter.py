@@ -63,7 +63,7 @@ class IngressFilter:
             message = decode(payload, MAX_BYTES if gateway else MAX_NEIGHBOUR_BYTES)
             _require_its_own(message, gateway)
         except MessageError as error:
-            self._reject(error.reason, key, str(error))
+            self._reject(error.reason, key, str(error), gateway or sender_of(key), error.at_field)
         else:
             if isinstance(message, TelemetryMessage) and message.meters == self._meters:
                 message = replace(message, meters=self._meters)
@@ -78,11 +78,11 @@ class IngressFilter:
                 self._gateways.add(gateway)
             return gateway in self._gateways
 
-    def _reject(self, reason: str, key: str, why: str) -> None:
+    def _reject(self, reason: str, key: str, why: str, sender: str = "", at_field: str = "") -> None:
         with self._lock:
             self._rejected[reason] += 1
             count = self._rejected[reason]
-        self._inbox.put(("rejected", reason), Rejected(reason, count))
+        self._inbox.put(("rejected", reason), Rejected(reason, count, sender if at_field else "", at_field))
         if should_log(count):
             log.warning("rejected payload number %s for this reason, on %.200s: %s", count, ascii(key), why)
 

@@ -1,8 +1,8 @@
 """The simulator: areas in one process on a simulated bus in virtual time, repeatable to the bit.
 
 Protocol, strategies, faulty links, encoding and decoding are those of real runs; only bus and clock are simulated.
-States alone, half of all bytes, reach who watches as they are: nothing befalls them. Virtual time passes while
-messages travel and areas wait for their heartbeat; computing takes none.
+Every message is packed and read, states and telemetry, too: what no process could read, no simulated area or watcher
+receives. Virtual time passes while messages travel and areas wait for their heartbeat; computing takes none.
 """
 
 from __future__ import annotations
@@ -10,14 +10,17 @@ from __future__ import annotations
 import functools
 import heapq
 import itertools
+import logging
 import zlib
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar, cast
 
 from agents.area_files.area_file import AreaFile
 from agents.messages.checks import MessageError
 from agents.messages.packing import (
+    MAX_NEIGHBOUR_BYTES,
     Header,
     Incarnation,
     Message,
@@ -25,6 +28,7 @@ from agents.messages.packing import (
     StateMessage,
     TelemetryMessage,
     decode,
+    encode,
 )
 from agents.protocol.area_protocol import AreaProtocol
 from agents.protocol.choose import make_protocol
@@ -33,6 +37,7 @@ from agents.runtime.link import FaultyLinks
 from coordinator.plant.telemetry_messages import make_message
 from dsse_core.grid.measurement import Measurement
 
+log = logging.getLogger(__name__)
 TRAVEL_S = 0.001  # of every message, beside what the faults of its link hold it back
 STARTED_AT = 1.7e9  # s since 1970: what virtual time 0 is called in messages
 
@@ -50,6 +55,16 @@ class _Call:
 
 
 WAKE = _Wake()
+Passed = TypeVar("Passed", bound=Message)
+
+
+def _pass(message: Passed) -> Passed:
+    """``message`` as its receiver reads it.
+
+    Raises:
+        MessageError: no receiver can.
+    """
+    return cast(Passed, decode(encode(message)))
 
 
 class SimulatedBus:
@@ -183,7 +198,10 @@ class SimulatedBus:
     def publish_readings(self, message: TelemetryMessage) -> None:
         """A gateway beside the plant publishes ``message`` for its area."""
         if self.router_runs:
-            self.post(message.area, Received(message, ""))
+            try:
+                self.post(message.area, Received(_pass(message), ""))
+            except MessageError as error:
+                self._reject(message.area, message.header.sender, error)
 
     def send_telemetry(self, name: str) -> None:
         """Send one area its newest readings, as the plant does when it appears."""
@@ -208,16 +226,24 @@ class SimulatedBus:
     def deliver(self, sender: str, receiver: str, payload: bytes) -> None:
         """Let a payload that no link has lost travel to its receiver."""
         try:
-            message = decode(payload)
-            event: Event = Received(message, sender)
+            message = decode(payload, MAX_NEIGHBOUR_BYTES)
+            self.post(receiver, Received(message, sender))
             self._on_message(self.now + TRAVEL_S, receiver, message, True)
         except MessageError as error:
-            self._rejected[receiver, error.reason] += 1
-            event = Rejected(error.reason, self._rejected[receiver, error.reason])
-        self.post(receiver, event)
+            self._reject(receiver, sender, error)
+
+    def _reject(self, receiver: str, sender: str, error: MessageError) -> None:
+        self._rejected[receiver, error.reason] += 1
+        count = self._rejected[receiver, error.reason]
+        self.post(receiver, Rejected(error.reason, count, sender if error.at_field else "", error.at_field))
 
     def _take_over(self, name: str, message: TelemetryMessage) -> None:
         """The plant has new readings of an area."""
+        try:
+            message = _pass(message)
+        except MessageError as error:
+            self._reject(name, message.header.sender, error)
+            return
         last = self._telemetry.get(name)
         if last is None or message.header.order > last.header.order:
             self._telemetry[name] = message
@@ -277,6 +303,11 @@ class SimulatedBus:
     def _show(self, message: Message) -> None:
         """Show who watches what an area publishes."""
         if not self.router_runs:
+            return
+        try:
+            message = _pass(message)
+        except MessageError as error:
+            log.warning("no watcher can read the %s of %s: %s", message.kind, message.header.sender, error)
             return
         if isinstance(message, StateMessage):
             self.states[message.header.sender] = message

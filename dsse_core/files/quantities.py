@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, StringConstraints
@@ -41,3 +42,6 @@ Version = Annotated[Literal[1], BeforeValidator(_require_integer)]
 Penalty = Annotated[float, Field(ge=1e-6, le=1e6)]
 Name = Annotated[str, StringConstraints(pattern=r"^[_a-z0-9-]+$", max_length=LONGEST_NAME)]
 """Of an area or a run: a part of keys on the bus, and of names in certificates."""
+BRANCH_ID = re.compile(rf"[_a-z0-9-]{{1,{LONGEST_NAME}}}")
+"""Of a branch: the id of a meter holds it, and has its limit on the wire."""
+BranchId = Annotated[str, StringConstraints(pattern=f"^{BRANCH_ID.pattern}$")]

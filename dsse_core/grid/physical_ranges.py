@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
+from dsse_core.limits import LARGEST_BUS
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +38,6 @@ TAP = Range(1e-2, 1e2, "")
 RATING = Range(1e-9, 1e9, "MVA")  # of a branch; other projects write 99999 kA for no limit
 ANGLE = Range(-720.0, 720.0, "degrees")
 VOLTAGE = Range(0.1, 10.0, "p.u.")
-LARGEST_BUS = 10**15  # exact in every message, as a float, too
 
 
 def find_range_problems(network: Network) -> Iterator[str]:

@@ -17,7 +17,6 @@ from dsse_core.grid.physical_ranges import (
     BASE_POWER,
     BASE_VOLTAGE,
     IMPEDANCE,
-    LARGEST_BUS,
     POWER,
     RATING,
     REACTIVE_POWER,
@@ -25,6 +24,7 @@ from dsse_core.grid.physical_ranges import (
     VOLTAGE,
     Range,
 )
+from dsse_core.limits import LARGEST_BUS
 from dsse_core.results.units import base_current
 from scenarios.files.network_tables import BranchColumns, BranchTable, BusColumns, BusTable
 

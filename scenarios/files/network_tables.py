@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import re
 from typing import Annotated, ClassVar, Literal, Self, TypeVar
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from dsse_core.files.kinds import NETWORK_FILE, FileKind
-from dsse_core.files.quantities import Positive
+from dsse_core.files.quantities import BRANCH_ID, Positive
 from dsse_core.files.strict_table import ColumnsTable, FileTable, Table
 from dsse_core.limits import LONGEST_NAME
 
-BRANCH_ID = re.compile(rf"[_a-z0-9-]{{1,{LONGEST_NAME}}}")  # the id of a meter holds it, and has its limit on the wire
 NOTHING = (None,) * 4
 MIXED = "mixes ohm and microsiemens with r_pu/x_pu/b_pu/g_pu; give all of them in one of the two units"
 TWO_RATINGS = "has two ratings; give rating_a for a line or rating_mva for a transformer"

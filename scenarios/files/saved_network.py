@@ -10,11 +10,11 @@ from typing import Any
 
 from dsse_core.errors import InvalidInputError
 from dsse_core.files.kinds import NETWORK_FILE
+from dsse_core.files.quantities import BRANCH_ID
 from dsse_core.grid.network import Branch, Bus, Control, Generator, Network
 from dsse_core.limits import LONGEST_NAME
 from dsse_core.results.units import base_current
 from scenarios.files.network_columns import default_branch_id
-from scenarios.files.network_tables import BRANCH_ID
 
 MOST_BUSES_IN_TOML = 5000  # larger networks become JSON, which is read much faster, and larger than TOML may be
 

@@ -248,6 +248,13 @@ def test_an_agent_whose_clock_is_behind_says_so_in_place_of_an_estimate(area1):
     assert state.notes[1].startswith("telemetry is rejected, from 700 s in the future")
 
 
+def test_a_malformed_payload_is_noted_with_its_sender_and_its_field(area1):
+    protocol, telemetry, _ = area1
+    state = last_state(act(protocol, [telemetry, Rejected("malformed", 1, "area2", "bus: Expected `int`")], 0.0))
+    assert "payloads of area2 are rejected, malformed: bus: Expected `int`" in state.notes
+    assert state.rejected == {"malformed": 1}
+
+
 def test_payloads_that_cannot_be_decoded_are_counted_by_reason(area1):
     protocol, telemetry, _ = area1
     state = last_state(act(protocol, [telemetry, Rejected("malformed", 2), Rejected("malformed", 1)], 0.0))

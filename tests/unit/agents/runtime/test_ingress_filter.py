@@ -12,6 +12,7 @@ from agents.peers.rejections import find_rejection
 from agents.protocol.events import Received, Rejected
 from agents.runtime.inbox import Inbox
 from agents.runtime.ingress_filter import MOST_GATEWAYS, IngressFilter
+from dsse_core.limits import LARGEST_BUS
 
 KEY, TELEMETRY = "dsse/v3/r/area/area2/load/area1", "dsse/v3/r/telemetry/area1/plant"
 LOAD = LoadMessage(Header("r", "area2", Incarnation(1, 1), 1, 1, 0.0), 6, 0.1, 0.0, 0.01)
@@ -39,6 +40,14 @@ def test_repeats_are_let_in_and_what_is_new_or_damaged_is_not_taken_for_one(door
     assert inbox.take(0.0) == [Rejected("damaged", 1)]
     ingress_filter.take(KEY, encode(LOAD))
     assert inbox.take(0.0) == [Received(LOAD, "area2")]
+
+
+def test_the_rejection_of_a_malformed_payload_names_its_sender_and_its_field(door):
+    ingress_filter, inbox = door
+    ingress_filter.take(KEY, encode(replace(LOAD, bus=LARGEST_BUS + 1)))
+    (rejected,) = inbox.take(0.0)
+    assert (rejected.reason, rejected.sender) == ("malformed", "area2")
+    assert rejected.at_field.startswith("bus: ")
 
 
 def test_telemetry_with_two_readings_of_a_meter_is_rejected(door):
