@@ -25,7 +25,7 @@ from agents.runtime.watchdog import Watchdog
 from agents.security.credentials import load_keys
 from agents.strategies.installed import list_strategies
 from agents.transport.zenoh_bus import Session
-from dsse_core import compiling
+from dsse_core import compiling, operating_system
 from dsse_core.errors import DsseError
 from dsse_core.limits import LONGEST_S
 
@@ -126,7 +126,9 @@ def run_area(
 
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # Zenoh's connecting would defer Python's handler to its end
     if keys:
-        on_hangup(lambda: inbox.put("renewal", Renewal.ASKED), lambda: stop(signal.SIGHUP, None))
+        on_hangup(
+            lambda: inbox.put("renewal", Renewal.ASKED), lambda: stop(operating_system.HANGUP or signal.SIGTERM, None)
+        )
     with _open_session(content, timeout_s, keys) as session:
         signal.signal(signal.SIGTERM, stop)
         signal.signal(signal.SIGINT, stop)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -11,13 +12,13 @@ import numpy as np
 
 from coordinator.evaluation.evaluation import choose_scenario
 from coordinator.studies.strategy_comparison import choose_strategies
-from coordinator.studies.study_row import StudyRow
-from coordinator.studies.sweep import run_on_simulator, run_tasks
-from coordinator.studies.sweep_plan import make_plan
+from coordinator.studies.study_row import ORIGIN, StudyRow
+from coordinator.studies.sweep import compare_by, run_on_simulator, run_tasks
+from coordinator.studies.sweep_plan import hash_scenario, make_plan
 from dsse_core.results.table import Table
 from scenarios.scenario import Scenario
 
-TEXTS = ("strategy", "outcome", "reason")
+TEXTS = ("strategy", "outcome", "reason", *ORIGIN)
 
 
 def compare(
@@ -26,6 +27,7 @@ def compare(
     strategies: Sequence[str] | None = None,
     seed: int | None = None,
     changes: Mapping[str, object] | None = None,
+    executor: Executor | None = None,
 ) -> Table:
     """Run every strategy on the telemetry and the faults of ``scenario``, on the simulator, as ``dsse compare`` does.
 
@@ -34,6 +36,7 @@ def compare(
         strategies: their names; all that are installed if not given.
         seed: replaces the scenario's.
         changes: see ``load_scenario``; for a scenario that is not loaded yet.
+        executor: runs the strategies side by side, on this machine or others; without it one after the other.
 
     Returns:
         One row per strategy: ``outcome``, ``gap_vm_pu`` and ``gap_va_deg`` to the centralised estimate, ``messages``,
@@ -48,10 +51,15 @@ def compare(
 
     Raises:
         InvalidInputError: the scenario cannot be used, or a strategy is unknown or given twice.
+        WorkerError: a worker was killed, or has other versions than this process.
     """
     chosen = choose_scenario(scenario, seed, changes=changes or {})
     names = choose_strategies(None if strategies is None else ",".join(strategies))
-    return _make_table([run_on_simulator(replace(chosen, strategy=name)) for name in names], {})
+    if executor is not None:
+        return _make_table(compare_by(executor, chosen, names), {})
+    content = hash_scenario(chosen)
+    rows = [run_on_simulator(replace(chosen, strategy=name)) for name in names]
+    return _make_table([replace(row, scenario_sha256=content) for row in rows], {})
 
 
 def sweep(
@@ -63,6 +71,7 @@ def sweep(
     seeds: int = 5,
     jobs: int = 1,
     changes: Mapping[str, object] | None = None,
+    executor: Executor | None = None,
 ) -> Table:
     """Run ``scenario`` on the simulator for each value of a key, each strategy and each seed, as ``dsse sweep`` does.
 
@@ -73,6 +82,7 @@ def sweep(
         seeds: runs per value and strategy; they count up from the scenario's seed.
         jobs: processes at a time. With more than one, a script needs ``if __name__ == "__main__":``.
         changes: see ``load_scenario``; they hold in all runs.
+        executor: runs units of 20 runs instead of ``jobs`` processes, on this machine or others.
 
     Returns:
         One row per run: ``value`` (as text), and the columns of ``compare``.
@@ -86,11 +96,12 @@ def sweep(
 
     Raises:
         InvalidInputError: the scenario, the key, one of the values or a strategy cannot be used.
+        WorkerError: a worker was killed, or has other versions than this process.
     """
     names = choose_strategies(None if strategies is None else ",".join(strategies))
     plain = [value.item() if isinstance(value, np.generic) else value for value in values]
     plan = make_plan(str(scenario), key, plain, names, seeds, changes=changes or {})
-    rows = dict(run_tasks(plan, plan.tasks, jobs))
+    rows = dict(run_tasks(plan, plan.tasks, jobs, executor))
     return _make_table([rows[task] for task in plan.tasks], {"value": [task.value for task in plan.tasks]})
 
 

@@ -21,6 +21,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Literal
 
+from dsse_core import operating_system
 from dsse_core.errors import InvalidInputError
 
 BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
@@ -65,7 +66,7 @@ def find_fault(folder: Path) -> str | None:
 
     Looked at are the folder, all folders above it, and the compiled code in it; what does not exist yet is no fault.
     """
-    if not hasattr(os, "geteuid"):
+    if not operating_system.has_owners():
         return None  # Windows: permissions are not in these bits, and folders of users are theirs
     folder = folder.resolve()
     try:
@@ -90,7 +91,7 @@ def find_fault(folder: Path) -> str | None:
 def _fault_of(path: Path, status: os.stat_result, is_kind: Callable[[int], bool], forbidden: int) -> str | None:
     if not is_kind(status.st_mode):
         return f"{path} is neither folder nor file"
-    if status.st_uid not in (0, os.geteuid()):
+    if status.st_uid != 0 and not operating_system.is_own(status):
         return f"{path} belongs to user {status.st_uid}"
     if status.st_mode & forbidden:
         return f"{path} can be written by others (mode {stat.S_IMODE(status.st_mode):o})"

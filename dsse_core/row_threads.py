@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from numbers import Integral
 from queue import Empty, SimpleQueue
 
+from dsse_core import operating_system
 from dsse_core.errors import InvalidInputError
 
 CHUNKS = 8  # for each thread: the last one to end must not keep the others waiting for long
@@ -26,7 +26,7 @@ def find_threads(threads: int | None) -> int:
         )
     if threads is not None:
         return threads
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return operating_system.count_processors()
 
 
 def share_out(n_row: int, threads: int, begin: Callable[[], Callable[[int, int], None]], *, together: int = 1) -> None:

@@ -7,6 +7,8 @@ import signal
 from collections.abc import Callable
 from enum import Enum
 
+from dsse_core import operating_system
+
 
 class Renewal(Enum):
     """What waits in the inbox of a process that got SIGHUP."""
@@ -17,10 +19,13 @@ class Renewal(Enum):
 def on_hangup(ask: Callable[[], None], end: Callable[[], None]) -> None:
     """On SIGHUP call ``ask``, or, if that came because the terminal of this process was closed, ``end``.
 
+    On a system without SIGHUP nothing happens: new keys are taken up by a restart.
     Under nohup a closed terminal means nothing, and SIGHUP from others what it means elsewhere.
     """
+    if operating_system.HANGUP is None:
+        return
     had_terminal = _has_terminal()
-    goes_on = signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+    goes_on = signal.getsignal(operating_system.HANGUP) == signal.SIG_IGN
 
     def handle(*_: object) -> None:
         nonlocal had_terminal
@@ -31,12 +36,12 @@ def on_hangup(ask: Callable[[], None], end: Callable[[], None]) -> None:
         else:
             ask()
 
-    signal.signal(signal.SIGHUP, handle)
+    signal.signal(operating_system.HANGUP, handle)
 
 
 def _has_terminal() -> bool:
     try:
-        os.close(os.open("/dev/tty", os.O_RDWR | os.O_NOCTTY))
+        os.close(os.open("/dev/tty", os.O_RDWR | operating_system.FLAG_NO_TERMINAL))
     except OSError:
         return False
     return True

@@ -7,6 +7,8 @@ import stat
 from dataclasses import dataclass
 from pathlib import Path
 
+from dsse_core import operating_system
+
 AUTHORITY = "authority"
 PRIVATE_FILE, PUBLIC_FILE, PRIVATE_FOLDER = 0o600, 0o644, 0o700
 
@@ -51,7 +53,7 @@ def write_public(path: Path, content: bytes) -> None:
 
 def _write(path: Path, content: bytes, flag: int, mode: int) -> None:
     with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | flag, PRIVATE_FILE), "wb") as file:
-        os.fchmod(file.fileno(), mode)
+        operating_system.set_rights(file.fileno(), mode)
         file.write(content)
 
 

@@ -10,7 +10,9 @@ for _library in ("OPENBLAS", "OMP", "MKL"):  # one thread each, also in the chil
 import csv  # noqa: E402
 import math  # noqa: E402
 import multiprocessing  # noqa: E402
+import platform  # noqa: E402
 from collections.abc import Iterator, Sequence  # noqa: E402
+from concurrent.futures import ProcessPoolExecutor  # noqa: E402
 from dataclasses import astuple, fields  # noqa: E402
 from pathlib import Path  # noqa: E402
 
@@ -21,16 +23,21 @@ from rich.progress import track  # noqa: E402
 from benchmarks.fault_histories.history import GAP, HistoryOutcome, run_history  # noqa: E402
 from benchmarks.measuring.figures import figures_option, list_facts, write_section  # noqa: E402
 from benchmarks.measuring.machine import describe_machine  # noqa: E402
+from coordinator.studies.executors import open_executor, run_units  # noqa: E402
+from coordinator.studies.study_row import describe_versions  # noqa: E402
 from dsse_core.linear import choose  # noqa: E402
 
 PACKAGES = ("numpy", "scipy", "numba")
 COLUMNS = tuple(field.name for field in fields(HistoryOutcome))
+ORIGIN = ("host", "versions")
+UNIT_HERE = 4  # histories at a time for a process of this machine
 
 
 @click.command(context_settings={"show_default": True})
 @click.option("--count", type=click.IntRange(1), default=1000, help="Histories: so many seeds.")
 @click.option("--first", type=click.IntRange(0), default=0, help="The first seed.")
 @click.option("--jobs", type=click.IntRange(1), default=2, help="Processes at a time.")
+@click.option("--executor", metavar="dask://HOST:PORT", help="Run on the workers of this scheduler instead.")
 @click.option(
     "--out",
     type=click.Path(dir_okay=False, path_type=Path),
@@ -38,7 +45,7 @@ COLUMNS = tuple(field.name for field in fields(HistoryOutcome))
     help="Table, a row for each seed; seeds that it has are not run again.",
 )
 @figures_option
-def main(count: int, first: int, jobs: int, out: Path, figures: str | None) -> None:
+def main(count: int, first: int, jobs: int, executor: str | None, out: Path, figures: str | None) -> None:
     """Run histories of faults and say how many ended at the fixed point and how many good states were wrong."""
     out.parent.mkdir(parents=True, exist_ok=True)
     done = read_table(out)
@@ -47,10 +54,10 @@ def main(count: int, first: int, jobs: int, out: Path, figures: str | None) -> N
     with out.open("a", newline="", encoding="utf-8") as file:
         table = csv.writer(file)
         if not file.tell():
-            table.writerow(COLUMNS)
+            table.writerow((*COLUMNS, *ORIGIN))
         console = Console(stderr=True)
-        for outcome in track(_run(missing, jobs), "histories", len(missing), console=console):
-            table.writerow(astuple(outcome))
+        for outcome, *origin in track(_run(missing, jobs, executor), "histories", len(missing), console=console):
+            table.writerow((*astuple(outcome), *origin))
             file.flush()
             done[outcome.seed] = outcome
     facts = summarise([done[seed] for seed in seeds])
@@ -93,14 +100,22 @@ def summarise(outcomes: Sequence[HistoryOutcome]) -> dict[str, str]:
     return facts
 
 
-def _run(seeds: Sequence[int], jobs: int) -> Iterator[HistoryOutcome]:
-    if jobs == 1:
-        yield from map(run_history, seeds)
-        return
-    with multiprocessing.get_context("spawn").Pool(jobs, _start_worker) as pool:
-        yield from pool.imap_unordered(run_history, seeds, chunksize=4)
+def run_histories(seeds: Sequence[int]) -> list[tuple[HistoryOutcome, str, str]]:
+    """Outcomes of one unit of work, each with host and versions. Small areas, too, use the compiled back end."""
+    before, choose.RADIAL_FROM = choose.RADIAL_FROM, 0
+    try:
+        return [(run_history(seed), platform.node(), describe_versions()) for seed in seeds]
+    finally:
+        choose.RADIAL_FROM = before
 
 
-def _start_worker() -> None:
-    """In a process of its own, small areas, too, use the compiled back end, where there is one: it is faster."""
-    choose.RADIAL_FROM = 0
+def _run(seeds: Sequence[int], jobs: int, address: str | None) -> Iterator[tuple[HistoryOutcome, str, str]]:
+    if address is not None:
+        with open_executor(address) as executor:
+            yield from run_units(executor, run_histories, seeds)
+    elif jobs == 1:
+        for seed in seeds:
+            yield run_history(seed), platform.node(), describe_versions()
+    else:
+        with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as pool:
+            yield from run_units(pool, run_histories, seeds, UNIT_HERE)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
-import os
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -29,9 +29,12 @@ from coordinator.cli.terminal import (
     timeout_option,
 )
 from coordinator.interrupts import end_orderly_on_signals
+from dsse_core import operating_system
 from dsse_core.printable import printable
 
 if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts fast
+    from concurrent.futures import Executor
+
     from coordinator.evaluation.result import RunOutcome
     from coordinator.studies.sweep_plan import SweepPlan
     from coordinator.studies.sweep_table import SweepTable
@@ -40,6 +43,11 @@ if TYPE_CHECKING:  # the real imports stand in the commands, so that each starts
 
 MILLISECONDS = Number(min=0, max=86_400_000)
 strategies_option = click.option("--strategies", metavar="A,B,...", help="Only these strategies.  [default: all]")
+
+
+executor_option = click.option(
+    "--executor", metavar="dask://HOST:PORT", help="Run on the workers of this scheduler instead of this machine."
+)
 
 
 def link_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -109,6 +117,7 @@ def simulate(
 @scenario_argument
 @strategies_option
 @click.option("--processes", is_flag=True, help="Run real processes over Zenoh instead of the simulator.")
+@executor_option
 @click.option("--out", type=click.Path(path_type=Path), help="Keep table and run folders here, new or empty.")
 @timeout_option
 @seed_option
@@ -119,6 +128,7 @@ def compare(
     scenario: str,
     strategies: str | None,
     processes: bool,
+    executor: str | None,
     out: Path | None,
     timeout: float | None,
     seed: int | None,
@@ -144,8 +154,17 @@ def compare(
     chosen = choose_strategies(strategies)
     loaded = choose_scenario(scenario, seed, timeout_s=timeout, links=links, changes=changes)
     outcomes: dict[str, RunOutcome] = {}
-    run = functools.partial(_run_and_keep, outcomes, _run_processes if processes else _run_on_simulator)
-    rows = compare_strategies(loaded, chosen, run, out)
+    if executor is not None:
+        if processes or out is not None:
+            raise click.UsageError("--executor gives the table only; leave out --processes and --out")
+        from coordinator.studies.executors import open_executor
+        from coordinator.studies.sweep import compare_by
+
+        with open_executor(executor) as workers:
+            rows = compare_by(workers, loaded, chosen)
+    else:
+        run = functools.partial(_run_and_keep, outcomes, _run_processes if processes else _run_on_simulator)
+        rows = compare_strategies(loaded, chosen, run, out)
     buses, areas = len(loaded.network.buses), len(loaded.partition.areas)
     where = "real processes" if processes else "on the simulator, virtual time"
     show(f"{printable(loaded.name)}, {buses} buses in {areas} areas, seed {loaded.seed}, {where}\n")
@@ -185,6 +204,7 @@ def _run_on_simulator(scenario: Scenario, folder: Path) -> RunOutcome:
 @click.option("--seeds", type=click.IntRange(1, 100_000), default=5, show_default=True, help="Runs per value.")
 @strategies_option
 @click.option("--jobs", type=click.IntRange(1, 1024), help="Processes at a time.  [default: one per core]")
+@executor_option
 @click.option("--out", type=click.Path(path_type=Path), help="Folder; that of an earlier sweep is gone on with.")
 @timeout_option
 @set_option
@@ -197,6 +217,7 @@ def sweep(
     seeds: int,
     strategies: str | None,
     jobs: int | None,
+    executor: str | None,
     out: Path | None,
     timeout: float | None,
     changes: Mapping[str, object],
@@ -213,11 +234,15 @@ def sweep(
     Examples:  dsse sweep ieee33 --vary faults.loss=0:0.9:10 --seeds 20 --out sweep
                dsse sweep ieee33 --vary measurements.voltage.sigma_percent=0.1,0.2,0.5 --strategies information
                dsse sweep ieee33 --vary 'areas={count=2},{count=4}'
+               dsse sweep ieee33 --vary faults.loss=0:0.9:10 --executor dask://127.0.0.1:8786 --out sweep
     """
+    from coordinator.studies.executors import open_executor
     from coordinator.studies.strategy_comparison import choose_strategies
     from coordinator.studies.sweep_plan import make_plan, parse_vary
     from coordinator.studies.sweep_table import SweepTable
 
+    if executor is not None and jobs is not None:
+        raise click.UsageError("--jobs is of this machine; give one of --executor and --jobs")
     end_orderly_on_signals()
     plan = make_plan(scenario, *parse_vary(vary), choose_strategies(strategies), seeds, links, timeout, changes)
     folder = out or Path("runs") / f"sweep-{plan.base.name}-{time.strftime('%Y%m%d-%H%M%S')}"
@@ -225,7 +250,8 @@ def sweep(
         if table.cut_off:
             notify(f"the last line of {table.path} was half written; that run is done again")
         try:
-            _run_missing(plan, table, jobs or len(os.sched_getaffinity(0)), quiet)
+            with open_executor(executor) if executor else contextlib.nullcontext() as workers:
+                _run_missing(plan, table, jobs or operating_system.count_processors(), quiet, workers)
         except KeyboardInterrupt:
             notify(
                 f"{len(table.rows)} runs are in {table.path}; the same command with --out {folder} goes on from there"
@@ -237,7 +263,7 @@ def sweep(
     show(printable(f"{len(table.rows)} runs in {table.path}{looked_at}"))
 
 
-def _run_missing(plan: SweepPlan, table: SweepTable, jobs: int, quiet: bool) -> None:
+def _run_missing(plan: SweepPlan, table: SweepTable, jobs: int, quiet: bool, executor: Executor | None = None) -> None:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -247,7 +273,7 @@ def _run_missing(plan: SweepPlan, table: SweepTable, jobs: int, quiet: bool) -> 
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), disable=quiet) as bar:
         shown = bar.add_task(printable(plan.key), total=len(plan.tasks), completed=len(plan.tasks) - len(missing))
-        for task, row in run_tasks(plan, missing, jobs):
+        for task, row in run_tasks(plan, missing, jobs, executor):
             table.add(task, row)
             bar.advance(shown)
 

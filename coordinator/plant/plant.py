@@ -25,10 +25,11 @@ from agents.security.credentials import load_keys
 from agents.transport.renewable_bus import RenewableBus
 from agents.transport.zenoh_bus import Session
 from coordinator.plant.scans import Scans
+from dsse_core import operating_system
 from dsse_core.errors import DsseError
 
 log = logging.getLogger(__name__)
-SILENT, RESUME = signal.SIGUSR1, signal.SIGUSR2
+SILENT, RESUME = operating_system.USER_1, operating_system.USER_2
 # At once a plant sends so many bytes, then it waits: what the bus has no room for it drops, until the next heartbeat
 BURST, RATE = 2**16, 16 * 2**20  # bytes, bytes per second
 
@@ -207,9 +208,10 @@ class _PlantLoop:
 
     def follow_signals(self) -> None:
         """Fall silent at signal ``SILENT``, publish again at ``RESUME``."""
-        for number in (SILENT, RESUME):
+        numbers = [number for number in (SILENT, RESUME) if number is not None]
+        for number in numbers:
             signal.signal(number, self._on_signal)
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, (SILENT, RESUME))  # a run's plant may have its orders already
+        operating_system.unblock(numbers)  # a run's plant may have its orders already
 
     def _on_signal(self, number: int, _: object) -> None:
         self.silent = number == SILENT

@@ -1,4 +1,5 @@
 """The warmed parent: imports once what router, plant and agents need, then forks each of them in milliseconds.
+On a system without fork it starts ordinary processes instead, which import for themselves.
 
 It obeys the coordinator over one socket. A coordinator that ends in order has its processes stopped; one
 that is killed stops nothing, unless it has bound them to its life: the areas go on until SIGTERM, SIGINT or SIGHUP to
@@ -17,10 +18,11 @@ import logging
 import os
 import pickle
 import signal
+import subprocess
 import sys
 import time
 import traceback
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
@@ -28,7 +30,7 @@ from typing import Any, NoReturn
 
 from coordinator.interrupts import ENDS
 from coordinator.process_run.lifeline import Lifeline
-from dsse_core import compiling
+from dsse_core import compiling, operating_system
 from dsse_core.code_places import Whole, find_folder_to_keep_in, has_whole
 from dsse_core.printable import printable_lines
 
@@ -36,6 +38,7 @@ STOP_S = 5.0  # from SIGTERM to SIGKILL
 STOP_ALL_S = 2 * STOP_S  # first those whom routers serve, then the routers
 PARENT = "parent of all processes"
 MODULE = "coordinator.process_run.fork_server"
+SPAWNED = "lifeline:"  # before the number of the lifeline's end, in the arguments of a process that is not forked
 COMPILES: Mapping[str, Whole] = {
     "agents.runtime.warm_up:warm_up": "exchange",
     "agents.runtime.warm_up:warm_up_estimate": "estimate",
@@ -124,6 +127,7 @@ class ForkServer:
     bound: bool = False  # to the life of the coordinator
     lifeline: Lifeline = field(default_factory=Lifeline)
     _compiler: int = 0  # process id, while there is one
+    _spawned: dict[int, subprocess.Popen[bytes]] = field(default_factory=dict)  # by pid, where nothing is forked
 
     def serve(self) -> None:
         """Obey until ordered to stop or until a signal of ``ENDS``; without a coordinator, until no child is left."""
@@ -131,13 +135,14 @@ class ForkServer:
         os.set_blocking(wake_read, False)
         os.set_blocking(wake_write, False)
         signal.set_wakeup_fd(wake_write, warn_on_full_buffer=False)
-        signal.signal(signal.SIGCHLD, lambda *_: None)  # the byte on the pipe is what counts
+        assert operating_system.CHILD is not None  # or the launcher has raised
+        signal.signal(operating_system.CHILD, lambda *_: None)  # the byte on the pipe is what counts
         for number in ENDS:
             if signal.getsignal(number) != signal.SIG_IGN:  # as nohup has it
                 signal.signal(number, self._stop)
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDS)  # which the coordinator has blocked until now
+        operating_system.unblock(ENDS)  # which the coordinator has blocked until now
         # inherited: orders to a process wait until it knows what to do at them; unexpected, they would end it
-        signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGUSR1, signal.SIGUSR2))
+        operating_system.block(n for n in (operating_system.USER_1, operating_system.USER_2) if n is not None)
         self._inherited = (wake_read, wake_write)
         compiling.listen(lambda begins, folder: self._report(Compiling(begins, folder)))
         gc.set_threshold(100_000, 50, 100)  # the plant of a large grid is millions of objects without cycles
@@ -162,7 +167,7 @@ class ForkServer:
     def _stop(self, number: int, _: object) -> None:
         self.stopped, self.signalled = True, number
         if self._compiler:
-            os.kill(self._compiler, signal.SIGKILL)
+            os.kill(self._compiler, operating_system.KILL)
 
     def _obey(self, order: Order) -> None:
         match order:
@@ -177,7 +182,9 @@ class ForkServer:
                 gc.collect()  # what no child needs is freed once, not as copied pages in each of them
                 gc.freeze()  # the children share these pages as long as no collector touches them
             case Start():
-                self._fork(order)
+                pid = self._fork(order) if operating_system.HAS_FORK else self._spawn(order)
+                self.children[pid] = replace(order, arguments=b"")  # what is forked later shall not inherit them
+                self._report(Started(order.name, pid))
             case Signal(name, number):
                 for pid, child in self.children.items():
                     if child.name == name:
@@ -194,9 +201,9 @@ class ForkServer:
         which makes 6 MiB of it its own, page by page.
         """
         what = COMPILES.get(target)
-        if what is None or has_whole(what) or find_folder_to_keep_in() is None:
+        if not operating_system.HAS_FORK or what is None or has_whole(what) or find_folder_to_keep_in() is None:
             return
-        self._compiler = os.fork()
+        self._compiler = operating_system.fork()
         if self._compiler == 0:
             self._become_compiler(target)
         os.waitpid(self._compiler, 0)  # should it fail, this process compiles
@@ -214,44 +221,41 @@ class ForkServer:
         finally:
             os._exit(0)
 
-    def _fork(self, order: Start) -> None:
-        pid = os.fork()
+    def _fork(self, order: Start) -> int:
+        pid = operating_system.fork()
         if pid == 0:
-            self._become(order)
-        self.children[pid] = replace(order, arguments=b"")  # what is forked later shall not inherit them
-        self._report(Started(order.name, pid))
+            become(order, self.lifeline, self._leave_parent)
+        return pid
 
-    def _become(self, order: Start) -> NoReturn:
-        """In the child: leave everything of the parent behind, call the target, exit."""
-        code = 1
-        try:
-            os.nice(order.nice)
-            _take_signals()
-            self.orders.close()
-            compiling.forget_listeners()
-            for fd in self._inherited:
-                os.close(fd)
-            _redirect(order.log)
-            self.lifeline.hold(STOP_S if order.stop_last else 0.0, STOP_S)
-            faulthandler.enable(all_threads=False)
-            code = _call(order)
-            logging.shutdown()
-            sys.stdout.flush()
-        except OSError as error:  # if the disk is full, these words find no room either: the code says it, too
-            code = IO_ERROR_CODE
-            where = f"{error.filename}: " if error.filename else ""
-            _write_last(f"error: {where}{error.strerror or error}; make room there, or choose another place\n")
-        except BaseException:
-            _write_last(traceback.format_exc())
-        finally:
-            os._exit(code)  # nothing of the parent's stack may run here
+    def _leave_parent(self) -> None:
+        _take_signals()
+        self.orders.close()
+        compiling.forget_listeners()
+        for fd in self._inherited:
+            os.close(fd)
+
+    def _spawn(self, order: Start) -> int:
+        """Start an ordinary process, which imports for itself what a forked one has from this parent."""
+        end = self.lifeline.end
+        process = subprocess.Popen(
+            [sys.executable, "-P", "-m", MODULE, f"{SPAWNED}{end}", *sys.argv[2:]],  # the mark comes last
+            pass_fds=[end],
+            stdin=subprocess.PIPE,
+        )
+        self._spawned[process.pid] = process  # kept until it has ended: ``subprocess`` reaps what is dropped before
+        assert process.stdin is not None
+        with contextlib.suppress(BrokenPipeError), process.stdin:  # it has died already, as its end will say
+            pickle.dump(order, process.stdin)
+        return process.pid
 
     def _reap(self) -> None:
         while self.children:
-            pid, status = os.waitpid(-1, os.WNOHANG)
+            pid, code = operating_system.find_ended_child()
             if pid == 0:
                 return
-            self._report(Ended(self.children.pop(pid).name, pid, os.waitstatus_to_exitcode(status)))
+            if process := self._spawned.pop(pid, None):
+                process.returncode = code
+            self._report(Ended(self.children.pop(pid).name, pid, code))
 
     def _report(self, update: Started | Ended | Compiling) -> None:
         with contextlib.suppress(OSError):  # nobody listens any more; the next receive says so
@@ -264,21 +268,43 @@ class ForkServer:
             group = [pid for pid, child in self.children.items() if child.stop_last == last]
             for pid in group:
                 os.kill(pid, signal.SIGTERM)
-                os.kill(pid, signal.SIGCONT)  # one that was paused could not handle it
+                operating_system.go_on(pid)  # one that was paused could not handle it
             while any(pid in self.children for pid in group) and time.monotonic() < deadline:
                 self._reap()
                 time.sleep(0.002)
         for pid in self.children:
-            os.kill(pid, signal.SIGKILL)
+            os.kill(pid, operating_system.KILL)
         while self.children:
             self._reap()
             time.sleep(0.002)
 
 
+def become(order: Start, lifeline: Lifeline, leave_parent: Callable[[], None] = lambda: None) -> NoReturn:
+    """In the child: leave everything of the parent behind, call the target, exit."""
+    code = 1
+    try:
+        operating_system.be_nice(order.nice)
+        leave_parent()
+        _redirect(order.log)
+        lifeline.hold(STOP_S if order.stop_last else 0.0, STOP_S)
+        faulthandler.enable(all_threads=False)
+        code = _call(order)
+        logging.shutdown()
+        sys.stdout.flush()
+    except OSError as error:  # if the disk is full, these words find no room either: the code says it, too
+        code = IO_ERROR_CODE
+        where = f"{error.filename}: " if error.filename else ""
+        _write_last(f"error: {where}{error.strerror or error}; make room there, or choose another place\n")
+    except BaseException:
+        _write_last(traceback.format_exc())
+    finally:
+        os._exit(code)  # nothing of the parent's stack may run here
+
+
 def _take_signals() -> None:
     """In a child: signals end it, as they would any process, unless they are ignored, as nohup has it."""
     signal.set_wakeup_fd(-1)
-    for number in (signal.SIGCHLD, *ENDS):
+    for number in filter(None, (operating_system.CHILD, *ENDS)):
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, signal.SIG_DFL)
 
@@ -312,8 +338,10 @@ def _call(order: Start) -> int:
         return request.code or 0
 
 
-if __name__ == "__main__":  # arguments: the socket; the mark by which `dsse stop` knows it and what it forks
+if __name__ == "__main__":  # arguments: the socket; the mark by which `dsse stop` knows it and what it starts
     from coordinator.process_run import fork_server
 
+    if sys.argv[1].startswith(SPAWNED):
+        fork_server.become(pickle.load(sys.stdin.buffer), Lifeline(int(sys.argv[1].removeprefix(SPAWNED))))
     fork_server.ForkServer(Connection(int(sys.argv[1]))).serve()
     os._exit(0)  # the coordinator waits, and there is nothing to tidy up

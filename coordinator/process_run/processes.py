@@ -36,6 +36,7 @@ from coordinator.process_run.fork_server import (
     Started,
     Stop,
 )
+from dsse_core import operating_system
 from dsse_core.errors import DsseError
 
 ONE_THREAD = {
@@ -62,15 +63,14 @@ class Launcher:
     """
 
     def __init__(self, update: Callable[[Started | Ended], None] | None = None, *, bound: bool = False) -> None:
-        if not hasattr(os, "fork"):
-            raise LaunchError("this system cannot fork processes; run on Linux or macOS, or under WSL on Windows")
+        if not operating_system.HAS_CHILDREN_SIGNAL:
+            raise LaunchError("this system has no SIGCHLD; use `dsse simulate`, or run under WSL on Windows")
         self.on_update = update or (lambda _: None)
         self.mark = secrets.token_hex(8)  # in the command lines of all its processes
         self._orders, theirs = Pipe()
         path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH", "")]))
         # inherited: until it knows what to do at them, signals that end it wait
-        mask = signal.pthread_sigmask(signal.SIG_BLOCK, ENDS)
-        try:
+        with operating_system.blocked(ENDS):
             self._fork_server = subprocess.Popen(
                 # -P: a folder of the user's called "agents" or "scenarios" must not stand in for ours
                 [sys.executable, "-P", "-m", MODULE, str(theirs.fileno()), self.mark],
@@ -80,8 +80,6 @@ class Launcher:
                 start_new_session=True,
                 env={**os.environ, **ONE_THREAD, **ONE_HEAP, "PYTHONPATH": path},
             )
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         theirs.close()
         self._any_started = False
         self._stopping = False
@@ -116,8 +114,14 @@ class Launcher:
         self._any_started = True
         self._send(Start(name, target, pickle.dumps(arguments), log, stop_last, nice))
 
-    def signal(self, name: str, number: int) -> None:
-        """Send a signal to process ``name``; nothing happens where it has ended."""
+    def signal(self, name: str, number: int | None) -> None:
+        """Send a signal to process ``name``; nothing happens where it has ended.
+
+        Raises:
+            LaunchError: ``number`` is None, as of a signal that this system lacks.
+        """
+        if number is None:
+            raise LaunchError(f"this system has no signal that pauses or silences {name}; use `dsse simulate`")
         self._send(Signal(name, number))
 
     def stop(self) -> None:
@@ -146,7 +150,7 @@ class Launcher:
 
     def _kill_group(self) -> None:
         with contextlib.suppress(ProcessLookupError):
-            os.killpg(self.pid, signal.SIGKILL)
+            operating_system.signal_group(self.pid, operating_system.KILL)
         self._fork_server.wait()
 
     def _send(self, order: Order) -> None:
@@ -177,10 +181,8 @@ class Launcher:
 
 def check_open_files(areas: int) -> None:
     """Raise LaunchError if a process may not open as many files as the links of ``areas`` need."""
-    import resource  # not on Windows, where Launcher has raised
-
-    limit, needed = resource.getrlimit(resource.RLIMIT_NOFILE)[0], FILES_OF_A_PROCESS + areas
-    if limit != resource.RLIM_INFINITY and limit < needed:
+    limit, needed = operating_system.find_limit_of_open_files(), FILES_OF_A_PROCESS + areas
+    if limit is not None and limit < needed:
         raise LaunchError(
             f"a process may open {limit} files here, and {areas} areas need {needed}; "
             f"raise the limit (ulimit -n {needed})"

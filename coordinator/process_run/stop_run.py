@@ -15,6 +15,7 @@ from typing import Any
 
 from coordinator.process_run.fork_server import MODULE, STOP_ALL_S, STOP_S
 from coordinator.run_folder import EVENTS, PARTS, describe_missing
+from dsse_core import operating_system
 from dsse_core.errors import DsseError, InvalidInputError
 from dsse_core.files.bounded_file import read_text
 from dsse_core.files.bounded_parsing import parse_json
@@ -57,7 +58,7 @@ def stop_run(folder: Path) -> tuple[StartedRun | None, int]:
     if run.parent_pid in found:
         _send([run.parent_pid], signal.SIGTERM)
         _wait_for_end(run, STOP_ALL_S + SPARE_S)
-    for number, wait_s in ((signal.SIGTERM, STOP_S), (signal.SIGKILL, SPARE_S)):
+    for number, wait_s in ((signal.SIGTERM, STOP_S), (operating_system.KILL, SPARE_S)):
         left = set(find_marked(run.mark))
         _send(left, number)
         found |= left
@@ -138,7 +139,7 @@ def _send(pids: Collection[int], number: int) -> None:
     for pid in pids:
         with contextlib.suppress(ProcessLookupError, PermissionError):  # another user's are named when they stay
             os.kill(pid, number)
-            os.kill(pid, signal.SIGCONT)  # one that was paused could not handle it
+            operating_system.go_on(pid)  # one that was paused could not handle it
 
 
 def _wait_for_end(run: StartedRun, wait_s: float) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import signal
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -22,6 +21,7 @@ from coordinator.process_run.fork_server import Ended, Started
 from coordinator.process_run.processes import Launcher, check_open_files, read_end
 from coordinator.recording.folder import LOG, LOGS
 from coordinator.recording.order import RECORDER, Order
+from dsse_core import operating_system
 from dsse_core.limits import LONGEST_S
 from scenarios.scenario import Scenario
 from scenarios.telemetry import Telemetry
@@ -142,7 +142,7 @@ class System:
         if name in self._running:
             self._running.remove(name)
             self._killed[name] += 1
-            self.launcher.signal(name, signal.SIGKILL)
+            self.launcher.signal(name, operating_system.KILL)
 
     def restart(self, name: str) -> None:
         """Start a process again from what it was started from the first time; if it still runs, kill it before."""
@@ -161,18 +161,18 @@ class System:
 
     def pause(self, name: str) -> None:
         """Freeze a process in the middle of whatever it does."""
-        self.launcher.signal(name, signal.SIGSTOP)
+        self.launcher.signal(name, operating_system.PAUSE)
 
     def go_on(self, name: str) -> None:
         """Let a frozen process go on."""
-        self.launcher.signal(name, signal.SIGCONT)
+        self.launcher.signal(name, operating_system.GO_ON)
 
     def note(self, update: Started | Ended) -> bool:
         """Take in what happened to a process; whether it was to be expected."""
         if isinstance(update, Started):
             self.pids[update.name] = update.pid
             return True
-        if update.code == -signal.SIGKILL and self._killed[update.name]:
+        if update.code == -operating_system.KILL and self._killed[update.name]:
             self._killed[update.name] -= 1
             return True
         self._running.discard(update.name)

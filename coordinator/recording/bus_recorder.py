@@ -19,6 +19,7 @@ from agents.runtime.watchdog import Watchdog
 from agents.security.access import COORDINATOR
 from agents.security.credentials import load_keys
 from agents.transport.zenoh_bus import Session
+from coordinator.interrupts import ENDS
 from coordinator.observe.watched_keys import PresenceByName, command_keys, processes_of, readings_keys, state_keys
 from coordinator.recording.arrivals import Arrivals
 from coordinator.recording.closing import Closer, close_ended, remove_oldest
@@ -27,6 +28,7 @@ from coordinator.recording.folder import begin_writing
 from coordinator.recording.order import Order
 from coordinator.recording.recorder import Recorder, left
 from coordinator.recording.segment_log import SegmentLog
+from dsse_core import operating_system
 from dsse_core.errors import DsseError
 
 log = logging.getLogger(__name__)
@@ -60,7 +62,7 @@ def record_from(session: Session, order: Order, on_begun: Callable[[], None] = l
     """
     over, renew = Event(), Event()
     with begin_writing(order.folder, order.run, order.files):
-        ends = (signal.SIGTERM, signal.SIGINT) if session.keys else (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
+        ends = [number for number in ENDS if not (session.keys and number == operating_system.HANGUP)]
         for number in ends:
             signal.signal(number, lambda *_: over.set())
         if session.keys:

@@ -7,7 +7,6 @@ anywhere.
 
 from __future__ import annotations
 
-import fcntl
 import logging
 import os
 import subprocess
@@ -22,6 +21,7 @@ from coordinator.recording.folder import LOG, LOGS, TABLES, list_segments, load_
 from coordinator.recording.frames import is_being_written
 from coordinator.recording.parquet import has_parquet, sync_path, write_rows
 from coordinator.recording.rows import Row, RowMaker
+from dsse_core import operating_system
 from dsse_core.errors import DsseError, InvalidInputError
 from dsse_core.files.drafts import draft_folder, remove_leftovers
 
@@ -60,7 +60,7 @@ def _closing_alone(folder: Path) -> Iterator[None]:
     lock = os.open(folder / LOGS, os.O_RDONLY)
     try:
         with suppress(OSError):  # a system of files without locks
-            fcntl.flock(lock, fcntl.LOCK_EX)
+            operating_system.lock(lock, wait=True)
         yield
     finally:
         os.close(lock)
@@ -172,7 +172,7 @@ class Closer:
 def main(arguments: Sequence[str]) -> int:
     """Close what has ended in the folder that is given; 0, or 2 after an error that is printed."""
     start_log()
-    os.nice(NICE)
+    operating_system.be_nice(NICE)
     try:
         for text in close_ended(Path(arguments[0])):
             log.warning("%s", text)

@@ -7,7 +7,6 @@ each folder of tables, all of one name: when it began.
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 import time
@@ -19,6 +18,7 @@ from pathlib import Path
 
 from agents.area_files.area_file import AreaFile, save_area_file
 from coordinator.run_folder import RECORDING, describe_missing
+from dsse_core import operating_system
 from dsse_core.errors import InvalidInputError
 from dsse_core.files.bounded_file import read_text
 from dsse_core.files.bounded_parsing import parse_json
@@ -138,7 +138,7 @@ def _locked(folder: Path) -> Iterator[None]:
     lock = os.open(folder, os.O_RDONLY)
     try:
         try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            operating_system.lock(lock)
         except BlockingIOError:
             problem = "another recorder writes here; stop it, or choose another folder"
             raise InvalidInputError(str(folder), [problem]) from None

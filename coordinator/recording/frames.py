@@ -7,7 +7,6 @@ each), then the body. After damage the next frame is found by its mark and its c
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import mmap
 import os
 import struct
@@ -16,6 +15,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from dsse_core import operating_system
 from dsse_core.errors import InvalidInputError
 
 MAGIC = b"dsse recording 1\n"
@@ -41,7 +41,7 @@ class FrameLog:
         self.path = path
         self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o644)
         with contextlib.suppress(OSError):  # a system of files without locks
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            operating_system.lock(self._file)
         self.size = 0
         self._write(MAGIC)
 
@@ -144,7 +144,7 @@ def is_being_written(path: Path) -> bool:
     except OSError:
         return False
     try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        operating_system.lock(lock)
     except OSError:
         return True
     finally:

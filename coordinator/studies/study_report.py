@@ -13,11 +13,12 @@ from coordinator.figures.style import styled
 from coordinator.report.page import MAX_ROWS, Page, PageTable, write_page
 from coordinator.report.settings import find_origin
 from coordinator.studies.strategy_comparison import HEADER, list_cells, list_reasons
-from coordinator.studies.study_row import COLUMNS, CONSENSUS, StudyRow, to_cells
+from coordinator.studies.study_row import COLUMNS, CONSENSUS, ORIGIN, StudyRow, to_cells
 from coordinator.studies.sweep_plan import SweepPlan, Task
 from coordinator.studies.sweep_plot import draw_sweep, place_of_value
 from scenarios.scenario import Scenario
 
+SHOWN = tuple(name for name in COLUMNS if name not in ORIGIN)  # the others are the last ones
 PER_RUN = ("strategy", "seed")  # settings that the runs of a study differ in
 
 
@@ -112,6 +113,6 @@ def _median(values: Sequence[float | None], form: str) -> str:
 
 def _list_runs(key: str, rows: Mapping[Task, StudyRow]) -> PageTable:
     tasks = sorted(rows, key=lambda task: (place_of_value(task.value), task.strategy, task.seed))
-    cells = [[task.value, *to_cells(rows[task])] for task in tasks[:MAX_ROWS]]
+    cells = [[task.value, *to_cells(rows[task])[: len(SHOWN)]] for task in tasks[:MAX_ROWS]]
     note, left_out = "The same as sweep.csv beside this file.", len(tasks) - len(cells)
-    return PageTable(f"Runs ({len(tasks)})", [key, *COLUMNS], cells, note, left_out)
+    return PageTable(f"Runs ({len(tasks)})", [key, *SHOWN], cells, note, left_out)

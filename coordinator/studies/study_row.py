@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+import platform
 from dataclasses import dataclass, fields
+from functools import cache
 
+from coordinator.evaluation.answers import version_of
 from coordinator.evaluation.convergence import find_time_below, gap_history
 from coordinator.evaluation.result import RunOutcome
 from dsse_core.printable import shortened
@@ -37,6 +40,9 @@ class StudyRow:
     below_1e8_s: float | None = None
     end_s: float | None = None
     reason: str = ""
+    host: str = ""  # machine that computed the run
+    versions: str = ""  # there, see ``describe_versions``
+    scenario_sha256: str = ""  # of the scenario that the study began with
 
     @property
     def gap(self) -> float | None:
@@ -46,7 +52,17 @@ class StudyRow:
         return max(self.gap_vm_pu, math.radians(self.gap_va_deg))
 
 
+ORIGIN = ("host", "versions", "scenario_sha256")
+PACKAGES = ("consensus-dsse", "numpy", "scipy", "numba")
 COLUMNS = tuple(field.name.replace("_1e", "_1e-") for field in fields(StudyRow))
+
+
+@cache
+def describe_versions() -> str:
+    """Python and the packages that the digits of a row depend on, with their versions, as one text."""
+    found = {name: version_of(name) for name in PACKAGES}
+    listed = [f"{name} {version}" for name, version in found.items() if version is not None]
+    return "; ".join([f"Python {platform.python_version()}", *listed])
 
 
 def make_row(outcome: RunOutcome) -> StudyRow:
@@ -68,12 +84,21 @@ def make_row(outcome: RunOutcome) -> StudyRow:
         below_1e8_s=find_time_below(gaps, 1e-8),
         end_s=verdict.wall_s if verdict.virtual_s is None else verdict.virtual_s,
         reason=_shortened(verdict.reason or ""),
+        host=platform.node(),
+        versions=describe_versions(),
     )
 
 
 def make_impossible_row(scenario: Scenario, error: Exception) -> StudyRow:
     """The row of a run that ``error`` keeps from starting."""
-    return StudyRow(scenario.strategy, scenario.seed, NOT_POSSIBLE, reason=_shortened(str(error)))
+    return StudyRow(
+        scenario.strategy,
+        scenario.seed,
+        NOT_POSSIBLE,
+        reason=_shortened(str(error)),
+        host=platform.node(),
+        versions=describe_versions(),
+    )
 
 
 def to_cells(row: StudyRow) -> list[str]:

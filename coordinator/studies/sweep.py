@@ -1,4 +1,4 @@
-"""``dsse sweep``: many runs on the simulator, on all cores."""
+"""``dsse sweep``: many runs on the simulator, on all cores or by an executor."""
 
 from __future__ import annotations
 
@@ -7,27 +7,78 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Generator, Iterator, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from dataclasses import replace
 
 from coordinator.interrupts import ENDS
 from coordinator.simulator.simulate import Simulation
 from coordinator.strategy_check import check_with_strategy
-from coordinator.studies.study_row import StudyRow, make_impossible_row, make_row
-from coordinator.studies.sweep_plan import SweepPlan, Task
+from coordinator.studies.executors import RUNS_OF_UNIT, WorkerError, run_units
+from coordinator.studies.study_row import StudyRow, describe_versions, make_impossible_row, make_row
+from coordinator.studies.sweep_plan import SweepPlan, Task, hash_scenario
+from dsse_core import operating_system
 from dsse_core.errors import DsseError
 from scenarios.scenario import Scenario
 
 _plan: SweepPlan  # of a worker process
 
 
-class WorkerError(DsseError):
-    """A worker process ended before its run did."""
+def run_tasks(
+    plan: SweepPlan, tasks: Sequence[Task], jobs: int, executor: Executor | None = None
+) -> Iterator[tuple[Task, StudyRow]]:
+    """Run ``tasks`` in ``jobs`` processes, or by ``executor`` in units; each with its row, as they end.
+
+    Raises:
+        WorkerError: a worker was killed, or has other versions than this process.
+    """
+    content = hash_scenario(plan.base)
+    if executor is None:
+        found = _run_here(plan, tasks, jobs)
+    else:
+        ordered = sorted(tasks, key=lambda task: task.value)  # a unit carries few networks
+        found = run_scenarios(executor, [(task, plan.scenario_of(task)) for task in ordered])
+    with contextlib.closing(found):
+        for task, row in found:
+            yield task, replace(row, scenario_sha256=content)
 
 
-def run_tasks(plan: SweepPlan, tasks: Sequence[Task], jobs: int) -> Iterator[tuple[Task, StudyRow]]:
-    """Run ``tasks`` in ``jobs`` processes; each with its row, as they end."""
+def run_scenarios(
+    executor: Executor, runs: Sequence[tuple[Task, Scenario]], size: int = RUNS_OF_UNIT
+) -> Generator[tuple[Task, StudyRow], None, None]:
+    """Run scenarios by ``executor``, ``size`` in a unit; each with its row, unit by unit as they end.
+
+    Raises:
+        WorkerError: as of ``run_tasks``.
+    """
+    with contextlib.closing(run_units(executor, run_unit, runs, size)) as found:
+        for task, row in found:
+            if row.versions != describe_versions():
+                raise WorkerError(
+                    f"the worker on {row.host} has {row.versions}, and this process {describe_versions()}; "
+                    "install the same versions"
+                )
+            yield task, row
+
+
+def compare_by(executor: Executor, scenario: Scenario, strategies: Sequence[str]) -> tuple[StudyRow, ...]:
+    """One row per strategy, run side by side by ``executor``.
+
+    Raises:
+        WorkerError: as of ``run_tasks``.
+    """
+    runs = [(Task("", name, scenario.seed), replace(scenario, strategy=name)) for name in strategies]
+    rows, content = dict(run_scenarios(executor, runs, 1)), hash_scenario(scenario)
+    return tuple(replace(rows[task], scenario_sha256=content) for task, _ in runs)
+
+
+def run_unit(runs: Sequence[tuple[Task, Scenario]]) -> list[tuple[Task, StudyRow]]:
+    """Rows of one unit of work. They depend on the scenarios only, but for host and versions."""
+    return [(task, run_on_simulator(scenario)) for task, scenario in runs]
+
+
+def _run_here(plan: SweepPlan, tasks: Sequence[Task], jobs: int) -> Generator[tuple[Task, StudyRow], None, None]:
     jobs = min(jobs, len(tasks))
     if jobs <= 1:
         for task in tasks:
@@ -58,24 +109,20 @@ def _signals_held_back() -> Iterator[None]:
 
     Workers inherit the mask. It does not keep a signal from another thread of ours, so that the handlers wait, too.
     """
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
     came: list[int] = []
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDS)
-    handlers = {number: signal.getsignal(number) for number in ENDS}
-    is_main = threading.current_thread() is threading.main_thread()  # no other may set handlers
-    waiting = [number for number, handler in handlers.items() if is_main and callable(handler)]
-    for number in waiting:
-        signal.signal(number, lambda number, _: came.append(number))
-    try:
-        yield
-    finally:
+    with operating_system.blocked(ENDS):
+        handlers = {number: signal.getsignal(number) for number in ENDS}
+        is_main = threading.current_thread() is threading.main_thread()  # no other may set handlers
+        waiting = [number for number, handler in handlers.items() if is_main and callable(handler)]
         for number in waiting:
-            signal.signal(number, handlers[number])
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        for arrived in came:
-            signal.raise_signal(arrived)
+            signal.signal(number, lambda number, _: came.append(number))
+        try:
+            yield
+        finally:
+            for number in waiting:
+                signal.signal(number, handlers[number])
+    for arrived in came:
+        signal.raise_signal(arrived)
 
 
 def run_on_simulator(scenario: Scenario) -> StudyRow:

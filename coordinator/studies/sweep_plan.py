@@ -56,20 +56,25 @@ class SweepPlan:
     @property
     def settings(self) -> dict[str, Any]:
         """What all rows of one table have in common; values, strategies and seeds may become more."""
-        content = repr([_content(getattr(self.base, f.name)) for f in fields(self.base) if f.name != "path"])
         return {
             "scenario": self.base.name,
             "links": dict(self.links),
-            "scenario_sha256": hashlib.sha256(content.encode()).hexdigest(),
+            "scenario_sha256": hash_scenario(self.base),
             "vary": self.key,
             "version": version_of("consensus-dsse"),
         }
 
 
+def hash_scenario(scenario: Scenario) -> str:
+    """SHA-256 of all that ``scenario`` holds, network included, wherever its file lies."""
+    content = repr([_content(getattr(scenario, f.name)) for f in fields(scenario) if f.name != "path"])
+    return hashlib.sha256(content.encode()).hexdigest()
+
+
 def _content(value: object) -> object:
-    """``value`` with all that it holds, of which its own repr may be shorter."""
+    """``value`` with all that it holds, of which its own repr may be shorter; not what is derived from it later."""
     if is_dataclass(value):
-        return [(f.name, _content(getattr(value, f.name))) for f in fields(value)]
+        return [(f.name, _content(getattr(value, f.name))) for f in fields(value) if f.init]
     if isinstance(value, Mapping):
         return [(_content(key), _content(of_key)) for key, of_key in value.items()]
     if isinstance(value, Sequence) and not isinstance(value, str):

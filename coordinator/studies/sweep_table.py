@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import csv
-import fcntl
 import io
 import json
 from pathlib import Path
@@ -14,8 +13,9 @@ from types import TracebackType
 from typing import Any, Self
 
 from coordinator.run_folder import folder_error
-from coordinator.studies.study_row import COLUMNS, StudyRow, from_cells, to_cells
+from coordinator.studies.study_row import COLUMNS, StudyRow, describe_versions, from_cells, to_cells
 from coordinator.studies.sweep_plan import Task
+from dsse_core import operating_system
 from dsse_core.errors import InvalidInputError
 from dsse_core.files.bounded_file import read_text
 from dsse_core.files.bounded_parsing import parse_json
@@ -40,6 +40,7 @@ class SweepTable:
         self.path = folder / TABLE
         self.rows: dict[Task, StudyRow] = {}
         self.cut_off = False  # whether the last line was half written; that run is done again
+        self._origin = (describe_versions(), str(settings["scenario_sha256"]))
         self._header = [str(settings["vary"]), *COLUMNS]
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -49,10 +50,12 @@ class SweepTable:
         _check_settings(folder, settings)
         self._lines = WholeLines(self.path)
         try:
-            fcntl.flock(self._lines.file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
+            operating_system.lock(self._lines.file.fileno())
+        except BlockingIOError:
             self._lines.close()
             raise InvalidInputError(str(self.path), ["another sweep is writing to it; wait for its end"]) from None
+        except OSError:
+            pass  # a system of files without locks
         self._read()
 
     def __enter__(self) -> Self:
@@ -92,6 +95,11 @@ class SweepTable:
             except ValueError as error:
                 problems.append(f"line {number} is no row of a sweep ({error}); remove it")
             else:
+                if (row.versions, row.scenario_sha256) != self._origin:
+                    problems.append(
+                        f"line {number} is a row of {row.versions}, scenario {row.scenario_sha256[:12]}, and here are "
+                        f"{self._origin[0]}, scenario {self._origin[1][:12]}; {ANOTHER}"
+                    )
                 self.rows[Task(value, row.strategy, row.seed)] = row
         if problems:
             raise InvalidInputError(str(self.path), problems)

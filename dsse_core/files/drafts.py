@@ -7,7 +7,6 @@ by this, what a killed process has left is distinguished from what is being writ
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
 import re
 import secrets
@@ -16,6 +15,8 @@ import stat
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+from dsse_core import operating_system
 
 DRAFT = ".dsse-new-"
 RANDOM = "[0-9a-f]{16}"
@@ -78,7 +79,7 @@ def _make_locked(parent: Path, prefix: str, suffix: str, make: Callable[[Path], 
         make(path)
         lock = os.open(path, os.O_RDONLY)
         with contextlib.suppress(OSError):  # a system of files without locks
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            operating_system.lock(lock)
         if path.exists():
             return path, lock
         os.close(lock)  # before it was locked, another process took it for a leftover
@@ -89,11 +90,11 @@ def _make_file(path: Path) -> None:
 
 
 def _remove_if_left(path: Path, is_used: Callable[[Path], bool]) -> None:
-    lock = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    lock = os.open(path, os.O_RDONLY | operating_system.FLAGS_UNFOLLOWED)
     try:
         status = os.fstat(lock)
-        if status.st_uid == os.geteuid() and (stat.S_ISDIR(status.st_mode) or stat.S_ISREG(status.st_mode)):
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # OSError: its writer lives
+        if operating_system.is_own(status) and (stat.S_ISDIR(status.st_mode) or stat.S_ISREG(status.st_mode)):
+            operating_system.lock(lock)  # OSError: its writer lives
             if not is_used(path):
                 _remove(path)
     finally:
