@@ -99,6 +99,6 @@ def build_no_load_model(area: Area, measurements: Sequence[Measurement], referen
     vm, va = flat_start(area.network, area.slack_bus if reference is None else reference)
     x = np.concatenate([va, vm, np.zeros(model.size - 2 * len(vm))])
     of_power = ~np.isin(model.kinds, (MeasurementKind.VM, MeasurementKind.VA))
-    typical = np.median([1 / abs(complex(b.r, b.x)) for b in area.network.active_branches])
+    typical = np.median([1 / abs(complex(b.r, b.x)) for b in area.network.active_branches] or [1.0])
     model = replace(model, z=model.predict(x), sigma=np.where(of_power, typical, 1.0))
     return NoLoadModel(model, make_no_load(model), x, model.ids, float(typical))

@@ -183,7 +183,7 @@ def _find_pieces(network: Network, members: _Members, area: np.ndarray, place: n
     graph = csr_array((np.ones(len(place), dtype=bool), tuple(ends)), shape=(len(key), len(key)))
     pieces = np.split(connected_components(graph, directed=False)[1], np.cumsum([len(rows) for rows in members.rows]))
     for name, rows, piece in zip(members.names, members.rows, pieces, strict=False):
-        if len(rows) == 1:
+        if len(rows) == 1 and n > 1:
             yield f"area {name} has a single bus and no branch; add the bus to a neighbouring area instead"
         elif len(rows) and (piece != piece[0]).any():
             found: dict[int, list[int]] = {}

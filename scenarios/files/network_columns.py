@@ -82,7 +82,9 @@ class BranchArrays:
     def of(cls, given: list[BranchTable] | BranchColumns, buses: BusArrays, base_mva: float) -> BranchArrays:
         n = len(given) if isinstance(given, list) else len(given.to)
         from_bus, to_bus = read_ids(_take(given, "from_", n, 0)), read_ids(_take(given, "to", n, 0))
-        in_ohm = np.array([b.is_in_ohm for b in given] if isinstance(given, list) else [given.is_in_ohm] * n)
+        in_ohm = np.array(
+            [b.is_in_ohm for b in given] if isinstance(given, list) else [given.is_in_ohm] * n, dtype=bool
+        )
         rows, base_kv = Rows(buses.id), np.append(buses.base_kv, math.nan)  # which row -1 is
         from_kv, to_kv = base_kv[rows.find(from_bus)], base_kv[rows.find(to_bus)]
         kv = np.where(np.isnan(from_kv), 1.0, from_kv)  # of a bus that is not defined, which Network reports
@@ -103,7 +105,7 @@ class BranchArrays:
             b=choose(take("b_us") * 1e-6 * z_base, "b_pu"),
             tap=take("tap_ratio", 1.0),
             shift=np.radians(take("shift_deg")),
-            in_service=np.array(_take(given, "in_service", n, True)),
+            in_service=np.array(_take(given, "in_service", n, True), dtype=bool),
             g=choose(take("g_us") * 1e-6 * z_base, "g_pu"),
             name=_take(given, "name", n, ""),
             i_max=take("rating_a", math.nan) * kv / base_current(base_mva, 1.0),

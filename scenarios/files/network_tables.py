@@ -104,7 +104,7 @@ class BusColumns(ColumnsTable):
 class BranchColumns(ColumnsTable):
     """``branch`` as lists: the keys of ``BranchTable``."""
 
-    from_: list[int] = Field(alias="from", min_length=1, description="ids of the buses at the tap sides")
+    from_: list[int] = Field(alias="from", description="ids of the buses at the tap sides")
     to: list[int] = Field(description="ids of the buses at the other ends")
     id: list[OptionalId] | None = None
     r_ohm: list[float] | None = None
@@ -164,7 +164,7 @@ Buses = Annotated[
     Discriminator(_form_of),
 ]
 Branches = Annotated[
-    Annotated[list[BranchTable], Field(min_length=1), Tag("[tables]")] | Annotated[BranchColumns, Tag("[lists]")],
+    Annotated[list[BranchTable], Tag("[tables]")] | Annotated[BranchColumns, Tag("[lists]")],
     Discriminator(_form_of),
 ]
 

@@ -33,6 +33,8 @@ def cut_into(network: Network, count: int) -> dict[str, list[int]]:
         InvalidInputError: the network has fewer blocks than ``count``, no substation or unreached buses.
     """
     blocks = find_blocks(network)
+    if count == len(network.buses) == 1:
+        return {"area1": [network.buses[0].id]}
     if not 1 <= count <= len(blocks):
         problem = f"{count} areas are asked for; give a count of at least 1"
         if count > len(blocks):
