@@ -29,6 +29,7 @@ from dsse_core.linear.interface import NOT_YET, NOT_YET_OF_POWER, LinearArea, Re
 from dsse_core.linear.rows import PRIOR_SIGMA
 from dsse_core.radial.plan import (
     N_SLOT,
+    N_VOLTAGE_SLOT,
     RadialLayout,
     find_slots,
     lay_out_radial,
@@ -43,7 +44,6 @@ LEAST_OF_POWER = 1e-11  # the same of powers into children
 # Determinant of a covariance of (p, q) over the product of its diagonal. Below it one combination of p and q is known
 # so much better than the other that in two numbers and their product it has drowned.
 LEAST_SPREAD = 1e-5
-N_VOLTAGE = 2  # slots of a bus that read its voltage: angle, magnitude
 
 
 def find_why_not_radial(network: Network) -> str:
@@ -253,19 +253,19 @@ class RadialSolver(LinearArea):
         """
         z, w = t.z.copy(), t.w.copy()
         of_injection = np.isin(t.slot % N_SLOT, (2, 3))
-        w[:, :N_VOLTAGE] = 0.0
+        w[:, :N_VOLTAGE_SLOT] = 0.0
         z.ravel()[t.slot] = self._model.z
         sigma = self._model.sigma
         w.ravel()[t.slot] = np.where(of_injection, sigma**2.0, sigma**-2.0)
         if (prior := self._model.prior) is not None:
             n, order = len(t.layout.order), t.layout.order
             expected = np.stack([prior[order], prior[n + order]], axis=1)
-            own = w[:, :N_VOLTAGE]
+            own = w[:, :N_VOLTAGE_SLOT]
             joint = own + PRIOR_SIGMA**-2
-            misfit = z[:, :N_VOLTAGE] - expected
+            misfit = z[:, :N_VOLTAGE_SLOT] - expected
             misfit[:, 0] = np.pi - (np.pi - misfit[:, 0]) % (2 * np.pi)
-            z[:, :N_VOLTAGE] = expected + own / joint * misfit
-            w[:, :N_VOLTAGE] = joint
+            z[:, :N_VOLTAGE_SLOT] = expected + own / joint * misfit
+            w[:, :N_VOLTAGE_SLOT] = joint
         return replace(t, z=z, w=w)
 
     def _variance_beside_prior(self, t: _Rooted) -> np.ndarray:
@@ -273,7 +273,7 @@ class RadialSolver(LinearArea):
         if self._model.prior is None:
             return np.zeros(len(t.slot))
         share = PRIOR_SIGMA**-2 / t.w.ravel()[t.slot]
-        return np.where(t.slot % N_SLOT < N_VOLTAGE, self._model.sigma**2.0 * share, 0.0)
+        return np.where(t.slot % N_SLOT < N_VOLTAGE_SLOT, self._model.sigma**2.0 * share, 0.0)
 
 
 def _with_own_balance(

@@ -28,6 +28,7 @@ SLOTS_AT_PARENT = {MeasurementKind.P_FLOW: 4, MeasurementKind.Q_FLOW: 5, Measure
 SLOTS_AT_CHILD = {MeasurementKind.P_FLOW: 7, MeasurementKind.Q_FLOW: 8, MeasurementKind.CURRENT: 9}
 _COLUMNS = np.array([[slots.get(k, -1) for k in KINDS] for slots in (SLOTS_AT_BUS, SLOTS_AT_PARENT, SLOTS_AT_CHILD)])
 N_SLOT = 10
+N_VOLTAGE_SLOT = 2  # the first slots of a bus read its voltage: angle, magnitude
 
 
 @dataclass(frozen=True, repr=False)

@@ -53,5 +53,5 @@ def test_who_comes_later_is_sent_the_readings_in_use_and_they_are_the_same():
     bus.run(25.0)
     of_one = [(at, used) for at, used in seen if used.header.sender == "area1"]
     assert len(of_one) == 3
-    assert len({id(used) for _, used in of_one}) == 1
+    assert len({used for _, used in of_one}) == 1
     assert all(later - earlier >= 10.0 for (earlier, _), (later, _) in itertools.pairwise(of_one))
