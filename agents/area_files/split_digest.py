@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import hashlib
 import struct
-import time as clock
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -32,17 +31,14 @@ LEFT_OUT = frozenset(
 )
 
 
-def stamp_split(
-    files: Sequence[AreaFile], sigmas: Mapping[str, Any] | None = None, time: float | None = None
-) -> list[AreaFile]:
+def stamp_split(files: Sequence[AreaFile], time: float, sigmas: Mapping[str, Any] | None = None) -> list[AreaFile]:
     """``files``, all of one split, with its identity.
 
-    ``sigmas``: the rule of the meters' standard deviations. ``time``: of the split, s since 1970 UTC; now if not given.
+    ``time``: of the split, s since 1970 UTC. ``sigmas``: the rule of the meters' standard deviations.
     """
     contents = {content.area.name: _digest_content(content) for content in files}
     digest = _digest([*_list_places("sigmas", dict(sigmas or {})), *_list_places("files", contents)])
-    at = float(int(clock.time())) if time is None else time
-    return [replace(content, split=SplitStamp(digest, contents[content.area.name], at)) for content in files]
+    return [replace(content, split=SplitStamp(digest, contents[content.area.name], time)) for content in files]
 
 
 def find_identity(content: AreaFile) -> SplitIdentity:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
+import time as clock
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -60,7 +61,8 @@ def area_files(
         )
         for area in partition.areas
     ]
-    return stamp_split(files, dataclasses.asdict(scenario.sigma_rule), time)
+    at = float(int(clock.time())) if time is None else time
+    return stamp_split(files, at, dataclasses.asdict(scenario.sigma_rule))
 
 
 def choose_run_id(scenario: Scenario, given: str | None) -> str:

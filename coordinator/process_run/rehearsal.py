@@ -48,7 +48,7 @@ def _estimate(strategy: str, partition: Partition) -> dict[str, str]:
         made = [
             AreaFile("rehearsal", area, meters[area.name], strategy, ("tcp/127.0.0.1:0",)) for area in partition.areas
         ]
-        for content in stamp_split(made):
+        for content in stamp_split(made, time=0.0):
             path = folder / f"{content.area.name}.json"
             save_area_file(path, content)
             files.append(load_area_file(path, list_strategies()))

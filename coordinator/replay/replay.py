@@ -90,7 +90,8 @@ def load_replay_areas(folder: Path, scenario: Scenario | None = None) -> list[Ar
     if not files:
         problem = "was recorded without its area files; say by --scenario what the areas were split from"
         raise InvalidInputError(str(folder), [problem])
-    return stamp_split([replace(c, readings=DEFAULT_RULES, clock_error_s=0.0, scan_s=None) for c in files])
+    made = [replace(c, readings=DEFAULT_RULES, clock_error_s=0.0, scan_s=None) for c in files]
+    return stamp_split(made, time.time())
 
 
 def replay(

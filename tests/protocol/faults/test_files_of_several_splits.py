@@ -161,9 +161,9 @@ def test_files_of_a_version_without_splits_work_and_are_never_good():
 
 
 def test_one_area_alone_with_an_edited_file_is_not_good():
-    (content,) = stamp_split(area_files_of(load_scenario("ieee33"))[:1])
+    (content,) = stamp_split(area_files_of(load_scenario("ieee33"))[:1], time=0.0)
     alone = replace(content.area, neighbours=(), n_areas=1, towards_hub=None)
-    content = stamp_split([replace(content, area=alone, strategy="information", links={})])[0]
+    content = stamp_split([replace(content, area=alone, strategy="information", links={})], time=0.0)[0]
     telemetry = {alone.name: make_telemetry(load_scenario("ieee33")).by_area[alone.name]}
     for own, is_good in ((content, True), (replace(content, tolerance=1e-5), False)):
         bus = SimulatedBus([own], telemetry)

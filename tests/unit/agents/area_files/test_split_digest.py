@@ -130,7 +130,7 @@ def altered(value: Any) -> Any:
 
 def test_another_rule_of_standard_deviations_is_another_split():
     files = files_of()
-    one, other = (stamp_split(files, {"floor": floor})[0] for floor in (1e-3, 2e-3))
+    one, other = (stamp_split(files, 0.0, {"floor": floor})[0] for floor in (1e-3, 2e-3))
     assert find_identity(one) != find_identity(other)
 
 
