@@ -12,17 +12,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import ClassVar, Self
 
-from agents.messages.boundary_variables import (
-    ONE_PHASE,
-    Lengths,
-    count_powers,
-    count_triangle,
-    find_wrong_length,
-    find_wrong_variable,
-)
+from agents.messages.boundary_variables import Lengths, count_triangle, find_wrong_length
 from agents.messages.checks import BusId, Count, Integer, MessageError, Name, Names, Notes, Number, Numbers
 from dsse_core.estimation.decision import Totals
 from dsse_core.exchange.boundary_load import NetLoad
+from dsse_core.grid.boundary import Boundary, boundary_of, find_wrong_name
 from dsse_core.split_identity import NO_SPLIT, SplitIdentity
 
 LAST = {"is_last": True}  # of a field that stands behind those of derived classes
@@ -100,26 +94,31 @@ class BoundaryUpdate:
     def falsified(self, falsify: Callable[[Numbers], Numbers]) -> Self:
         """What an injected lie makes of the message.
 
-        ``falsify``: of numbers that are about (p, q, vm, va) at the boundary. A message that does not say which of its
-        numbers do cannot lie.
+        ``falsify``: of the numbers y of the message's ``variables``; without these, of (p, q, vm, va) at ``bus``. A
+        message that does not say which of its numbers are about the boundary cannot lie.
         """
         return self
 
 
 @dataclass(frozen=True, slots=True)
 class VariablesMessage(ABC):
-    """A message at boundary ``bus`` with numbers of its d ``variables`` y."""
+    """A message with numbers of the d ``variables`` y of a boundary, whose first bus is ``bus``."""
 
     header: Header
     bus: BusId
-    variables: Names = field(default=ONE_PHASE, kw_only=True)
+    variables: Names = field(kw_only=True)
+
+    @property
+    def boundary(self) -> Boundary:
+        """What ``variables`` names."""
+        return boundary_of(self.variables)
 
     @abstractmethod
     def lengths(self) -> Lengths:
         """Field -> how many numbers it has, and how many it may have."""
 
     def find_misfit(self) -> str:
-        return find_wrong_variable(self.variables) or find_wrong_length(self.variables, self.lengths())
+        return find_wrong_name(self.variables) or find_wrong_length(self.boundary, self.lengths())
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,7 +165,7 @@ class HeartbeatMessage(PlaceMessage):
     split: SplitIdentity = NO_SPLIT
 
     def lengths(self) -> Lengths:
-        return {"y": (len(self.y), (0, len(self.variables)))}
+        return {"y": (len(self.y), (0, self.boundary.d))}
 
 
 @dataclass(frozen=True)
@@ -186,13 +185,13 @@ class RoundMessage(PlaceMessage):
     totals: Totals
 
     def lengths(self) -> Lengths:
-        d = len(self.variables)
+        d = self.boundary.d
         triangle = count_triangle(d)
         return {
             "R": (len(self.R), (0, triangle)),
             "z": (len(self.z), (d,) if self.R else (0,)),
             "no_load": (len(self.no_load), (0, triangle)),
-            "power": (len(self.power), (0, count_powers(self.variables))),
+            "power": (len(self.power), (0, self.boundary.n_powers)),
         }
 
 

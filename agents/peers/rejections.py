@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Mapping
 
 from agents.area_files.area_file import AreaFile
-from agents.messages.boundary_variables import ONE_PHASE
 from agents.messages.packing import (
     BoundaryUpdate,
     ClockMessage,
@@ -111,7 +110,8 @@ def find_rejection(message: Message, key_sender: str, content: AreaFile, now: fl
         return "sender does not own the key"
     if message.bus != bus:
         return OTHER_BUS
-    if getattr(message, "variables", ONE_PHASE) != ONE_PHASE:
+    names = content.area.boundaries[header.sender].names
+    if getattr(message, "variables", names) != names:
         return "other boundary variables"
     return find_unreasonable(message)
 

@@ -326,6 +326,7 @@ class AreaProtocol(ABC):
             HeartbeatMessage(
                 header=self._header(1),
                 bus=peer.bus,
+                variables=self._area.boundaries[name].names,
                 **standing,
                 plant=plant,
                 offset=offset,

@@ -270,4 +270,5 @@ def information_of(message: RoundMessage) -> BoundaryInformation:
 
 def no_load_of(message: RoundMessage) -> BoundaryInformation:
     """The no-load information, which has no z."""
-    return BoundaryInformation(read_triangle(message.no_load), np.zeros(4))
+    R = read_triangle(message.no_load)
+    return BoundaryInformation(R, np.zeros(len(R)))

@@ -265,6 +265,7 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
         return {
             "header": self._header(peer.exchange.sequence + 1),
             "bus": peer.bus,
+            "variables": self._area.boundaries[name].names,
             "revision": self._revision,
             "k": k,
             "receives": False,

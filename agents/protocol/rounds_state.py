@@ -46,6 +46,7 @@ from dsse_core.estimation.decision import UNOBSERVABLE as NOT_OBSERVABLE
 from dsse_core.estimation.decision import Totals
 from dsse_core.estimation.residuals import chi_square_limit
 from dsse_core.exchange.area_estimation import FAILURES
+from dsse_core.grid.boundary import Kind
 from dsse_core.split_identity import SplitUse
 
 CONTRADICTION = 0.9999  # confidence of the chi-square test of what is shown; bad data are looked for at a lower one
@@ -289,8 +290,10 @@ class RoundsState:
         """By how much (vm, va) at a boundary differ, p.u. and rad; asked for at every event, found once."""
         kept = self._kept_mismatches.get(name)
         if kept is None or kept[0] is not outcome or kept[1] != theirs:
-            _, _, vm, va = self._round.estimation.boundary_values(name)
-            mismatch = abs(vm - theirs[2]), abs(math.remainder(va - theirs[3], 2 * math.pi))
+            own, places = self._round.estimation.boundary_values(name), self._area.boundaries[name].places
+            vm = [abs(own[k] - theirs[k]) for k in places[Kind.VM]]
+            va = [abs(math.remainder(own[k] - theirs[k], 2 * math.pi)) for k in places[Kind.VA]]
+            mismatch = max(vm), max(va)
             self._kept_mismatches[name] = kept = outcome, theirs, mismatch
         return kept[2]
 

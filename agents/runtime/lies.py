@@ -1,6 +1,6 @@
 """What a lying area says: the same false boundary, totals or verdict in all its messages.
 
-A story that contradicts itself is found out at once. So every number about y = (p, q, vm, va) at the boundary
+A story that contradicts itself is found out at once. So every number about y, the variables of the boundary,
 is changed as if y were another one, and a verdict follows from the totals that are sent, unless the lie is about the
 verdict itself.
 """
@@ -8,6 +8,7 @@ verdict itself.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from agents.messages.packing import (
 )
 from agents.messages.triangle import read_triangle, write_triangle
 from dsse_core.estimation.decision import Memory, Totals, decide
+from dsse_core.grid.boundary import Boundary, boundary_at, boundary_of
 from dsse_core.link_faults import LinkFaults
 
 WORST = 1e3  # the normalised residual that a lie about the worst meter states
@@ -31,7 +33,6 @@ class Liar:
 
     def __init__(self, faults: LinkFaults) -> None:
         self._faults = faults
-        self._offset = np.array(faults.lie_offset)
         self._memories: dict[tuple[object, int, int, int], Memory] = {}  # what verdicts of a round rest on, as sent
 
     def falsify(self, message: Message) -> Message:
@@ -40,18 +41,23 @@ class Liar:
             case UpMessage() | DownMessage():
                 return self._falsify_round(message)
             case HeartbeatMessage():
-                y = self._falsify_y(message.y)
+                y = self._falsify_y(message.boundary, message.y)
                 return replace(message, y=y, complete=message.complete or self._faults.lie_areas > 0)
             case BoundaryUpdate():
-                return message.falsified(self._falsify_y)
+                names = getattr(message, "variables", None)
+                boundary = boundary_of(names) if names else boundary_at((message.bus,), message.header.sender)
+                return message.falsified(partial(self._falsify_y, boundary))
         return message
 
-    def _falsify_y(self, y: tuple[float, ...]) -> tuple[float, ...]:
+    def _falsify_y(self, boundary: Boundary, y: tuple[float, ...]) -> tuple[float, ...]:
         """y, or the first of it, or nothing where nothing was sent."""
         if not self._faults.lies_of_boundary:
             return y
-        false = self._faults.lie_scale * np.array(y) + self._offset[: len(y)]
+        false = self._faults.lie_scale * np.array(y) + self._offset_of(boundary)[: len(y)]
         return tuple(false.tolist())
+
+    def _offset_of(self, boundary: Boundary) -> np.ndarray:
+        return boundary.per_kind(*self._faults.lie_offset)
 
     def _falsify_round(self, message: UpMessage | DownMessage) -> UpMessage | DownMessage:
         message = self._falsify_information(message)
@@ -62,13 +68,12 @@ class Liar:
 
     def _falsify_information(self, message: UpMessage | DownMessage) -> UpMessage | DownMessage:
         """|R y - z| of the true y is |R' y' - z'| of the false one: R' = R / scale, z' = z + R' offset."""
-        power = self._falsify_y(message.power)
+        power = self._falsify_y(message.boundary, message.power)
         if not message.R:
             return replace(message, power=power)
         R = read_triangle(message.R) / self._faults.lie_scale
-        return replace(
-            message, R=write_triangle(R), z=tuple((np.array(message.z) + R @ self._offset).tolist()), power=power
-        )
+        z = np.array(message.z) + R @ self._offset_of(message.boundary)
+        return replace(message, R=write_triangle(R), z=tuple(z.tolist()), power=power)
 
     def _falsify_totals(self, message: RoundMessage) -> Totals:
         f, totals = self._faults, message.totals

@@ -11,17 +11,18 @@ import numpy as np
 
 from agents.area_files.area_file import AreaFile
 from agents.messages.packing import BoundaryUpdate, Header
-from agents.strategies.admm_boundary import ANGLE, MOVED, AdmmMessage, BoundaryIteration
+from agents.strategies.admm_boundary import MOVED, AdmmMessage, BoundaryIteration
 from agents.strategies.interface import Estimate, Knowledge, Strategy
 from agents.strategies.start import start_state
 from dsse_core.exchange.consensus_admm import compute_weight, pull, solve_damped_step
+from dsse_core.grid.boundary import boundary_of
 from dsse_core.grid.measurement import Measurement, MeasurementKind
 from dsse_core.grid.partition import Neighbour
 from dsse_core.linear.area_model import AreaModel, build_area_model
-from dsse_core.linear.boundary_information import BEYOND_REASON, EXACT_SIGMA, VA
+from dsse_core.linear.boundary_information import BEYOND_REASON, EXACT_SIGMA
 
 MOST_STEPS = 50  # between two messages
-LARGEST_R = np.array([1e6, 1e6, 1e3, 1e3])  # p.u. and rad; from farther away z would not come back with all digits
+LARGEST_R = np.array([1e6, 1e6, 1e3, 1e3])  # by kind, p.u. and rad; from farther z would not come back with all digits
 SETTLED = 1e-6  # p.u., rad: a last step below it shows the end
 
 
@@ -36,7 +37,7 @@ class Admm(Strategy):
         self._measurements: tuple[Measurement, ...] = ()
         self._model: AreaModel | None = None
         self._x = np.zeros(0)
-        self._boundaries = {n.area: BoundaryIteration(n) for n in content.area.neighbours}
+        self._boundaries = self._begin_iterations()
         self._sigma = np.zeros(0)
         self._moved = 0.0  # in the last step, p.u. and rad
         self._shown: Estimate | None = None
@@ -68,6 +69,7 @@ class Admm(Strategy):
         return AdmmMessage(
             header,
             neighbour.bus,
+            variables=b.boundary.names,
             iteration=b.k,
             r=tuple(b.sent.tolist()),
             r_before=tuple(b.sent_before.tolist()),
@@ -83,9 +85,13 @@ class Admm(Strategy):
 
     def find_rejection(self, message: BoundaryUpdate) -> str:
         assert isinstance(message, AdmmMessage)
-        possible = (np.abs([message.r, message.r_before]) < LARGEST_R).all()
+        largest = boundary_of(message.variables).per_kind(*LARGEST_R)
+        possible = (np.abs([message.r, message.r_before]) < largest).all()
         weighs = min(message.weight) > 0 and max(message.weight) < BEYOND_REASON
         return "" if possible and weighs else "numbers beyond reason"
+
+    def _begin_iterations(self) -> dict[str, BoundaryIteration]:
+        return {n.area: BoundaryIteration(n, self._area.boundaries[n.area]) for n in self._area.neighbours}
 
     @property
     def _has_own_angle(self) -> bool:
@@ -103,7 +109,7 @@ class Admm(Strategy):
             self._x = start_state(self._content, known.loads)
         elif _distance(model, self._x) > _distance(model, flat := start_state(self._content, {})):
             self._x = flat
-            self._boundaries = {n.area: BoundaryIteration(n) for n in self._area.neighbours}
+            self._boundaries = self._begin_iterations()
         self._sigma = self._own_sigma(model)
         for b in self._boundaries.values():
             b.weight = compute_weight(model, self._x, b.neighbour)
@@ -131,7 +137,7 @@ class Admm(Strategy):
             if (pulled := b.pull(self._content.penalty)) is not None:
                 pulls[name] = pulled
             if (angle := b.angle_to_follow) is not None:  # turned at once: meters see no difference
-                self._x[: len(self._area.network.buses)] += angle - self._y(b)[VA]
+                self._x[: len(self._area.network.buses)] += angle - self._y(b)[b.is_angle][0]
         dx = solve_damped_step(self._model, self._x, pulls)
         self._x, self._moved = self._x + dx, float(abs(dx).max(initial=0.0))
         self._shown = self._estimate(self._model)
@@ -144,7 +150,8 @@ class Admm(Strategy):
         """Standard deviations of x from the area's own meters alone, its angles relative to its parent's bus."""
         given = {}
         if self._area.parent and not self._has_own_angle:
-            given[self._area.parent.area] = pull(np.where(ANGLE, EXACT_SIGMA**-2.0, 0.0), np.zeros(4))
+            is_angle = self._boundaries[self._area.parent.area].is_angle
+            given[self._area.parent.area] = pull(is_angle * EXACT_SIGMA**-2.0, np.zeros(len(is_angle)))
         sigma: np.ndarray = np.sqrt(np.maximum(model.linear.variances(self._x, given)[0], 0.0))
         return sigma
 

@@ -18,15 +18,15 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from agents.messages.boundary_variables import ONE_PHASE, find_wrong_length, find_wrong_variable
+from agents.messages.boundary_variables import find_wrong_length
 from agents.messages.checks import Count, Names, Numbers
 from agents.messages.packing import BoundaryUpdate
 from dsse_core.exchange.consensus_admm import RELAXATION, pull
+from dsse_core.grid.boundary import Boundary, Kind, boundary_of, find_wrong_name
 from dsse_core.grid.partition import Neighbour
-from dsse_core.linear.boundary_information import VA, BoundaryInformation
+from dsse_core.linear.boundary_information import BoundaryInformation
 
 MOVED = 1e-10  # p.u., rad: what of z or r is worth another iteration
-ANGLE = np.arange(4) == VA
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ class AdmmMessage(BoundaryUpdate):
     """
 
     kind: ClassVar[str] = "admm"
-    variables: Names = field(default=ONE_PHASE, kw_only=True)
+    variables: Names = field(kw_only=True)
     iteration: Count
     r: Numbers
     r_before: Numbers
@@ -49,31 +49,35 @@ class AdmmMessage(BoundaryUpdate):
 
     def find_misfit(self) -> str:
         """What fields cannot be together; empty if they can."""
-        d = len(self.variables)
-        lengths = {name: (len(getattr(self, name)), (d,)) for name in ("r", "r_before", "weight")}
-        return find_wrong_variable(self.variables) or find_wrong_length(self.variables, lengths)
+        if wrong := find_wrong_name(self.variables):
+            return wrong
+        boundary = boundary_of(self.variables)
+        lengths = {name: (len(getattr(self, name)), (boundary.d,)) for name in ("r", "r_before", "weight")}
+        return find_wrong_length(boundary, lengths)
 
     def falsified(self, falsify: Callable[[Numbers], Numbers]) -> Self:
         return replace(self, r=falsify(self.r), r_before=falsify(self.r_before))
 
 
 class BoundaryIteration:
-    """One side of the boundary to ``neighbour``.
+    """One side of the ``boundary`` to ``neighbour``, with d variables y.
 
-    ``k``: number of the iteration. ``z`` (4,): what y is pulled to, None before anything is received. ``sent``,
-    ``sent_before`` (4,): r of iterations k and k - 1. ``weight`` (4,): the area's own information about y.
+    ``k``: number of the iteration. ``z`` (d,): what y is pulled to, None before anything is received. ``sent``,
+    ``sent_before`` (d,): r of iterations k and k - 1. ``weight`` (d,): the area's own information about y.
     ``angle_known``: whether this side, without the neighbour, knows the substation's angle.
     ``unsettled``: whether z was still moving in the step to iteration k.
     """
 
-    def __init__(self, neighbour: Neighbour) -> None:
+    def __init__(self, neighbour: Neighbour, boundary: Boundary) -> None:
         self.neighbour = neighbour
-        self.weight = np.ones(4)
+        self.boundary = boundary
+        self.is_angle = np.isin(np.arange(boundary.d), boundary.places[Kind.VA])
+        self.weight = np.ones(boundary.d)
         self.angle_known = False
         self.received: AdmmMessage | None = None
         self.k = 0
         self.z: np.ndarray | None = None
-        self.sent = self.sent_before = np.zeros(4)
+        self.sent = self.sent_before = np.zeros(boundary.d)
         self.unsettled = True
         self._defers = False  # to the owner, which knows that it is to go first
 
@@ -86,7 +90,7 @@ class BoundaryIteration:
     def angle_to_follow(self) -> float | None:
         """The boundary's angle where only the neighbour's side knows it: then it is taken, not negotiated."""
         follows = self.angle_received and not self.angle_known
-        return float(self.z[VA]) if follows and self.z is not None else None
+        return float(self.z[self.is_angle][0]) if follows and self.z is not None else None
 
     @property
     def terms(self) -> tuple[object, ...]:
@@ -103,10 +107,10 @@ class BoundaryIteration:
         if self.received is None or self.z is None:
             return None
         M = penalty * np.maximum(self.weight, self.received.weight)
-        return pull(np.where(ANGLE & (not self.angle_received), 0.0, M), self.z)
+        return pull(np.where(self.is_angle & (not self.angle_received), 0.0, M), self.z)
 
     def step(self, y: np.ndarray) -> bool:
-        """Go on to the next iteration, if it is this side's turn and worth it; ``y`` (4,): the area's at present."""
+        """Go on to the next iteration, if it is this side's turn and worth it; ``y`` (d,): the area's at present."""
         if self.received is None or self.is_owed:
             return False
         ahead = self.received.iteration - self.k
@@ -118,12 +122,12 @@ class BoundaryIteration:
         self.k = self.received.iteration if ahead > 1 else self.k + 1
         self.z = r.copy() if self.z is None or ahead > 1 else self.z + RELAXATION * (r - self.z)
         if not self.angle_known:
-            self.z[VA] = r[VA]
+            self.z[self.is_angle] = r[self.is_angle]
         self.unsettled, self._defers = moves, False
         return True
 
     def set_sent(self, y: np.ndarray) -> None:
-        """Settle what is sent of this iteration, for which the area has found ``y`` (4,)."""
+        """Settle what is sent of this iteration, for which the area has found ``y`` (d,)."""
         self.sent_before, self.sent = self.sent, self._reflect(y)
 
     def note_sent(self) -> None:
@@ -131,7 +135,7 @@ class BoundaryIteration:
         self._defers = self.unsettled and self.neighbour.is_parent
 
     def _distance(self, a: np.ndarray, b: np.ndarray) -> float:
-        return float(np.where(ANGLE & (not self.angle_received), 0.0, abs(a - b)).max())
+        return float(np.where(self.is_angle & (not self.angle_received), 0.0, abs(a - b)).max())
 
     def _reflect(self, y: np.ndarray) -> np.ndarray:
-        return y if self.z is None else np.where(ANGLE & (not self.angle_received), y, 2 * y - self.z)
+        return y if self.z is None else np.where(self.is_angle & (not self.angle_received), y, 2 * y - self.z)

@@ -22,7 +22,6 @@ import tomli_w
 from agents.area_files.area_file import save_area_file
 from agents.area_files.reader import load_area_file
 from agents.messages import packing as messages
-from agents.messages.boundary_variables import ONE_PHASE
 from agents.messages.checks import MessageError
 from agents.strategies.installed import list_strategies, load_strategy
 from benchmarks.fuzz import parsing
@@ -32,6 +31,7 @@ from coordinator.observe.view_text import format_view
 from coordinator.observe.watch import Watcher
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.decision import Totals
+from dsse_core.grid.boundary import boundary_at
 from dsse_core.split_identity import SplitIdentity, SplitUse
 from scenarios.files.network_file import load_case, load_network
 from scenarios.files.readings.file import load_readings, save_readings
@@ -62,7 +62,7 @@ def make_message(rng: random.Random) -> messages.Message:
     length = rng.choice((0, 1, 4, 10))
     places = {f.name: _make_value(rng, hints[f.name], length) for f in dataclasses.fields(cls) if f.name != "header"}
     if "variables" in places and rng.random() < 0.9:
-        places["variables"] = ONE_PHASE
+        places["variables"] = boundary_at((6,), "area2").names
     return typing.cast("messages.Message", cls(header=header, **places))
 
 

@@ -13,6 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
+from dsse_core.grid.boundary import Boundary, boundary_at
 from dsse_core.grid.columns import Records, split_by, take_items
 from dsse_core.grid.measurement import Meter
 from dsse_core.grid.network import Network
@@ -67,6 +68,11 @@ class Area:
     def entry_bus(self) -> int:
         """Where a walk from the substation enters the area: the parent's bus, or the substation itself."""
         return self.parent.bus if self.parent else self.reference[0] if self.reference else self.slack_bus
+
+    @cached_property
+    def boundaries(self) -> dict[str, Boundary]:
+        """Neighbour -> the variables that it and this area share."""
+        return {n.area: boundary_at((n.bus,), self.name if n.is_parent else n.area) for n in self.neighbours}
 
     @property
     def boundary_buses(self) -> tuple[int, ...]:

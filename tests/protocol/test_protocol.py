@@ -13,6 +13,7 @@ from agents.strategies.admm_boundary import AdmmMessage
 from agents.strategies.angle_offset import BoundaryMessage
 from coordinator.plant.telemetry_messages import make_message
 from coordinator.simulator.simulator import STARTED_AT
+from dsse_core.grid.boundary import boundary_at
 from scenarios.scenario import load_scenario
 from scenarios.telemetry import make_telemetry
 
@@ -128,6 +129,9 @@ def area1():
     return protocol, telemetry, content
 
 
+AT_5, AT_6 = (boundary_at((bus,), "area2").names for bus in (5, 6))
+
+
 def load_from_area2(sequence=1, **changes):
     fields = {"run": "sim", "sender": "area2", "incarnation": Incarnation(5, 5), "scan": 1, "time": 0.0}
     bus = changes.pop("bus", 6)
@@ -136,7 +140,9 @@ def load_from_area2(sequence=1, **changes):
 
 def heartbeat_from_area2(received=(0, 0)):
     of_file = {"towards_hub": True, "is_parent": True, "areas": 3, "base_mva": 10.0}
-    return HeartbeatMessage(load_from_area2().header, 6, 0, 0, True, 0.0, received, False, False, (), **of_file)
+    return HeartbeatMessage(
+        load_from_area2().header, 6, 0, 0, True, 0.0, received, False, False, (), **of_file, variables=AT_6
+    )
 
 
 def act(protocol, events, now):
@@ -203,9 +209,7 @@ def test_a_repeat_is_the_same_message_with_the_same_number_and_stops_when_it_is_
         (load_from_area2(), "area3", "sender does not own the key"),
         (load_from_area2(bus=5), "area2", "other boundary bus"),
         (
-            HeartbeatMessage(
-                load_from_area2().header, 6, 0, 0, True, 0.0, -1, False, False, (), variables=("p.a", "q.a")
-            ),
+            HeartbeatMessage(load_from_area2().header, 6, 0, 0, True, 0.0, -1, False, False, (), variables=AT_5),
             "area2",
             "other boundary variables",
         ),
@@ -214,7 +218,11 @@ def test_a_repeat_is_the_same_message_with_the_same_number_and_stops_when_it_is_
         (replace(load_from_area2(), p=1e300), "area2", "numbers beyond reason"),
         (replace(load_from_area2(), sigma=-0.1), "area2", "numbers beyond reason"),
         (BoundaryMessage(load_from_area2().header, 6, 0.0, 0.0, True), "area2", "numbers beyond reason"),
-        (AdmmMessage(load_from_area2().header, 6, 1, (), (), (), True, True), "area2", "other strategy"),
+        (
+            AdmmMessage(load_from_area2().header, 6, 1, (), (), (), True, True, variables=AT_6),
+            "area2",
+            "other strategy",
+        ),
     ],
 )
 def test_what_should_not_have_come_is_rejected_and_counted(area1, message, key_sender, reason):

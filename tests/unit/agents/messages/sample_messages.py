@@ -54,9 +54,11 @@ STATE = StateMessage(
     scans={"area2": 6},
     old_sides=("area3",),
 )
+VARIABLES = ("s@6>area2", "v@6")
 UP = UpMessage(
     HEADER,
     bus=6,
+    variables=VARIABLES,
     revision=1,
     k=3,
     receives=True,
@@ -73,8 +75,18 @@ UP = UpMessage(
 MESSAGES = [
     LoadMessage(HEADER, 6, 0.25, -0.1, 0.01),
     BoundaryMessage(HEADER, 6, 0.95, -0.02, True),
-    AdmmMessage(HEADER, 6, 3, (0.1, 0.0, 1.0, -0.1), (0.2, 0.0, 1.0, -0.1), (1e4, 1e4, 1e5, 1e5), True, True),
-    HeartbeatMessage(HEADER, 6, 1, 3, True, 1.7e9, (3, 0), True, False, (0.1, 0.2, 1.0, -0.1)),
+    AdmmMessage(
+        HEADER,
+        6,
+        3,
+        (0.1, 0.0, 1.0, -0.1),
+        (0.2, 0.0, 1.0, -0.1),
+        (1e4, 1e4, 1e5, 1e5),
+        True,
+        True,
+        variables=VARIABLES,
+    ),
+    HeartbeatMessage(HEADER, 6, 1, 3, True, 1.7e9, (3, 0), True, False, (0.1, 0.2, 1.0, -0.1), variables=VARIABLES),
     UP,
     DownMessage(
         **{f.name: getattr(UP, f.name) for f in fields(UP)} | {"power": ()},

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from sample_messages import MESSAGES, UP
 
-from agents.messages.boundary_variables import ONE_PHASE
 from agents.messages.checks import MessageError
 from agents.messages.packing import (
     decode,
@@ -14,26 +13,29 @@ from agents.messages.packing import (
 )
 from agents.messages.triangle import read_triangle, write_triangle
 from agents.messages.types import PlaceMessage, VariablesMessage
+from dsse_core.grid.boundary import Boundary, boundary_at
 
-THREE_PHASES = tuple(f"{kind}.{phase}" for kind in ("p", "q", "vm", "va") for phase in "abc")
+ONE_PHASE = boundary_at((6,), "area2").names
+THREE_PHASES = ("s@6.abc>area2", "v@6.abc")
+SEVERAL = [THREE_PHASES, ("s@6.s1s2>b", "v@6.s1s2"), ("s@6>b", "s@6>c", "s@-7>b", "v@6", "v@-7")]
 OF_BOUNDARIES = [UP, *(m for m in MESSAGES if m.kind in ("down", "admm", "heartbeat"))]
 
 
 def with_variables(message, variables):
     """``message`` about a boundary with ``variables``, all arrays as long as they then are."""
-    d = len(variables)
+    boundary = Boundary(variables)
+    d, powers = boundary.d, boundary.n_powers
     numbers = tuple(0.1 * k for k in range(d * (d + 1) // 2))
     match message.kind:
         case "heartbeat":
             return replace(message, variables=variables, y=numbers[:d])
         case "admm":
             return replace(message, variables=variables, **dict.fromkeys(("r", "r_before", "weight"), numbers[:d]))
-    powers = sum(name[0] in "pq" for name in variables)
     return replace(message, variables=variables, R=numbers, z=numbers[:d], no_load=numbers, power=numbers[:powers])
 
 
 @pytest.mark.parametrize("message", OF_BOUNDARIES, ids=lambda m: m.kind)
-@pytest.mark.parametrize("variables", [THREE_PHASES, ("p.a", "q.a", "vm.a", "va.a"), ("p@6", "q@6", "vm@7", "va@7")])
+@pytest.mark.parametrize("variables", SEVERAL)
 def test_a_boundary_may_have_any_number_of_variables(message, variables):
     sent = with_variables(message, variables)
     assert decode(encode(sent)) == sent
@@ -42,17 +44,34 @@ def test_a_boundary_may_have_any_number_of_variables(message, variables):
 @pytest.mark.parametrize("message", OF_BOUNDARIES, ids=lambda m: m.kind)
 @pytest.mark.parametrize("variables", [THREE_PHASES, ONE_PHASE])
 def test_no_array_about_a_boundary_has_another_length_than_its_variables_ask_for(message, variables):
-    sent = with_variables(message, variables)
+    sent, d = with_variables(message, variables), Boundary(variables).d
     for name in {"R", "z", "no_load", "power", "y", "r", "r_before", "weight"} & {f.name for f in fields(sent)}:
         for wrong in (getattr(sent, name)[:-1], (*getattr(sent, name), 0.0)):
-            with pytest.raises(MessageError, match=f"{name} has {len(wrong)} numbers, not .* with {len(variables)}"):
+            with pytest.raises(MessageError, match=f"{name} has {len(wrong)} numbers, not .* with {d} variables"):
                 decode(encode(replace(sent, **{name: wrong})))
 
 
-@pytest.mark.parametrize("variables", [(), ("p", "p", "vm", "va"), ("p", "q", "vm", "VA"), ("p", "q", "vm", "va.")])
+@pytest.mark.parametrize(
+    "variables",
+    [
+        (),
+        ("p", "q", "vm", "va"),  # of versions before
+        ("s@6", "v@6"),
+        ("s@6>b", "v@6>b"),
+        ("s@6>", "v@6"),
+        ("s@6>b", "v@06"),
+        ("s@6.d>b", "v@6"),
+        ("s@6.>b", "v@6"),
+        ("s@6>b", "V@6"),
+        ("s@6>b", "v@6", "s@7>b", "v@7"),  # a voltage before a power
+        ("s@6>b", "v@6", "v@6"),
+        ("s@6.aba>b", "v@6.ab"),
+        tuple(f"v@{bus}" for bus in range(501)),
+    ],
+)
 def test_variables_that_no_boundary_has_are_rejected(variables):
     with pytest.raises(MessageError, match="variable"):
-        decode(encode(with_variables(UP, variables)))
+        decode(encode(replace(UP, variables=variables)))
 
 
 def test_information_with_three_phases_survives_as_a_matrix():
@@ -67,4 +86,4 @@ def test_a_message_that_does_not_state_its_lengths_cannot_be_made(message_type):
         """No ``lengths``."""
 
     with pytest.raises(TypeError, match="lengths"):
-        Forgetful(*[None] * (len(fields(message_type)) - 1))
+        Forgetful(*[None] * (len(fields(message_type)) - 1), variables=ONE_PHASE)

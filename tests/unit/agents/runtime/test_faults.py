@@ -28,6 +28,7 @@ from agents.strategies.admm_boundary import AdmmMessage
 from agents.strategies.angle_offset import BoundaryMessage
 from agents.strategies.installed import load_strategy
 from dsse_core.estimation.decision import Memory, Totals, decide
+from dsse_core.grid.boundary import boundary_at
 from dsse_core.link_faults import LinkFaults
 
 COUNT = 4000
@@ -182,7 +183,8 @@ def test_load_messages_are_biased_scaled_or_frozen_and_nothing_else_is():
     assert [(m.p, m.header.sequence) for m in frozen] == [(0.1, 1), (0.1, 2)]
 
 
-OF_ROUND = {"revision": 0, "k": 1, "receives": True, "answers": 0.0, "received": (0, 0)}
+NAMES = boundary_at((6,), "a").names
+OF_ROUND = {"variables": NAMES, "revision": 0, "k": 1, "receives": True, "answers": 0.0, "received": (0, 0)}
 R = np.triu(np.arange(1.0, 17.0).reshape(4, 4))
 Y = np.array([0.2, 0.1, 0.98, 0.05])
 
@@ -196,7 +198,7 @@ def test_a_lie_states_another_boundary_in_every_strategys_variables():
     faults = LinkFaults(lie_p=0.3, lie_q=-0.2, lie_vm=0.02, lie_va=-0.1, lie_scale=1.5)
     false = 1.5 * Y + np.array([0.3, -0.2, 0.02, -0.1])
     heartbeat = HeartbeatMessage(header(), 6, **OF_ROUND, final=True, complete=True, y=tuple(Y))
-    admm = AdmmMessage(header(), 6, 1, tuple(Y), tuple(Y), (1.0,) * 4, True, True)
+    admm = AdmmMessage(header(), 6, 1, tuple(Y), tuple(Y), (1.0,) * 4, True, True, variables=NAMES)
     (b, i, h, a), link = send(faults, [replace(boundary(), vm=0.98, va=0.05), up_of(Y, tuple(Y[:2])), heartbeat, admm])
     np.testing.assert_allclose((b.vm, b.va), false[2:])
     np.testing.assert_allclose(np.linalg.solve(read_triangle(i.R), i.z), false)

@@ -6,8 +6,10 @@ import pytest
 from agents.messages.packing import Header, Incarnation
 from agents.strategies.admm_boundary import AdmmMessage, BoundaryIteration
 from dsse_core.exchange.consensus_admm import RELAXATION
+from dsse_core.grid.boundary import boundary_at
 from dsse_core.grid.partition import Neighbour
 
+BOUNDARY = boundary_at((6,), "other")
 HEADER = Header("r", "a", Incarnation(1, 1), 1, 1, 0.0)
 
 
@@ -15,7 +17,7 @@ class Side:
     """An area whose only knowledge is that y is near ``target``, with three times the weight of the penalty."""
 
     def __init__(self, target: float, *, is_parent: bool, referenced: bool = True) -> None:
-        self.boundary = BoundaryIteration(Neighbour("other", 6, is_parent=not is_parent))
+        self.boundary = BoundaryIteration(Neighbour("other", 6, is_parent=not is_parent), BOUNDARY)
         self.boundary.angle_known = referenced
         self.target = np.full(4, target)
         self.used: list[tuple[int, float]] = []
@@ -29,7 +31,8 @@ class Side:
     def message(self) -> AdmmMessage:
         b = self.boundary
         sent, before = tuple(b.sent.tolist()), tuple(b.sent_before.tolist())
-        return AdmmMessage(HEADER, 6, b.k, sent, before, tuple(b.weight.tolist()), b.unsettled, b.angle_known)
+        of_side = tuple(b.weight.tolist()), b.unsettled, b.angle_known
+        return AdmmMessage(HEADER, 6, b.k, sent, before, *of_side, variables=BOUNDARY.names)
 
     def take(self, message: AdmmMessage) -> int:
         """Steps taken on hearing ``message``."""

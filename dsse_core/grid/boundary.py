@@ -1,0 +1,125 @@
+"""The variables y of a boundary: how many, of which kinds, buses and phases, and what they are called.
+
+A name stands for two variables in each phase: ``s@12>area2`` for (p, q), the power from bus 12 into the branches of
+area2, and ``v@12`` for (vm, va), the voltage of bus 12. Phases follow the bus: ``s@12.abc>area2``, ``v@12.s1s2``. All
+lengths of messages, and what is done with their numbers, follow from the names.
+"""
+
+from __future__ import annotations
+
+import functools
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import cached_property
+
+import numpy as np
+
+MOST_VARIABLES = 1000
+PHASE = "[abc]|s[12]"
+NAME = re.compile(rf"(?P<what>[sv])@(?P<bus>-?(0|[1-9][0-9]{{0,15}}))(\.(?P<phases>({PHASE})+))?(>(?P<area>.+))?")
+
+
+class Kind(StrEnum):
+    """Active and reactive power, p.u.; voltage magnitude, p.u., and angle, rad."""
+
+    P = "p"
+    Q = "q"
+    VM = "vm"
+    VA = "va"
+
+
+DEGREE = {Kind.P: 2.0, Kind.Q: 2.0, Kind.VM: 1.0, Kind.VA: 0.0}
+"""The power k for which a variable grows as c^k where all voltages grow by c."""
+
+
+@dataclass(frozen=True, slots=True)
+class Variable:
+    """One of y, at ``bus``; ``area``: into whose branches a power flows, empty of a voltage."""
+
+    kind: Kind
+    bus: int
+    phase: str = ""
+    area: str = ""
+
+
+@dataclass(frozen=True)
+class Boundary:
+    """The variables that two areas share, powers first, then voltages.
+
+    ``names``: as messages and area files have them (``find_wrong_name``).
+    """
+
+    names: tuple[str, ...]
+
+    @cached_property
+    def variables(self) -> tuple[Variable, ...]:
+        """Those of y, in its order."""
+        return tuple(variable for name in self.names for variable in _read_name(name))
+
+    @property
+    def d(self) -> int:
+        """How many variables there are."""
+        return len(self.variables)
+
+    @cached_property
+    def places(self) -> dict[Kind, np.ndarray]:
+        """Kind -> where in y its variables stand."""
+        return {kind: np.flatnonzero([variable.kind is kind for variable in self.variables]) for kind in Kind}
+
+    @cached_property
+    def degrees(self) -> np.ndarray:
+        """Of each variable, shape (d,), see ``DEGREE``."""
+        return np.array([DEGREE[variable.kind] for variable in self.variables])
+
+    @cached_property
+    def n_powers(self) -> int:
+        """How many of the first variables are powers."""
+        return sum(variable.kind in (Kind.P, Kind.Q) for variable in self.variables)
+
+    @cached_property
+    def buses(self) -> tuple[int, ...]:
+        """The buses at which the areas meet."""
+        return tuple(dict.fromkeys(variable.bus for variable in self.variables))
+
+    def per_kind(self, p: float, q: float, vm: float, va: float) -> np.ndarray:
+        """One number for each variable, by its kind, shape (d,)."""
+        of_kind = {Kind.P: p, Kind.Q: q, Kind.VM: vm, Kind.VA: va}
+        return np.array([of_kind[variable.kind] for variable in self.variables])
+
+
+def boundary_at(buses: Sequence[int], child: str) -> Boundary:
+    """The boundary where ``child`` and its parent meet at ``buses``, one phase each."""
+    return boundary_of((*(f"s@{bus}>{child}" for bus in buses), *(f"v@{bus}" for bus in buses)))
+
+
+@functools.lru_cache(maxsize=1024)
+def boundary_of(names: tuple[str, ...]) -> Boundary:
+    """The boundary of ``names``, found once for all messages about it."""
+    return Boundary(names)
+
+
+@functools.lru_cache(maxsize=1024)
+def find_wrong_name(names: tuple[str, ...]) -> str:
+    """What no boundary can have among the ``names`` of its variables; empty if it can have them."""
+    for name in names:
+        found = NAME.fullmatch(name)
+        if found is None or (found["what"] == "s") != bool(found["area"]):
+            return f"variable {name[:40]!a}"
+    if list(names) != sorted(names, key=lambda name: name[0]):
+        return "a voltage before a power among the variables"
+    variables = [variable for name in names for variable in _read_name(name)]
+    if len(set(variables)) < len(variables):
+        return "a variable given twice"
+    return "" if 0 < len(variables) <= MOST_VARIABLES else f"{len(variables)} variables, not 1 to {MOST_VARIABLES}"
+
+
+def _read_name(name: str) -> Iterator[Variable]:
+    found = NAME.fullmatch(name)
+    if found is None:
+        raise ValueError(f"{name!a} is the name of no variables")
+    kinds = (Kind.P, Kind.Q) if found["what"] == "s" else (Kind.VM, Kind.VA)
+    for phase in re.findall(PHASE, found["phases"] or "") or [""]:
+        for kind in kinds:
+            yield Variable(kind, int(found["bus"]), phase, found["area"] or "")

@@ -1,0 +1,29 @@
+"""Names of the variables of a boundary, and what follows from them."""
+
+import numpy as np
+
+from dsse_core.grid.boundary import Boundary, Kind, boundary_at, find_wrong_name
+
+
+def test_a_name_says_kind_bus_phase_and_the_area_into_which_a_power_flows():
+    boundary = Boundary(("s@6>b", "s@6.s1s2>c", "v@6.ab"))
+    assert not find_wrong_name(boundary.names)
+    found = [(v.kind, v.bus, v.phase, v.area) for v in boundary.variables]
+    assert found == [
+        *[("p", 6, "", "b"), ("q", 6, "", "b")],  # two areas at one bus are told apart
+        *[("p", 6, "s1", "c"), ("q", 6, "s1", "c"), ("p", 6, "s2", "c"), ("q", 6, "s2", "c")],
+        *[("vm", 6, "a", ""), ("va", 6, "a", ""), ("vm", 6, "b", ""), ("va", 6, "b", "")],
+    ]
+
+
+def test_numbers_degrees_and_places_follow_from_the_names():
+    boundary = boundary_at((6, 9), "b")
+    assert boundary.names == ("s@6>b", "s@9>b", "v@6", "v@9")
+    assert (boundary.d, boundary.n_powers, boundary.buses) == (8, 4, (6, 9))
+    np.testing.assert_array_equal(boundary.degrees, [2, 2, 2, 2, 1, 0, 1, 0])
+    np.testing.assert_array_equal(boundary.places[Kind.VA], [5, 7])
+    np.testing.assert_array_equal(boundary.per_kind(1.0, 2.0, 3.0, 4.0), [1, 2, 1, 2, 3, 4, 3, 4])
+
+
+def test_one_bus_and_one_phase_are_four_variables():
+    assert [variable.kind for variable in boundary_at((6,), "b").variables] == ["p", "q", "vm", "va"]
