@@ -20,6 +20,7 @@ from agents.runtime.duplicate_guard import REPLACED_CODE, ReplacedError
 from agents.runtime.inbox import Inbox
 from agents.runtime.log.format import start_log
 from agents.runtime.loop import run_agent
+from agents.runtime.place import take_place
 from agents.runtime.renewal import Renewal, on_hangup
 from agents.runtime.watchdog import Watchdog
 from agents.security.credentials import load_keys
@@ -37,7 +38,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one agent; 0 after an orderly end, 2 on wrong input or a bus that cannot be reached, 3 if replaced, 4 if
     the operator has stopped it."""
     arguments = make_parser().parse_args(argv)
-    return run_process(arguments.area_file, arguments.keys, arguments.connect or (), arguments.timeout)
+    file, keys, connect = arguments.area_file, arguments.keys, arguments.connect or ()
+    return run_process(file, keys, connect, arguments.timeout, may_be_older=arguments.older_file)
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -57,11 +59,19 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--timeout", type=_seconds, default=TIMEOUT_S, metavar="S", help="wait for the bus so long (10 s)"
     )
+    parser.add_argument(
+        "--older-file", action="store_true", help="take the place of a running agent of the area with a newer file, too"
+    )
     return parser
 
 
 def run_process(
-    path: Path, keys: Path | None = None, endpoints: Sequence[str] = (), timeout_s: float = TIMEOUT_S
+    path: Path,
+    keys: Path | None = None,
+    endpoints: Sequence[str] = (),
+    timeout_s: float = TIMEOUT_S,
+    *,
+    may_be_older: bool = False,
 ) -> int:
     """Run ``run_area`` as all that this process does, with a log; the exit code, see ``main``.
 
@@ -72,7 +82,7 @@ def run_process(
     for listener in (_LogOfCompiling(), watchdog.take_compiling):
         compiling.listen(listener)
     try:
-        reason = run_area(path, endpoints, timeout_s, keys, watchdog)
+        reason = run_area(path, endpoints, timeout_s, keys, watchdog, may_be_older=may_be_older)
     except DsseError as error:
         print(f"error: {error}", file=sys.stderr)
         return REPLACED_CODE if isinstance(error, ReplacedError) else 2
@@ -102,16 +112,22 @@ def _seconds(text: str) -> float:
 
 
 def run_area(
-    path: Path, endpoints: Sequence[str], timeout_s: float, keys: Path | None, watchdog: Watchdog | None = None
+    path: Path,
+    endpoints: Sequence[str],
+    timeout_s: float,
+    keys: Path | None,
+    watchdog: Watchdog | None = None,
+    *,
+    may_be_older: bool = False,
 ) -> str:
     """Run the agent of area file ``path``; ``endpoints``, if any, replace the file's; ``keys``: folder of credentials.
 
-    Returns why it has ended.
+    ``may_be_older``: it takes the place of a running agent with a newer file. Returns why it has ended.
 
     Raises:
         InvalidInputError: the area file, the operator file or the credentials cannot be used.
         TransportError: no endpoint answers within ``timeout_s``.
-        ReplacedError: another agent of the area runs that began later.
+        ReplacedError: another agent of the area runs that began later, or has a newer file.
     """
     content = load_area_file(path, list_strategies())
     if endpoints:
@@ -132,6 +148,8 @@ def run_area(
     with _open_session(content, timeout_s, keys) as session:
         signal.signal(signal.SIGTERM, stop)
         signal.signal(signal.SIGINT, stop)
+        if not may_be_older:
+            take_place(content, session)
         reason = run_agent(content, session, inbox, watchdog, orders)
     logging.getLogger(__name__).info("area %s ends: %s", name, reason)
     return reason

@@ -10,6 +10,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 
+from dsse_core.reading_rules import LEADER
+
 DIGITS = 16  # of a digest, and
 SHOWN = 8  # in sentences
 END_OF_TIME = 253_402_300_800.0  # s since 1970, the year 10000: later times have no date
@@ -84,5 +86,7 @@ def describe_other(name: str, split: SplitIdentity, newest: SplitIdentity) -> st
         return f"the file of {name} states no split, an earlier version wrote it: write it with dsse split"
     if split.edited and split.digest == newest.digest:
         return f"the file of {name} was edited after its split ({split}): replace it, or split the scenario again"
+    if name == LEADER:
+        return f"{name} reads the meters of another split ({split}, the areas' is {newest}): start it with the scenario"
     what = "older" if 0 < split.time < newest.time else "of another split"
     return f"the file of {name} is {what} ({split}, the newest is {newest}): replace it"

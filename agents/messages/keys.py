@@ -12,7 +12,8 @@
 ``gateway/<name>``                     that the gateway is there, for watchers
 ``command/<i>``                        what the operator asks of area i, or of the plant
 ``clock``                              how long the run has lasted, from the coordinator, for injected faults only
-``live/<role>/<name>/<incarnation>``   presence tokens of areas, plant, gateways, coordinator: one per incarnation
+``live/<role>/<name>/<incarnation>``   presence tokens of areas, plant, gateways, coordinator: one per incarnation;
+                                       of areas and the plant with the split on which they work (``live_key``)
 =====================================  ============================================================================
 """
 
@@ -20,10 +21,13 @@ import re
 
 from agents.messages.packing import WIRE_VERSION, Incarnation
 from dsse_core.limits import LONGEST_NAME
+from dsse_core.split_identity import DIGITS, NO_SPLIT, SHOWN, SplitIdentity
 
 NAME = re.compile(rf"[a-z0-9_-]{{1,{LONGEST_NAME}}}")
 VERSION = re.compile(r"v([0-9]{1,9})")
-INCARNATION = re.compile(r"([0-9a-f]{1,14})-([0-9a-f]{8})")
+INCARNATION = re.compile(
+    rf"([0-9a-f]{{1,14}})-([0-9a-f]{{8}})(?:-([0-9a-f]{{{DIGITS}}})-([0-9a-f]{{1,10}})(?:-([0-9a-f]{{{SHOWN}}}))?)?"
+)
 
 
 def _root(run: str) -> str:
@@ -89,8 +93,13 @@ def clock_key(run: str) -> str:
     return f"{_root(run)}/clock"
 
 
-def live_key(run: str, role: str, name: str, incarnation: Incarnation) -> str:
-    return f"{_root(run)}/live/{role}/{name}/{incarnation}"
+def live_key(run: str, role: str, name: str, incarnation: Incarnation, split: SplitIdentity = NO_SPLIT) -> str:
+    """The key of a presence token: ``START-RANDOM``, then ``-DIGEST-TIME`` of the split on which the process works,
+    then the first digits of what its file was edited to; all in hex digits, time in s.
+    """
+    stated = f"-{split.digest}-{int(split.time):x}" if split.digest else ""
+    edited = f"-{split.edited[:SHOWN]}" if stated and split.edited else ""
+    return f"{_root(run)}/live/{role}/{name}/{incarnation}{stated}{edited}"
 
 
 def all_incarnations(run: str, role: str, name: str) -> str:
@@ -147,3 +156,9 @@ def incarnation_of(key: str) -> Incarnation | None:
     """The incarnation that a presence token stands for; None if it is not written as incarnations are."""
     found = INCARNATION.fullmatch(key.rpartition("/")[2])
     return Incarnation(int(found[1], 16), int(found[2], 16)) if found else None
+
+
+def split_of(key: str) -> SplitIdentity:
+    """The split that a presence token states; of an edited file the first digits of what it was edited to."""
+    found = INCARNATION.fullmatch(key.rpartition("/")[2])
+    return SplitIdentity(found[3], float(int(found[4], 16)), found[5] or "") if found and found[3] else NO_SPLIT

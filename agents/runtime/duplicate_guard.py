@@ -20,14 +20,19 @@ REPLACED_CODE = 3  # its exit code: started again, it would be the newer one, an
 
 
 class ReplacedError(DsseError):
-    """Another process runs under our name, and began later."""
+    """Another process runs under our name, and began later or has a newer file."""
+
+
+def find_overlap_s(heartbeat_s: float) -> float:
+    """How long the token of a process may be seen after its end, s."""
+    return max(OVERLAP_S, OVERLAP_HEARTBEATS * heartbeat_s)
 
 
 class DuplicateGuard:
     """What process ``whom``, incarnation ``own``, has seen of newer ones; ``now``: monotonic time, s."""
 
     def __init__(self, whom: str, own: Incarnation, now: float, heartbeat_s: float) -> None:
-        self._overlap_s = max(OVERLAP_S, OVERLAP_HEARTBEATS * heartbeat_s)
+        self._overlap_s = find_overlap_s(heartbeat_s)
         self._whom = whom
         self._own = own
         self._began = now

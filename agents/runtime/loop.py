@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from agents.area_files.area_file import AreaFile
+from agents.area_files.split_digest import find_identity
 from agents.messages.checks import MessageError
 from agents.messages.keys import (
     all_from_neighbours,
@@ -131,7 +132,7 @@ def run_agent(
 
 def _declare_presence(content: AreaFile, session: Session, incarnation: Incarnation) -> Callable[[bytes], None]:
     """Show the token of ``incarnation``; what sends its leave message."""
-    own_token = live_key(content.run, "area", content.area.name, incarnation)
+    own_token = live_key(content.run, "area", content.area.name, incarnation, find_identity(content))
     send_leave = session.publisher(own_token)
     session.declare_presence(own_token)
     return send_leave

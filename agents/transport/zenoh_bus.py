@@ -157,6 +157,12 @@ class Session(RenewableBus):
         """Show a liveliness token on ``key`` until the session closes or the process dies."""
         self.declare(lambda bus: bus.liveliness().declare_token(key))
 
+    def find_presence(self, key_expression: str, timeout_s: float) -> tuple[str, ...]:
+        """The keys of all tokens that are there, as the bus answers within ``timeout_s``; see ``watch_presence``."""
+        bus = cast("zenoh.Session | None", self.bus)
+        replies = bus.liveliness().get(key_expression, timeout=timeout_s) if bus is not None else ()
+        return tuple(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
+
     def watch_presence(self, key_expression: str, callback: Callable[[str, bool], None]) -> None:
         """Call ``callback(key, alive)`` for every token, those already there included.
 

@@ -14,6 +14,7 @@ from agents.messages.keys import NAME
 from dsse_core.errors import InvalidInputError
 from dsse_core.limits import LONGEST_NAME
 from dsse_core.reading_rules import DEFAULT_RULES
+from dsse_core.split_identity import SplitIdentity
 from scenarios.scenario import Scenario
 
 
@@ -63,6 +64,13 @@ def area_files(
     ]
     at = float(int(clock.time())) if time is None else time
     return stamp_split(files, at, dataclasses.asdict(scenario.sigma_rule))
+
+
+def find_split(scenario: Scenario) -> SplitIdentity:
+    """The split that area files of ``scenario`` are of, whenever they are made: its time is not known."""
+    (split, *_) = (content.split for content in area_files(scenario, "", ()))
+    assert split is not None
+    return SplitIdentity(split.digest)
 
 
 def choose_run_id(scenario: Scenario, given: str | None) -> str:

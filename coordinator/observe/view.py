@@ -29,7 +29,9 @@ class AreaView:
     ``leave_reason``: what it said when it left, empty if it died. ``silent``: it has said nothing for longer than
     ``silent_after_s``, though its token may be there. ``said_quality``: what it said of its own state
     (docs/explanation/quality.md); ``quality``: the same, and stale once it is gone or silent. ``telemetry_age_s``,
-    ``oldest_reading_s`` and ``ages_s`` (of each neighbour's information) have gone on counting since.
+    ``oldest_reading_s`` and ``ages_s`` (of each neighbour's information) have gone on counting since. ``split``: digest
+    of the split that its file is of, made at ``split_time``, s since 1970; ``split_edited``: digest of what the file
+    was edited to since, else empty.
     """
 
     name: str
@@ -65,6 +67,9 @@ class AreaView:
     meters_off: tuple[str, ...] = ()
     rejected: Mapping[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    split: str = ""
+    split_time: float = 0.0
+    split_edited: str = ""
 
     @property
     def state(self) -> str:

@@ -17,6 +17,7 @@ from coordinator.observe.table_text import write_table
 from coordinator.observe.view import AreaView, Extreme, View
 from dsse_core.printable import listed, printable, shortened
 from dsse_core.results.table import Table
+from dsse_core.split_identity import SplitIdentity
 
 WIDTH = 80
 MOST_LISTED = 12  # processes that are no areas
@@ -78,7 +79,8 @@ def _write_view(view: View, width: int) -> Iterator[tuple[str, str]]:
     title = f"run {view.run}, scan {scan}: {_count(len(qualities), 'area')}, {listed(counts) or 'nobody is there'}"
     yield from ((line, "bold") for line in _wrap(title, width))
     strangers = [f"{view.strangers} more are announced as areas and not shown"] if view.strangers else []
-    for remark in (_write_others(view), *strangers, *view.duplicates[:MOST_LISTED], *view.other_versions):
+    remarks = _write_others(view), *strangers, *view.duplicates[:MOST_LISTED], *view.other_versions
+    for remark in (*remarks, *_write_splits(view.areas)):
         yield from ((line, "") for line in _wrap(remark, width))
     yield _columns([name for name, _ in COLUMNS], "worst norm. residual", width), "bold"
     for area in _choose_areas(view.areas):
@@ -107,6 +109,20 @@ def _write_others(view: View) -> str:
     shown = view.others[:MOST_LISTED]
     more = len(view.others) - len(shown) + view.more_others
     return f"also there: {', '.join(shown) or 'nobody'}{f' and {more} more' if more else ''}"
+
+
+def _write_splits(areas: Sequence[AreaView]) -> Iterator[str]:
+    """Of which split the area files are, and, where they are of several, which of them are of which."""
+    names: dict[SplitIdentity, list[str]] = {}
+    for area in areas:
+        if area.split:
+            names.setdefault(SplitIdentity(area.split, area.split_time, area.split_edited), []).append(area.name)
+    whose = sorted(names, key=lambda split: split.age_order)
+    if len(whose) == 1:
+        yield f"area files: {whose[0]}"
+    elif whose:
+        parts = "; ".join(f"{split}: {listed(names[split], MOST_LISTED)}" for split in whose[:MOST_LISTED])
+        yield f"area files of {len(whose)} splits: {parts}"
 
 
 def _remarks(area: AreaView, scan: int) -> Iterator[str]:

@@ -260,6 +260,9 @@ class Watcher:
             removed=state.removed,
             rejected=state.rejected,
             notes=assessment.notes,
+            split=state.split.digest,
+            split_time=state.split.time,
+            split_edited=state.split.edited,
         )
 
     def _mismatch(self, state: StateMessage, other: str) -> tuple[float, float] | None:

@@ -68,7 +68,7 @@ def run_plant(
                 signal.signal(number, lambda *_: inbox.put("stop", None))
             publishers = {area: session.publisher(telemetry_key(run, area)) for area in payloads}
             _subscribe(session, run, tuple(payloads), inbox)
-            own_token = live_key(run, "plant", PLANT, incarnation)
+            own_token = live_key(run, "plant", PLANT, incarnation, scans.split)
             send_leave = session.publisher(own_token)
             session.declare_presence(own_token)
             log.info("plant of run %s, seed %s, %s areas", run, scans.seed, len(payloads))

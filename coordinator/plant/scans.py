@@ -10,20 +10,25 @@ from functools import cached_property
 from typing import Protocol
 
 from agents.messages.packing import Incarnation
+from coordinator.deployment.split import find_split
 from coordinator.plant.held_readings import HeldReadings
 from coordinator.plant.telemetry_messages import DRAW, encode_readings, make_payloads, read
+from dsse_core.split_identity import SplitIdentity
 from scenarios.scenario import Scenario
 from scenarios.telemetry import Telemetry, find_lateness, make_telemetry
 
 
 class Scans(Protocol):
-    """``seed``: of their noise; ``heartbeat_s``: interval at which a scan is repeated."""
+    """``seed``: of their noise; ``heartbeat_s``: interval at which a scan is repeated; ``split``: of their scenario."""
 
     @property
     def seed(self) -> int: ...
 
     @property
     def heartbeat_s(self) -> float: ...
+
+    @property
+    def split(self) -> SplitIdentity: ...
 
     def payloads(self, run: str, incarnation: Incarnation, scan: int) -> dict[str, bytes]:
         """Area -> its encoded readings."""
@@ -52,13 +57,17 @@ class OwnScans:
     def payloads(self, run: str, incarnation: Incarnation, scan: int) -> dict[str, bytes]:
         draw = scan if self.many else DRAW
         if self.scenario.renew_s is None:
-            return make_payloads(self.scenario, run, incarnation, scan, draw=draw)
+            return make_payloads(self.scenario, run, incarnation, scan, draw, self.split)
         by_area, read_at = self._held.take(make_telemetry(self.scenario, draw).by_area, time.time())
         readings = ((area, read(part, read_at)) for area, part in by_area.items())
-        return encode_readings(readings, run, incarnation, scan)
+        return encode_readings(readings, run, incarnation, scan, self.split)
 
     def late_s(self, scan: int) -> Mapping[str, float]:
         return find_lateness(self.scenario, scan)
+
+    @cached_property
+    def split(self) -> SplitIdentity:
+        return find_split(self.scenario)
 
     @cached_property
     def _held(self) -> HeldReadings:
@@ -76,17 +85,18 @@ class MadeScan:
     lateness: Mapping[str, float]
     seed: int
     heartbeat_s: float
+    split: SplitIdentity
 
     @classmethod
     def of(cls, scenario: Scenario, telemetry: Telemetry) -> MadeScan:
         """``telemetry`` of the only scan of ``scenario``."""
         now = time.time()
         readings = {area: pickle.dumps(read(part, now)) for area, part in telemetry.by_area.items()}
-        return cls(readings, find_lateness(scenario, DRAW), scenario.seed, scenario.run.beat_s)
+        return cls(readings, find_lateness(scenario, DRAW), scenario.seed, scenario.run.beat_s, find_split(scenario))
 
     def payloads(self, run: str, incarnation: Incarnation, scan: int) -> dict[str, bytes]:
         unpacked = ((area, pickle.loads(part)) for area, part in self.readings.items())
-        return encode_readings(unpacked, run, incarnation, scan)
+        return encode_readings(unpacked, run, incarnation, scan, self.split)
 
     def late_s(self, scan: int) -> Mapping[str, float]:
         return self.lateness

@@ -13,6 +13,7 @@ from agents.security.access import PLANT
 from dsse_core.grid.columns import read_column, take_items
 from dsse_core.grid.measurement import Measurement
 from dsse_core.grid.meter_table import find_virtual, list_ids, read_meters_of
+from dsse_core.split_identity import NO_SPLIT, SplitIdentity
 from scenarios.scenario import Scenario
 from scenarios.telemetry import make_telemetry
 
@@ -43,20 +44,29 @@ def read(measurements: Sequence[Measurement], measured_at: float | Mapping[str, 
 
 
 def make_payloads(
-    scenario: Scenario, run: str, incarnation: Incarnation, scan: int = 1, draw: int = DRAW
+    scenario: Scenario,
+    run: str,
+    incarnation: Incarnation,
+    scan: int = 1,
+    draw: int = DRAW,
+    split: SplitIdentity = NO_SPLIT,
 ) -> dict[str, bytes]:
-    """Area -> its encoded readings with noise ``draw``."""
+    """Area -> its encoded readings with noise ``draw``; ``split``: of ``scenario``, to be stated."""
     by_area = make_telemetry(scenario, draw).by_area
     now = time.time()
-    return encode_readings(((area, read(part, now)) for area, part in by_area.items()), run, incarnation, scan)
+    return encode_readings(((area, read(part, now)) for area, part in by_area.items()), run, incarnation, scan, split)
 
 
 def encode_readings(
-    readings: Iterable[tuple[str, Readings]], run: str, incarnation: Incarnation, scan: int
+    readings: Iterable[tuple[str, Readings]],
+    run: str,
+    incarnation: Incarnation,
+    scan: int,
+    split: SplitIdentity = NO_SPLIT,
 ) -> dict[str, bytes]:
-    """Area -> its ``readings`` as an incarnation of the plant publishes them."""
+    """Area -> its ``readings`` as an incarnation of the plant publishes them; ``split``: of its scenario."""
     header = Header(run=run, sender=PLANT, incarnation=incarnation, scan=scan, sequence=scan, time=time.time())
-    return {area: encode(_message(header, area, part)) for area, part in readings}
+    return {area: encode(_message(header, area, part, split)) for area, part in readings}
 
 
 def make_message(header: Header, area: str, measurements: Sequence[Measurement]) -> TelemetryMessage:
@@ -64,7 +74,7 @@ def make_message(header: Header, area: str, measurements: Sequence[Measurement])
     return _message(header, area, read(measurements, header.time))
 
 
-def _message(header: Header, area: str, readings: Readings) -> TelemetryMessage:
+def _message(header: Header, area: str, readings: Readings, split: SplitIdentity = NO_SPLIT) -> TelemetryMessage:
     count = len(readings.meters)  # all meters of a simulated plant are sound
     columns = readings.meters, readings.values, readings.sigmas, readings.times, (True,) * count
-    return TelemetryMessage(header, area, *columns)
+    return TelemetryMessage(header, area, *columns, split)

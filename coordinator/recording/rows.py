@@ -54,6 +54,9 @@ COLUMNS: Mapping[str, Mapping[str, str]] = {
         "scans": TEXT,
         "clock_skews_s": TEXT,
         "old_sides": TEXTS,
+        "split": TEXT,
+        "split_at": TIME,
+        "split_edited": TEXT,
     },
     "buses": _ESTIMATE
     | {
@@ -83,7 +86,10 @@ COLUMNS: Mapping[str, Mapping[str, str]] = {
     "events": {"time": TIME, "event": TEXT, "role": TEXT, "name": TEXT, "scan": INTEGER, "details": TEXT},
 }
 """Table -> its columns and what they hold."""
-ADDED: Mapping[str, tuple[str, ...]] = {"readings": ("estimate", "normalised_residual")}
+ADDED: Mapping[str, tuple[str, ...]] = {
+    "readings": ("estimate", "normalised_residual"),
+    "states": ("split", "split_at", "split_edited"),
+}
 """Table -> columns that files of earlier recorders lack."""
 
 Row = tuple[str, tuple[Any, ...]]
@@ -248,6 +254,9 @@ def _state_row(at: float, state: StateMessage) -> dict[str, Any]:
         "scans": _as_text(state.scans),
         "clock_skews_s": _as_text(state.clock_skews),
         "old_sides": list(state.old_sides),
+        "split": state.split.digest or None,
+        "split_at": state.split.time or None,
+        "split_edited": state.split.edited or None,
     }
 
 

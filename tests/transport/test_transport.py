@@ -64,6 +64,13 @@ def test_a_late_watcher_sees_who_is_there_and_who_leaves(connect):
     wait_for(lambda: ("dsse/live/area/area1", False) in changes)
 
 
+def test_those_who_are_there_are_found_at_once(connect):
+    area, asking = connect(), connect()
+    area.declare_presence("dsse/live/area/area1/1-7")
+    wait_for(lambda: asking.find_presence("dsse/live/area/area1/*", DEADLINE_S) == ("dsse/live/area/area1/1-7",))
+    assert asking.find_presence("dsse/live/area/area2/*", DEADLINE_S) == ()
+
+
 def test_an_occupied_endpoint_is_named():
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))

@@ -18,6 +18,7 @@ from coordinator.web.playback.play import MOST_VALUES, Play, Presence, Update, c
 from coordinator.web.playback.source import PlaybackSource
 from dsse_core.errors import InvalidInputError
 from dsse_core.files.bounded_parsing import parse_json
+from dsse_core.split_identity import SplitIdentity
 from scenarios.scenario import Scenario
 
 MOST_UPDATES = 10_000  # the newest that are played
@@ -141,6 +142,7 @@ def _to_state(row: Row, run: str) -> StateMessage:
         telemetry_age=row["telemetry_age_s"] or 0.0,
         oldest_reading=row["oldest_reading_s"] or 0.0,
         taken_at=row["taken_at"] or 0.0,
+        split=SplitIdentity(row["split"] or "", row["split_at"] or 0.0, row["split_edited"] or ""),
     )
 
 
@@ -154,7 +156,8 @@ _TABLES = {
 _SAME = tuple(
     field.name
     for field in fields(StateMessage)
-    if field.name in COLUMNS["states"] and field.name not in (*_TABLES, "objective", "degrees_of_freedom", "taken_at")
+    if field.name in COLUMNS["states"]
+    and field.name not in (*_TABLES, "objective", "degrees_of_freedom", "taken_at", "split")
 )
 
 

@@ -1,10 +1,19 @@
 """A name is present as long as any of its incarnations shows a token."""
 
-from agents.messages.keys import live_key, name_of_live
+from agents.messages.keys import incarnation_of, live_key, name_of_live
 from agents.messages.packing import Incarnation
 from agents.runtime.presence import Presence, begin_incarnation, read_leave
+from dsse_core.split_identity import END_OF_TIME, SplitIdentity
 
 OLD, NEW = (live_key("r", "area", "area1", Incarnation(start, 7)) for start in (1_000, 2_000))
+
+
+def test_a_token_with_a_split_is_one_of_the_incarnation():
+    presence, split = Presence(), SplitIdentity("1a2b3c4d5e6f7081", END_OF_TIME - 1, "55aa66bb77cc88dd")
+    key = live_key("r", "area", "area1", Incarnation(16**14 - 1, 16**8 - 1), split)
+    assert incarnation_of(key) == Incarnation(16**14 - 1, 16**8 - 1)
+    assert presence.take(key, True)
+    assert presence.take(key, False)
 
 
 def test_a_token_says_whose_it_is():

@@ -17,6 +17,7 @@ from coordinator.observe.view_json import describe_tables, describe_view
 from coordinator.observe.view_text import WIDTH, fit_view, format_view
 from coordinator.observe.watch import Watcher
 from dsse_core.results.table import Table
+from dsse_core.split_identity import SplitIdentity
 from scenarios.scenario import load_scenario
 
 HEADER = Header("run", "area1", Incarnation(1, 1), 1, 1, 0.0)
@@ -143,6 +144,25 @@ def test_json_has_all_that_the_text_has_and_unknown_numbers_are_null():
     assert described["worst_meter"] == {"value": 5.2, "at": "vm@1"}
     tables = describe_tables({"buses": list_buses(watcher.states)})
     assert tables["buses"]["va_deg"] == [None]
+
+
+def test_the_split_of_the_area_files_is_shown_and_of_several_which_areas_have_which():
+    one = SplitIdentity("1a2b3c4d5e6f7081", 1.7e9)
+    other = replace(one, edited="9f8e7d6c5b4a3928")
+    states = {name: published_by(name, Incarnation(1, 1), split=one) for name in ("area1", "area2", "area3")}
+    alike, differing = (
+        watching(*states.values()),
+        watching(*{**states, "area2": replace(states["area2"], split=other)}.values()),
+    )
+    assert f"area files: {one}" in format_view(alike.look(0.0))
+    text = " ".join(format_view(differing.look(0.0)).split())
+    assert f"area files of 2 splits: {other}: area2; {one}: area1, area3" in text
+    described = describe_view(differing.look(0.0))["areas"]["area2"]
+    assert (described["split"], described["split_time"], described["split_edited"]) == (
+        other.digest,
+        1.7e9,
+        other.edited,
+    )
 
 
 def many(areas: int, buses: int) -> Watcher:

@@ -14,6 +14,7 @@ import pytest
 from click.testing import CliRunner
 
 from agents.area_files.reader import load_area_file
+from agents.area_files.split_digest import find_identity
 from agents.messages.keys import live_key
 from agents.messages.packing import Incarnation, TelemetryMessage, decode
 from agents.orders.order_book import OrderBook
@@ -22,7 +23,7 @@ from agents.runtime.inbox import Inbox
 from agents.transport.renewable_bus import RenewableBus
 from agents.transport.zenoh_bus import Session
 from coordinator.cli.processes import plant
-from coordinator.deployment.split import choose_run_id, default_run_id, write_area_files
+from coordinator.deployment.split import area_files, choose_run_id, default_run_id, write_area_files
 from coordinator.plant.plant import BURST, _NoAreaWarning, _PlantLoop, run_plant
 from coordinator.plant.scans import MadeScan, OwnScans
 from coordinator.plant.telemetry_messages import make_payloads
@@ -75,6 +76,15 @@ def test_a_plant_asks_the_bus_for_the_presence_of_its_areas_and_of_nobody_else(m
         assert run_plant(OwnScans(load_scenario("ieee33"), many=False), "run", ()) == 2
     areas = ("area/area1", "area/area2", "area/area3")
     assert asked == [f"dsse/v3/run/live/{name}/*" for name in (*areas, "plant/plant")]
+
+
+@pytest.mark.parametrize("is_made", [False, True])
+def test_a_plant_states_the_split_of_its_scenario_which_its_area_files_are_of(is_made: bool):
+    scenario = load_scenario("ieee33")
+    scans = MadeScan.of(scenario, make_telemetry(scenario)) if is_made else OwnScans(scenario, many=True)
+    splits = {decode(payload).split for payload in scans.payloads("run", Incarnation(1, 0), 1).values()}  # type: ignore[union-attr]
+    files = area_files(scenario, "another", ["tcp/192.0.2.7:7447"])
+    assert splits == {scans.split} == {find_identity(content) for content in files}
 
 
 def test_virtual_measurements_are_not_sent_because_area_files_hold_them(tmp_path: Path):

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from recordings import AT, ME, RUN, appeared, entry_of, load_areas_of, make_readings, make_state
 from served import client
 
+from agents.area_files.split_digest import find_identity
 from agents.messages.keys import live_key
 from coordinator.recording import rows
 from coordinator.recording.closing import close_ended
@@ -23,6 +25,8 @@ from scenarios.scenario import load_scenario
 
 AREAS = load_areas_of()
 SCANS = 4
+SPLIT = find_identity(AREAS[0])
+EDITED = "9f8e7d6c5b4a3928"
 
 
 def write(folder: Path, *, closed: bool) -> Path:
@@ -36,7 +40,9 @@ def write(folder: Path, *, closed: bool) -> Path:
                 when = AT + scan
                 recorder.take([entry_of(make_readings(content, scan, scan, when), when)])
                 n = len(content.area.network.buses)
-                state = make_state(content, scan, scan, when, vm=(1.0 - scan / 100,) * n, ages={"area3": 0.5})
+                split = replace(SPLIT, edited=EDITED) if content.area.name == "area2" else SPLIT
+                shown = {"vm": (1.0 - scan / 100,) * n, "ages": {"area3": 0.5}, "split": split}
+                state = make_state(content, scan, scan, when, **shown)
                 recorder.take([entry_of(state, when)])
         recorder.take([Entry(VANISHED, AT + 9, live_key(RUN, "area", "area1", ME))])
         log.close()
@@ -64,7 +70,11 @@ def test_every_moment_of_a_recording_is_as_it_was(tmp_path: Path, closed: bool, 
             assert {round(vm, 9) for vm in moment["buses"]["vm_pu"]} == {1.0 - at / 100}
             rows = asked.get(f"/api/rows?kind=meter&frame={k}").json()["rows"]
             assert {area["quality"] for area in moment["view"]["areas"].values()} <= {"good", "stale", "none"}
-            assert moment["view"]["areas"]["area1"]["scan"] == at
+            areas = moment["view"]["areas"]
+            assert areas["area1"]["scan"] == at
+            assert {area["split"] for area in areas.values()} <= {SPLIT.digest, ""}
+            assert (areas["area1"]["split_time"], areas["area1"]["split_edited"]) == (SPLIT.time, "")
+            assert areas["area2"]["split_edited"] == EDITED
             described = sum(len(area.meters) - 1 for area in AREAS)
             assert rows["normalised_residual"].count(1.5) == described
             assert len([value for value in rows["estimate"] if value is not None]) == described
@@ -78,10 +88,11 @@ def test_every_moment_of_a_recording_is_as_it_was(tmp_path: Path, closed: bool, 
 def test_tables_of_an_earlier_recorder_are_played_and_named_as_without_estimates_of_readings(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    earlier = dict(rows.COLUMNS["readings"])
-    added = [earlier.pop(name) for name in rows.ADDED["readings"]]
+    earlier = {table: dict(rows.COLUMNS[table]) for table in rows.ADDED}
+    (added, *_) = [[earlier[table].pop(name) for name in names] for table, names in rows.ADDED.items()]
     with monkeypatch.context() as before:
-        before.setitem(rows.COLUMNS, "readings", earlier)  # type: ignore[arg-type]
+        for table, columns in earlier.items():
+            before.setitem(rows.COLUMNS, table, columns)  # type: ignore[arg-type]
         before.setattr(rows, "_rows_of_readings", lambda *arguments: _without(rows_of_readings(*arguments), len(added)))
         folder = write(tmp_path / "r", closed=True)
     notes: list[str] = []

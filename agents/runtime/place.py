@@ -1,0 +1,50 @@
+"""The place of an area on the bus: a process with an older file does not take it from one with a newer file.
+
+A process that begins later takes the place of one that runs under its name (``duplicate_guard.py``). Where the running
+one has the file of a newer split, the later one was probably started by mistake, and would leave no area good.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from agents.area_files.area_file import AreaFile
+from agents.area_files.split_digest import find_identity
+from agents.messages.keys import all_incarnations, incarnation_of, split_of
+from agents.runtime.duplicate_guard import ReplacedError, find_overlap_s
+from agents.transport.zenoh_bus import Session
+from dsse_core.split_identity import SplitIdentity
+
+ANSWER_S = 1.0  # within which the bus says who is there
+
+
+def take_place(
+    content: AreaFile,
+    session: Session,
+    clock: Callable[[], float] = time.monotonic,
+    wait: Callable[[float], None] = time.sleep,
+) -> None:
+    """Wait until no process of the area with a newer file is on the bus; one that was killed is seen for a while.
+
+    Raises:
+        ReplacedError: such a process is there for so long that it runs.
+    """
+    over = clock() + find_overlap_s(content.beat_s)
+    while (newer := _find_newer(content, session)) is not None:
+        if clock() >= over:
+            raise ReplacedError(
+                f"area {content.area.name} of run {content.run} runs already, with a newer file: {newer}; the file "
+                f"given here is of {find_identity(content)}. Give the newer file, or stop the running process, or "
+                "take its place all the same with --older-file"
+            )
+        wait(content.beat_s)
+
+
+def _find_newer(content: AreaFile, session: Session) -> SplitIdentity | None:
+    """The newest split that a process of the area states, where that is newer than the one of ``content``."""
+    own = find_identity(content)
+    tokens = session.find_presence(all_incarnations(content.run, "area", content.area.name), ANSWER_S)
+    splits = [split_of(key) for key in tokens if incarnation_of(key)]
+    others = [split for split in splits if split != own and split.age_order > own.age_order]
+    return max(others, key=lambda split: split.age_order, default=None)
