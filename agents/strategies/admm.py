@@ -158,7 +158,7 @@ class Admm(Strategy):
     def _estimate(self, model: AreaModel) -> Estimate:
         n = len(self._area.network.buses)
         weighted = model.residual(self._x) / model.sigma
-        owned = n - (self._area.parent is not None)
+        owned = n - len(self._area.not_owned)
         return Estimate(
             vm=self._x[n : 2 * n],
             va=self._x[:n],

@@ -10,6 +10,7 @@ from agents.area_files.area_file import AreaFile
 from dsse_core.errors import DsseError
 from dsse_core.exchange.boundary_load import NetLoad, boundary_loads
 from dsse_core.grid.admittance import flat_start
+from dsse_core.grid.boundary import Kind
 from dsse_core.grid.partition import Area
 from dsse_core.power_flow.newton_raphson import solve_power_flow
 
@@ -34,6 +35,7 @@ def start_state(content: AreaFile, received: Mapping[str, NetLoad]) -> np.ndarra
     if area.reference:
         bus, angle = area.reference
         va = va + angle - va[network.row[bus]]
-    children = [received.get(n.area) for n in area.neighbours if not n.is_parent]
-    powers = [part for load in children for part in ((load.s.real, load.s.imag) if load else (0.0, 0.0))]
+    nothing = NetLoad(0j)
+    into_children = [(power.kind, received.get(power.area, nothing).s) for power in area.powers_into_children]
+    powers = [s.real if kind is Kind.P else s.imag for kind, s in into_children]
     return np.concatenate([va, vm, powers])

@@ -112,7 +112,10 @@ class AreaEstimation:
         if (meters := tuple(m.meter for m in self._readings)) != self._meters_read:
             self._meters_read, self.own_meters = meters, frozenset(meter.id for meter in meters)
         self.reported = set()
-        self._stand_ins = {name: stand_in_for(self._by_name[name], load) for name, load in (loads or {}).items()}
+        self._stand_ins = {
+            name: stand_in_for(self._by_name[name], self.area.boundaries[name], load)
+            for name, load in (loads or {}).items()
+        }
         self._start = self._start_of_term = self._flat if self.failure else self.x
         self._start_anew(())
 
@@ -177,19 +180,19 @@ class AreaEstimation:
     # What others are sent
 
     def set_power(self, neighbour: str, power: Sequence[float]) -> None:
-        """(p, q) into a child's branches at x_k, as the child has it."""
-        columns = self.model.boundary_columns(self._by_name[neighbour])
-        if len(columns) == 4 and len(power) == 2:
+        """The powers into a child's branches at x_k, as the child has them."""
+        n, n_powers = self._by_name[neighbour], self.area.boundaries[neighbour].n_powers
+        if not n.is_parent and len(power) == n_powers:
             self.x = self.x.copy()
-            self.x[columns[:2]] = power
+            self.x[self.model.boundary_columns(n)[:n_powers]] = power
 
     def power_for(self, neighbour: str) -> tuple[float, ...]:
-        """(p, q) at the boundary at x_k, for a parent; nothing for a child, who knows it better."""
-        n = self._by_name[neighbour]
-        return tuple(self.model.boundary_values(self.x, n)[:2].tolist()) if n.is_parent else ()
+        """The powers at the boundary at x_k, for a parent; nothing for a child, who knows them better."""
+        n, n_powers = self._by_name[neighbour], self.area.boundaries[neighbour].n_powers
+        return tuple(self.model.boundary_values(self.x, n)[:n_powers].tolist()) if n.is_parent else ()
 
     def boundary_values(self, neighbour: str) -> tuple[float, ...]:
-        """y = (p, q, vm, va) at the boundary to ``neighbour``; found once of one x, which every heartbeat repeats."""
+        """y of the boundary to ``neighbour``; found once of one x, which every heartbeat repeats."""
         kept = self._boundary_values.get(neighbour)
         if kept is None or kept[0] is not self.x:
             values = tuple(self.model.boundary_values(self.x, self._by_name[neighbour]).tolist())
@@ -232,7 +235,6 @@ class AreaEstimation:
     def totals(self) -> Totals:
         """The area's own part at x_k."""
         name, model, n = self.area.name, self.model, self._n
-        not_owned = self.area.parent.bus if self.area.parent else None
         numbers: dict[str, Any] = {"failed": (name,)}
         if not self.failure:
             size = abs(self._step)
@@ -250,7 +252,7 @@ class AreaEstimation:
             referenced=self.area.reference is not None or bool(model.angles.size),
             silent=tuple(sorted(self._silent)),
             stale=(name,) if self._is_stale else (),
-            unobservable=_as_ranges([bus for bus in self.unobservable if bus != not_owned]),
+            unobservable=_as_ranges([bus for bus in self.unobservable if bus not in self.area.not_owned]),
         )
 
     # Carrying out what is decided
@@ -387,6 +389,5 @@ def _flat_start(area: Area) -> np.ndarray:
     """x of the flat start of the whole grid, without power into children."""
     vm, va = find_no_load(area.network, area.entry_bus)
     entry_vm, entry_va = area.entry_voltage
-    children = sum(not n.is_parent for n in area.neighbours)
     vm, va = vm * entry_vm, va + entry_va
-    return np.concatenate([va, vm, np.zeros(2 * children)])
+    return np.concatenate([va, vm, np.zeros(len(area.powers_into_children))])

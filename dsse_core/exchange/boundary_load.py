@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dsse_core.grid.boundary import Boundary
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Source
 from dsse_core.grid.partition import Area, Neighbour, Partition
 from dsse_core.linear.boundary_information import BoundaryInformation
@@ -76,12 +77,12 @@ def boundary_loads(area: Area, received: Mapping[str, NetLoad], error: complex =
     return loads
 
 
-def stand_in_for(neighbour: Neighbour, load: NetLoad) -> BoundaryInformation:
-    """What the net load on the side of ``neighbour`` states of y = (p, q, vm, va) at the boundary, p.u. and rad."""
+def stand_in_for(neighbour: Neighbour, boundary: Boundary, load: NetLoad) -> BoundaryInformation:
+    """What the net load on the side of ``neighbour`` states of the variables y of the ``boundary``, p.u. and rad."""
     power = -load.s if neighbour.is_parent else load.s
     weight = 1 / (load.variance**0.5 + UNSURE_OF_LOAD * abs(load.s) + LEAST_LOAD)
-    R = np.diag([weight, weight, 0.0, 0.0])
-    return BoundaryInformation(R, R @ np.array([power.real, power.imag, 0.0, 0.0]))
+    R = np.diag(boundary.per_kind(weight, weight, 0.0, 0.0))
+    return BoundaryInformation(R, R @ boundary.per_kind(power.real, power.imag, 0.0, 0.0))
 
 
 def scheduled_load_messages(partition: Partition) -> dict[str, dict[str, NetLoad]]:

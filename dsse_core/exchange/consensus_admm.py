@@ -1,7 +1,7 @@
-"""Consensus ADMM between areas: two sides of a boundary agree on ``y = (p, q, vm_b, va_b)`` by penalties.
+"""Consensus ADMM between areas: two sides of a boundary agree on its variables y by penalties.
 
 Kekatos and Giannakis, Distributed Robust Power System State Estimation, IEEE Trans. Power Systems 28 (2013),
-on the four quantities y of a boundary (``area_model``) and with their multipliers eliminated: each side
+on the powers and voltages y of a boundary (``grid/boundary.py``) and with their multipliers eliminated: each side
 minimises its own J plus ``1/2 |M^(1/2) (y - z)|^2`` at each of its boundaries, sends ``r = 2 y - z`` and takes the
 other side's r into ``z <- z + relaxation (r - z)`` (Douglas-Rachford splitting; relaxation 1/2 is plain ADMM). At the
 fixed point both y are equal and the gradients ``M (z - y)`` of the two sides cancel: the centralised estimate, whatever
@@ -30,7 +30,7 @@ _POWER = (MeasurementKind.P_FLOW, MeasurementKind.Q_FLOW, MeasurementKind.P_INJE
 
 
 def compute_weight(model: AreaModel, x: np.ndarray, neighbour: Neighbour) -> np.ndarray:
-    """The area's own information about each quantity of y, shape (4,): in units of it a penalty of 1 is sensible.
+    """The area's own information about each of the variables y, shape (d,): in units of it a penalty of 1 is sensible.
 
     The diagonal of ``L = R'R`` of its own meters alone, kept within reason: exact zero injections can make
     L infinite, and an area without voltmeter knows nothing of vm, but stiff penalties on both sides never move.
@@ -38,8 +38,9 @@ def compute_weight(model: AreaModel, x: np.ndarray, neighbour: Neighbour) -> np.
     R = model.linear.information(x, neighbour, {}).R
     power = _median_sigma(model, _POWER, POWER_METER_SIGMA)
     voltage = _median_sigma(model, (MeasurementKind.VM,), VOLTMETER_SIGMA)
-    largest = np.array([SPREAD * power, SPREAD * power, voltage, voltage])
-    least = np.array([power, power, voltage, voltage]) / SPREAD
+    boundary = model.boundary_of(neighbour)
+    largest = boundary.per_kind(SPREAD * power, SPREAD * power, voltage, voltage)
+    least = boundary.per_kind(power, power, voltage, voltage) / SPREAD
     weight: np.ndarray = np.clip((R**2).sum(axis=0), largest**-2.0, least**-2.0)
     return weight
 
@@ -55,7 +56,7 @@ def solve_damped_step(model: AreaModel, x: np.ndarray, received: Mapping[str, Bo
 
 
 def pull(M: np.ndarray, z: np.ndarray) -> BoundaryInformation:
-    """The penalty ``1/2 |M^(1/2) (y - z)|^2`` as information about y; ``M`` (4,) is diagonal, 0 leaves y alone."""
+    """The penalty ``1/2 |M^(1/2) (y - z)|^2`` as information about y; ``M`` (d,) is diagonal, 0 leaves y alone."""
     root = np.sqrt(M)
     return BoundaryInformation(np.diag(root), root * z)
 

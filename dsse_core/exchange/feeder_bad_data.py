@@ -37,7 +37,7 @@ def find_objective(model: AreaModel, x: np.ndarray) -> float:
 
 def count_freedom(model: AreaModel) -> int:
     """The area's part of the degrees of freedom."""
-    owned = len(model.area.network.buses) - (model.area.parent is not None)
+    owned = len(model.area.network.buses) - len(model.area.not_owned)
     return len(model.meters) - 2 * owned + model.area.is_reference
 
 
@@ -58,8 +58,10 @@ class NoLoadModel:
 
     def information_for(self, neighbour: Neighbour, received: Mapping[str, BoundaryInformation]) -> BoundaryInformation:
         information = self.linear.information(self.x, neighbour, self._at_own_voltage(received))
-        turn = np.eye(4)
-        for rows, unit in ((slice(2), self.typical), (slice(2, 4), 1.0)):  # of powers given the voltage, of the voltage
+        boundary = self.model.boundary_of(neighbour)
+        n, turn = boundary.n_powers, np.eye(boundary.d)
+        # of powers given the voltages, of the voltages
+        for rows, unit in ((slice(n), self.typical), (slice(n, boundary.d), 1.0)):
             U, size, _ = np.linalg.svd(information.R[rows, rows])
             is_something = size * unit >= NOTHING_AT_NO_LOAD
             if not is_something.all():
@@ -87,9 +89,10 @@ class NoLoadModel:
         }
 
     def _voltage_of(self, neighbour: Neighbour) -> np.ndarray:
-        """What relative numbers are multiplied by to be y, shape (4,)."""
-        vm = float(self.x[self.model.voltage_columns(neighbour)[0]])
-        return np.array([vm * vm, vm * vm, vm, 1.0])
+        """What relative numbers are multiplied by to be y, shape (d,)."""
+        network, boundary = self.model.area.network, self.model.boundary_of(neighbour)
+        vm = self.x[[len(network.buses) + network.row[variable.bus] for variable in boundary.variables]]
+        return np.array([size ** int(degree) for size, degree in zip(vm.tolist(), boundary.degrees, strict=True)])
 
 
 def build_no_load_model(area: Area, measurements: Sequence[Measurement], reference: int | None) -> NoLoadModel:

@@ -58,7 +58,7 @@ class Boundary:
         """Those of y, in its order."""
         return tuple(variable for name in self.names for variable in _read_name(name))
 
-    @property
+    @cached_property
     def d(self) -> int:
         """How many variables there are."""
         return len(self.variables)
@@ -77,6 +77,16 @@ class Boundary:
     def n_powers(self) -> int:
         """How many of the first variables are powers."""
         return sum(variable.kind in (Kind.P, Kind.Q) for variable in self.variables)
+
+    @property
+    def is_single(self) -> bool:
+        """Whether the areas meet at one bus with one phase: two powers and a voltage."""
+        return self.d == 2 * self.n_powers == 4
+
+    @cached_property
+    def voltage_buses(self) -> tuple[int, ...]:
+        """The bus of each voltage."""
+        return tuple(variable.bus for variable in self.variables if variable.kind is Kind.VM)
 
     @cached_property
     def buses(self) -> tuple[int, ...]:

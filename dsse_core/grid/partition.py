@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from dsse_core.grid.boundary import Boundary, boundary_at
+from dsse_core.grid.boundary import Boundary, Variable, boundary_at
 from dsse_core.grid.columns import Records, split_by, take_items
 from dsse_core.grid.measurement import Meter
 from dsse_core.grid.network import Network
@@ -74,15 +74,26 @@ class Area:
         """Neighbour -> the variables that it and this area share."""
         return {n.area: boundary_at((n.bus,), self.name if n.is_parent else n.area) for n in self.neighbours}
 
+    @cached_property
+    def not_owned(self) -> tuple[int, ...]:
+        """Its buses that the parent owns."""
+        return self.boundaries[self.parent.area].buses if self.parent else ()
+
+    @cached_property
+    def powers_into_children(self) -> tuple[Variable, ...]:
+        """From the area's buses, each once."""
+        there = (self.boundaries[n.area] for n in self.neighbours if not n.is_parent)
+        return tuple(dict.fromkeys(power for boundary in there for power in boundary.variables[: boundary.n_powers]))
+
     @property
     def boundary_buses(self) -> tuple[int, ...]:
-        return tuple(dict.fromkeys(n.bus for n in self.neighbours))
+        return tuple(dict.fromkeys(bus for n in self.neighbours for bus in self.boundaries[n.area].buses))
 
     @cached_property
     def scheduled_loads(self) -> dict[int, complex]:
         """Bus that the area owns -> its loads minus generation by the schedule, p.u.; shunts do not count."""
-        not_owned = self.parent.bus if self.parent else None
-        return {bus.id: -self.network.scheduled_injection(bus.id) for bus in self.network.buses if bus.id != not_owned}
+        owned = (bus.id for bus in self.network.buses if bus.id not in self.not_owned)
+        return {bus: -self.network.scheduled_injection(bus) for bus in owned}
 
     @cached_property
     def shunt_load(self) -> complex:
@@ -130,8 +141,8 @@ class Partition:
         """Of each bus the place in ``areas`` of the one that owns it, shape (n_bus,)."""
         owner = np.full(len(self.network.table.bus_id), -1)
         for k, area in enumerate(self.areas):
-            owned = self.rows_of_buses[area.name]
-            owner[owned[area.network.table.bus_id != area.parent.bus] if area.parent else owned] = k
+            is_owned = ~np.isin(area.network.table.bus_id, area.not_owned)
+            owner[self.rows_of_buses[area.name][is_owned]] = k
         return owner
 
     @cached_property

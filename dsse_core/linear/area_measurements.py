@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 import scipy.sparse as sp
 
+from dsse_core.grid.boundary import Boundary, Kind, Variable
 from dsse_core.grid.measurement import MeasurementKind, Meter, Source
 from dsse_core.grid.measurement_model import MeasurementModel
 from dsse_core.grid.partition import Area, Neighbour
@@ -18,7 +19,7 @@ Backend = Literal["auto", "radial", "sparse", "dense"]
 
 @dataclass(frozen=True)
 class AreaMeasurements:
-    """The measurements of one area as functions of ``x = [va; vm; p_1, q_1, p_2, q_2, ...]``, one pair per child.
+    """The measurements of one area as functions of ``x = [va; vm; p_1, q_1, p_2, q_2, ...]``: powers into children.
 
     ``free``: the variables that are unknown, all but a reference angle. ``backend``: see ``linear.choose_backend``.
     ``prior``: a state, shape (size,), whose voltages count as measured with PRIOR_SIGMA, where neighbours or readings
@@ -27,8 +28,8 @@ class AreaMeasurements:
 
     area: Area
     model: MeasurementModel
-    into_children: sp.csr_array  # (n_meas, 2 n_child): 1 where an injection meter counts a child's power
-    into_area: MeasurementModel | None  # P and Q from the parent's bus into the area's own branches
+    into_children: sp.csr_array  # (n_meas, n_power): 1 where an injection meter counts a power into a child
+    into_area: MeasurementModel | None  # P and Q from the parent's buses into the area's own branches
     z: np.ndarray
     sigma: np.ndarray
     free: np.ndarray
@@ -99,18 +100,24 @@ class AreaMeasurements:
         """z - h, shape (n_meas,); angles wrapped to (-pi, pi]."""
         return self.model.subtract(self.z, h)
 
+    def boundary_of(self, neighbour: Neighbour) -> Boundary:
+        """The variables y that ``neighbour`` and the area share."""
+        return self.area.boundaries[neighbour.area]
+
     def voltage_columns(self, neighbour: Neighbour) -> list[int]:
-        row = self.area.network.row[neighbour.bus]
-        return [self._n + row, row]
+        """Where x has the voltages of y, (vm, va) each."""
+        boundary = self.boundary_of(neighbour)
+        return [self._column[variable] for variable in boundary.variables[boundary.n_powers :]]
 
     def boundary_columns(self, neighbour: Neighbour) -> list[int]:
-        """Where x has y of the boundary to a child; to the parent its voltage alone, as the power is none of x."""
-        if neighbour.is_parent:
-            return self.voltage_columns(neighbour)
-        first = self._first_power[neighbour.area]
-        return [first, first + 1, *self.voltage_columns(neighbour)]
+        """Where x has y of the boundary to a child; to the parent its voltages alone, as the powers are none of x."""
+        return [self._column[v] for v in self.boundary_of(neighbour).variables if v in self._column]
 
     @cached_property
-    def _first_power(self) -> dict[str, int]:
-        children = [n.area for n in self.area.neighbours if not n.is_parent]
-        return {area: 2 * (self._n + k) for k, area in enumerate(children)}
+    def _column(self) -> dict[Variable, int]:
+        """Where x has variables of boundaries."""
+        row, n = self.area.network.row, self._n
+        first = {Kind.VA: 0, Kind.VM: n}
+        shared = (variable for boundary in self.area.boundaries.values() for variable in boundary.variables)
+        of_voltages = {v: first[v.kind] + row[v.bus] for v in shared if v.kind in first}
+        return of_voltages | {power: 2 * n + k for k, power in enumerate(self.area.powers_into_children)}

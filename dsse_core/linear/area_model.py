@@ -10,6 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from dsse_core.grid.admittance import build_admittance
+from dsse_core.grid.boundary import Kind
 from dsse_core.grid.measurement import Measurement, MeasurementKind, Meter, Source
 from dsse_core.grid.measurement_model import build_measurement_model
 from dsse_core.grid.partition import Area, Neighbour
@@ -17,7 +18,7 @@ from dsse_core.linear import Backend, LinearArea, Matrix, Rows, make_linear, mak
 from dsse_core.linear.area_measurements import AreaMeasurements
 from dsse_core.linear.boundary_information import EXACT_SIGMA
 
-_POWER = (MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION)
+INJECTION = {Kind.P: MeasurementKind.P_INJECTION, Kind.Q: MeasurementKind.Q_INJECTION}
 
 
 class AreaModel(AreaMeasurements):
@@ -63,7 +64,7 @@ class AreaModel(AreaMeasurements):
         return self.rows.jacobian(x)
 
     def boundary(self, x: np.ndarray, neighbour: Neighbour) -> tuple[np.ndarray, Matrix]:
-        """y, shape (4,), and T = dy/dx, shape (4, size), at the boundary to ``neighbour``."""
+        """y, shape (d,), and T = dy/dx, shape (d, size), at the boundary to ``neighbour``."""
         return self.rows.boundary(x, neighbour)
 
     def boundary_values(self, x: np.ndarray, neighbour: Neighbour) -> np.ndarray:
@@ -87,17 +88,16 @@ def build_area_model(
     """
     network = area.network
     admittance = build_admittance(network, with_shunts=with_shunts)
-    children = [n for n in area.neighbours if not n.is_parent]
-    rows, columns = [], []
-    for row, m in enumerate(measurements):
-        for k, child in enumerate(children):
-            if m.meter.kind.of_injection and m.meter.bus == child.bus:
-                rows.append(row)
-                columns.append(2 * k + (m.meter.kind is MeasurementKind.Q_INJECTION))
-    shape = (len(measurements), 2 * len(children))
+    powers: dict[tuple[MeasurementKind, int], list[int]] = {}
+    for k, power in enumerate(area.powers_into_children):
+        powers.setdefault((INJECTION[power.kind], power.bus), []).append(k)
+    counted = [(row, k) for row, m in enumerate(measurements) for k in powers.get((m.meter.kind, m.meter.bus), ())]
+    rows, columns = zip(*counted, strict=True) if counted else ((), ())
+    shape = (len(measurements), len(area.powers_into_children))
     size = 2 * len(network.buses) + shape[1]
     fixed = [] if reference is None else [network.row[reference]]
-    at_parent = [Meter(k, area.parent.bus) for k in _POWER] if area.parent else []
+    to_parent = area.boundaries[area.parent.area].variables if area.parent else ()
+    at_parent = [Meter(INJECTION[v.kind], v.bus) for v in to_parent if v.kind in INJECTION]
     return AreaModel(
         area=area,
         model=build_measurement_model(network, admittance, [m.meter for m in measurements]),

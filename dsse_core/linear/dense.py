@@ -14,9 +14,9 @@ from dsse_core.matrices.augmented_dense import DenseFactor
 
 
 class DenseRows(Rows):
-    """The rows of the meters, then the four of each boundary's y, the parent's first.
+    """The rows of the meters, then those of each boundary's y, the parent's first.
 
-    The first two of the parent's are P and Q into the area's own branches; all others read one variable of x.
+    The parent's begin with P and Q into the area's own branches; all others read one variable of x.
     """
 
     def __init__(self, area: AreaMeasurements) -> None:
@@ -24,7 +24,8 @@ class DenseRows(Rows):
         boundaries = sorted(area.area.neighbours, key=lambda n: not n.is_parent)
         picked = [column for n in boundaries for column in area.boundary_columns(n)]
         self._neighbours = area.area.neighbours
-        self._place = {n.area: k for k, n in enumerate(boundaries)}
+        ends = np.cumsum([area.boundary_of(n).d for n in boundaries], dtype=int) + model.y.shape[0]
+        self._place = {n.area: slice(end - area.boundary_of(n).d, end) for n, end in zip(boundaries, ends, strict=True)}
         self._n_meas, self._n = model.y.shape
         self._rows = model if into_area is None else stack_models(model, into_area)
         self._y = self._rows.y.toarray()
@@ -52,8 +53,8 @@ class DenseRows(Rows):
     def boundary(self, x: np.ndarray, neighbour: Neighbour) -> tuple[np.ndarray, np.ndarray]:
         """See ``Rows``; not to be changed."""
         self._move_to(x)
-        first = self._n_meas + 4 * self._place[neighbour.area]
-        return self._h[first : first + 4], self._H[first : first + 4]
+        place = self._place[neighbour.area]
+        return self._h[place], self._H[place]
 
     def boundary_values(self, x: np.ndarray, neighbour: Neighbour) -> np.ndarray:
         return self.boundary(x, neighbour)[0]

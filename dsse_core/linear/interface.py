@@ -70,7 +70,7 @@ class Rows(ABC):
 
     @abstractmethod
     def boundary(self, x: np.ndarray, neighbour: Neighbour) -> tuple[np.ndarray, Matrix]:
-        """y, shape (4,), and T = dy/dx, shape (4, size), at the boundary to ``neighbour``."""
+        """y, shape (d,), and T = dy/dx, shape (d, size), at the boundary to ``neighbour``."""
 
     @abstractmethod
     def boundary_values(self, x: np.ndarray, neighbour: Neighbour) -> np.ndarray:

@@ -23,11 +23,12 @@ from typing import NamedTuple, Self
 import numpy as np
 from scipy.linalg import lapack
 
+from dsse_core.grid.boundary import Boundary, Kind
 from dsse_core.grid.partition import Area, Neighbour
 from dsse_core.linear.area_measurements import AreaMeasurements
-from dsse_core.linear.boundary_information import TIED_SIGMA, VA, VM, BoundaryInformation
+from dsse_core.linear.boundary_information import EXACT_SIGMA, TIED_SIGMA, BoundaryInformation
 from dsse_core.linear.interface import NOT_YET, Received, Rows
-from dsse_core.linear.rows import DEGREES_OF_BOUNDARY, RowSolver, shift_of_own_rows
+from dsse_core.linear.rows import RowSolver, shift_of_own_rows
 
 
 class _Eliminated(NamedTuple):
@@ -50,7 +51,7 @@ class _Eliminated(NamedTuple):
 class _Reduced:
     """The area at a state ``x``.
 
-    ``boundaries``: neighbour -> y, shape (4,), and ``[dy | -y]`` by the variables of the boundaries.
+    ``boundaries``: neighbour -> y, shape (d,), and ``[dy | -y]`` by the variables of the boundaries.
     """
 
     x: np.ndarray
@@ -90,14 +91,15 @@ class ReducedSolver(RowSolver):
         return dx
 
     def information(self, x: np.ndarray, neighbour: Neighbour, received: Received) -> BoundaryInformation:
-        reduced, (columns, n_last) = self._reduce(x), self._order.towards[neighbour.area]
-        y, dy = reduced.boundaries[neighbour.area]
+        reduced, (columns, places) = self._reduce(x), self._order.towards[neighbour.area]
+        (y, dy), boundary = reduced.boundaries[neighbour.area], self.model.boundary_of(neighbour)
         rows = self._stack(reduced, {name: sent for name, sent in received.items() if name != neighbour.area})
-        rows = _with_powers(rows, dy) if neighbour.is_parent else rows
-        rows = _triangulate(_eliminate(rows[:, columns], len(columns) - 1 - n_last).rows)
-        R, z = np.zeros((4, 4)), np.zeros(4)
-        R[:n_last, :n_last], z[:n_last] = rows[:n_last, :-1], rows[:n_last, -1]
-        R[:, VM] = (R[:, VM] - R[:, :VM] @ (2 * y[:VM])) / y[VM]  # the shift takes the powers along
+        rows = _with_powers(rows, dy, boundary) if neighbour.is_parent else rows
+        k = len(places)
+        rows = _triangulate(_eliminate(rows[:, columns], len(columns) - 1 - k).rows)
+        R, z = np.zeros((boundary.d, boundary.d)), np.zeros(boundary.d)
+        R[:k, places], z[:k] = rows[:k, :-1], rows[:k, -1]
+        R = _undo_shifts(R, places, y, boundary)
         return BoundaryInformation(R, R @ y + z)
 
     def _stack(self, reduced: _Reduced, received: Received, *, with_shifts: bool = False) -> np.ndarray:
@@ -154,15 +156,16 @@ class ReducedSolver(RowSolver):
 
     def _boundary(self, x: np.ndarray, neighbour: Neighbour) -> tuple[np.ndarray, np.ndarray]:
         """y, and how it follows from the variables of the boundaries."""
-        order, n = self._order, self._order.n_within
+        order, n, boundary = self._order, self._order.n_within, self.model.boundary_of(neighbour)
         dy = order.picks[neighbour.area].copy()
         if neighbour.is_parent:
             y, T = self.rows.boundary(x, neighbour)
-            dy[:VM, : len(order.read) - n] = T[:VM, order.read[n:]]
-            dy[:VM, -2] = -T[:VM, self.model.fixed].sum(axis=1)
+            C = self.rows.full(T[: boundary.n_powers])
+            dy[: boundary.n_powers, : len(order.read) - n] = C[:, order.read[n:]]
+            dy[: boundary.n_powers, -2] = -C[:, self.model.fixed].sum(axis=1)
         else:
             y = self.rows.boundary_values(x, neighbour)
-        dy[:, -3], dy[:, -1] = y * DEGREES_OF_BOUNDARY, -y
+        dy[:, -3], dy[:, -1] = y * boundary.degrees, -y
         return y, dy
 
 
@@ -172,17 +175,17 @@ class _Order:
 
     ``read``: which of x the variables are, ``n_within`` of them within. ``of_step``: variables of the boundaries
     without what follows from others, then the column of residuals. ``towards``: neighbour -> the same with what its y
-    consists of last, and how many these are; for the parent of ``_with_powers``.
+    consists of last, where shifts stand for its last voltage, and the places of these in y; for the parent of
+    ``_with_powers``.
     """
 
     def __init__(self, model: AreaMeasurements) -> None:
         area, n_bus = model.area, len(model.area.network.buses)
-        buses = list(dict.fromkeys(n.bus for n in area.neighbours)) or [area.entry_bus]
+        buses = area.boundary_buses or (area.entry_bus,)
         of_bus = {bus.id: (n_bus + row, row) for row, bus in enumerate(area.network.buses)}
-        free, kept = set(model.free.tolist()), buses if len(buses) > 1 else []
-        next_to_parent = _find_next_to(area, area.parent.bus) - {*buses} if area.parent else set()
-        powers = {n.area: model.boundary_columns(n)[:2] for n in area.neighbours if not n.is_parent}
-        at_boundaries = [k for pair in powers.values() for k in pair]
+        free, kept = set(model.free.tolist()), buses if len(buses) > 1 else ()
+        next_to_parent = {end for bus in area.not_owned for end in _find_next_to(area, bus)} - {*buses}
+        at_boundaries = list(range(2 * n_bus, model.size))
         at_boundaries += [k for bus in (*kept, *sorted(next_to_parent)) for k in of_bus[bus] if k in free]
         apart = {*at_boundaries, *(k for bus in buses for k in of_bus[bus])}
         within = [k for k in model.free.tolist() if k not in apart]
@@ -202,21 +205,20 @@ class _Order:
         self.least_of_shifts = np.zeros((2, self.n_boundary + 1))
         self.least_of_shifts[[0, 1], [growth, turn]] = NOT_YET**0.5
         self.picks: dict[str, np.ndarray] = {}
-        self.towards: dict[str, tuple[np.ndarray, int]] = {}
+        self.towards: dict[str, tuple[np.ndarray, np.ndarray]] = {}
         for n in area.neighbours:
-            self.picks[n.area] = pick = np.zeros((4, self.n_boundary + 1))
-            of_y = [place[k] for k in powers.get(n.area, ())]
-            pick[range(len(of_y)), of_y] = 1.0
-            pick[VA, turn] = of_bus[n.bus][1] in free
-            for k, column in zip((VM, VA), of_bus[n.bus], strict=True):
-                if column in place:
-                    pick[k, place[column]] = 1.0
-            left = [k for k in without(n.bus) if k not in of_y and k < growth]
-            of_voltage = [k for k in without(n.bus) if k >= growth]
-            if n.is_parent:
-                left, of_y, of_voltage = [k + 2 for k in left], [0, 1], [k + 2 for k in of_voltage]
-            last = [*of_y, *of_voltage]
-            self.towards[n.area] = np.array([*left, *last, residual + 2 * n.is_parent]), len(last)
+            boundary, columns = area.boundaries[n.area], model.boundary_columns(n)
+            first = boundary.d - len(columns)  # of y in x
+            of_y = {first + k: place[column] for k, column in enumerate(columns) if column in place}
+            self.picks[n.area] = pick = np.zeros((boundary.d, self.n_boundary + 1))
+            pick[list(of_y), list(of_y.values())] = 1.0
+            pick[boundary.places[Kind.VA], turn] = [of_bus[bus][1] in free for bus in boundary.voltage_buses]
+            last = boundary.voltage_buses[-1]
+            of_y = {k: at for k, at in of_y.items() if at in without(last)}
+            of_y |= {k: at for k, at in ((boundary.d - 2, growth), (boundary.d - 1, turn)) if at in without(last)}
+            left = [first + k for k in without(last) if k not in of_y.values()]
+            found = [*range(first), *(first + at for at in of_y.values())]
+            self.towards[n.area] = np.array([*left, *found, first + residual]), np.array([*range(first), *of_y])
 
     def shift(self, x: np.ndarray, growth: float, turn: float) -> np.ndarray:
         """The change of x, shape (size,), where all voltages grow by a share, and turn by an angle, rad."""
@@ -238,13 +240,28 @@ def _with_power(rows: np.ndarray, power: np.ndarray) -> np.ndarray:
     return moved
 
 
-def _with_powers(rows: np.ndarray, dy: np.ndarray) -> np.ndarray:
-    """``rows`` with changes of the parent's powers before the other variables, but for what the shift makes of them."""
-    tie = dy[:VM].copy()
+def _with_powers(rows: np.ndarray, dy: np.ndarray, boundary: Boundary) -> np.ndarray:
+    """``rows`` with changes of the parent's powers before the other variables, but for what the shift makes of them.
+
+    Where areas meet at several buses, ties heavier than exact rows would leave to rounding what these know of voltages.
+    """
+    n, sigma = boundary.n_powers, TIED_SIGMA if boundary.is_single else EXACT_SIGMA
+    tie = dy[:n].copy()
     tie[:, -3] = tie[:, -1] = 0.0
-    wide = np.zeros((len(rows) + 2, rows.shape[1] + 2))
-    wide[:-2, 2:], wide[-2:, :2], wide[-2:, 2:] = rows, -np.eye(2) / TIED_SIGMA, tie / TIED_SIGMA
+    wide = np.zeros((len(rows) + n, rows.shape[1] + n))
+    wide[:-n, n:], wide[-n:, :n], wide[-n:, n:] = rows, -np.eye(n) / sigma, tie / sigma
     return wide
+
+
+def _undo_shifts(R: np.ndarray, places: np.ndarray, y: np.ndarray, boundary: Boundary) -> np.ndarray:
+    """R, shape (d, d), by changes of y, from R by what these are beside growth and turn, which stand for the last
+    voltage; ``places``: what of y is not given.
+    """
+    R, (vm, va) = R.copy(), (boundary.d - 2, boundary.d - 1)
+    R[:, vm] = (R[:, vm] - R[:, :vm] @ (boundary.degrees * y)[:vm]) / y[vm]
+    if places[-1] == va and not boundary.is_single:
+        R[:, va] -= R[:, boundary.places[Kind.VA][:-1]].sum(axis=1)
+    return R
 
 
 def _eliminate(rows: np.ndarray, n: int) -> _Eliminated:

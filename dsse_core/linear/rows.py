@@ -8,11 +8,11 @@ from typing import Self
 
 import numpy as np
 
+from dsse_core.grid.boundary import Kind
 from dsse_core.grid.partition import Neighbour
 from dsse_core.linear.area_measurements import AreaMeasurements
 from dsse_core.linear.boundary_information import (
     NOTHING_OF_VOLTAGE,
-    VA,
     BoundaryInformation,
     factor_information,
     factor_inverse,
@@ -22,7 +22,6 @@ from dsse_core.linear.interface import NOT_YET, NOT_YET_OF_POWER, Factor, Linear
 
 PRIOR_SIGMA = 0.3  # p.u. and rad: a voltage lies that near to what it was, whatever happens
 MOST_TURNS = 4  # of the axes of (p, q)
-DEGREES_OF_BOUNDARY = np.array([2.0, 2.0, 1.0, 0.0])  # the power k for which y grows as c^k, see ``degrees``
 
 
 class RowSolver(LinearArea):
@@ -154,13 +153,14 @@ def _responses_to_shift(
     """
     (vm_column, va_column), fixed = model.voltage_columns(neighbour), model.fixed
     vm_b = float(x[vm_column])
-    B, dy, dp = np.zeros((H.shape[0], 2)), np.zeros((4, 2)), np.zeros((2, 2))
+    B, dp = np.zeros((H.shape[0], 2)), np.zeros((2, 2))
     end = model.n_own_rows
     B[:end] = shift_of_own_rows(model, rows, x, H[:end])
     B[:end, 0] /= vm_b
-    dy[VA, 1] = 1.0
     for n in model.area.neighbours:
-        dy[:, 0] = rows.boundary_values(x, n) * DEGREES_OF_BOUNDARY / vm_b
+        boundary = model.boundary_of(n)
+        dy = np.zeros((boundary.d, 2))
+        dy[:, 0], dy[boundary.places[Kind.VA], 1] = rows.boundary_values(x, n) * boundary.degrees / vm_b, 1.0
         if n.area == neighbour.area:
             dp[:, 0] = dy[:2, 0]
             if fixed.size:

@@ -63,29 +63,34 @@ class SparseRows(Rows):
         assert into_area is not None  # there is a parent
         flows = into_area.predict(x[: 2 * self._n])
         C = sp.csr_array(into_area.jacobian(x[: 2 * self._n]))
-        C = sp.csr_array((C.data, C.indices, C.indptr), shape=(2, self._area.size))
+        C = sp.csr_array((C.data, C.indices, C.indptr), shape=(len(flows), self._area.size))
         T = sp.vstack([C, self._select(columns)], format="csr")
         return np.concatenate([flows, x[columns]]), sp.csr_array(T)
 
     def boundary_values(self, x: np.ndarray, neighbour: Neighbour) -> np.ndarray:
         if not neighbour.is_parent:
             return np.asarray(x[self._area.boundary_columns(neighbour)])
-        bus, there, own, mutual = self._branches_at_parent
-        va, vm = x[there], x[self._n + there]
-        v = float(x[self._n + bus])
-        s = (own * v * v).sum() + (mutual * (v * vm * np.exp(1j * (x[bus] - va)))).sum()
-        return np.array([s.real, s.imag, v, x[bus]])
+        powers: list[float] = []
+        for bus, there, own, mutual in self._branches_at_parent:
+            va, vm = x[there], x[self._n + there]
+            v = float(x[self._n + bus])
+            s = (own * v * v).sum() + (mutual * (v * vm * np.exp(1j * (x[bus] - va)))).sum()
+            powers += [s.real, s.imag]
+        return np.concatenate([powers, x[self._area.voltage_columns(neighbour)]])
 
     @cached_property
-    def _branches_at_parent(self) -> tuple[int, np.ndarray, np.ndarray, np.ndarray]:
-        """Row of the parent's bus; of the branches there: row of the other end, conj of own and mutual admittance."""
-        assert self._area.area.parent is not None
+    def _branches_at_parent(self) -> list[tuple[int, np.ndarray, np.ndarray, np.ndarray]]:
+        """For each power: row of its bus; of the branches there: row of the other end, conj of own and mutual
+        admittance.
+        """
         assert self._area.into_area is not None
-        bus = self._area.area.network.row[self._area.area.parent.bus]
-        y = self._area.into_area.y[[0], :].tocoo()
-        columns, values = y.coords[1], y.data.conj()
-        at_bus = columns == bus
-        return bus, columns[~at_bus], values[at_bus], values[~at_bus]
+        found = []
+        for k, bus in enumerate(self._area.into_area.bus_row[::2].tolist()):
+            y = self._area.into_area.y[[2 * k], :].tocoo()
+            columns, values = y.coords[1], y.data.conj()
+            at_bus = columns == bus
+            found.append((bus, columns[~at_bus], values[at_bus], values[~at_bus]))
+        return found
 
     def _select(self, columns: Sequence[int]) -> sp.csr_array:
         shape = (len(columns), self._area.size)
@@ -156,8 +161,8 @@ class SparseRows(Rows):
         """Of each variable, shape (size,): the power into a child comes with the voltages of its bus."""
         assert self._places is not None
         area, of_bus = self._area.area, self._places.of_bus
-        children = [area.network.row[n.bus] for n in area.neighbours if not n.is_parent]
-        return np.concatenate([of_bus, of_bus, np.repeat(of_bus[children], 2)] if children else [of_bus, of_bus])
+        of_powers = [area.network.row[power.bus] for power in area.powers_into_children]
+        return np.concatenate([of_bus, of_bus, of_bus[np.array(of_powers, dtype=int)]])
 
     def _place_others(self, H: sp.csr_array, of_columns: np.ndarray) -> np.ndarray:
         """Of the rows after the meters', the prior's and those of messages: before the last of their variables."""
