@@ -131,7 +131,7 @@ def find_unreasonable(
         case UpMessage() | DownMessage():
             t = message.totals
             numbers = *message.R, *message.z, *message.no_load, *message.power, t.degrees_of_freedom
-            sizes = t.objective, t.dvm, t.dva, *(value for _, value in t.worst), t.areas, t.held_back
+            sizes = t.objective, t.dvm, t.dva, *(value for _, value in (*t.worst, *t.tied)), t.areas, t.held_back
             possible = are_within_reason((*numbers, *sizes)) and min(sizes) >= 0
             possible = possible and max(message.revision, message.header.scan) < MOST_COUNTED
         case HeartbeatMessage():

@@ -89,6 +89,11 @@ class AreaRound:
         return self._memory.removed
 
     @property
+    def undecided(self) -> tuple[tuple[str, ...], ...]:
+        """Each removed meter that the readings do not tell from others, with these."""
+        return tuple((meter, *others) for meter, others in zip(self.removed, self._memory.tied, strict=True) if others)
+
+    @property
     def kept(self) -> str:
         """The meter without which no estimate was found, so that it has not been taken out; empty if there is none."""
         return self._memory.kept
@@ -160,7 +165,8 @@ class AreaRound:
     def _read(self, totals: Totals) -> Totals:
         """Nobody else can name a meter of this area, nor one that is out already."""
         unknown = self.estimation.own_meters | set(self.removed)
-        return replace(totals, worst=tuple(named for named in totals.worst if named[0] not in unknown))
+        worst, tied = (tuple(n for n in named if n[0] not in unknown) for named in (totals.worst, totals.tied))
+        return replace(totals, worst=worst, tied=tied)
 
     def find_up(self, totals: Totals) -> Content:
         """What Up(k) says."""

@@ -82,7 +82,7 @@ class EstimateLimits:
         self._n_meters = sum(meter.source is not Source.VIRTUAL for meter in meters)
 
     def find_breaches(self, estimate: Estimate) -> Iterator[Finding]:
-        """Where ``estimate`` leaves them."""
+        """Where ``estimate`` leaves them, and where it rests on meters of which one is wrong."""
         limits, vm = self._limits, estimate.vm
         outside = np.flatnonzero((vm < limits.lowest_vm) | (vm > limits.highest_vm))
         if outside.size:
@@ -100,6 +100,13 @@ class EstimateLimits:
                 f"{len(estimate.removed)} of {self._n_meters} meters are removed, more than "
                 f"{100 * limits.most_removed:g} %: which of them are wrong is not clear",
                 "many meters are removed",
+            )
+        for removed, *others in estimate.undecided:
+            yield Finding(
+                DEGRADED,
+                f"{removed} is removed, and the readings do not tell it from {', '.join(others)}: check which is wrong",
+                "the readings do not tell which meter is wrong",
+                [removed, *others],
             )
 
 

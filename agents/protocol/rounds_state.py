@@ -151,6 +151,7 @@ class RoundsState:
             removed=(*estimation.dead_voltmeters, *estimation.removed),
             critical=critical,
             checked=self._counts_all(outcome),
+            undecided=self._round.undecided,
         )
         if not estimate.is_reasonable(estimation.no_load_va):
             raise ArithmeticError("it is beyond reason")

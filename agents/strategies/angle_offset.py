@@ -202,4 +202,5 @@ def _as_estimate(report: BadDataReport) -> Estimate:
         degrees_of_freedom=report.degrees_of_freedom,
         removed=tuple(removed.measurement.meter.id for removed in report.removed),
         critical=report.critical,
+        undecided=report.undecided,
     )

@@ -46,7 +46,8 @@ class Estimate:
 
     ``referenced``: ``va`` counts from the substation. ``removed``: meters taken out as bad data.
     ``critical``: meters that cannot be spared, whatever they read. ``checked``: bad data have been looked for.
-    ``settled``: no exchange under way is going to move it.
+    ``settled``: no exchange under way is going to move it. ``undecided``: groups of meters of which the first is taken
+    out, and the readings do not tell which of them is wrong.
     """
 
     vm: np.ndarray
@@ -60,6 +61,7 @@ class Estimate:
     critical: tuple[str, ...] = ()
     checked: bool = True
     settled: bool = True
+    undecided: tuple[tuple[str, ...], ...] = ()
 
     def is_reasonable(self, no_load_va: np.ndarray) -> bool:
         """Whether a grid can be in this state, however far from any real one. ``no_load_va``: of its unloaded buses.

@@ -24,7 +24,8 @@ from scenarios.scenario import Scenario, TelemetrySettings, find_virtual_problem
 
 @dataclass(frozen=True)
 class ScanEstimates:
-    """``batch``: the estimate of each scan, its bad data removed. ``removed``: row -> ids of the meters taken out.
+    """``batch``: the estimate of each scan, its bad data removed. ``removed``: row -> ids of the meters taken out;
+    ``undecided``: row -> ids of those that the readings do not tell from them.
 
     ``bad_data_left`` (n_scan,): where the chi-square limit is exceeded even so. ``present`` (n_scan,): how many
     readings each scan has.
@@ -33,6 +34,7 @@ class ScanEstimates:
     names: tuple[str, ...]
     batch: BatchResult
     removed: Mapping[int, tuple[str, ...]]
+    undecided: Mapping[int, tuple[str, ...]]
     bad_data_left: np.ndarray
     present: np.ndarray
 
@@ -44,7 +46,8 @@ class ScanEstimates:
     @cached_property
     def tables(self) -> ScanTables:
         """A row for each scan, and for each bus of each."""
-        return make_scan_tables(self.names, self.batch, self.limits, self.present, self.removed, self.bad_data_left)
+        of_meters = self.removed, self.undecided, self.bad_data_left
+        return make_scan_tables(self.names, self.batch, self.limits, self.present, *of_meters)
 
     def describe_failures(self) -> list[str]:
         """Of every scan without an estimate its name and the reason."""
@@ -95,14 +98,16 @@ def estimate_scans(scenario: Scenario, scans: Scans) -> ScanEstimates:
     sigmas = np.concatenate([np.where(np.isnan(scans.sigmas), 1.0, scans.sigmas), of_virtual], axis=1)
     batch = estimate_batch(plan, values, sigmas, tolerance=scenario.tolerances.estimator)
     present = (~np.isnan(scans.values)).sum(axis=1)
-    found = ScanEstimates(scans.names, batch, {}, np.zeros(len(scans.names), dtype=bool), present)
+    found = ScanEstimates(scans.names, batch, {}, {}, np.zeros(len(scans.names), dtype=bool), present)
     suspect = batch.objective >= found.limits
     suspect |= [bool(find_dead(plan.meters, row)) for row in values]
     cleaning = _Cleaning(plan, values, sigmas, scenario.tolerances.estimator, found)
     for row in np.flatnonzero(suspect).tolist():
         cleaning.clean(row)
     failures = {row: cleaning.failures[row] for row in sorted(cleaning.failures)}
-    return replace(found, batch=replace(batch, failures=failures), removed=cleaning.removed)
+    return replace(
+        found, batch=replace(batch, failures=failures), removed=cleaning.removed, undecided=cleaning.undecided
+    )
 
 
 class _Cleaning:
@@ -115,6 +120,7 @@ class _Cleaning:
         self._found = found
         self.failures: dict[int, RowFailure] = dict(found.batch.failures)
         self.removed: dict[int, tuple[str, ...]] = {}
+        self.undecided: dict[int, tuple[str, ...]] = {}
 
     def clean(self, row: int) -> None:
         batch, values = self._found.batch, self._values[row]
@@ -135,3 +141,4 @@ class _Cleaning:
         batch.iterations[row], batch.degrees_of_freedom[row] = result.iterations, report.degrees_of_freedom
         self._found.bad_data_left[row] = report.detected
         self.removed[row] = tuple(removed.measurement.meter.id for removed in report.removed)
+        self.undecided[row] = tuple(meter for _, *others in report.undecided for meter in others)

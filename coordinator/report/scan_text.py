@@ -19,6 +19,7 @@ def format_scans(found: ScanEstimates, tables: ScanTables) -> str:
         if scans.status[k] == "failed":
             continue
         left = " and more is detected" if scans.bad_data_left[k] else ""
+        left = f" (or {shortened(others, LONGEST_LIST)})" + left if (others := scans.undecided_meters[k]) else left
         removed = f"{shortened(scans.removed_meters[k], LONGEST_LIST)}{left}" or "-"
         numbers = f"{scans.objective[k]:.4g}", f"{scans.chi_square_limit[k]:.4g}", str(scans.iterations[k])
         lowest = f"{scans.lowest_vm_pu[k]:.5f}", str(int(scans.lowest_vm_bus[k]))

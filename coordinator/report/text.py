@@ -90,6 +90,8 @@ def list_findings(result: RunOutcome) -> list[str]:
     if result.centralised.removed:
         ids = (removed.measurement.meter.id for removed in result.centralised.removed)
         lines.append(f"removed as bad data by the centralised estimate: {', '.join(ids)}")
+    for meter, *others in result.centralised.undecided:
+        lines.append(f"the centralised estimate cannot tell {meter}, which is removed, from {', '.join(others)}")
     if result.centralised.detected:
         lines.append("the centralised estimate still holds bad data that it cannot identify")
     return lines

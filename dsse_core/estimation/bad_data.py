@@ -17,11 +17,10 @@ from dsse_core.estimation.residuals import (
     CRITICAL_REDUNDANCY,
     DEAD_VM,
     THRESHOLD,
-    TIE,
     chi_square_limit,
     find_dead,
-    keep_tied,
     normalize_residuals,
+    split_suspects,
 )
 from dsse_core.gauss_newton import LAST_STEP
 from dsse_core.grid.measurement import Measurement, Meter
@@ -62,6 +61,12 @@ class BadDataReport:
     chi_square_limit: float
     degrees_of_freedom: int
     suspect: SuspectKept | None
+
+    @property
+    def undecided(self) -> tuple[tuple[str, ...], ...]:
+        """Groups of meters of which the first is removed, and the data cannot tell which of them is wrong."""
+        groups = ((r.measurement.meter.id, *r.indistinguishable_from) for r in self.removed)
+        return tuple(group for group in groups if len(group) > 1)
 
     @property
     def n_meters(self) -> int:
@@ -143,8 +148,7 @@ def process_bad_data_with_plan(
     result = estimate_with_plan(plan, values, sigmas, start=start, tolerance=tolerance)
     removed: list[RemovedMeasurement] = []
     while result.memory.evaluating:
-        worst = _find_worst(result, threshold)
-        memory, verdict = decide(result.memory, _totals_of(result, worst))
+        memory, verdict = decide(result.memory, _totals_of(result, threshold))
         if verdict.decision is Decision.FINAL:
             break
         row = [meter.id for meter in result.plan.meters].index(memory.removed[-1])
@@ -153,7 +157,8 @@ def process_bad_data_with_plan(
         except EstimationDivergedError:
             result = _estimate_without([], result, start, tolerance, put_back(memory))
             break
-        removed.append(_describe(row, result))
+        normalized = float(normalized_residuals(result)[row])
+        removed.append(RemovedMeasurement(result.measurements[row], normalized, memory.tied[-1]))
         result = following
     return _report(result, [*(_describe_dead(m, result) for m in dead), *removed], threshold)
 
@@ -189,26 +194,12 @@ def _estimate_without(
     return estimate_with_plan(plan, *readings, start=start, tolerance=tolerance, memory=memory)
 
 
-def _totals_of(result: EstimationResult, worst: dict[str, float]) -> Totals:
-    """What is to be evaluated."""
-    objective, freedom = result.objective, result.degrees_of_freedom
-    return Totals(objective, freedom, worst=tuple(worst.items()), areas=1, referenced=True)
-
-
-def _find_worst(result: EstimationResult, threshold: float) -> dict[str, float]:
-    """Id -> normalised residual, the largest above ``threshold`` and those that equal it, without critical meters."""
-    normalized, meters, critical = normalized_residuals(result), result.plan.meters, set(find_critical(result))
+def _totals_of(result: EstimationResult, threshold: float) -> Totals:
+    """What is to be evaluated: J, and the suspects above ``threshold``."""
+    normalized, meters = normalized_residuals(result), result.plan.meters
     above = {meters[k].id: float(normalized[k]) for k in np.flatnonzero(normalized > threshold).tolist()}
-    return keep_tied({meter: value for meter, value in above.items() if meter not in critical})
-
-
-def _describe(row: int, result: EstimationResult) -> RemovedMeasurement:
-    """The measurement that goes, with those whose residuals equal its own."""
-    normalized = normalized_residuals(result)
-    own = float(normalized[row])
-    equal = np.flatnonzero(abs(normalized - own) <= TIE * own).tolist()
-    others = tuple(sorted(result.plan.meters[k].id for k in equal if k != row))
-    return RemovedMeasurement(result.measurements[row], own, others)
+    worst, tied = (tuple(found.items()) for found in split_suspects(above, set(find_critical(result))))
+    return Totals(result.objective, result.degrees_of_freedom, worst=worst, tied=tied, areas=1, referenced=True)
 
 
 def _describe_dead(m: Measurement, result: EstimationResult) -> RemovedMeasurement:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from dsse_core import gauss_newton
-from dsse_core.estimation.residuals import CONFIDENCE, chi_square_limit, keep_tied
+from dsse_core.estimation.residuals import CONFIDENCE, chi_square_limit, keep_equal, keep_tied
 from dsse_core.gauss_newton import LAST_STEP, MOST_STEPS, MOST_STEPS_ANEW
 from dsse_core.split_identity import SplitUse, add_uses
 
@@ -62,6 +62,8 @@ class Totals:
     unobservable: tuple[str, ...] = ()
     failed: tuple[str, ...] = ()
     splits: tuple[SplitUse, ...] = ()
+    tied: tuple[tuple[str, float], ...] = ()
+    # Critical meters whose normalised residual equals the largest of ``worst``, by id: they stay, and may be wrong.
 
     @property
     def step(self) -> float:
@@ -72,13 +74,15 @@ class Totals:
 def add_totals(parts: Iterable[Totals]) -> Totals:
     """The totals of several sides together."""
     parts = list(parts)
+    worst = keep_tied(dict(named for t in parts for named in t.worst))
+    tied = keep_equal(dict(named for t in parts for named in t.tied), worst)
     return Totals(
         objective=sum(t.objective for t in parts),
         degrees_of_freedom=sum(t.degrees_of_freedom for t in parts),
         dvm=max(t.dvm for t in parts),
         dva=max(t.dva for t in parts),
         held_back=sum(t.held_back for t in parts),
-        worst=tuple(sorted(keep_tied(dict(named for t in parts for named in t.worst)).items()))[:MOST_NAMED],
+        worst=tuple(worst.items())[:MOST_NAMED],
         areas=sum(t.areas for t in parts),
         referenced=any(t.referenced for t in parts),
         silent=_add_names(t.silent for t in parts),
@@ -86,6 +90,7 @@ def add_totals(parts: Iterable[Totals]) -> Totals:
         unobservable=tuple(sorted((r for t in parts for r in t.unobservable), key=_first_bus))[:MOST_NAMED],
         failed=_add_names(t.failed for t in parts),
         splits=add_uses((use for t in parts for use in t.splits), MOST_NAMED),
+        tied=tuple(tied.items())[:MOST_NAMED],
     )
 
 
@@ -123,13 +128,15 @@ def _add_names(parts: Iterable[tuple[str, ...]]) -> tuple[str, ...]:
 class Memory:
     """What the decisions of a term rest on beside the totals; everybody in the term has the same.
 
-    ``removed``: meters taken out as bad data, in order. ``kept``: the meter without which no estimate was found; it is
-    in use again, and no other is taken out. ``steps``: since the last start; ``share``: what was taken of the last one.
-    ``before``: the size of the last full step since a decision, 0 without one. ``stepped``: the totals' step was taken
-    in full. ``from_flat_start``: the start of the scan has led to no end with these meters.
+    ``removed``: meters taken out as bad data, in order. ``tied``: for each of them those whose residual equalled its
+    own then, by id: the readings do not tell which of them is wrong. ``kept``: the meter without which no estimate was
+    found; it is in use again, and no other is taken out. ``steps``: since the last start; ``share``: what was taken of
+    the last one. ``before``: the size of the last full step since a decision, 0 without one. ``stepped``: the totals'
+    step was taken in full. ``from_flat_start``: the start of the scan has led to no end with these meters.
     """
 
     removed: tuple[str, ...] = ()
+    tied: tuple[tuple[str, ...], ...] = ()
     kept: str = ""
     steps: int = 0
     share: float = 1.0
@@ -193,7 +200,7 @@ def decide(memory: Memory, totals: Totals, tolerance: float = LAST_STEP) -> tupl
 
 def begin_at_flat_start(memory: Memory) -> Memory:
     """With the same meters once more, as the start of the scan has led to no end."""
-    return Memory(removed=memory.removed, kept=memory.kept, from_flat_start=True)
+    return Memory(removed=memory.removed, tied=memory.tied, kept=memory.kept, from_flat_start=True)
 
 
 def _give_up(memory: Memory, reason: str) -> tuple[Memory, Verdict]:
@@ -205,7 +212,7 @@ def _give_up(memory: Memory, reason: str) -> tuple[Memory, Verdict]:
 
 def put_back(memory: Memory) -> Memory:
     """What follows where no estimate is found without the meter that was taken out last: the one before stands."""
-    return Memory(removed=memory.removed[:-1], kept=memory.removed[-1])
+    return Memory(removed=memory.removed[:-1], tied=memory.tied[:-1], kept=memory.removed[-1])
 
 
 def most_steps(memory: Memory) -> int:
@@ -220,8 +227,9 @@ def _remove_worst(memory: Memory, totals: Totals) -> tuple[Memory, Verdict]:
     """
     if not totals.worst or not _exceeds_limit(totals) or len(memory.removed) >= MOST_REMOVED:
         return replace(memory, evaluating=False), Verdict(Decision.FINAL)
-    removed = (*memory.removed, totals.worst[0][0])
-    return Memory(removed=removed), Verdict(Decision.ANEW)
+    first, *others = [meter for meter, _ in totals.worst]
+    tied = tuple(sorted([*others, *(meter for meter, _ in totals.tied)]))
+    return Memory(removed=(*memory.removed, first), tied=(*memory.tied, tied)), Verdict(Decision.ANEW)
 
 
 def _exceeds_limit(totals: Totals) -> bool:

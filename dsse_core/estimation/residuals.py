@@ -5,7 +5,7 @@ Rules of areas and centre alike; who applies them is in ``decision``, ``bad_data
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -45,6 +45,22 @@ def keep_tied(suspects: Mapping[str, float]) -> dict[str, float]:
     """The largest, and those that equal it."""
     least = max(suspects.values(), default=0.0) * (1 - TIE)
     return {meter: suspects[meter] for meter in sorted(suspects) if suspects[meter] >= least}
+
+
+def keep_equal(suspects: Mapping[str, float], largest: Mapping[str, float]) -> dict[str, float]:
+    """Those of ``suspects`` that equal the ``largest``, as ``keep_tied`` found them."""
+    size = max(largest.values(), default=0.0)
+    return {meter: suspects[meter] for meter in sorted(suspects) if abs(suspects[meter] - size) <= TIE * size}
+
+
+def split_suspects(
+    suspects: Mapping[str, float], critical: Collection[str]
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Of meters with their normalised residuals those that may go, the largest and its equals, and the ``critical``
+    ones that equal them.
+    """
+    worst = keep_tied({meter: value for meter, value in suspects.items() if meter not in critical})
+    return worst, keep_equal({meter: value for meter, value in suspects.items() if meter in critical}, worst)
 
 
 def find_dead(meters: Sequence[Meter], values: Sequence[float] | np.ndarray) -> list[int]:

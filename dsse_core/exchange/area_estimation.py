@@ -67,6 +67,7 @@ class AreaEstimation:
         self._start = self._start_of_term = self.x
         self.linearized_at, self._step = self.x, np.zeros_like(self.x)
         self._worst: tuple[tuple[str, float], ...] = ()
+        self._tied: tuple[tuple[str, float], ...] = ()
         self._uses_currents = False
         self._n_current = 0  # current meters that can be used
         self._received: Received = {}  # at ``linearized_at``
@@ -124,7 +125,7 @@ class AreaEstimation:
         self.removed = tuple(meter for meter in removed if meter in self.own_meters)
         self.x = self.linearized_at = self._start
         self._step = np.zeros_like(self.x)
-        self._worst, self._uses_currents, self._received = (), False, {}
+        self._worst, self._tied, self._uses_currents, self._received = (), (), False, {}
         self.is_first, self.unobservable, self.critical = True, (), ()
         self._build()
 
@@ -245,6 +246,7 @@ class AreaEstimation:
                 "dvm": float(size[n : 2 * n].max()),
                 "held_back": 0 if self._uses_currents else self._n_current,
                 "worst": self._worst,
+                "tied": self._tied,
             }
         return Totals(
             **numbers,
@@ -327,8 +329,8 @@ class AreaEstimation:
         """Which meters are critical, and the largest normalised residual of the others."""
         _, variance = self._variances()
         self.critical = find_critical(self.model, variance, self.critical)
-        worst = find_suspects(self.model, self.x, variance, self.critical)
-        self._worst = tuple(sorted(worst.items()))[:MOST_NAMED]
+        worst, tied = find_suspects(self.model, self.x, variance, self.critical)
+        self._worst, self._tied = (tuple(sorted(found.items()))[:MOST_NAMED] for found in (worst, tied))
         self.reported |= worst.keys()
 
     def find_sigmas(self) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:

@@ -6,19 +6,21 @@ from collections.abc import Collection
 
 import numpy as np
 
-from dsse_core.estimation.residuals import CRITICAL_REDUNDANCY, THRESHOLD, keep_tied, normalize_residuals
+from dsse_core.estimation.residuals import CRITICAL_REDUNDANCY, THRESHOLD, normalize_residuals, split_suspects
 from dsse_core.linear.area_model import AreaModel
 
 
-def find_suspects(model: AreaModel, x: np.ndarray, variance: np.ndarray, spared: Collection[str]) -> dict[str, float]:
-    """Meter -> its normalised residual, the largest of the area above the threshold and those that equal it.
+def find_suspects(
+    model: AreaModel, x: np.ndarray, variance: np.ndarray, critical: Collection[str]
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Meter -> its normalised residual, the largest of the area above the threshold and those that equal it: meters
+    that may go, and ``critical`` ones.
 
-    ``x``: state, shape (size,), p.u. and rad; ``variance``: diag(Omega) at ``x``, shape (n_meas,); ``spared``: critical
-    meters.
+    ``x``: state, shape (size,), p.u. and rad; ``variance``: diag(Omega) at ``x``, shape (n_meas,).
     """
     normalized = normalize_residuals(model.residual(x), variance, model.sigma, ~model.virtual)
     above = np.flatnonzero(normalized > THRESHOLD)
-    return keep_tied({model.ids[k]: float(normalized[k]) for k in above if model.ids[k] not in spared})
+    return split_suspects({model.ids[k]: float(normalized[k]) for k in above}, critical)
 
 
 def find_critical(model: AreaModel, variance: np.ndarray, indispensable: Collection[str]) -> tuple[str, ...]:

@@ -28,10 +28,12 @@ def make_scan_tables(
     limits: np.ndarray,
     readings: np.ndarray,
     removed: Mapping[int, Sequence[str]],
+    undecided: Mapping[int, Sequence[str]],
     bad_data_left: np.ndarray,
 ) -> ScanTables:
     """``names``: of the rows of ``batch``. (n_row,) each: ``limits`` of J, how many ``readings`` there are, and
-    ``bad_data_left``. ``removed``: row -> ids of the meters taken out.
+    ``bad_data_left``. ``removed``: row -> ids of the meters taken out; ``undecided``: of those that the readings do not
+    tell from them.
     """
     n_row, n = batch.vm.shape
     bus = batch.plan.network.table.bus_id
@@ -48,6 +50,7 @@ def make_scan_tables(
         "iterations": batch.iterations,
         "removed": np.array([len(removed.get(row, ())) for row in range(n_row)], dtype=np.int64),
         "removed_meters": [" ".join(removed.get(row, ())) for row in range(n_row)],
+        "undecided_meters": [" ".join(undecided.get(row, ())) for row in range(n_row)],
         "bad_data_left": bad_data_left,
         "lowest_vm_pu": batch.vm[np.arange(n_row), lowest],
         "lowest_vm_bus": np.where(found, bus[lowest], np.nan),

@@ -130,6 +130,11 @@ def test_equal_residuals_are_distinguished_by_the_id_of_the_meter():
     (removed,) = report.removed
     assert removed.indistinguishable_from == ("p_flow@4:4-5", "p_injection@4")
     assert_equals_centralised(bus, report)
+    assert_same_decisions(bus, report)
+    for state in bus.states.values():
+        assert state.quality == "degraded"
+        named = f"{removed.measurement.meter.id} is removed, and the readings do not tell it from p_flow@4:4-5, p_inj"
+        assert any(note.startswith(named) for note in state.notes)
 
 
 def with_error(scenario, meter, sigmas):

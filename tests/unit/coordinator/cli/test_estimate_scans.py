@@ -52,6 +52,7 @@ def test_each_scan_has_the_estimate_that_it_has_alone(tmp_path: Path, dsse: Dsse
         assert row["scan"] == name
         assert float(row["objective"]) == pytest.approx(alone.objective, rel=1e-9)
         assert row["removed_meters"].split() == [removed.measurement.meter.id for removed in alone.removed]
+        assert row["undecided_meters"].split() == [meter for _, *others in alone.undecided for meter in others]
         found = [float(bus["vm_pu"]) for bus in buses if bus["scan"] == name]
         np.testing.assert_allclose(found, alone.result.vm, rtol=0, atol=1e-9)
     assert table_of(out)[2]["removed"] != "0"

@@ -139,6 +139,7 @@ def test_a_meter_that_only_an_ammeter_checks_is_critical_and_stays(with_an_ammet
     (removed,) = report.removed
     assert removed.measurement.meter.id == "current@2:2-3"
     assert set(report.critical) == {m.meter.id for m in exact if m.meter.kind is not Kind.CURRENT}
+    assert wrong in report.undecided[0]  # the ammeter goes, though the wrong one may be a critical one that it checks
 
 
 def test_the_only_voltmeter_is_critical_though_losses_check_it_and_is_kept_however_wrong(

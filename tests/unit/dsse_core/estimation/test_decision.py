@@ -12,7 +12,7 @@ from loaded_feeders import make_outvoted_feeder
 from dsse_core.errors import DsseError, EstimationDivergedError, InvalidInputError
 from dsse_core.estimation import decision as verdict
 from dsse_core.estimation.bad_data import process_bad_data
-from dsse_core.estimation.decision import Decision, Memory, Totals, decide
+from dsse_core.estimation.decision import Decision, Memory, Totals, add_totals, decide
 from dsse_core.estimation.estimator import estimate_state
 from dsse_core.estimation.residuals import CONFIDENCE, chi_square_limit
 from dsse_core.gauss_newton import FULL_STEPS, LARGEST_STEP, MAX_DVA, MAX_DVM
@@ -76,7 +76,18 @@ def test_without_an_estimate_the_meter_that_was_taken_out_last_comes_back_and_st
 def test_without_a_meter_the_start_of_the_scan_is_tried_first():
     memory = Memory(steps=3, before=1e-3, stepped=True, from_flat_start=True, evaluating=True)
     memory, _ = decide(memory, totals(1e-9, objective=2 * LIMIT, worst=(("a", 5.0),)))
-    assert memory == Memory(removed=("a",))
+    assert memory == Memory(removed=("a",), tied=((),))
+
+
+def test_meters_that_equal_the_worst_are_remembered_with_it_and_forgotten_where_it_comes_back():
+    sides = [Totals(worst=(("b", 5.0),), tied=(("c", 5.0),)), Totals(worst=(("a", 5.0 + 1e-9),), tied=(("d", 6.0),))]
+    of_all = add_totals([totals(1e-9, objective=2 * LIMIT), *sides])
+    memory, _ = decide(Memory(removed=("z",), tied=((),), evaluating=True), of_all)
+    assert (memory.removed, memory.tied) == (("z", "a"), ((), ("b", "c")))
+    anew, _ = decide(replace(memory, steps=3, stepped=True), totals(2 * LARGEST_STEP))
+    assert anew.tied == memory.tied
+    back, _ = decide(replace(anew, steps=3, stepped=True), totals(2 * LARGEST_STEP))
+    assert (back.removed, back.tied, back.kept) == (("z",), ((),), "a")
 
 
 def draw_grid(seed: int):
