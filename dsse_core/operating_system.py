@@ -41,6 +41,7 @@ HAS_FORK = hasattr(os, "fork")
 HAS_CHILDREN_SIGNAL = hasattr(signal, "SIGCHLD") and hasattr(os, "waitpid") and os.name == "posix"
 FLAGS_UNFOLLOWED: int = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 FLAG_NO_TERMINAL: int = getattr(os, "O_NOCTTY", 0)
+FLAG_NO_WAIT: int = getattr(os, "O_NONBLOCK", 0)  # an ordinary opening of a pipe waits for its other end
 
 
 def _signal(name: str) -> signal.Signals | None:

@@ -123,8 +123,8 @@ def version_of(key: str) -> int:
 
 
 def run_of(key: str) -> str:
-    """The run that a key belongs to."""
-    return key.split("/")[2]
+    """The run that a key belongs to; empty for what is no key."""
+    return (*key.split("/", 3), "", "", "")[2]
 
 
 def sender_of(key: str) -> str:
@@ -147,9 +147,9 @@ def gateway_of(key: str, run: str, area: str) -> str:
 
 
 def name_of_live(key: str) -> tuple[str, str]:
-    """(role, name) of a presence token."""
+    """(role, name) of a presence token; empty for what is none."""
     chunks = key.split("/")
-    return chunks[4], chunks[5]
+    return (chunks[4], chunks[5]) if len(chunks) == 7 and chunks[3] == "live" else ("", "")
 
 
 def incarnation_of(key: str) -> Incarnation | None:

@@ -259,6 +259,8 @@ class ReadingsMessage:
     normalised: Numbers = ()
 
     def find_misfit(self) -> str:
+        if len(set(self.meters)) < len(self.meters):
+            return "meters: one is given twice"
         if len(self.estimates) > len(self.meters):
             return "more estimates than meters"
         return _find_unequal(self, "meters", "values", "sigmas", "times") or _find_unequal(
@@ -350,6 +352,8 @@ class StateMessage:
     split: SplitIdentity = NO_SPLIT
 
     def find_misfit(self) -> str:
+        if len(set(self.buses)) < len(self.buses):
+            return "buses: one is given twice"
         return _find_unequal(self, "buses", "vm", "va", "sigma_vm", "sigma_va")
 
 

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from agents.runtime.log.format import start_log
 from coordinator.recording.entries import read_entries
-from coordinator.recording.folder import LOG, LOGS, TABLES, list_segments, load_areas, log_of, table_of
+from coordinator.recording.folder import LOG, LOGS, TABLES, list_segments, load_areas, log_of, read_about, table_of
 from coordinator.recording.frames import is_being_written
 from coordinator.recording.parquet import has_parquet, sync_path, write_rows
 from coordinator.recording.rows import Row, RowMaker
@@ -57,7 +57,7 @@ def close_ended(folder: Path) -> list[str]:
 @contextmanager
 def _closing_alone(folder: Path) -> Iterator[None]:
     """Wait for who closes there already: what a killed recorder has begun goes on."""
-    lock = os.open(folder / LOGS, os.O_RDONLY)
+    lock = os.open(folder / LOGS, os.O_RDONLY | operating_system.FLAG_NO_WAIT)
     try:
         with suppress(OSError):  # a system of files without locks
             operating_system.lock(lock, wait=True)
@@ -94,9 +94,9 @@ def rows_of_log(folder: Path, segment: str) -> Iterator[Row]:
     Raises:
         InvalidInputError: it cannot be read, or is no log.
     """
-    maker = RowMaker(load_areas(folder))
-    for entry in read_entries(log_of(folder, segment)):
-        yield from maker.rows_of(entry)
+    maker = RowMaker(read_about(folder).run, load_areas(folder))
+    for number, entry in enumerate(read_entries(log_of(folder, segment)), 1):
+        yield from maker.rows_of(entry, f"frame {number}: ")
     yield from maker.finish()
 
 

@@ -49,5 +49,5 @@ def read_entries(path: Path) -> Iterator[Entry | str]:
             continue
         try:
             yield _decoder.decode(found)
-        except msgspec.MsgspecError as error:
-            yield f"a frame is no entry of this version: {error}"
+        except (msgspec.MsgspecError, RecursionError) as error:
+            yield f"no entry of this version: {error}"

@@ -16,7 +16,11 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
+import msgspec
+
 from agents.area_files.area_file import AreaFile, save_area_file
+from agents.messages.checks import shown
+from coordinator.recording.row_checks import AnyName
 from coordinator.run_folder import RECORDING, describe_missing
 from dsse_core import operating_system
 from dsse_core.errors import InvalidInputError
@@ -34,8 +38,8 @@ FORMAT = 1
 class About:
     """Of which run a recording is; ``areas``: their names where their files are in the recording, else none."""
 
-    run: str
-    areas: tuple[str, ...]
+    run: AnyName
+    areas: tuple[AnyName, ...]
 
 
 def name_segment(at: float) -> str:
@@ -71,10 +75,12 @@ def read_about(folder: Path) -> About:
     try:
         content = parse_json(read_text(path))
         if content["format"] != FORMAT:
-            raise InvalidInputError(str(path), [f"has format {content['format']!r}; this version reads {FORMAT}"])
-        return About(str(content["run"]), tuple(map(str, content["areas"])))
-    except (ValueError, KeyError, TypeError):
-        problem = "does not say of which run this is; give a folder that `dsse record` has written"
+            found = shown(content["format"])
+            raise InvalidInputError(str(path), [f"has format {found}; this version reads {FORMAT}"])
+        return msgspec.convert(content, About)
+    except (ValueError, KeyError, TypeError) as error:
+        why = str(error) if isinstance(error, msgspec.ValidationError) else "it"
+        problem = f"does not say of which run this is ({why}); give a folder that `dsse record` has written"
         raise InvalidInputError(str(path), [problem]) from None
 
 
@@ -86,7 +92,14 @@ def load_areas(folder: Path) -> list[AreaFile]:
     """
     from agents.area_files.reader import load_area_file  # its schema takes time, and who writes does not need it
 
-    return [load_area_file(folder / AREAS / f"{name}.json") for name in read_about(folder).areas]
+    files = []
+    for name in dict.fromkeys(read_about(folder).areas):
+        path = folder / AREAS / f"{name}.json"
+        content = load_area_file(path)
+        if content.area.name != name:
+            raise InvalidInputError(str(path), [f"is the file of area {content.area.name}; put that of {name} here"])
+        files.append(content)
+    return files
 
 
 @contextmanager

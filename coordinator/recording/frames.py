@@ -17,11 +17,13 @@ from pathlib import Path
 
 from dsse_core import operating_system
 from dsse_core.errors import InvalidInputError
+from dsse_core.files.bounded_file import open_regular
 
 MAGIC = b"dsse recording 1\n"
 MARK = b"\xd5\x5e\xf4\x01"
 _HEAD = struct.Struct(">4sII")
 LARGEST = 16 * 2**20  # bytes of a body: twice what the bus carries
+MOST_SEARCHED = 64 * LARGEST  # bytes of what begins like a frame and is none; a disk that damages more leaves no log
 
 
 def frame(body: bytes) -> bytes:
@@ -88,14 +90,14 @@ def read_frames(path: Path) -> Iterator[bytes | Gap]:
         InvalidInputError: it cannot be read, or is no log.
     """
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             size = os.fstat(file.fileno()).st_size
             if not size:
                 return  # killed before its first byte
             with mmap.mmap(file.fileno(), size, access=mmap.ACCESS_READ) as content:
                 yield from _read(path, content, size)
     except OSError as error:
-        raise InvalidInputError(str(path), [f"cannot be read: {error.strerror}; check the path"]) from None
+        raise InvalidInputError(str(path), [f"cannot be read: {error.strerror}"]) from None
 
 
 def _read(path: Path, content: mmap.mmap, size: int) -> Iterator[bytes | Gap]:
@@ -104,11 +106,12 @@ def _read(path: Path, content: mmap.mmap, size: int) -> Iterator[bytes | Gap]:
     if content[: len(MAGIC)] != MAGIC:
         found = ascii(content[: len(MAGIC)])[2:-1]
         raise InvalidInputError(str(path), [f"is no log of a recording: it begins with {found!r}; move it elsewhere"])
+    frames = _Frames(content, size)
     at = len(MAGIC)
     while at < size:
-        body = _body_at(content, at, size)
+        body = frames.body_at(at)
         if body is None:
-            following = _find_next(content, at + 1, size)
+            following = frames.find_next(at + 1)
             yield Gap(at, following - at, following == size)
             at = following
         else:
@@ -116,31 +119,42 @@ def _read(path: Path, content: mmap.mmap, size: int) -> Iterator[bytes | Gap]:
             at += _HEAD.size + len(body)
 
 
-def _body_at(content: mmap.mmap, at: int, size: int) -> bytes | None:
-    """The body of the frame at byte ``at``; None if there is no whole one."""
-    if at + _HEAD.size > size:
-        return None
-    mark, length, checksum = _HEAD.unpack_from(content, at)
-    end = at + _HEAD.size + length
-    if mark != MARK or length > LARGEST or end > size:
-        return None
-    body = content[at + _HEAD.size : end]
-    return body if zlib.crc32(body, zlib.crc32(length.to_bytes(4, "big"))) == checksum else None
+class _Frames:
+    """The frames of a log of ``size`` bytes. The search for the next whole one behind damage ends after so many bytes:
+    of a file that is nothing but beginnings of frames it would read each byte millions of times.
+    """
 
+    def __init__(self, content: mmap.mmap, size: int) -> None:
+        self._content, self._size = content, size
+        self._left = size + MOST_SEARCHED
 
-def _find_next(content: mmap.mmap, at: int, size: int) -> int:
-    """Where the next whole frame begins; ``size`` without one."""
-    while (found := content.find(MARK, at)) >= 0:
-        if _body_at(content, found, size) is not None:
-            return found
-        at = found + 1
-    return size
+    def body_at(self, at: int) -> bytes | None:
+        """The body of the frame at byte ``at``; None if there is no whole one."""
+        if at + _HEAD.size > self._size:
+            return None
+        mark, length, checksum = _HEAD.unpack_from(self._content, at)
+        end = at + _HEAD.size + length
+        if mark != MARK or length > LARGEST or end > self._size:
+            return None
+        body = self._content[at + _HEAD.size : end]
+        if zlib.crc32(body, zlib.crc32(length.to_bytes(4, "big"))) == checksum:
+            return body
+        self._left -= length
+        return None
+
+    def find_next(self, at: int) -> int:
+        """Where the next whole frame begins; the size of the log without one, or where too much was searched."""
+        while self._left > 0 and (found := self._content.find(MARK, at)) >= 0:
+            if self.body_at(found) is not None:
+                return found
+            at = found + 1
+        return self._size
 
 
 def is_being_written(path: Path) -> bool:
     """Whether the process that writes the log at ``path`` still runs."""
     try:
-        lock = os.open(path, os.O_RDONLY)
+        lock = os.open(path, os.O_RDONLY | operating_system.FLAG_NO_WAIT)
     except OSError:
         return False
     try:

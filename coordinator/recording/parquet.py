@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from coordinator.recording.row_checks import RowCheck
 from coordinator.recording.rows import COLUMNS, INTEGER, NUMBER, TEXT, TEXTS, TIME, TRUTH, Row
 from dsse_core.errors import InvalidInputError
+from dsse_core.files.bounded_file import open_regular
 
 ROWS_AT_ONCE = 50_000  # that are held in memory, of each table
+TEXT_AT_ONCE = 2**24  # characters of them, of tables with long texts
+TEXT_TABLES = ("states", "events")
+MOST_ROWS = 5_000_000  # of a file that is read; an hour of 1,000 buses with a scan a second has 3.6 million
+LARGEST_GROUP = 2**26  # bytes of rows that are written together, as they are in memory
 MICROSECONDS = 1_000_000
 
 
@@ -34,6 +41,7 @@ def write_rows(rows: Iterable[Row], folder: Path) -> list[str]:
     pyarrow, parquet = _load_pyarrow(str(folder))
     waiting: dict[str, list[tuple[Any, ...]]] = {table: [] for table in COLUMNS}
     writers: dict[str, Any] = {}
+    characters = dict.fromkeys(TEXT_TABLES, 0)
 
     def write(table: str) -> None:
         schema = _schema_of(pyarrow, table)
@@ -44,11 +52,14 @@ def write_rows(rows: Iterable[Row], folder: Path) -> list[str]:
         arrays = [_to_array(pyarrow, kind, column) for kind, column in zip(kinds, columns, strict=True)]
         writers[table].write_table(pyarrow.Table.from_arrays(arrays, schema=schema))
         waiting[table].clear()
+        characters[table] = 0
 
     try:
         for table, row in rows:
             waiting[table].append(row)
-            if len(waiting[table]) >= ROWS_AT_ONCE:
+            if table in TEXT_TABLES:
+                characters[table] += sum(map(_count_characters, row))
+            if len(waiting[table]) >= ROWS_AT_ONCE or characters.get(table, 0) >= TEXT_AT_ONCE:
                 write(table)
         for table, left in waiting.items():
             if left:
@@ -62,24 +73,94 @@ def write_rows(rows: Iterable[Row], folder: Path) -> list[str]:
     return list(writers)
 
 
+def _count_characters(value: Any) -> int:
+    if isinstance(value, list):
+        return sum(map(len, value))
+    return len(value) if isinstance(value, str) else 0
+
+
 def read_rows(path: Path, columns: Sequence[str], added: Collection[str] = ()) -> Iterator[tuple[Any, ...]]:
-    """The values of ``columns`` in each row of the file at ``path``; times in s since 1970. Those of ``added`` that it
-    lacks are None.
+    """The values of ``columns`` in each row of the file at ``path``, which lies in the folder of its table; times in s
+    since 1970. Those of ``added`` that it lacks are None.
+
+    What a file takes in memory is found in its own list of contents, before anything of it is read; texts that repeat
+    stay one text.
 
     Raises:
-        InvalidInputError: it cannot be read, or pyarrow is not installed.
+        InvalidInputError: it cannot be read, is larger than what is read, or a row is none of its table, which is
+            named; or pyarrow is not installed.
     """
     pyarrow, parquet = _load_pyarrow(str(path))
     try:
-        with parquet.ParquetFile(path) as file:
-            lacking = {*added} - {*file.schema_arrow.names}
-            for batch in file.iter_batches(ROWS_AT_ONCE, columns=[name for name in columns if name not in lacking]):
-                unknown = [None] * batch.num_rows
-                values = [unknown if name in lacking else _from_array(pyarrow, batch.column(name)) for name in columns]
-                yield from zip(*values, strict=True)
-    except (OSError, KeyError, pyarrow.ArrowException) as error:
-        problem = f"is no table of a recording: {str(error).splitlines()[0][:200]}; move it elsewhere"
+        with open_regular(path) as opened:
+            about = parquet.read_metadata(opened, memory_map=False)
+            lacking = {*added} - {*about.schema.to_arrow_schema().names}
+            wanted = [name for name in columns if name not in lacking]
+            _check_contents(pyarrow, path, about, wanted)
+            texts = [leaf.path for leaf in _leaves(about, wanted) if str(leaf.logical_type) == "String"]
+            opened.seek(0)
+            check = RowCheck(path, path.parent.name, columns)
+            with parquet.ParquetFile(opened, metadata=about, read_dictionary=texts) as file:
+                for batch in file.iter_batches(ROWS_AT_ONCE, columns=wanted):
+                    unknown = [None] * batch.num_rows
+                    values = [
+                        unknown if name in lacking else _from_array(pyarrow, batch.column(name)) for name in columns
+                    ]
+                    rows = list(zip(*values, strict=True))
+                    check.check(rows)
+                    yield from rows
+    except (OSError, KeyError, ValueError, MemoryError, pyarrow.ArrowException) as error:
+        why = (str(error).splitlines() or [type(error).__name__])[0][:200]
+        problem = f"is no table of a recording: {why}; move it elsewhere"
         raise InvalidInputError(str(path), [problem]) from None
+
+
+def _leaves(about: Any, wanted: Collection[str]) -> list[Any]:
+    """The columns of a file as Parquet has them, of which one of ours may have several."""
+    columns = (about.schema.column(k) for k in range(about.num_columns))
+    return [column for column in columns if column.path.partition(".")[0] in wanted]
+
+
+def _check_contents(pyarrow: Any, path: Path, about: Any, wanted: Collection[str]) -> None:
+    """That the columns ``wanted`` are there, are of their types, and fit into memory, by the file's list of contents.
+
+    Raises:
+        InvalidInputError: they are not.
+    """
+    found, table = about.schema.to_arrow_schema(), path.parent.name
+    if table not in COLUMNS:
+        raise InvalidInputError(str(path), [f"lies in no folder of a recording's tables: {', '.join(COLUMNS)}"])
+    expected = _schema_of(pyarrow, table)
+    problems = []
+    for name in wanted:
+        places = found.get_all_field_indices(name)
+        if len(places) != 1:
+            problems.append(f"column {name} is there {len(places)} times")
+        elif (kind := found.field(places[0]).type) != (right := expected.field(name).type):
+            problems.append(f"column {name} is of type {kind!s:.80}, not {right}")
+    if about.num_rows > MOST_ROWS:
+        cure = "record with --limit-gb, by which segments are shorter"
+        problems.append(f"has {about.num_rows:,} rows, the limit is {MOST_ROWS:,}; {cure}")
+    if not problems:
+        problems += _find_large_groups(about, wanted)
+    if problems:
+        raise InvalidInputError(str(path), [f"is no table of a recording that can be read: {'; '.join(problems)}"])
+
+
+def _find_large_groups(about: Any, wanted: Collection[str]) -> Iterator[str]:
+    """What of a file's row groups is too large, the first of them."""
+    leaves = {leaf.path for leaf in _leaves(about, wanted)}
+    for k in range(about.num_row_groups):
+        group = about.row_group(k)
+        chunks = [chunk for j in range(group.num_columns) if (chunk := group.column(j)).path_in_schema in leaves]
+        size = sum(chunk.total_uncompressed_size for chunk in chunks)
+        most = max((chunk.num_values for chunk in chunks), default=0)
+        if size > LARGEST_GROUP:
+            yield f"row group {k + 1} has {size:,} bytes when it is unpacked, the limit is {LARGEST_GROUP:,}"
+            return
+        if most > MOST_ROWS:
+            yield f"row group {k + 1} has {most:,} values in a column, the limit is {MOST_ROWS:,}"
+            return
 
 
 def sync_path(path: Path) -> None:
@@ -115,9 +196,18 @@ def _to_array(pyarrow: Any, kind: str, column: Sequence[Any]) -> Any:
 
 
 def _from_array(pyarrow: Any, array: Any) -> list[Any]:
-    if pyarrow.types.is_timestamp(array.type):
+    types = pyarrow.types
+    if types.is_timestamp(array.type):
         whole = array.cast(pyarrow.int64()).to_pylist()
         return [None if value is None else value / MICROSECONDS for value in whole]
+    if types.is_dictionary(array.type):
+        places = array.indices.to_pylist()
+        used = sorted({place for place in places if place is not None})
+        words = dict(zip(used, array.dictionary.take(pyarrow.array(used, pyarrow.int64())).to_pylist(), strict=True))
+        return [None if place is None else words[place] for place in places]
+    if types.is_list(array.type):
+        items, ends = iter(_from_array(pyarrow, array.flatten())), array.value_lengths().to_pylist()
+        return [None if length is None else list(itertools.islice(items, length)) for length in ends]
     return list(array.to_pylist())
 
 

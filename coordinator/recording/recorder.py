@@ -6,10 +6,11 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 
-from agents.messages.checks import MessageError, should_log
-from agents.messages.keys import run_of, sender_of
+from agents.messages.checks import MessageError, should_log, shown
+from agents.messages.keys import NAME, run_of, sender_of
 from agents.messages.packing import CommandMessage, Message, ReadingsMessage, StateMessage, decode
 from coordinator.recording.entries import LEFT, MESSAGE, Entry, note
+from coordinator.recording.row_checks import check_recordable
 from coordinator.recording.segment_log import SegmentLog
 
 REPEAT_S = 10.0  # of what an area repeats without anything new, one is written in so many seconds
@@ -74,6 +75,10 @@ def check_sender(key: str, message: Message, run: str) -> None:
         raise MessageError("other kind", f"{message.kind} is no state, readings or command")
     if not is_own or run_of(key) != run or message.header.run != run:
         raise MessageError("unknown sender", "the message is of somebody else than its key")
+    if not isinstance(message, CommandMessage):
+        if not NAME.fullmatch(message.header.sender):
+            raise MessageError("unknown sender", f"{shown(message.header.sender)} is no name of an area")
+        check_recordable(message)
 
 
 def _gist_of(message: Message) -> object:

@@ -15,11 +15,20 @@ from typing import Any
 import msgspec
 
 from agents.area_files.area_file import AreaFile
-from agents.messages.checks import MessageError
-from agents.messages.keys import name_of_live
-from agents.messages.packing import CommandMessage, Incarnation, ReadingsMessage, StateMessage, decode_recorded
+from agents.messages.checks import LONGEST_NAME, LONGEST_NOTE, MessageError, shown
+from agents.messages.keys import NAME, incarnation_of, name_of_live, run_of
+from agents.messages.packing import (
+    MAX_BYTES,
+    CommandMessage,
+    Incarnation,
+    ReadingsMessage,
+    StateMessage,
+    decode_recorded,
+)
 from coordinator.observe.area_flows import make_area_flows
 from coordinator.recording.entries import APPEARED, LEFT, MESSAGE, NOTE, VANISHED, Entry
+from coordinator.recording.recorder import check_sender
+from coordinator.recording.row_checks import LATEST
 from dsse_core.errors import InvalidInputError
 
 TIME, INTEGER, NUMBER, TRUTH, TEXT, TEXTS = "time", "integer", "number", "truth", "text", "texts"
@@ -106,35 +115,41 @@ class _Shown:
 
 
 class RowMaker:
-    """Makes rows of entries in the order of a log; ``files``: of the areas, as far as they are known."""
+    """Makes rows of entries in the order of a log of ``run``; ``files``: of the areas, as far as they are known."""
 
-    def __init__(self, files: Iterable[AreaFile] = ()) -> None:
+    def __init__(self, run: str, files: Iterable[AreaFile] = ()) -> None:
+        self._run = run
         self._areas = {content.area.name: content.area for content in files}
         self._shown: dict[str, _Shown] = {}
         self._qualities: dict[str, tuple[str, tuple[str, ...]]] = {}
 
-    def rows_of(self, entry: Entry | str) -> Iterator[Row]:
-        """The rows that follow from an entry, or from what of a log is lost."""
+    def rows_of(self, entry: Entry | str, where: str = "") -> Iterator[Row]:
+        """The rows that follow from an entry, or from what of a log is lost; ``where``: in the log, for events."""
         if isinstance(entry, str):
             yield _event(math.nan, "damaged log", "recorder", "", entry)
-        elif entry.kind == MESSAGE:
-            try:
+            return
+        try:
+            _check_entry(entry, self._run)
+            if entry.kind == MESSAGE:
                 message = decode_recorded(entry.payload)
-            except MessageError as error:  # of another version of this program
-                yield _event(entry.at, "unreadable", "recorder", entry.key, str(error))
-            else:
-                yield from self._rows_of_message(entry.at, message)
-        elif entry.kind in (APPEARED, VANISHED, LEFT):
+                check_sender(entry.key, message, self._run)
+        except MessageError as error:  # of another version of this program, or foreign
+            at = entry.at if -LATEST <= entry.at < LATEST else math.nan
+            yield _event(at, "unreadable", "recorder", entry.key[:LONGEST_NAME], f"{where}{error}")
+            return
+        if entry.kind == MESSAGE:
+            yield from self._rows_of_message(entry.at, message)
+        elif entry.kind == NOTE:
+            yield _event(entry.at, entry.key, "recorder", "", entry.payload.decode("utf-8", "replace"))
+        else:
             role, name = name_of_live(entry.key)
             why = entry.payload.decode("ascii", "replace") if entry.kind == LEFT else entry.key.rpartition("/")[2]
             yield _event(entry.at, entry.kind, role, name, why)
-        elif entry.kind == NOTE:
-            yield _event(entry.at, entry.key, "recorder", "", entry.payload.decode("utf-8", "replace"))
 
     def finish(self) -> Iterator[Row]:
         """The rows that were held back, as their areas might have gone on."""
-        for shown in self._shown.values():
-            yield from self._hand_out(shown, is_final=True)
+        for last in self._shown.values():
+            yield from self._hand_out(last, is_final=True)
         self._shown.clear()
 
     def _rows_of_message(self, at: float, message: object) -> Iterator[Row]:
@@ -205,6 +220,27 @@ class RowMaker:
         keys = tuple(COLUMNS["branches"])[len(_ESTIMATE) :]
         values = zip(*(list(of_branches[key]) for key in keys), strict=True)
         return {"buses": buses, "branches": [whose | dict(zip(keys, row, strict=True)) for row in values]}
+
+
+def _check_entry(entry: Entry, run: str) -> None:
+    """That an entry of a log is one that a recorder of ``run`` writes.
+
+    Raises:
+        MessageError: it is none.
+    """
+    if entry.kind not in (MESSAGE, APPEARED, VANISHED, LEFT, NOTE):
+        raise MessageError("malformed", f"kind: {shown(entry.kind)} is no kind of entries")
+    if not -LATEST <= entry.at < LATEST:
+        raise MessageError("malformed", f"at: {entry.at:g} is no time of a calendar")
+    if entry.kind == NOTE and len(entry.key) > LONGEST_NAME:
+        raise MessageError("malformed", f"key: the event has a name of {len(entry.key)} characters")
+    most = LONGEST_NOTE if entry.kind == LEFT else MAX_BYTES
+    if len(entry.payload) > most:
+        raise MessageError("malformed", f"payload: {len(entry.payload):,} bytes, the limit is {most:,}")
+    if entry.kind in (APPEARED, VANISHED, LEFT):
+        is_token = all(map(NAME.fullmatch, name_of_live(entry.key)))
+        if run_of(entry.key) != run or not is_token or (entry.kind != LEFT and incarnation_of(entry.key) is None):
+            raise MessageError("malformed", f"key: {shown(entry.key)} is no presence token of this run")
 
 
 def _degrees(angle: float, state: StateMessage) -> float | None:

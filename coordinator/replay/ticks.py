@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,11 +15,19 @@ from coordinator.recording.closing import rows_of_log
 from coordinator.recording.folder import list_segments, log_of, read_about, table_of
 from coordinator.recording.parquet import read_rows
 from coordinator.recording.rows import ADDED, COLUMNS, Row
-from dsse_core.errors import InvalidInputError
+from dsse_core.errors import LONGEST_LINE, InvalidInputError
+from dsse_core.printable import on_one_line, printable, shortened_inside
 
 MOST_BEHIND = 10  # scans by which an area may be behind the newest; what is older than that is complete
-NEEDED = ("readings", "states", "buses", "events")
+MOST_NOTES = 50
 ESTIMATED = ("vm_pu", "va_deg", "sigma_vm_pu", "sigma_va_deg")
+_WHOSE = ("time", "scan", "area", "incarnation")
+NEEDED: Mapping[str, Sequence[str]] = {
+    "readings": (*_WHOSE, "sequence", "taken_at", "meter", "value", "sigma"),
+    "states": (*_WHOSE, "estimate", "estimated", "quality"),
+    "buses": (*_WHOSE, "estimate", "bus", *ESTIMATED),
+    "events": ("event", "details"),
+}
 LOST = ("damaged log", "unreadable", "lost")  # events
 
 
@@ -87,10 +95,10 @@ def read_ticks(folder: Path, notes: list[str]) -> Iterator[Tick]:
     scans: dict[int, _Scan] = {}
     for segment in list_segments(folder):
         try:
-            for table, row in rows_of_segment(folder, segment):
-                _take(scans, table, dict(zip(COLUMNS[table], row, strict=True)), notes)
+            for table, row in rows_of_segment(folder, segment, NEEDED):
+                _take(scans, table, dict(zip(NEEDED[table], row, strict=True)), notes)
         except InvalidInputError as error:  # a foreign file, or one that is damaged; the others are read all the same
-            notes.append(str(error))
+            note(notes, str(error))
         complete = max(scans, default=0) - MOST_BEHIND
         for scan in sorted(scan for scan in scans if scan < complete):
             yield _build(scan, scans.pop(scan))
@@ -98,28 +106,49 @@ def read_ticks(folder: Path, notes: list[str]) -> Iterator[Tick]:
         yield _build(scan, scans[scan])
 
 
-def rows_of_segment(folder: Path, segment: str) -> Iterator[Row]:
-    """The rows of ``NEEDED`` tables, table by table or in order; from the log if that is there: closing was broken off,
-    or has not begun.
+def note(notes: list[str], text: str) -> None:
+    """Add ``text`` to the ``notes`` of what a recording lacks: of thousands the first, and that there are more."""
+    if len(notes) < MOST_NOTES:
+        notes.append(shortened_inside(printable(on_one_line(text)), LONGEST_LINE))
+    elif len(notes) == MOST_NOTES:
+        notes.append("and more of this kind")
+
+
+def rows_of_segment(folder: Path, segment: str, needed: Mapping[str, Sequence[str]]) -> Iterator[Row]:
+    """The rows of the tables of ``needed``, the columns that it names of each; table by table or in order; from the log
+    if that is there: closing was broken off, or has not begun. Details of what is lost begin with the file.
 
     Raises:
         InvalidInputError: a file cannot be read, or is none of a recording.
     """
-    if log_of(folder, segment).exists():
-        yield from rows_of_log(folder, segment)
+    if (log := log_of(folder, segment)).exists():
+        places = {table: [list(COLUMNS[table]).index(name) for name in names] for table, names in needed.items()}
+        for table, row in rows_of_log(folder, segment):
+            if table in needed:
+                yield table, _name_file(log, needed[table], table, tuple(row[place] for place in places[table]))
         return
-    for table in NEEDED:
+    for table, columns in needed.items():
         if (path := table_of(folder, table, segment)).exists():
-            columns = tuple(COLUMNS[table])
-            yield from ((table, row) for row in read_rows(path, columns, ADDED.get(table, ())))
+            for row in read_rows(path, columns, ADDED.get(table, ())):
+                yield table, _name_file(path, columns, table, row)
+
+
+def _name_file(path: Path, columns: Sequence[str], table: str, row: tuple[Any, ...]) -> tuple[Any, ...]:
+    """``row``, of an event that something is lost with the file in its details."""
+    if table != "events":
+        return row
+    event, details = columns.index("event"), columns.index("details")
+    if row[event] not in LOST:
+        return row
+    return (*row[:details], f"{path}: {row[event]}: {row[details]}", *row[details + 1 :])
 
 
 def _take(scans: dict[int, _Scan], table: str, row: dict[str, Any], notes: list[str]) -> None:
     if table == "events":
         if row["event"] in LOST:
-            notes.append(f"{row['event']}: {row['details']}")
+            note(notes, row["details"])
         return
-    if table not in NEEDED or not row["scan"]:
+    if not row["scan"]:
         return  # before telemetry
     found, area = scans.setdefault(row["scan"], _Scan()), row["area"]
     if table == "readings":

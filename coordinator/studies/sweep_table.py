@@ -17,7 +17,7 @@ from coordinator.studies.study_row import COLUMNS, StudyRow, describe_versions, 
 from coordinator.studies.sweep_plan import Task
 from dsse_core import operating_system
 from dsse_core.errors import InvalidInputError
-from dsse_core.files.bounded_file import read_text
+from dsse_core.files.bounded_file import open_regular, read_text
 from dsse_core.files.bounded_parsing import parse_json
 from dsse_core.files.drafts import remove_leftovers, whole_file
 from dsse_core.files.whole_lines import WholeLines
@@ -48,6 +48,8 @@ class SweepTable:
             raise folder_error(f"sweep folder {folder}", error) from None
         remove_leftovers(folder)
         _check_settings(folder, settings)
+        if self.path.exists():
+            _check_regular(self.path)
         self._lines = WholeLines(self.path)
         try:
             operating_system.lock(self._lines.file.fileno())
@@ -82,14 +84,19 @@ class SweepTable:
         if whole != content:
             self.cut_off = True
             self._lines.cut_to(len(whole))
-        lines = list(csv.reader(io.StringIO(whole.decode(), newline="")))
+        try:
+            lines = list(csv.reader(io.StringIO(whole.decode(), newline="")))
+        except (UnicodeDecodeError, csv.Error) as error:
+            raise InvalidInputError(
+                str(self.path), [f"is no table that a sweep has written: {error}; {ANOTHER}"]
+            ) from None
         if not lines:
             self._write(self._header)
             return
         if lines[0] != self._header:
             raise InvalidInputError(str(self.path), [f"has other columns than this sweep writes; {ANOTHER}"])
         problems = []
-        for number, (value, *cells) in enumerate(lines[1:], start=2):
+        for number, (value, *cells) in enumerate((line or [""] for line in lines[1:]), start=2):
             try:
                 row = from_cells(cells)
             except ValueError as error:
@@ -103,6 +110,14 @@ class SweepTable:
                 self.rows[Task(value, row.strategy, row.seed)] = row
         if problems:
             raise InvalidInputError(str(self.path), problems)
+
+
+def _check_regular(path: Path) -> None:
+    """That the rows of an earlier sweep can be read to an end."""
+    try:
+        open_regular(path).close()
+    except OSError as error:
+        raise InvalidInputError(str(path), [f"cannot be read: {error.strerror}"]) from None
 
 
 def _check_settings(folder: Path, settings: dict[str, Any]) -> None:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import stat
 from pathlib import Path
+from typing import BinaryIO
 
+from dsse_core import operating_system
 from dsse_core.errors import InvalidInputError
 
 LARGEST_TEXT = 64 * 2**20  # bytes
@@ -13,30 +16,47 @@ LARGEST_TOML = 16 * 2**20  # its reader takes a second for each MiB
 LARGEST_PEM = 2**20
 
 
-def read_bounded(path: Path, largest: int) -> bytes:
-    """The content of ``path``, at most ``largest`` bytes.
+def open_regular(path: Path) -> BinaryIO:
+    """``path``, opened to be read; a pipe or a device is refused at once, whoever writes to it.
 
     Raises:
-        OSError: it cannot be read, is a folder, a pipe or a device, or is too large; ``strerror`` says what was found
-            and what to do. Of its subclass for the cause, as ever: ``FileNotFoundError`` and so on.
+        OSError: it cannot be read, or is a folder, a pipe or a device; ``strerror`` says what was found and what to do.
+            Of its subclass for the cause, as ever: ``FileNotFoundError`` and so on.
     """
     try:
-        status = path.stat()
-        is_regular = stat.S_ISREG(status.st_mode)
-        content = b""
-        if is_regular:
-            with path.open("rb") as file:
-                content = file.read(largest + 1)
+        mode = path.stat().st_mode  # before it is opened: that alone moves some devices
+        if stat.S_ISREG(mode):
+            file = open(path, "rb", opener=_open_without_waiting)  # noqa: SIM115
+            mode = os.fstat(file.fileno()).st_mode
+            if stat.S_ISREG(mode):
+                return file
+            file.close()
     except OSError as error:
         cure = "let the user of this process read it" if isinstance(error, PermissionError) else "check the path"
         raise OSError(error.errno, f"{error.strerror}; {cure}", str(path)) from None
     except ValueError as error:  # a zero byte in the path
         raise OSError(None, f"{error}; check the path", str(path)) from None
-    if not is_regular:
-        what = "a folder" if stat.S_ISDIR(status.st_mode) else "a pipe or a device"
-        raise OSError(None, f"is {what}; give a regular file", str(path))
+    what = "a folder" if stat.S_ISDIR(mode) else "a pipe or a device"
+    raise OSError(None, f"is {what}; give a regular file", str(path))
+
+
+def _open_without_waiting(path: str, flags: int) -> int:
+    return os.open(path, flags | operating_system.FLAG_NO_WAIT)
+
+
+def read_bounded(path: Path, largest: int) -> bytes:
+    """The content of ``path``, at most ``largest`` bytes.
+
+    Raises:
+        OSError: as ``open_regular``, or it is too large.
+    """
+    with open_regular(path) as file:
+        try:
+            content = file.read(largest + 1)
+            size = max(os.fstat(file.fileno()).st_size, len(content))
+        except OSError as error:
+            raise OSError(error.errno, f"{error.strerror}; check the path", str(path)) from None
     if len(content) > largest:
-        size = max(status.st_size, len(content))
         raise OSError(None, f"has {size:,} bytes, the limit is {largest:,}; give a smaller file", str(path))
     return content
 

@@ -15,6 +15,7 @@ from pydantic import Field
 from coordinator.gateway.interface import Emit, MapPath, Source
 from coordinator.gateway.sources.lines import PIECE, TOO_LONG, LineCutter
 from coordinator.gateway.sources.texts import as_number, as_time, as_validity
+from dsse_core.files.bounded_file import open_regular
 from dsse_core.files.strict_table import Table
 
 MALFORMED, NO_VALUE = "malformed", "no value"
@@ -45,7 +46,7 @@ class CsvSource(Source):
 
     async def read(self, emit: Emit) -> None:
         while True:
-            with self.settings.path.open("rb") as file:
+            with open_regular(self.settings.path) as file:
                 await self._follow(file, emit)
 
     async def _follow(self, file: BinaryIO, emit: Emit) -> None:

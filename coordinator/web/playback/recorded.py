@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
-from agents.messages.keys import incarnation_of, live_key, name_of_live
+import msgspec
+
+from agents.messages.checks import Count, Name, Number
+from agents.messages.keys import NAME, incarnation_of, live_key, name_of_live
 from agents.messages.packing import NO_INCARNATION, Header, ReadingsMessage, StateMessage
 from coordinator.recording.entries import APPEARED, VANISHED
-from coordinator.recording.folder import list_segments, read_about
+from coordinator.recording.folder import list_segments, read_about, table_of
 from coordinator.recording.rows import COLUMNS
-from coordinator.replay.ticks import rows_of_segment
+from coordinator.replay.ticks import LOST, note, rows_of_segment
 from coordinator.web.playback.play import MOST_VALUES, Play, Presence, Update, count_values
 from coordinator.web.playback.source import PlaybackSource
 from dsse_core.errors import InvalidInputError
@@ -22,6 +26,7 @@ from dsse_core.split_identity import SplitIdentity
 from scenarios.scenario import Scenario
 
 MOST_UPDATES = 10_000  # the newest that are played
+LETTERS = 50  # of JSON, which are kept as one value is
 
 Row = Mapping[str, Any]
 Timed = tuple[float, Update]
@@ -44,7 +49,7 @@ def play_recording(folder: Path, scenario: Scenario | None, notes: list[str]) ->
             notes.append("the recording is long: its newest part is played")
             break
     if not kept:
-        raise InvalidInputError(str(folder), ["nothing is recorded here yet"])
+        raise InvalidInputError(str(folder), ["nothing is recorded here yet", *notes])
     since = kept[0][0]
     remarks = [*dict.fromkeys(notes), *_find_lacking(item for _, item in kept)]
     kept = [*((since, token) for token in _find_there_before(kept, run)), *kept]
@@ -84,28 +89,55 @@ def _find_there_before(updates: list[Timed], run: str) -> Iterator[Presence]:
 
 
 def _read_segment(folder: Path, segment: str, run: str, notes: list[str]) -> list[Timed]:
-    """All of one segment; the newest state of an estimate has its buses."""
-    states: list[tuple[tuple[Any, ...], Timed]] = []
-    buses: dict[tuple[Any, ...], dict[int, Row]] = {}
-    readings: dict[tuple[Any, ...], list[Row]] = {}
-    updates: list[Timed] = []
+    """The newest part of one segment, no more than is played; the newest state of an estimate has its buses."""
+    presences: deque[Timed] = deque(maxlen=MOST_UPDATES)
+    states, buses, readings = _Newest(), _Newest(), _Newest()
+    texts: dict[str, Any] = {}
+    count = 0
     try:
-        for table, values in rows_of_segment(folder, segment):
-            row = dict(zip(COLUMNS[table], values, strict=True))
+        for table, values in rows_of_segment(folder, segment, NEEDED):
+            row = dict(zip(NEEDED[table], values, strict=True))
             if table == "states":
-                states.append((_whose(row), (row["time"], _to_state(row, run))))
+                count += 1
+                try:
+                    found = _whose(row), row["time"], _to_state(row, run, texts)
+                    states.take((count,), found, 1 + sum(len(row[name]) for name, _ in _TABLES.values()) // LETTERS)
+                except ValueError as error:
+                    where = str(table_of(folder, table, segment))
+                    raise InvalidInputError(where, [f"row {count}: {error}"]) from None
             elif table == "buses":
-                buses.setdefault(_whose(row), {})[row["bus"]] = row
+                buses.take(_whose(row), tuple(row[name] for name in _OF_BUSES))
             elif table == "readings":
-                key = row["area"], row["incarnation"], row["sequence"], row["time"]
-                readings.setdefault(key, []).append(row)
-            elif table == "events" and row["event"] in (APPEARED, VANISHED):
-                updates += _to_presence(row, run)
+                readings.take(tuple(row[name] for name in _WHOSE_READINGS), tuple(row[name] for name in _OF_READINGS))
+            elif row["event"] in (APPEARED, VANISHED):
+                presences += _to_presence(row, run)
+            elif row["event"] in LOST:
+                note(notes, row["details"])
     except InvalidInputError as error:  # a foreign file, or one that is damaged; the others are read all the same
-        notes.append(str(error))
-    updates += [(at, _with_buses(item, buses.get(key, {}).values())) for key, (at, item) in states]
-    updates += [(rows[0]["time"], _to_readings(rows, run)) for rows in readings.values()]
+        note(notes, str(error))
+    updates: list[Timed] = [*presences]
+    updates += [(at, _with_buses(item, buses.rows.get(key, ()))) for ((key, at, item),) in states.rows.values()]
+    updates += [(key[-1], _to_readings(key, rows, run)) for key, rows in readings.rows.items()]
     return sorted(updates, key=lambda timed: timed[0])
+
+
+class _Newest:
+    """Rows of the newest messages, of as many as are played. ``rows``: message -> its rows."""
+
+    def __init__(self) -> None:
+        self.rows: dict[tuple[Any, ...], list[tuple[Any, ...]]] = {}
+        self._values: dict[tuple[Any, ...], int] = {}
+        self._count = 0
+
+    def take(self, message: tuple[Any, ...], row: tuple[Any, ...], values: int = 1) -> None:
+        """Keep one more row, of so many ``values``."""
+        self.rows.setdefault(message, []).append(row)
+        self._values[message] = self._values.get(message, 0) + values
+        self._count += values
+        while len(self.rows) > 1 and (len(self.rows) > MOST_UPDATES or self._count > MOST_VALUES):
+            oldest = next(iter(self.rows))
+            del self.rows[oldest]
+            self._count -= self._values.pop(oldest)
 
 
 def _whose(row: Row) -> tuple[Any, ...]:
@@ -116,22 +148,27 @@ def _whose(row: Row) -> tuple[Any, ...]:
 def _to_presence(row: Row, run: str) -> Iterator[Timed]:
     """Nobody's who has no incarnation, as LEFT, which says why instead; the token vanishes right after."""
     incarnation = incarnation_of(row["details"])
-    if incarnation is not None:
+    is_named = NAME.fullmatch(row["role"]) and NAME.fullmatch(row["name"])
+    if incarnation is not None and is_named and row["time"] is not None:
         yield row["time"], Presence(live_key(run, row["role"], row["name"], incarnation), row["event"] == APPEARED)
 
 
-def _to_header(row: Row, run: str) -> Header:
-    incarnation = incarnation_of(row["incarnation"]) or NO_INCARNATION
-    return Header(run, row["area"], incarnation, row["scan"], row["sequence"], row.get("sent_at") or row["time"])
+def _to_header(area: str, incarnation: str, scan: int, sequence: int, run: str, at: float) -> Header:
+    return Header(run, area, incarnation_of(incarnation) or NO_INCARNATION, scan, sequence, at)
 
 
-def _to_state(row: Row, run: str) -> StateMessage:
-    """Without its buses."""
+def _to_state(row: Row, run: str, texts: dict[str, Any]) -> StateMessage:
+    """Without its buses. ``texts``: of JSON that was read before, as rows repeat it.
+
+    Raises:
+        ValueError: a column of JSON holds something else; names it.
+    """
     blank: dict[str, Any] = dict.fromkeys(("buses", "vm", "va", "sigma_vm", "sigma_va"), ())
-    tables = {name: parse_json(row[key] or "{}") for name, key in _TABLES.items()}
+    tables = {name: _read_table(column, row[column], kind, texts) for name, (column, kind) in _TABLES.items()}
     plain: dict[str, Any] = {name: tuple(row[name]) if isinstance(row[name], list) else row[name] for name in _SAME}
+    at = row["sent_at"] or row["time"]
     return StateMessage(
-        header=_to_header(row, run),
+        header=_to_header(row["area"], row["incarnation"], row["scan"], row["sequence"], run, at),
         **blank,
         **plain,
         **tables,
@@ -146,13 +183,29 @@ def _to_state(row: Row, run: str) -> StateMessage:
     )
 
 
-_TABLES = {
-    "rejected": "rejected",
-    "faults": "faults",
-    "ages": "ages_s",
-    "scans": "scans",
-    "clock_skews": "clock_skews_s",
+def _read_table(column: str, text: str, kind: Any, texts: dict[str, Any]) -> Any:
+    """The table in ``text``, checked as on the wire."""
+    if (known := texts.get(column + text)) is not None:
+        return known
+    try:
+        found = msgspec.convert(parse_json(text or "{}"), kind)
+    except ValueError as error:
+        raise ValueError(f"{column}: {error}") from None
+    if len(texts) > MOST_UPDATES:
+        texts.clear()
+    texts[column + text] = found
+    return found
+
+
+_COUNTS, _NUMBERS = dict[Name, Count], dict[Name, Number]
+_TABLES: Mapping[str, tuple[str, Any]] = {
+    "rejected": ("rejected", _COUNTS),
+    "faults": ("faults", _COUNTS),
+    "ages": ("ages_s", _NUMBERS),
+    "scans": ("scans", _COUNTS),
+    "clock_skews": ("clock_skews_s", _NUMBERS),
 }
+"""Table of a state -> the column of JSON that holds it, and its type."""
 _SAME = tuple(
     field.name
     for field in fields(StateMessage)
@@ -161,36 +214,42 @@ _SAME = tuple(
 )
 
 
-def _with_buses(state: Update, rows: Iterable[Row]) -> Update:
-    if not isinstance(state, StateMessage) or not (found := list(rows)):
+_OF_BUSES = ("bus", "vm_pu", "va_deg", "sigma_vm_pu", "sigma_va_deg")
+_WHOSE_READINGS = ("area", "incarnation", "scan", "sequence", "taken_at", "time")
+_OF_READINGS = ("meter", "value", "sigma", "measured_at", "estimate", "normalised_residual")
+NEEDED: Mapping[str, Sequence[str]] = {
+    "states": tuple(name for name in COLUMNS["states"] if name != "final"),
+    "buses": ("time", "scan", "area", "incarnation", "estimate", *_OF_BUSES),
+    "readings": (*_WHOSE_READINGS, *_OF_READINGS),
+    "events": ("time", "event", "role", "name", "details"),
+}
+
+
+def _with_buses(state: Update, rows: Iterable[tuple[Any, ...]]) -> Update:
+    if not isinstance(state, StateMessage) or not (found := {row[0]: row for row in rows}):
         return state
-
-    def column(name: str, scale: float = 1.0) -> tuple[float, ...]:
-        return tuple(0.0 if row[name] is None else scale * row[name] for row in found)
-
-    return replace(
-        state,
-        buses=tuple(row["bus"] for row in found),
-        vm=column("vm_pu"),
-        va=column("va_deg", math.pi / 180),
-        sigma_vm=column("sigma_vm_pu"),
-        sigma_va=column("sigma_va_deg", math.pi / 180),
-    )
+    buses, vm, va, sigma_vm, sigma_va = zip(*found.values(), strict=True)
+    return replace(state, buses=buses, vm=vm, va=_radians(va), sigma_vm=sigma_vm, sigma_va=_radians(sigma_va))
 
 
-def _to_readings(rows: list[Row], run: str) -> ReadingsMessage:
+def _radians(angles: Iterable[float | None]) -> tuple[float, ...]:
+    """0 for those that count from nowhere."""
+    return tuple(0.0 if angle is None else math.pi / 180 * angle for angle in angles)
+
+
+def _to_readings(key: tuple[Any, ...], rows: list[tuple[Any, ...]], run: str) -> ReadingsMessage:
     """One row without a meter says that none was used."""
-    given = [row for row in rows if row["meter"] is not None]
-    described = [row for row in given if row["estimate"] is not None]
-    given = [*described, *(row for row in given if row["estimate"] is None)]
-    columns = {name: tuple(row[key] for row in given) for name, key in _OF_READINGS.items()}
+    area, incarnation, scan, sequence, taken_at, at = key
+    described = [row for row in rows if row[0] is not None and row[-1] is not None]
+    given = [*described, *(row for row in rows if row[0] is not None and row[-1] is None)]
+    meters, values, sigmas, times, _, _ = zip(*given, strict=True) if given else ((),) * len(_OF_READINGS)
     return ReadingsMessage(
-        header=_to_header(rows[0], run),
-        taken_at=rows[0]["taken_at"] or 0.0,
-        **columns,
-        estimates=tuple(row["estimate"] for row in described),
-        normalised=tuple(math.nan if (off := row["normalised_residual"]) is None else off for row in described),
+        header=_to_header(area, incarnation, scan, sequence, run, at),
+        taken_at=taken_at,
+        meters=meters,
+        values=values,
+        sigmas=sigmas,
+        times=times,
+        estimates=tuple(row[-2] for row in described),
+        normalised=tuple(row[-1] for row in described),
     )
-
-
-_OF_READINGS = {"meters": "meter", "values": "value", "sigmas": "sigma", "times": "measured_at"}

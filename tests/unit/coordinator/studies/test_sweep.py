@@ -19,6 +19,7 @@ from coordinator.studies.study_row import COLUMNS
 from coordinator.studies.sweep import run_tasks
 from coordinator.studies.sweep_plan import Task, make_plan, parse_vary
 from coordinator.studies.sweep_table import SweepTable
+from dsse_core.errors import InvalidInputError
 from scenarios.files.shipped_files import find_shipped
 
 SMALL = ["industrial13", "--vary", "faults.loss=0,0.3", "--strategies", "information", "--quiet"]
@@ -205,6 +206,18 @@ def test_a_table_with_other_columns_or_lines_is_rejected(tmp_path: Path, text: s
     assert sweep(tmp_path / "s", seeds=1) == 2
     assert "other columns" in (error := capsys.readouterr().err) or "line 4 is no row" in error
     assert path.read_text() == broken
+
+
+@pytest.mark.parametrize("content", [None, b"\xff\xfe\n", b"\n\n", b'a,"\n'])
+def test_a_table_that_is_a_pipe_or_no_text_is_one_error(tmp_path: Path, content: bytes | None):
+    plan = make_plan("industrial13", *parse_vary("faults.loss=0,0.3"), ("information",), 1)
+    with SweepTable(tmp_path / "s", plan.settings) as table:
+        header = table.path.read_bytes()
+    table.path.unlink()
+    os.mkfifo(table.path) if content is None else table.path.write_bytes(header + content)
+    with pytest.raises(InvalidInputError) as caught:
+        SweepTable(tmp_path / "s", plan.settings)
+    assert caught.value.problems
 
 
 def test_two_sweeps_do_not_write_to_one_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 from pathlib import Path
 
 import pytest
@@ -109,4 +110,10 @@ def test_a_header_that_cannot_be_used_is_an_error(tmp_path: Path, recorder, run,
 
 def test_a_file_that_is_not_there_is_an_error(tmp_path: Path, recorder, run) -> None:
     with pytest.raises(FileNotFoundError):
+        run(make_source(tmp_path / "r.csv").read(recorder))
+
+
+def test_a_pipe_is_refused_at_once(tmp_path: Path, recorder, run) -> None:
+    os.mkfifo(tmp_path / "r.csv")
+    with pytest.raises(OSError, match="is a pipe or a device"):
         run(make_source(tmp_path / "r.csv").read(recorder))
