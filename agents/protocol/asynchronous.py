@@ -37,6 +37,7 @@ from agents.protocol.quality import (
     find_contradictions,
     find_early_scan,
     find_gone,
+    find_leader_clock,
     find_left_out_readings,
     find_meters_off,
     find_missing_readings,
@@ -263,6 +264,7 @@ class AsynchronousProtocol(AreaProtocol):
         yield from find_contradictions(self._rejections.contradictions)
         yield from find_unreadable_payloads(self._rejections.unreadable_in(self.scan))
         yield from find_skewed_clocks(self._peers.skewed)
+        yield from find_leader_clock(self._content.readings.leader, self._scan.leader_ahead_s)
         yield from find_early_scan(self._scan.lead_s)
         if self._scan.has_been_read:
             yield from find_missing_readings(self._scan.readings.silent, self._scan.readings.invalid)

@@ -214,12 +214,25 @@ def find_left_out_readings(readings: Readings) -> Iterator[Finding]:
     """Meters whose newest reading is not used, and why."""
     if readings.too_old:
         yield Finding(GOOD, f"too old: the reading of {_first_of(readings.too_old)}", "too old", readings.too_old)
-    by_reason: dict[str, list[str]] = {}
+    by_reason: dict[tuple[str, str], list[str]] = {}
     for meter_id, reason in readings.why_rejected.items():
         if meter_id not in readings.invalid:  # which is noted of all of these
-            by_reason.setdefault(reason, []).append(meter_id)
-    for reason, meters in sorted(by_reason.items()):
-        yield Finding(GOOD, f"{reason}: the newest reading of {_first_of(meters)}", reason, meters)
+            quality = DEGRADED if meter_id in readings.mistimed else GOOD
+            by_reason.setdefault((quality, reason), []).append(meter_id)
+    for (quality, reason), meters in sorted(by_reason.items()):
+        yield Finding(quality, f"{reason}: the newest reading of {_first_of(meters)}", reason, meters)
+
+
+def find_leader_clock(leader: str, ahead_s: float) -> Iterator[Finding]:
+    """Clock of the gateway that numbers scans, ``ahead_s`` ahead of the own one: its readings are not of now."""
+    if ahead_s:
+        where = "ahead of" if ahead_s > 0 else "behind"
+        yield Finding(
+            DEGRADED,
+            f"the clock of {leader} is {abs(ahead_s):.0f} s {where} that of this area; set the wrong one",
+            f"clock {where}",
+            [leader],
+        )
 
 
 def find_missing_readings(silent: Sequence[str], invalid: Sequence[str]) -> Iterator[Finding]:

@@ -17,6 +17,7 @@ from dsse_core.reading_rules import ANYBODY, KindRule, allowed_lead_s
 
 INVALID = "marked invalid"  # a reason of rejection
 AHEAD = "time in the future"  # another
+OUTLIVED = "measured long before its scan"  # another
 UNKNOWN, NOT_ITS_METER = OF_THE_SENDER = "unknown meter", "meter of another gateway"  # of whom no meter is to blame
 Order = tuple[float, str, tuple[Incarnation, int]]
 """Which of two readings of a meter is newer: when it was measured; of equal times, by whom and in which message."""

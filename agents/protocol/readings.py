@@ -2,6 +2,9 @@
 
 A reading of a scan comes with the message of that scan. All others are the newest of their meters, from any gateway,
 and their standard deviations grow with their age. What is taken once is worked with until it is taken anew.
+
+The stated time of a reading always counts. A reading of a scan must have been measured at most some scans before the
+message was made that states it: a scan may be held for long, and its readings do not age meanwhile.
 """
 
 from __future__ import annotations
@@ -15,12 +18,20 @@ from functools import cached_property
 from agents.area_files.area_file import AreaFile
 from agents.messages.packing import TelemetryMessage
 from agents.peers.rejections import find_reading_rejection
-from agents.protocol.reading_store import AHEAD, INVALID, ReadingStore
+from agents.protocol.reading_store import AHEAD, INVALID, OUTLIVED, ReadingStore
 from dsse_core.exchange.boundary_load import NetLoad, measured_net_loads, own_net_load
-from dsse_core.grid.measurement import Measurement, Source
+from dsse_core.grid.measurement import Measurement, Meter, Source
+
+DEADLINE_HEARTBEATS = 5  # after which an area goes on without its own readings; or
+DEADLINE_SHARE = 1 / 4  # of the time between two scans, where that is known
 
 Read = dict[str, tuple[Measurement, float]]
 """Meter id -> its reading, and when it was measured, s since 1970 UTC."""
+
+
+def expected_scan_s(content: AreaFile) -> float:
+    """The time between two scans, s; where it is not known, the one of which an area waits a share."""
+    return content.scan_s or DEADLINE_HEARTBEATS / DEADLINE_SHARE * content.beat_s
 
 
 @dataclass(frozen=True)
@@ -30,12 +41,14 @@ class Ages:
     ``taken_at``: to which moment of the area's clock their ages count, s since 1970; ``times``: meter id -> when it was
     read, s since 1970 UTC. ``overdue_at``: meter id -> when its reading is overdue, of those that have an interval, by
     the monotonic clock: no clock that is set makes a reading younger. ``n_with_interval``: how many meters have one.
+    ``mistimed_share``: of the readings of the scan, those that are not used as their time is not that of the scan.
     """
 
     taken_at: float = 0.0
     times: Mapping[str, float] = field(default_factory=dict)
     overdue_at: Mapping[str, float] = field(default_factory=dict)
     n_with_interval: int = 0
+    mistimed_share: float = 0.0
 
     @cached_property
     def _overdue_times(self) -> list[float]:
@@ -53,10 +66,13 @@ class Ages:
         return [meter_id for meter_id, at in self.overdue_at.items() if at <= now]
 
     def overdue_share(self, now: float) -> float:
-        """Which share of the meters with an interval has no reading, or one that is overdue; 0 without such meters."""
+        """Which share of the meters with an interval has no reading, or one that is overdue; of the readings of the
+        scan the share that is of another time, if that is more.
+        """
         if not self.n_with_interval:
-            return 0.0
-        return 1 - (len(self._overdue_times) - bisect_right(self._overdue_times, now)) / self.n_with_interval
+            return self.mistimed_share
+        in_time = (len(self._overdue_times) - bisect_right(self._overdue_times, now)) / self.n_with_interval
+        return max(1 - in_time, self.mistimed_share)
 
     def next_overdue(self, now: float) -> float:
         """When the next one will be; infinity if none will."""
@@ -69,6 +85,7 @@ class Readings:
 
     ``silent``: ids of the meters without a reading. ``invalid``: of those whose reading its source has marked as not
     valid. ``too_old``: of those whose reading is left out for its age. ``why_rejected``: id -> why its newest one is.
+    ``mistimed``: ids of those that have no other reading than one of a time that cannot be.
     """
 
     def __init__(self, content: AreaFile, store: ReadingStore) -> None:
@@ -82,14 +99,17 @@ class Readings:
         self.silent = [meter_id for meter_id in self._meters if meter_id not in self._virtual]
         self.invalid: list[str] = []
         self.too_old: list[str] = []
+        self.mistimed: frozenset[str] = frozenset()
         self.why_rejected: dict[str, str] = {}
         self.ages = Ages()
+        self._expected_scan_s = expected_scan_s(content)
         by_clock = content.readings.ticks == "clock"
         self._overdue_s = {
             meter_id: rule.overdue_s(content.scan_s)  # of the meters that have an interval
             for meter_id, meter in self._meters.items()
             if meter_id not in self._virtual and ((rule := store.rule_of(meter)).period_s is not None or by_clock)
         }
+        self._mistimed_share = 0.0
         self._net_load: NetLoad | None = None  # of these measurements, once asked for
 
     def take(self, message: TelemetryMessage | None, now: float, wall: float) -> Iterator[str]:
@@ -100,10 +120,12 @@ class Readings:
         self.invalid, self.too_old = [], []
         self.why_rejected = {k: reason for k, reason in self._store.why_rejected.items() if k not in self._store.off}
         read: Read = {}
+        self._mistimed_share = 0.0
         if message is not None:
             yield from self._take_scan(message, read)
         self._take_newest(read, wall)
         self.invalid += [k for k, why in self.why_rejected.items() if why == INVALID and k not in read]
+        self.mistimed = frozenset(k for k, why in self.why_rejected.items() if why in (AHEAD, OUTLIVED)) - read.keys()
         left_out = {*self.invalid, *self.too_old, *self.why_rejected}
         known = read.keys() | self._virtual.keys() | self._store.off | left_out
         self.measurements = (*(measurement for measurement, _ in read.values()), *self._virtual.values())
@@ -113,7 +135,7 @@ class Readings:
 
     def _take_scan(self, message: TelemetryMessage, read: Read) -> Iterator[str]:
         """Put the readings that belong to the scan of ``message`` into ``read``."""
-        gateway, store = message.header.sender, self._store
+        gateway, store, n_mistimed = message.header.sender, self._store, 0
         columns = message.meters, message.values, message.sigmas, message.times, message.valid
         for meter_id, value, sigma, time, is_valid in zip(*columns, strict=True):
             meter = self._meters.get(meter_id)
@@ -123,8 +145,19 @@ class Readings:
                 if reason == INVALID:
                     self.invalid.append(meter_id)
                 yield reason
+            elif meter is not None and (reason := self._find_mistiming(meter, message.header.time - time)):
+                self.why_rejected[meter_id], n_mistimed = reason, n_mistimed + 1
+                yield reason
             elif meter is not None:
                 read[meter_id] = Measurement(meter, value, sigma), time
+        self._mistimed_share = n_mistimed / (n_mistimed + len(read)) if n_mistimed else 0.0
+
+    def _find_mistiming(self, meter: Meter, age_s: float) -> str:
+        """Why a reading that was ``age_s`` old when its scan was stated is none of that scan; empty if it is."""
+        lead_s = self._store.lead_s
+        if age_s < -lead_s:
+            return AHEAD
+        return OUTLIVED if age_s > max(lead_s, self._store.rule_of(meter).leaves_out_s(self._expected_scan_s)) else ""
 
     def _take_newest(self, read: Read, wall: float) -> None:
         """Put the newest readings that are young enough into ``read``, their standard deviations grown."""
@@ -149,7 +182,7 @@ class Readings:
             for meter_id, limit in overdue_s.items()
             if meter_id in times
         }
-        return Ages(wall, times, overdue_at, len(overdue_s))
+        return Ages(wall, times, overdue_at, len(overdue_s), self._mistimed_share)
 
     @property
     def net_load(self) -> NetLoad:

@@ -28,6 +28,7 @@ from agents.protocol.quality import (
     find_early_scan,
     find_far_scans,
     find_gone,
+    find_leader_clock,
     find_left_out_readings,
     find_meters_off,
     find_missing_readings,
@@ -82,6 +83,7 @@ class RoundsState:
         self._of_scan = 0
         self._ages = Ages()  # of the readings that it rests on
         self._most_overdue = content.limits.most_overdue
+        self._leader = content.readings.leader
         self._findings: tuple[Finding, ...] = ()  # of the outcome
         self._kept_mismatches: dict[
             str, tuple[Outcome, tuple[float, ...], tuple[float, float]]
@@ -236,6 +238,7 @@ class RoundsState:
         yield from find_far_scans(self._rejections.far_scans)
         yield from find_unreadable_payloads(self._rejections.unreadable_in(self._scan.scan))
         yield from find_skewed_clocks(self._peers.skewed)
+        yield from find_leader_clock(self._leader, self._scan.leader_ahead_s)
         yield from find_early_scan(self._scan.lead_s)
         if self._scan.has_been_read:
             yield from find_missing_readings(self._scan.readings.silent, self._scan.readings.invalid)

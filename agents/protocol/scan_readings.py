@@ -16,14 +16,13 @@ from agents.peers.freshness import FRESH_HEARTBEATS, PATIENCE_HEARTBEATS, is_old
 from agents.peers.rejections import MOST_COUNTED
 from agents.protocol.events import Ordered
 from agents.protocol.reading_store import ReadingStore
-from agents.protocol.readings import Readings
+from agents.protocol.readings import DEADLINE_SHARE, Readings, expected_scan_s
+from dsse_core.reading_rules import NO_RULE
 
 MOST_AHEAD = (
     10  # scans by which a neighbour may be ahead of telemetry that is received; with more, one of them is wrong
 )
 LARGEST_SCAN = 3 * MOST_COUNTED // 4  # that the numbering of a neighbour may lead to; scans go on from there
-DEADLINE_HEARTBEATS = 5  # after which an area goes on without its own readings; or
-DEADLINE_SHARE = 1 / 4  # of the time between two scans, where that is known
 
 
 class TelemetryUpdate(Enum):
@@ -49,9 +48,12 @@ class ScanReadings:
         self.entered_at = now
         self._rejected: Counter[str] = Counter()  # of readings of scans
         self._heartbeat_s = content.beat_s
-        self._deadline_s = DEADLINE_SHARE * content.scan_s if content.scan_s else DEADLINE_HEARTBEATS * content.beat_s
+        self._deadline_s = DEADLINE_SHARE * expected_scan_s(content)
+        self._may_be_behind_s = max(self.store.lead_s, NO_RULE.leaves_out_s(content.scan_s))
+        self._may_be_ahead_s = self.store.lead_s if content.scan_s else float("inf")  # as clocks of neighbours
         self._last: TelemetryMessage | None = None
         self._received_at = now
+        self._clock_behind_s = 0.0  # by how much that of the leader is behind, as its newest message says
         self._later: dict[int, TelemetryMessage] = {}
         self._used: TelemetryMessage | None = None  # the newest that has been read
         self._takes_anew = False  # as the operator has asked
@@ -130,8 +132,19 @@ class ScanReadings:
         patience_s = PATIENCE_HEARTBEATS * self._heartbeat_s
         if last is not None and is_old(message.header, last.header, now - self._received_at, patience_s):
             return False
+        is_heard = last is not None and not self.is_late(now)
         self._received_at = now
-        return last is None or message.header.order != last.header.order
+        if last is not None and message.header.order == last.header.order:
+            return False
+        behind_s = now + self.clock_offset - message.header.time
+        self._clock_behind_s = behind_s if is_heard else min(behind_s, 0.0)  # a scan may have been held for long
+        return True
+
+    @property
+    def leader_ahead_s(self) -> float:
+        """By how much the clock of the leader, which numbers scans, is ahead, s; 0 where its readings may be of now."""
+        behind_s = self._clock_behind_s
+        return 0.0 if -self._may_be_ahead_s <= behind_s <= self._may_be_behind_s else -behind_s
 
     def take_at_once(self, message: TelemetryMessage, now: float) -> bool:
         """Asynchronous: work with telemetry at once if it is newer, whatever its scan; whether it is."""

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from agents.area_files.area_file import AreaFile
 from agents.messages.packing import NO_INCARNATION, Incarnation, TelemetryMessage
-from agents.protocol.scan_readings import DEADLINE_HEARTBEATS, MOST_AHEAD, ScanReadings, TelemetryUpdate
+from agents.protocol.readings import DEADLINE_HEARTBEATS
+from agents.protocol.scan_readings import MOST_AHEAD, ScanReadings, TelemetryUpdate
 
 MOST_AHEAD_S = 60.0  # by which a neighbour's tick may be ahead of the own clock, beside one tick and ``MOST_AHEAD``
 ROUNDING_S = 2e-6  # of a time of day as a floating-point number, doubled: a tick that is due has come

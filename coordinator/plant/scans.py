@@ -78,7 +78,8 @@ class OwnScans:
 class MadeScan:
     """The readings of one scan: of a large grid they are passed on in a tenth of the time that its scenario takes.
 
-    Area -> its ``readings``, pickled: kept for a restart they take a quarter of the memory.
+    Area -> its ``readings``, pickled: kept for a restart they take a quarter of the memory. They are measured when a
+    plant asks for them: the grid stands still.
     """
 
     readings: Mapping[str, bytes]
@@ -95,7 +96,8 @@ class MadeScan:
         return cls(readings, find_lateness(scenario, DRAW), scenario.seed, scenario.run.beat_s, find_split(scenario))
 
     def payloads(self, run: str, incarnation: Incarnation, scan: int) -> dict[str, bytes]:
-        unpacked = ((area, pickle.loads(part)) for area, part in self.readings.items())
+        now = time.time()
+        unpacked = ((area, pickle.loads(part).measured_at(now)) for area, part in self.readings.items())
         return encode_readings(unpacked, run, incarnation, scan, self.split)
 
     def late_s(self, scan: int) -> Mapping[str, float]:

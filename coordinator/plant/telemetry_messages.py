@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,6 +28,10 @@ class Readings:
     values: tuple[float, ...]
     sigmas: tuple[float, ...]
     times: tuple[float, ...]
+
+    def measured_at(self, time: float) -> Readings:
+        """The same values, read at ``time``, s since 1970."""
+        return replace(self, times=(time,) * len(self.times))
 
 
 def read(measurements: Sequence[Measurement], measured_at: float | Mapping[str, float]) -> Readings:

@@ -10,7 +10,8 @@ from feeders import make_feeder
 from simulated_bus import SimulatedBus, area_files_of
 
 from agents.messages.packing import DownMessage, Header, Incarnation, LoadMessage, UpMessage
-from agents.protocol.scan_readings import DEADLINE_HEARTBEATS, ScanReadings
+from agents.protocol.readings import DEADLINE_HEARTBEATS
+from agents.protocol.scan_readings import ScanReadings
 from coordinator.plant.telemetry_messages import make_message
 from coordinator.simulator import simulator
 from scenarios.scenario import load_scenario

@@ -162,7 +162,7 @@ class ToyBus:
             self.values[name] = value
         header = Header("toy", "plant", Incarnation(incarnation, 0), scan, next(self._sequence), STARTED_AT + self.now)
         meter = self.files[name].meters[0]
-        self._telemetry[name] = TelemetryMessage(header, name, (meter.id,), (value,), (0.01,), (self.now,), (True,))
+        self._telemetry[name] = TelemetryMessage(header, name, (meter.id,), (value,), (0.01,), (header.time,), (True,))
         self.send_telemetry(name)
 
     def send_telemetry(self, name: str) -> None:

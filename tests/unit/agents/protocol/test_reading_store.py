@@ -218,7 +218,7 @@ def test_where_a_gateway_numbers_scans_its_readings_without_period_belong_to_the
     area = content({"plant": "all"}, ticks="gateway")
     store = ReadingStore(area)
     meter_id = next(meter_id for meter_id in METERS if meter_id.startswith("p_injection"))
-    first = message([(VM, 1.0, -10.0), (meter_id, 0.1, -900.0)], "plant")
+    first = message([(VM, 1.0, -10.0), (meter_id, 0.1, -4.0)], "plant")
     second = message([(VM, 1.0, -10.0)], "plant", sequence=2)
     readings = Readings(area, store)
     for each, found in ((first, {VM, meter_id}), (second, {VM})):
