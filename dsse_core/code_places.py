@@ -28,8 +28,8 @@ BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 SOURCES = Path(__file__).resolve().parent
 CODE = (".nbi", ".nbc", ".whole")  # numba's index and data files, and our notes
 Whole = Literal["exchange", "estimate", "batch", "sparse"]
-"""What is compiled together: steps of an area; a power flow, an estimate and its bad data of a radial network; many of
-these at once; elimination in networks of any shape."""
+"""What is compiled together: steps of an area; an estimate and its bad data of a radial network; many of these, and of
+power flows, at once; elimination in networks of any shape."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,6 +19,7 @@ from dsse_core.linear.area_model import build_area_model
 from dsse_core.matrices.augmented import FEWEST_COMPILED
 from dsse_core.power_flow.batch import solve_power_flow_batch
 from dsse_core.power_flow.newton_raphson import solve_power_flow
+from dsse_core.power_flow.plan import build_power_flow_plan
 from dsse_core.results.deviations.choose import find_deviations
 
 SIGMA = 0.01
@@ -52,8 +53,8 @@ def warm_up() -> None:
 
 
 def warm_up_estimate() -> None:
-    """Go once through power flow, estimate and bad data of a whole radial network, and note where all of it is kept."""
-    flow = solve_power_flow(NETWORK, method="sweep")
+    """Go once through estimate and bad data of a whole radial network, and note where all of it is kept."""
+    flow = solve_power_flow(NETWORK)
     meters = [Meter(MeasurementKind.VM, bus.id) for bus in NETWORK.buses]
     meters += [Meter(kind, bus.id) for bus in NETWORK.buses for kind in MeasurementKind if kind.of_injection]
     meters += [Meter(kind, b.from_bus, b.id) for b in NETWORK.branches for kind in MeasurementKind if kind.of_branch]
@@ -71,7 +72,7 @@ def warm_up_batches() -> None:
     forked = replace(NETWORK, branches=(first, second, replace(second, id="2-4", to_bus=4)))
     n, kinds = len(forked.buses), (MeasurementKind.VM, MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION)
     loads = np.full((2, n), -0.01)
-    flows = solve_power_flow_batch(forked, loads, loads, method="sweep", threads=1)
+    flows = solve_power_flow_batch(build_power_flow_plan(forked), loads, loads, threads=1)
     meters = [Meter(kind, bus.id) for bus in forked.buses for kind in kinds]
     plan = build_estimation_plan(forked, meters, backend="radial")
     values = np.tile([1.0, -0.01, -0.01], (2, n))

@@ -28,7 +28,7 @@ class PowerGridModelMethod:
 
     def translate(self, case: Case) -> dict[str, np.ndarray]:
         lines = describe_lines(case.network)
-        tables = _component_tables(lines)
+        tables = component_tables(lines)
         first_id = sum(map(len, tables.values()))
         tables["sym_voltage_sensor"] = _voltage_sensors(case, lines, first_id)
         tables["sym_power_sensor"] = _power_sensors(case, first_id + len(case.vm.row))
@@ -65,7 +65,7 @@ def _table(component: str, n: int, **columns: Any) -> np.ndarray:
     return rows
 
 
-def _component_tables(lines: LineNetwork) -> dict[str, np.ndarray]:
+def component_tables(lines: LineNetwork) -> dict[str, np.ndarray]:
     n, m = len(lines.kv), len(lines.r_ohm)
     loaded = np.delete(np.arange(n), lines.slack_row)
     return {

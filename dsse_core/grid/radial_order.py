@@ -32,7 +32,10 @@ def walk_graph(f: np.ndarray, t: np.ndarray, top: int, n: int) -> tuple[np.ndarr
     """The rows of n that are reached from ``top`` over branches from ``f`` to ``t`` (n_branch,): those from the top, a
     subtree in one piece, and of each the row next on the way to the top, (n,), the top's being its own.
     """
-    graph = sp.csr_array((np.ones(len(f)), (f, t)), shape=(n, n))
+    return _walk(sp.csr_array((np.ones(len(f)), (f, t)), shape=(n, n)), top)
+
+
+def _walk(graph: sp.csr_array, top: int) -> tuple[np.ndarray, np.ndarray]:
     order, upstream = csgraph.depth_first_order(graph, top, directed=False, return_predecessors=True)
     upstream = upstream.astype(np.int64)
     upstream[top] = top
@@ -43,7 +46,7 @@ def find_tree(network: Network, root: int) -> Tree | str:
     """The tree of the network below bus ``root``, or, as text, why it is none."""
     table = network.table
     f, t, n = table.f, table.t, len(table.bus_id)
-    order, upstream = walk_graph(f, t, table.rows.row_of(root), n)
+    order, upstream = _walk(table.graph, table.rows.row_of(root))
     return describe_no_tree(n, len(f), len(order), root) or Tree(order, upstream, f, t)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -10,10 +11,15 @@ import numpy as np
 from dsse_core.compiling import find_obstacle
 from dsse_core.errors import InvalidInputError, PowerFlowDivergedError
 from dsse_core.grid.network import Network
-from dsse_core.power_flow.newton_raphson import solve_by_newton
+from dsse_core.power_flow.newton_raphson import PowerFlowResult, solve_by_newton, solve_with_plan
 from dsse_core.power_flow.plan import MethodChoice, PowerFlowPlan, build_power_flow_plan
-from dsse_core.radial.plan import stack_admittances
+from dsse_core.radial.plan import RadialLayout, lay_out_radial, stack_admittances
 from dsse_core.row_threads import find_threads, share_out
+
+Solve = Callable[[PowerFlowPlan, np.ndarray, np.ndarray, int], PowerFlowResult]
+COMPILED = "dsse_core.power_flow.sweeps"  # the module
+# Loading numba takes 0.3 s of a processor, as rows in numpy do with so many buses; each row counts as so many more.
+FEWEST_BUSES_OF_COMPILED, BUSES_OF_A_ROW = 500_000, 400
 
 
 @dataclass(frozen=True, repr=False)
@@ -49,8 +55,9 @@ def solve_power_flow_batch(
     Those of the slack bus do not count, nor q of a bus that holds its voltage.
 
     Args:
-        network: or its plan, which then says the method.
-        tolerance, max_iterations, method: see ``solve_power_flow``; ``auto`` counts the buses of all rows.
+        network: or its plan, which then says the method, and for which compiled code is loaded or made at once.
+        tolerance, max_iterations, method: see ``solve_power_flow``. Sweeps are compiled where that code is loaded
+            already, where a plan is given, and where the rows are so many that loading numba pays.
         threads: how many; all processors by default. The numbers do not depend on it.
 
     Raises:
@@ -61,22 +68,31 @@ def solve_power_flow_batch(
     if p.ndim != 2 or p.shape != q.shape or p.shape[1] != n:
         problem = f"p and q have shapes {p.shape} and {q.shape}; give (number of rows, {n}) for both"
         raise InvalidInputError("injections of a batch of power flows", [problem])
-    plan = network
-    if isinstance(plan, Network):
-        plan = build_power_flow_plan(plan, method=method, n_row=len(p))
+    is_kept = not isinstance(network, Network)
+    plan = build_power_flow_plan(network, method=method) if isinstance(network, Network) else network
     vm, va = np.full((2, *p.shape), np.nan)
     limit, iterations = plan.find_limit(tolerance), np.zeros(len(p), dtype=np.int64)
-    rows = _Rows(plan, p, q, limit, max_iterations, vm, va, iterations, {})
-    is_compiled = not isinstance(plan.layout, str) and find_obstacle("batch") is None
-    share_out(len(p), find_threads(threads), rows.by_sweeps if is_compiled else rows.by_newton)
+    layout = _lay_out(plan, len(p), is_kept)
+    rows = _Rows(plan, layout, p, q, limit, max_iterations, vm, va, iterations, {})
+    share_out(len(p), find_threads(threads), rows.one_by_one if layout is None else rows.by_sweeps)
     return PowerFlowBatch(plan.network, rows.vm, rows.va, rows.iterations, dict(sorted(rows.failures.items())))
+
+
+def _lay_out(plan: PowerFlowPlan, n_row: int, is_kept: bool) -> RadialLayout | None:
+    """The tree for compiled sweeps, where they serve and pay."""
+    pays = n_row * (len(plan.network.buses) + BUSES_OF_A_ROW) >= FEWEST_BUSES_OF_COMPILED
+    if isinstance(plan.paths, str) or not (pays or is_kept or COMPILED in sys.modules) or find_obstacle("batch"):
+        return None
+    layout = lay_out_radial(plan.network, plan.slack_bus)
+    return None if isinstance(layout, str) else layout
 
 
 @dataclass(frozen=True)
 class _Rows:
-    """What is given, and the arrays that are filled."""
+    """What is given, and the arrays that are filled. ``layout``: of compiled sweeps."""
 
     plan: PowerFlowPlan
+    layout: RadialLayout | None
     p: np.ndarray
     q: np.ndarray
     limit: np.ndarray
@@ -86,10 +102,10 @@ class _Rows:
     iterations: np.ndarray
     failures: dict[int, str]
 
-    def by_newton(self) -> Callable[[int, int], None]:
+    def one_by_one(self) -> Callable[[int, int], None]:
         def do(first: int, end: int) -> None:
             for k in range(first, end):
-                self._do_by_newton(k)
+                self._do_alone(k, solve_with_plan)
 
         return do
 
@@ -97,8 +113,8 @@ class _Rows:
         """What does rows in compiled code, and by Newton's method what does not end there."""
         from dsse_core.power_flow.sweeps import build_factors, sweep_rows  # numba
 
-        plan, layout = self.plan, self.plan.layout
-        assert not isinstance(layout, str)
+        plan, layout = self.plan, self.layout
+        assert layout is not None
         n, order = len(layout.order), layout.order
         tables = build_factors(plan.network, layout), stack_admittances(plan.network, layout)
         start = plan.start_voltage[order], plan.start[order]
@@ -114,11 +130,11 @@ class _Rows:
             root = order[0]
             self.vm[here, root] = np.where(met, plan.start[n + root], np.nan)
             for k in np.flatnonzero(~met).tolist():
-                self._do_by_newton(first + k)
+                self._do_alone(first + k, solve_by_newton)
 
         return do
 
-    def _do_by_newton(self, k: int) -> None:
+    def _do_alone(self, k: int, solve: Solve) -> None:
         scheduled = self.p[k] + 1j * self.q[k]
         counted = scheduled[self.plan.p_rows].real, scheduled[self.plan.q_rows].imag
         self.iterations[k] = 0
@@ -126,7 +142,7 @@ class _Rows:
             self.failures[k] = "an injection is not a finite number"
             return
         try:
-            found = solve_by_newton(self.plan, scheduled, self.limit, self.max_iterations)
+            found = solve(self.plan, scheduled, self.limit, self.max_iterations)
         except PowerFlowDivergedError as error:
             self.failures[k] = str(error)
         else:

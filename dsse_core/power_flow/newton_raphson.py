@@ -16,8 +16,8 @@ from dsse_core.grid.admittance import Admittance, build_admittance
 from dsse_core.grid.measurement import Meter, find_meter_problems
 from dsse_core.grid.measurement_model import MeasurementModel, build_measurement_model
 from dsse_core.grid.network import Network
+from dsse_core.power_flow.path_sums import TreePaths, sweep_paths
 from dsse_core.power_flow.plan import MethodChoice, PowerFlowPlan, build_power_flow_plan
-from dsse_core.radial.plan import RadialLayout
 
 Method = Literal["sweep", "newton"]
 
@@ -82,16 +82,15 @@ def solve_power_flow(
 ) -> PowerFlowResult:
     """Solve ``v conj(ybus v) = s_generation - s_load`` from the unloaded network with all voltages held.
 
-    By backward and forward sweeps where numba is installed, the network radial, with FEWEST_BUSES_OF_SWEEP buses or
-    more, and no bus but the slack holds its voltage; where they do not reach the tolerance, and else, by
-    Newton-Raphson.
+    By backward and forward sweeps where the network is radial and no bus but the slack holds its voltage; where they do
+    not reach the tolerance, and else, by Newton-Raphson. Nothing is compiled, and numba is not loaded.
 
     Args:
         slack: (bus, vm in p.u.) of a local slack that replaces the network's own, at angle 0.
         extra_load: bus -> complex load in p.u., on top of the network's.
         tolerance: largest power mismatch allowed, p.u.; at buses with impedances near zero, round-off.
         max_iterations: of Newton's method.
-        method: ``sweep`` at any size, ``newton``, or ``auto``.
+        method: ``sweep``, ``newton``, or ``auto``: sweeps where they can serve.
 
     Raises:
         InvalidInputError: no slack bus, buses that it does not reach, unknown buses in the arguments, sweeps asked for
@@ -113,7 +112,7 @@ def solve_with_plan(
     Raises:
         PowerFlowDivergedError: names the bus with the largest mismatch.
     """
-    if not isinstance(plan.layout, str) and (found := _sweep(plan.layout, plan, scheduled, limit)):
+    if not isinstance(plan.paths, str) and (found := _sweep(plan.paths, plan, scheduled, limit)):
         return found
     return solve_by_newton(plan, scheduled, limit, max_iterations)
 
@@ -129,24 +128,17 @@ def solve_by_newton(
     return PowerFlowResult(plan.network, vm, va, injection, iterations, "newton")
 
 
-def _sweep(
-    layout: RadialLayout, plan: PowerFlowPlan, scheduled: np.ndarray, limit: np.ndarray
-) -> PowerFlowResult | None:
+def _sweep(paths: TreePaths, plan: PowerFlowPlan, scheduled: np.ndarray, limit: np.ndarray) -> PowerFlowResult | None:
     """The result, unless some bus but the root does not meet its schedule to ``limit``."""
-    from dsse_core.power_flow.sweeps import sweep_power_flow  # numba: only where it is used
-
-    va, vm = np.split(plan.start, 2)
-    if (found := sweep_power_flow(plan.network, layout, scheduled, plan.start_voltage)) is None:
+    if (found := sweep_paths(paths, scheduled)) is None:
         return None
-    v, sweeps = found
-    injection = v * (plan.admittance.ybus @ v).conj()
+    u, injection, sweeps = found
     mismatch = abs(injection - scheduled)
-    mismatch[layout.order[0]] = 0.0
-    if (mismatch > limit).any():
+    mismatch[paths.order[0]] = 0.0
+    if not (mismatch <= limit).all():
         return None
-    root = layout.order[0]
-    vm, va = np.where(np.arange(len(v)) == root, vm, abs(v)), va + np.angle(v * np.exp(-1j * va))
-    return PowerFlowResult(plan.network, vm, va, injection, sweeps, "sweep")
+    va, vm = np.split(plan.start, 2)
+    return PowerFlowResult(plan.network, vm * abs(u), va + np.angle(u), injection, sweeps, "sweep")
 
 
 def _newton(

@@ -17,12 +17,10 @@ from dsse_core.grid.measurement import MeasurementKind
 from dsse_core.grid.measurement_model import MeasurementModel, build_measurement_model
 from dsse_core.grid.meter_table import KINDS, NO_BRANCH, make_meters
 from dsse_core.grid.network import Control, Network
-from dsse_core.radial.plan import RadialLayout, lay_out_radial
+from dsse_core.power_flow.path_sums import TreePaths, lay_out_paths
 
 P, Q = MeasurementKind.P_INJECTION, MeasurementKind.Q_INJECTION
 MethodChoice = Literal["auto", "sweep", "newton"]
-# Of a radial network from which on ``auto`` loads numba: 0.3 s, and sweeps save 13 us per bus.
-FEWEST_BUSES_OF_SWEEP = 20_000
 ROUND_OFF = 1e-15  # of the sum of a bus' admittances: what its mismatch cannot fall below
 
 
@@ -30,15 +28,18 @@ ROUND_OFF = 1e-15  # of the sum of a bus' admittances: what its mismatch cannot 
 class PowerFlowPlan:
     """``start``: x = [va; vm], (2 n_bus,), of no load but for set-points. ``held``: bus -> the voltage that it holds.
 
-    ``layout``: the tree to sweep over, or, as text, why Newton's method is taken.
+    ``paths``: the tree to sweep over, or, as text, why Newton's method is taken.
     """
 
     network: Network
     slack_bus: int
     held: Mapping[int, float]
     start: np.ndarray
-    admittance: Admittance
-    layout: RadialLayout | str
+    paths: TreePaths | str
+
+    @cached_property
+    def admittance(self) -> Admittance:
+        return build_admittance(self.network)
 
     @property
     def start_voltage(self) -> np.ndarray:
@@ -67,7 +68,12 @@ class PowerFlowPlan:
 
     def find_limit(self, tolerance: float) -> np.ndarray:
         """The largest mismatch that each bus may have, (n_bus,), p.u."""
-        limit: np.ndarray = np.maximum(tolerance, ROUND_OFF * abs(self.admittance.ybus).sum(axis=1))
+        table, n = self.network.table, len(self.start) // 2
+        at_end = abs(table.ys + table.ends)
+        total = np.bincount(table.f, at_end / table.tap[table.active] ** 2, n) + np.bincount(table.t, at_end, n)
+        between = abs(table.ys / table.ratio)
+        total += np.bincount(table.f, between, n) + np.bincount(table.t, between, n) + abs(table.shunt)
+        limit: np.ndarray = np.maximum(tolerance, ROUND_OFF * total)
         return limit
 
 
@@ -76,13 +82,9 @@ def build_power_flow_plan(
     *,
     slack: tuple[int, float] | None = None,
     method: MethodChoice = "auto",
-    n_row: int = 1,
     extra_load: Mapping[int, complex] | None = None,
 ) -> PowerFlowPlan:
     """The plan for power flows of ``network``; arguments are those of ``solve_power_flow``.
-
-    Args:
-        n_row: how many power flows are to come: ``auto`` sweeps where they have FEWEST_BUSES_OF_SWEEP buses together.
 
     Raises:
         InvalidInputError: no slack bus, buses that it does not reach, unknown buses in the arguments, sweeps asked for
@@ -93,31 +95,30 @@ def build_power_flow_plan(
         raise InvalidInputError(f"power flow of network {network.name!r}", problems)
     held = {g.bus: g.vm for g in network.generators if g.control is Control.VOLTAGE} | {slack_bus: slack_vm}
     vm, va = flat_start(network, slack_bus, held)
-    layout = _lay_out(network, slack_bus, held, method, n_row)
-    return PowerFlowPlan(network, slack_bus, held, np.r_[va + slack_va, vm], build_admittance(network), layout)
+    paths = _lay_out(network, slack_bus, held, method, vm)
+    return PowerFlowPlan(network, slack_bus, held, np.concatenate([va + slack_va, vm]), paths)
 
 
 def _lay_out(
-    network: Network, slack_bus: int, held: Mapping[int, float], method: MethodChoice, n_row: int
-) -> RadialLayout | str:
+    network: Network, slack_bus: int, held: Mapping[int, float], method: MethodChoice, vm: np.ndarray
+) -> TreePaths | str:
     """The tree to sweep over, or why not.
 
     Raises:
         InvalidInputError: sweeps are asked for and cannot serve.
     """
-    n = n_row * len(network.buses)
     if method not in get_args(MethodChoice):
         known = ", ".join(get_args(MethodChoice))
         raise InvalidInputError("power flow", [f"method is {method!r}; choose one of {known}"])
-    if method == "newton" or (method == "auto" and n < FEWEST_BUSES_OF_SWEEP):
+    if method == "newton":
         return "not asked for"
-    layout: RadialLayout | str = "other buses than the slack hold their voltage"
+    paths: TreePaths | str = "other buses than the slack hold their voltage"
     if len(held) == 1:
-        layout = lay_out_radial(network, slack_bus)
-    if isinstance(layout, str) and method == "sweep":
-        problem = f"sweeps cannot serve: {layout}; choose 'auto' or 'newton'"
+        paths = lay_out_paths(network, slack_bus, vm)
+    if isinstance(paths, str) and method == "sweep":
+        problem = f"sweeps cannot serve: {paths}; choose 'auto' or 'newton'"
         raise InvalidInputError(f"power flow of network {network.name!r}", [problem])
-    return layout
+    return paths
 
 
 def _find_problems(

@@ -1,4 +1,10 @@
-"""Power flow of radial networks by backward and forward sweeps, compiled with numba."""
+"""Power flows of a radial network by backward and forward sweeps, row by row, compiled with numba.
+
+With the currents ``i_c`` and ``i_p`` into a branch at its child's and its parent's end:
+
+backward: ``i_c = conj(s / v_c) - y_shunt v_c - sum of i_p below``, ``i_p = (ypp i_c - det v_c) / ycp``,
+forward: ``v_c = (i_c - ycp v_p) / ycc``; ``det = ycc ypp - ycp ypc = y (2 ys + y) / |t|^2``, y at each end.
+"""
 
 from __future__ import annotations
 
@@ -8,33 +14,10 @@ import numpy as np
 
 from dsse_core.code_cache import compiled
 from dsse_core.grid.network import Network
+from dsse_core.power_flow.path_sums import MOST_SWEEPS, SMALLEST_CHANGE
 from dsse_core.radial.block import modulus, scaled
 from dsse_core.radial.iteration import branch_powers
 from dsse_core.radial.plan import RadialLayout, stack_admittances
-
-SMALLEST_CHANGE = 1e-13  # p.u., of any voltage; sweeps gain a digit or more each
-MOST_SWEEPS = 50  # where more are needed Newton's method does better
-
-
-def sweep_power_flow(
-    network: Network, layout: RadialLayout, scheduled: np.ndarray, v: np.ndarray
-) -> tuple[np.ndarray, int] | None:
-    """The voltages and the number of sweeps; None where they do not converge.
-
-    ``scheduled`` injections and the start ``v`` are complex, p.u., (n_bus,), in network order; at the root ``v`` stays.
-    With the currents ``i_c`` and ``i_p`` into a branch at its child's and its parent's end:
-
-    backward: ``i_c = conj(s / v_c) - y_shunt v_c - sum of i_p below``, ``i_p = (ypp i_c - det v_c) / ycp``,
-    forward: ``v_c = (i_c - ycp v_p) / ycc``; ``det = ycc ypp - ycp ypc = y (2 ys + y) / |t|^2``, y at each end.
-    """
-    factors = build_factors(network, layout)
-    in_tree_order = v[layout.order]
-    sweeps = _sweep(layout.parent, factors, scheduled[layout.order], in_tree_order, np.empty_like(v))
-    if not sweeps:
-        return None
-    found = np.empty_like(v)
-    found[layout.order] = in_tree_order
-    return found, int(sweeps)
 
 
 def build_factors(network: Network, layout: RadialLayout) -> np.ndarray:

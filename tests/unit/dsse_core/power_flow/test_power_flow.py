@@ -1,6 +1,8 @@
 """The power flow: known results, every kind of bus, and how it says that there is no solution."""
 
 import math
+import subprocess
+import sys
 from dataclasses import replace
 from functools import partial
 
@@ -21,8 +23,6 @@ Kind = MeasurementKind
 @pytest.fixture(params=["newton", "sweep"])
 def solve(request):
     """``solve_power_flow`` of radial networks by each method."""
-    if request.param == "sweep":
-        pytest.importorskip("numba", reason="sweeps need numba: pip install 'consensus-dsse[fast]'")
     return partial(solve_power_flow, method=request.param)
 
 
@@ -193,7 +193,6 @@ def test_all_meters_are_read_at_once_as_one_by_one_and_their_problems_reported_t
 
 def assert_same(network, **options):
     """Both methods agree to 1e-9 p.u. and rad, and so do the injections."""
-    pytest.importorskip("numba", reason="sweeps need numba: pip install 'consensus-dsse[fast]'")
     newton, sweep = (solve_power_flow(network, method=method, **options) for method in ("newton", "sweep"))
     assert (newton.method, sweep.method) == ("newton", "sweep")
     np.testing.assert_allclose(sweep.vm, newton.vm, rtol=0, atol=1e-9)
@@ -212,14 +211,44 @@ def test_sweeps_agree_with_newton_on_the_cases(name, slack, case):
     assert_same(without_voltage_control(case(name)), slack=slack, extra_load={2: 0.1 + 0.05j})
 
 
-def test_sweeps_agree_with_newton_on_a_generated_feeder_and_are_chosen_by_its_size(monkeypatch):
+def test_sweeps_agree_with_newton_on_a_generated_feeder_and_are_the_default_without_numba(monkeypatch):
     network, _ = generate_feeder(2000, np.random.default_rng(1), n_pv=10)
     assert_same(network)
-    assert solve_power_flow(network).method == "newton"
-    monkeypatch.setattr("dsse_core.power_flow.plan.FEWEST_BUSES_OF_SWEEP", 2000)
-    assert solve_power_flow(network).method == "sweep"
     monkeypatch.setattr("importlib.util.find_spec", lambda name, *rest: None)
-    assert solve_power_flow(network).method == "newton"
+    assert solve_power_flow(network).method == "sweep"
+
+
+@pytest.mark.parametrize("name", ["ieee33", "industrial13"])
+def test_a_power_flow_of_a_fresh_process_loads_no_numba(name):
+    program = f"""
+import sys
+from dataclasses import replace
+import consensus_dsse as dsse
+network = dsse.load_scenario({name!r}).network
+flow = dsse.power_flow(replace(network, generators=(network.slack,))).result
+assert flow.method == "sweep", flow.method
+assert "numba" not in sys.modules
+"""
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=120)
+
+
+def test_charging_shunts_taps_and_sub_trees_of_every_shape_count_in_sweeps():
+    """Buses below taps from either side, of lines with charging and losses, and with shunts; walked in pieces."""
+    buses = tuple(
+        Bus(i, 20.0, p_load=0.03 * i, q_load=0.01, b_shunt=0.1 if i == 4 else 0.0, g_shunt=0.02 if i == 6 else 0.0)
+        for i in (7, 3, 1, 4, 2, 6, 5)
+    )
+    branches = (
+        Branch("a", 3, 1, 0.01, 0.02, tap=0.97, shift=0.1),
+        Branch("b", 1, 4, 0.02, 0.03, b=0.05, g=0.01),
+        Branch("c", 4, 7, 0.01, 0.04, tap=1.03, shift=-0.2, b=0.02),
+        Branch("d", 2, 4, 0.01, 0.02),
+        Branch("e", 2, 5, 0.02, 0.02, b=0.01),
+        Branch("f", 3, 6, 0.03, 0.02),
+    )
+    network = Network("shapes", 1.0, buses, branches, (Generator(1, Control.SLACK, vm=1.02, va=0.3),))
+    for slack in (None, (5, 0.99), (7, 1.0)):
+        assert_same(network, slack=slack)
 
 
 @pytest.mark.long
@@ -242,7 +271,6 @@ def test_sweeps_agree_with_newton_on_any_radial_grid(random_seed):
 
 
 def test_where_sweeps_do_not_converge_newton_does():
-    pytest.importorskip("numba", reason="sweeps need numba: pip install 'consensus-dsse[fast]'")
     heavy = two_buses(load=4.2 + 2.1j)
     result = solve_power_flow(heavy, method="sweep")
     assert result.method == "newton"
@@ -250,7 +278,7 @@ def test_where_sweeps_do_not_converge_newton_does():
 
 
 def test_sweeps_that_cannot_serve_are_rejected_with_the_reason(meshed):
-    with pytest.raises(InvalidInputError, match=r"not radial|hold their voltage|numba is not installed"):
+    with pytest.raises(InvalidInputError, match=r"not radial|hold their voltage"):
         solve_power_flow(meshed, method="sweep")
     with pytest.raises(InvalidInputError, match="choose one of auto, sweep, newton"):
         solve_power_flow(meshed, method="gauss")
