@@ -2,47 +2,56 @@
 
 from __future__ import annotations
 
-import socket
+import asyncio
+import logging
+import re
 import threading
 import time
-from collections.abc import Callable
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from collections.abc import Callable, Iterable, Mapping
+from http import HTTPStatus
 from types import TracebackType
 from typing import Self
 
 from prometheus_client import CollectorRegistry, ProcessCollector
 from prometheus_client.exposition import CONTENT_TYPE_LATEST, generate_latest
 
+from coordinator.http_front import LONGEST_REQUEST, PATIENCE_S, REQUEST_S, Front, make_room, open_listener
 from coordinator.listen import name_address
 from coordinator.metrics.collect import RunCollector, Sight, format_health
 from coordinator.observe.watch import Watcher
 from dsse_core.errors import InvalidInputError
 
-PATIENCE_S = 5.0  # with a client that opens a connection and asks nothing
-AT_ONCE = 16  # questions; more are sent away
+log = logging.getLogger(__name__)
 Answer = tuple[int, str, bytes]  # HTTP status, type and body
+END_OF_HEAD = b"\r\n\r\n"
+REQUEST_LINE = re.compile(r"([A-Z]{1,16}) (\S+) HTTP/1\.[01]")
+HEADER_LINE = re.compile(r"([!#$%&'*+.^_`|~0-9A-Za-z-]+):[ \t]*([^\0\r\n]*?)[ \t]*")
+PLAIN = "text/plain; charset=utf-8"
 
 
 class MetricsPage:
-    """Answers at ``host``:``port`` on threads of its own, from the newest sight shown, until its block ends."""
+    """Answers at ``host``:``port`` on a thread of its own, from the newest sight shown, until its block ends.
 
-    def __init__(self, host: str, port: int) -> None:
+    ``names``: of this host, under which it is asked for beyond loopback, beside its addresses.
+    """
+
+    def __init__(self, host: str, port: int, names: Iterable[str] = ()) -> None:
         self._collector = RunCollector()
-        registry = CollectorRegistry()
-        registry.register(self._collector)
-        ProcessCollector(registry=registry)
-        self._answers: dict[str, Callable[[], Answer]] = {
-            "/metrics": lambda: (200, CONTENT_TYPE_LATEST, generate_latest(registry)),
-            "/health": lambda: _as_answer(*format_health(self._collector.sight.find_illness(time.monotonic()))),
-            "/ready": lambda: _as_answer(*format_health(self._collector.sight.find_obstacles(time.monotonic()))),
-        }
+        self._registry = CollectorRegistry()
+        self._registry.register(self._collector)
+        ProcessCollector(registry=self._registry)
+        self._written: tuple[Sight, bytes] | None = None
         try:
-            self._server = _make_server(host, port, self._answers)
+            self._listener = open_listener(host, port)
         except OSError as error:
             what = f"cannot listen there: {error.strerror or error}; choose another, such as 127.0.0.1:9464"
             raise InvalidInputError(f"--listen {host}:{port}", [what]) from None
-        self.port = int(self._server.server_address[1])
+        self.port = int(self._listener.getsockname()[1])
         self.where = f"http://{name_address(host, self.port)}/metrics"
+        self._front = Front.of(host, self.port, names, by_address=True)
+        self._loop = asyncio.new_event_loop()
+        self._over = asyncio.Event()
+        self._thread = threading.Thread(target=self._run, name="metrics page", daemon=True)
 
     def show(self, watcher: Watcher, now: float, trouble: str) -> None:
         """Answer with what ``watcher`` knows at ``now``; ``trouble``: why it sees nothing, empty if it does."""
@@ -55,57 +64,115 @@ class MetricsPage:
         self._collector.sight = Sight(now, trouble=trouble)
 
     def __enter__(self) -> Self:
-        self._thread = threading.Thread(target=self._server.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True)
         self._thread.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._server.shutdown()
-        self._server.server_close()
+        self._loop.call_soon_threadsafe(self._over.set)
+        self._thread.join()
+
+    def _run(self) -> None:
+        with asyncio.Runner(loop_factory=lambda: self._loop) as runner, self._listener:
+            runner.run(self._serve())
+
+    async def _serve(self) -> None:
+        connections: set[_Connection] = set()
+        server = await self._loop.create_server(lambda: _Connection(self._answer, connections), sock=self._listener)
+        await self._over.wait()
+        server.close()
+        for connection in list(connections):
+            connection.end()
+
+    def _answer(self, method: str, target: str, headers: Iterable[tuple[str, str]]) -> tuple[Answer, Mapping[str, str]]:
+        """The answer to a request, and headers of its own."""
+        if found := self._front.find_rejection(method, headers):
+            return (found.status, PLAIN, found.text.encode()), found.headers
+        pages: dict[str, Callable[[], Answer]] = {
+            "/metrics": lambda: (200, CONTENT_TYPE_LATEST, self._write_metrics()),
+            "/health": lambda: _as_answer(*format_health(self._collector.sight.find_illness(time.monotonic()))),
+            "/ready": lambda: _as_answer(*format_health(self._collector.sight.find_obstacles(time.monotonic()))),
+        }
+        page = pages.get(target.partition("?")[0])
+        return (page() if page else (404, PLAIN, f"here are {', '.join(pages)}\n".encode())), {}
+
+    def _write_metrics(self) -> bytes:
+        """The metrics of the newest sight, written once however often they are asked for."""
+        sight = self._collector.sight
+        if self._written is None or self._written[0] is not sight:
+            self._written = sight, generate_latest(self._registry)
+        return self._written[1]
 
 
 def _as_answer(status: int, body: str) -> Answer:
     return status, "application/json", body.encode()
 
 
-def _make_server(host: str, port: int, answers: dict[str, Callable[[], Answer]]) -> ThreadingHTTPServer:
-    class Handler(BaseHTTPRequestHandler):
-        timeout = PATIENCE_S
-        server_version, sys_version = "dsse", ""
+class _Connection(asyncio.Protocol):
+    """One request and its answer. A connection is closed on which no whole request comes in time, or whose reader takes
+    nothing for long; where there are too many, the one that is silent longest.
+    """
 
-        def do_GET(self) -> None:
-            known = answers.get(self.path.split("?", 1)[0])
-            nothing = f"here are {', '.join(answers)}\n".encode()
-            status, kind, body = known() if known else (404, "text/plain", nothing)
-            self.send_response(status)
-            self.send_header("Content-Type", kind)
-            self.send_header("Content-Length", str(len(body)))
-            self.end_headers()
-            self.wfile.write(body)
+    def __init__(
+        self,
+        answer: Callable[[str, str, Iterable[tuple[str, str]]], tuple[Answer, Mapping[str, str]]],
+        connections: set[_Connection],
+    ) -> None:
+        self._answer = answer
+        self._connections = connections
+        self._received = bytearray()
+        self._is_answered = False
+        self.silent_since = time.monotonic()
 
-        def log_message(self, format: str, *arguments: object) -> None:
-            """A question every few seconds for months is nothing to log."""
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)
+        self._transport = transport
+        make_room(len(self._connections), self._connections)
+        self._connections.add(self)
+        self._deadline = asyncio.get_running_loop().call_later(REQUEST_S, self.end)
 
-    class Server(ThreadingHTTPServer):
-        address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
-        daemon_threads = True
-        seats = threading.BoundedSemaphore(AT_ONCE)
+    def end(self) -> None:
+        """Close it at once, without a word."""
+        self._connections.discard(self)
+        self._transport.abort()
 
-        def process_request(self, request: object, client_address: object) -> None:
-            if self.seats.acquire(blocking=False):
-                super().process_request(request, client_address)  # type: ignore[arg-type]
-            else:
-                self.shutdown_request(request)  # type: ignore[arg-type]
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._deadline.cancel()
+        self._connections.discard(self)
 
-        def process_request_thread(self, request: object, client_address: object) -> None:
+    def data_received(self, data: bytes) -> None:
+        if self._is_answered:
+            return
+        searched = max(0, len(self._received) - len(END_OF_HEAD))
+        self._received += data
+        end = self._received.find(END_OF_HEAD, searched)
+        if max(end, len(self._received) if end < 0 else 0) > LONGEST_REQUEST:
+            self.end()
+        elif end >= 0:
+            self._is_answered = True
+            self._deadline.cancel()
+            self._deadline = asyncio.get_running_loop().call_later(PATIENCE_S, self.end)
+            self._transport.write(self._find_answer(self._received[:end].decode("latin-1")))
+            self._transport.close()  # once all of it is taken
+
+    def _find_answer(self, head: str) -> bytes:
+        """The answer to a request with this head, as bytes."""
+        first, *lines = head.split("\r\n")
+        request, fields = REQUEST_LINE.fullmatch(first), [HEADER_LINE.fullmatch(line) for line in lines]
+        more: Mapping[str, str] = {}
+        if request is None or None in fields:
+            answer: Answer = (400, PLAIN, b"no request of HTTP/1.1\n")
+        else:
             try:
-                super().process_request_thread(request, client_address)  # type: ignore[arg-type]
-            finally:
-                self.seats.release()
-
-        def handle_error(self, request: object, client_address: object) -> None:
-            """A client that goes away before it has its answer is none of ours."""
-
-    return Server((host, port), Handler)
+                headers = [(found[1].lower(), found[2]) for found in fields if found]
+                answer, more = self._answer(request[1], request[2], headers)
+            except Exception:
+                log.exception("%s", ascii(request[2])[:200])
+                answer = 500, PLAIN, b"a defect, which the log describes\n"
+        status, kind, body = answer
+        has_body = request is None or request[1] != "HEAD"
+        about = {"Content-Type": kind, "Content-Length": str(len(body)), "Connection": "close"}
+        about |= {"Cache-Control": "no-store", "X-Content-Type-Options": "nosniff", **more}
+        written = "".join(f"{name}: {value}\r\n" for name, value in about.items())
+        return f"HTTP/1.1 {status} {HTTPStatus(status).phrase}\r\n{written}\r\n".encode("latin-1") + body * has_body

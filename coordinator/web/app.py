@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
+from coordinator.http_front import Front
 from coordinator.web.guard import Guard
 from coordinator.web.history import KINDS
 from coordinator.web.moment import encode_json
@@ -31,8 +32,8 @@ MOST_DIGITS = 9  # of a number that is asked for
 Endpoint = Callable[[Request], Awaitable[Response]]
 
 
-def make_app(source: Source, hosts: Sequence[str], token: str | None = None) -> Guard:
-    """The application that shows ``source`` to those who ask for one of ``hosts``, with ``token`` if there is one."""
+def make_app(source: Source, front: Front, token: str | None = None) -> Guard:
+    """The application that shows ``source`` to requests that ``front`` lets in, with ``token`` if there is one."""
     serve = _Endpoints(source)
     endpoints: dict[str, Endpoint] = {
         "/": serve.page,
@@ -47,7 +48,7 @@ def make_app(source: Source, hosts: Sequence[str], token: str | None = None) -> 
     }
     routes: list[Any] = [Route(path, endpoint) for path, endpoint in endpoints.items()]
     routes += [Route("/api/stream", Stream(source)), Mount("/static", StaticFiles(directory=STATIC))]
-    return Guard(Starlette(routes=routes), hosts, token)  # around all, so that it guards answers to defects, too
+    return Guard(Starlette(routes=routes), front, token)  # around all, so that it guards answers to defects, too
 
 
 @dataclass(frozen=True)

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import hmac
-from collections.abc import Sequence
 from dataclasses import dataclass
 from http.cookies import CookieError, SimpleCookie
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from coordinator.http_front import Front
 
 COOKIE = "dsse-token"
 POLICY = (
@@ -25,19 +26,14 @@ SECURITY_HEADERS = {
     "cross-origin-resource-policy": "same-origin",
     "cache-control": "no-store",
 }
-LAST = {"connection": "close"}  # after an answer to what may have a body, of which nobody waits for the rest
 
 
 @dataclass(frozen=True)
 class Guard:
-    """Lets in what asks for one of ``hosts`` (``name:port``), reads only, and shows ``token`` if there is one.
-
-    A page of another site that a browser is led to can neither read the API (Origin) nor reach it under a name of its
-    own (Host), which is how pages attack servers on loopback.
-    """
+    """Lets in what ``front`` lets in and shows ``token`` if there is one."""
 
     app: ASGIApp
-    hosts: Sequence[str]
+    front: Front
     token: str | None = None
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -55,14 +51,8 @@ class Guard:
 
     def _find_rejection(self, scope: Scope) -> Response | None:
         headers = Headers(scope=scope)
-        if headers.get("host", "").lower() not in self.hosts:
-            return PlainTextResponse(f"this page is called {self.hosts[0]}; ask for it under that name\n", 421)
-        if not {_host_of(origin) for origin in headers.getlist("origin")} <= set(self.hosts):
-            return PlainTextResponse("other sites cannot ask for this page\n", 403)
-        if scope["method"] not in ("GET", "HEAD"):
-            return PlainTextResponse("this page can only be read\n", 405, {"allow": "GET, HEAD", **LAST})
-        if headers.get("content-length", "0") != "0" or "transfer-encoding" in headers:
-            return PlainTextResponse("who reads this page has nothing to send\n", 400, LAST)
+        if found := self.front.find_rejection(scope["method"], headers.items()):
+            return PlainTextResponse(found.text, found.status, found.headers)
         return self._find_missing_token(scope, headers)
 
     def _find_missing_token(self, scope: Scope, headers: Headers) -> Response | None:
@@ -81,14 +71,6 @@ class Guard:
 
     def _is_token(self, shown: str) -> bool:
         return hmac.compare_digest(shown.encode(), (self.token or "").encode())
-
-
-def _host_of(origin: str) -> str:
-    """``name:port`` of an origin; empty if it has none."""
-    try:
-        return urlsplit(origin).netloc.lower()
-    except ValueError:
-        return ""
 
 
 def _read_cookie(header: str) -> str:

@@ -11,11 +11,9 @@ from typing import Any
 import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-MOST_READERS = 200
-LONGEST_REQUEST = 16 * 1024  # bytes
+from coordinator.http_front import LONGEST_REQUEST, PATIENCE_S, REQUEST_S, make_room
+
 HANDSHAKE_S = 10.0  # in which TLS must be agreed on
-REQUEST_S = 10.0  # in which a request must have come whole
-PATIENCE_S = 10.0  # with a reader that takes nothing
 FAREWELL_S = 2.0  # in which the other end of TLS says goodbye, too
 AGAIN_S = 0.1  # until connections are taken again, where this process can have no more files
 
@@ -147,8 +145,5 @@ class PatientServer(uvicorn.Server):
     def _make_room(self) -> None:
         """For one more."""
         readers = [reader for reader in self.server_state.connections if isinstance(reader, PatientProtocol)]
-        if len(readers) + len(self._arrivals) >= MOST_READERS:
-            silent: list[PatientProtocol | Arrival] = [reader for reader in readers if reader.is_silent]
-            silent += self._arrivals
-            if longest := min(silent, key=lambda one: one.silent_since, default=None):
-                longest.end()
+        silent: list[PatientProtocol | Arrival] = [reader for reader in readers if reader.is_silent]
+        make_room(len(readers) + len(self._arrivals), [*silent, *self._arrivals])

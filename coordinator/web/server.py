@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import ipaddress
-import socket
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,15 +9,14 @@ from pathlib import Path
 import uvicorn
 
 from agents.security.certificate_checks import find_pair_problems
+from coordinator.http_front import LONGEST_REQUEST, MOST_READERS, Front, is_loopback, open_listener
 from coordinator.listen import name_address, parse_listen
 from coordinator.web.app import make_app
-from coordinator.web.readers import LONGEST_REQUEST, MOST_READERS, PatientProtocol, PatientServer
+from coordinator.web.readers import PatientProtocol, PatientServer
 from coordinator.web.sources import Source
 from dsse_core.errors import InvalidInputError
 from dsse_core.files.bounded_file import read_bounded
 
-LOOPBACK_NAMES = ("localhost", "127.0.0.1", "[::1]")
-BACKLOG = 2048  # connections that wait to be taken
 LEAST_TOKEN, MOST_TOKEN = 16, 4096  # characters
 
 
@@ -35,11 +32,8 @@ class Place:
 
     @property
     def is_loopback(self) -> bool:
-        """Whether nobody but this machine gets there."""
-        try:
-            return ipaddress.ip_address(self.host).is_loopback
-        except ValueError:
-            return self.host == "localhost"
+        """True where this machine alone gets there."""
+        return is_loopback(self.host)
 
     def url(self, port: int) -> str:
         """What to open."""
@@ -85,22 +79,16 @@ def serve(source: Source, place: Place, names: tuple[str, ...], on_ready: Callab
     Raises:
         InvalidInputError: the place is taken or is not there.
     """
-    family = socket.AF_INET6 if ":" in place.host else socket.AF_INET
-    with socket.socket(family) as listener:
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            listener.bind((place.host, place.port))
-        except OSError as error:
-            cure = "choose another port, 0 for one that is free, or another address of this host"
-            problem = f"{error.strerror}; {cure}"
-            raise InvalidInputError(f"dsse serve --listen {name_address(place.host, place.port)}", [problem]) from None
-        listener.listen(BACKLOG)  # who is told the address may ask at once
+    try:
+        opened = open_listener(place.host, place.port)
+    except OSError as error:
+        cure = "choose another port, 0 for one that is free, or another address of this host"
+        problem = f"{error.strerror}; {cure}"
+        raise InvalidInputError(f"dsse serve --listen {name_address(place.host, place.port)}", [problem]) from None
+    with opened as listener:
         port = listener.getsockname()[1]
-        own = (place.url(port).partition("//")[2].rstrip("/"),)
-        others = LOOPBACK_NAMES if place.is_loopback else tuple(name.lower() for name in names)
-        hosts = (*own, *(f"{name}:{port}" for name in others), *(others if port in (80, 443) else ()))
         config = uvicorn.Config(
-            make_app(source, hosts, place.token),
+            make_app(source, Front.of(place.host, port, names), place.token),
             http=PatientProtocol,
             ws="none",
             lifespan="off",

@@ -131,15 +131,23 @@ def _format(watcher: Watcher, find_tables: Tables, as_json: bool) -> str:
 
 @click.command(short_help="Serve /metrics, /health and /ready of a running system over HTTP.")
 @click.option("--listen", default=DEFAULT_LISTEN, show_default=True, metavar="HOST:PORT", help="Where to answer.")
+@click.option(
+    "--name",
+    "names",
+    multiple=True,
+    help="Name of this host under which it is asked, beside its addresses; repeatable.",
+)
 @connect_option()
 @direct_option
 @keys_option
 @run_option
-def metrics(listen: str, endpoints: tuple[str, ...], direct: bool, keys: Path | None, run_id: str | None) -> int:
+def metrics(
+    listen: str, names: tuple[str, ...], endpoints: tuple[str, ...], direct: bool, keys: Path | None, run_id: str | None
+) -> int:
     """Watch the areas of a running system and serve what is seen to Prometheus, until Ctrl-C.
 
     /health answers 200 while the bus is reachable, /ready while every area that was ever seen shows a fresh state, else
-    503 with the reasons.
+    503 with the reasons. Beyond loopback it is asked for by an address in digits, or by a --name.
 
     \b
     Examples:  dsse metrics
@@ -155,7 +163,7 @@ def metrics(listen: str, endpoints: tuple[str, ...], direct: bool, keys: Path | 
 
     start_log()
     address = RunAddress(choose_endpoints(endpoints, keys is not None), run_id, ATTEMPT_S, keys, direct)
-    with MetricsPage(*parse_listen(listen, DEFAULT_LISTEN)) as page:
+    with MetricsPage(*parse_listen(listen, DEFAULT_LISTEN), names) as page:
         serve_metrics(page, lambda: attach(address), renews=keys is not None)
     return 0
 

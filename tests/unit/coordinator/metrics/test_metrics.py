@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import socket
+import threading
 import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 
 import pytest
@@ -16,7 +18,10 @@ from shown_states import a_state
 
 from agents.messages.keys import live_key
 from agents.messages.packing import Incarnation
+from coordinator import http_front
+from coordinator.http_front import Front
 from coordinator.listen import parse_listen
+from coordinator.metrics import page as page_module
 from coordinator.metrics.collect import LOOKED_LATELY_S
 from coordinator.metrics.page import MetricsPage
 from coordinator.observe.watch import Watcher
@@ -150,12 +155,118 @@ def test_states_of_a_restarted_area_begin_a_new_incarnation(page: MetricsPage):
     assert (found["dsse_area_incarnation_start_seconds", "area1"], found["dsse_area_messages_total", "area1"]) == (5, 1)
 
 
-def test_clients_that_ask_nothing_do_not_keep_others_waiting_for_ever(page: MetricsPage):
+def test_two_hundred_slow_connections_keep_nobody_waiting(page: MetricsPage, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(page_module, "REQUEST_S", 600.0)  # it is not their time that is up
     page.show(watcher_of_one(), time.monotonic(), "")
-    idle = [socket.create_connection(("127.0.0.1", page.port)) for _ in range(8)]
-    assert ask(page, "/ready")[0] == 200
-    for connection in idle:
-        connection.close()
+    with ExitStack() as opened:
+        slow = []
+        for _ in range(http_front.MOST_READERS + 20):
+            slow.append(opened.enter_context(socket.create_connection(("127.0.0.1", page.port), timeout=180.0)))
+            slow[-1].sendall(b"GET /metrics HTTP/1.1\r\nHost: 127")
+        for path in ("/ready", "/health", "/metrics"):
+            assert ask(page, path)[0] == 200
+        assert all(is_over(link) for link in slow[:20]), "the connection that is silent longest gives way"
+        slow[-1].sendall(f".0.0.1:{page.port}\r\n\r\n".encode())
+        assert slow[-1].recv(15) == b"HTTP/1.1 200 OK", "a slow request is answered once it is whole"
+
+
+def is_over(link: socket.socket) -> bool:
+    """True once the server has closed it; waits for that."""
+    try:
+        return link.recv(1) == b""
+    except ConnectionResetError:
+        return True
+
+
+def test_a_connection_without_a_whole_request_ends_when_its_time_is_up(
+    page: MetricsPage, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(page_module, "REQUEST_S", 0.05)
+    for begin in (b"", b"GET /metrics HTTP/1.1\r\n"):
+        with socket.create_connection(("127.0.0.1", page.port), timeout=180.0) as link:
+            link.sendall(begin)
+            assert is_over(link)
+
+
+def test_a_reader_that_takes_nothing_is_closed(page: MetricsPage, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(page_module, "PATIENCE_S", 0.05)
+    monkeypatch.setattr(page_module, "generate_latest", lambda registry: b"x" * 2**25)
+    with socket.create_connection(("127.0.0.1", page.port), timeout=180.0) as link:
+        link.sendall(f"GET /metrics HTTP/1.1\r\nHost: 127.0.0.1:{page.port}\r\n\r\n".encode())
+        time_is_up = threading.Event()
+        page._loop.call_soon_threadsafe(page._loop.call_later, 1.0, time_is_up.set)
+        assert time_is_up.wait(180.0)
+        taken = 0
+        with suppress(ConnectionResetError):
+            while piece := link.recv(2**20):
+                taken += len(piece)
+    assert taken < 2**25
+
+
+def raw(page: MetricsPage, request: str) -> str:
+    with socket.create_connection(("127.0.0.1", page.port), timeout=180.0) as link:
+        link.sendall(request.encode())
+        taken = b""
+        with suppress(ConnectionResetError):
+            while piece := link.recv(2**16):
+                taken += piece
+    return taken.decode()
+
+
+@pytest.mark.parametrize("host", ["evil.example", "127.0.0.1:9", "127.0.0.1", "[::1]:8080"])
+def test_metrics_that_are_asked_for_under_another_name_are_not_shown(page: MetricsPage, host: str):
+    page.show(watcher_of_one(), time.monotonic(), "")
+    answer = raw(page, f"GET /metrics HTTP/1.1\r\nHost: {host}\r\n\r\n")
+    assert answer.startswith("HTTP/1.1 421 ")
+    assert "dsse_" not in answer
+
+
+@pytest.mark.parametrize(
+    ("lines", "status"),
+    [
+        ("GET /metrics HTTP/1.1\r\n", 421),  # no host
+        ("GET /metrics HTTP/1.1\r\nHost: HERE\r\nHost: HERE\r\n", 421),
+        ("GET /metrics HTTP/1.1\r\nHost: HERE\r\nOrigin: https://evil.example\r\n", 403),
+        ("POST /metrics HTTP/1.1\r\nHost: HERE\r\n", 405),
+        ("GET /metrics HTTP/1.1\r\nHost: HERE\r\nContent-Length: 5\r\n", 400),
+        ("GET /metrics HTTP/1.1\r\nHost: HERE\r\nTransfer-Encoding: chunked\r\n", 400),
+        ("GET /metrics\r\n", 400),
+        ("GET /metrics HTTP/1.1\r\nHost : HERE\r\n", 400),
+        ("GET /metrics HTTP/1.1\r\nHost: HERE\r\n folded\r\n", 400),
+        ("\x16\x03\x01\r\n", 400),
+        ("GET /metrics HTTP/1.0\r\nHost: localhost:PORT\r\n", 200),
+        ("HEAD /metrics HTTP/1.1\r\nHost: HERE\r\n", 200),
+    ],
+)
+def test_a_request_is_answered_or_refused_and_the_next_one_is_answered(page: MetricsPage, lines: str, status: int):
+    page.show(watcher_of_one(), time.monotonic(), "")
+    here = f"127.0.0.1:{page.port}"
+    answer = raw(page, f"{lines.replace('HERE', here).replace('PORT', str(page.port))}\r\n")
+    assert answer.startswith(f"HTTP/1.1 {status} ")
+    assert ("dsse_" in answer) == (status == 200 and not lines.startswith("HEAD"))
+    assert ask(page, "/health")[0] == 200
+
+
+def test_a_head_without_end_is_cut_off(page: MetricsPage):
+    assert raw(page, "GET / HTTP/1.1\r\nHost: " + "x" * 20_000) == ""
+
+
+@pytest.mark.parametrize(
+    ("host", "is_own"),
+    [
+        ("192.0.2.7:9464", True),
+        ("192.0.2.7", True),
+        ("[2001:db8::1]:9464", True),
+        ("feeder1.example:9464", True),
+        ("FEEDER1.example:9464", True),
+        ("evil.example:9464", False),
+        ("192.0.2.7.evil.example:9464", False),
+        ("", False),
+    ],
+)
+def test_beyond_loopback_a_host_is_asked_for_by_address_or_by_a_given_name(host: str, is_own: bool):
+    front = Front.of("0.0.0.0", 9464, ["feeder1.example"], by_address=True)
+    assert (front.find_rejection("GET", [("host", host)]) is None) == is_own
 
 
 def test_other_pages_are_named_not_there(page: MetricsPage):

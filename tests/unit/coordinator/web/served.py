@@ -13,6 +13,7 @@ from typing import Any
 import httpx
 
 from coordinator.evaluation.evaluation import choose_scenario
+from coordinator.http_front import Front
 from coordinator.observe.watch import Watcher
 from coordinator.simulator.simulate import Simulation
 from coordinator.web.app import make_app
@@ -50,7 +51,7 @@ class Client:
 
 
 def client(source: Source, token: str | None = None) -> Client:
-    return Client(make_app(source, (HOST,), token))
+    return Client(make_app(source, Front((HOST,)), token))
 
 
 @contextmanager

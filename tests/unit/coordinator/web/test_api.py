@@ -12,6 +12,7 @@ from starlette.routing import Mount, Route
 
 from agents.messages.keys import live_key
 from agents.messages.packing import Incarnation
+from coordinator.http_front import Front
 from coordinator.observe.watch import Watcher
 from coordinator.web.app import make_app
 
@@ -138,7 +139,7 @@ def test_what_is_not_there_is_not_found(path: str):
 
 def test_the_description_of_the_api_has_every_path():
     described = client(played()).get("/api/openapi.json").json()["paths"]
-    app = make_app(played(), ()).app
+    app = make_app(played(), Front(())).app
     assert isinstance(app, Starlette)
     served = {route.path for route in app.routes if isinstance(route, Route | Mount)}
     assert set(described) == served - {"/", "/static"}

@@ -11,6 +11,7 @@ import httpx
 import pytest
 from served import client, played, serving, wait_for
 
+from coordinator import http_front
 from coordinator.web import readers
 
 HEAD = b"GET /health HTTP/1.1\r\nHost: {host}\r\n"
@@ -158,7 +159,9 @@ def test_ten_thousand_silent_connections_keep_nobody_out_and_all_but_the_newest_
             link = socket.create_connection((host, int(port)), timeout=60)
             silent.append(opened.enter_context(link))
         wait_for(lambda: httpx.get(f"{url}health", timeout=60).status_code == 200)
-        assert all(is_over(link) for link in silent[: most - readers.MOST_READERS]), "who is silent longest gives way"
+        assert all(is_over(link) for link in silent[: most - http_front.MOST_READERS]), (
+            "who is silent longest gives way"
+        )
         assert next(events) is not None, "a reader that has an answer under way does not"
 
 

@@ -20,6 +20,7 @@ from served import live, played, serving, wait_for
 from shown_states import a_state
 
 from agents.security.access import Access
+from coordinator import http_front
 from coordinator.deployment.certificates import create_keys
 from coordinator.observe.watch import Watcher
 from coordinator.web import readers, server, stream
@@ -230,7 +231,7 @@ def test_a_tls_handshake_that_never_begins_does_not_hold_its_connection(
 def test_more_tls_handshakes_that_never_begin_than_there_is_room_for_keep_nobody_out(
     guarded: tuple[Place, ssl.SSLContext], monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr(readers, "MOST_READERS", 10)
+    monkeypatch.setattr(http_front, "MOST_READERS", 10)
     monkeypatch.setattr(readers, "HANDSHAKE_S", 600.0)
     place, trusted = guarded
     with serving(played(), place) as url, ExitStack() as opened:
