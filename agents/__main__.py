@@ -20,6 +20,7 @@ from agents.runtime.duplicate_guard import REPLACED_CODE, ReplacedError
 from agents.runtime.inbox import Inbox
 from agents.runtime.log.format import start_log
 from agents.runtime.loop import run_agent
+from agents.runtime.next_file import NextFile
 from agents.runtime.place import take_place
 from agents.runtime.renewal import Renewal, on_hangup
 from agents.runtime.watchdog import Watchdog
@@ -148,9 +149,11 @@ def run_area(
     with _open_session(content, timeout_s, keys) as session:
         signal.signal(signal.SIGTERM, stop)
         signal.signal(signal.SIGINT, stop)
+        next_file = NextFile(path, content, inbox, lambda found: load_area_file(found, list_strategies()))
+        following = next_file.read_at_once()
         if not may_be_older:
-            take_place(content, session)
-        reason = run_agent(content, session, inbox, watchdog, orders)
+            take_place(content, session, following)
+        reason = run_agent(content, session, inbox, watchdog, orders, next_file)
     logging.getLogger(__name__).info("area %s ends: %s", name, reason)
     return reason
 

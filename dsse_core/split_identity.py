@@ -69,6 +69,21 @@ def add_uses(uses: Iterable[SplitUse], most: int) -> tuple[SplitUse, ...]:
     return tuple(SplitUse(split, tuple(sorted(areas[split])[:most])) for split in splits[-most:])
 
 
+HeldSplits = tuple[tuple[SplitIdentity, int], ...]
+"""Splits whose files lie beside those in use, each with how many areas hold theirs."""
+
+
+def add_held(parts: Iterable[HeldSplits], most: int) -> HeldSplits:
+    """The splits that several sides hold together, the oldest first: the ``most`` newest."""
+    counts: dict[SplitIdentity, int] = {}
+    times: dict[SplitIdentity, float] = {}
+    for split, count in (held for part in parts for held in part):
+        counts[split] = counts.get(split, 0) + count
+        times[split] = max(split.time, times.get(split, 0.0))
+    splits = sorted((replace(split, time=time) for split, time in times.items()), key=lambda split: split.age_order)
+    return tuple((split, counts[split]) for split in splits[-most:])
+
+
 def are_of_one(uses: Iterable[SplitUse]) -> bool:
     """Whether all areas work on one split, with files as it has written them."""
     splits = {use.split for use in uses}

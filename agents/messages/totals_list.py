@@ -9,14 +9,14 @@ not know them passes them over.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, get_type_hints
 
 import msgspec
 
-from agents.messages.checks import Digest, Integer, MessageError, Name, Names, Number, shown
+from agents.messages.checks import Count, Digest, Integer, MessageError, Name, Names, Number, shown
 from dsse_core.estimation.decision import Totals
-from dsse_core.split_identity import SplitIdentity, SplitUse
+from dsse_core.split_identity import HeldSplits, SplitIdentity, SplitUse
 
 WireSplit = tuple[Digest, Number, Digest]
 WireTotals = tuple[tuple[Name, msgspec.Raw], ...]
@@ -27,8 +27,16 @@ _CHECKED: Mapping[Any, Any] = {
     tuple[str, ...]: Names,
     tuple[tuple[str, float], ...]: tuple[tuple[Name, Number], ...],
     tuple[SplitUse, ...]: tuple[tuple[WireSplit, Names], ...],
+    HeldSplits: tuple[tuple[WireSplit, Count], ...],
 }
-SHORT = {"objective": "J", "degrees_of_freedom": "dof", "held_back": "held", "areas": "n", "referenced": "ref"}
+SHORT = {
+    "objective": "J",
+    "degrees_of_freedom": "dof",
+    "held_back": "held",
+    "areas": "n",
+    "referenced": "ref",
+    "held": "next",
+}
 _TYPES = get_type_hints(Totals)
 _KINDS = [(SHORT.get(f.name, f.name), f.name, f.default) for f in dataclasses.fields(Totals)]
 _READERS = {kind: msgspec.msgpack.Decoder(_CHECKED[_TYPES[name]]) for kind, name, _ in _KINDS}
@@ -38,7 +46,7 @@ _PLACES = {kind: (place, name) for place, (kind, name, _) in enumerate(_KINDS)}
 def list_totals(totals: Totals) -> list[tuple[str, Any]]:
     """``totals`` as a message carries them."""
     listed = ((kind, name, value) for kind, name, nothing in _KINDS if (value := getattr(totals, name)) != nothing)
-    return [(kind, list_uses(value) if name == "splits" else value) for kind, name, value in listed]
+    return [(kind, _PACK.get(name, _plainly)(value)) for kind, name, value in listed]
 
 
 def read_totals(parts: Sequence[tuple[str, msgspec.Raw]]) -> Totals:
@@ -61,12 +69,25 @@ def read_totals(parts: Sequence[tuple[str, msgspec.Raw]]) -> Totals:
         last, values[name] = place, _READERS[kind].decode(value)
     if "splits" in values:
         values["splits"] = tuple(SplitUse(read_split(split), areas) for split, areas in values["splits"])
+    if "held" in values:
+        values["held"] = tuple((read_split(split), count) for split, count in values["held"])
     return Totals(**values)
 
 
 def list_uses(uses: Sequence[SplitUse]) -> list[Any]:
     """``uses`` as a message carries them."""
     return [(list_split(use.split), use.areas) for use in uses]
+
+
+def _list_held(held: HeldSplits) -> list[Any]:
+    return [(list_split(split), count) for split, count in held]
+
+
+def _plainly(value: Any) -> Any:
+    return value
+
+
+_PACK: Mapping[str, Callable[[Any], Any]] = {"splits": list_uses, "held": _list_held}
 
 
 def list_split(split: SplitIdentity) -> tuple[str, float, str]:

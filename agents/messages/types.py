@@ -315,7 +315,7 @@ class StateMessage:
     ``taken_at``: to which moment the ages of the readings count, s since 1970; ``oldest_reading``: age of the oldest
     one used, s; without any that of the newest received. ``meters_off``: those that the operator has switched off;
     ``command``: (start_ms, random, sequence) of the last command that was followed, zeros before any. ``split``: of the
-    area file.
+    area file; ``next_split``: of the one that lies ready beside it.
     """
 
     kind: ClassVar[str] = "state"
@@ -350,6 +350,7 @@ class StateMessage:
     meters_off: Names = ()
     command: tuple[Count, Count, Count] = (0, 0, 0)
     split: SplitIdentity = NO_SPLIT
+    next_split: SplitIdentity = NO_SPLIT
 
     def find_misfit(self) -> str:
         if len(set(self.buses)) < len(self.buses):

@@ -65,6 +65,10 @@ class OrderBook:
         meters = [meter.id for meter in content.meters if meter.source is not Source.VIRTUAL]
         return cls(content.area.name, content.run, meters, file)
 
+    def go_over(self, content: AreaFile) -> OrderBook:
+        """That of the same area with other meters."""
+        return OrderBook.of(content, self._file)
+
     def begin(self) -> list[Event]:
         """What was ordered before the process began, and still holds."""
         if self._followed == Followed():

@@ -6,17 +6,19 @@ from collections.abc import Iterable
 
 from agents.messages.packing import HeartbeatMessage, Message, TelemetryMessage
 from dsse_core.estimation.decision import MOST_NAMED
-from dsse_core.split_identity import SplitIdentity, SplitUse, add_uses, are_of_one
+from dsse_core.split_identity import NO_SPLIT, SplitIdentity, SplitUse, add_uses, are_of_one
 
 
 class Splits:
     """``own``: the split of the file of area ``name``. ``others``: neighbour, or sender of telemetry, whose split is
-    another one -> that split. Gateways know no split, and a plant without one is a gateway.
+    another one -> that split. Gateways know no split, and a plant without one is a gateway. ``held``: the split of the
+    file that lies ready for the next scan, NO_SPLIT without one that can be used; ``edited_next``: of one that cannot.
     """
 
     def __init__(self, name: str, own: SplitIdentity) -> None:
         self.own = own
         self.others: dict[str, SplitIdentity] = {}
+        self.held = self.edited_next = NO_SPLIT
         self._name = name
 
     def take(self, message: Message) -> None:

@@ -23,6 +23,7 @@ from agents.messages.packing import (
     LoadMessage,
     Message,
     ReadingsMessage,
+    StateMessage,
     TelemetryMessage,
 )
 from agents.peers.agreement import Agreement, describe_boundary
@@ -45,6 +46,8 @@ from agents.protocol.events import (
     ClockSet,
     Event,
     Finish,
+    GoOver,
+    Offered,
     Ordered,
     PresenceChanged,
     Publish,
@@ -58,6 +61,7 @@ from agents.protocol.scan_readings import ScanReadings
 from agents.protocol.tick_readings import TickReadings
 from dsse_core.exchange.boundary_load import NetLoad, load_message_for
 from dsse_core.grid.measurement import Source
+from dsse_core.split_identity import NO_SPLIT
 
 REPEAT_READINGS_S = 10.0  # of readings in use that stay the same, for recorders and watchers that come later
 
@@ -91,12 +95,20 @@ class AreaProtocol(ABC):
         self._n_shown = 0
         self._rejections = Rejections()
         self._splits = Splits(content.area.name, find_identity(content))
+        self._next: AreaFile | None = None  # what the area rests on from the next scan on, once all areas hold theirs
+        self._quiet_until = now  # without an estimate nothing is published before
         self._end = ScanEnd(PATIENCE_HEARTBEATS * content.beat_s)
         self._published = PublishedState(
             content.area, self._peers, self._scan, self._rejections, self._splits, self._header
         )
 
     # The interface
+
+    def follow_on(self) -> None:
+        """The area has gone over to this configuration: what it showed last stays until there is an estimate, for a
+        while.
+        """
+        self._quiet_until = self._now + FRESH_HEARTBEATS * self._heartbeat_s
 
     @abstractmethod
     def describe_backend(self) -> str:
@@ -146,6 +158,8 @@ class AreaProtocol(ABC):
                     self._rejections.note_not_let_in(reason, count)
                     if sender:
                         self._rejections.note_unreadable(sender, f"{reason}: {at_field}", self.scan)
+                case PresenceChanged(area) if area not in self._peers:
+                    continue  # a neighbour by another configuration
                 case PresenceChanged(area, True):
                     self._peers.gone.pop(area, None)
                     self._peers[area].is_owed_reply = True
@@ -153,13 +167,18 @@ class AreaProtocol(ABC):
                     self._peers.note_gone(area, leave_reason)
                 case Ordered():
                     yield from self._follow(event)
+                case Offered(configuration):
+                    self._take_offer(configuration)
         is_heartbeat = now >= self._next_heartbeat
         if is_heartbeat:
             self._next_heartbeat = now + self._heartbeat_s
         yield from self._act(is_heartbeat=is_heartbeat)
         yield from (self._publish(name, message) for name, message in self._peers.take_due_repeats(now))
         yield from self._reply_due(is_heartbeat=is_heartbeat)
-        yield from self._show(is_heartbeat=is_heartbeat)
+        for shown in self._show(is_heartbeat=is_heartbeat):
+            is_blank = isinstance(shown.message, StateMessage) and not shown.message.buses
+            if not (is_blank and now < self._quiet_until):
+                yield shown
         yield from self._show_readings()
         yield from self._end.take(self._term)
 
@@ -215,6 +234,32 @@ class AreaProtocol(ABC):
     def _take_readings_anew(self) -> Iterator[Action]:
         """Work with the readings of this scan that there are now, as the operator has asked."""
 
+    @property
+    def _may_go_over(self) -> bool:
+        """Whether no neighbour lacks anything of this scan."""
+        return True
+
+    # The next split
+
+    def _take_offer(self, configuration: AreaFile | None) -> None:
+        """Hold ``configuration`` for the scan from which on all areas rest on its split, if it can be used for that."""
+        split = find_identity(configuration) if configuration else NO_SPLIT
+        is_next = split.is_sound and split != self._splits.own
+        self._next, self._splits.held = (configuration, split) if is_next else (None, NO_SPLIT)
+        self._splits.edited_next = split if split.edited else NO_SPLIT
+
+    def _is_from_next(self, message: Message, key_sender: str) -> bool:
+        """Whether a neighbour by the next configuration works on its split already: all areas held theirs then."""
+        if self._next is None or not isinstance(message, HeartbeatMessage) or message.split != self._splits.held:
+            return False
+        return self._may_go_over and not find_rejection(message, key_sender, self._next, self._wall)
+
+    def _go_over(self) -> Iterator[Action]:
+        """Rest on the next configuration."""
+        assert self._next is not None
+        yield from self._end.take(self._term, is_over=True)
+        yield GoOver(self._next)
+
     # What comes in
 
     def _follow(self, ordered: Ordered) -> Iterator[Action]:
@@ -225,6 +270,9 @@ class AreaProtocol(ABC):
 
     def _take(self, message: Message, key_sender: str) -> Iterator[Action]:
         wall = self._wall
+        if self._is_from_next(message, key_sender):
+            yield from self._go_over()
+            return
         reason = find_rejection(message, key_sender, self._content, wall)
         if reason in ("", OTHER_BUS):
             self._splits.take(message)

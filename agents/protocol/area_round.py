@@ -14,7 +14,16 @@ import numpy as np
 from agents.messages.packing import DownMessage, RoundMessage, UpMessage
 from agents.messages.triangle import read_triangle
 from agents.peers.splits import Splits
-from dsse_core.estimation.decision import Decision, Memory, Totals, Verdict, add_totals, decide, find_omission
+from dsse_core.estimation.decision import (
+    Decision,
+    Memory,
+    Totals,
+    Verdict,
+    add_totals,
+    decide,
+    find_omission,
+    name_next,
+)
 from dsse_core.exchange.area_estimation import FAILURES, AreaEstimation
 from dsse_core.exchange.boundary_load import NetLoad
 from dsse_core.grid.measurement import Measurement
@@ -152,7 +161,8 @@ class AreaRound:
         for name, up in self._ups.items():
             if up.power:
                 self.estimation.set_power(name, up.power)
-        own = replace(self.estimation.totals(), splits=self._find_uses())
+        held = ((self._splits.held, 1),) if self._splits.held.digest else ()
+        own = replace(self.estimation.totals(), splits=self._find_uses(), held=held)
         return add_totals([own, *(self._read(self._ups[name].totals) for name in self.lower)])
 
     def _find_uses(self) -> tuple[SplitUse, ...]:
@@ -210,7 +220,8 @@ class AreaRound:
     def _decide(self, totals: Totals) -> tuple[Memory, Verdict]:
         """See ``decide``: of totals that are checked, then followed, found once."""
         if self._decided is None or self._decided[0] is not self._memory or self._decided[1] is not totals:
-            self._decided = self._memory, totals, decide(self._memory, totals)
+            memory, verdict = decide(self._memory, totals)
+            self._decided = self._memory, totals, (memory, name_next(verdict, totals))
         return self._decided[2]
 
     def is_waited_for(self) -> bool:

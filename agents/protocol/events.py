@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from agents.area_files.area_file import AreaFile
 from agents.messages.packing import Message
 
 
@@ -59,11 +60,18 @@ class Ordered:
 
 
 @dataclass(frozen=True, slots=True)
+class Offered:
+    """The configuration of the next split lies ready beside the one in use; None: it does no more."""
+
+    configuration: AreaFile | None
+
+
+@dataclass(frozen=True, slots=True)
 class StopRequested:
     reason: str
 
 
-Event = Received | Rejected | PresenceChanged | ClockSet | Ordered | StopRequested
+Event = Received | Rejected | PresenceChanged | ClockSet | Ordered | Offered | StopRequested
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +88,16 @@ class Finish:
 
 
 @dataclass(frozen=True, slots=True)
+class GoOver:
+    """The area rests on ``configuration`` from now on: a protocol made from it goes on, as a new incarnation.
+
+    What this one would say beyond that is not said.
+    """
+
+    configuration: AreaFile
+
+
+@dataclass(frozen=True, slots=True)
 class Conclude:
     """Log what holds at the end of ``scan``, or has held for long: ``text``, if it is new.
 
@@ -91,4 +109,4 @@ class Conclude:
     facts: frozenset[tuple[str, str]]
 
 
-Action = Publish | Finish | Conclude
+Action = Publish | Finish | GoOver | Conclude

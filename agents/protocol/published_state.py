@@ -98,6 +98,7 @@ class PublishedState:
             meters_off=self.ordered.meters_off,
             command=self.ordered.order,
             split=self._splits.own,
+            next_split=self._splits.held,
         )
         if last is not None and content_of(last) == content_of(state) and last.header.scan == scan:
             state = replace(state, header=replace(state.header, sequence=last.header.sequence))

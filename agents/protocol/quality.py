@@ -17,9 +17,10 @@ from agents.messages.packing import StateMessage
 from agents.peers.clock_skew import Skew
 from agents.protocol.readings import Ages, Readings
 from agents.strategies.interface import Estimate
+from dsse_core.estimation.decision import Totals
 from dsse_core.estimation.state_limits import StateLimits
 from dsse_core.grid.measurement import Meter, Source
-from dsse_core.split_identity import SplitUse, are_of_one, describe_other, find_newest
+from dsse_core.split_identity import SplitIdentity, SplitUse, are_of_one, describe_other, find_newest
 
 GOOD, DEGRADED, RELATIVE_ANGLE, STALE, NONE = "good", "degraded", "relative-angle", "stale", "none"
 UNOBSERVABLE = "unobservable"
@@ -153,6 +154,16 @@ def find_other_splits(uses: Sequence[SplitUse], own_name: str) -> Iterator[Findi
     if not (is_named or are_of_one(uses)):
         known = ", ".join(str(use.split) for use in uses)
         yield Finding(DEGRADED, f"files on this run are of several splits: {known}", "files of several splits")
+
+
+def find_next_split(totals: Totals, edited: SplitIdentity) -> Iterator[Finding]:
+    """Files of the next split that lie ready, and ``edited``: one that cannot be used."""
+    for split, count in totals.held:
+        if count < totals.areas or len(totals.held) > 1:
+            what = f"the file of the next {split} lies ready in {count} of {totals.areas} areas"
+            yield Finding(GOOD, what, "file of the next split")
+    if edited.edited:
+        yield Finding(GOOD, f"the file of the next {edited} cannot be used: replace it", "file of the next split")
 
 
 def find_far_scans(far_scans: Mapping[str, int]) -> Iterator[Finding]:

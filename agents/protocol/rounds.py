@@ -201,6 +201,8 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
         if self._round.outcome is not None:
             yield from self._publish_state(self._state.show_end(self.term, self._now))
             yield from self._show_readings()
+            if term[0] > self.scan and self._all_hold_next():
+                yield from self._go_over()
         scan, self._revision = term
         if scan != self.scan:
             self._peers.distrusted = {}
@@ -211,6 +213,20 @@ class RoundsProtocol(AreaProtocol, AnyStrategy):
         self._round.enter(self._peers.present(self._now))
         if self._scan.are_there:
             yield from self._begin()
+
+    @property
+    def _may_go_over(self) -> bool:
+        return not self._owes_final()
+
+    def _all_hold_next(self) -> bool:
+        """Whether the end of this term was that of all areas, and all of them hold the file of the next split.
+
+        Where the next split has fewer areas, those that are left out are stopped first; where it has more, they wait.
+        """
+        outcome, following = self._round.outcome, self._next
+        if outcome is None or following is None or outcome.verdict.next_split != self._splits.held.digest:
+            return False
+        return outcome.totals.areas >= min(self._area.n_areas, following.area.n_areas)
 
     def _begin(self) -> Iterator[Action]:
         """Round 0 with the readings."""

@@ -33,6 +33,7 @@ from agents.protocol.quality import (
     find_meters_off,
     find_missing_readings,
     find_missing_side,
+    find_next_split,
     find_other_splits,
     find_overdue_readings,
     find_rejected_clocks,
@@ -234,6 +235,7 @@ class RoundsState:
             yield find_gone(name, leave_reason)
         yield from find_rejected_clocks(self._rejections.ahead)
         yield from find_other_splits(self._splits.add_to(self._uses), self._area.name)
+        yield from find_next_split(self._outcome.totals if self._outcome else Totals(), self._splits.edited_next)
         yield from find_contradictions(self._rejections.contradictions)
         yield from find_far_scans(self._rejections.far_scans)
         yield from find_unreadable_payloads(self._rejections.unreadable_in(self._scan.scan))

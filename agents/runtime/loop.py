@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -24,10 +25,26 @@ from agents.messages.keys import (
     readings_key,
     state_key,
 )
-from agents.messages.packing import ClockMessage, Incarnation, ReadingsMessage, StateMessage, decode
+from agents.messages.packing import (
+    ClockMessage,
+    HeartbeatMessage,
+    Incarnation,
+    ReadingsMessage,
+    StateMessage,
+    decode,
+)
 from agents.orders.order_book import OrderBook
 from agents.protocol.choose import kinds_of, make_protocol
-from agents.protocol.events import ClockSet, Conclude, Event, Finish, PresenceChanged, Publish
+from agents.protocol.events import (
+    ClockSet,
+    Conclude,
+    Event,
+    Finish,
+    GoOver,
+    Offered,
+    PresenceChanged,
+    Publish,
+)
 from agents.runtime.duplicate_guard import GIVES_WAY, DuplicateGuard, ReplacedError
 from agents.runtime.heap import Heap
 from agents.runtime.host_clock import HostClock
@@ -35,9 +52,11 @@ from agents.runtime.inbox import Inbox
 from agents.runtime.ingress_filter import IngressFilter
 from agents.runtime.link import FaultyLinks
 from agents.runtime.log.changes import ChangeLog
+from agents.runtime.next_file import NextFile
 from agents.runtime.presence import Presence, begin_incarnation, read_leave
 from agents.runtime.renewal import Renewal
 from agents.runtime.watchdog import Watchdog
+from agents.transport.renewable_bus import Declaration
 from agents.transport.zenoh_bus import Session
 from dsse_core.grid.measurement import Source
 
@@ -79,55 +98,122 @@ def run_agent(
     inbox: Inbox,
     watchdog: Watchdog | None = None,
     orders: OrderBook | None = None,
+    next_file: NextFile | None = None,
 ) -> str:
     """Take part in the exchange until something puts ``StopRequested`` into ``inbox``; return its reason.
 
-    ``orders``: of the operator, to be followed; None: those that come from now on.
-    Subscribes first and shows its presence last, so that who sees the token can be sure that its messages are received.
-    ``watchdog``: learns when it is there, and that the loop goes round.
+    ``orders``: of the operator, to be followed; None: those that come from now on. ``watchdog``: learns when it is
+    there, and that the loop goes round. ``next_file``: where the file of the next split will lie. When all areas go
+    over to that, the process goes on with it as a new incarnation, on the same links.
 
     Raises:
         ReplacedError: another agent of the area runs that began later.
     """
+    orders, incarnation = orders or OrderBook.of(content), begin_incarnation()
+    process = _Process(session, inbox, watchdog or Watchdog({}), next_file)
+    is_first, own = True, frozenset(map(id, session.declarations))
+    while True:
+        former = [declared for declared in session.declarations if id(declared) not in own]
+        end = _run_configuration(content, process, orders, incarnation, former, is_first=is_first)
+        if isinstance(end, str):
+            return end
+        if next_file is not None:
+            next_file.take_place()
+        log.info("area %s goes over to %s", end.area.name, find_identity(end))
+        content, orders, is_first = end, orders.go_over(end), False
+        incarnation = begin_incarnation(incarnation)
+
+
+@dataclass
+class _Process:
+    """What stays while an area goes over to the next configuration."""
+
+    session: Session
+    inbox: Inbox
+    watchdog: Watchdog
+    next_file: NextFile | None
+    heap: Heap = field(default_factory=Heap)
+    changes: ChangeLog = field(default_factory=ChangeLog)
+
+    def next_due(self) -> float:
+        """When the folder of the area file is to be looked at."""
+        return self.next_file.next_due if self.next_file else math.inf
+
+
+def _run_configuration(
+    content: AreaFile,
+    process: _Process,
+    orders: OrderBook,
+    incarnation: Incarnation,
+    former: Sequence[Declaration],
+    *,
+    is_first: bool,
+) -> str | AreaFile:
+    """Take part with ``content`` until the end of the process, whose reason is returned, or until the next one counts.
+
+    Subscribes first and shows its presence last, so that who sees the token can be sure that its messages are received.
+    ``former``: declarations of the configuration before, which end then. ``is_first``: there was none before.
+    """
+    session, inbox, watchdog = process.session, process.inbox, process.watchdog
     now = time.monotonic()
-    incarnation = begin_incarnation()
     clock = HostClock(content.clock_error_s)
     protocol = make_protocol(content, incarnation, now=now, started_at=now + clock.offset)
+    if not is_first:
+        protocol.follow_on()
     kinds = kinds_of(content.strategy)
     links = FaultyLinks(content.area.name, content.links, content.seed, _publishers(content, session, kinds))
-    _listen(content, session, kinds, inbox)
+    ingress_filter = _listen(content, session, kinds, inbox)
     send_leave = _declare_presence(content, session, incarnation)
+    for declared in former:
+        session.withdraw(declared)
     backend = protocol.describe_backend()
     how = f"{content.strategy}, back end {backend}" if backend else content.strategy
     log.info("area %s of run %s, strategy %s, incarnation %s", content.area.name, content.run, how, incarnation)
     guard = DuplicateGuard(f"area {content.area.name} of run {content.run}", incarnation, now, content.beat_s)
-    orders = orders or OrderBook.of(content)
     intake = _Intake(content.area.name, session, inbox, links, guard, clock, orders)
-    events, changes, heap = orders.begin(), ChangeLog(), Heap()
-    watchdog = watchdog or Watchdog({})
+    events = orders.begin()
     watchdog.ready(now)
     while True:
         now = time.monotonic()
         next_ping = now + watchdog.ping(now)
+        for event in events:
+            if isinstance(event, Offered):
+                ingress_filter.let_in(_heartbeats_from(event.configuration))
         for action in protocol.handle(events, now):
             match action:
                 case Publish(message, to):
                     links.send(message, to, now)
                 case Conclude():
-                    changes.take(action, now)
+                    process.changes.take(action, now)
+                case GoOver(configuration):
+                    return configuration
                 case Finish(reason):
                     send_leave(reason.encode())
                     if (at_the_end := protocol.describe_backend()) != backend:
                         log.info("back end %s", at_the_end)
                     return reason
         began, now = now, time.monotonic()
-        heap.tidy_after(now - began)
-        events = intake.take(min(protocol.wait_s(now), min(links.next_due(), guard.next_due(), next_ping) - now))
+        process.heap.tidy_after(now - began)
+        if process.next_file is not None:
+            process.next_file.look(now)
+        due = min(
+            protocol.wait_s(now),
+            *(at - now for at in (links.next_due(), guard.next_due(), next_ping, process.next_due())),
+        )
+        events = intake.take(due)
         try:
             guard.check(time.monotonic())
         except ReplacedError:
             send_leave(GIVES_WAY.encode())
             raise
+
+
+def _heartbeats_from(configuration: AreaFile | None) -> list[str]:
+    """The keys on which the neighbours by the next configuration say where they stand."""
+    if configuration is None:
+        return []
+    run, name = configuration.run, configuration.area.name
+    return [neighbour_key(run, n.area, HeartbeatMessage.kind, name) for n in configuration.area.neighbours]
 
 
 def _declare_presence(content: AreaFile, session: Session, incarnation: Incarnation) -> Callable[[bytes], None]:
@@ -138,8 +224,8 @@ def _declare_presence(content: AreaFile, session: Session, incarnation: Incarnat
     return send_leave
 
 
-def _listen(content: AreaFile, session: Session, kinds: Sequence[str], inbox: Inbox) -> None:
-    """Have all that is meant for the area put into ``inbox``."""
+def _listen(content: AreaFile, session: Session, kinds: Sequence[str], inbox: Inbox) -> IngressFilter:
+    """Have all that is meant for the area put into ``inbox``, through the filter that is returned."""
     run, name = content.run, content.area.name
     neighbours = sorted({n.area for n in content.area.neighbours})
     known = {neighbour_key(run, neighbour, kind, name) for neighbour in neighbours for kind in kinds}
@@ -158,6 +244,7 @@ def _listen(content: AreaFile, session: Session, kinds: Sequence[str], inbox: In
         )
     for area in (*neighbours, name):
         session.watch_presence(all_incarnations(run, "area", area), lambda key, alive: _put_token(inbox, key, alive))
+    return ingress_filter
 
 
 def _publishers(content: AreaFile, session: Session, kinds: Sequence[str]) -> Callable[[str | None, str, bytes], None]:

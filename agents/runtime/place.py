@@ -7,7 +7,7 @@ one has the file of a newer split, the later one was probably started by mistake
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from agents.area_files.area_file import AreaFile
 from agents.area_files.split_digest import find_identity
@@ -22,16 +22,20 @@ ANSWER_S = 1.0  # within which the bus says who is there
 def take_place(
     content: AreaFile,
     session: Session,
+    following: AreaFile | None = None,
     clock: Callable[[], float] = time.monotonic,
     wait: Callable[[float], None] = time.sleep,
 ) -> None:
     """Wait until no process of the area with a newer file is on the bus; one that was killed is seen for a while.
 
+    ``following``: the file of the next split, to which that process may have gone over before it was killed.
+
     Raises:
         ReplacedError: such a process is there for so long that it runs.
     """
     over = clock() + find_overlap_s(content.beat_s)
-    while (newer := _find_newer(content, session)) is not None:
+    known = [find_identity(given) for given in (content, following) if given is not None]
+    while (newer := _find_newer(content, session, known)) is not None:
         if clock() >= over:
             raise ReplacedError(
                 f"area {content.area.name} of run {content.run} runs already, with a newer file: {newer}; the file "
@@ -41,10 +45,10 @@ def take_place(
         wait(content.beat_s)
 
 
-def _find_newer(content: AreaFile, session: Session) -> SplitIdentity | None:
-    """The newest split that a process of the area states, where that is newer than the one of ``content``."""
-    own = find_identity(content)
+def _find_newer(content: AreaFile, session: Session, known: Sequence[SplitIdentity]) -> SplitIdentity | None:
+    """The newest split that a process of the area states, where that is newer than those ``known`` here."""
+    own = max(known, key=lambda split: split.age_order)
     tokens = session.find_presence(all_incarnations(content.run, "area", content.area.name), ANSWER_S)
     splits = [split_of(key) for key in tokens if incarnation_of(key)]
-    others = [split for split in splits if split != own and split.age_order > own.age_order]
+    others = [split for split in splits if split not in known and split.age_order > own.age_order]
     return max(others, key=lambda split: split.age_order, default=None)

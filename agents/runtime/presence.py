@@ -23,9 +23,10 @@ def read_leave(payload: bytes) -> str:
     return payload.decode("ascii") if LEAVE.fullmatch(payload) else ""
 
 
-def begin_incarnation() -> Incarnation:
-    """The incarnation of a process that starts now."""
-    return Incarnation(time.time_ns() // 1_000_000, random.getrandbits(32))
+def begin_incarnation(former: Incarnation | None = None) -> Incarnation:
+    """The incarnation of a process that starts now; of one that goes on, newer than its ``former`` one."""
+    start_ms = time.time_ns() // 1_000_000
+    return Incarnation(max(start_ms, former.start_ms + 1) if former else start_ms, random.getrandbits(32))
 
 
 MAX_NAMES = 20_000  # that are kept in mind, and

@@ -81,10 +81,16 @@ class RenewableBus:
                 declared.entity = declare(self.bus)
         return declared
 
+    @property
+    def declarations(self) -> tuple[Declaration, ...]:
+        """What is declared now, in order."""
+        with self._lock:
+            return tuple(self._declared)
+
     def withdraw(self, declared: Declaration) -> None:
         """Take back what was declared, for good."""
         with self._lock:
-            self._declared.remove(declared)
+            self._declared = [other for other in self._declared if other is not declared]
             entity, declared.entity = declared.entity, None
         if entity is not None:
             entity.undeclare()

@@ -31,7 +31,7 @@ class AreaView:
     (docs/explanation/quality.md); ``quality``: the same, and stale once it is gone or silent. ``telemetry_age_s``,
     ``oldest_reading_s`` and ``ages_s`` (of each neighbour's information) have gone on counting since. ``split``: digest
     of the split that its file is of, made at ``split_time``, s since 1970; ``split_edited``: digest of what the file
-    was edited to since, else empty.
+    was edited to since, else empty. ``next_split``: digest of the split whose file lies ready beside it, else empty.
     """
 
     name: str
@@ -70,6 +70,7 @@ class AreaView:
     split: str = ""
     split_time: float = 0.0
     split_edited: str = ""
+    next_split: str = ""
 
     @property
     def state(self) -> str:

@@ -17,7 +17,7 @@ from coordinator.observe.table_text import write_table
 from coordinator.observe.view import AreaView, Extreme, View
 from dsse_core.printable import listed, printable, shortened
 from dsse_core.results.table import Table
-from dsse_core.split_identity import SplitIdentity
+from dsse_core.split_identity import SHOWN, SplitIdentity
 
 WIDTH = 80
 MOST_LISTED = 12  # processes that are no areas
@@ -123,6 +123,13 @@ def _write_splits(areas: Sequence[AreaView]) -> Iterator[str]:
     elif whose:
         parts = "; ".join(f"{split}: {listed(names[split], MOST_LISTED)}" for split in whose[:MOST_LISTED])
         yield f"area files of {len(whose)} splits: {parts}"
+    ready: dict[str, list[str]] = {}
+    for area in areas:
+        if area.next_split:
+            ready.setdefault(area.next_split, []).append(area.name)
+    for digest, holders in list(ready.items())[:MOST_LISTED]:
+        count = f"{len(holders)} of {len(areas)} areas"
+        yield f"files of the next split {digest[:SHOWN]} lie ready in {count}: {listed(holders, MOST_LISTED)}"
 
 
 def _remarks(area: AreaView, scan: int) -> Iterator[str]:

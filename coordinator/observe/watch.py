@@ -263,6 +263,7 @@ class Watcher:
             split=state.split.digest,
             split_time=state.split.time,
             split_edited=state.split.edited,
+            next_split=state.next_split.digest,
         )
 
     def _mismatch(self, state: StateMessage, other: str) -> tuple[float, float] | None:

@@ -32,7 +32,17 @@ from agents.messages.packing import (
 )
 from agents.protocol.area_protocol import AreaProtocol
 from agents.protocol.choose import make_protocol
-from agents.protocol.events import ClockSet, Event, Finish, PresenceChanged, Publish, Received, Rejected
+from agents.protocol.events import (
+    ClockSet,
+    Event,
+    Finish,
+    GoOver,
+    Offered,
+    PresenceChanged,
+    Publish,
+    Received,
+    Rejected,
+)
 from agents.runtime.link import FaultyLinks
 from coordinator.plant.telemetry_messages import make_message
 from dsse_core.grid.measurement import Measurement
@@ -93,6 +103,7 @@ class SimulatedBus:
         self.now = 0.0
         self.scan = 0
         self.files = {content.area.name: content for content in files}
+        self.next_files: dict[str, AreaFile] = {}  # which lie beside them
         self.states: dict[str, StateMessage] = {}
         self.readings: dict[str, ReadingsMessage] = {}
         self.clock_error_s = {content.area.name: content.clock_error_s for content in files}
@@ -117,12 +128,32 @@ class SimulatedBus:
         self._heartbeat_s = min((content.beat_s for content in files), default=1.0)
         self.at(self._heartbeat_s, self._repeat_telemetry)
 
+    def offer(self, name: str, content: AreaFile | None) -> None:
+        """Lay the file of the next split beside that of an area; None: take it away."""
+        if content is None:
+            self.next_files.pop(name, None)
+        else:
+            self.next_files[name] = content
+        self.post(name, Offered(content), delay_s=0.0)
+
     def start(self, name: str) -> None:
         """Start or restart an area, as a new process would; the plant serves it at once."""
+        self._rest_on_file(name)
+        if name in self.next_files:
+            self.post(name, Offered(self.next_files[name]), delay_s=0.0)
+
+    def _go_over(self, name: str, content: AreaFile) -> None:
+        """Let the process of an area rest on ``content``, its next file, which takes the place of the one before."""
+        self.files[name] = content
+        self.next_files.pop(name, None)
+        self._rest_on_file(name)
+        self.protocols[name].follow_on()
+
+    def _rest_on_file(self, name: str) -> None:
         content = self.files[name]
         self._incarnations[name] += 1
         incarnation = Incarnation(int(STARTED_AT * 1000) + self._incarnations[name], zlib.crc32(name.encode()))
-        started_at = STARTED_AT + self.now + self.clock_error_s[name]
+        started_at = STARTED_AT + self.now + self.clock_error_s.setdefault(name, content.clock_error_s)
         self.protocols[name] = make_protocol(content, incarnation, now=self.now, started_at=started_at)
         links = FaultyLinks(name, content.links, content.seed, lambda to, _, payload: self._put(name, to, payload))
         links.begin(0.0)
@@ -291,6 +322,9 @@ class SimulatedBus:
                     self.links[name].send(message, to, self.now)
                 case Finish():
                     self.kill(name)
+                    return
+                case GoOver(configuration):
+                    self._go_over(name, configuration)
                     return
         self._wake_in_time(name)
 

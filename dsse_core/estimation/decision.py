@@ -14,7 +14,7 @@ from enum import StrEnum
 from dsse_core import gauss_newton
 from dsse_core.estimation.residuals import CONFIDENCE, chi_square_limit, keep_equal, keep_tied
 from dsse_core.gauss_newton import LAST_STEP, MOST_STEPS, MOST_STEPS_ANEW
-from dsse_core.split_identity import SplitUse, add_uses
+from dsse_core.split_identity import HeldSplits, SplitUse, add_held, add_uses
 
 MOST_REMOVED = 1000  # meters of one scan; more are made up by somebody who would do so for ever
 MOST_NAMED = 20  # areas, splits or ranges of buses that totals name
@@ -46,7 +46,8 @@ class Totals:
     above the threshold and those that equal it, by id; empty unless evaluating. ``areas``: how many they are.
     ``referenced``: one of them knows the substation's angle. ``silent``, ``stale``: neighbours that are not received,
     areas without readings of the scan. ``unobservable``: buses that no meter determines. ``failed``: areas that have
-    no numbers. ``splits``: on which the areas work, the oldest first; nothing is decided by them.
+    no numbers. ``splits``: on which the areas work, the oldest first; nothing is decided by them. ``held``: the next
+    splits whose files areas hold, each with how many do.
     """
 
     objective: float = 0.0
@@ -64,6 +65,7 @@ class Totals:
     splits: tuple[SplitUse, ...] = ()
     tied: tuple[tuple[str, float], ...] = ()
     # Critical meters whose normalised residual equals the largest of ``worst``, by id: they stay, and may be wrong.
+    held: HeldSplits = ()
 
     @property
     def step(self) -> float:
@@ -91,6 +93,7 @@ def add_totals(parts: Iterable[Totals]) -> Totals:
         failed=_add_names(t.failed for t in parts),
         splits=add_uses((use for t in parts for use in t.splits), MOST_NAMED),
         tied=tuple(tied.items())[:MOST_NAMED],
+        held=add_held((t.held for t in parts), MOST_NAMED),
     )
 
 
@@ -149,16 +152,20 @@ class Memory:
 
 @dataclass(frozen=True)
 class Verdict:
-    """``with_step``: the coming step is the last and is taken along. ``reason``: of an end without success."""
+    """``with_step``: the coming step is the last and is taken along. ``reason``: of an end without success.
+    ``next_split``: digest of the split that all areas hold the files of, on which the next scan rests; else empty.
+    """
 
     decision: Decision
     share: float = 1.0
     with_step: bool = False
     reason: str = ""
+    next_split: str = ""
 
     def __str__(self) -> str:
         parts = [self.decision.value, *([f"{self.share:.17g}"] if self.share != 1 else [])]
-        return " ".join([*parts, *(["after a last step"] if self.with_step else []), self.reason]).strip()
+        text = " ".join([*parts, *(["after a last step"] if self.with_step else []), self.reason]).strip()
+        return f"{text}, next split {self.next_split}" if self.next_split else text
 
     @property
     def takes_step(self) -> bool:
@@ -196,6 +203,13 @@ def decide(memory: Memory, totals: Totals, tolerance: float = LAST_STEP) -> tupl
             return begin_at_flat_start(memory), Verdict(Decision.ANEW)
     memory = replace(memory, steps=memory.steps + 1, share=share, before=before, stepped=True)
     return memory, Verdict(Decision.STEP, share)
+
+
+def name_next(verdict: Verdict, totals: Totals) -> Verdict:
+    """``verdict``, where it is the end, with the one next split whose files all areas of ``totals`` hold."""
+    if verdict.decision is not Decision.FINAL or len(totals.held) != 1 or totals.held[0][1] != totals.areas:
+        return verdict
+    return replace(verdict, next_split=totals.held[0][0].digest)
 
 
 def begin_at_flat_start(memory: Memory) -> Memory:

@@ -46,10 +46,10 @@ class Bus:
         self.now += seconds
 
 
-def take(content: AreaFile, running: AreaFile | None, until: float = 1e9) -> float:
+def take(content: AreaFile, running: AreaFile | None, until: float = 1e9, following: AreaFile | None = None) -> float:
     """When ``content`` takes the place, s."""
     bus: Any = Bus(running, until)
-    take_place(content, bus, lambda: bus.now, bus.wait)
+    take_place(content, bus, following, lambda: bus.now, bus.wait)
     return float(bus.now)
 
 
@@ -67,6 +67,10 @@ def test_a_process_with_a_newer_file_keeps_its_place_and_both_files_are_named(gi
 )
 def test_the_place_of_one_with_the_same_or_an_older_file_is_taken_at_once(given: AreaFile, running: AreaFile | None):
     assert take(given, running) == 0.0
+
+
+def test_a_process_that_had_gone_over_to_the_next_file_is_not_waited_for():
+    assert take(OLD, NEW, following=NEW) == 0.0
 
 
 def test_the_token_of_a_process_that_was_killed_is_waited_for():

@@ -165,6 +165,15 @@ def test_the_split_of_the_area_files_is_shown_and_of_several_which_areas_have_wh
     )
 
 
+def test_files_of_the_next_split_are_shown_with_the_areas_that_have_them():
+    following = SplitIdentity("9f8e7d6c5b4a3928", 1.7e9)
+    states = [published_by(name, Incarnation(1, 1), next_split=following) for name in ("area1", "area3")]
+    view = watching(*states, published_by("area2", Incarnation(1, 1))).look(0.0)
+    text = " ".join(format_view(view).split())
+    assert "files of the next split 9f8e7d6c lie ready in 2 of 3 areas: area1, area3" in text
+    assert describe_view(view)["areas"]["area1"]["next_split"] == following.digest
+
+
 def many(areas: int, buses: int) -> Watcher:
     """Areas side by side, the last one degraded; the voltages of each rise from 0.9 p.u."""
     names = [f"area{k + 1}" for k in range(areas)]

@@ -1,0 +1,119 @@
+"""The file of the next split is read when it lies there whole, and takes the place of the one before."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from agents.area_files.area_file import AreaFile, save_area_file
+from agents.area_files.reader import load_area_file
+from agents.protocol.events import Offered
+from agents.runtime.inbox import Inbox
+from agents.runtime.next_file import LOOK_S, NextFile
+from coordinator.deployment.split import area_files
+from scenarios.scenario import load_scenario
+
+DEADLINE_S = 180.0
+CONTENT, OTHER = area_files(load_scenario("industrial13"), "run", ["tcp/127.0.0.1:7447"], time=0.0)
+
+
+class Folder:
+    """With the file of an area, and the looks of its agent."""
+
+    def __init__(self, folder: Path) -> None:
+        self.path, self.next = folder / "area1.toml", folder / "area1.next.toml"
+        save_area_file(self.path, CONTENT)
+        self.inbox = Inbox()
+        self.file = NextFile(self.path, CONTENT, self.inbox, load_area_file)
+        self.now = 0.0
+
+    def look(self) -> None:
+        self.file.look(self.now)
+        self.now += LOOK_S
+
+    def offered(self) -> AreaFile | None:
+        (found,) = self.inbox.take(DEADLINE_S)
+        assert isinstance(found, Offered)
+        return found.configuration
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Folder:
+    return Folder(tmp_path)
+
+
+def test_it_is_read_at_the_second_look_that_finds_it_and_once(folder: Folder):
+    folder.look()
+    save_area_file(folder.next, replace(CONTENT, tolerance=1e-7))
+    folder.look()
+    assert folder.inbox.take(0.0) == []
+    folder.look()
+    found = folder.offered()
+    assert found is not None
+    assert found.tolerance == 1e-7
+    folder.look()
+    assert folder.inbox.take(0.0) == []
+
+
+def test_one_that_lies_there_at_the_start_is_read_at_once_and_one_that_goes_counts_no_longer(folder: Folder):
+    save_area_file(folder.next, CONTENT)
+    assert folder.file.read_at_once() == folder.offered() == CONTENT
+    folder.next.unlink()
+    folder.look()
+    folder.look()
+    assert folder.offered() is None
+
+
+def test_one_that_is_replaced_is_read_again(folder: Folder):
+    save_area_file(folder.next, CONTENT)
+    folder.file.read_at_once()
+    folder.inbox.take(0.0)
+    save_area_file(folder.next, replace(CONTENT, tolerance=1e-8))
+    folder.look()
+    folder.look()
+    found = folder.offered()
+    assert found is not None
+    assert found.tolerance == 1e-8
+
+
+@pytest.mark.parametrize(
+    ("write", "why"),
+    [
+        (lambda path: path.write_text("area = 'area1'"), "meter: missing"),
+        (lambda path: save_area_file(path, OTHER), "area: is area2; the file in use is of area1"),
+        (lambda path: save_area_file(path, replace(CONTENT, run="night")), "run: is night; the file in use is of run"),
+    ],
+)
+def test_one_that_cannot_be_used_is_none_and_the_log_names_it(
+    folder: Folder, write: Callable[[Path], object], why: str, caplog: pytest.LogCaptureFixture
+):
+    write(folder.next)
+    assert folder.file.read_at_once() is None
+    assert folder.offered() is None
+    assert why in caplog.text
+    assert "area1.next.toml" in caplog.text
+
+
+def test_it_takes_the_place_of_the_one_in_use(folder: Folder):
+    save_area_file(folder.next, replace(CONTENT, tolerance=1e-7))
+    folder.file.take_place()
+    assert load_area_file(folder.path).tolerance == 1e-7
+    assert not folder.next.exists()
+
+
+def test_where_it_cannot_be_moved_the_log_says_so(
+    folder: Folder, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+):
+    shutil.copy(folder.path, folder.next)
+
+    def refuse(*_: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(os, "replace", refuse)
+    folder.file.take_place()
+    assert "move it to area1.toml by hand" in caplog.text
