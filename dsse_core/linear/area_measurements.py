@@ -104,6 +104,10 @@ class AreaMeasurements:
         """The variables y that ``neighbour`` and the area share."""
         return self.area.boundaries[neighbour.area]
 
+    def real_part(self, of_measurements: np.ndarray) -> np.ndarray:
+        """``of_measurements`` (n_meas,) with 0 for virtual ones."""
+        return np.where(self.virtual, 0.0, of_measurements)
+
     def voltage_columns(self, neighbour: Neighbour) -> list[int]:
         """Where x has the voltages of y, (vm, va) each."""
         boundary = self.boundary_of(neighbour)

@@ -11,7 +11,7 @@ from dsse_core.linear.interface import LinearArea, Rows
 from dsse_core.linear.no_load import NoLoadSolver
 from dsse_core.linear.radial import RadialSolver, find_why_not_radial
 from dsse_core.linear.reduced import ReducedSolver
-from dsse_core.linear.rows import RowSolver
+from dsse_core.linear.rows import TableauSolver
 from dsse_core.linear.sparse import SparseRows
 
 RADIAL_FROM = 60  # buses of an area, from which radial repays the loading of numba
@@ -44,7 +44,7 @@ def make_linear(model: AreaMeasurements, rows: Rows) -> LinearArea:
     chosen = choose_backend(model.area, model.backend)
     if chosen == "dense":
         return ReducedSolver(model, rows, chosen)
-    by_rows = RowSolver(model, rows, "sparse")
+    by_rows = TableauSolver(model, rows, "sparse")
     return RadialSolver(model, by_rows) if chosen == "radial" else by_rows
 
 

@@ -10,7 +10,6 @@ from dsse_core.grid.measurement_model import stack_models
 from dsse_core.grid.partition import Neighbour
 from dsse_core.linear.area_measurements import AreaMeasurements
 from dsse_core.linear.interface import Matrix, Received, Rows
-from dsse_core.matrices.augmented_dense import DenseFactor
 
 
 class DenseRows(Rows):
@@ -68,11 +67,6 @@ class DenseRows(Rows):
 
     def join(self, parts: list[Matrix]) -> np.ndarray:
         return np.concatenate(parts)
-
-    def factor(
-        self, H: Matrix, sigma: np.ndarray, damping: np.ndarray, columns: np.ndarray | None = None
-    ) -> DenseFactor:
-        return DenseFactor(cast("np.ndarray", H), sigma, damping)
 
     def full(self, C: Matrix) -> np.ndarray:
         return cast("np.ndarray", C)

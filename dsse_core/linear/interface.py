@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Mapping
-from typing import Protocol, Self, TypeAlias
+from typing import Self, TypeAlias
 
 import numpy as np
 import scipy.sparse as sp
@@ -42,19 +42,13 @@ class LinearArea(ABC):
 
     @abstractmethod
     def variances(self, x: np.ndarray, received: Received) -> tuple[np.ndarray, np.ndarray]:
-        """diag(G^-1), shape (size,), and diag(Omega) of the area's own measurements, shape (n_meas,) (eq. 3.22)."""
+        """diag(G^-1), shape (size,), and diag(Omega) of the area's own measurements, shape (n_meas,) (eq. 3.22), 0 for
+        virtual ones.
+        """
 
     @abstractmethod
     def with_readings(self, model: AreaMeasurements) -> Self:
         """The same meters read anew, as ``model`` has them: what rests on topology and meters is kept."""
-
-
-class Factor(Protocol):
-    """A factorised tableau, see ``augmented.AugmentedFactor``."""
-
-    def solve(self, above: np.ndarray, below: np.ndarray) -> tuple[np.ndarray, np.ndarray]: ...
-    def state_variance(self) -> np.ndarray: ...
-    def residual_variance(self) -> np.ndarray: ...
 
 
 class Rows(ABC):
@@ -89,11 +83,5 @@ class Rows(ABC):
         """The rows of ``parts`` below each other."""
 
     @abstractmethod
-    def factor(self, H: Matrix, sigma: np.ndarray, damping: np.ndarray, columns: np.ndarray | None = None) -> Factor:
-        """The tableau of rows H, own ones first, with ``sigma`` and the ``damping`` of each column; which
-        ``columns`` of x these are, where that may give an order of elimination.
-        """
-
-    @abstractmethod
     def full(self, C: Matrix) -> np.ndarray:
-        """A small matrix in an array."""
+        """A matrix in an array."""

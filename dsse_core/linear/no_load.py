@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from dsse_core.linear.interface import Factor, Matrix, Received
-from dsse_core.linear.rows import RowSolver
-from dsse_core.linear.sparse import SparseRows
+from dsse_core.linear.interface import Matrix, Received
+from dsse_core.linear.rows import TableauSolver
+from dsse_core.matrices.augmented import AugmentedFactor
 
 NO_LOAD_NOT_YET = 1e-18  # information given to what nothing determines, relative to what rows give where less than 1
 DRAWS = 32  # of which the mean square is a fifth of its expectation with a probability of 1e-7
@@ -16,18 +16,16 @@ DRAWS_AT_ONCE = 8
 NOTHING = 1e-30  # for variables that no row speaks of
 
 
-class NoLoadSolver(RowSolver):
+class NoLoadSolver(TableauSolver):
     """Undetermined variables are damped next to nothing, so that they stand out.
 
     On sparse matrices, where 0 stays 0: in a dense factor rounding fills in more than the damping at a busbar of
     1e-6 p.u., and so it does where large pivots are taken from the leaves of a tree to its root.
     """
 
-    rows: SparseRows
-
     nothing_of_voltage = 0.0
 
-    def factor(self, H: Matrix, sigma: np.ndarray, columns: np.ndarray) -> Factor:
+    def factor(self, H: Matrix, sigma: np.ndarray, columns: np.ndarray) -> AugmentedFactor:
         H, damping = self._damp(H, sigma, columns)
         return self.rows.factor(H, sigma, damping)
 

@@ -137,7 +137,7 @@ class RadialSolver(LinearArea):
         if not enough:
             self._decline("a variance lost in that of a power")
             return None
-        return variance, omega.ravel()[t.slot] + self._variance_beside_prior(t)
+        return variance, self._model.real_part(omega.ravel()[t.slot] + self._variance_beside_prior(t))
 
     def _downward(
         self, compiled: Callable[..., Any], t: _Rooted, one: np.ndarray, other: np.ndarray, found: np.ndarray

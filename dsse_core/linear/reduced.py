@@ -32,19 +32,41 @@ from dsse_core.linear.rows import RowSolver, shift_of_own_rows
 
 
 class _Eliminated(NamedTuple):
-    """Variables eliminated from rows: ``triangle dx[order] = known - rest dy``; ``rows``: what is left of all rows."""
+    """Variables eliminated from rows: ``triangle dx[order] = known - rest dy``; ``rows``: what is left of all rows.
+
+    ``Q``: the reflections, as LAPACK stores them, of the rows in the order ``taken``.
+    """
 
     triangle: np.ndarray
     order: np.ndarray
     turned: np.ndarray
     rows: np.ndarray
+    Q: tuple[np.ndarray, np.ndarray]
+    taken: np.ndarray
 
     def substitute(self, dy: np.ndarray) -> np.ndarray:
         """dx."""
-        dx = np.zeros(len(self.order))
+        return self._solve(self.turned[:, -1] - self.turned[:, :-1] @ dy)
+
+    def spread(self, dy: np.ndarray) -> np.ndarray:
+        """F, (n, n + k), with ``F F'`` the covariance of dx, for ``dy`` (:, k) with ``dy dy'`` that of the others."""
+        return self._solve(np.hstack([np.eye(len(self.order)), -self.turned[:, :-1] @ dy]))
+
+    def _solve(self, b: np.ndarray) -> np.ndarray:
+        dx = np.zeros_like(b)
         if len(dx):
-            dx[self.order] = lapack.dtrtrs(self.triangle, self.turned[:, -1] - self.turned[:, :-1] @ dy)[0]
+            dx[self.order] = lapack.dtrtrs(self.triangle, b)[0]
         return dx
+
+    def turn_back(self, columns: np.ndarray) -> np.ndarray:
+        """In terms of the rows that were given, ``columns`` (len(rows), k) in terms of those that are left."""
+        whole = np.zeros((len(self.taken), columns.shape[1]))
+        whole[len(self.order) :] = columns
+        if whole.size and len(self.order):
+            whole = lapack.dormqr("L", "N", *self.Q, whole, whole.size)[0]
+        found = np.empty_like(whole)
+        found[self.taken] = whole
+        return found
 
 
 @dataclass(frozen=True)
@@ -60,7 +82,7 @@ class _Reduced:
 
 
 class ReducedSolver(RowSolver):
-    """Steps and information; variances, and steps with damping, come from the tableau of all rows."""
+    """Steps, information and variances, from two stages of reflections; steps with damping from one."""
 
     def __init__(self, model: AreaMeasurements, rows: Rows, name: str) -> None:
         super().__init__(model, rows, name)
@@ -79,7 +101,7 @@ class ReducedSolver(RowSolver):
 
     def step(self, x: np.ndarray, received: Received, damping: float = 0.0) -> np.ndarray:
         if damping:
-            return super().step(x, received, damping)
+            return self._step_with_damping(x, received, damping)
         reduced, order = self._reduce(x), self._order
         rows = self._stack(reduced, received, with_shifts=True)[:, order.of_step]
         db = np.zeros(order.n_boundary)
@@ -89,6 +111,35 @@ class ReducedSolver(RowSolver):
         dx[order.read[n:]] = db[: len(order.read) - n]
         dx += order.shift(x, *db[-2:])
         return dx
+
+    def _step_with_damping(self, x: np.ndarray, received: Received, damping: float) -> np.ndarray:
+        (H, r, sigma), free = self.stack(x, received), self.model.free
+        m, n = len(r), len(free)
+        rows = np.zeros((m + n, n + 1))
+        rows[:m, :n], rows[:m, n] = H[:, free] / sigma[:, None], r / sigma
+        rows[m + np.arange(n), np.arange(n)] = np.sqrt(np.maximum(self.least_information(free), damping))
+        dx = np.zeros(self.model.size)
+        dx[free] = _eliminate(rows, n).substitute(np.zeros(0))
+        return dx
+
+    def variances(self, x: np.ndarray, received: Received) -> tuple[np.ndarray, np.ndarray]:
+        """Sums of squares, so that no digit is lost however far sigmas and impedances are apart.
+
+        With ``dx = F e``, e of variance 1, ``G^-1 = F F'``; and with Q_0 the directions in which the weighted rows have
+        no part, ``Omega = R^(1/2) Q_0 Q_0' R^(1/2)``.
+        """
+        reduced, order = self._reduce(x), self._order
+        within, n = reduced.within, order.n_within
+        rows, k = self._stack(reduced, received, with_shifts=True)[:, order.of_step], len(order.of_step) - 1
+        last = _eliminate(rows, k)
+        of_y = np.zeros((order.n_boundary, k))
+        of_y[order.of_step[:-1]] = last.spread(of_y[:0, :0])
+        F = np.zeros((self.model.size, n + k))
+        F[order.read[:n]], F[order.read[n:], n:] = within.spread(of_y), of_y[: len(order.read) - n]
+        F[:, n:] += order.shift(x, *of_y[-2:])
+        left = within.turn_back(last.turn_back(np.eye(len(rows) - k, order="F"))[: len(within.rows)])
+        of_meters = left[: len(self.model.z)]
+        return np.vecdot(F, F), self.model.real_part(self.model.sigma**2 * np.vecdot(of_meters, of_meters))
 
     def information(self, x: np.ndarray, neighbour: Neighbour, received: Received) -> BoundaryInformation:
         reduced, (columns, places) = self._reduce(x), self._order.towards[neighbour.area]
@@ -220,10 +271,14 @@ class _Order:
             found = [*range(first), *(first + at for at in of_y.values())]
             self.towards[n.area] = np.array([*left, *found, first + residual]), np.array([*range(first), *of_y])
 
-    def shift(self, x: np.ndarray, growth: float, turn: float) -> np.ndarray:
-        """The change of x, shape (size,), where all voltages grow by a share, and turn by an angle, rad."""
+    def shift(self, x: np.ndarray, growth: np.ndarray, turn: np.ndarray) -> np.ndarray:
+        """The change of x, (size,), where all voltages grow by a share, and turn by an angle, rad; for several of
+        these, (k,), (size, k).
+        """
         n = len(self._is_turned)
-        return np.concatenate([turn * self._is_turned, growth * x[n : 2 * n], 2 * growth * x[2 * n :]])
+        of_growth = np.concatenate([np.zeros(n), x[n : 2 * n], 2 * x[2 * n :]])
+        of_turn = np.concatenate([self._is_turned, np.zeros(len(x) - n)])
+        return np.asarray(np.multiply.outer(of_growth, growth) + np.multiply.outer(of_turn, turn))
 
 
 def _find_next_to(area: Area, bus: int) -> set[int]:
@@ -270,11 +325,14 @@ def _eliminate(rows: np.ndarray, n: int) -> _Eliminated:
     Rows without these variables come last and stay as they are: at the top a heavy one would be turned into all others.
     """
     if not n:
-        return _Eliminated(np.zeros((0, 0)), np.zeros(0, dtype=int), rows[:0], rows)
-    rows = _heavy_first(rows, n)
+        nothing, none = np.zeros((0, 0)), np.zeros(0, dtype=int)
+        return _Eliminated(nothing, none, rows[:0], rows, (nothing, none), np.arange(len(rows)))
+    taken = _heavy_first(rows, n)
+    rows = rows[taken]
     reflectors, order, tau, _, _ = lapack.dgeqp3(rows[:, :n])
-    turned = lapack.dormqr("L", "T", reflectors[:, : len(tau)], tau, rows[:, n:], rows.size)[0]
-    return _Eliminated(reflectors[:n], order - 1, turned[:n], turned[n:])
+    Q = reflectors[:, : len(tau)], tau
+    turned = lapack.dormqr("L", "T", *Q, rows[:, n:], rows.size)[0]
+    return _Eliminated(reflectors[:n], order - 1, turned[:n], turned[n:], Q, taken)
 
 
 def _turn_alone(rows: np.ndarray, n: int) -> np.ndarray:
@@ -294,9 +352,9 @@ def _triangulate(rows: np.ndarray) -> np.ndarray:
     m, n = rows.shape
     if m < n:
         rows = np.pad(rows, ((0, n - m), (0, 0)))
-    return np.asarray(np.triu(lapack.dgeqrf(_heavy_first(rows, n - 1))[0][:n]))
+    return np.asarray(np.triu(lapack.dgeqrf(rows[_heavy_first(rows, n - 1)])[0][:n]))
 
 
 def _heavy_first(rows: np.ndarray, n: int) -> np.ndarray:
-    """``rows`` in the order of their largest entry in the first ``n`` columns."""
-    return rows[np.argsort(-abs(rows[:, :n]).max(axis=1), kind="stable")]
+    """The order of ``rows`` by their largest entry in the first ``n`` columns."""
+    return np.argsort(-abs(rows[:, :n]).max(axis=1), kind="stable")

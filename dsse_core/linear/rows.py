@@ -1,4 +1,4 @@
-"""The numbers of an area from its rows, dense or sparse, by one factor of the augmented system each."""
+"""The numbers of an area from its rows; of sparse ones by one factor of the augmented system each."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from dsse_core.linear.boundary_information import (
     factor_inverse,
     put_together,
 )
-from dsse_core.linear.interface import NOT_YET, NOT_YET_OF_POWER, Factor, LinearArea, Matrix, Received, Rows
+from dsse_core.linear.interface import NOT_YET, NOT_YET_OF_POWER, LinearArea, Matrix, Received, Rows
+from dsse_core.linear.sparse import SparseRows
+from dsse_core.matrices.augmented import AugmentedFactor
 
 PRIOR_SIGMA = 0.3  # p.u. and rad: a voltage lies that near to what it was, whatever happens
 MOST_TURNS = 4  # of the axes of (p, q)
 
 
 class RowSolver(LinearArea):
-    """``rows``: those of ``model``, see ``Rows``."""
-
-    nothing_of_voltage = NOTHING_OF_VOLTAGE
+    """All rows of an area's own measurements, prior and messages; ``rows``: those of ``model``, see ``Rows``."""
 
     def __init__(self, model: AreaMeasurements, rows: Rows, name: str) -> None:
         self.name = name
@@ -40,53 +40,6 @@ class RowSolver(LinearArea):
         other = copy.copy(self)
         other.model = model
         return other
-
-    def step(self, x: np.ndarray, received: Received, damping: float = 0.0) -> np.ndarray:
-        H, r, sigma = self.stack(x, received)
-        free = self.model.free
-        least = self.least_information(free)
-        if damping:
-            least = np.maximum(least, damping)
-        dx = np.zeros(self.model.size)
-        dx[free] = self.rows.factor(H[:, free], sigma, least, free).solve(r, np.zeros(len(free)))[1]
-        return dx
-
-    def variances(self, x: np.ndarray, received: Received) -> tuple[np.ndarray, np.ndarray]:
-        H, _, sigma = self.stack(x, received)
-        factor = self.factor(H, sigma, self.model.free)
-        of_state = np.zeros(self.model.size)
-        of_state[self.model.free] = factor.state_variance()
-        return of_state, factor.residual_variance()[: len(self.model.z)]
-
-    def information(self, x: np.ndarray, neighbour: Neighbour, received: Received) -> BoundaryInformation:
-        """What ``neighbour`` is to receive: everything but y eliminated, its own message left out.
-
-        Two parts, each a 2x2 matrix that no rounding of the other can spoil. What this side knows of the boundary's
-        voltage v = (vm_b, va_b), whatever power flows: with u all variables but v and
-        ``K = [[R, H_u], [H_u', -d]]``, ``M = B' s`` and ``g = B' s_r``, from ``K [s, .] = [B, 0]`` and
-        ``K [s_r, .] = [r, 0]``. And what it knows of the power given v: ``(p, q) = y_p + C du_r + (dp - C du_B) dv``
-        with covariance ``C G_uu^-1 C'`` (``_find_power``). ``B`` and ``dp`` are the responses of measurements and power
-        when v moves and takes the whole area along (``_responses_to_shift``).
-        """
-        received = {name: message for name, message in received.items() if name != neighbour.area}
-        H, r, sigma = self.stack(x, received)
-        B, dp = _responses_to_shift(self.model, self.rows, x, neighbour, received, H)
-        y, T = self.rows.boundary(x, neighbour)
-        u = self.model.eliminated[neighbour.area]
-        C = T[:2, u]
-        factor = self.factor(H, sigma, u)
-        above, below = np.zeros((len(r), 5)), np.zeros((len(u), 5))
-        above[:, :2], above[:, 2], below[:, 3:] = B, r, self.rows.full(C).T
-        s, du = factor.solve(above, below)
-        information = B.T @ s[:, :3]
-        N, z_of_voltage = factor_information(information[:, :2], information[:, 2], self.nothing_of_voltage)
-        W, S, A = _find_power(factor, C, s[:, 3:], du[:, 3:])
-        P = factor_inverse(S)
-        return put_together(y, P @ W.T, P @ (A.T @ B - W.T @ dp), P @ (A.T @ r), (N, z_of_voltage))
-
-    def factor(self, H: Matrix, sigma: np.ndarray, columns: np.ndarray) -> Factor:
-        """The factor of some columns of H, damped only where nothing determines a variable yet."""
-        return self.rows.factor(H[:, columns], sigma, self.least_information(columns), columns)
 
     def least_information(self, columns: np.ndarray) -> np.ndarray:
         """The damping of variables that nothing determines yet, shape of ``columns``."""
@@ -109,7 +62,64 @@ class RowSolver(LinearArea):
         return (rows.join(parts) if len(parts) > 1 else parts[0]), r, sigma
 
 
-def _find_power(factor: Factor, C: Matrix, A: np.ndarray, du: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+class TableauSolver(RowSolver):
+    """By sparse factors of the augmented system; ``rows``: see ``SparseRows``."""
+
+    rows: SparseRows
+
+    nothing_of_voltage = NOTHING_OF_VOLTAGE
+
+    def step(self, x: np.ndarray, received: Received, damping: float = 0.0) -> np.ndarray:
+        H, r, sigma = self.stack(x, received)
+        free = self.model.free
+        least = self.least_information(free)
+        if damping:
+            least = np.maximum(least, damping)
+        dx = np.zeros(self.model.size)
+        dx[free] = self.rows.factor(H[:, free], sigma, least, free).solve(r, np.zeros(len(free)))[1]
+        return dx
+
+    def variances(self, x: np.ndarray, received: Received) -> tuple[np.ndarray, np.ndarray]:
+        H, _, sigma = self.stack(x, received)
+        factor = self.factor(H, sigma, self.model.free)
+        of_state = np.zeros(self.model.size)
+        of_state[self.model.free] = factor.state_variance()
+        return of_state, self.model.real_part(factor.residual_variance()[: len(self.model.z)])
+
+    def information(self, x: np.ndarray, neighbour: Neighbour, received: Received) -> BoundaryInformation:
+        """What ``neighbour`` is to receive: everything but y eliminated, its own message left out.
+
+        Two parts, each a 2x2 matrix that no rounding of the other can spoil. What this side knows of the boundary's
+        voltage v = (vm_b, va_b), whatever power flows: with u all variables but v and
+        ``K = [[R, H_u], [H_u', -d]]``, ``M = B' s`` and ``g = B' s_r``, from ``K [s, .] = [B, 0]`` and
+        ``K [s_r, .] = [r, 0]``. And what it knows of the power given v: ``(p, q) = y_p + C du_r + (dp - C du_B) dv``
+        with covariance ``C G_uu^-1 C'`` (``_find_power``). ``B`` and ``dp`` are the responses of measurements and power
+        when v moves and takes the whole area along (``_responses_to_shift``).
+        """
+        received = {name: message for name, message in received.items() if name != neighbour.area}
+        H, r, sigma = self.stack(x, received)
+        B, dp = _responses_to_shift(self.model, self.rows, x, neighbour, received, H)
+        y, T = self.rows.boundary(x, neighbour)
+        u = self.model.eliminated[neighbour.area]
+        C = T[:2, u]
+        factor = self.factor(H, sigma, u)
+        above, below = np.zeros((len(r), 5)), np.zeros((len(u), 5))
+        above[:, :2], above[:, 2], below[:, 3:] = B, r, C.toarray().T
+        s, du = factor.solve(above, below)
+        information = B.T @ s[:, :3]
+        N, z_of_voltage = factor_information(information[:, :2], information[:, 2], self.nothing_of_voltage)
+        W, S, A = _find_power(factor, C, s[:, 3:], du[:, 3:])
+        P = factor_inverse(S)
+        return put_together(y, P @ W.T, P @ (A.T @ B - W.T @ dp), P @ (A.T @ r), (N, z_of_voltage))
+
+    def factor(self, H: Matrix, sigma: np.ndarray, columns: np.ndarray) -> AugmentedFactor:
+        """The factor of some columns of H, damped only where nothing determines a variable yet."""
+        return self.rows.factor(H[:, columns], sigma, self.least_information(columns), columns)
+
+
+def _find_power(
+    factor: AugmentedFactor, C: Matrix, A: np.ndarray, du: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What is known of (p, q), with v given: W, S, (2, 2), and A, (rows, 2).
 
     S is the covariance of ``W'(p, q)``, and ``W'C du = A'r`` for residuals r. W turns the axes: beside a combination
