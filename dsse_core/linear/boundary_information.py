@@ -38,6 +38,13 @@ class BoundaryInformation:
         is_known = self.R.any(axis=1)
         return self.R[is_known], self.z[is_known]
 
+    def with_row(self, row: np.ndarray, z: float) -> BoundaryInformation:
+        """With what one more ``row`` (4,) of variance 1 says of y."""
+        rows = np.vstack([np.column_stack([self.R, self.z]), [*row, z]])
+        heavy_first = rows[np.argsort(-abs(rows[:, :-1]).max(axis=1), kind="stable")]
+        turned = np.asarray(np.linalg.qr(heavy_first, mode="r"))
+        return BoundaryInformation(turned[:4, :4], turned[:4, 4])
+
 
 def put_together(
     y: np.ndarray, power: np.ndarray, response: np.ndarray, shift: np.ndarray, voltage: tuple[np.ndarray, np.ndarray]

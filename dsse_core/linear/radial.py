@@ -20,6 +20,7 @@ from dsse_core.grid.partition import Neighbour
 from dsse_core.linear.area_measurements import AreaMeasurements
 from dsse_core.linear.boundary_information import (
     NOTHING_OF_VOLTAGE,
+    TIED_SIGMA,
     BoundaryInformation,
     factor_information,
     factor_inverse,
@@ -39,6 +40,7 @@ from dsse_core.radial.plan import (
 if TYPE_CHECKING:
     from dsse_core.radial.kernel import Work
 
+ANGLE_HELD = 1e6  # weight of the reference's angle, rad^-2, while the digits of what is known beside it are kept
 LEAST_OF_FLOW = 1e-12  # information given to powers through branches that nothing determines yet
 LEAST_OF_POWER = 1e-11  # the same of powers into children
 # Determinant of a covariance of (p, q) over the product of its diagonal. Below it one combination of p and q is known
@@ -115,8 +117,8 @@ class RadialSolver(LinearArea):
         """``damping``: of voltages and of powers."""
         from dsse_core.radial.boundary import step_downward
 
-        t = self._pass(self._top, x, received, damping, 0.0)
-        if t is None:
+        t = self._rooted.get(self._top) or self._root_at(self._top)
+        if not self._pass(t, x, received, damping, 0.0):
             return None
         dx = np.empty(self._model.size)
         if not self._downward(step_downward, t, t.work.block, t.work.step, dx):
@@ -129,8 +131,8 @@ class RadialSolver(LinearArea):
     ) -> tuple[np.ndarray, np.ndarray] | None:
         from dsse_core.radial.boundary import variances_downward
 
-        t = self._pass(self._top, x, received, damping, 0.0)
-        if t is None:
+        t = self._rooted.get(self._top) or self._root_at(self._top)
+        if not self._pass(t, x, received, damping, 0.0):
             return None
         variance = np.empty(self._model.size)
         omega, enough = self._downward(variances_downward, t, t.work.more, t.work.block, variance)
@@ -151,51 +153,86 @@ class RadialSolver(LinearArea):
     def _find_information(self, x: np.ndarray, neighbour: Neighbour, received: Received) -> BoundaryInformation | None:
         from dsse_core.radial import root as radial_root
 
-        others_there = sum(n.bus == neighbour.bus for n in self._area.neighbours) > 1
-        if neighbour.is_parent and others_there:
-            self._decline("children at the parent's bus")
+        angle_given, is_away = self._reference == neighbour.bus, self._reference not in (None, neighbour.bus)
+        t = self._rooted.get(neighbour.bus) or self._root_at(neighbour.bus)
+        if is_away:
+            i = self._row_of_reference(t)
+            t.z[i, 0], t.w[i, 0] = x[t.layout.order[i]], ANGLE_HELD
+        if not self._pass(t, x, received, (0.0, LEAST_OF_POWER), LEAST_OF_FLOW, addressee=neighbour.area):
             return None
-        angle_given = self._reference == neighbour.bus
-        if self._reference is not None and not angle_given:
-            self._decline("a boundary away from the reference")
-            return None
-        t = self._pass(neighbour.bus, x, received, (0.0, LEAST_OF_POWER), LEAST_OF_FLOW, addressee=neighbour.area)
-        if t is None:
-            return None
-        K = np.empty(radial_root.N_KNOWN)
+        K, vm = np.empty(radial_root.N_KNOWN), abs(t.v[0])
         radial_root.describe_root(
             t.admittance[0], t.z[0], t.w[0], t.v[0], t.va[0], t.work.above[0], angle_given,
             not neighbour.is_parent, K,
         )  # fmt: skip
-        vm = abs(t.v[0])
         S = -np.array([[K[0], K[1]], [K[1], K[2]]])
         slope, mean = np.array([[K[4] / vm, K[3]], [K[6] / vm, K[5]]]), -K[10:12]
         M, g = np.array([[K[9] / vm**2, K[8] / vm], [K[8] / vm, K[7]]]), np.array([K[13] / vm, K[12]])
-        if neighbour.is_parent:
-            power = K[14:16]
-        else:
+        sign, power, metered = -1.0, K[14:16], np.ones(2, dtype=bool)
+        if not neighbour.is_parent:
             column = self._column[self._area.neighbours.index(neighbour)]
-            power = x[column : column + 2]
-            S, slope, mean, M, g = _with_own_balance(S, -slope, -mean - power, M, g, t.w[0, 2:4] >= 0)
+            sign, power, metered = 1.0, x[column : column + 2], t.w[0, 2:4] >= 0
+            slope, mean = -slope, -mean - power
+        if is_away:
+            given = factor_inverse(np.where(np.outer(metered, metered), S, np.eye(2))) * metered
+            angle = self._angle_of_reference(t, given, slope, mean, sign)
+        if not neighbour.is_parent:
+            S, slope, mean, M, g = _with_own_balance(S, slope, mean, M, g, metered)
         if S[0, 1] ** 2 > (1 - LEAST_SPREAD) * abs(S[0, 0] * S[1, 1]):
             self._decline("an open combination of p and q at the boundary")
             return None
         P = factor_inverse(S)
         y = np.array([power[0], power[1], vm, t.va[0]])
-        return put_together(y, P, -P @ slope, P @ mean, factor_information(M, g, NOTHING_OF_VOLTAGE))
+        found = put_together(y, P, -P @ slope, P @ mean, factor_information(M, g, NOTHING_OF_VOLTAGE))
+        return found.with_row(angle[0], angle[0] @ y + angle[1]) if is_away else found
+
+    def _angle_of_reference(
+        self, t: _Rooted, P: np.ndarray, slope: np.ndarray, mean: np.ndarray, sign: float
+    ) -> tuple[np.ndarray, float]:
+        """How the angle of the reference, which is given, follows from y: a row by dy, (4,), of variance 1, and its z.
+
+        With y given at the root, ``lam = sign P'P (dpq - slope dv - mean)`` there, (lam, x) of the buses on the way to
+        the reference follow by substitution, and their covariance from ``-P'P``, that of lam.
+        """
+        from dsse_core.radial.inverse import find_last_angle
+        from dsse_core.radial.kernel import substitute
+
+        path = [self._row_of_reference(t)]
+        while path[-1]:
+            path.append(int(t.layout.parent[path[-1]]))
+        path.reverse()
+        above, v = np.maximum(np.arange(len(path)) - 1, 0), t.v[path]
+        with_rest, response = t.work.factor[path], t.work.factor[path]
+        response[:, 16:20] = 0.0
+        known = np.zeros((5, 4))  # (lam, x) at the root: responses to p, q, vm, va, and the rest
+        known[:, :2] = sign * np.vstack([np.eye(2), -slope.T, -mean]) @ (P.T @ P)
+        known[2, 3], known[3, 2] = 1 / abs(v[0]), 1.0
+        angle = np.empty(5)
+        for k, factor in enumerate((response,) * 4 + (with_rest,)):
+            step = np.zeros((len(path), 4))
+            step[0] = known[k]
+            substitute(above, factor, v, step)
+            angle[k] = step[-1, 2]
+        variance = find_last_angle(above, t.w[path], response, t.work.more[path], -P.T @ P)
+        angle /= np.sqrt(max(variance, TIED_SIGMA**2))
+        return angle[:4], -float(angle[4])
+
+    def _row_of_reference(self, t: _Rooted) -> int:
+        """Its number in the tree of ``t``."""
+        assert self._reference is not None
+        return int(t.layout.number[self._area.network.row[self._reference]])
 
     def _pass(
         self,
-        root: int,
+        t: _Rooted,
         x: np.ndarray,
         received: Received,
         damping: tuple[float, float],
         least_of_flow: float,
         addressee: str = "",
-    ) -> _Rooted | None:
+    ) -> bool:
         from dsse_core.radial import boundary as radial_boundary
 
-        t = self._rooted.get(root) or self._root_at(root)
         for k, n in enumerate(self._area.neighbours):
             message = received.get(n.area) if n.area != addressee else None
             t.role[k] = (
@@ -214,8 +251,7 @@ class RadialSolver(LinearArea):
         )  # fmt: skip
         if not enough:
             self._decline("an open combination of p and q")
-            return None
-        return t
+        return bool(enough)
 
     def _decline(self, why: str) -> None:
         self.declined[why] += 1
@@ -279,7 +315,7 @@ class RadialSolver(LinearArea):
 def _with_own_balance(
     S: np.ndarray, slope: np.ndarray, mean: np.ndarray, M: np.ndarray, g: np.ndarray, metered: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Of the power into a child what the balance of its bus gives, where that is metered, and LEAST_OF_POWER.
+    """Of the power into a child what the balance of its bus gives, where that is ``metered``, and LEAST_OF_POWER.
 
     Returns covariance, slope by (vm, va), mean of the change, and the information about the voltage.
     """

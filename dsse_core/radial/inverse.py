@@ -54,6 +54,15 @@ def find_variances(parent, Y, w, v, factor, more, block, angle_given):
 
 
 @compiled
+def find_last_angle(parent, w, factor, more, of_lam):
+    """The variance of va of the last bus where x of the first is given, and ``of_lam`` (2, 2) is the block of lam."""
+    S, branch = np.zeros((len(parent), 4, 4)), np.empty((len(parent), 5))
+    S[0, :2, :2] = of_lam
+    _descend(parent, w, factor, more, S, branch)
+    return S[-1, 2, 2]
+
+
+@compiled
 def find_variances_of_sums(parent, w, X, lam, T, Z, S0, indptr, indices, data):
     """Variances of linear functions of the state, (n_sum,): their right-hand sides are eliminated as those of a step.
 

@@ -151,10 +151,14 @@ def test_fifteen_areas_at_one_bus_agree(busbar, backend):
 
 
 @needs_numba
-def test_where_injections_are_measured_the_tree_leaves_only_messages_away_from_the_reference_to_the_sparse_path():
+def test_where_injections_are_measured_the_tree_answers_all_those_of_the_substations_area_with_a_prior_included():
     for case in cases_of(make_feeder(5, n_bus=60, n_area=6, decades=1.0), np.random.default_rng(5)):
-        declined = assert_same(case)
-        assert declined == (len(case.other.area.neighbours) if case.other.reference is not None else 0)
+        assert assert_same(case) == 0
+        if case.other.reference is not None:
+            assert case.other.reference not in case.other.area.boundary_buses
+            prior = case.x + 0.01
+            dense, radial = (replace(case.other, backend=backend, prior=prior) for backend in ("dense", "radial"))
+            assert assert_same(replace(case, sparse=dense, other=radial)) == 0
 
 
 @needs_numba
