@@ -28,6 +28,7 @@ from agents.security.credentials import load_keys
 from agents.strategies.installed import list_strategies
 from agents.transport.zenoh_bus import Session
 from dsse_core import compiling, operating_system
+from dsse_core.endpoints import check_endpoints
 from dsse_core.errors import DsseError
 from dsse_core.limits import LONGEST_S
 
@@ -130,6 +131,7 @@ def run_area(
         TransportError: no endpoint answers within ``timeout_s``.
         ReplacedError: another agent of the area runs that began later, or has a newer file.
     """
+    check_endpoints("--connect", endpoints)
     content = load_area_file(path, list_strategies())
     if endpoints:
         content = replace(content, endpoints=tuple(endpoints))

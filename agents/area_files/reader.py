@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 
 from agents.area_files.area_file import AreaFile, SplitStamp, keys_of
 from agents.area_files.tables import area_table
+from dsse_core.endpoints import find_problems_in
 from dsse_core.errors import InvalidInputError
 from dsse_core.estimation.state_limits import StateLimits
 from dsse_core.files.strict_table import load_strict
@@ -143,6 +144,8 @@ def _find_problems(t: Any) -> Iterator[str]:
     if sum(n.is_parent for n in t.neighbour) != (0 if substations else 1):
         yield "neighbour: exactly one must be the parent, or none where the network holds the substation"
     yield from _find_telemetry_problems(t)
+    yield from find_problems_in("endpoints", t.endpoints, listens=True)  # of a simulated run they have port 0
+    yield from find_problems_in("listen", t.listen, listens=True)
     if not (t.endpoints or t.listen):
         yield "endpoints: is empty; name a router, or give listen, where neighbours link with this area"
 

@@ -28,6 +28,7 @@ from agents.transport.bus_config import (
     in_turns,
 )
 from agents.transport.renewable_bus import Declaration, RenewableBus
+from dsse_core.endpoints import check_endpoints
 from dsse_core.errors import DsseError
 from dsse_core.files.bounded_parsing import parse_json
 from dsse_core.limits import LONGEST_S
@@ -53,9 +54,10 @@ class Session(RenewableBus):
         """Connect to the first of ``endpoints`` that answers within ``timeout_s``, and has a router's certificate.
 
         Raises:
-            TransportError: none answers, or takes our certificate, or one is not a Zenoh endpoint.
+            InvalidInputError: one is no endpoint.
+            TransportError: none answers, or takes our certificate.
         """
-        _check_protocol(endpoints, keys)
+        _check_endpoints(endpoints, keys)
         if not 0 < timeout_s <= LONGEST_S:
             raise TransportError(f"a wait of {timeout_s} s for the bus; it must be positive and at most a day")
 
@@ -69,6 +71,7 @@ class Session(RenewableBus):
                 except zenoh.ZError as error:
                     if time.monotonic() >= deadline - LAST_SLICE_S:
                         raise _cannot_reach(endpoints, wait_s, keys, error) from None
+                    time.sleep(LAST_SLICE_S)  # an error that comes at once comes again
             raise AssertionError("turns never end")
 
         return _with_watched_links(cls(open_bus, _close, keys, timeout_s), lambda _: (ROUTER,))
@@ -82,9 +85,10 @@ class Session(RenewableBus):
         What passes between two others does not pass here. ``listen``: where others link with us.
 
         Raises:
+            InvalidInputError: one is no endpoint.
             TransportError: an endpoint to listen on is occupied or cannot be opened.
         """
-        _check_protocol([*endpoints, *listen], keys)
+        _check_endpoints(endpoints, keys, listen)
         _log_rejected_links(keys if listen else None)
         warn_of_strangers(listen, keys is not None)
 
@@ -206,9 +210,10 @@ class Router(RenewableBus):
         ``RUST_LOG=zenoh::net::routing::interceptor=trace``.
 
         Raises:
+            InvalidInputError: one is no endpoint.
             TransportError: an endpoint is occupied or cannot be opened.
         """
-        _check_protocol([*endpoints, *others], keys)
+        _check_endpoints(others, keys, endpoints)
         _log_rejected_links(keys)
         warn_of_strangers(endpoints, keys is not None)
         bound = tuple(endpoints)
@@ -275,9 +280,16 @@ def _directly(callback: Callable[[Payload], None]) -> zenoh.handlers.Callback[Pa
     return zenoh.handlers.Callback(callback, indirect=False)
 
 
-def _check_protocol(endpoints: Sequence[str], keys: Keys | None) -> None:
-    """Raise TransportError for the first endpoint that does not fit to having keys, or having none."""
-    if problem := find_protocol_problem(endpoints, keys is not None):
+def _check_endpoints(endpoints: Sequence[str], keys: Keys | None, listen: Sequence[str] = ()) -> None:
+    """That all ``endpoints``, and those to ``listen`` on, can be given to Zenoh.
+
+    Raises:
+        InvalidInputError: one is no endpoint.
+        TransportError: the first that does not fit to having keys, or having none.
+    """
+    check_endpoints("endpoints to listen on", listen, listens=True)
+    check_endpoints("endpoints", endpoints)
+    if problem := find_protocol_problem([*listen, *endpoints], keys is not None):
         raise TransportError(problem)
 
 

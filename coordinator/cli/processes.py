@@ -13,6 +13,8 @@ from coordinator.cli.terminal import (
     SECURE_ENDPOINT,
     Number,
     bus_timeout_option,
+    check_connect,
+    check_listen,
     choose_endpoints,
     connect_option,
     keys_option,
@@ -83,9 +85,16 @@ def agent(arguments: tuple[str, ...]) -> int:
     "--listen",
     "endpoints",
     multiple=True,
+    callback=check_listen,
     help=f"Where; repeatable.  [default: {DEFAULT_ENDPOINT}; with --keys {SECURE_ENDPOINT}]",
 )
-@click.option("--connect", "others", multiple=True, help="Another router to link with, now or later; repeatable.")
+@click.option(
+    "--connect",
+    "others",
+    multiple=True,
+    callback=check_connect,
+    help="Another router to link with, now or later; repeatable.",
+)
 @keys_option
 @click.option("--run", "run_id", help="Apply the rules to this run.  [default: that in DIR; the scenario's name]")
 @click.option("--scenario", metavar="NAME|FILE", help="Without keys: let only what the processes of its run say pass.")

@@ -20,6 +20,7 @@ from coordinator.cli.figure_options import given_arguments
 from coordinator.interrupts import decide
 from coordinator.process_run.compile_clock import clock
 from dsse_core.compiling import only_loading
+from dsse_core.endpoints import check_endpoints
 from dsse_core.limits import LARGEST_SEED, LONGEST_S
 from dsse_core.printable import printable_lines
 
@@ -111,7 +112,33 @@ def connect_option(
     option that asks for TLS.
     """
     default = default or f"[default: {DEFAULT_ENDPOINT}; with {secured_by} {SECURE_ENDPOINT}]"
-    return click.option("--connect", "endpoints", multiple=True, help=f"Endpoint of the router; repeatable.  {default}")
+    return click.option(
+        "--connect",
+        "endpoints",
+        multiple=True,
+        callback=check_connect,
+        help=f"Endpoint of the router; repeatable.  {default}",
+    )
+
+
+def check_connect(_: click.Context, parameter: click.Parameter, endpoints: tuple[str, ...]) -> tuple[str, ...]:
+    """The endpoints of an option, to connect to.
+
+    Raises:
+        InvalidInputError: one is none.
+    """
+    check_endpoints(parameter.opts[0], endpoints)
+    return endpoints
+
+
+def check_listen(_: click.Context, parameter: click.Parameter, endpoints: tuple[str, ...]) -> tuple[str, ...]:
+    """The endpoints of an option, to listen on.
+
+    Raises:
+        InvalidInputError: one is none.
+    """
+    check_endpoints(parameter.opts[0], endpoints, listens=True)
+    return endpoints
 
 
 def choose_endpoints(given: tuple[str, ...], secured: bool) -> tuple[str, ...]:

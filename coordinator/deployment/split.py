@@ -11,6 +11,7 @@ from pathlib import Path
 from agents.area_files.area_file import AreaFile, save_area_file
 from agents.area_files.split_digest import stamp_split
 from agents.messages.keys import NAME
+from dsse_core.endpoints import check_endpoints
 from dsse_core.errors import InvalidInputError
 from dsse_core.limits import LONGEST_NAME
 from dsse_core.reading_rules import DEFAULT_RULES
@@ -101,10 +102,12 @@ def write_area_files(
     area_endpoints: Mapping[str, str] | None = None,
     suffix: str = ".toml",
 ) -> Iterator[tuple[str, Path]]:
-    """Write ``<area>.toml`` (or ``suffix``) of every area into ``folder``, see ``area_files``; area, file."""
-    if strange := [e for e in endpoints if not re.fullmatch(r"[a-z-]+/.+", e)]:
-        problems = [f"{e!r} is no Zenoh endpoint; one looks like tcp/192.0.2.7:7447" for e in strange]
-        raise InvalidInputError("endpoints", problems)
+    """Write ``<area>.toml`` (or ``suffix``) of every area into ``folder``, see ``area_files``; area, file.
+
+    Raises:
+        InvalidInputError: one of ``endpoints`` is none.
+    """
+    check_endpoints("endpoints", endpoints)
     folder.mkdir(parents=True, exist_ok=True)
     for content in area_files(scenario, run, endpoints, area_endpoints):
         path = folder / f"{content.area.name}{suffix}"

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, ClassVar, Literal, Self
 
-from pydantic import BeforeValidator, Discriminator, Field, PlainValidator, Tag, model_validator
+from pydantic import BeforeValidator, Discriminator, Field, PlainValidator, Tag, field_validator, model_validator
 
+from dsse_core.endpoints import find_endpoint_problem
 from dsse_core.estimation.state_limits import DEFAULT_LIMITS
 from dsse_core.files.kinds import SCENARIO_FILE, FileKind
 from dsse_core.files.quantities import (
@@ -302,11 +303,16 @@ class TransportTable(Table):
 
     kind: Literal["router", "neighbours"] = "router"
     routers: Annotated[int, Field(ge=1, le=2)] = 1
-    listen: str = Field(
-        default="tcp/127.0.0.1:0",
-        pattern=r"^tcp/[^\s:]+:([0-9]{1,4}|[1-5][0-9]{4}|6[0-4][0-9]{3}|65[0-4][0-9]{2}|655[0-2][0-9]|6553[0-5])$",
-        description="tcp/HOST:PORT; port 0 takes a free one",
-    )
+    listen: str = Field(default="tcp/127.0.0.1:0", description="tcp/HOST:PORT; port 0 takes a free one")
+
+    @field_validator("listen")
+    @classmethod
+    def _is_endpoint(cls, listen: str) -> str:
+        if problem := find_endpoint_problem(listen, listens=True):
+            raise ValueError(problem)
+        if not listen.startswith("tcp/"):
+            raise ValueError(f"{listen!r}: a scenario says tcp/HOST:PORT; `dsse run --secure` makes tls of it")
+        return listen
 
     @model_validator(mode="after")
     def _has_routers_only_if_it_uses_them(self) -> Self:

@@ -13,6 +13,7 @@ from coordinator.gateway.interface import Sink, Source
 from coordinator.gateway.maps.installed import load_sink, load_source
 from coordinator.gateway.maps.map_tables import MapFile, ReadingTable
 from coordinator.gateway.maps.points import Point, find_point_problems, make_point
+from dsse_core.endpoints import find_problems_in
 from dsse_core.errors import InvalidInputError
 from dsse_core.files.strict_table import Table, fit_partly, load_partly
 from dsse_core.files.wording import Suggestions
@@ -87,6 +88,7 @@ def load_map(path: Path) -> GatewayMap:
     name = "" if "name" in head.wrong else file.name
     if name in RESERVED - {"plant"}:
         problems.append(f"name: {name!r} belongs to a process of every run; choose another")
+    problems += find_problems_in("connect", file.connect if "connect" not in head.wrong else ())
     run, source, scenario = "", None, None
     with _noted(problems):
         scenario = None if "scenario" in head.wrong else _load_scenario_of(file, path)

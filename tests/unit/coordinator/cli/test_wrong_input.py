@@ -186,5 +186,35 @@ def test_area_files_cannot_be_written_where_a_file_stands(dsse, tmp_path: Path):
 def test_an_endpoint_that_is_none_is_rejected_before_files_are_written(dsse, tmp_path: Path):
     code, _, err = dsse("split", "ieee33", "--out", "areas", "--connect", "garbage")
     assert code == 2
-    assert "'garbage' is no Zenoh endpoint" in err
+    assert "--connect: 1 problem\n  - 'garbage' is no endpoint" in err
     assert not (tmp_path / "areas").exists()
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["watch"],
+        ["metrics"],
+        ["serve"],
+        ["flows", "area1.toml"],
+        ["plant", "ieee33"],
+        ["record", "--out", "r"],
+        ["gateway", "map.toml"],
+        ["meter", "off", "x"],
+        ["scan"],
+        ["stop"],
+        ["router"],
+        ["agent", "area1.toml"],
+    ],
+    ids=" ".join,
+)
+def test_an_endpoint_that_is_none_ends_every_command_at_once(dsse, arguments: list[str]):
+    code, _, err = dsse(*arguments, "--connect", "tcp/127.0.0.1:9", "--connect", "garbage")
+    assert code == 2
+    assert err.startswith("error: --connect: 1 problem\n  - 'garbage' is no endpoint, tcp/HOST:PORT or tls/HOST:PORT")
+
+
+def test_where_a_router_is_to_listen_is_checked_too(dsse):
+    code, _, err = dsse("router", "--listen", "tcp/127.0.0.1")
+    assert code == 2
+    assert err.startswith("error: --listen: 1 problem")

@@ -55,12 +55,14 @@ def test_a_wrong_key_hides_nothing_else_that_is_wrong(write_map: Callable[..., P
             '[[reading]]\nmeter = "voltage@1"\nunit = "kV"\ncolour = 3\n',
             '[[results]]\nkind = "nobody"\n',
             source='[source]\nkind = "csv"\n',
-            head='name = "North"\nscenario = "edited.toml"\nrun = "A B"\nleast_interval_s = 100.0\nconect = []\n',
+            head='name = "North"\nscenario = "edited.toml"\nrun = "A B"\nleast_interval_s = 100.0\nconect = []\n'
+            'connect = ["tcp/127.0.0.1:1", "garbage"]\n',
         )
     )
     for expected in (
         "least_interval_s: must be less",
         "conect: unknown key",
+        "connect[2]: 'garbage' is no endpoint",
         "name 'North': a name is of a-z",
         "run: 'A B' may only contain",
         "source.path: missing",
@@ -75,7 +77,7 @@ def test_a_wrong_key_hides_nothing_else_that_is_wrong(write_map: Callable[..., P
         "reading[3]: meter: 'voltage@1' is no meter id",
     ):
         assert expected in text
-    assert "14 problems" in text, text
+    assert "15 problems" in text, text
     assert "sigma_percent needs sigma" not in text
 
 
